@@ -11,8 +11,6 @@ import pytest
 # before NumPy is imported: two processes of tests whose algebra has two threads each wait for one another, and the
 # matrices are too small to share. Those that test what becomes of more threads ask for them
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# processes of tests have a core each: none is left for a helper that compiles
-os.environ.setdefault("HELIOGRAPH_COMPILE_AHEAD", "0")
 
 from sybil import Example, Sybil
 from sybil.parsers import myst, rest

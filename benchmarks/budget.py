@@ -17,7 +17,7 @@ from heliograph.measure.bench import run_block
 from heliograph.measure.counts import pooled
 from heliograph.signal.code import Code
 from heliograph.signal.formats import SIGNALLED_RATES
-from heliograph.signal.turbo.plan import turbo_plan
+from heliograph.signal.turbo.code import turbo_plan
 
 CODED_BITS = 3072
 """Bits of a codeword of the reference link."""

@@ -346,10 +346,12 @@ def _commpy(k: int, rng: np.random.Generator) -> tuple[str, Call] | None:
 
 
 def _reference(llr: NDArray[np.float32]) -> None:
-    from heliograph.signal.turbo import DecoderOptions, reference
+    from tests.oracles import turbo as oracle
+
+    from heliograph.signal.turbo import DecoderOptions
     from heliograph.signal.turbo.qpp import interleaver
 
-    reference.decode(llr.astype(np.float64), interleaver(1024), DecoderOptions(iterations=ITERATIONS))
+    oracle.decode(llr.astype(np.float64), interleaver(1024), DecoderOptions(iterations=ITERATIONS))
 
 
 def _read(path: Path) -> None:

@@ -1,9 +1,9 @@
 """Make docs/settings.md from the settings classes: `python scripts/make_settings.py`, or `make settings`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from heliograph.base.describe import KeyDescription, describe
+from heliograph.cli.describe import KeyDescription, describe
 from heliograph.link.settings import LinkSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
@@ -21,17 +21,17 @@ its values. This page is made from the code by `make settings`.
 
 def page() -> str:
     """Text of the page."""
-    return HEAD + "".join(_rooms(describe(LinkSettings)))
+    return HEAD + "".join(_tables(describe(LinkSettings)))
 
 
-def _rooms(keys: list[KeyDescription]) -> Iterator[str]:
-    rooms: dict[str, list[KeyDescription]] = {}
-    for one in keys:
-        rooms.setdefault(one.key.rpartition(".")[0], []).append(one)
-    for room, members in rooms.items():
-        yield f"\n## {room}\n\n| key | default | values | unit | meaning |\n|---|---|---|---|---|\n"
-        for one in members:
-            cells = (f"`{one.key}`", _code(one.default), one.allowed, one.unit, one.meaning)
+def _tables(keys: Iterable[KeyDescription]) -> Iterator[str]:
+    tables: dict[str, list[KeyDescription]] = {}
+    for about in keys:
+        tables.setdefault(about.key.rpartition(".")[0], []).append(about)
+    for table, members in tables.items():
+        yield f"\n## {table}\n\n| key | default | values | unit | meaning |\n|---|---|---|---|---|\n"
+        for about in members:
+            cells = (f"`{about.key}`", _code(about.default), about.allowed, about.unit, about.meaning)
             yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
 
 

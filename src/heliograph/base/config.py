@@ -1,8 +1,8 @@
 """Settings as frozen, checked dataclasses.
 
 A settings class is a ``pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config=CONFIG)`` under
-`clear_errors`: pydantic checks its fields when it is made. This module merges mappings, and turns an error of pydantic
-into one line that names the rule, the wrong value and the nearest known key. `toml_text` reads and writes the text.
+`clear_errors`. This module merges mappings, and turns an error of pydantic into one line that names the rule, the wrong
+value and the nearest known key. `toml_text` reads and writes the text.
 """
 
 import difflib
@@ -29,31 +29,23 @@ PitchM = Annotated[float, Field(ge=1e-4, le=10)]
 """Distance between LEDs in m."""
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
-"""Fraction of a whole."""
+"""Fraction, 0 to 1."""
 
-_CLOSE_LEAF = 0.65
-"""Least ratio of `difflib`, 0 to 1, of the parts after the last dot at which a known key is proposed for an unknown.
+_MIN_RATIO = 0.65
+"""Ratio of `difflib` of the last parts of two keys from which the known key is proposed for the unknown. 94.4 % of 4046
+misspelt keys lead to the right key, and 11 of 40 other words to any."""
 
-Of 4046 misspellings of the link's keys (a letter left out, doubled or wrong; with and without their path), 94.4 % lead
-to the right key; at 0.7 93.5 %. Of 40 words that are none, such as channel.foo, 11 lead to a key; at 0.5 29."""
+_UNIT_RATIO = 0.95
+"""Ratio of a key that lacks the unit only, as speed for speed_m_s."""
 
-_WITH_UNIT = 0.95
-"""The ratio for a key that lacks nothing but its unit, as speed for speed_m_s."""
-
-_LONGEST_KEY = 100
-"""Most characters of a key for which a known one is proposed."""
+_MAX_KEY = 100
+"""Characters of an unknown key up to which a known key is proposed."""
 
 T = TypeVar("T")
 
 
 def clear_errors(cls: type[T]) -> type[T]:
-    """Let a settings class, called by hand, raise a SettingsError of one line in place of pydantic's; a decorator.
-
-    Parameters
-    ----------
-    cls
-        Settings class, a dataclass of pydantic; its constructor is replaced.
-    """
+    """Decorate a settings class so that the constructor raises a SettingsError of one line."""
     checked = cls.__init__
 
     @functools.wraps(checked)
@@ -61,7 +53,7 @@ def clear_errors(cls: type[T]) -> type[T]:
         try:
             checked(self, *args, **values)
         except ValidationError as error:
-            raise _clear(error, cls) from None
+            raise _to_settings_error(error, cls) from None
 
     cls.__init__ = init  # type: ignore[assignment]  # a decorator cannot keep the parameters of each class
     return cls
@@ -73,9 +65,9 @@ def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
     Parameters
     ----------
     cls
-        Settings class, or a plain dataclass, of which one is made.
+        Settings class, or a plain dataclass.
     mapping
-        Values by field name; a settings class within it takes a mapping of its own. Missing keys keep their defaults.
+        Values by field name, a mapping for each settings class within; missing keys keep the defaults.
 
     Returns
     -------
@@ -88,7 +80,7 @@ def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
         A key is unknown, or a value has the wrong type or is out of range.
     """
     if is_dataclass(cls) and not hasattr(cls, "__pydantic_config__") and isinstance(mapping, Mapping):
-        # a plain dataclass, as that of a receiver of one's own, would pass over keys that it lacks
+        # a plain dataclass would ignore unknown keys
         for key in set(mapping) - {field.name for field in fields(cls)}:
             raise SettingsError(f"unknown setting '{brief(key)}'{_nearest(str(key), cls)}")
     for key in _no_numbers(cls, mapping):
@@ -96,42 +88,20 @@ def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
     try:
         return TypeAdapter(cls).validate_python(dict(mapping) if isinstance(mapping, Mapping) else mapping)
     except ValidationError as error:
-        raise _clear(error, cls) from None
+        raise _to_settings_error(error, cls) from None
     except (OverflowError, RecursionError):
         raise SettingsError("a value is too large, or its tables lie too deep") from None
 
 
 def to_mapping(settings: Any) -> dict[str, Any]:
-    """Return settings as nested dictionaries of plain values, the inverse of `from_mapping`.
-
-    Parameters
-    ----------
-    settings
-        Settings of any class; those within them become dictionaries too.
-    """
+    """Return settings as nested dictionaries, the inverse of `from_mapping`."""
     return asdict(settings)
 
 
 def merge(base: Any, over: Any) -> Any:
     """Merge changes into a value: mappings merge by key, a list changes item by item, other values are replaced.
 
-    Parameters
-    ----------
-    base
-        Value to change; it stays as it is.
-    over
-        Changes. A mapping on a list has the items' numbers, from 0, as its keys; the number after the last adds an
-        item.
-
-    Returns
-    -------
-    Any
-        The merged value.
-
-    Raises
-    ------
-    SettingsError
-        A key of a mapping on a list is not the number of an item.
+    A mapping merges into a list by the numbers of the items, from 0; the number after the last adds an item.
     """
     if isinstance(base, Mapping) and isinstance(over, Mapping):
         return {**base, **{key: merge(base.get(key), value) for key, value in over.items()}}
@@ -141,13 +111,7 @@ def merge(base: Any, over: Any) -> Any:
 
 
 def keys_of(cls: type) -> Iterator[str]:
-    """Yield the dotted keys of all plain values of a settings class; a list of settings counts as its item 0.
-
-    Parameters
-    ----------
-    cls
-        Settings class, or a plain dataclass; keys of a class within it follow the field's name and a dot.
-    """
+    """Yield the dotted keys of all plain values of a settings class; a list of settings counts as the item 0."""
     for field in fields(cls):
         items = [kind for kind in get_args(field.type) if isinstance(kind, type) and is_dataclass(kind)]
         if isinstance(field.type, type) and is_dataclass(field.type):
@@ -169,13 +133,13 @@ def _merge_items(base: Sequence[Any], over: Mapping[str, Any]) -> list[Any]:
     return items
 
 
-def _clear(error: ValidationError, cls: type) -> SettingsError:
+def _to_settings_error(error: ValidationError, cls: type) -> SettingsError:
     return SettingsError(" ".join(_one_line(error, cls).split()))
 
 
 def _one_line(error: ValidationError, cls: type) -> str:
     first = error.errors()[0]
-    # beside a value's key Pydantic names the kind that it tried
+    # pydantic adds the kind that it tried to the key
     parts = [str(part) for part in first["loc"]]
     key = ".".join(part for part in parts if not re.search(r"\[|^(constrained|function)-", part))[:MOST_SHOWN]
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
@@ -192,40 +156,40 @@ def _one_line(error: ValidationError, cls: type) -> str:
 
 
 def _nearest(key: str, cls: type) -> str:
+    """Return the advice for an unknown key: the nearest known key, or all keys of the table."""
     item = re.search(r"\.\d+\.", key)
-    plain = [k.replace(".0.", item[0]) if item else k for k in keys_of(cls)]
-    known = [*plain, *{k[: at.start()] for k in plain for at in re.finditer(r"\.", k)}]  # tables too
+    keys = [known.replace(".0.", item[0]) if item else known for known in keys_of(cls)]
+    tables = {known[: dot.start()] for known in keys for dot in re.finditer(r"\.", known)}
     leaf = key.rpartition(".")[2]
     close = []
-    for one in known if len(key) <= _LONGEST_KEY else ():
-        name = one.rpartition(".")[2]
-        ratio = _WITH_UNIT if name.startswith(f"{leaf}_") else _ratio(leaf, name)
-        if ratio >= _CLOSE_LEAF:
-            close.append((ratio + _ratio(key, one), one))
+    for known in {*keys, *tables} if len(key) <= _MAX_KEY else ():
+        name = known.rpartition(".")[2]
+        ratio = _UNIT_RATIO if name.startswith(f"{leaf}_") else _ratio(leaf, name)
+        if ratio >= _MIN_RATIO:
+            close.append((ratio + _ratio(key, known), known))
     if close:
         return f"; did you mean '{max(close)[1]}'?"
     table = key.rpartition(".")[0] + "."
-    beside = [one.removeprefix(table).partition(".")[0] for one in plain if one.startswith(table)]
-    listed = sorted(set(beside)) or sorted(field.name for field in fields(cls))
-    return f"; known are {', '.join(listed)}"
+    members = {known.removeprefix(table).partition(".")[0] for known in keys if known.startswith(table)}
+    return f"; known are {', '.join(sorted(members or {field.name for field in fields(cls)}))}"
 
 
-def _ratio(one: str, other: str) -> float:
-    return difflib.SequenceMatcher(None, one, other).ratio()
+def _ratio(first: str, second: str) -> float:
+    return difflib.SequenceMatcher(None, first, second).ratio()
 
 
 def _no_numbers(cls: Any, value: Any, key: str = "") -> Iterator[str]:
-    """Yield the dotted keys at which true or false stand in place of numbers or text: Python takes them for 1 and 0."""
+    """Yield the dotted keys of booleans in place of numbers or text, which Python takes for 1 and 0."""
     if isinstance(cls, type) and is_dataclass(cls):
         kinds = get_type_hints(cls) if isinstance(value, Mapping) else {}
         for name in kinds.keys() & set(value if isinstance(value, Mapping) else ()):
             yield from _no_numbers(kinds[name], value[name], f"{key}.{name}" if key else name)
         return
-    rooms = [kind for kind in get_args(cls) if isinstance(kind, type) and is_dataclass(kind)]
-    value = value.tolist() if hasattr(value, "tolist") else value  # NumPy has a true and a false of its own
+    classes = [kind for kind in get_args(cls) if isinstance(kind, type) and is_dataclass(kind)]
+    value = value.tolist() if hasattr(value, "tolist") else value  # booleans of NumPy
     if isinstance(value, (list, tuple)):
-        for i, one in enumerate(value):
-            yield from _no_numbers(rooms[0] if rooms else cls, one, f"{key}.{i}")
+        for i, item in enumerate(value):
+            yield from _no_numbers(classes[0] if classes else cls, item, f"{key}.{i}")
     elif isinstance(value, bool) and not _takes_bool(cls):
         yield key
 

@@ -1,4 +1,4 @@
-"""Errors for the user: one line that says what is wrong and how to mend it."""
+"""Errors for the user: one line with the problem and the remedy."""
 
 import unicodedata
 from collections.abc import Callable
@@ -15,12 +15,12 @@ JOINERS = "\u200c\u200d"
 
 
 class HeliographError(Exception):
-    """Misuse or broken input; the message is one line that states the rule and the value that breaks it.
+    """Misuse or broken input; the message states the rule and the wrong value on one line.
 
     Parameters
     ----------
     message
-        The text; what a terminal cannot print, such as a line break in a file name, is escaped.
+        Text; characters that a terminal cannot print, such as a line break in a file name, are escaped.
     """
 
     def __init__(self, message: object = ""):
@@ -36,16 +36,7 @@ class MediaError(HeliographError, OSError):
 
 
 def printable(text: str) -> str:
-    r"""Return a text on one line, with an escape for every character that a terminal or a UTF-8 file cannot show.
-
-    Line breaks, control characters and marks of the writing direction become Python's escapes. A byte of a file name
-    that is not UTF-8 becomes ``\xe9``. An escaped text stays as it is.
-
-    Parameters
-    ----------
-    text
-        Any text, such as a file name.
-    """
+    r"""Escape all characters that a terminal or a UTF-8 file cannot show; a byte that is not UTF-8 becomes ``\xe9``."""
     return text if text.isprintable() else "".join(map(_escape, text))
 
 
@@ -58,24 +49,12 @@ def _escape(character: str) -> str:
 
 
 def brief(value: object) -> str:
-    """Return the text of an error or of a value on one line, cut where it is long.
-
-    Parameters
-    ----------
-    value
-        An error or text, which are shown as they are, or a wrong value, which is shown as Python writes it.
-    """
+    """Return the text of an error, a text or a wrong value on one line, cut to `MOST_SHOWN` characters."""
     return _on_a_line(str if isinstance(value, (str, Exception)) else repr, value)
 
 
 def shown(value: object) -> str:
-    """Return what was given for something else, on one line: a number or text as Python writes it, else its type.
-
-    Parameters
-    ----------
-    value
-        What was given; an array, say, would fill many lines.
-    """
+    """Return a wrong argument on one line: a number or text as Python writes it, else the type."""
     return _on_a_line(repr, value) if isinstance(value, (str, Number)) else type(value).__name__
 
 

@@ -1,4 +1,4 @@
-"""A camera frame: its pixels, the time of its exposure, and its place on the sensor."""
+"""A camera frame: pixels, time of the exposure, and place on the sensor."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,14 +12,14 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 """Gray levels, shape (rows, columns)."""
 
 BITS = {np.dtype(np.uint8): (8, 8), np.dtype(np.uint16): (9, 16)}
-"""Fewest and most bits of a gray level by the type of the pixels."""
+"""Minimum and maximum bits of a gray level by the type of the pixels."""
 
 LATEST_S = 1e10
 """Largest magnitude of a time in s: 317 years. Times of day count from 1970 in some cameras, which is 1.8e9 s; larger
 numbers are in other units, such as ns."""
 
 LATEST_INDEX = 1 << 62
-"""Largest magnitude of a frame's number: it and its neighbours are whole numbers of 64 bits."""
+"""Largest magnitude of the number of a frame, so that neighbouring numbers have 64 bits too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,34 +78,22 @@ class Frame:
         return (1 << self.bits) - 1
 
     def at_time(self, time_s: float) -> "Frame":
-        """The same frame at another time, which is not checked: a clock corrects each frame's.
-
-        Parameters
-        ----------
-        time_s
-            Start of the exposure in seconds.
-        """
+        """Return the frame with another start of the exposure, in seconds and without a check."""
         return _unchecked(self.index, time_s, self)
 
     def copied(self) -> "Frame":
-        """The same frame with pixels of its own, row after row in memory; it is not checked again."""
+        """Return the frame with a copy of the pixels, row after row in memory and without a check."""
         frame = _unchecked(self.index, self.time_s, self)
         object.__setattr__(frame, "pixels", np.array(self.pixels, order="C"))
         return frame
 
     def numbered(self, index: int) -> "Frame":
-        """The same frame with another number, which is not checked: a search numbers each frame by its pattern.
-
-        Parameters
-        ----------
-        index
-            Number of the frame.
-        """
+        """Return the frame with another number, without a check."""
         return _unchecked(index, self.time_s, self)
 
 
 def _unchecked(index: int, time_s: float, of: Frame) -> Frame:
-    """A frame with the pixels of another, which were checked."""
+    """Return a frame with the checked pixels of another frame."""
     frame = object.__new__(Frame)
     for name, value in zip(_FIELDS, (index, time_s, of.pixels, of.bits, of.origin), strict=True):
         object.__setattr__(frame, name, value)
@@ -116,21 +104,7 @@ _FIELDS = Frame.__slots__
 
 
 def check_next(frame: Frame, last: Frame | None) -> None:
-    """Check that a frame shows something, and that it is one of the same camera as the frame before.
-
-    Parameters
-    ----------
-    frame
-        What is given for a frame.
-    last
-        The frame before; None for the first.
-
-    Raises
-    ------
-    HeliographError
-        It is no `Frame`, has no pixels, or differs from the last one in type or bits; or both are whole frames of
-        different sizes.
-    """
+    """Raise a HeliographError unless this is a `Frame` with pixels, of the same camera as the last frame, if any."""
     if not isinstance(frame, Frame):
         raise HeliographError(
             f"a receiver takes heliograph.Frame, not {type(frame).__name__}; write Frame(index, time_s, pixels)"
@@ -145,7 +119,7 @@ def check_next(frame: Frame, last: Frame | None) -> None:
             f"before {last.bits} ({last.pixels.dtype}); take a new receiver where the camera changes"
         )
     if frame.pixels.shape != last.pixels.shape and frame.origin == last.origin == (0, 0):
-        sizes = " after ".join(f"{one.pixels.shape[1]}x{one.pixels.shape[0]}" for one in (frame, last))
+        sizes = " after ".join(f"{item.pixels.shape[1]}x{item.pixels.shape[0]}" for item in (frame, last))
         raise HeliographError(
             f"all whole frames have the same size: frame {frame.index} has {sizes} pixels; give windows their origin "
             f"on the sensor, or take a new receiver where the camera changes"

@@ -1,4 +1,4 @@
-"""Values handed on from one task to the next, which stay in the process that does the tasks."""
+"""Values handed on from task to task, which stay in the process that does the tasks."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, TypeVar
@@ -8,51 +8,32 @@ T = TypeVar("T")
 
 
 class Shared(Generic[T]):
-    """Hands a value on from task to task, each of which holds this.
+    """Value that each task hands on to the next; a subclass, made by name, sets how many another process keeps.
 
-    Another process that it is handed to has a content of its own, which stays there from task to task. Each kind of
-    value has a class, made by the name alone, that says how many another process keeps.
-
-    Parameters
-    ----------
-    content
-        The value before the first task.
-    name
-        What tells it from others in another process; None for a new name.
+    Pickling sends the name only: another process keeps a separate content from task to task.
     """
 
     kept: ClassVar[int]
 
     def __init__(self, content: T, name: str | None = None) -> None:
-        self._content, self._name = content, name or uuid4().hex
+        self.content, self._name = content, name or uuid4().hex
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _of_this_process, (type(self), self._name, self.kept)
 
-    @property
-    def content(self) -> T:
-        """The value after the last task that was done; what it began with before the first."""
-        return self._content
-
     def keep(self, content: T) -> None:
-        """Hand another value on from now on.
-
-        Parameters
-        ----------
-        content
-            The value after a task.
-        """
-        self._content = content
+        """Hand on another value from now on."""
+        self.content = content
 
 
 _HERE: dict[Callable[[str], Shared[Any]], dict[str, Shared[Any]]] = {}
-"""What other processes have handed to this one, by kind and name, those asked for last at the end."""
+"""Values of other processes by kind and name, the latest used at the end."""
 
 
 def _of_this_process(kind: Callable[[str], Shared[Any]], name: str, kept: int) -> Shared[Any]:
-    """What stands here for one of another process."""
+    """Return the value of this process that stands for a value of another process."""
     here = _HERE.setdefault(kind, {})
-    here[name] = found = here.pop(name, None) or kind(name)
+    here[name] = value = here.pop(name, None) or kind(name)
     while len(here) > kept:
         del here[next(iter(here))]
-    return found
+    return value

@@ -1,6 +1,6 @@
-"""One thread for the algebra of receivers and panels.
+"""Limit the algebra of receivers and panels to one thread.
 
-A BLAS that shares matrices of 256 rows among threads is many times slower, and rounds otherwise than in one.
+A BLAS that shares matrices of 256 rows among threads is many times slower, and rounds in another way.
 """
 
 import threading
@@ -14,26 +14,19 @@ from threadpoolctl import ThreadpoolController
 Item = TypeVar("Item")
 
 
-@lru_cache(maxsize=1)  # finding the libraries takes some milliseconds
-def _libraries() -> list[Any]:
-    blas: list[Any] = ThreadpoolController().select(user_api="blas").lib_controllers
-    return blas
-
-
-class _Holders:
-    """Blocks that hold BLAS to one thread. Its number of threads is the process's, so the last to leave restores it."""
+class _Limit:
+    """Limit of BLAS to one thread while any block needs it. The last block restores the number of the process."""
 
     def __init__(self) -> None:
         self._lock, self._count = threading.Lock(), 0
-        # libraries and the numbers of threads that they had, of those that had more than one
         self._before: list[tuple[Any, int]] = []
 
     def enter(self) -> None:
         with self._lock:
             if not self._count:
-                self._before = [(one, number) for one in _libraries() if (number := one.num_threads) != 1]
+                self._before = [(library, n) for library in _libraries() if (n := library.num_threads) != 1]
                 for library, _ in self._before:
-                    _set(library, 1)
+                    _set_threads(library, 1)
             self._count += 1
 
     def leave(self) -> None:
@@ -41,80 +34,58 @@ class _Holders:
             self._count -= 1
             if not self._count:
                 for library, before in self._before:
-                    _set(library, before)
+                    _set_threads(library, before)
 
 
-def _set(library: Any, threads: int) -> None:
-    """Set a library's number of threads. From 3.8 on threadpoolctl heeds one thread alone, until that lets go."""
-    let_go = getattr(library, "clear_controlling_thread", None)
-    if let_go:
-        let_go(force=True)
+@lru_cache(maxsize=1)  # searching for the libraries takes some milliseconds
+def _libraries() -> list[Any]:
+    return list(ThreadpoolController().select(user_api="blas").lib_controllers)
+
+
+def _set_threads(library: Any, threads: int) -> None:
+    # from 3.8 on threadpoolctl obeys one thread only, until that releases the control
+    release = getattr(library, "clear_controlling_thread", lambda **_: None)
+    release(force=True)
     library.set_num_threads(threads)
-    if let_go:
-        let_go(force=True)
+    release(force=True)
 
 
-_holders = _Holders()
+_limit = _Limit()
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Hold BLAS to one thread within a ``with`` block.
+    """Limit BLAS to one thread in a ``with`` block; threads may be in such blocks at the same time.
 
-    Several threads of a process may be in such blocks at a time: the first to enter limits BLAS, and the last to leave
-    gives it back the number of threads it had. A BLAS built with OpenMP keeps a number for each thread; there the first
-    thread alone is limited.
+    A BLAS built with OpenMP keeps a number for each thread, so that only the first thread is limited.
     """
-    _holders.enter()
+    _limit.enter()
     try:
         yield
     finally:
-        _holders.leave()
+        _limit.leave()
+
+
+_END = object()
 
 
 def in_one_thread(items: Iterator[Item]) -> Iterator[Item]:
-    """Hold BLAS to one thread while an item is made, not while the caller has it.
-
-    Parameters
-    ----------
-    items
-        What makes them, one by one.
-
-    Yields
-    ------
-    Item
-        The same items.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        Ctrl-C came, wherever that was.
-    """
+    """Limit BLAS to one thread while an item is made, and raise a KeyboardInterrupt for Ctrl-C in machine code."""
     while True:
-        # not by the context manager: it would cost each frame a generator of its own
-        _holders.enter()
+        # the context manager would cost each frame a generator
+        _limit.enter()
         try:
-            item = next(items, _END)
+            item: Any = next(items, _END)
         except SystemError as error:
-            if interrupt := _interrupt_of(error):
-                raise interrupt from None
+            # Ctrl-C in machine code that calls Python comes as the cause of a SystemError
+            cause: BaseException | None = error
+            while cause is not None and not isinstance(cause, KeyboardInterrupt):
+                cause = cause.__cause__
+            if cause is not None:
+                raise cause from None
             raise
         finally:
-            _holders.leave()
-        if isinstance(item, _End):
+            _limit.leave()
+        if item is _END:
             return
         yield item
-
-
-def _interrupt_of(error: BaseException | None) -> KeyboardInterrupt | None:
-    """The Ctrl-C that an error is due to: amid machine code that calls Python it comes as a SystemError."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__
-    return error
-
-
-class _End:
-    """No item is left."""
-
-
-_END = _End()

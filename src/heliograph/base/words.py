@@ -1,14 +1,6 @@
-"""Words for numbers of things."""
+"""Words for messages."""
 
 
 def counted(number: int, thing: str) -> str:
-    """A number of things in words.
-
-    Parameters
-    ----------
-    number
-        How many there are, 0 or more.
-    thing
-        What one of them is called.
-    """
+    """Return a number with the name of a thing, in the plural unless the number is 1."""
     return f"{number} {thing}{'' if number == 1 else 's'}"

@@ -1,6 +1,6 @@
-"""Worker processes of this machine: a core each, and Ctrl-C left to the process that began them.
+"""Worker processes of this machine: one core each, and Ctrl-C only for the parent process.
 
-Nothing heavy is imported here: a worker imports this module first, and sets its thread limits before NumPy is there.
+A worker imports this module first and sets the limits of threads before it imports NumPy, so imports are light here.
 """
 
 import contextlib
@@ -13,32 +13,24 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
-from heliograph.base.registry import Part, register_again, registered
+from heliograph.base.registry import register_again, registered
 
-_LIBRARIES = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMEXPR_NUM")
-"""Not Numba: once its threads run, it fails where its variable of the environment has changed."""
-
-THREAD_LIMITS = {f"{name}_THREADS": "1" for name in _LIBRARIES}
-"""Environment of a worker: a core each, and no threads of libraries beside it."""
+# not Numba: once its threads run, it fails if the variable has changed
+THREAD_LIMITS = {
+    f"{name}_THREADS": "1" for name in ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMEXPR_NUM")
+}
+"""Environment of a worker, which has one core."""
 
 
 def worker_processes(count: int) -> ProcessPoolExecutor:
-    """Worker processes that know the parts registered in this one; they begin when work is submitted.
-
-    Submit within `worker_environment`, so that they begin as they should.
-
-    Parameters
-    ----------
-    count
-        How many, 1 or more.
-    """
+    """Return worker processes that know the registered parts; submit work within `worker_environment`."""
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(count, mp_context=context, initializer=begin_worker, initargs=(registered(),))
 
 
 @contextlib.contextmanager
 def worker_environment() -> Iterator[None]:
-    """What a process started within inherits: thread limits, and that Ctrl-C waits until it can leave it alone."""
+    """Start processes within this block: they inherit the thread limits, and Ctrl-C waits until they ignore it."""
     before = {name: os.environ.get(name) for name in THREAD_LIMITS}
     os.environ.update(THREAD_LIMITS)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
@@ -54,14 +46,8 @@ def worker_environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def begin_worker(parts: tuple[Part, ...] = ()) -> None:
-    """Begin a worker process: leave Ctrl-C to the parent, end with it however it ends, and know its own parts.
-
-    Parameters
-    ----------
-    parts
-        Parts that the parent registered, as of `heliograph.base.registry.registered`.
-    """
+def begin_worker(parts: tuple[str, ...] = ()) -> None:
+    """Ignore Ctrl-C, end with the parent process, limit threads, and register the parts of the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -71,7 +57,7 @@ def begin_worker(parts: tuple[Part, ...] = ()) -> None:
 
 
 def limit_threads() -> None:
-    """One thread for this process: by its environment where NumPy is not imported yet, by calls for the rest."""
+    """Limit this process to one thread: by the environment before NumPy is imported, and by calls."""
     if "numpy" not in sys.modules:
         os.environ.update(THREAD_LIMITS)
     import cv2

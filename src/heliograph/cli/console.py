@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from heliograph.base.compile_time import clock
 from heliograph.base.errors import printable
 
 INTERRUPTED = 130
@@ -106,7 +105,7 @@ def progress(title: str, total: int | None) -> Iterator[Callable[[float], None]]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     # results that are said meanwhile stay on standard output, where that leads elsewhere
     aside = sys.stdout.isatty()
-    with Progress(*columns, console=Console(stderr=True), transient=True, get_time=clock, redirect_stdout=aside) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=aside) as bar:
         task = bar.add_task(title, total=total)
         # a film may hold more frames than it claims
         yield lambda done: bar.update(task, completed=done, total=None if total is None else max(total, done))

@@ -186,8 +186,8 @@ def presets(
 ) -> None:
     """List the presets, or print one with all its settings."""
     from heliograph.base.config import to_mapping
-    from heliograph.base.describe import commented
     from heliograph.base.toml_text import to_toml
+    from heliograph.cli.describe import comment
     from heliograph.link.settings import PRESETS, LinkSettings, load_settings
 
     if name is None and as_json:
@@ -197,4 +197,4 @@ def presets(
             console.say(f"{key:12} {text}")
     else:
         tree = to_mapping(load_settings(name))
-        console.say_json(tree) if as_json else console.say_lines(commented(to_toml(tree), LinkSettings).rstrip())
+        console.say_json(tree) if as_json else console.say_lines(comment(to_toml(tree), LinkSettings))

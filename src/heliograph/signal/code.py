@@ -113,7 +113,7 @@ CodeFamily = Callable[[int, float], CodePlan]
 The codewords fill the coded bits exactly: codewords * code.length is their number. A `ValueError` says why they cannot.
 """
 
-CODES: Registry[CodeFamily] = Registry("code", "heliograph.codes", {"turbo": "heliograph.signal.turbo.plan:turbo_plan"})
+CODES: Registry[CodeFamily] = Registry("code", "heliograph.codes", {"turbo": "heliograph.signal.turbo.code:turbo_plan"})
 """Code families by the name of the setting ``signal.code``."""
 
 

@@ -4,7 +4,6 @@ import contextlib
 import sys
 from collections.abc import Iterator, Sequence
 
-from heliograph.base.compile_time import clock
 from heliograph.sweeps.runner import PointProgress, silent
 from heliograph.sweeps.tally import PointTally
 
@@ -46,7 +45,7 @@ def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
     # a block may take longer than Rich's half a minute, without which it has no speed
     screen = Console(stderr=True, force_terminal=True)
     period = SPEED_PERIOD_S
-    with Progress(*columns, console=screen, transient=True, speed_estimate_period=period, get_time=clock) as progress:
+    with Progress(*columns, console=screen, transient=True, speed_estimate_period=period) as progress:
         task = progress.add_task("sweeping", total=SCALE * points)
 
         def show(tallies: Sequence[PointTally]) -> None:

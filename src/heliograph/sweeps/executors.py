@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Protocol, TypeVar
 
 from heliograph.base.errors import HeliographError
-from heliograph.base.registry import Part, register_again, registered
+from heliograph.base.registry import register_again, registered
 from heliograph.base.workers import limit_threads, worker_environment, worker_processes
 
 Work = TypeVar("Work")
@@ -293,7 +293,7 @@ class Cluster:
         self._client.close()  # type: ignore[no-untyped-call]  # dask has no types
 
 
-def _limited(parts: tuple[Part, ...], job: Callable[[Work], Result], work: Work) -> Result:
+def _limited(parts: tuple[str, ...], job: Callable[[Work], Result], work: Work) -> Result:
     """Do a job in a worker that others set up."""
     limit_threads()
     register_again(parts)

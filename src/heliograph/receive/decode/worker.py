@@ -21,7 +21,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
-from heliograph.base.registry import Part, registered
+from heliograph.base.registry import registered
 from heliograph.base.shared import Shared
 from heliograph.base.workers import worker_environment, worker_processes
 from heliograph.receive.decode.codeword import unread
@@ -335,7 +335,7 @@ def _submitted(work: Callable[[], Result]) -> Future[Result]:
 
 
 @lru_cache(maxsize=1)
-def _process(_parts: tuple[Part, ...]) -> ProcessPoolExecutor:
+def _process(_parts: tuple[str, ...]) -> ProcessPoolExecutor:
     """The process that decodes, which knows some registered parts."""
     # one process: what packets show of an array and its codewords is kept there, in the packets' order
     return worker_processes(1)

@@ -1,4 +1,4 @@
-"""The turbo code as the rest of the project uses it: one frozen value for each block size and rate."""
+"""The turbo code of a block size and rate, and the plan of the codewords of a layer (section 9.1)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,20 +7,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.errors import SettingsError
-from heliograph.signal.code import Algorithm, Check
-from heliograph.signal.turbo import decoder
+from heliograph.signal.code import Algorithm, Check, CodePlan
+from heliograph.signal.turbo.decoder import LLR_LIMIT, DecoderOptions, Stop, TurboResult, decode_blocks
 from heliograph.signal.turbo.encoder import TERMINATION, encode_mother
-from heliograph.signal.turbo.options import LLR_LIMIT, DecoderOptions, Metrics, Stop, TurboResult
-from heliograph.signal.turbo.qpp import coefficients, interleaver
+from heliograph.signal.turbo.qpp import QPP_SIZES, coefficients, interleaver
 from heliograph.signal.turbo.rate_match import STREAMS, selection
 
 HIGHEST_RATE = (9, 10)
-"""Largest rate as a fraction (section 9.1). Noiseless blocks of every size decode at it (a test holds it to that)."""
+"""Largest rate as a fraction (section 9.1), at which noiseless blocks of every size decode."""
+
+_SIZE_SLACK = 32
+"""Information bits by which r E may exceed the largest interleaver (section 9.1): half the step between the largest
+sizes, so that K is no further from r E than rounding to a size takes it. At 0, 4 of 4320 layers tried (8 to 32 LEDs a
+side, 20 to 199 data pairs, eight rates) need more and shorter codewords; a larger slack may lower the rate further."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TurboCode:
-    """Turbo code of 3GPP TS 36.212 (sections 5.1.3.2 and 5.1.4.1) for one block size and rate.
+    """Turbo code of 3GPP TS 36.212 (sections 5.1.3.2 and 5.1.4.1) for a block size and rate.
 
     Attributes
     ----------
@@ -78,9 +82,9 @@ class TurboCode:
 
     @property
     def distinguishing(self) -> NDArray[np.bool_]:
-        """Coded bits of the second encoder, shape (E,), which sees the information bits interleaved.
+        """Coded bits of the second encoder, shape (E,), which encodes the interleaved information bits.
 
-        Blocks are much alike, as are texts and filling, and with them the bits of the first encoder.
+        Blocks resemble each other, as texts and filling do, and so do the bits of the first encoder.
         """
         return np.asarray(self.positions % STREAMS == STREAMS - 1)
 
@@ -118,80 +122,88 @@ class TurboCode:
         scale: float | None = None,
         stop: Stop | None = None,
         check: Check | None = None,
-        a_priori: ArrayLike | None = None,
         coded_output: bool = False,
-        metrics: Metrics = "float32",
     ) -> TurboResult:
         """Decode blocks.
 
         Parameters
         ----------
         llr : array_like of float, shape (..., E)
-            LLR = ln P(b=0)/P(b=1) of each received bit; magnitudes above 1e4, infinite ones too, count as 1e4.
+            LLR = ln P(b=0)/P(b=1) of each received bit; larger magnitudes than 1e4, also infinity, count as 1e4.
         algorithm : {"max-log", "log-map"}
             See `DecoderOptions`, as for the next three.
         iterations : int
-            Most full iterations, at least 1.
+            Maximum number of full iterations, at least 1.
         scale : float, optional
-            Factor on extrinsic LLRs, above 0 and at most 1; None for the algorithm's own.
+            Factor on extrinsic LLRs, above 0 and at most 1; None for the default of the algorithm.
         stop : {"none", "agreement", "crc"}, optional
             When a block stops early; by default "crc" with `check`, else "agreement".
         check : callable, optional
-            For ``stop="crc"``: takes decisions, uint8 (n, k), returns bool (n,), True where they are right.
-        a_priori : array_like of float, shape (..., k), optional
-            LLRs of the information bits known beforehand, clipped in the same way.
+            For ``stop="crc"``: takes decisions, uint8 (n, k), returns bool (n,), True if a block is right.
         coded_output : bool
-            Whether to compute `coded_llr` and `coded_extrinsic`; costs one more iteration.
-        metrics : {"float32", "int16"}
-            See `DecoderOptions`; "int16" has no `coded_output`.
+            True to compute `coded_llr` and `coded_extrinsic`; costs one more iteration.
 
         Returns
         -------
         TurboResult
-            Arrays of leading shape (...). A block's result does not depend on the others in the call.
+            Arrays of leading shape (...). The result of a block does not depend on the others in the call.
 
         Raises
         ------
         ValueError
             A shape is wrong, an LLR is NaN, or `check` returns something else.
         SettingsError
-            An option is unknown or out of range, or `check` and `stop` do not go together, or `coded_output` and
-            `metrics`.
+            An option is unknown or out of range, or `check` and `stop` do not go together.
         """
         stop = stop or ("agreement" if check is None else "crc")
-        options = DecoderOptions(algorithm=algorithm, iterations=iterations, scale=scale, stop=stop, metrics=metrics)
-        if coded_output and metrics == "int16":
-            raise SettingsError('coded_output needs metrics="float32"')
+        options = DecoderOptions(algorithm=algorithm, iterations=iterations, scale=scale, stop=stop)
         if (check is None) == (stop == "crc"):
             raise SettingsError(f'check goes with stop="crc" and only with it; stop is "{stop}" and check is {check}')
-        received = self._llrs("llr", llr, self.length)
-        leading = received.shape[:-1]
-        known = None if a_priori is None else self._llrs("a_priori", a_priori, self.k)
-        if known is not None and known.shape[:-1] != leading:
-            raise ValueError(f"a_priori must have the leading shape of llr, {leading}, not {known.shape[:-1]}")
-        flat = decoder.decode_blocks(
-            received.reshape(-1, self.length),
-            self.positions,
-            interleaver(self.k),
-            options,
-            a_priori=None if known is None else known.reshape(-1, self.k),
-            check=check,
-            coded_output=coded_output,
+        received = self._clip_llrs(np.asarray(llr))
+        leading, flat = received.shape[:-1], received.reshape(-1, self.length)
+        result = decode_blocks(
+            flat, self.positions, interleaver(self.k), options, check=check, coded_output=coded_output
         )
-        return flat.mapped(lambda array: array.reshape((*leading, *array.shape[1:])))
+        arrays: dict[str, Any] = {
+            name: None if array is None else array.reshape((*leading, *array.shape[1:]))
+            for name, array in vars(result).items()
+        }
+        return TurboResult(**arrays)
 
-    def _llrs(self, name: str, values: ArrayLike, size: int) -> NDArray[np.float32]:
-        array = np.asarray(values)
-        self._check_shape(name, array, size)
-        if array.dtype.kind not in "fiu":
-            raise ValueError(f"{name} must hold real numbers, not {array.dtype}")
-        if array.dtype.kind == "f" and (wrong := int(np.isnan(array).sum())):
-            raise ValueError(f"{name} must not hold NaN; {wrong} of {array.size} values are NaN")
-        if array.dtype != np.float32:
-            array = np.clip(array, -LLR_LIMIT, LLR_LIMIT).astype(np.float32)
-        # for a read-only array Numba would compile a second kernel
-        return np.require(array, requirements=["C", "W"])
+    def _clip_llrs(self, llr: NDArray[Any]) -> NDArray[np.float32]:
+        self._check_shape("llr", llr, self.length)
+        if llr.dtype.kind not in "fiu":
+            raise ValueError(f"llr must hold real numbers, not {llr.dtype}")
+        if llr.dtype.kind == "f" and (wrong := int(np.isnan(llr).sum())):
+            raise ValueError(f"llr must not hold NaN; {wrong} of {llr.size} values are NaN")
+        return np.clip(llr, -LLR_LIMIT, LLR_LIMIT).astype(np.float32)
 
     def _check_shape(self, name: str, array: NDArray[Any], size: int) -> None:
         if array.ndim == 0 or array.shape[-1] != size:
             raise ValueError(f"{name} must have {size} values a block (last axis), not shape {array.shape}")
+
+
+def turbo_plan(bits: int, rate: float) -> CodePlan:
+    """Plan a layer by section 9.1: the fewest codewords, equal in size, that keep K within the interleavers.
+
+    Parameters
+    ----------
+    bits
+        Coded bits of the layer, 1 or more.
+    rate
+        Information bits by coded bit, above 0 and at most 9/10.
+
+    Raises
+    ------
+    ValueError
+        The bits are too few for the smallest interleaver.
+    """
+    most, of = HIGHEST_RATE
+    for split in range(1, bits + 1):
+        e = bits // split
+        if bits % split == 0 and rate * e <= QPP_SIZES[-1] + _SIZE_SLACK:
+            break
+    k = min((k for k in QPP_SIZES if of * k <= most * e), key=lambda k: abs(k - rate * e), default=0)
+    if not k:
+        raise ValueError(f"{e} bits a codeword hold no block of {QPP_SIZES[0]} bits at rate {most}/{of}")
+    return CodePlan(split, TurboCode(k=k, coded_bits=e))

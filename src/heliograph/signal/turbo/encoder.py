@@ -1,4 +1,4 @@
-"""The turbo encoder: two recursive systematic convolutional codes and their termination.
+"""The turbo encoder: two recursive systematic convolutional codes and the termination.
 
 Source: 3GPP TS 36.212, section 5.1.3.2.
 """
@@ -6,13 +6,35 @@ Source: 3GPP TS 36.212, section 5.1.3.2.
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.signal.turbo.trellis import MEMORY, STATES, TAIL, TAIL_BITS
+MEMORY = 3
+"""Bits of the shift register (TS 36.212, figure 5.1.3-2), and steps of the trellis termination."""
+
+STATES = 2**MEMORY
+"""States of the trellis: ``4 a1 + 2 a2 + a3``, where a1 is the newest bit of the shift register."""
+
+TAIL_BITS = 2 * MEMORY
+"""Coded bits that terminate a constituent code: x and z of each step, in this order."""
+
+TERMINATION = 2 * TAIL_BITS
+"""Coded bits that end a block, 12: the tails of both constituent codes (TS 36.212, 5.1.3.2.2)."""
 
 _PERIOD = 7
 """Period of 1 / g0(D): g0 = 1 + D^2 + D^3 is primitive of degree 3, so it divides 1 + D^7."""
 
-TERMINATION = 2 * TAIL_BITS
-"""Coded bits that end a block, 12: the tails of both constituent codes (TS 36.212, 5.1.3.2.2)."""
+
+def _tail(state: int) -> list[int]:
+    """Return the bits x, z, x, z, x, z that lead from a state to state 0."""
+    a1, a2, a3 = state >> 2, state >> 1 & 1, state & 1
+    bits: list[int] = []
+    for _ in range(MEMORY):
+        # 5.1.3.2.2: x is the feedback, g0(D) = 1 + D^2 + D^3, so that a = 0 enters; g1(D) = 1 + D + D^3
+        bits += [a2 ^ a3, a1 ^ a3]
+        a1, a2, a3 = 0, a1, a2
+    return bits
+
+
+TAIL: NDArray[np.uint8] = np.array([_tail(state) for state in range(STATES)], dtype=np.uint8)
+"""Shape (8, 6): tail bits x, z, x, z, x, z of each final state."""
 
 
 def encode_mother(bits_nat: NDArray[np.uint8], order: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -37,13 +59,13 @@ def encode_mother(bits_nat: NDArray[np.uint8], order: NDArray[np.int64]) -> NDAr
     coded[..., 0 : 3 * k : 3] = bits_nat
     coded[..., 1 : 3 * k : 3] = parity_1
     coded[..., 2 : 3 * k : 3] = parity_2
-    # 5.1.3.2.2 spreads the tail over d0, d1, d2 so that, read across them, it is x z x z x z x' z' x' z' x' z'
+    # 5.1.3.2.2 spreads the tail over d0, d1, d2, so that the order is x z x z x z x' z' x' z' x' z'
     coded[..., 3 * k :] = np.concatenate([tail_1, tail_2], axis=-1)
     return coded
 
 
 def encode_constituent(bits: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Encode blocks with one constituent code, G(D) = [1, g1(D) / g0(D)].
+    """Encode blocks with a constituent code, G(D) = [1, g1(D) / g0(D)].
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The quadratic permutation polynomial (QPP) interleaver: its 188 block sizes and its permutation.
+"""The quadratic permutation polynomial (QPP) interleaver: 188 block sizes and the permutation of each.
 
 Source: 3GPP TS 36.212, section 5.1.3.2.3, table 5.1.3-3.
 """
@@ -17,7 +17,7 @@ QPP_SIZES: tuple[int, ...] = tuple(
 )
 """The 188 block sizes K of the interleaver in information bits, rising (TS 36.212, table 5.1.3-3)."""
 
-# f1 and f2 of table 5.1.3-3, in the order of QPP_SIZES; as text because 376 numbers one per line would hide the code.
+# f1 and f2 of table 5.1.3-3, in the order of QPP_SIZES; as text because 376 lines of numbers would hide the code.
 _F1 = """
     3 7 19 7 7 11 5 11 7 41 103 15 9 17 9 21 101 21 57 23 13 27 11 27 85 29 33 15 17 33 103 19 19 37 19 21 21
     115 193 21 133 81 45 23 243 151 155 25 51 47 91 29 29 247 29 89 91 157 55 31 17 35 227 65 19 37 41 39 185 43
@@ -37,7 +37,7 @@ _F2 = """
 """
 
 CACHED = 32
-"""Permutations kept, of 49 kB at most. Chosen: three layers of ten formats need 30. One more is made in 0.2 ms."""
+"""Cached permutations, of 49 kB at most: three layers of ten formats need 30."""
 
 _COEFFICIENTS = dict(
     zip(QPP_SIZES, zip(map(int, _F1.split()), map(int, _F2.split()), strict=True), strict=True),

@@ -1,6 +1,6 @@
 """Rate matching: sub-block interleavers, circular buffer, bit selection.
 
-All of it is one list of positions, made once for each size and rate: the encoder gathers sent bits by it, the decoder
+A list of positions, made once for each size and rate, does all of it: the encoder gathers sent bits by it, the decoder
 adds received LLRs by it. Source: 3GPP TS 36.212, section 5.1.4.1.
 """
 
@@ -15,9 +15,6 @@ from heliograph.signal.turbo.qpp import CACHED
 COLUMNS = 32
 """Columns of the sub-block interleaver (TS 36.212, 5.1.4.1.1)."""
 
-REDUNDANCY_VERSIONS = 4
-"""Starts in the circular buffer, rv_idx = 0 to 3 (TS 36.212, 5.1.4.1.2). The air interface sends 0 alone."""
-
 STREAMS = 3
 """Streams d0, d1, d2 of the mother code of rate 1/3 (TS 36.212, 5.1.3.2.2)."""
 
@@ -29,17 +26,15 @@ _COLUMN_ORDER = np.array([int(f"{column:05b}"[::-1], 2) for column in range(COLU
 
 
 @lru_cache(maxsize=CACHED)
-def selection(stream_length: int, coded_bits: int, redundancy_version: int = 0) -> NDArray[np.int64]:
-    """Return the position in the mother codeword of each sent bit (TS 36.212, 5.1.4.1.2).
+def selection(stream_length: int, coded_bits: int) -> NDArray[np.int64]:
+    """Return the position in the mother codeword of each sent bit, of redundancy version 0 (TS 36.212, 5.1.4.1.2).
 
     Parameters
     ----------
     stream_length : int
         D, the length of each of the streams d0, d1, d2: K + 4 for a turbo code block.
     coded_bits : int
-        E, the number of bits to send; above 3 D the buffer is read again from its start.
-    redundancy_version : int
-        rv_idx, 0 to 3, which sets where in the circular buffer reading starts; `TurboCode` uses 0.
+        E, the number of bits to send; above 3 D the buffer is read again from the start.
 
     Returns
     -------
@@ -50,17 +45,14 @@ def selection(stream_length: int, coded_bits: int, redundancy_version: int = 0) 
     Raises
     ------
     SettingsError
-        A length is below 1 or the redundancy version is not 0, 1, 2 or 3.
+        A length is below 1.
     """
     if min(stream_length, coded_bits) < 1:
         raise SettingsError(f"lengths must be at least 1, not D = {stream_length} and E = {coded_bits}")
-    if redundancy_version not in range(REDUNDANCY_VERSIONS):
-        raise SettingsError(f"redundancy_version must be 0, 1, 2 or 3, not {redundancy_version}")
     buffer = _circular_buffer(stream_length)
     rows = -(-stream_length // COLUMNS)
-    # k0 = R (2 ceil(Ncb / (8 R)) rv + 2), with the whole buffer kept: Ncb = Kw = 3 Kpi
-    start = rows * (2 * -(-buffer.size // (8 * rows)) * redundancy_version + 2)
-    turned = np.roll(buffer, -start)
+    # k0 = R (2 ceil(Ncb / (8 R)) rv + 2) with rv = 0
+    turned = np.roll(buffer, -2 * rows)
     positions = np.resize(turned[turned != _NULL], coded_bits)
     positions.setflags(write=False)
     return positions

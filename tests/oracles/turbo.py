@@ -1,6 +1,6 @@
-"""The decoder written for reading: plain NumPy in double precision, all blocks at once.
+"""The turbo decoder written for reading: plain NumPy in double precision, all blocks at once.
 
-Tests hold the kernel to it, and it to the enumeration of all codewords of a toy code. Source of the algorithm:
+Tests compare the kernel with it, and it with the enumeration of all codewords of a toy code. Source of the algorithm:
 Bahl, Cocke, Jelinek, Raviv, IEEE Trans. Inf. Theory 20 (1974) 284; Robertson, Villebrun, Hoeher, ICC 1995.
 """
 
@@ -11,23 +11,20 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.signal.code import Algorithm, Check
-from heliograph.signal.turbo.options import FACTOR_BITS, MOST_EXTRINSIC, DecoderOptions
+from heliograph.signal.turbo import DecoderOptions
 
 G0 = np.array([1, 0, 1, 1])
 """Feedback of the constituent code, 1 + D^2 + D^3 (TS 36.212, section 5.1.3.2.1)."""
 
 G1 = np.array([1, 1, 0, 1])
-"""Its feed-forward, 1 + D + D^3."""
+"""Feed-forward, 1 + D + D^3."""
 
 TAIL_BITS = 6
 """Coded bits that terminate one constituent code: three steps of x and z."""
 
 
 def _step(register: NDArray[np.int64], x: int) -> tuple[NDArray[np.int64], int]:
-    """Return the register after the bit x, the newest first, and the parity bit z.
-
-    Nothing is taken from the kernel's own trellis, so that an error there shows.
-    """
+    """Return the register after the bit x, the newest first, and the parity bit z, independently of the package."""
     # g0: a_k = x_k + sum_(i > 0) g0_i a_(k-i);  g1: z_k = sum_i g1_i a_(k-i)
     a = np.array([(x + G0[1:] @ register) % 2, *register])
     return a[:-1], int(G1 @ a) % 2
@@ -160,7 +157,6 @@ def decode(
     mother_llr: Floats,
     order: NDArray[np.int64],
     options: DecoderOptions,
-    a_priori: Floats | None = None,
     check: Check | None = None,
 ) -> ReferenceResult:
     """Decode mother codewords by passing extrinsic LLRs between the two constituent decoders.
@@ -173,8 +169,6 @@ def decode(
         Interleaver, ``x_itl = x_nat[order]``.
     options : DecoderOptions
         Algorithm, iterations, scale, stopping rule.
-    a_priori : ndarray of float64, shape (B, K), optional
-        A-priori LLRs of the information bits.
     check : callable, optional
         The check of ``stop="crc"``.
 
@@ -184,7 +178,7 @@ def decode(
         The parity and tail LLRs come from one more pass of both decoders over the final extrinsic LLRs.
     """
     blocks, k = len(mother_llr), len(order)
-    info_nat = mother_llr[:, : 3 * k : 3] + (0.0 if a_priori is None else a_priori)
+    info_nat = mother_llr[:, : 3 * k : 3]
     inputs = [
         (mother_llr[:, 1 : 3 * k : 3], mother_llr[:, 3 * k : 3 * k + TAIL_BITS]),
         (mother_llr[:, 2 : 3 * k : 3], mother_llr[:, 3 * k + TAIL_BITS :]),
@@ -211,35 +205,6 @@ def decode(
             break
     mother = _mother_posterior(llr_nat, extrinsic_nat, info_nat, inputs, orders, options)
     return ReferenceResult(llr_nat, mother, iterations, stopped)
-
-
-def decode_whole(mother: Floats, order: NDArray[np.int64], options: DecoderOptions) -> Floats:
-    """Decode in whole numbers, as `short` does; in double precision they are exact.
-
-    Parameters
-    ----------
-    mother : ndarray of float64, shape (B, 3 K + 12)
-        Whole numbers: LLRs times `short.PER_LLR`, clipped to `short.MOST_INPUT`.
-    order : ndarray of int, shape (K,)
-        Interleaver, ``x_itl = x_nat[order]``.
-    options : DecoderOptions
-        Iterations and scale; the algorithm is max-log, and all iterations are done.
-
-    Returns
-    -------
-    ndarray of float64, shape (B, K)
-        A-posteriori LLRs of the information bits, whole numbers of the same unit.
-    """
-    k = len(order)
-    info, extrinsic, llr = mother[:, : 3 * k : 3], np.zeros((len(mother), k)), np.empty((len(mother), k))
-    tails = mother[:, 3 * k : 3 * k + TAIL_BITS], mother[:, 3 * k + TAIL_BITS :]
-    factor = round(options.factor * 2**FACTOR_BITS)
-    for _ in range(options.iterations):
-        for code, half_order in enumerate((np.arange(k), order)):
-            lu = info + extrinsic
-            llr[:, half_order] = siso(lu[:, half_order], mother[:, code + 1 : 3 * k : 3], tails[code], "max-log").info
-            extrinsic = np.floor((llr - lu) * factor / 2**FACTOR_BITS + 0.5).clip(-MOST_EXTRINSIC, MOST_EXTRINSIC)
-    return llr
 
 
 def _may_stop(halves: list[Floats], options: DecoderOptions, check: Check | None) -> NDArray[np.bool_]:

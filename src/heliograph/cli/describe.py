@@ -1,0 +1,151 @@
+"""Describe settings: each key with unit, allowed values, default and meaning, from the JSON schema and docstrings."""
+
+import inspect
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, is_dataclass
+from typing import Any, get_args
+
+from docstring_parser import parse
+from pydantic import TypeAdapter
+
+UNITS = {
+    "m_s": "m/s",
+    "m": "m",
+    "s": "s",
+    "px": "px",
+    "deg": "degrees",
+    "ppm": "ppm",
+    "e": "electrons",
+    "patterns": "patterns",
+    "hz": "Hz",
+    "fps": "frames/s",
+}
+"""Units by the ending of a key; a longer ending comes first."""
+
+_TYPES = {"integer": "whole number", "number": "number", "boolean": "true, false", "string": "text"}
+_BOUNDS = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
+_KEYWORDS = {
+    "minimum": "ge",
+    "exclusiveMinimum": "gt",
+    "maximum": "le",
+    "exclusiveMaximum": "lt",
+    "multipleOf": "multiple_of",
+}
+"""Bounds of an annotated type by the keyword of a JSON schema."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeyDescription:
+    """Description of a settings key.
+
+    Attributes
+    ----------
+    key
+        Dotted key; an item of a list of tables has the number 0.
+    unit
+        Unit; empty for none.
+    allowed
+        Allowed values in words.
+    default
+        Default as TOML; empty if the key may be left out.
+    meaning
+        Text of the docstring.
+    """
+
+    key: str
+    unit: str
+    allowed: str
+    default: str
+    meaning: str
+
+
+def describe(cls: type, prefix: str = "") -> Iterator[KeyDescription]:
+    """Describe all keys of a settings class whose docstring has an Attributes section, in the order of the class."""
+    parameters = parse(inspect.getdoc(cls) or "").params
+    meanings = {about.arg_name: " ".join((about.description or "").split()) for about in parameters}
+    types = inspect.get_annotations(cls, eval_str=True)
+    for name, schema in TypeAdapter(cls).json_schema()["properties"].items():
+        if is_dataclass(types[name]):
+            yield from describe(types[name], f"{prefix}{name}.")
+            continue
+        # a schema lacks the bounds of a type with a converter
+        schema = {**_bounds_of(types[name]), **schema}
+        unit = next((unit for ending, unit in UNITS.items() if f"_{name}".endswith(f"_{ending}")), "")
+        yield KeyDescription(prefix + name, unit, _allowed(schema), _default(schema), meanings.get(name, ""))
+        if schema.get("type") == "array":
+            for item in get_args(types[name]):
+                if isinstance(item, type) and is_dataclass(item):
+                    yield from describe(item, f"{prefix}{name}.0.")
+
+
+def comment(toml: str, cls: type) -> str:
+    """Add the meaning of each key of a settings class to TOML text, and comments for keys that are left out."""
+    descriptions = {about.key.replace(".0.", "."): about for about in describe(cls)}
+    tables: dict[str, list[str]] = {}
+    table, lines = "", list[str]()
+    for line in filter(None, toml.splitlines()):
+        if header := re.fullmatch(r"\[+([\w.-]+)\]+", line):
+            lines += _left_out(table, tables, descriptions)
+            table = f"{header[1]}."
+            lines += ["", line]
+            tables[table] = []
+            continue
+        key = re.match(r"[\w-]+(?= = )", line)
+        about = descriptions.get(table + key[0]) if key else None
+        if key:
+            tables.setdefault(table, []).append(key[0])
+        lines.append(f"{line}  # {_summary(about)}" if about else line)
+    return "\n".join([*lines, *_left_out(table, tables, descriptions)]).strip()
+
+
+def _left_out(table: str, given: Mapping[str, list[str]], descriptions: Mapping[str, KeyDescription]) -> Iterator[str]:
+    """Yield a comment for each key of a table that has no default and is not given."""
+    for key, about in descriptions.items():
+        path, _, name = key.rpartition(".")
+        if table == f"{path}." and name not in given[table] and not about.default and about.allowed != "table":
+            yield f"# {name} =   # {_summary(about)}"
+
+
+def _summary(about: KeyDescription) -> str:
+    """Return the first sentence of the meaning of a key, with the unit unless the sentence has it."""
+    sentence = re.split(r"(?<=\.)\s", about.meaning, maxsplit=1)[0].rstrip(".;").replace("``", "")
+    return sentence if not about.unit or f"in {about.unit}" in sentence else f"{sentence} ({about.unit})"
+
+
+def _bounds_of(annotation: Any) -> dict[str, Any]:
+    limits = [limit for part in getattr(annotation, "__metadata__", ()) for limit in getattr(part, "metadata", ())]
+    return {key: getattr(limit, name) for limit in limits for key, name in _KEYWORDS.items() if hasattr(limit, name)}
+
+
+def _allowed(schema: Mapping[str, Any]) -> str:
+    """Return the allowed values of a schema in words."""
+    if options := schema.get("anyOf"):
+        return " or ".join("left out" if option.get("type") == "null" else _allowed(option) for option in options)
+    if "enum" in schema or "const" in schema:
+        return ", ".join(json.dumps(value) for value in schema.get("enum", [schema.get("const")]))
+    if schema.get("type") == "array":
+        return _allowed_items(schema)
+    if schema.get("type") == "object" or "$ref" in schema:
+        return "table"
+    bounds = [f"{word} {schema[key]:g}" for key, word in _BOUNDS.items() if schema.get(key) is not None]
+    steps = [f"in steps of {schema['multipleOf']:g}"] if "multipleOf" in schema else []
+    return " ".join([_TYPES.get(str(schema.get("type")), "any"), *bounds, *steps])
+
+
+def _allowed_items(schema: Mapping[str, Any]) -> str:
+    if schema.get("maxItems") == 0:
+        return "empty list"
+    items = {_allowed(item) for item in schema.get("prefixItems", [schema.get("items", {})])}
+    if len(items) > 1:
+        return "list"
+    count = f"{schema['maxItems']} " if "maxItems" in schema else ""
+    return f"list of {count}" + re.sub("^(whole number|number|list|table|text)", r"\1s", items.pop())
+
+
+def _default(schema: Mapping[str, Any]) -> str:
+    value = schema.get("default")
+    if isinstance(value, list) and any(isinstance(item, dict) for item in value):
+        return "one table, as below"
+    return "" if value is None else json.dumps(value)
