@@ -217,3 +217,11 @@ def test_a_plain_dataclass_refuses_keys_that_it_lacks() -> None:
     assert from_mapping(Plain, {"patience": 2}).patience == 2
     with pytest.raises(SettingsError, match="unknown setting 'patiance'; did you mean 'patience'"):
         from_mapping(Plain, {"patiance": 2})
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("decode.beside", "decode.in_background"), ("detect.busy_part", "detect.cpu_share")]
+)
+def test_an_old_name_of_a_setting_leads_to_the_new_one(old: str, new: str) -> None:
+    with pytest.raises(SettingsError, match=f"unknown setting 'receive.{old}'; it is called 'receive.{new}' now"):
+        load_settings("static", None, [f"receive.{old}=1"])

@@ -41,6 +41,9 @@ _UNIT_RATIO = 0.95
 _MAX_KEY = 100
 """Characters of an unknown key up to which a known key is proposed."""
 
+_RENAMED = {"beside": "in_background", "busy_part": "cpu_share"}
+"""New names of settings by their old ones."""
+
 T = TypeVar("T")
 
 
@@ -160,7 +163,9 @@ def _nearest(key: str, cls: type) -> str:
     item = re.search(r"\.\d+\.", key)
     keys = [known.replace(".0.", item[0]) if item else known for known in keys_of(cls)]
     tables = {known[: dot.start()] for known in keys for dot in re.finditer(r"\.", known)}
-    leaf = key.rpartition(".")[2]
+    parent, dot, leaf = key.rpartition(".")
+    if (renamed := f"{parent}{dot}{_RENAMED.get(leaf)}") in keys:
+        return f"; it is called '{renamed}' now"
     close = []
     for known in {*keys, *tables} if len(key) <= _MAX_KEY else ():
         name = known.rpartition(".")[2]

@@ -183,7 +183,7 @@ function stages(model: Model): void {
 function leftOut(left: LeftOut): HTMLElement[] {
   if (left.candidates + left.blocks === 0) return [];
   return [make("p", { class: "dim small" }, `So far ${left.candidates} candidates and ${left.blocks} blocks were left out, as more alternated than the search may cost. `
-    + "Say where the array is by its corners or a region, or raise receive.detect.busy_part.")];
+    + "Say where the array is by its corners or a region, or raise receive.detect.cpu_share.")];
 }
 
 /** Draws all panels: those that cost more only when their rows changed. */
