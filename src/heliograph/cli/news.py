@@ -62,7 +62,8 @@ class News:
         if self._told.verbose and row["event"] != "end":
             from heliograph.measure.journal import sentence
 
-            console.tell(sentence(row))
+            for line in sentence(row).splitlines():
+                console.tell(line)
         for outlet in list(self._outlets):
             try:
                 outlet.send(row)

@@ -1,6 +1,7 @@
 """Films of simulated drives, and packets of films: the link with files at its ends."""
 
 import contextlib
+import math
 import uuid
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -213,10 +214,12 @@ def packet_row(packet: Packet, confirmed: Container[int] = ()) -> Mapping[str, A
         "header_score": round(packet.header_score, 3),
         "orientation": str(packet.orientation),
         "track_score": round(packet.track_score, 4),
+        **({} if math.isnan(packet.pose_std_px) else {"pose_std_px": round(packet.pose_std_px, 3)}),
         "pairs_seen": round(packet.pairs_seen, 4),
         "layers": {
             name: [
                 {"status": w.status, "iterations": w.iterations, "margin": round(w.margin, 2)}
+                | ({} if math.isnan(w.information) else {"information": round(w.information, 3)})
                 | (_place(w.block) if w.block else {})
                 for w in words
             ]

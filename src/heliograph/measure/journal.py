@@ -85,7 +85,10 @@ class Journal:
         self._orientations[packet.identity] = str(packet.orientation)
         if packet.has_codeword:
             self._confirmed.add(packet.identity)
-        self._tell({"event": "packet", **packet_row(packet, self._confirmed), "approach_m_s": approach(way)})
+        row = {"event": "packet", **packet_row(packet, self._confirmed), "approach_m_s": approach(way)}
+        if packet.status != "ok":
+            row["explanation"] = packet.explain()
+        self._tell(row)
         for message in messages:
             row = message_row(message)
             self._tell(row)
@@ -219,7 +222,8 @@ def sentence(row: Row) -> str:
         f"{name} {sum(word['status'] == 'ok' for word in words)} of {len(words)}"
         for name, words in row["layers"].items()
     )
-    return f"{when} read: {words}; {row['distance_m']:.1f} m away{_moves(row)}, {row['orientation']}{_doubt(row)}"
+    read = f"{when} read: {words}; {row['distance_m']:.1f} m away{_moves(row)}, {row['orientation']}{_doubt(row)}"
+    return "\n  ".join([read, *row.get("explanation", "").splitlines()])
 
 
 def missed_words(row: Row) -> str:

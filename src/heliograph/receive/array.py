@@ -150,6 +150,8 @@ class PacketRecord:
     scores: list[float] = field(default_factory=list)
     # The array's pose in each pair
     poses: list[Pose] = field(default_factory=list)
+    # Standard deviation of the position in each pair, in px of its view
+    stds_px: list[float] = field(default_factory=list)
     # Score of each pair of its header
     header: list[float] = field(default_factory=list)
     # Whether the light's clock measured its header
@@ -165,6 +167,8 @@ class PacketRecord:
         self.frames += frames
         self.scores.append(tracked.fit.score)
         self.poses.append(tracked.state.pose)
+        variance = tracked.state.covariance
+        self.stds_px.append(math.sqrt(0.5 * (variance[0, 0] + variance[1, 1])))
 
     @property
     def header_score(self) -> float:
@@ -194,6 +198,7 @@ class PacketRecord:
             pairs_seen=float(self.seen.mean()),
             layers={},
             orientation=view.orientation,
+            pose_std_px=2**view.level * self.stds_px[len(self.stds_px) // 2],
         )
 
 

@@ -1,5 +1,6 @@
 """What receivers hand out: packets as values, with their outcome and margins."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
@@ -11,6 +12,9 @@ from heliograph.base.frames import Frame
 from heliograph.receive.geometry.pose import UPRIGHT, Orientation, Pose
 from heliograph.signal.block import AnyBlock
 from heliograph.signal.formats import AGREED, Format
+
+DECODING_RATIO = 1.3
+"""Information per coded bit that the turbo code of rate 1/3 and 1000 bits needs, over its rate."""
 
 Status = Literal["ok", "partial", "crc_fail", "no_header", "no_array"]
 """Outcome of a packet, see `Packet`."""
@@ -38,6 +42,9 @@ class Codeword:
     final_raw
         The same as `raw` by the last equalisation before the decoder, when codewords decoded by then no longer disturb;
         None if the receiver equalises only once.
+    information
+        Mean information in the LLRs that the decoder got, in bit per coded bit, 0 to 1. The turbo code needs about 1.3
+        times its rate. NaN if unknown.
     """
 
     status: Literal["ok", "crc_fail", "mismatch"]
@@ -47,6 +54,7 @@ class Codeword:
     iterations: int
     margin: float
     final_raw: NDArray[np.uint8] | None = None
+    information: float = math.nan
 
 
 Words = Mapping[str, tuple[Codeword, ...]]
@@ -106,6 +114,9 @@ class Packet:
     reason
         Why nothing was read where the packet's mode is not known or the receiver's equations had no solution; empty
         otherwise.
+    pose_std_px
+        Standard deviation of the tracked position in px, by the tracker's own covariance in the packet's middle; NaN if
+        the receiver has none.
     """
 
     identity: int
@@ -122,6 +133,33 @@ class Packet:
     format: Format = AGREED
     orientation: Orientation = UPRIGHT
     reason: str = ""
+    pose_std_px: float = math.nan
+
+    def explain(self) -> str:
+        """Return why codewords are missing: each condition of a reception with its value, one line each.
+
+        The first line has the scores of header and tracking (1 if all is seen without noise), the pairs in which the
+        array was visible and the tracked position's error. A line for each layer has the codewords decoded, and of
+        those that failed the information in their LLRs beside the least that the code needs.
+        """
+        pose = "" if math.isnan(self.pose_std_px) else f", position error {self.pose_std_px:.2f} px"
+        lines = [
+            f"array {self.identity}, {self.distance_m:.1f} m, pitch {self.pose.pitch:.2f} px: header score "
+            f"{self.header_score:.2f}, tracking score {self.track_score:.2f}, visible in {self.pairs_seen:.0%} of the "
+            f"pairs{pose}"
+        ]
+        if self.reason:
+            lines.append(self.reason)
+        for name, words in self.layers.items():
+            failed = [word for word in words if word.status != "ok"]
+            line = f"{name} layer: {len(words) - len(failed)} of {len(words)} codewords"
+            known = [word for word in failed if not math.isnan(word.information)]
+            if known:
+                least = DECODING_RATIO * len(known[0].bits) / len(known[0].raw)
+                best = max(word.information for word in known)
+                line += f"; the others have at most {best:.2f} bit per coded bit, the code needs about {least:.2f}"
+            lines.append(line)
+        return "\n".join(lines)
 
     @property
     def has_codeword(self) -> bool:

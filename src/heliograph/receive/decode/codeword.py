@@ -83,13 +83,19 @@ def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
 
 
 def codeword_of(decoded: DecodedBlock, llr: Floats, identity: int, layer: str) -> Codeword:
-    """Codeword of an array and layer."""
-    block, raw = unpack(decoded.bits), hard(llr)
-    if block is None:
-        return Codeword("crc_fail", None, decoded.bits, raw, decoded.iterations, decoded.margin)
-    if (block.identity, block.layer) != (identity, layer):
-        return Codeword("mismatch", None, decoded.bits, raw, decoded.iterations, decoded.margin)
-    return Codeword("ok", block, decoded.bits, raw, decoded.iterations, decoded.margin)
+    """Return the codeword of an array and layer."""
+    block, status = unpack(decoded.bits), "crc_fail"
+    if block is not None:
+        status = "ok" if (block.identity, block.layer) == (identity, layer) else "mismatch"
+    return Codeword(
+        status,  # type: ignore[arg-type]
+        block if status == "ok" else None,
+        decoded.bits,
+        hard(llr),
+        decoded.iterations,
+        decoded.margin,
+        information=float(information(llr)),
+    )
 
 
 def hard(llr: Floats) -> NDArray[np.uint8]:
