@@ -7,25 +7,25 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.receive.detect.budget import (
-    EARLY_SEARCHES,
-    LEAST_SURGE,
-    OOK_SURGE,
-    SURGE,
-    NoveltyFilter,
-    RunningBaseline,
-)
+from heliograph.receive.detect.budget import NoveltyFilter, NoveltyParameters
 
 Bools = NDArray[np.bool_]
+HAAR, OOK = NoveltyParameters(), NoveltyParameters(min_ratio=1.1, max_ratio=1.1)
+LEAST, MOST, STRONG = HAAR.min_ratio, HAAR.max_ratio, HAAR.strong_ratio
 
 
-def novel_blocks(usual: NoveltyFilter, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float) -> Bools:
-    return usual.novel_blocks(change, origin, scarcity)[0]
+def novel_blocks(usual: NoveltyFilter, change: NDArray[np.float32], origin: tuple[int, int], depletion: float) -> Bools:
+    return usual.novel_blocks(change, origin, depletion)[0]
+
+
+def novel_and_strong(usual: NoveltyFilter, change: NDArray[np.float32], depletion: float) -> tuple[Bools, Bools]:
+    novel, novelty, _ = usual.novel_blocks(change, (0, 0), depletion)
+    return novel, novelty > STRONG
 
 
 def test_a_header_surges_over_its_data_and_flicker_of_even_strength_does_not() -> None:
-    usual, change = NoveltyFilter("haar"), np.ones((10, 12), np.float32)
-    for _ in range(EARLY_SEARCHES):
+    usual, change = NoveltyFilter(HAAR), np.ones((10, 12), np.float32)
+    for _ in range(HAAR.warmup_searches):
         assert novel_blocks(usual, change, (0, 0), 1.0).all()
     for _ in range(5):
         assert not novel_blocks(usual, change, (0, 0), 1.0).any()
@@ -38,66 +38,68 @@ def test_a_header_surges_over_its_data_and_flicker_of_even_strength_does_not() -
         novel_blocks(usual, change, (0, 0), 1.0)
     assert not novel_blocks(usual, change, (0, 0), 1.0).any()
     # the scarcer time is, the more is asked
-    assert novel_blocks(usual, np.float32(1.01 * SURGE) * change, (0, 0), 1.0).all()
+    assert novel_blocks(usual, np.float32(1.01 * MOST) * change, (0, 0), 1.0).all()
     novel_blocks(usual, change, (0, 0), 1.0)
-    assert not novel_blocks(usual, np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 1.0).any()
-    assert novel_blocks(usual, np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 0.0).all()
+    assert not novel_blocks(usual, np.float32(1.1 * LEAST) * change, (0, 0), 1.0).any()
+    assert novel_blocks(usual, np.float32(1.1 * LEAST) * change, (0, 0), 0.0).all()
 
 
 @pytest.mark.parametrize(
-    ("modulation", "factor", "strikes", "lasts"),
+    ("parameters", "factor", "strikes", "lasts"),
     [
-        ("haar", 0.5 * (LEAST_SURGE + SURGE), False, False),
-        ("haar", 1.1 * SURGE, True, True),
-        ("ook", 0.5 * (OOK_SURGE + SURGE), False, True),
-        ("ook", 1.1 * SURGE, True, True),
+        (HAAR, 0.5 * (LEAST + MOST), False, False),
+        (HAAR, 1.1 * STRONG, True, True),
+        (OOK, 0.5 * (OOK.min_ratio + STRONG), False, True),
+        (OOK, 1.1 * STRONG, True, True),
     ],
 )
-def test_what_surges_does_so_for_one_more_search(modulation: str, factor: float, strikes: bool, lasts: bool) -> None:
+def test_what_surges_does_so_for_one_more_search(
+    parameters: NoveltyParameters, factor: float, strikes: bool, lasts: bool
+) -> None:
     """A search that sees a header too late leaves it to the next, in which it surges no more."""
-    usual, change = NoveltyFilter(modulation), np.ones((6, 8), np.float32)
+    usual, change = NoveltyFilter(parameters), np.ones((6, 8), np.float32)
     for _ in range(5):
-        told, strong, *_ = usual.novel_blocks(change, (0, 0), 0.0)
+        told, strong = novel_and_strong(usual, change, 0.0)
         assert not strong.any()
     assert not told.any()
-    told, strong, *_ = usual.novel_blocks(np.float32(factor) * change, (0, 0), 0.0)
+    told, strong = novel_and_strong(usual, np.float32(factor) * change, 0.0)
     assert told.all()
     assert strong.all() == strong.any() == strikes
-    told, strong, *_ = usual.novel_blocks(change, (0, 0), 1.0)
+    told, strong = novel_and_strong(usual, change, 1.0)
     assert told.all() == told.any() == lasts
     assert strong.all() == strong.any() == strikes
-    told, strong, *_ = usual.novel_blocks(change, (0, 0), 1.0)
+    told, strong = novel_and_strong(usual, change, 1.0)
     assert not told.any()
     assert not strong.any()
 
 
 def test_what_is_there_anew_is_usual_at_once() -> None:
     """Of an array that comes into sight two searches strike, the second as it may be its header."""
-    usual, change = NoveltyFilter("haar"), np.full((6, 8), 0.1, np.float32)
+    usual, change = NoveltyFilter(HAAR), np.full((6, 8), 0.1, np.float32)
     for _ in range(5):
         usual.novel_blocks(change, (0, 0), 0.0)
     change *= np.float32(10)
-    told = [usual.novel_blocks(change, (0, 0), 0.0) for _ in range(3)]
-    assert [bool(one.all()) for two in told for one in two[:2]] == [True, True, True, True, False, False]
+    told = [novel_and_strong(usual, change, 0.0) for _ in range(3)]
+    assert [bool(one.all()) for two in told for one in two] == [True, True, True, True, False, False]
 
 
 @pytest.mark.parametrize("before", [0, 20])
 def test_where_it_was_calm_all_strikes(before: int) -> None:
-    usual, change = NoveltyFilter("haar"), np.ones((6, 8), np.float32)
+    usual, change = NoveltyFilter(HAAR), np.ones((6, 8), np.float32)
     for _ in range(before):
-        told, strong, *_ = usual.novel_blocks(change, (0, 0), 1.0)
+        told, strong = novel_and_strong(usual, change, 1.0)
     for _ in range(20):
         usual.record_quiet()
-    told, strong, *_ = usual.novel_blocks(change, (0, 0), 1.0)
+    told, strong = novel_and_strong(usual, change, 1.0)
     assert told.all()
     assert strong.all()
     # it was a place seen first, or one that was calm
-    assert usual.novel_blocks(change, (0, 0), 1.0)[1].all()
+    assert novel_and_strong(usual, change, 1.0)[1].all()
     assert not usual.novel_blocks(change, (0, 0), 1.0)[0].any()
 
 
 def test_one_calm_search_is_nothing_unusual() -> None:
-    usual, change = NoveltyFilter("haar"), np.ones((6, 8), np.float32)
+    usual, change = NoveltyFilter(HAAR), np.ones((6, 8), np.float32)
     for _ in range(20):
         usual.novel_blocks(change, (0, 0), 1.0)
     usual.record_quiet()
@@ -105,11 +107,11 @@ def test_one_calm_search_is_nothing_unusual() -> None:
 
 
 def test_what_is_seen_first_may_be_a_header() -> None:
-    usual, change = NoveltyFilter("haar"), np.ones((6, 8), np.float32)
-    for _ in range(EARLY_SEARCHES):
+    usual, change = NoveltyFilter(HAAR), np.ones((6, 8), np.float32)
+    for _ in range(HAAR.warmup_searches):
         novel_blocks(usual, change, (0, 0), 1.0)
     assert not novel_blocks(usual, change, (0, 0), 1.0).any()
-    for _ in range(EARLY_SEARCHES):
+    for _ in range(HAAR.warmup_searches):
         assert novel_blocks(usual, change, (8, 0), 1.0).all()
     assert not novel_blocks(usual, change, (8, 0), 1.0).any()
     assert novel_blocks(usual, change[:5], (8, 0), 1.0).all()
@@ -121,7 +123,7 @@ def test_what_is_seen_first_may_be_a_header() -> None:
 def test_headers_surge_over_data_whatever_a_search_begins_with(
     levels: Sequence[float], first: int, phase: float
 ) -> None:
-    usual, rng = NoveltyFilter("haar" if len(levels) > 2 else "ook"), np.random.default_rng(2)
+    usual, rng = NoveltyFilter(HAAR if len(levels) > 2 else OOK), np.random.default_rng(2)
     header, told = rng.integers(0, 2, (6, 6, 16)).astype(float), list[bool]()
     before = False
     patterns = [
@@ -146,17 +148,17 @@ def test_headers_surge_over_data_whatever_a_search_begins_with(
 
 def test_blocks_wait_from_their_second_search_on() -> None:
     """The first search may see a part of a header alone."""
-    usual, change, waits = RunningBaseline(3, packet_searches=10), np.ones((2, 3), np.float32), list[float]()
-    first = np.zeros((2, 3), bool)
+    usual, waits = NoveltyFilter(NoveltyParameters(window=3), packet_searches=10), list[float]()
+    change, first = np.ones((2, 3), np.float32), np.zeros((2, 3), bool)
     first[0, 0] = True
     for k in range(6):
-        novelty_of = usual.novelty_of(change, (0, 0))
-        waits.append(float(novelty_of.waits[0, 0]))
-        assert np.isinf(novelty_of.waits[1]).all()
-        usual.searched(first if k < 2 else ~first & False)
+        _, _, now = usual.novel_blocks(change, (0, 0), 0.0)
+        waits.append(float(now[0, 0]))
+        assert np.isinf(now[1]).all()
+        usual.record_searched(first if k < 2 else ~first & False)
     assert waits == pytest.approx([np.inf, np.inf, 0.1, 0.1, 0.2, 0.3])
     for _ in range(5):
         usual.record_quiet()
-    assert usual.novelty_of(change, (0, 0)).waits[0, 0] == pytest.approx(0.9)
+    assert usual.novel_blocks(change, (0, 0), 0.0)[2][0, 0] == pytest.approx(0.9)
     # another part of the sensor is new
-    assert np.isinf(usual.novelty_of(change, (8, 0)).waits).all()
+    assert np.isinf(usual.novel_blocks(change, (8, 0), 0.0)[2]).all()
