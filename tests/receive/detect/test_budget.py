@@ -10,7 +10,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import ReceiveSettings, make_receiver
 from heliograph.receive.detect.alternation import SearchParameters, SearchRegion
-from heliograph.receive.detect.budget import BUDGET, Budget, BudgetedSearch, BudgetParameters, SearchLoad
+from heliograph.receive.detect.budget import BUDGET, BudgetedSearch, BudgetParameters, SearchLoad, TokenBucket
 from heliograph.receive.detect.detector import Detector
 from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.detect.search import PyramidSearch
@@ -38,7 +38,7 @@ def flicker(count: int, seed: int, shape: tuple[int, int] = (96, 128)) -> list[F
 
 
 def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
-    budget, everything, pattern = Budget(0.5, 1e-3), np.ones((2, 3), bool), 0.5 * BUDGET.work_per_ms
+    budget, everything, pattern = TokenBucket(0.5, 1e-3), np.ones((2, 3), bool), 0.5 * BUDGET.work_per_ms
     most = 1e3 * BUDGET.live_capacity_s * pattern
     assert budget.try_start(everything)
     assert budget.try_fit(1.0)
@@ -66,7 +66,7 @@ def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
 
 
 def test_blocks_of_greatest_novelty_are_searched_when_work_is_scarce() -> None:
-    budget, busy = Budget(0.5, 1e-3), np.ones((20, 30), bool)
+    budget, busy = TokenBucket(0.5, 1e-3), np.ones((20, 30), bool)
     busy[:, 0] = False
     novelty, waits = np.full(busy.shape, 1.5, np.float32), np.full(busy.shape, 2.0, np.float32)
     novelty[4:9, 10:15] = 3.0
@@ -93,7 +93,7 @@ def test_blocks_of_greatest_novelty_are_searched_when_work_is_scarce() -> None:
 
 
 def test_the_dearer_blocks_were_the_fewer_are_searched() -> None:
-    budget, few = Budget(0.5, 1e-3), np.ones((2, 3), bool)
+    budget, few = TokenBucket(0.5, 1e-3), np.ones((2, 3), bool)
     before = budget.affordable_blocks()
     for _ in range(20):
         budget.try_start(few)
@@ -184,7 +184,7 @@ def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
     """Much more alternates than usual where it was calm before; not where the film begins with a header."""
     found = list[int]()
     for least in (BUDGET.min_score, 1.1):
-        budget = Budget(0.3, 1e-3, BudgetParameters(min_score=least))
+        budget = TokenBucket(0.3, 1e-3, BudgetParameters(min_score=least))
         search = made(replace(PARAMETERS, cpu_share=0.3), SignalSettings(), budget)
         budget.charge((first_part(0.3) - left) * budget.capacity)
         first = 4 if before == "record_quiet" else 0
@@ -277,7 +277,7 @@ def test_what_strikes_is_asked_of_what_is_searched_alone() -> None:
 def test_a_tenth_at_most_is_not_there_at_first(cpu_share: float) -> None:
     """With more than a live camera's part all is searched from the beginning, or nearly."""
     is_film = cpu_share >= BUDGET.min_film_share
-    budget, kept_s = Budget(cpu_share, 1e-3), BUDGET.film_capacity_s if is_film else BUDGET.live_capacity_s
+    budget, kept_s = TokenBucket(cpu_share, 1e-3), BUDGET.film_capacity_s if is_film else BUDGET.live_capacity_s
     most = 1e3 * kept_s * cpu_share * BUDGET.work_per_ms
     assert budget.is_full == ((1 - BUDGET.live_full_level) * most > BUDGET.initial_deficit_ms * BUDGET.work_per_ms)
     budget.charge(0.1499 * most)
@@ -291,7 +291,7 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
     change = np.random.default_rng(0).normal(0, 30, (136, 136)).astype(np.float32)
     # what is searched last
     change[96:128, 96:128] += 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
-    budget, left, rows = Budget(1e-3, 1e-3), list[int](), np.empty((0, 5))
+    budget, left, rows = TokenBucket(1e-3, 1e-3), list[int](), np.empty((0, 5))
     search = BudgetedSearch(PARAMETERS, SOUGHT, budget)
     while not rows.size and len(left) < 100:
         shift, before = 8 * (len(left) % 2), budget.load.blocks
@@ -310,7 +310,7 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
 
 def test_parts_that_break_off_are_all_gone_on_with() -> None:
     """Three of noise, and little to spend: the last blocks of each are searched too, and no part takes all."""
-    rng, budget = np.random.default_rng(0), Budget(1e-3, 1e-3)
+    rng, budget = np.random.default_rng(0), TokenBucket(1e-3, 1e-3)
     search, found = BudgetedSearch(PARAMETERS, SOUGHT, budget), list[set[float]]([set(), set(), set()])
     header = 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
     parts, spent = [], list[float]()

@@ -13,7 +13,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.detect import search as pyramid
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import BUDGET, Budget, SearchLoad
+from heliograph.receive.detect.budget import BUDGET, SearchLoad, TokenBucket
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.frame_window import first_present
 from heliograph.receive.detect.search import PYRAMID, PyramidSearch, level_parameters
@@ -202,7 +202,7 @@ def flickering_frame(k: int, rng: np.random.Generator, origin: tuple[int, int] =
     return Frame(k, 1e-3 * k, pixels, origin=origin)
 
 
-class NoRefill(Budget):
+class NoRefill(TokenBucket):
     """A budget that gets no more work."""
 
     def refill(self) -> None:

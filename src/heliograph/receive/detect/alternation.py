@@ -159,20 +159,21 @@ def busy_blocks(
     means: Change, frame: Frame, tracked: Sequence[Pose], side: int, min_contrast: float, everywhere: bool = False
 ) -> Blocks:
     """Find the alternating blocks outside tracked arrays, and the blocks around."""
-    from heliograph.receive.detect import kernels
-
-    free, least = np.empty_like(means), COARSE.busy_contrast * min_contrast * frame.full_scale
-    spans = np.array([_block_span(pose, side, frame.origin) for pose in tracked], np.int64).reshape(-1, 4)
-    # the kernel marks blocks of tracked arrays, less than any mean; mostly none is busy, and no median is needed
-    mark = -1.0
-    middle, quiet = kernels.middle_of_busy(means, spans, mark, COARSE.busy_ratio, least, free)
+    # mean magnitudes are never negative
+    free, tracked_mark = means.copy(), -1.0
+    for pose in tracked:
+        top, left, end_row, end_column = _block_span(pose, side, frame.origin)
+        free[top:end_row, left:end_column] = tracked_mark
+    is_tracked = free == tracked_mark
     if everywhere:
-        return np.asarray(free != mark)
-    if middle < 0:
+        return ~is_tracked
+    least = COARSE.busy_contrast * min_contrast * frame.full_scale
+    if free.max() <= least:
         return np.zeros(means.shape, bool)
     # a large array lights all of the frame through the windscreen: the blocks within it do not count
-    median = 0.0 if quiet else float(np.partition(free, middle, axis=None)[middle])
-    busy = free > max(least, COARSE.busy_ratio * median)
+    count = np.count_nonzero(is_tracked)
+    middle = count + (free.size - count) // 2
+    busy = free > max(least, COARSE.busy_ratio * float(np.partition(free, middle, axis=None)[middle]))
     return np.asarray(cv2.dilate(busy.view(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
 
 

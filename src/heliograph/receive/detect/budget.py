@@ -173,7 +173,7 @@ class SearchLoad:
         return SearchLoad(*map(sub, astuple(self), astuple(other)))
 
 
-class Budget:
+class TokenBucket:
     """Token bucket of work for the searches of a stream of frames."""
 
     def __init__(self, cpu_share: float, period_s: float, parameters: BudgetParameters = BUDGET):
@@ -320,7 +320,7 @@ class BlockSelector:
     Data differ for a search from an inverse on, so even and odd frames have separate baselines.
     """
 
-    def __init__(self, budget: Budget, parameters: NoveltyParameters, packet_patterns: int):
+    def __init__(self, budget: TokenBucket, parameters: NoveltyParameters, packet_patterns: int):
         self._budget, self._parameters = budget, parameters
         self._filters = tuple(NoveltyFilter(parameters, packet_patterns / 2) for _ in range(2))
 
@@ -342,7 +342,7 @@ class BlockSelector:
 class BudgetedSearch:
     """Coarse search for a set of headers within a budget; each search goes on where the last broke off."""
 
-    def __init__(self, parameters: SearchParameters, headers: Headers, budget: Budget):
+    def __init__(self, parameters: SearchParameters, headers: Headers, budget: TokenBucket):
         self.parameters, self.headers, self.sides = parameters, headers, parameters.sides()
         self.has_compared = True
         self._budget = budget

@@ -34,7 +34,7 @@ from heliograph.receive.detect.alternation import (
     busy_blocks,
     search_regions,
 )
-from heliograph.receive.detect.budget import BlockSelector, Budget, BudgetedSearch, NoveltyParameters, SearchLoad
+from heliograph.receive.detect.budget import BlockSelector, BudgetedSearch, NoveltyParameters, TokenBucket
 from heliograph.receive.detect.candidate import (
     FIT,
     are_disjoint,
@@ -111,18 +111,17 @@ class _BaseDetector:
     """Common parts of the detectors."""
 
     def __init__(
-        self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None, novelty: NoveltyParameters
+        self,
+        parameters: SearchParameters,
+        signal: SignalSettings,
+        budget: TokenBucket | None,
+        novelty: NoveltyParameters,
     ):
         self._parameters, self._side, self._period_s = parameters, signal.side, signal.pattern_period_s
         self._header = 2 * signal.header_pairs
         self._sides = parameters.sides()
-        self.budget = budget or Budget(parameters.cpu_share, signal.pattern_period_s)
+        self.budget = budget or TokenBucket(parameters.cpu_share, signal.pattern_period_s)
         self.selector = BlockSelector(self.budget, novelty, signal.packet_patterns)
-
-    @property
-    def load(self) -> SearchLoad:
-        """Work of the searches, with the skipped candidates and blocks."""
-        return self.budget.load
 
     def busy_blocks(self, means: Change, frame: Frame, tracked: Sequence[Pose]) -> Blocks:
         """Find the busy blocks outside tracked arrays."""
@@ -147,7 +146,7 @@ class Detector(_BaseDetector):
         self,
         parameters: SearchParameters,
         signal: SignalSettings,
-        budget: Budget | None = None,
+        budget: TokenBucket | None = None,
         thresholds: DetectorParameters = DetectorParameters(),
     ):
         # a header may have 1.2 times the alternation of on-off data, and no more
@@ -166,18 +165,15 @@ class Detector(_BaseDetector):
     def _set_headers(self, banks: Sequence[Headers]) -> None:
         """Prepare the searches: the banks in turn, then for each bank the rolls, in rad."""
         self._stages = [[(self._search_for(bank), 0.0)] for bank in banks]
-        parameters = self._parameters
-        if parameters.all_on or parameters.start is not None:
-            self._rolled_stages = []
-            return
+        is_fixed = self._parameters.all_on or self._parameters.start is not None
         # a turned header rolled one way is another turned header rolled the other way
         self._rolled_stages = [
             [
                 (self._search_for(bank), math.radians(roll))
-                for roll in parameters.rolls_deg
+                for roll in self._parameters.rolls_deg
                 if roll > 0 or len(bank.cells) == IDENTITIES
             ]
-            for bank in banks
+            for bank in ([] if is_fixed else banks)
         ]
 
     def set_orientation(self, orientation: Orientation) -> None:
@@ -351,7 +347,7 @@ class HalfPeriodDetector(_BaseDetector):
         self,
         parameters: SearchParameters,
         signal: SignalSettings,
-        budget: Budget | None = None,
+        budget: TokenBucket | None = None,
         thresholds: HalfPeriodParameters = HalfPeriodParameters(),
     ):
         ratio, window = thresholds.min_novelty, thresholds.novelty_window

@@ -72,7 +72,7 @@ class _PairEvidence:
         contrast, light = self.dimmed
         return ((1 - contrast) ** 2 + light**2) * float(self.gram.diagonal().max())
 
-    def moments(self, cells: Floats, brightness: Floats) -> Floats:
+    def compute_moments(self, cells: Floats, brightness: Floats) -> Floats:
         """Compute <d, B v + o> and |B v + o|^2 of each format, (2, formats); `cells` (16,) are +-1."""
         contrast, light = self.dimmed
         # v = a + W b, W being the words
@@ -83,7 +83,7 @@ class _PairEvidence:
         constant = a @ (self.gram @ a + 2 * self.offset) + self.offset_power
         return np.stack([match, constant + linear + squares])
 
-    def brightness(self, cells: Floats, gain: float, sigma: float) -> Floats:
+    def estimate_brightness(self, cells: Floats, gain: float, sigma: float) -> Floats:
         """Estimate the brightness (16,) of each cell, 0 or more, from a pair with no dimmed cells."""
         if gain <= 0:
             return np.ones(CELL_COUNT)
@@ -111,11 +111,11 @@ class _FramesEvidence:
         changes = np.diff(self.frames.light, axis=0), 0.5 * np.diff(self.frames.alternation, axis=0)
         return float(sum(change.var() * change.size for change in changes) * self.gram.diagonal().max())
 
-    def brightness(self, cells: Floats, gain: float, sigma: float) -> Floats:  # noqa: ARG002 - of `_PairEvidence`
+    def estimate_brightness(self, cells: Floats, gain: float, sigma: float) -> Floats:  # noqa: ARG002 - of `_PairEvidence`
         """Return 1, as no frame is known to show no dimmed cells."""
         return np.ones(CELL_COUNT)
 
-    def moments(self, cells: Floats, brightness: Floats) -> Floats:
+    def compute_moments(self, cells: Floats, brightness: Floats) -> Floats:
         """Compute the moments of each format; see `_PairEvidence`."""
         # v_k = light + alternation / 2 of +-1
         full, dimmed = (
@@ -147,52 +147,52 @@ class FormatReader:
         self._first: tuple[FramePair, tuple[Pose, Pose]] | None = None
         self._evidence: dict[int, _PairEvidence | _FramesEvidence] = {}
 
-    def take(self, number: int, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats) -> None:
+    def add_pair(self, number: int, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats) -> None:
         """Add a header pair."""
         if number == 0:
             self._first = pair, poses
             return
-        self._evidence[number] = self._of_pair(DIMMED, pair, poses, led_gains)
+        self._evidence[number] = self._pair_evidence(DIMMED, pair, poses, led_gains)
         if self._first is not None:
             # the gains of LEDs have improved
-            self._evidence[0] = self._of_pair(1.0, *self._first, led_gains)
+            self._evidence[0] = self._pair_evidence(1.0, *self._first, led_gains)
 
-    def take_frames(self, frames: HeaderFrames, led_gains: Floats) -> None:
+    def add_frames(self, frames: HeaderFrames, led_gains: Floats) -> None:
         """Replace the pairs by the frames of a header out of step."""
         rows, cols = frames.images.shape[1:]
-        a = self._images(frames.pose, led_gains, (*frames.corner, cols, rows))
+        a = self._cell_images(frames.pose, led_gains, (*frames.corner, cols, rows))
         matched = frames.images.reshape(len(frames.images), -1) @ a.T
         self._evidence = {0: _FramesEvidence(frames, a @ a.T, matched)}
 
-    def number(self, gain: float) -> int:
+    def decide_format(self, gain: float) -> int:
         """Decide on the format's number, 0 to 2047; the agreed format if no later header pair was added."""
         if not self._evidence:
             return AGREED.number
-        first = self._evidence.get(0)
-        brightness = (
-            np.ones(CELL_COUNT) if first is None else first.brightness(self._cells, gain, self._parameters.cell_sigma)
-        )
-        match, norm = np.sum(
-            [evidence.moments(self._cells, brightness) for evidence in self._evidence.values()], axis=0
-        )
+        parameters, evidences = self._parameters, self._evidence.values()
+        first, brightness = self._evidence.get(0), np.ones(CELL_COUNT)
+        if first is not None:
+            brightness = first.estimate_brightness(self._cells, gain, parameters.cell_sigma)
+        moments = [evidence.compute_moments(self._cells, brightness) for evidence in evidences]
+        match, norm = np.sum(moments, axis=0)
         # the best gain of each format: g = <d, B v + o> / |B v + o|^2
         g = np.maximum(match, 0) / np.maximum(norm, TINY) if 0 in self._evidence else gain
         explained = 2 * g * match - g**2 * norm
         # two words of the Reed-Muller code RM(2, 4) differ in 4 cells: if these are hidden it is the agreed format
-        distance = 4 * sum(evidence.distance for evidence in self._evidence.values())
-        unexplained = sum(evidence.unexplained for evidence in self._evidence.values())
-        parameters = self._parameters
+        distance = 4 * sum(evidence.distance for evidence in evidences)
+        unexplained = sum(evidence.unexplained for evidence in evidences)
         margin = parameters.min_distance * float(np.max(g)) ** 2 * distance + parameters.min_unexplained * unexplained
         explained[AGREED.number] += margin
         # an unreadable mode needs the same margin, or noise makes the reader ignore a packet
         explained[~self._readable] -= margin
         return int(np.argmax(explained))
 
-    def _of_pair(self, contrast: float, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats) -> _PairEvidence:
+    def _pair_evidence(
+        self, contrast: float, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats
+    ) -> _PairEvidence:
         """Return the evidence of a pair; dimmed cells have a contrast in step."""
         window = window_around(Pose.midway(*poses), self._side, RIM_PX)
         up, down = (cut_out(frame, window).ravel() for frame in (pair.pattern, pair.inverted))
-        first, second = (self._images(pose, led_gains, window) for pose in poses)
+        first, second = (self._cell_images(pose, led_gains, window) for pose in poses)
         b, o, d = 0.5 * (first + second), 0.5 * (first - second).sum(0), up - down
         dimmed = pair.combination.dimmed if pair.combination else (contrast, 0.0)
         gram, matched = b @ b.T, b @ d
@@ -200,7 +200,7 @@ class FormatReader:
         unexplained = max(float(d @ d - matched @ np.linalg.lstsq(gram, matched, rcond=None)[0]), 0.0)
         return _PairEvidence(dimmed, gram, matched, b @ o, float(d @ o), float(o @ o), unexplained, d.size)
 
-    def _images(self, pose: Pose, led_gains: Floats, window: Window) -> Floats:
+    def _cell_images(self, pose: Pose, led_gains: Floats, window: Window) -> Floats:
         """Return the image of each cell with all LEDs on, (16, pixels)."""
         x0, y0, cols, rows = window
         images = images_of(led_gains, self._cell_of_led, CELL_COUNT, pose, (x0, y0), (rows, cols))

@@ -68,40 +68,6 @@ def integer_means(f0, f1, f2, f3, outer, inner, scale, out):
 
 
 @compiled()
-def middle_of_busy(means, spans, blank, busy_ratio, least, free):
-    """Blank the blocks of tracked arrays; return the place of the median if others may be busy, else -1."""
-    rows, columns = means.shape
-    for i in range(rows):
-        for j in range(columns):
-            free[i, j] = means[i, j]
-    for k in range(spans.shape[0]):
-        for i in range(spans[k, 0], min(spans[k, 2], rows)):
-            for j in range(spans[k, 1], min(spans[k, 3], columns)):
-                free[i, j] = blank
-    # the largest of each column first, in parallel
-    tops, blanked = np.zeros(columns, np.float32), 0
-    for i in range(rows):
-        for j in range(columns):
-            tops[j] = free[i, j] if free[i, j] > tops[j] else tops[j]
-    peak = np.float32(0.0)
-    for j in range(columns):
-        peak = max(peak, tops[j])
-    if peak <= least:
-        return -1, True
-    for i in range(rows):
-        for j in range(columns):
-            blanked += free[i, j] == blank
-    # blanked blocks come first
-    middle, below, still = blanked + (rows * columns - blanked) // 2, 0, 0
-    for i in range(rows):
-        for j in range(columns):
-            below += free[i, j] < peak / np.float32(busy_ratio)
-            still += free[i, j] < least / busy_ratio
-    # half of the blocks have more than peak / busy_ratio, so none has more than busy_ratio times the median
-    return middle if below > middle else -1, still > middle
-
-
-@compiled()
 def _corner(integral, y, x):
     """Interpolate an integral image."""
     i, j = int(y), int(x)

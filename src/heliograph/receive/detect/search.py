@@ -15,7 +15,7 @@ import numpy as np
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame, Pixels
 from heliograph.receive.detect.alternation import COARSE, Blocks, Change, SearchParameters
-from heliograph.receive.detect.budget import Budget, SearchLoad
+from heliograph.receive.detect.budget import SearchLoad, TokenBucket
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
 from heliograph.receive.detect.frame_window import FrameWindow, crop_to_common, first_present
@@ -53,16 +53,20 @@ class PyramidSearch:
         self,
         parameters: SearchParameters,
         signal: SignalSettings,
-        budget: Budget | None = None,
+        budget: TokenBucket | None = None,
         pyramid: PyramidParameters = PYRAMID,
+        with_half_period: bool = False,
     ):
         levels = level_parameters(parameters, signal.side, pyramid)
         self._pyramid = pyramid
         self._min_contrast = pyramid.rounding * COARSE.busy_contrast * parameters.min_contrast
         self._reduced: dict[tuple[object, ...], list[Frame]] = {}
-        self._budget = budget or Budget(parameters.cpu_share, signal.pattern_period_s)
+        self._budget = budget or TokenBucket(parameters.cpu_share, signal.pattern_period_s)
         self._levels = [(View(k), Detector(level, signal, self._budget)) for k, level in enumerate(levels)]
         self._finest = self._levels[0][1]
+        # larger arrays are not searched for half a pattern out of step, and a header of one pair has no quiet frames
+        with_half_period &= signal.header_pairs > 1
+        self._half_period = HalfPeriodDetector(levels[0], signal, self._budget) if with_half_period else None
         self._smallest_px = [2**k * level.min_side_px for k, level in enumerate(levels)][1:]
 
     def start(self, period_s: float) -> None:
@@ -72,6 +76,8 @@ class PyramidSearch:
         """Search for a single orientation from now on; see `HeaderSearch`."""
         for _, detector in self._levels:
             detector.set_orientation(orientation)
+        if self._half_period is not None:
+            self._half_period.set_orientation(orientation)
 
     @property
     def load(self) -> SearchLoad:
@@ -89,6 +95,8 @@ class PyramidSearch:
         detections = list[Detection]()
         for slots, with_turned in self._finest.buffer.push(frame):
             detections += self._search(slots, [*tracked, *(found.fit.pose for found in detections)], with_turned)
+        if self._half_period is not None:
+            detections += self._half_period.push(frame, [*tracked, *(found.fit.pose for found in detections)])
         return detections
 
     def _search(self, slots: FrameWindow, tracked: Sequence[Pose], with_turned: bool) -> list[Detection]:
@@ -213,7 +221,7 @@ class PhasedSearch:
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings):
         self._parameters, self._signal = parameters, signal
-        self._streams: list[tuple[_FrameThinner, list[PyramidSearch | HalfPeriodDetector]]] = []
+        self._streams: list[tuple[_FrameThinner, PyramidSearch]] = []
         self._recent: deque[Frame] = deque()
 
     @property
@@ -224,8 +232,7 @@ class PhasedSearch:
     @property
     def load(self) -> SearchLoad:
         """Work of all streams, with the skipped candidates and blocks."""
-        # the detectors of a stream share a budget
-        return sum((detectors[0].load for _, detectors in self._streams), SearchLoad())
+        return sum((search.load for _, search in self._streams), SearchLoad())
 
     def start(self, period_s: float) -> None:
         """Prepare for a camera as fast as the light or faster; see `HeaderSearch`."""
@@ -243,21 +250,14 @@ class PhasedSearch:
                 "--fps what the camera did where the film misstates it, or leave out frames"
             )
         if period_s > light_s * (1 - STEP_TOLERANCE):
-            budget = Budget(self._parameters.cpu_share, light_s)
-            detectors: list[PyramidSearch | HalfPeriodDetector]
-            detectors = [PyramidSearch(self._parameters, self._signal, budget)]
-            if self._signal.header_pairs > 1:
-                # larger arrays are not searched for half a pattern out of step
-                finest = level_parameters(self._parameters, self._signal.side)[0]
-                detectors.append(HalfPeriodDetector(finest, self._signal, budget))
-            self._streams = [(_FrameThinner(period_s, None), detectors)]
+            search = PyramidSearch(self._parameters, self._signal, with_half_period=True)
+            self._streams = [(_FrameThinner(period_s, None), search)]
         else:
             # fewer frames per pattern need more phases; each has a budget, as a single phase may suit an array
             rate = light_s / period_s
             count = 4 if rate < 2 else math.floor(rate)
             self._streams = [
-                (_FrameThinner(light_s, k / count), [PyramidSearch(self._parameters, self._signal)])
-                for k in range(count)
+                (_FrameThinner(light_s, k / count), PyramidSearch(self._parameters, self._signal)) for k in range(count)
             ]
         # the light's clock needs two patterns on either side of a header, and two to spare
         patterns = 2 * self._signal.header_pairs + 8
@@ -265,22 +265,16 @@ class PhasedSearch:
 
     def set_orientation(self, orientation: Orientation) -> None:
         """Search for a single orientation from now on; see `HeaderSearch`."""
-        for _, detectors in self._streams:
-            for detector in detectors:
-                detector.set_orientation(orientation)
+        for _, search in self._streams:
+            search.set_orientation(orientation)
 
     def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
         """Search with the next frame; see `HeaderSearch`."""
         self._recent.append(frame)
-        tracked, detections = list(tracked), list[Detection]()
-        for thinner, detectors in self._streams:
-            thinned = thinner.push(frame)
-            if thinned is None:
-                continue
-            for detector in detectors:
-                found = detector.push(thinned, tracked)
-                tracked += [detection.fit.pose for detection in found]
-                detections += found
+        detections = list[Detection]()
+        for thinner, search in self._streams:
+            if (thinned := thinner.push(frame)) is not None:
+                detections += search.push(thinned, [*tracked, *(found.fit.pose for found in detections)])
         return detections
 
 

@@ -8,7 +8,7 @@ from scenes import film, link
 
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import BUDGET, Budget
+from heliograph.receive.detect.budget import BUDGET, TokenBucket
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.detector import HalfPeriodDetector, HalfPeriodParameters
 from heliograph.signal.settings import SignalSettings
@@ -56,7 +56,7 @@ def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
     """More changes over a header than over as many patterns of data, each beginning with an inverse or not."""
     work = list[float]()
     for parameters in (HalfPeriodParameters(), HalfPeriodParameters(min_novelty=0.0)):
-        budget = Budget(1.0, 1e-3)
+        budget = TokenBucket(1.0, 1e-3)
         # a tenth is used up: blocks of data would have been searched until then
         budget.charge(used := 0.1 * BUDGET.live_capacity_s * 1e3 * BUDGET.work_per_ms)
         detector, header = HalfPeriodDetector(PARAMETERS, SignalSettings(), budget, parameters), list[Detection]()
@@ -74,7 +74,7 @@ def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
 @pytest.mark.parametrize("before", [0, 1, 2])
 def test_a_header_seen_first_is_found_with_a_bound(before: int) -> None:
     """Nothing is usual yet, so it surges over nothing."""
-    budget = Budget(1.0, 1e-3)
+    budget = TokenBucket(1.0, 1e-3)
     budget.charge(0.1 * BUDGET.live_capacity_s * 1e3 * BUDGET.work_per_ms)
     detector = HalfPeriodDetector(PARAMETERS, SignalSettings(), budget)
     shown = [one for frame in frames_at(0.5, 50.0, count=12, before=before) for one in detector.push(frame)]
