@@ -97,11 +97,11 @@ class SearchOnce:
     def start(self, period_s: float) -> None:
         self._search.start(period_s)
 
-    def settle(self, orientation: Orientation) -> None:
-        self._search.settle(orientation)
+    def set_orientation(self, orientation: Orientation) -> None:
+        self._search.set_orientation(orientation)
 
-    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        found = [] if self._found else self._search.push(frame, taken)
+    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
+        found = [] if self._found else self._search.push(frame, tracked)
         self._found |= bool(found)
         return found
 

@@ -8,8 +8,8 @@ from lamp_scenes import LampScene
 
 from heliograph.base.frames import Frame
 from heliograph.receive import make_receiver
-from heliograph.receive.detect.alternation import SearchParameters, coarse_search
-from heliograph.receive.detect.budget import FILM_PART, PATIENT_WORK, WORK_PER_MS
+from heliograph.receive.detect.alternation import SearchParameters, SearchRegion, coarse_search
+from heliograph.receive.detect.budget import BUDGET
 from heliograph.receive.detect.detector import HalfPeriodDetector
 from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.events import DetectEvent, Event
@@ -36,7 +36,7 @@ def test_an_array_among_lamps_is_found_within_the_bound_of_films(kind: str) -> N
     assert link.transmit.identities[0] in detected
     assert len(detected) <= 3
     # the last search may overdraw it by its last block and fit
-    bound = PATIENT_WORK + count * FILM_PART * WORK_PER_MS + 5e6
+    bound = BUDGET.film_capacity + count * BUDGET.film_share * BUDGET.work_per_ms + 5e6
     assert receiver.load.work < bound  # type: ignore[attr-defined]  # of those that search
 
 
@@ -58,11 +58,11 @@ def test_lamps_smaller_than_half_an_array_are_not_compared_with_headers() -> Non
         for x in (24, 64, 104):
             change[y : y + 4, x : x + 4] = 120.0
     busy, frame = np.ones((12, 16), bool), Frame(0, 0.0, np.zeros((96, 128), np.uint8))
-    sought = headers((UPRIGHT,)).cells
-    assert coarse_search(change, busy, frame, PARAMETERS, sought, np.array([12.0, 16.0, 24.0])).compared == 0
+    region, sought = SearchRegion(change, busy, frame), headers((UPRIGHT,)).cells
+    assert coarse_search(region, PARAMETERS, sought, np.array([12.0, 16.0, 24.0])).compared == 0
     # one header among them is
     change[32:64, 40:72] = 60 * np.kron(all_header_cells()[4], np.ones((8, 8)))
-    found = coarse_search(change, busy, frame, PARAMETERS, sought, np.array([32.0]))
+    found = coarse_search(region, PARAMETERS, sought, np.array([32.0]))
     assert found.rows[0, 4] == 4
 
 

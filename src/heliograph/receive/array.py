@@ -271,7 +271,7 @@ class ArrayReceiver:
     @property
     def sure(self) -> bool:
         """Whether it is followed rightly: by the last packet, or before that is known by its header or a codeword."""
-        read = self.found.clear or self._proven if self._read is None else self._read
+        read = self.found.is_clear or self._proven if self._read is None else self._read
         return read and not self._misled
 
     @property
@@ -307,7 +307,7 @@ class ArrayReceiver:
         """Whether a header that is whole and leaves no doubt shows the array elsewhere than it is followed."""
         there = self._view.pose_out(self._track.state.pose_at(detection.time_s))
         off = rim_distance(there, detection.fit.pose, self._signal.side)
-        return detection.clear and bool((detection.led_gains == 1).all()) and off > ASTRAY * there.pitch
+        return detection.is_clear and bool((detection.led_gains == 1).all()) and off > ASTRAY * there.pitch
 
     def push(self, frame: Frame) -> Iterator[PendingPacket]:
         """Take the next frame; yield the packet it completes."""
@@ -463,7 +463,7 @@ class ArrayReceiver:
             return False
         if self._read is not None:
             return self._proven and self._read
-        if self.found.whole and not self.found.ambiguous:
+        if self.found.is_complete and not self.found.is_ambiguous:
             return True
         self._proven |= glanced(self._decoders, taken)
         return self._proven

@@ -9,7 +9,7 @@ from heliograph.receive.decode.combining import SharedBuffers
 from heliograph.receive.decode.packet_decoder import SoftReading
 from heliograph.receive.decode.worker import decoders
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import FILM_PART, UNBOUNDED_PART
+from heliograph.receive.detect.budget import BUDGET
 from heliograph.receive.detect.detection import Detection, HeaderSearch
 from heliograph.receive.detect.region import RegionSearch, around, pose_of
 from heliograph.receive.detect.search import PhasedSearch, PyramidSearch
@@ -125,7 +125,7 @@ def search_parameters(
     """What a receiver's detector looks for."""
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
-    cpu_share = FILM_PART if detect.cpu_share is None else detect.cpu_share
+    cpu_share = BUDGET.film_share if detect.cpu_share is None else detect.cpu_share
     return SearchParameters(
         min_side_px=settings.smallest_side_px,
         max_side_px=detect.max_side_px,
@@ -133,7 +133,7 @@ def search_parameters(
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
-        cpu_share=UNBOUNDED_PART if given else cpu_share,
+        cpu_share=BUDGET.unbounded_share if given else cpu_share,
         impaired=impaired,
         all_on=signal.header == "all_on",
         blur_px=blur_px,
@@ -175,7 +175,7 @@ def _following(
         shake_px, view_focal_px = settings.track.acceleration_px / 2**view.level, focal_px / 2**view.level
         model = MotionModel(signal.pattern_period_s, shake_px, view_focal_px)
         tracker = Tracker(signal.side, model)
-        seen = detection.seen_in(view)
+        seen = detection.in_view(view)
         return ArrayReceiver(
             seen,
             pairing(seen),

@@ -59,7 +59,7 @@ class PlainReader:
         track, side = tracked.track, self._form.settings.side
         if tracked.seen:
             poses = track.state.pose_at(pair.pattern.time_s), track.state.pose_at(pair.inverted.time_s)
-            self._format_reader.take(number, pair, poses, track.shining)
+            self._format_reader.add_pair(number, pair, poses, track.shining)
             self._gain = track.data_gain
         weights = header_weights(self._identity, AGREED.number, side)
         score = header_score(pair, track.state.pose, weights * track.shining, track.gain)
@@ -95,7 +95,7 @@ class PlainReader:
             self._identity,
             self._form,
             self._options,
-            self._format_reader.number(self._gain),
+            self._format_reader.decide_format(self._gain),
             self._luminances,
             self._seen,
             self._lone,

@@ -15,7 +15,7 @@ from heliograph.base.threads import in_one_thread
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.worker import PendingPacket
 from heliograph.receive.detect.budget import SearchLoad
-from heliograph.receive.detect.candidate import apart
+from heliograph.receive.detect.candidate import are_disjoint
 from heliograph.receive.detect.detection import Detection, HeaderSearch, shone_before
 from heliograph.receive.events import DetectEvent, DropEvent, LostEvent, MissedStartEvent, Observer
 from heliograph.receive.geometry.pose import UPRIGHT, Orientation
@@ -209,7 +209,9 @@ class StreamReceiver:
 
     def _weigh(self, detection: Detection) -> Iterator[PendingPacket]:
         """Follow what was found unless it lies where a better array is followed."""
-        rivals = [a for a in self._arrays if not apart(a.leading.pose, detection.fit.pose, self._parts.signal.side)]
+        rivals = [
+            a for a in self._arrays if not are_disjoint(a.leading.pose, detection.fit.pose, self._parts.signal.side)
+        ]
         if any(self._stands(rival, detection) for rival in rivals):
             return
         for rival in rivals:
@@ -266,7 +268,7 @@ class StreamReceiver:
     def _settle(self, orientation: Orientation) -> None:
         """Know the camera's orientation from now on."""
         self._orientation = orientation
-        self._parts.search.settle(orientation)
+        self._parts.search.set_orientation(orientation)
         for array in [a for a in self._arrays if not a.settle(orientation)]:
             self._forget(array)
 

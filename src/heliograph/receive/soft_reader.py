@@ -85,7 +85,7 @@ class SoftReader:
             track = replace(track, led_gains=self._led_gains.values)
             state = track.state  # as the pairs before have refined it
             seen = SeenHeader(pair, (state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)))
-            self._format_reader.take(number, pair, seen.poses, track.shining)
+            self._format_reader.add_pair(number, pair, seen.poses, track.shining)
             self._light = replace(self._light, gain=track.data_gain)
             self._header = replace(
                 self._header,
@@ -108,7 +108,7 @@ class SoftReader:
         pose = header.frames.pose
         self._header = replace(self._header, even=take_cutout(header.pair, (pose, pose), self._side))
         if self._header.pairs:
-            self._format_reader.take_frames(header.frames, self._header.shining)
+            self._format_reader.add_frames(header.frames, self._header.shining)
             self._header = replace(self._header, format=self._shown_format(self._light.gain))
 
     def follow(self, pair: FramePair, track: Track) -> TrackedPair:
@@ -143,7 +143,7 @@ class SoftReader:
             self._identity,
             self._form,
             self._parts.reading,
-            self._format_reader.number(self._light.gain),
+            self._format_reader.decide_format(self._light.gain),
             self._data.to_decode,
             self._light,
             None if self._led_gains is None else self._led_gains.told,
@@ -220,7 +220,7 @@ class SoftReader:
 
     def _shown_format(self, gain: float) -> Format:
         """The format that the header shows so far, by the light of data in gray levels."""
-        return known_format(self._format_reader.number(gain), self._parts.form.settings.data_pairs)
+        return known_format(self._format_reader.decide_format(gain), self._parts.form.settings.data_pairs)
 
     def _gains(self) -> LedGains:
         return self._led_gains or LedGains.sound(self._side)

@@ -9,23 +9,8 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import ReceiveSettings, make_receiver
-from heliograph.receive.detect import budget as budgets
 from heliograph.receive.detect.alternation import SearchParameters, SearchRegion
-from heliograph.receive.detect.budget import (
-    AMPLE_PART,
-    FIRST_SHORT_MS,
-    LAVISH_PART,
-    NEW_PART,
-    PATIENT_PART,
-    PATIENT_S,
-    PLENTY_PART,
-    SAVED_S,
-    SEARCH_PART,
-    WORK_PER_MS,
-    Budget,
-    BudgetedSearch,
-    SearchLoad,
-)
+from heliograph.receive.detect.budget import BUDGET, BudgetedSearch, BudgetParameters, SearchLoad, TokenBucket
 from heliograph.receive.detect.detector import Detector
 from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.detect.search import PyramidSearch
@@ -43,7 +28,7 @@ SOUGHT = headers((UPRIGHT,))
 
 def first_part(cpu_share: float) -> float:
     """Part of what is kept that is there at first."""
-    return 1 - FIRST_SHORT_MS / (1e3 * SAVED_S * cpu_share)
+    return 1 - BUDGET.initial_deficit_ms / (1e3 * BUDGET.live_capacity_s * cpu_share)
 
 
 def flicker(count: int, seed: int, shape: tuple[int, int] = (96, 128)) -> list[Frame]:
@@ -53,65 +38,68 @@ def flicker(count: int, seed: int, shape: tuple[int, int] = (96, 128)) -> list[F
 
 
 def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
-    budget, everything, pattern = Budget(0.5, 1e-3), np.ones((2, 3), bool), 0.5 * WORK_PER_MS
-    most = 1e3 * SAVED_S * pattern
-    assert budget.begins(everything)
-    assert budget.fit(1.0)
+    budget, everything, pattern = TokenBucket(0.5, 1e-3), np.ones((2, 3), bool), 0.5 * BUDGET.work_per_ms
+    most = 1e3 * BUDGET.live_capacity_s * pattern
+    assert budget.try_start(everything)
+    assert budget.try_fit(1.0)
     # one search takes a part of what is not kept for new arrays
-    spent = 1.01 * max(LAVISH_PART * (first_part(0.5) - PLENTY_PART), SEARCH_PART * first_part(0.5)) * most
-    budget.spend(spent)
-    assert not budget.fit(1.0)
-    assert budget.coarse <= 0
-    assert budget.begins(everything)
-    assert budget.fit(1.0)
-    budget.spend(NEW_PART * most)
-    assert budget.begins(everything)
-    assert budget.coarse == pytest.approx(0.5 * SEARCH_PART * ((first_part(0.5) - NEW_PART) * most - spent))
-    budget.spend(most)
-    assert not budget.begins(everything)
+    surplus = BUDGET.surplus_share * (first_part(0.5) - BUDGET.high_level)
+    spent = 1.01 * max(surplus, BUDGET.search_share * first_part(0.5)) * most
+    budget.charge(spent)
+    assert not budget.try_fit(1.0)
+    assert budget.coarse_work <= 0
+    assert budget.try_start(everything)
+    assert budget.try_fit(1.0)
+    budget.charge(BUDGET.low_level * most)
+    assert budget.try_start(everything)
+    assert budget.coarse_work == pytest.approx(
+        0.5 * BUDGET.search_share * ((first_part(0.5) - BUDGET.low_level) * most - spent)
+    )
+    budget.charge(most)
+    assert not budget.try_start(everything)
     assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
     for _ in range(round(1.2 * most / pattern)):
-        budget.earn()
-    assert budget.begins(everything)
-    assert not budget.begins(np.zeros((2, 3), bool))
+        budget.refill()
+    assert budget.try_start(everything)
+    assert not budget.try_start(np.zeros((2, 3), bool))
     assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
 
 
 def test_blocks_of_greatest_novelty_are_searched_when_work_is_scarce() -> None:
-    budget, busy = Budget(0.5, 1e-3), np.ones((20, 30), bool)
+    budget, busy = TokenBucket(0.5, 1e-3), np.ones((20, 30), bool)
     busy[:, 0] = False
     novelty, waits = np.full(busy.shape, 1.5, np.float32), np.full(busy.shape, 2.0, np.float32)
     novelty[4:9, 10:15] = 3.0
-    most = 1e3 * SAVED_S * 0.5 * WORK_PER_MS
+    most = 1e3 * BUDGET.live_capacity_s * 0.5 * BUDGET.work_per_ms
     novel_blocks = novelty > 1.2
     novel_blocks[12:] = False
     # a tenth is used up: what does not surge is left out, and not counted
-    assert np.array_equal(budget.choose(busy, novel_blocks, novelty, waits), busy & novel_blocks)
+    assert np.array_equal(budget.choose_blocks(busy, novel_blocks, novelty, waits), busy & novel_blocks)
     assert budget.load.blocks == 0
-    budget.spend((first_part(0.5) - 0.4) * most)
-    count = budget.blocks()
+    budget.charge((first_part(0.5) - 0.4) * most)
+    count = budget.affordable_blocks()
     assert 1 < count < np.count_nonzero(busy & novel_blocks)
-    chosen = budget.choose(busy, novel_blocks, novelty, waits)
+    chosen = budget.choose_blocks(busy, novel_blocks, novelty, waits)
     assert np.count_nonzero(chosen) == count
     assert budget.load.blocks == np.count_nonzero(busy) - count
     # the middle of the area first
     assert chosen[6, 12]
     # those searched lately are left out, and those of before are not
-    waits[:8] = 0.5 * budgets.RESEARCH_PACKETS
-    assert budget.short
-    chosen = budget.choose(busy, novel_blocks, novelty, waits)
+    waits[:8] = 0.5 * BUDGET.research_packets
+    assert budget.is_low
+    chosen = budget.choose_blocks(busy, novel_blocks, novelty, waits)
     assert not chosen[:8].any()
     assert chosen[8, 12]
 
 
 def test_the_dearer_blocks_were_the_fewer_are_searched() -> None:
-    budget, few = Budget(0.5, 1e-3), np.ones((2, 3), bool)
-    before = budget.blocks()
+    budget, few = TokenBucket(0.5, 1e-3), np.ones((2, 3), bool)
+    before = budget.affordable_blocks()
     for _ in range(20):
-        budget.begins(few)
-        budget.spend(few.size * 10 * budgets.BLOCK_WORK)
-        budget.earn()
-    assert budget.blocks() < before / 5
+        budget.try_start(few)
+        budget.charge(few.size * 10 * BUDGET.block_work)
+        budget.refill()
+    assert budget.affordable_blocks() < before / 5
 
 
 @pytest.mark.parametrize("dark", [0, 20, 90], ids=["at its header", "early in a packet", "late in a packet"])
@@ -135,7 +123,7 @@ def test_an_array_beside_what_flickers_for_long_is_found(kind: str, dark: int) -
     assert receiver.load.left_out > 0  # type: ignore[attr-defined]  # of those that search
     detected = [event.detection for event in found if isinstance(event, DetectEvent)]
     # light of data may be taken for a part of a header, but not beyond doubt
-    assert {one.identity for one in detected if one.fit.pose.x > 100 and one.clear} == {4}
+    assert {one.identity for one in detected if one.fit.pose.x > 100 and one.is_clear} == {4}
 
 
 @pytest.mark.parametrize("start_s", [-0.04, -0.041])
@@ -158,7 +146,7 @@ def test_an_array_alone_is_found_with_a_bound_too(modulation: str, turned: bool,
 def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
     """A frame of 1920 x 1080 px costs more to sum up than a search may take; four squares and an array cost little."""
     search = PyramidSearch(replace(PARAMETERS, cpu_share=0.3), SignalSettings())
-    search._budget.spend(0.6 * 1e3 * SAVED_S * 0.3 * WORK_PER_MS)
+    search._budget.charge(0.6 * search._budget.capacity)
     header, rng, found = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(1), list[float]()
     for k in range(400):
         pixels = np.full((1080, 1920), 40, np.uint8)
@@ -179,15 +167,14 @@ def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
 @pytest.mark.parametrize(
     ("left", "before", "fits", "counts"),
     [
-        (AMPLE_PART + 0.01, "header", True, False),
-        (AMPLE_PART - 0.01, "header", False, False),
-        (AMPLE_PART - 0.01, "record_quiet", True, False),
-        (PLENTY_PART - 0.01, "record_quiet", False, True),
+        (BUDGET.live_full_level + 0.01, "header", True, False),
+        (BUDGET.live_full_level - 0.01, "header", False, False),
+        (BUDGET.live_full_level - 0.01, "record_quiet", True, False),
+        (BUDGET.high_level - 0.01, "record_quiet", False, True),
     ],
     ids=["ample", "nothing strikes", "strikes", "scarce"],
 )
 def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
-    monkeypatch: pytest.MonkeyPatch,
     made: type[PyramidSearch] | type[Detector],
     left: float,
     before: str,
@@ -196,11 +183,10 @@ def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
 ) -> None:
     """Much more alternates than usual where it was calm before; not where the film begins with a header."""
     found = list[int]()
-    for least in (budgets.LITTLE_SCORE, 1.1):
-        monkeypatch.setattr(budgets, "LITTLE_SCORE", least)
-        budget = Budget(0.3, 1e-3)
+    for least in (BUDGET.min_score, 1.1):
+        budget = TokenBucket(0.3, 1e-3, BudgetParameters(min_score=least))
         search = made(replace(PARAMETERS, cpu_share=0.3), SignalSettings(), budget)
-        budget.spend((first_part(0.3) - left) * 1e3 * SAVED_S * 0.3 * WORK_PER_MS)
+        budget.charge((first_part(0.3) - left) * budget.capacity)
         first = 4 if before == "record_quiet" else 0
         for k in range(first + 8):
             pixels = np.full((96, 128), 40, np.uint8)
@@ -225,7 +211,7 @@ def test_a_camera_switched_on_amid_a_packet_does_not_wait_for_its_data(
     receiver = make_receiver(link.signal, replace(link.receive, receiver=kind).with_live_limits(), events.append)
     for frame, _ in simulate(link, default_messages(link), 1):
         list(receiver.push(frame))
-    assert receiver.load.work / WORK_PER_MS < most_ms  # type: ignore[attr-defined]  # of those that search
+    assert receiver.load.work / BUDGET.work_per_ms < most_ms  # type: ignore[attr-defined]  # of those that search
     assert not any(isinstance(event, DropEvent) for event in events)
 
 
@@ -264,25 +250,25 @@ def test_near_arrays_alone_are_found_with_a_bound_too(
 
 def test_where_hardly_anything_is_used_up_all_is_searched() -> None:
     search = Detector(replace(PARAMETERS, cpu_share=1000.0), SignalSettings())
-    change, slots = np.ones((12, 16), np.float32), [Frame(0, 0.0, np.zeros((96, 128), np.uint8))]
+    change, frame = np.ones((12, 16), np.float32), Frame(0, 0.0, np.zeros((96, 128), np.uint8))
     busy = np.ones(change.shape, bool)
     for _ in range(10):
-        assert search.select_blocks(slots, change, busy)[0].all()
+        assert search.selector.select(change, busy, frame)[0].all()
 
 
 def test_what_strikes_is_asked_of_what_is_searched_alone() -> None:
     search = Detector(replace(PARAMETERS, cpu_share=0.3), SignalSettings())
-    change, slots = np.ones((12, 16), np.float32), [Frame(0, 0.0, np.zeros((96, 128), np.uint8))]
+    change, frame = np.ones((12, 16), np.float32), Frame(0, 0.0, np.zeros((96, 128), np.uint8))
     busy = np.zeros(change.shape, bool)
     busy[:, 12:] = True
     for _ in range(6):
-        assert not search.select_blocks(slots, change, busy)[0].all()
+        assert not search.selector.select(change, busy, frame)[0].all()
     change[:, :4] = 3
-    searched, strikes = search.select_blocks(slots, change, busy)
+    searched, strikes = search.selector.select(change, busy, frame)
     assert not searched.any()
     assert not strikes
     change[:, 12:] = 3
-    searched, strikes = search.select_blocks(slots, change, busy)
+    searched, strikes = search.selector.select(change, busy, frame)
     assert np.array_equal(searched, busy)
     assert strikes
 
@@ -290,13 +276,14 @@ def test_what_strikes_is_asked_of_what_is_searched_alone() -> None:
 @pytest.mark.parametrize("cpu_share", [0.01, 0.3, 1000.0])
 def test_a_tenth_at_most_is_not_there_at_first(cpu_share: float) -> None:
     """With more than a live camera's part all is searched from the beginning, or nearly."""
-    budget, kept_s = Budget(cpu_share, 1e-3), SAVED_S if cpu_share < PATIENT_PART else PATIENT_S
-    most = 1e3 * kept_s * cpu_share * WORK_PER_MS
-    assert budget.ample == ((1 - AMPLE_PART) * most > FIRST_SHORT_MS * WORK_PER_MS)
-    budget.spend(0.1499 * most)
-    assert budget.plenty
-    budget.spend(0.1 * most)
-    assert budget.plenty == (cpu_share > 1)
+    is_film = cpu_share >= BUDGET.min_film_share
+    budget, kept_s = TokenBucket(cpu_share, 1e-3), BUDGET.film_capacity_s if is_film else BUDGET.live_capacity_s
+    most = 1e3 * kept_s * cpu_share * BUDGET.work_per_ms
+    assert budget.is_full == ((1 - BUDGET.live_full_level) * most > BUDGET.initial_deficit_ms * BUDGET.work_per_ms)
+    budget.charge(0.1499 * most)
+    assert budget.is_high
+    budget.charge(0.1 * most)
+    assert budget.is_high == (cpu_share > 1)
 
 
 def test_a_search_that_breaks_off_is_gone_on_with() -> None:
@@ -304,15 +291,15 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
     change = np.random.default_rng(0).normal(0, 30, (136, 136)).astype(np.float32)
     # what is searched last
     change[96:128, 96:128] += 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
-    budget, left, rows = Budget(1e-3, 1e-3), list[int](), np.empty((0, 5))
+    budget, left, rows = TokenBucket(1e-3, 1e-3), list[int](), np.empty((0, 5))
     search = BudgetedSearch(PARAMETERS, SOUGHT, budget)
     while not rows.size and len(left) < 100:
         shift, before = 8 * (len(left) % 2), budget.load.blocks
         frame = Frame(0, 0.0, np.zeros((136, 136 - shift), np.uint8), origin=(shift, 0))
         # enough for some blocks
-        budget.spend(2 * (budget.coarse - 1e5))
+        budget.charge(2 * (budget.coarse_work - 1e5))
         part = SearchRegion(change[:, shift:].copy(), np.ones((17, 17 - shift // 8), bool), frame)
-        [rows] = search.candidates([part])
+        [rows] = search.search([part])
         left.append(budget.load.blocks - before)
     assert len(left) > 3
     assert left[0] > 100
@@ -323,7 +310,7 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
 
 def test_parts_that_break_off_are_all_gone_on_with() -> None:
     """Three of noise, and little to spend: the last blocks of each are searched too, and no part takes all."""
-    rng, budget = np.random.default_rng(0), Budget(1e-3, 1e-3)
+    rng, budget = np.random.default_rng(0), TokenBucket(1e-3, 1e-3)
     search, found = BudgetedSearch(PARAMETERS, SOUGHT, budget), list[set[float]]([set(), set(), set()])
     header = 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
     parts, spent = [], list[float]()
@@ -334,12 +321,12 @@ def test_parts_that_break_off_are_all_gone_on_with() -> None:
         parts.append(SearchRegion(change, np.ones((17, 17), bool), frame))
     for _ in range(60):
         # enough for some blocks of each
-        budget.spend(2 * (budget.coarse - 3e5))
-        most = budget.coarse
-        for k, rows in enumerate(search.candidates(parts)):
+        budget.charge(2 * (budget.coarse_work - 3e5))
+        most = budget.coarse_work
+        for k, rows in enumerate(search.search(parts)):
             found[k] |= set(rows[:, 4].tolist()) if rows.size else set()
         # a block of each part may be overdrawn
-        spent.append(2 * (most - budget.coarse) / most)
+        spent.append(2 * (most - budget.coarse_work) / most)
     assert max(spent) < 1.3
     assert all(4 in one for one in found)
 
@@ -350,7 +337,7 @@ def test_a_busy_scene_costs_what_it_may() -> None:
     for frame in frames:
         search.push(frame)
     # what was there, what came, and what the last search may overdraw: a block of places, and a fit begun
-    assert search.load.work < (1e3 * SAVED_S + len(frames)) * 0.01 * WORK_PER_MS + 3e6
+    assert search.load.work < (1e3 * BUDGET.live_capacity_s + len(frames)) * 0.01 * BUDGET.work_per_ms + 3e6
     assert search.load.blocks > 1000
 
 
@@ -379,7 +366,8 @@ def test_an_array_costs_less_than_it_may() -> None:
         pixels[40:72, 60:92] += (100 * (cells * (-1) ** k > 0)).astype(np.uint8)
         list(receiver.push(Frame(k, 1e-3 * k, pixels)))
     assert not any(isinstance(event, DropEvent) for event in events)
-    assert receiver.load.work < 0.1 * SAVED_S * 0.3e3 * WORK_PER_MS  # type: ignore[attr-defined]  # of those that search
+    bound = 0.1 * BUDGET.live_capacity_s * 0.3e3 * BUDGET.work_per_ms
+    assert receiver.load.work < bound  # type: ignore[attr-defined]  # of those that search
 
 
 @pytest.mark.parametrize("kind", ["plain", "soft"])

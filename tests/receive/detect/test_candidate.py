@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scenes import SIDE, draw, pitch_at
 
 from heliograph.receive import Pose
-from heliograph.receive.detect.candidate import cell_weights, fit_near, lit_cells
+from heliograph.receive.detect.candidate import cell_weights, find_lit_cells, fit_near
 from heliograph.signal.header import header_cells, header_levels
 
 Floats = NDArray[np.float64]
@@ -31,7 +31,7 @@ def test_cells_that_do_not_alternate_are_hidden_and_dim_ones_are_not() -> None:
     cells = np.ones((4, 4))
     cells[0, :2] = 0.0
     cells[3, 1], cells[2, 3] = 0.6, 0.2
-    found = lit_cells(alternating(cell_weights(cells.ravel(), SIDE)), CORNER, POSE, HEADER, 0.4)
+    found = find_lit_cells(alternating(cell_weights(cells.ravel(), SIDE)), CORNER, POSE, HEADER, 0.4)
     # less than 0.4 of the median cell's light counts as none
     assert np.array_equal(found, cells > 0.4)
 

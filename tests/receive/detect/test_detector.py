@@ -259,6 +259,6 @@ def test_a_turned_array_is_found_wherever_its_packets_begin(start: int, data_pai
         pixels = rng.integers(38, 43, (96, 96)).astype(np.uint8)
         pixels[30:62, 34:66] += (100 * shown[::-1, ::-1]).astype(np.uint8)
         found += detector.push(Frame(k, k * 1e-3, cv2.GaussianBlur(pixels, (0, 0), 0.7).astype(np.uint8)))
-    whole = [one for one in found if one.clear and abs(one.fit.pose.pitch - 2) < 0.1]
+    whole = [one for one in found if one.is_clear and abs(one.fit.pose.pitch - 2) < 0.1]
     assert {(one.identity, one.orientation) for one in whole} == {(4, Orientation(2))}
     assert {round(1e3 * one.start_time_s) % patterns for one in whole} == {start}

@@ -7,7 +7,7 @@ import pytest
 from scenes import SIDE, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
-from heliograph.receive.detect.candidate import drift_of
+from heliograph.receive.detect.candidate import estimate_drift
 from heliograph.signal.header import header_levels
 
 
@@ -23,7 +23,7 @@ def seen(distance_m: float, drift: tuple[float, float], late: float, seed: int) 
             pose.moved((k - 0.5) * drift[0], (k - 0.5) * drift[1]), 0.5 + 0.5 * amount * header, (0, 0), (120, 120)
         )
         frames.append(replace(frame_of(0.1 + 0.7 * image, k, rng), time_s=k * 1e-3))
-    vx, vy = drift_of(frames, pose, 0.5e-3, header, 1e-3)
+    vx, vy = estimate_drift(frames, pose, 0.5e-3, header, 1e-3)
     return vx * 1e-3, vy * 1e-3
 
 

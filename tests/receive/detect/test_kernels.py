@@ -14,7 +14,7 @@ from heliograph.receive.detect import kernels
 from heliograph.signal.header import all_header_cells
 
 RING, GRID = 0.12, 0.1
-UNBOUNDED = coarse.UNBOUNDED
+UNBOUNDED = 1 << 60
 
 
 @pytest.mark.parametrize("weights", [coarse.ALTERNATION, coarse.DIFFERENCE, (2.0, -4.0, 4.0, -2.0)])
@@ -40,7 +40,7 @@ def test_means_in_integers_are_those_of_floats(weights: coarse.FrameWeights, lit
     pixels = np.random.default_rng(1).integers(0, 256, (4, 21, 29), np.uint8)
     if lit:
         pixels[:] = np.reshape(lit, (4, 1, 1))
-    got = coarse.combined_means([Frame(k, k * 1e-3, one) for k, one in enumerate(pixels)], weights)
+    got = coarse.alternation_means([Frame(k, k * 1e-3, one) for k, one in enumerate(pixels)], weights)
     want = np.empty((3, 4), np.float32)
     kernels.combined_means(*pixels, np.array(weights, np.float32), 8, want)
     assert np.array_equal(got, want)
@@ -114,12 +114,12 @@ def searched(
     *,
     contrast: float,
     threshold: float,
-    apart: float = coarse.APART_SIDES,
+    apart: float = coarse.COARSE.min_distance,
     corner: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[int, NDArray[np.float64]]:
     """Candidates found, and the table of them."""
     cells, best = all_header_cells().reshape(-1, 16).astype(float), np.zeros((count, 5))
-    sums = coarse.integrals(image, np.empty((3, image.shape[0] + 1, image.shape[1] + 1)))
+    sums = coarse.integral_images(image)
     sizes, first = np.array(sides), np.array(corner)
     found, _, passed, _ = kernels.search(
         sums,
@@ -129,7 +129,7 @@ def searched(
         sizes,
         contrast,
         threshold,
-        coarse.ANY_SIDED,
+        2.0,
         RING,
         GRID,
         apart,
@@ -145,7 +145,7 @@ def searched(
 # a size whose half is no multiple of the step, else rounding decides which of two neighbours overlap
 @pytest.mark.parametrize(("pixels", "sides", "count"), [(2, (8.3, 9.1), 5), (4, (11.3, 15.8), 1)])
 @pytest.mark.parametrize("quiet", [(0, slice(None)), (slice(None), 4), (slice(2, 4), slice(3, None))])
-@pytest.mark.parametrize("apart", [coarse.APART_SIDES, coarse.TURNED_APART_SIDES])
+@pytest.mark.parametrize("apart", [coarse.COARSE.min_distance, coarse.COARSE.min_distance_turned])
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.slow
 def test_search_finds_what_the_reference_finds(

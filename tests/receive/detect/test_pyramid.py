@@ -13,10 +13,10 @@ from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.detect import search as pyramid
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import SAVED_S, UNBOUNDED_PART, WORK_PER_MS, Budget, SearchLoad
+from heliograph.receive.detect.budget import BUDGET, SearchLoad, TokenBucket
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.frame_window import first_present
-from heliograph.receive.detect.search import PyramidSearch, level_parameters
+from heliograph.receive.detect.search import PYRAMID, PyramidSearch, level_parameters
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT
 from heliograph.receive.geometry.view import View, halved
 from heliograph.signal.header import all_header_cells, header_levels
@@ -138,7 +138,7 @@ def test_a_settled_search_finds_other_orientations_no_longer() -> None:
     frames = frames_of((NEAR, 11))
     for orientation, known in ((UPRIGHT, {11}), (ORIENTATIONS[1], set())):
         search = PyramidSearch(SEARCH, SignalSettings())
-        search.settle(orientation)
+        search.set_orientation(orientation)
         found, _ = search_of(frames, search=search)
         assert {one.identity for one in found.values() if one.orientation == UPRIGHT} == known
 
@@ -162,11 +162,12 @@ def test_frames_are_reduced_where_something_large_alternates(
 
 
 @pytest.mark.parametrize("dimmed", [0.08, 0.12, 0.16])
-def test_dim_arrays_are_found_as_if_all_frames_were_reduced(dimmed: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dim_arrays_are_found_as_if_all_frames_were_reduced(dimmed: float) -> None:
     films = [frames_of((replace(NEAR, x=NEAR.x + 0.7 * k), 11), dimmed=dimmed) for k in range(3)]
     found = [search_of(one)[0].keys() for one in films]
-    monkeypatch.setattr(pyramid, "ROUNDED", 0.0)
-    assert found == [search_of(one)[0].keys() for one in films]
+    for one, known in zip(films, found, strict=True):
+        search = PyramidSearch(SEARCH, SignalSettings(), pyramid=replace(PYRAMID, rounding=0.0))
+        assert search_of(one, search=search)[0].keys() == known
     assert any(found) == (dimmed > 0.1)
 
 
@@ -201,10 +202,17 @@ def flickering_frame(k: int, rng: np.random.Generator, origin: tuple[int, int] =
     return Frame(k, 1e-3 * k, pixels, origin=origin)
 
 
+class NoRefill(TokenBucket):
+    """A budget that gets no more work."""
+
+    def refill(self) -> None:
+        pass
+
+
 def scarce_search() -> PyramidSearch:
     """A search that has used up more than half of what it may cost, and gets no more."""
-    budget = Budget(0.3, 1e-3)
-    budget.spend(0.6 * SAVED_S * 0.3e3 * WORK_PER_MS)
+    budget = NoRefill(0.3, 1e-3)
+    budget.charge(0.6 * budget.capacity)
     return PyramidSearch(SEARCH, SignalSettings(), budget)
 
 
@@ -216,9 +224,9 @@ def test_what_is_left_out_as_old_is_so_on_all_levels(level: int) -> None:
         reduced = halved(reduced)
     old = np.zeros((24, 32), bool)
     old[:, :16] = True
-    searched = pyramid._but_left(old, ~old, [frame], [pyramid._rimmed(reduced)], level)
+    searched = pyramid._without_skipped(old, ~old, [frame], [pyramid._with_rim(reduced, 16)], level)
     # sensor px of the middles of the level's blocks
-    x0, y0 = pyramid._rimmed(reduced).origin
+    x0, y0 = pyramid._with_rim(reduced, 16).origin
     rows, columns = (8 * np.arange(n) + 3.5 for n in searched.shape)
     x, y = 2**level * (columns + x0), 2**level * (rows + y0)
     inside = (y > 120 + 8 * 2**level) & (y < 120 + 192 - 8 * 2**level)
@@ -243,7 +251,7 @@ def test_no_level_searches_what_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
     found = list[int]()
     for nothing in (False, True):
         if nothing:
-            monkeypatch.setattr(pyramid, "_but_left", lambda *slots: np.zeros(blocks_of(slots[3]), bool))
+            monkeypatch.setattr(pyramid, "_without_skipped", lambda *slots: np.zeros(blocks_of(slots[3]), bool))
         search, rng = scarce_search(), np.random.default_rng(3)
         for k in range(80):
             frame = flickering_frame(k, rng, (200, 200))
@@ -252,7 +260,7 @@ def test_no_level_searches_what_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
             if 60 <= k < 64:
                 sign = 1 - 2 * (k % 2)
                 pixels[280:376, 400:496] = 100 + 60 * sign * np.kron(all_header_cells()[4], np.ones((24, 24)))
-            found += [one.identity for one in search.push(Frame(k, 1e-3 * k, pixels)) if one.clear]
+            found += [one.identity for one in search.push(Frame(k, 1e-3 * k, pixels)) if one.is_clear]
         assert search.load.blocks > 0
     assert found == [4]
 
@@ -267,7 +275,10 @@ def blocks_of(slots: Sequence[Frame | None]) -> tuple[int, int]:
 @pytest.mark.parametrize("rows", range(8, 14))
 def test_frames_that_are_low_are_searched(rows: int, origin: tuple[int, int]) -> None:
     """A reduced frame begins with an even row: of some a level has nothing left."""
-    search, rng = PyramidSearch(replace(SEARCH, cpu_share=UNBOUNDED_PART), SignalSettings()), np.random.default_rng(0)
+    search, rng = (
+        PyramidSearch(replace(SEARCH, cpu_share=BUDGET.unbounded_share), SignalSettings()),
+        np.random.default_rng(0),
+    )
     for k in range(12):
         pixels = rng.integers(0, 256, (rows, 300)).astype(np.uint8)
         assert not search.push(Frame(k, 1e-3 * k, pixels, origin=origin))

@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
 from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
-from heliograph.receive.detect.alternation import alternation_means, alternation_of, busy_blocks, coarse_search
-from heliograph.receive.detect.candidate import (
-    HIDING_BLUR,
-    UPRIGHT_SPREAD,
-    cell_weights,
-    fit_near,
-    is_in_size_range,
-    plausible,
+from heliograph.receive.detect.alternation import (
+    SearchRegion,
+    alternation_means,
+    alternation_of,
+    busy_blocks,
+    coarse_search,
 )
+from heliograph.receive.detect.candidate import FIT, cell_weights, fit_near, is_in_size_range, is_plausible
 from heliograph.receive.detect.header_bank import ALL_ON, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import UPRIGHT
@@ -116,7 +115,8 @@ class VariantDetector:
         if not busy.any():
             return []
         # of each range of sizes: a square's parts are like it, and would be kept in place of it
-        rows = [coarse_search(change, busy, first, self._parameters, self._cells, sides).rows for sides in self._bands]
+        region = SearchRegion(change, busy, first)
+        rows = [coarse_search(region, self._parameters, self._cells, sides).rows for sides in self._bands]
         found = [self._fitted(change, row, first.full_scale) for row in np.concatenate(rows)]
         return [one for one in found if one is not None]
 
@@ -125,11 +125,11 @@ class VariantDetector:
         number, blur = int(row[4]), self._parameters.blur_px
         weights = float(np.sign(row[0])) * cell_weights(self._cells[number], self._side)
         start = Pose(row[1] - 0.5, row[2] - 0.5, row[3] / self._side, 0.0, blur)
-        rough = fit_near(change, (0, 0), start, weights, UPRIGHT_SPREAD, HIDING_BLUR)
+        rough = fit_near(change, (0, 0), start, weights, FIT.upright_sigma, FIT.hiding_blur)
         if rough is None:
             return None
-        fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, UPRIGHT_SPREAD)
-        if fit is None or fit.score < 0 or not plausible(fit, self._parameters, full_scale):
+        fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, FIT.upright_sigma)
+        if fit is None or fit.score < 0 or not is_plausible(fit, self._parameters, full_scale):
             return None
         if not is_in_size_range(fit, self._parameters, self._side):
             return None

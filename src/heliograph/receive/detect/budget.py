@@ -1,29 +1,25 @@
-"""What usually alternates where, against which a header stands out.
+"""Token bucket of the search: a scene in which much alternates must not make a camera wait.
 
-What searches may cost: a scene in which much alternates must not make a camera wait.
-
-Work is counted and not timed, so a film is read alike on every machine. Each frame of a pattern brings some work to be
-done, and what is not used is kept for an array that comes into sight. One search takes a part of that. When a
-twentieth is used up, blocks are left out in which nothing is like a header just now (`usual`), and candidates that are
-little like one unless much more alternates than usual; when a quarter is, such candidates in any case; when half is,
-blocks that were searched less than half a packet ago. A search that cannot afford all blocks takes those in which most
-alternates compared with what usually does. Frames that were not searched are not kept, as newer ones take their place.
+The bucket counts work and not time, so every machine reads a film alike. Each frame of a pattern refills the bucket,
+and each search may use a share of the fill level. The lower the level, the more a search skips: first familiar
+blocks and candidates unlike a header, then blocks searched lately, at last everything. A search that cannot
+afford all blocks takes the blocks of greatest novelty: their alternation over the running mean of earlier searches.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import astuple, dataclass, replace
+from operator import add, sub
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.base.arrays import TINY
+from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import (
-    ANY_SIDED,
-    MAX_ONE_SIDED,
-    NOT_SEARCHED,
+    COARSE,
+    Blocks,
+    Change,
+    CoarseResult,
     SearchParameters,
     SearchRegion,
     coarse_search,
@@ -31,403 +27,365 @@ from heliograph.receive.detect.alternation import (
 from heliograph.receive.detect.header_bank import Headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 
-LEAST_SURGE, SURGE, OOK_SURGE = 1.2, 1.4, 1.1
-"""Least alternation of a block and those about it, over what is usual there, of a header: the first where there is
-most time to search, the second where there is least; and beside data of OOK.
 
-Of patterns of data p, q and so on, 0 to 1, four frames show p + q - 1 where a search begins with a pattern, and
-(4 - p - 6 q - r) / 4 where it begins with an inverse; a header shows -1 and 1, or 7/8 of that. In the mean that is 2.5
-and 1.9 times as much as data of five even levels, and 2.0 and 1.2 times as much as data that are on or off. Of those
-that are 0.4 patterns out of step it is 1.4 times with five levels; from there on `straddled` finds them. Near arrays
-have few LEDs in three blocks, so their data vary: with 1.4 alone "soft" never found three of 54 arrays alone, 17 to
-22 m away and a third of a pattern out of step. With 1.2 alone it did not find one beside what flickers for long.
-"""
+@dataclass(frozen=True, kw_only=True)
+class NoveltyParameters:
+    """Thresholds on the alternation of a block over the baseline, and the averaging of the baseline.
 
-EARLY_SEARCHES = 3
-"""Searches of a place seen first in which nothing is usual yet: they may see a header."""
+    Over data of five levels a header alternates 1.9 to 2.5 times as much, over on-off data 1.2 to 2 times.
+    """
 
-USUAL_WEIGHT = 1 / 8
-"""Weight of a search in what is usual: eight of them count, a sixth of a packet of 100 patterns."""
-
-ANEW = 4.0
-"""Alternation of a block and those about it, over what is usual there, from which on it is there anew: more than a
-header's over data. It is usual at once: else data surge for ten searches where an array comes into sight."""
-
-AROUND_BLOCKS = 5
-"""Blocks of a side over which the mean is taken: of a near array three have few LEDs, whose data often surge by
-chance."""
+    # Least ratio of a novel block at a high level and at a low level of the bucket
+    min_ratio: float = 1.2
+    max_ratio: float = 1.4
+    # Least ratio of a strongly novel block
+    strong_ratio: float = 1.4
+    # Blocks of a side of the mean: few LEDs of a near array lie in three blocks
+    window: int = 5
+    # True if a block stays novel for a second search, perhaps the first with all of a header
+    repeats: bool = True
+    # Searches of a new place in which every block is novel
+    warmup_searches: int = 3
+    # Weight of a search in the baseline
+    weight: float = 1 / 8
+    # Ratio from which on the baseline follows at once: an array came into sight
+    reset_ratio: float = 4.0
 
 
-class Novelty(NamedTuple):
-    """What alternates about each block, in parts of what is usual there."""
+@dataclass(frozen=True, kw_only=True)
+class BudgetParameters:
+    """Sizes of the token bucket, and levels as fractions of the capacity."""
 
-    # (blocks down, blocks across), of a search; very large where usually nothing alternates
-    now: NDArray[np.float32]
-    # (blocks down, blocks across), of the search before; 0 where nothing alternated then, or the place was another one
-    before: NDArray[np.float32]
-    # Whether the place is so new that nothing is usual in it
-    early: bool
-    # (blocks down, blocks across), packets since the block was last searched
-    waits: NDArray[np.float32]
+    # Work in a ms of the reference machine; the unit is a place of the coarse search
+    work_per_ms: float = 180_000.0
+    # Work of a candidate's fit
+    fit_work: float = 200_000.0
+    # Work of each pixel of a searched region
+    pixel_work: float = 0.4
+    # Work of a block, fits included, before the first search, and weight of a search in the running mean
+    block_work: float = 3000.0
+    block_weight: float = 1 / 8
+    # Share of a core above any need, and the share for films
+    unbounded_share: float = 1e6
+    film_share: float = 2.0
+    # Live camera: capacity in s of refill, initial deficit in ms, and the full level
+    live_capacity_s: float = 3.0
+    initial_deficit_ms: float = 90.0
+    live_full_level: float = 0.95
+    # Film, from this share on: least capacity in work and in s of refill, and the full level
+    min_film_share: float = 1.0
+    film_capacity: float = 160e6
+    film_capacity_s: float = 0.25
+    film_full_level: float = 0.9
+    # Below the high level candidates must resemble a header
+    high_level: float = 0.75
+    # Below the low level blocks searched in the last `research_packets` are skipped
+    low_level: float = 0.5
+    research_packets: float = 0.5
+    # Below this level no search begins
+    min_level: float = 0.05
+    # Largest share of the fill level for a search; more above the high level (live) or the low level (film)
+    search_share: float = 0.05
+    surplus_share: float = 0.25
+    # Correlation below which a candidate resembles no header
+    min_score: float = 0.6
+    # Cap of the novelty in the ranking, and standard deviation in blocks of the ranking's window
+    max_novelty: float = 4.0
+    novelty_sigma: float = 2.0
 
 
-class RunningBaseline:
-    """How much alternates about each block, in the mean of the last searches."""
-
-    def __init__(self, around: int, packet_searches: float = 50.0):
-        self._around, self._mean, self._origin = around, np.zeros((0, 0), np.float32), (0, 0)
-        self._before = self._waits = self._mean
-        self._searched = np.zeros((0, 0), bool)
-        self._searches = self._calm = 0
-        self._packet_searches = packet_searches
-
-    def record_quiet(self) -> None:
-        """Take it that nothing alternates in the frames of a search: that takes no time, and is so nearly always."""
-        self._calm += 1
-
-    def novelty_of(self, change: NDArray[np.float32], origin: tuple[int, int]) -> Novelty:
-        """Take what alternates in the frames of a search, and compare it with what usually does."""
-        around = np.asarray(cv2.blur(change, (self._around, self._around)), np.float32)
-        if (around.shape, origin) != (self._mean.shape, self._origin):
-            self._mean, self._origin, self._searches = around * np.float32(self._calm == 0), origin, 0
-            self._before = np.zeros_like(around)
-            self._waits, self._searched = np.full_like(around, np.inf), np.zeros(around.shape, bool)
-        if self._calm:
-            self._mean = self._mean * np.float32((1 - USUAL_WEIGHT) ** self._calm)
-            self._before = np.zeros_like(around)
-        self._waits += (self._calm + 1) / self._packet_searches
-        self._searches, self._calm = self._searches + self._calm + 1, 0
-        now = np.asarray(around / np.maximum(self._mean, np.float32(TINY)), np.float32)
-        kept = np.where(now > ANEW, np.float32(1), np.float32(USUAL_WEIGHT))
-        self._mean = self._mean + kept * (around - self._mean)
-        novelty_of, self._before = Novelty(now, self._before, self._searches <= EARLY_SEARCHES, self._waits), now
-        return novelty_of
-
-    def searched(self, blocks: NDArray[np.bool_]) -> None:
-        """Take the blocks that are searched now; the next search may see the rest of a header in them."""
-        self._waits[self._searched], self._searched = 0, blocks
+BUDGET = BudgetParameters()
 
 
 class NoveltyFilter:
-    """Where as much more alternates than usual as in a header, and that soon before."""
+    """Running baseline of the alternation about each block, to find blocks above it."""
 
-    def __init__(self, modulation: str, packet_searches: float = 50.0):
-        self._least, self._most = (OOK_SURGE, OOK_SURGE) if modulation == "ook" else (LEAST_SURGE, SURGE)
-        self._usual = RunningBaseline(AROUND_BLOCKS, packet_searches)
-        self.searched = self._usual.searched
+    def __init__(self, parameters: NoveltyParameters, packet_searches: float = 50.0):
+        self._parameters, self._packet_searches = parameters, packet_searches
+        self._mean = self._before = self._waits = np.zeros((0, 0), np.float32)
+        self._searched, self._origin = np.zeros((0, 0), bool), (0, 0)
+        self._searches = self._quiet = 0
 
     def record_quiet(self) -> None:
-        """Take it that nothing alternates; see `RunningBaseline`."""
-        self._usual.record_quiet()
+        """Record a search of frames with no busy block."""
+        self._quiet += 1
 
-    def novel_blocks(
-        self, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float32]]:
-        """Take what alternates in the frames of a search; tell where that is as much more than usual as a header's.
+    def novel_blocks(self, change: Change, origin: tuple[int, int], depletion: float) -> tuple[Blocks, Change, Change]:
+        """Update the baseline; return novel blocks, each block's novelty, and packets since each block's search."""
+        parameters = self._parameters
+        around = np.asarray(cv2.blur(change, (parameters.window, parameters.window)), np.float32)
+        if (around.shape, origin) != (self._mean.shape, self._origin):
+            self._mean, self._origin, self._searches = around * np.float32(self._quiet == 0), origin, 0
+            self._before = np.zeros_like(around)
+            self._waits, self._searched = np.full_like(around, np.inf), np.zeros(around.shape, bool)
+        if self._quiet:
+            self._mean = self._mean * np.float32((1 - parameters.weight) ** self._quiet)
+            self._before = np.zeros_like(around)
+        self._waits += (self._quiet + 1) / self._packet_searches
+        self._searches, self._quiet = self._searches + self._quiet + 1, 0
+        novelty = np.asarray(around / np.maximum(self._mean, np.float32(TINY)), np.float32)
+        kept = np.where(novelty > parameters.reset_ratio, np.float32(1), np.float32(parameters.weight))
+        self._mean = self._mean + kept * (around - self._mean)
+        min_ratio = parameters.min_ratio + depletion * (parameters.max_ratio - parameters.min_ratio)
+        novel = (novelty > min_ratio) | (self._searches <= parameters.warmup_searches)
+        before, self._before = self._before, novelty
+        if parameters.repeats:
+            novel, novelty = novel | (before > parameters.max_ratio), np.maximum(novelty, before)
+        return novel, novelty, self._waits
 
-        A search that sees a header too late to fit it leaves it to the next one, in which it surges no more: so what
-        surged by the most that is asked for, or strikes, does so for one more search.
-        """
-        now, before, early, waits = self._usual.novelty_of(change, origin)
-        least = self._least + scarcity * (self._most - self._least)
-        novelty = np.maximum(now, before)
-        return (now > least) | (before > self._most) | early, novelty > SURGE, novelty, waits
-
-
-WORK_PER_MS = 180_000.0
-"""Places looked at in a ms, on the machine of `docs/performance.md`."""
-
-FIT_WORK = 200_000.0
-"""Work of a fit of a candidate: 1.1 ms."""
-
-PIXEL_WORK = 0.4
-"""Work of combining frames and summing them up, for each pixel of the part that is searched: 1.2 ns, and as much again
-for what else a search does. With 0.22 what flickers all over took a fifth more than the bound, with 0.8 a tenth less.
-"""
-
-SAVED_S = 3.0
-"""Seconds whose work is kept at most: with the default setting 162 million places, or 0.9 s of a core.
-
-With 2 s four of 48 arrays were not found that came into sight soon after something began to flicker beside them, with
-3 s none (docs/performance.md).
-"""
-
-UNBOUNDED_PART = 1e6
-"""Part of a core's time that no search takes: stands for no bound."""
-
-FILM_PART = 2.0
-"""Part of a core's time, of the camera's, that searching a film takes on average: 2 ms for each pattern of 1 ms."""
-
-PATIENT_PART, PATIENT_AMPLE_PART, PATIENT_WORK, PATIENT_S = 1.0, 0.9, 160e6, 0.25
-"""Share of a core above which a search need not keep up with a camera; the part that then stands for `AMPLE_PART`. Such
-a search saves this much work, or the work of this many seconds if that is more, and may spend half of it at once."""
-
-BLOCK_WORK, BLOCKS_WEIGHT = 3000.0, 1 / 8
-"""Expected work of a block, fits included, before the first search, and weight of one search in the running mean."""
-
-BEGIN_PART = 1 / 20
-"""Part of it that must be there for a search to begin: searches now and then, which fit what they find, are worth more
-than many that break off at once."""
-
-NEW_PART = 1 / 2
-"""Part of it that is kept for what is new and like an array."""
-
-SEARCH_PART = 1 / 20
-"""Part of what is left that one search takes at most, but for `LAVISH_PART`: with the default setting 34 ms at three
-quarters, 2 ms where hardly any is left.
-
-To look for a turned array 25 m away takes more than 9 ms: with so little none was found.
-"""
-
-PLENTY_PART = 3 / 4
-"""Part of it above which a search may take more than that, and fits all candidates where much more alternates than
-usual."""
-
-AMPLE_PART = 19 / 20
-"""Part of it above which all blocks that alternate are searched, and all candidates fitted: with less, data of an array
-before its first header would be all the time, and frames wait for that (docs/performance.md)."""
-
-MAX_NOVELTY, AREA_BLOCKS = 4.0, 2.0
-"""Greatest novelty that counts, and standard deviation in blocks of the window in which novelty is summed up: the
-middle of an array must be among the blocks, and its rim changes by the same ratio."""
-
-RESEARCH_PACKETS = 0.5
-"""Packets for which blocks that were searched in vain are left out where less than half of the work is there."""
-
-FIRST_SHORT_MS = 90.0
-"""Work in ms that is not there at first, so that less is left than `AMPLE_PART`, a tenth used up with the default
-setting: nothing is usual yet, and all data of an array would be fitted. Of less that is kept it is a tenth too."""
-
-LITTLE_SCORE = 0.6
-"""Correlation with a header, before any fit, below which a candidate is little like one.
-
-In 120 films of an array 20 to 140 m away, yawed, rolled and out of step at random, 4 % of those that became clear
-detections had less, and 97 % of 13,315 that did not: light of data, mostly.
-"""
-
-LAVISH_PART = 1 / 4
-"""Part of what is above it that one search takes at most: that of an array just come into sight takes up to 10 million
-places, a quarter of the 40 million that are there when nothing is used up. The first of a film takes up to 7."""
+    def record_searched(self, blocks: Blocks) -> None:
+        """Record the blocks of this search; the wait begins with the next search, perhaps for the rest of a header."""
+        self._waits[self._searched], self._searched = 0, blocks
 
 
 @dataclass(frozen=True, slots=True)
 class SearchLoad:
-    """What searches did and left out."""
+    """Work of the searches, with the skipped candidates and blocks.
 
-    # Candidates fitted to what alternates, well or not
+    Attributes
+    ----------
+    fitted
+        Fitted candidates.
+    dropped
+        Candidates with no fit or fewer fits, for want of work.
+    blocks
+        Busy blocks of 8 x 8 pixels skipped for want of work.
+    work
+        Work done, in places of the coarse search.
+    """
+
     fitted: int = 0
-    # Candidates found and not fitted, or not as far as they might be, for want of time
     dropped: int = 0
-    # Blocks of 8 x 8 pixels in which something alternated, and which were not searched for want of time
     blocks: int = 0
-    # Work done, in places looked at
     work: float = 0.0
 
     @property
     def left_out(self) -> int:
-        """Candidates and blocks left out."""
+        """Number of skipped candidates and blocks."""
         return self.dropped + self.blocks
 
     def __add__(self, other: "SearchLoad") -> "SearchLoad":
-        """Both together."""
-        return SearchLoad(
-            self.fitted + other.fitted,
-            self.dropped + other.dropped,
-            self.blocks + other.blocks,
-            self.work + other.work,
-        )
+        """Add two loads."""
+        return SearchLoad(*map(add, astuple(self), astuple(other)))
 
     def __sub__(self, other: "SearchLoad") -> "SearchLoad":
-        """What came since another."""
-        return self + SearchLoad(-other.fitted, -other.dropped, -other.blocks, -other.work)
+        """Return the load since an earlier load."""
+        return SearchLoad(*map(sub, astuple(self), astuple(other)))
 
 
-class Budget:
-    """Work that the searches of a stream of frames may do."""
+class TokenBucket:
+    """Token bucket of work for the searches of a stream of frames."""
 
-    def __init__(self, cpu_share: float, period_s: float):
-        per_s = cpu_share * 1e3 * WORK_PER_MS
-        self.bounded = cpu_share < UNBOUNDED_PART
-        self._rate, self._most, self._ample_part = per_s * period_s, SAVED_S * per_s, AMPLE_PART
-        short = min(FIRST_SHORT_MS * WORK_PER_MS, 2 * (1 - AMPLE_PART) * self._most)
-        self._is_patient = cpu_share >= PATIENT_PART
-        if self._is_patient:
-            self._most, self._ample_part, short = max(PATIENT_WORK, PATIENT_S * per_s), PATIENT_AMPLE_PART, 0.0
-        self._left = self._most - short
-        # work of a block in the mean, blocks of the last search, and work done before it
-        self._block_work, self._blocks, self._spent = BLOCK_WORK, 0, 0.0
-        self._strikes = self._expects = False
-        # what the search leaves that has begun
+    def __init__(self, cpu_share: float, period_s: float, parameters: BudgetParameters = BUDGET):
+        self.parameters, per_s = parameters, cpu_share * 1e3 * parameters.work_per_ms
+        self._is_film = cpu_share >= parameters.min_film_share
+        if self._is_film:
+            self.capacity = max(parameters.film_capacity, parameters.film_capacity_s * per_s)
+            self._full_level, deficit = parameters.film_full_level, 0.0
+        else:
+            self.capacity, self._full_level = parameters.live_capacity_s * per_s, parameters.live_full_level
+            # no baseline exists yet, and data of an array would all be fitted
+            deficit = min(
+                parameters.initial_deficit_ms * parameters.work_per_ms, 2 * (1 - self._full_level) * self.capacity
+            )
+        self._rate, self._left = per_s * period_s, self.capacity - deficit
+        # running mean of a block's work, blocks of the current search, and work done before
+        self._block_work, self._blocks, self._work_before = parameters.block_work, 0, 0.0
+        self._is_novel = self._expects_array = False
+        # work left at the end of the current search
         self._end = 0.0
         self.load = SearchLoad()
 
-    def begins(self, busy: NDArray[np.bool_], strikes: bool = False, share: float = 1.0) -> bool:
-        """Whether a search begins; else its blocks count as left out."""
-        self._strikes, self._expects = strikes, False
-        if self._blocks:
-            spent = (self.load.work - self._spent) / self._blocks
-            self._block_work += BLOCKS_WEIGHT * (spent - self._block_work)
-        self._blocks, self._spent = int(np.count_nonzero(busy)), self.load.work
-        if not self._blocks:
-            return False
-        self._end = self._left - share * self._allowance
-        lasts = self._left >= BEGIN_PART * self._most
-        if not lasts:
-            self.leave(self._blocks)
-            self._blocks = 0
-        return lasts
+    @property
+    def is_full(self) -> bool:
+        """True if every block may be searched and every candidate fitted."""
+        return self._left > self._full_level * self.capacity
+
+    @property
+    def is_high(self) -> bool:
+        """True above the high level."""
+        return self._left > self.parameters.high_level * self.capacity
+
+    @property
+    def is_low(self) -> bool:
+        """True below the low level."""
+        return self._left < self.parameters.low_level * self.capacity
+
+    @property
+    def depletion(self) -> float:
+        """Place between the high level (0) and the low level (1)."""
+        high, low = self.parameters.high_level * self.capacity, self.parameters.low_level * self.capacity
+        return min(max((high - self._left) / (high - low), 0.0), 1.0)
 
     @property
     def _allowance(self) -> float:
-        """Work that one search may do."""
-        above = self._left - NEW_PART * self._most
-        if not self._is_patient:
-            above = LAVISH_PART * (self._left - PLENTY_PART * self._most)
-        return max(SEARCH_PART * self._left, above)
-
-    def blocks(self, share: float = 1.0) -> int:
-        """Blocks that the next search can afford, at least one."""
-        # what two patterns bring, so that enough is left for a near array, whose blocks cost more than others
-        work = 2 * self._rate if self.short else self._allowance
-        return max(1, int(share * work / self._block_work))
+        """Work allowed to a search."""
+        surplus = self._left - self.parameters.low_level * self.capacity
+        if not self._is_film:
+            surplus = self.parameters.surplus_share * (self._left - self.parameters.high_level * self.capacity)
+        return max(self.parameters.search_share * self._left, surplus)
 
     @property
-    def coarse(self) -> float:
-        """Work that a coarse search may do: half of what the search may, as candidates are to be fitted too."""
+    def coarse_work(self) -> float:
+        """Work allowed to a coarse search: half of the search, as fits follow."""
         return 0.5 * (self._left - self._end)
 
-    @property
-    def ample(self) -> bool:
-        """Whether hardly anything is used up: blocks are searched in which nothing is like a header."""
-        return self._left > self._ample_part * self._most
+    def refill(self) -> None:
+        """Add the work of a pattern."""
+        self._left = min(self._left + self._rate, self.capacity)
 
-    @property
-    def plenty(self) -> bool:
-        """Whether less than a quarter is used up."""
-        return self._left > PLENTY_PART * self._most
-
-    @property
-    def scarcity(self) -> float:
-        """How much is used up of what lies between `plenty` and `short`, 0 to 1."""
-        plenty, short = PLENTY_PART * self._most, NEW_PART * self._most
-        return min(max((plenty - self._left) / (plenty - short), 0.0), 1.0)
-
-    @property
-    def short(self) -> bool:
-        """Whether no more is left than what is kept for that which is new and like an array."""
-        return self._left < NEW_PART * self._most
-
-    def earn(self) -> None:
-        """Take the work of a pattern more."""
-        self._left = min(self._left + self._rate, self._most)
-
-    def spend(self, work: float) -> None:
-        """Do work; a search may end with less than nothing left."""
+    def charge(self, work: float) -> None:
+        """Take work out of the bucket; the end of a search may overdraw it."""
         self._left -= work
-        self.load += SearchLoad(work=work)
+        self.load = replace(self.load, work=self.load.work + work)
 
-    def fit(self, score: float = 1.0) -> bool:
-        """Whether a candidate may be fitted; it counts as fitted or, where that is for want of time, as dropped."""
-        if abs(score) < LITTLE_SCORE and not (self.ample or self._expects or (self._strikes and self.plenty)):
-            if not self.plenty:
-                self.drop()
-            return False
-        fits = self._left > self._end
-        if fits:
-            self.load += SearchLoad(fitted=1)
-        else:
-            self.drop()
-        return fits
+    def charge_fits(self, count: int = 1) -> None:
+        """Take the work of fits out of the bucket."""
+        self.charge(count * self.parameters.fit_work)
 
-    def expect(self) -> None:
-        """Know that there is an array: in the search that has begun candidates are fitted however little like one."""
-        self._expects = True
+    def affordable_blocks(self, share: float = 1.0) -> int:
+        """Return the number of affordable blocks of the next search, at least 1."""
+        # two patterns of refill keep the rest for a near array, with more work in each block
+        work = 2 * self._rate if self.is_low else self._allowance
+        return max(1, int(share * work / self._block_work))
 
-    def drop(self) -> None:
-        """Count a candidate that is looked at no further."""
-        self.load += SearchLoad(dropped=1)
-
-    def choose(
-        self,
-        busy: NDArray[np.bool_],
-        novel_blocks: NDArray[np.bool_],
-        novelty: NDArray[np.float32],
-        waits: NDArray[np.float32],
-        share: float = 1.0,
-    ) -> NDArray[np.bool_]:
-        """Choose the blocks that the next search looks at; those left out for want of time are counted."""
-        if self.ample:
+    def choose_blocks(self, busy: Blocks, novel: Blocks, novelty: Change, waits: Change, share: float = 1.0) -> Blocks:
+        """Choose the blocks of the next search, and count the skipped blocks."""
+        if self.is_full:
             return busy
-        eligible = busy & novel_blocks
-        if self.short:
-            eligible &= waits > RESEARCH_PACKETS
-        chosen = _most_novel(eligible, novelty, self.blocks(share))
-        if not self.plenty:
-            self.leave(int(np.count_nonzero(busy) - np.count_nonzero(chosen)))
+        eligible = busy & novel
+        if self.is_low:
+            eligible &= waits > self.parameters.research_packets
+        chosen = self._most_novel(eligible, novelty, self.affordable_blocks(share))
+        if not self.is_high:
+            self.skip_blocks(int(np.count_nonzero(busy) - np.count_nonzero(chosen)))
         return chosen
 
-    def leave(self, blocks: int) -> None:
-        """Count busy blocks that were not searched."""
-        self.load += SearchLoad(blocks=blocks)
+    def _most_novel(self, blocks: Blocks, novelty: Change, count: int) -> Blocks:
+        """Keep the blocks of greatest novelty, the middle of an area first, as the rim has the same ratio."""
+        places = np.flatnonzero(blocks)
+        if places.size <= count:
+            return blocks
+        rank = np.where(blocks, np.minimum(novelty, self.parameters.max_novelty), 0)
+        rank = cv2.GaussianBlur(rank, (0, 0), self.parameters.novelty_sigma)
+        out = np.zeros_like(blocks)
+        out.ravel()[places[np.argsort(-rank.ravel()[places], kind="stable")[:count]]] = True
+        return out
+
+    def try_start(self, busy: Blocks, is_novel: bool = False, share: float = 1.0) -> bool:
+        """Return True if a search of busy blocks begins; otherwise count the blocks as skipped."""
+        self._is_novel, self._expects_array = is_novel, False
+        if self._blocks:
+            work = (self.load.work - self._work_before) / self._blocks
+            self._block_work += self.parameters.block_weight * (work - self._block_work)
+        self._blocks, self._work_before = int(np.count_nonzero(busy)), self.load.work
+        if not self._blocks:
+            return False
+        self._end = self._left - share * self._allowance
+        if self._left >= self.parameters.min_level * self.capacity:
+            return True
+        self.skip_blocks(self._blocks)
+        self._blocks = 0
+        return False
+
+    def try_fit(self, score: float = 1.0) -> bool:
+        """Return True if a candidate may be fitted, and count it as fitted, or as dropped for want of work."""
+        is_lenient = self.is_full or self._expects_array or (self._is_novel and self.is_high)
+        if abs(score) < self.parameters.min_score and not is_lenient:
+            if not self.is_high:
+                self.skip_candidate()
+            return False
+        if self._left <= self._end:
+            self.skip_candidate()
+            return False
+        self.load = replace(self.load, fitted=self.load.fitted + 1)
+        return True
+
+    def expect_array(self) -> None:
+        """Fit all candidates in the rest of this search, as an array is in sight."""
+        self._expects_array = True
+
+    def skip_candidate(self) -> None:
+        """Count a skipped candidate."""
+        self.load = replace(self.load, dropped=self.load.dropped + 1)
+
+    def skip_blocks(self, count: int) -> None:
+        """Count skipped busy blocks."""
+        self.load = replace(self.load, blocks=self.load.blocks + count)
+
+
+class BlockSelector:
+    """Choice of the busy blocks of a search within a budget.
+
+    Data differ for a search from an inverse on, so even and odd frames have separate baselines.
+    """
+
+    def __init__(self, budget: TokenBucket, parameters: NoveltyParameters, packet_patterns: int):
+        self._budget, self._parameters = budget, parameters
+        self._filters = tuple(NoveltyFilter(parameters, packet_patterns / 2) for _ in range(2))
+
+    def select(
+        self, means: Change, busy: Blocks, frame: Frame, eligible: Blocks | None = None, share: float = 1.0
+    ) -> tuple[Blocks, bool]:
+        """Return the eligible busy blocks to search, and True if any is strongly novel."""
+        eligible = busy if eligible is None else eligible
+        novelty_filter = self._filters[frame.index % 2]
+        if not busy.any():
+            novelty_filter.record_quiet()
+            return eligible, False
+        novel, novelty, waits = novelty_filter.novel_blocks(means, frame.origin, self._budget.depletion)
+        chosen = self._budget.choose_blocks(eligible, novel, novelty, waits, share)
+        novelty_filter.record_searched(chosen)
+        return chosen, bool((chosen & (novelty > self._parameters.strong_ratio)).any())
 
 
 class BudgetedSearch:
-    """Coarse search for some headers within a budget; where it breaks off, the next one goes on."""
+    """Coarse search for a set of headers within a budget; each search goes on where the last broke off."""
 
-    def __init__(self, parameters: SearchParameters, headers: Headers, budget: Budget):
+    def __init__(self, parameters: SearchParameters, headers: Headers, budget: TokenBucket):
         self.parameters, self.headers, self.sides = parameters, headers, parameters.sides()
-        self.compared = True
+        self.has_compared = True
         self._budget = budget
-        # where on the sensor parts broke off, row and column of the block
+        # blocks at which the regions broke off, row and column on the sensor
         self._next = list[tuple[int, int]]()
 
-    def candidates(self, parts: Sequence[SearchRegion]) -> list[NDArray[np.float64]]:
-        """Best candidates of each part, (candidates, 5) as `coarse.Searched` has them."""
-        parameters, out, begun = self.parameters, list[NDArray[np.float64]](), self._next
-        self.compared, self._next, most = False, [], self._budget.coarse
-        one_sided = ANY_SIDED if self._budget.plenty else MAX_ONE_SIDED
-        for k, (change, busy, frame) in enumerate(parts):
-            begin, count = _begin(begun, busy, frame, len(parts) == 1), busy.size
-            limit, cells, apart = most / (len(parts) - k), self.headers.cells, self.headers.apart
-            found, work = NOT_SEARCHED, 0.0
-            if limit > 0:
-                found = coarse_search(
-                    change, busy, frame, parameters, cells, self.sides, apart, begin, limit, one_sided
+    def search(self, regions: Sequence[SearchRegion]) -> list[Floats]:
+        """Return the best candidates of each region, rows of `CoarseResult`."""
+        out, begun, left = list[Floats](), self._next, self._budget.coarse_work
+        self.has_compared, self._next = False, []
+        max_imbalance = 2.0 if self._budget.is_high else COARSE.max_imbalance
+        for k, region in enumerate(regions):
+            busy, (x, y) = region.busy, region.first.origin
+            begin = _first_block(begun, region, len(regions) == 1)
+            max_work = left / (len(regions) - k)
+            result, work = CoarseResult(), 0.0
+            if max_work > 0:
+                cells, min_distance = self.headers.cells, self.headers.min_distance
+                result = coarse_search(
+                    region, self.parameters, cells, self.sides, min_distance, begin, max_work, max_imbalance
                 )
-                work = PIXEL_WORK * change.size + found.work
-            self._budget.spend(work)
-            most -= work
-            self.compared |= found.compared > 0
-            out.append(found.rows)
-            if found.passed < count:
-                left = (begin + np.arange(found.passed, count)) % count
-                self._budget.leave(int(np.count_nonzero(busy.ravel()[left])))
-                down, across = divmod(int(left[0]), busy.shape[1])
-                self._next.append((down + frame.origin[1] // BLOCK_PX, across + frame.origin[0] // BLOCK_PX))
-                self.compared = True
+                work = self._budget.parameters.pixel_work * region.change.size + result.work
+            self._budget.charge(work)
+            left -= work
+            self.has_compared |= result.compared > 0
+            out.append(result.rows)
+            if result.passed < busy.size:
+                skipped = (begin + np.arange(result.passed, busy.size)) % busy.size
+                self._budget.skip_blocks(int(np.count_nonzero(busy.ravel()[skipped])))
+                down, across = divmod(int(skipped[0]), busy.shape[1])
+                self._next.append((down + y // BLOCK_PX, across + x // BLOCK_PX))
+                self.has_compared = True
         return out
 
 
-def _begin(begun: Sequence[tuple[int, int]], busy: NDArray[np.bool_], frame: Frame, alone: bool) -> int:
-    """Number of the block to begin with: that at which the last search broke off, if these frames show it.
+def _first_block(begun: Sequence[tuple[int, int]], region: SearchRegion, is_only: bool) -> int:
+    """Return the number of the block at which the last search broke off; 0 if this region does not hold it.
 
-    A part that is alone may show another piece of the row in which it was.
+    A single region may hold another piece of the row.
     """
-    (rows, columns), (x, y) = busy.shape, frame.origin
+    (rows, columns), (x, y) = region.busy.shape, region.first.origin
     for row, column in begun:
         down, across = row - y // BLOCK_PX, column - x // BLOCK_PX
-        if 0 <= down < rows and (alone or 0 <= across < columns):
+        if 0 <= down < rows and (is_only or 0 <= across < columns):
             return down * columns + min(max(across, 0), columns - 1)
     return 0
-
-
-def _most_novel(blocks: NDArray[np.bool_], novelty: NDArray[np.float32], count: int) -> NDArray[np.bool_]:
-    """Keep the blocks of greatest novelty, the middle of an area first; of equal ones the first, row by row."""
-    chosen = np.flatnonzero(blocks)
-    if chosen.size <= count:
-        return blocks
-    rank = cv2.GaussianBlur(np.where(blocks, np.minimum(novelty, MAX_NOVELTY), 0), (0, 0), AREA_BLOCKS)
-    best = chosen[np.argsort(-rank.ravel()[chosen], kind="stable")[:count]]
-    out = np.zeros_like(blocks)
-    out.ravel()[best] = True
-    return out

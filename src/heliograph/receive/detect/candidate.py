@@ -1,28 +1,23 @@
-"""Fit of a header's frames to a fraction of a pixel: of a whole array, or of one that something hides in part.
+"""Fit of a candidate's header to a fraction of a pixel, with hidden cells and motion.
 
-A candidate of the coarse search fitted: its pose, and cells of its header that are hidden.
-
-How fast a header moves in the image: a camera that passes an array sideways sees it move by pixels a frame.
-
-Frame k of a header shows a_k A (2 Y - 1) + a'_k A 1 and an even background, whatever the camera's phase: Y is the
-header, A the blur matrix. About an even motion the image is linear in small errors of place and motion; all frames
-together give both (Gauss-Newton, a_k and a'_k eliminated).
+Frame k of a header shows a_k A (2 Y - 1) + a'_k A 1 and an even background, at any phase of the camera: Y is the
+header, A the blur matrix. About an even motion the image is linear in small errors of position and motion, and all
+frames together give both by Gauss-Newton with a_k and a'_k eliminated.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.base.arrays import RCOND, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import (
     ALTERNATION,
-    APART_SIDES,
+    COARSE,
     DIFFERENCE,
-    RING,
+    Change,
     SearchParameters,
     alternation_of,
     size_limits,
@@ -30,56 +25,77 @@ from heliograph.receive.detect.alternation import (
 from heliograph.receive.geometry.fit import Fit, Prior, fit_array
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import cut_out, window_around
+from heliograph.receive.geometry.window import Window, cut_out, window_around
 from heliograph.signal.header import CELLS
 
-CLEAR = 0.95
-"""Score from which on a candidate is not tried as a tilted one too: it then explains 90 % of the pixels' power."""
 
-HIDDEN = 0.32
-"""Largest hidden fraction of an array that is found all the same: 5 of 16 cells."""
+@dataclass(frozen=True, kw_only=True)
+class FitParameters:
+    """Priors and thresholds of the fits of a header."""
 
-HIDDEN_TRIED = 0.7
-"""Least score of a candidate that is fitted again without its hidden cells.
+    # Most Gauss-Newton steps
+    max_steps: int = 6
+    # Margin in px of the fit around a candidate and the ring
+    margin_px: float = 1.0
+    # Standard deviations of the position as a fraction of the side, and of ln pitch, roll and ln blur
+    position_sigma: float = 0.08
+    shape_sigmas: tuple[float, float, float] = (0.1, 0.05, 0.2)
+    # Standard deviations of stretch and shear of level, upright and tilted candidates; 10 degrees of yaw are a stretch
+    # of -0.008, 40 degrees of -0.13
+    level_sigma: float = 1e-5
+    upright_sigma: float = 0.01
+    tilted_sigma: float = 0.1
+    # Pitches of blur to hide single LEDs, or the fit locks in a pitch off
+    hiding_blur: float = 0.5
+    # Score of an array beyond doubt, and of an array with all cells visible: a hidden cell leaves at most 0.968
+    clear_score: float = 0.95
+    complete_score: float = 0.985
+    # Least regularity of an array with a hidden part; a format with half of the cells dimmed leaves 0.86
+    min_hidden_regularity: float = 0.85
+    # Least score for a second fit to the visible cells, and the largest hidden fraction
+    min_hidden_score: float = 0.7
+    max_hidden: float = 0.32
+    # Least alternation of visible cells over the median cell, before and after the first fit to visible cells
+    min_cell_light: tuple[float, float] = (0.4, 0.75)
+    # Least score and gain of the first pair over all pairs, for the pose to follow the first pair
+    first_pair_score: float = 0.9
+    first_pair_gain: float = 0.7
+    # Least motion in px per pattern with a smear
+    min_motion_px: float = 0.1
+    # Largest tilt, of 48 degrees, beyond which LEDs of 22.6 degrees half angle hardly shine
+    max_tilt: float = 0.2
+    # Largest light of an array with all LEDs on, in full scales: brighter pixels saturate
+    max_gain: float = 1.25
+    # Fraction of the sides by which two arrays may seem to overlap
+    max_overlap: float = 0.1
+    # Prior standard deviations of the pose's error in px and of the motion in px per pattern: hard shake
+    drift_sigmas_px: tuple[float, float] = (1.0, 0.9)
+    # Last step of the fit of the motion in px and in px per pattern, and the margin in px around the array
+    drift_tolerance_px: float = 0.02
+    drift_margin_px: float = 3.0
 
-With the fraction `HIDDEN` missing the whole header still correlates by sqrt(1 - 0.32) = 0.82; the rest is for noise.
-"""
 
-FIRST_AMPLITUDE, FIRST_SCORE = 0.7, 0.9
-"""Least gain and score of a header's first pair, as fractions of the whole header's, for the pose to be its.
-
-Out of step a header may begin amid a frame. Where the first frame shows the fraction f of it and the others all, the
-gains have the ratio (1 + f) / (1.75 + 0.25 f): 0.7 for f = 0.27. Two frames have more noise than four: 2 to 1.25 in
-power, for the same amplitude. Noise alone then brings the score below 0.9 of the whole's only where that is below 0.78.
-With 0.85 and 0.95, and with 0.4 and 0.8, none of 192 codewords is lost.
-"""
-
-
-SMEARED_PX = 0.1
-"""Motion in px per pattern from which on a header is fitted as moving: it then smears four frames by 0.09 px.
-
-A blur of 0.5 px grows by 0.008 px from that, less than the error of a fit.
-"""
+FIT = FitParameters()
 
 
 def fit_header(
-    header: Sequence[Frame], pose: Pose, weights: NDArray[np.float64], tilt: float, score: float, even: bool
-) -> tuple[Fit | None, NDArray[np.float64], bool]:
-    """Fit a header's frames."""
+    header: Sequence[Frame], pose: Pose, weights: Floats, tilt: float, score: float, even: bool
+) -> tuple[Fit | None, Floats, bool]:
+    """Fit a header's frames; return the fit, the LED gains and True if the fit was held level."""
     change, origin, side = alternation_of(header), header[0].origin, len(weights)
     fit, sound = fit_near(change, origin, pose, weights, tilt), np.ones(weights.shape)
-    if fit is None or not HIDDEN_TRIED <= fit.score < CLEAR or not even or tilt > UPRIGHT_SPREAD:
+    if fit is None or not FIT.min_hidden_score <= fit.score < FIT.clear_score or not even or tilt > FIT.upright_sigma:
         return fit, sound, False
     best, lit, led_gains = fit, np.ones(CELLS * CELLS), sound
-    for least in (HIDDEN_CELL, PARTLY_LIT_CELL):
+    for min_light in FIT.min_cell_light:
         # a hidden side looks like a tilt
         pose = replace(best.pose, stretch=0.0, shear=0.0)
-        lit = lit * lit_cells(change, origin, pose, led_gains * weights, least).ravel()
+        lit = lit * find_lit_cells(change, origin, pose, led_gains * weights, min_light).ravel()
         led_gains = cell_weights(lit, side)
-        rest = fit_near(change, origin, pose, led_gains * weights, LEVEL_SPREAD)
-        if rest is None or lit.mean() < 1 - HIDDEN:
+        visible = fit_near(change, origin, pose, led_gains * weights, FIT.level_sigma)
+        if visible is None or lit.mean() < 1 - FIT.max_hidden:
             break
-        best = rest
+        best = visible
     else:
         if best.score > max(fit.score, score):
             return best, led_gains, True
@@ -87,92 +103,38 @@ def fit_header(
         return fit, sound, False
     # a thin post hides parts of cells
     pose = replace(fit.pose, stretch=0.0, shear=0.0)
-    return fit_near(change, origin, pose, weights, LEVEL_SPREAD), sound, True
+    return fit_near(change, origin, pose, weights, FIT.level_sigma), sound, True
 
 
-def fit_moving(
-    header: list[Frame], fit: Fit, weights: NDArray[np.float64], tilt: float, moved: tuple[float, float]
-) -> Fit:
-    """Fit a header that moves."""
-    if max(np.abs(moved)) < SMEARED_PX:
+def fit_moving(header: list[Frame], fit: Fit, weights: Floats, tilt: float, motion: tuple[float, float]) -> Fit:
+    """Fit a header with the smear of a motion in px per pattern."""
+    if max(np.abs(motion)) < FIT.min_motion_px:
         return fit
-    weight = np.abs(ALTERNATION if len(header) == 4 else DIFFERENCE[:2])
-    # the variance of the frames' times, each counted as its weight, and of an exposure
-    late = np.arange(len(header)) - 0.5 * (len(header) - 1)
-    patterns = float(np.sqrt(weight @ late**2 / weight.sum() + 1 / 12))
-    smear = patterns * abs(moved[0]), patterns * abs(moved[1])
+    frame_weights = np.abs(ALTERNATION if len(header) == 4 else DIFFERENCE[:2])
+    # the variance of the frames' times, by weight, and of an exposure
+    times = np.arange(len(header)) - 0.5 * (len(header) - 1)
+    patterns = float(np.sqrt(frame_weights @ times**2 / frame_weights.sum() + 1 / 12))
+    smear = patterns * abs(motion[0]), patterns * abs(motion[1])
     change, origin = alternation_of(header), header[0].origin
-    # the smear was taken for a stretch, by which single LEDs were taken for their neighbours
-    rough = fit_near(change, origin, fit.pose, weights, tilt, HIDING_BLUR, smear)
+    # unsmeared, the fit has a stretch, and single LEDs match the neighbours
+    rough = fit_near(change, origin, fit.pose, weights, tilt, FIT.hiding_blur, smear)
     if rough is None:
         return fit
     start = replace(rough.pose, blur=fit.pose.blur)
-    again = fit_near(change, origin, start, weights, tilt, smear=smear)
-    return fit if again is None or again.score < fit.score else again
+    smeared = fit_near(change, origin, start, weights, tilt, smear=smear)
+    return fit if smeared is None or smeared.score < fit.score else smeared
 
 
-def fit_first_pair(header: list[Frame], fit: Fit, weights: NDArray[np.float64], tilt: float) -> tuple[Fit, list[Frame]]:
-    """Fit a header's first pair, as the later pairs may be dimmed unevenly by a format."""
+def fit_first_pair(header: list[Frame], fit: Fit, weights: Floats, tilt: float) -> tuple[Fit, list[Frame]]:
+    """Fit a header's first pair, as a format may dim the later pairs unevenly."""
     first = fit_near(alternation_of(header[:2]), header[0].origin, fit.pose, weights, tilt)
-    if first is None or first.score <= FIRST_SCORE * fit.score or first.gain <= FIRST_AMPLITUDE * fit.gain:
+    if first is None or first.score <= FIT.first_pair_score * fit.score or first.gain <= FIT.first_pair_gain * fit.gain:
         return fit, header
     return replace(first, score=fit.score), header[:2]
 
 
-FIT_STEPS = 6
-"""Most Gauss-Newton steps of a candidate, which starts up to half a grid step away.
-
-Chosen: it bounds the time of candidates that do not converge. With 3 and 12 none of 192 codewords is lost.
-"""
-
-CANDIDATE_MARGIN_PX = 1.0
-"""Pixels around a candidate and its ring that are fitted too."""
-
-PLACE_SPREAD = 0.08
-"""Standard deviation of a candidate's place, as a fraction of its side; the grid's step is 0.1."""
-
-CANDIDATE_SPREADS = (0.1, 0.05, 0.2)
-"""Standard deviations of a candidate's ln pitch (sizes are 0.11 apart), roll (3 degrees) and ln blur."""
-
-LEVEL_SPREAD, UPRIGHT_SPREAD, TILTED_SPREAD = 1e-5, 0.01, 0.1
-"""Standard deviations of stretch and shear of partly hidden candidates, whose hidden side looks like a tilt; of
-candidates taken to face the camera; and of others.
-
-10 degrees of yaw are a stretch of -0.008, 40 degrees of -0.13.
-"""
-
-HIDING_BLUR = 0.5
-"""Pitches of blur that hide single LEDs while a candidate is centred: else it locks in a whole pitch beside them."""
-
-HIDDEN_CELL, PARTLY_LIT_CELL = 0.4, 0.75
-"""Least alternation of a cell that is not hidden, as a fraction of the median cell's; a hidden one has 0.
-
-The second holds once the pose is found without the hidden cells: a cell of which a quarter is hidden would move it.
-"""
-
-MOST_TILT = 0.2
-"""Largest tilt taken for an array's: that of 48 degrees, beyond which LEDs of 22.6 degrees half angle hardly shine."""
-
-MOST_GAIN = 1.25
-"""Largest light of an array with all LEDs on, in full scales: brighter pixels saturate. The rest is for errors of the
-fit and for data beside a header."""
-
-OVERLAP = 0.1
-"""Fraction of their sides by which two arrays may seem to overlap: a candidate's place and size err by half of it."""
-
-
-def cell_weights(cells: NDArray[np.float64], side: int) -> Floats:
-    """Luminances of LEDs by the cells of a header. Returns (n, n)."""
-    return np.asarray(np.kron(cells.reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS))), np.float64)
-
-
-def followed(start: Pose, taken: Sequence[Pose], side: int) -> bool:
-    """Whether a candidate is one of the arrays that are followed, by `APART_SIDES`."""
-    return any(np.hypot(start.x - p.x, start.y - p.y) < APART_SIDES * side * p.pitch for p in taken)
-
-
 def fit_near(
-    change: NDArray[np.float32],
+    change: Change,
     origin: tuple[int, int],
     start: Pose,
     weights: Floats,
@@ -180,39 +142,50 @@ def fit_near(
     smooth: float = 0.0,
     smear: tuple[float, float] = (0.0, 0.0),
 ) -> Fit | None:
-    """Fit a header to what alternates, near a pose."""
+    """Fit a header to the alternation near a pose."""
     side = len(weights)
-    x0, y0, width, height = window_around(start, side, RING * side * start.pitch + CANDIDATE_MARGIN_PX)
-    i, j = y0 - origin[1], x0 - origin[0]
-    if i < 0 or j < 0 or i + height > change.shape[0] or j + width > change.shape[1]:
+    if (window := find_window(change, origin, start, side)) is None:
         return None
+    x0, y0, width, height = window
+    i, j = y0 - origin[1], x0 - origin[0]
     image = change[i : i + height, j : j + width].astype(np.float64)
     sigma = smooth * start.pitch
     if sigma:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float64)
         start = replace(start, blur=float(np.hypot(start.blur, sigma)))
-    reach = PLACE_SPREAD * side * start.pitch
-    spread = np.diag(np.array([reach, reach, *CANDIDATE_SPREADS, tilt, tilt]) ** 2)
+    reach = FIT.position_sigma * side * start.pitch
+    spread = np.diag(np.array([reach, reach, *FIT.shape_sigmas, tilt, tilt]) ** 2)
     try:
-        return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, FIT_STEPS, smear=smear)
+        return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, FIT.max_steps, smear=smear)
     except np.linalg.LinAlgError:
-        # pixels that give no pose are no array
+        # no pose, no array
         return None
 
 
-def lit_cells(
-    change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: Floats, least: float
-) -> Floats:
-    """Find the cells of a header that alternate as the others do."""
-    light = cell_light(change, origin, pose, weights)
-    return np.asarray((light > least * np.median(light[light > 0])).astype(float).reshape(CELLS, CELLS))
+def find_window(change: Change, origin: tuple[int, int], pose: Pose, side: int) -> Window | None:
+    """Return the window of an array and the ring around; None if an image does not show all of it."""
+    window = window_around(pose, side, COARSE.ring * side * pose.pitch + FIT.margin_px)
+    left, top = window[0] - origin[0], window[1] - origin[1]
+    is_within = left >= 0 and top >= 0 and left + window[2] <= change.shape[1] and top + window[3] <= change.shape[0]
+    return window if is_within else None
 
 
-def cell_light(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:
-    """How much each cell of an array alternates, by least squares."""
+def cell_weights(cells: Floats, side: int) -> Floats:
+    """Return luminances of LEDs, (n, n), by the cells of a header."""
+    return np.asarray(np.kron(cells.reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS))), np.float64)
+
+
+def find_lit_cells(change: Change, origin: tuple[int, int], pose: Pose, weights: Floats, min_light: float) -> Floats:
+    """Find the visible cells of a header, which alternate alike."""
+    light = measure_cells(change, origin, pose, weights)
+    return np.asarray((light > min_light * np.median(light[light > 0])).astype(float).reshape(CELLS, CELLS))
+
+
+def measure_cells(change: Change, origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:
+    """Measure the light of each cell of an array, by least squares."""
     from heliograph.receive.geometry import kernels
 
-    x0, y0, width, height = window_around(pose, len(weights), CANDIDATE_MARGIN_PX)
+    x0, y0, width, height = window_around(pose, len(weights), FIT.margin_px)
     i, j = max(0, y0 - origin[1]), max(0, x0 - origin[0])
     image = change[i : y0 - origin[1] + height, j : x0 - origin[0] + width].astype(np.float64)
     shapes, out = [], np.empty((6, *image.shape))
@@ -223,94 +196,74 @@ def cell_light(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose,
     return np.asarray(np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0], np.float64)
 
 
-def plausible(fit: Fit, parameters: SearchParameters, full_scale: int) -> bool:
-    """Whether brightness and tilt of a fit are those of an array looked for."""
-    bright = parameters.min_contrast <= fit.gain / full_scale <= MOST_GAIN
-    # a tilt that was given is that of an array
-    given = (parameters.start.stretch, parameters.start.shear) if parameters.start is not None else (0.0, 0.0)
-    turned = np.hypot(fit.pose.stretch - given[0], fit.pose.shear - given[1]) <= MOST_TILT
-    return bool(bright and turned)
+def is_tracked(start: Pose, tracked: Sequence[Pose], side: int) -> bool:
+    """Return True if a candidate is a tracked array."""
+    return any(np.hypot(start.x - p.x, start.y - p.y) < COARSE.min_distance * side * p.pitch for p in tracked)
+
+
+def is_plausible(fit: Fit, parameters: SearchParameters, full_scale: int) -> bool:
+    """Return True if a fit has the brightness and the tilt of an array."""
+    is_bright = parameters.min_contrast <= fit.gain / full_scale <= FIT.max_gain
+    # relative to a given pose
+    stretch, shear = (parameters.start.stretch, parameters.start.shear) if parameters.start is not None else (0.0, 0.0)
+    return bool(is_bright and np.hypot(fit.pose.stretch - stretch, fit.pose.shear - shear) <= FIT.max_tilt)
 
 
 def is_in_size_range(fit: Fit, parameters: SearchParameters, side: int) -> bool:
-    """Whether the size of a fit is that of an array looked for."""
+    """Return True if a fit has a size in the searched range."""
     smallest, largest = size_limits(parameters.min_side_px, parameters.max_side_px)
     return smallest <= side * fit.pose.pitch <= largest
 
 
-def apart(a: Pose, b: Pose, side: int) -> bool:
-    """Whether two arrays do not overlap; parts of a header look like smaller ones."""
-    # |a - b| > (n p_a + n p_b) / 2, less what the poses may err by
-    reach = (1 - OVERLAP) / 2 * side * (a.pitch + b.pitch)
+def are_disjoint(a: Pose, b: Pose, side: int) -> bool:
+    """Return True if two arrays do not overlap; parts of a header look like smaller arrays."""
+    # |a - b| > (n p_a + n p_b) / 2, less the errors of the poses
+    reach = (1 - FIT.max_overlap) / 2 * side * (a.pitch + b.pitch)
     return bool(np.hypot(a.x - b.x, a.y - b.y) > reach)
 
 
-STEPS = 6
-"""Gauss-Newton steps: each finds a motion of up to half a cell between a header's first and last frame."""
-
-ENOUGH_PX = 0.02
-"""Step in px, and in px per pattern, that ends the search.
-
-A tolerance: an LED that is 0.02 px off changes a pixel by up to 2 % of its peak (`equalise.led_gains.MODEL`).
-"""
-
-DRIFT_PX = 0.9
-"""Prior standard deviation of the motion in px per pattern: hard shake, as in the tracker's `START_RATES`."""
-
-PLACE_PX = 1.0
-"""Prior standard deviation of the pose's error in px.
-
-Chosen: what a motion of `DRIFT_PX` does in about a pattern. The pose was fitted to all frames together, and errs by
-less. The prior bounds the first step where the pixels say little.
-"""
-
-DRIFT_MARGIN_PX = 3.0
-"""Pixels around the array that count too: five times the blur of the reference link."""
-
-
-def drift_of(
+def estimate_drift(
     frames: Sequence[Frame], pose: Pose, time_s: float, weights: Floats, period_s: float
 ) -> tuple[float, float]:
-    """Motion of a header in px per second."""
+    """Estimate the motion of a header in px per second."""
     # (x, y) of the error of the pose, and of the motion in px per pattern
-    found, prior = np.zeros(4), np.diag(np.repeat([PLACE_PX, DRIFT_PX], 2) ** -2.0)
+    state, prior = np.zeros(4), np.diag(np.repeat(FIT.drift_sigmas_px, 2) ** -2.0)
     times = (np.array([frame.time_s for frame in frames]) - time_s) / period_s
-    for _ in range(STEPS):
-        seen = [
-            _error(frame, pose.moved(*(found[:2] + t * found[2:])), weights)
+    for _ in range(FIT.max_steps):
+        errors = [
+            _position_error(frame, pose.moved(*(state[:2] + t * state[2:])), weights)
             for t, frame in zip(times, frames, strict=True)
         ]
-        noise = max(sum(left for *_, left in seen) / len(seen), LEAST_VARIANCE)
-        matrix, vector = prior.copy(), -prior @ found
-        for t, (power, match, _) in zip(times, seen, strict=True):
-            both = np.array([[1.0, t], [t, t * t]])
-            matrix += np.kron(both, power) / noise
+        noise = max(sum(residual for *_, residual in errors) / len(errors), LEAST_VARIANCE)
+        matrix, vector = prior.copy(), -prior @ state
+        for t, (power, match, _) in zip(times, errors, strict=True):
+            matrix += np.kron(np.array([[1.0, t], [t, t * t]]), power) / noise
             vector += np.kron([1.0, t], match) / noise
         step = np.linalg.solve(matrix, vector)
-        found = found + step
-        if np.abs(step).max() < ENOUGH_PX:
+        state = state + step
+        if np.abs(step).max() < FIT.drift_tolerance_px:
             break
-    x, y = (found[2:] / period_s).tolist()
+    x, y = (state[2:] / period_s).tolist()
     return x, y
 
 
-def _error(frame: Frame, pose: Pose, weights: Floats) -> tuple[NDArray[np.float64], Floats, float]:
-    """What a frame says of an error of x and y: J^T J, J^T r, and the mean square of r."""
+def _position_error(frame: Frame, pose: Pose, weights: Floats) -> tuple[Floats, Floats, float]:
+    """Compare a frame with a pose: J^T J and J^T r of the error of x and y, and the mean square of r."""
     from heliograph.receive.geometry import kernels  # Numba is slow to import
 
-    window = window_around(pose, len(weights), DRIFT_MARGIN_PX)
+    window = window_around(pose, len(weights), FIT.drift_margin_px)
     x0, y0, width, height = window
-    hidden = HIDING_BLUR * pose.pitch
-    shown = np.asarray(cv2.GaussianBlur(cut_out(frame, window), (0, 0), hidden), np.float64).ravel()
-    pose = replace(pose, blur=float(np.hypot(pose.blur, hidden)))
+    sigma = FIT.hiding_blur * pose.pitch
+    pixels = np.asarray(cv2.GaussianBlur(cut_out(frame, window), (0, 0), sigma), np.float64).ravel()
+    pose = replace(pose, blur=float(np.hypot(pose.blur, sigma)))
     images = np.empty((2, 6, height, width))
     for levels, out in zip((weights, np.abs(weights)), images, strict=True):
         kernels.render(pose.full_vector(), levels, float(x0), float(y0), out)
     flat = images.reshape(2, 6, -1)
-    columns = np.column_stack([flat[0, 0], flat[1, 0], np.ones(shown.size)])
+    columns = np.column_stack([flat[0, 0], flat[1, 0], np.ones(pixels.size)])
     slopes = flat[:, 1:3]
-    amounts = np.linalg.lstsq(columns, shown, rcond=RCOND)[0]
-    residual = shown - columns @ amounts
+    amounts = np.linalg.lstsq(columns, pixels, rcond=RCOND)[0]
+    residual = pixels - columns @ amounts
     jacobian = (amounts[0] * slopes[0] + amounts[1] * slopes[1]).T
     jacobian = jacobian - columns @ np.linalg.lstsq(columns, jacobian, rcond=RCOND)[0]
-    return jacobian.T @ jacobian, jacobian.T @ residual, float(residual @ residual) / shown.size
+    return jacobian.T @ jacobian, jacobian.T @ residual, float(residual @ residual) / pixels.size

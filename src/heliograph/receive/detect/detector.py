@@ -1,547 +1,426 @@
-"""Detection: arrays found by the header that only they show.
+"""Detectors of the headers of arrays: in step with the light, and half a pattern out of step.
 
-The header and its inverse alternate, so four frames in a row combined as r_0 - 3 r_1 + 3 r_2 - r_3 keep the header and
-cancel what stands still, drifts or accelerates evenly. The result is correlated with the M-sequences of all identities
-over scale and position. The best candidates are fitted to a fraction of a pixel, and must alternate in step from frame
-to frame.
+A header and the inverse alternate. Of four frames in a row, r_0 - 3 r_1 + 3 r_2 - r_3 keeps the header and cancels
+light at rest or in even motion or acceleration. The detector correlates the result with the M-sequences of all
+identities over scale and position, and fits the best candidates to a fraction of a pixel. Candidates must alternate in
+step from frame to frame.
 
-Headers of a camera as fast as the light whose exposures straddle two patterns each.
-
-Half a pattern out of step a frame shows half of a pattern and half of the next. Within a header of N patterns that is
-the same light from every LED: nothing alternates, and `detector` finds nothing. But the frame over its beginning shows
-half of the header, and the frame over its end half of the inverse. With w = N / (N - 2),
+Half a pattern out of step each frame shows half of a pattern and half of the next. Within a header of N patterns every
+LED then shows the same light, and the frames do not alternate. But the frame over the beginning shows half of the
+header, and the frame over the end half of the inverse. With w = N / (N - 2),
 
     2 (r_0 - w r_1 + w r_(N-1) - r_N)
 
-is the header less its inverse, and light of the data before and after, which is random. What stands still, drifts or
-accelerates evenly cancels. The frames between are quiet, as those of data never are.
+is the header less the inverse, and random light of the data before and after. Light at rest or in even motion or
+acceleration cancels. The frames between are quiet, as frames of data never are.
 """
 
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import (
-    DIFFERENCE,
+    Blocks,
+    Change,
     SearchParameters,
     SearchRegion,
     alternation_means,
     alternation_of,
     busy_blocks,
-    combined,
-    combined_means,
     search_regions,
 )
-from heliograph.receive.detect.budget import (
-    FIT_WORK,
-    LITTLE_SCORE,
-    Budget,
-    BudgetedSearch,
-    NoveltyFilter,
-    RunningBaseline,
-    SearchLoad,
-)
+from heliograph.receive.detect.budget import BlockSelector, BudgetedSearch, NoveltyParameters, TokenBucket
 from heliograph.receive.detect.candidate import (
-    CANDIDATE_MARGIN_PX,
-    CLEAR,
-    HIDING_BLUR,
-    LEVEL_SPREAD,
-    TILTED_SPREAD,
-    UPRIGHT_SPREAD,
-    apart,
-    cell_light,
+    FIT,
+    are_disjoint,
     cell_weights,
-    drift_of,
+    estimate_drift,
     fit_first_pair,
     fit_header,
     fit_moving,
     fit_near,
-    followed,
     is_in_size_range,
-    plausible,
+    is_plausible,
+    is_tracked,
+    measure_cells,
 )
-from heliograph.receive.detect.detection import HIDDEN_REGULARITY, Detection, distinct
+from heliograph.receive.detect.detection import Detection, distinct
 from heliograph.receive.detect.frame_window import (
     FrameWindow,
     FrameWindowBuffer,
-    SearchJob,
-    alike,
-    filled,
+    fill_missing,
     find_header_start,
     first_present,
+    have_same_format,
 )
 from heliograph.receive.detect.header_bank import ALL_ON, Headers, Hypothesis, headers
-from heliograph.receive.detect.region import Candidate, candidates_of
+from heliograph.receive.detect.region import Candidate, find_candidates
 from heliograph.receive.geometry.fit import Fit, header_amplitudes
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, Pose
 from heliograph.receive.geometry.window import common, cut_out, window_around
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
 
-GAINED = 0.03
-"""How much better a tilted candidate must be: an upright array with a hidden side looks a little tilted.
 
-Scores are correlations: 0.03 more than 0.9 are 2 * 0.9 * 0.03 = 5 % of the pixels' power. Half and twice of it lose
-none of 192 codewords.
-"""
+@dataclass(frozen=True, kw_only=True)
+class DetectorParameters:
+    """Thresholds of a detector in step."""
 
-HIDDEN_SCORE = 0.8
-"""Least score of an array before which a thin post is.
-
-With the fraction f hidden the whole header correlates by sqrt(1 - f), so 0.8 is reached with 36 % hidden: about as much
-as may be hidden of cells (`HIDDEN` of `header_fit`). Its cost was not measured.
-"""
-
-MIXED = 0.65
-"""Regularity below which a header is mixed with light of data, which looks like a tilt: it is fitted as level.
-
-A camera x T_b out of step sees |1 - 2 x| of the header within, and a part of the data before it: at 0.44 T_b the
-regularity is 0.62. At 0.47 T_b headers are too weak to put the tilt right later. Of an upright array a shear of 0.03
-stayed, and all codewords of the middle and low layers were lost at 80 m.
-"""
-
-LEAST_TURN = 0.05
-"""Least tilt that a mixed header shows: that of 25 degrees of yaw. Data light made up to 0.039 of an upright array."""
-
-WORTH = 0.55
-"""Least score of a candidate's first fit, as of an upright array, for more fits.
-
-In 550 films of random places, tilts, phases and rates, of arrays partly hidden or dead too, 771 candidates became
-detections and 21,325 did not. None and 51 % of them had less; 0.6 would refuse 2 and 70 %, 0.7 would refuse 5 and 91 %.
-"""
-
-ROLLED_FITS = 4
-"""Fits in a row of a rolled candidate: its roll is up to 12 degrees off, and each fit moves it by some degrees."""
-
-SHORT_WORTH = 0.7
-"""The same where searches have used up more than half of what they may cost."""
+    # Least score of a candidate's first fit, and the same at a low level of the budget
+    min_rough_score: float = 0.55
+    min_rough_score_low: float = 0.7
+    # Least gain in score of a tilted fit: an upright array with a hidden side looks a little tilted
+    min_tilt_gain: float = 0.03
+    # Least score of an array behind a thin post, which hides up to 36 %
+    min_post_score: float = 0.8
+    # Regularity below which light of data looks like a tilt, and the least tilt of such a header
+    min_level_regularity: float = 0.65
+    min_tilt: float = 0.05
+    # Fits in a row of a rolled candidate: the roll is up to 12 degrees off
+    rolled_fits: int = 4
 
 
-class Detector:
-    """Looks for headers in a stream of one frame per pattern."""
+@dataclass(frozen=True, kw_only=True)
+class HalfPeriodParameters:
+    """Thresholds of a detector half a pattern out of step."""
 
-    def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
-        self._parameters, self._side = parameters, signal.side
-        self.budget, self._earns = budget or Budget(parameters.cpu_share, signal.pattern_period_s), budget is None
-        # a lit square may be anything's; a tilted one all the more
-        tilted = parameters.impaired and not parameters.all_on
-        # corners by hand are off by some px, which is a tilt of a far array
-        tilted |= parameters.start is not None
-        self._tilts = (UPRIGHT_SPREAD, TILTED_SPREAD) if tilted else (UPRIGHT_SPREAD,)
+    # Largest change within a header over the change across: data reach 1, noise 0.45
+    max_quiet: float = 0.3
+    # Share of a header's correlation under the light of data
+    data_score: float = 0.78
+    # Least change across a header over the change across as many patterns of data, 1.8 on average, and blocks of a
+    # side of the mean
+    min_novelty: float = 1.3
+    novelty_window: int = 3
+    # Share of the work of a search, as these searches come twice as often
+    work_share: float = 0.25
+    # Least light of a cell within a header, and largest difference of two cells, over the light of the array: each LED
+    # is lit for half of such a frame, and lamps are not
+    min_light: float = 0.3
+    max_light_difference: float = 0.5
+    # Extreme cells ignored at either end
+    ignored_cells: int = 3
+
+
+class _BaseDetector:
+    """Common parts of the detectors."""
+
+    def __init__(
+        self,
+        parameters: SearchParameters,
+        signal: SignalSettings,
+        budget: TokenBucket | None,
+        novelty: NoveltyParameters,
+    ):
+        self._parameters, self._side, self._period_s = parameters, signal.side, signal.pattern_period_s
         self._header = 2 * signal.header_pairs
-        self._period_s = signal.pattern_period_s
         self._sides = parameters.sides()
-        # turned headers are looked for where there is no upright one: an array that is hard to see might be either
+        self.budget = budget or TokenBucket(parameters.cpu_share, signal.pattern_period_s)
+        self.selector = BlockSelector(self.budget, novelty, signal.packet_patterns)
+
+    def busy_blocks(self, means: Change, frame: Frame, tracked: Sequence[Pose]) -> Blocks:
+        """Find the busy blocks outside tracked arrays."""
+        parameters = self._parameters
+        return busy_blocks(means, frame, tracked, self._side, parameters.min_contrast, parameters.everywhere)
+
+    def _search_for(self, sought: Headers) -> BudgetedSearch:
+        return BudgetedSearch(self._parameters, sought, self.budget)
+
+    def _fit(self, candidate: Candidate, start: Pose, tilt: float, blur: float = 0.0) -> Fit | None:
+        """Fit a candidate from a pose to the alternation of the region."""
+        region = candidate.region
+        weights = math.copysign(1.0, candidate.score) * cell_weights(candidate.cells, self._side)
+        self.budget.charge_fits()
+        return fit_near(region.change, region.first.origin, start, weights, tilt, blur)
+
+
+class Detector(_BaseDetector):
+    """Detector of headers in a stream of one frame per pattern."""
+
+    def __init__(
+        self,
+        parameters: SearchParameters,
+        signal: SignalSettings,
+        budget: TokenBucket | None = None,
+        thresholds: DetectorParameters = DetectorParameters(),
+    ):
+        # a header may have 1.2 times the alternation of on-off data, and no more
+        is_ook = signal.modulation == "ook"
+        novelty = NoveltyParameters(min_ratio=1.1, max_ratio=1.1) if is_ook else NoveltyParameters()
+        super().__init__(parameters, signal, budget, novelty)
+        self._thresholds = thresholds
+        # a lit square may belong to anything, a tilted one all the more; corners are off by some px, which is a tilt
+        tilted = (parameters.impaired and not parameters.all_on) or parameters.start is not None
+        self._tilts = (FIT.upright_sigma, FIT.tilted_sigma) if tilted else (FIT.upright_sigma,)
+        # the search for turned headers follows if no upright header is clear: an array in poor sight may resemble both
         turned = headers(ORIENTATIONS[1:])
-        sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
-        self._coarse = tuple(BudgetedSearch(parameters, one, self.budget) for one in sought)
-        self._rolled = self._at_rolls(sought)
-        # data look otherwise to a search that begins with an inverse
-        self._usual = tuple(NoveltyFilter(signal.modulation, signal.packet_patterns / 2) for _ in range(2))
-        self._span = min(self._header, 4)
-        self._frames = FrameWindowBuffer(self._header, self._span, signal.packet_patterns)
+        self._set_headers([ALL_ON] if parameters.all_on else [headers((UPRIGHT,), ORIENTATIONS[1:]), turned])
+        self.buffer = FrameWindowBuffer(self._header, signal.packet_patterns)
 
-    def start(self, period_s: float) -> None:
-        """Begin; the frames are taken to come one per pattern, whatever the period; see `HeaderSearch`."""
+    def _set_headers(self, banks: Sequence[Headers]) -> None:
+        """Prepare the searches: the banks in turn, then for each bank the rolls, in rad."""
+        self._stages = [[(self._search_for(bank), 0.0)] for bank in banks]
+        is_fixed = self._parameters.all_on or self._parameters.start is not None
+        # a turned header rolled one way is another turned header rolled the other way
+        self._rolled_stages = [
+            [
+                (self._search_for(bank), math.radians(roll))
+                for roll in self._parameters.rolls_deg
+                if roll > 0 or len(bank.cells) == IDENTITIES
+            ]
+            for bank in ([] if is_fixed else banks)
+        ]
 
-    def settle(self, orientation: Orientation) -> None:
-        """Look for one orientation alone from now on; see `HeaderSearch`."""
+    def set_orientation(self, orientation: Orientation) -> None:
+        """Search for a single orientation from now on; see `HeaderSearch`."""
         if not self._parameters.all_on:
-            self._coarse = (BudgetedSearch(self._parameters, headers((orientation,)), self.budget),)
-            self._rolled = self._at_rolls((headers((orientation,)),))
+            self._set_headers([headers((orientation,))])
 
-    @property
-    def load(self) -> SearchLoad:
-        """What the searches did and left out so far."""
-        return self.budget.load
-
-    @property
-    def recent(self) -> Sequence[Frame]:
-        """The last frames, oldest first: enough to hold the header of an array just found."""
-        return self._frames.there
-
-    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame; see `HeaderSearch`."""
-        found = list[Detection]()
-        for due in self.due(frame):
-            change, known = self.change(due.slots), [*taken, *(one.fit.pose for one in found)]
-            if change is None:
+    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
+        """Search with the next frame; see `HeaderSearch`."""
+        self.budget.refill()
+        detections = list[Detection]()
+        for slots, with_turned in self.buffer.push(frame):
+            means, known = self.block_means(slots), [*tracked, *(found.fit.pose for found in detections)]
+            if means is None:
                 continue
-            busy, strikes = self.select_blocks(due.slots, change, self.busy(due.slots, change, known))
-            if self.budget.begins(busy, strikes):
-                found += self.search(due.slots, busy, known, due.turned)
-        return found
+            first = first_present(slots)
+            busy, is_novel = self.selector.select(means, self.busy_blocks(means, first, known), first)
+            if self.budget.try_start(busy, is_novel):
+                detections += self.search(slots, busy, known, with_turned)
+        return detections
 
-    def due(self, frame: Frame) -> list[SearchJob]:
-        """Take the next frame; give the last ones as often as they are to be searched now."""
-        if self._earns:
-            self.budget.earn()
-        return self._frames.push(frame)
-
-    def change(self, slots: FrameWindow) -> NDArray[np.float32] | None:
-        """How much alternates in frames to be searched."""
-        header = self._frames.header_of(slots)
+    def block_means(self, slots: FrameWindow) -> Change | None:
+        """Compute the mean alternation of blocks; None if frames are missing or too small."""
+        header = self.buffer.header_of(slots)
         if header is None or min(header[0].pixels.shape) < self._sides[0]:
             return None
         return alternation_means(header)
 
-    def busy(self, slots: FrameWindow, change: NDArray[np.float32], taken: Sequence[Pose]) -> NDArray[np.bool_]:
-        """Where something alternates beside the arrays followed, (blocks down, blocks across)."""
-        first = first_present(slots)
-        parameters = self._parameters
-        return busy_blocks(change, first, taken, self._side, parameters.min_contrast, parameters.everywhere)
+    def regions(self, slots: FrameWindow, busy: Blocks, max_side_px: float) -> list[SearchRegion]:
+        """Return the alternation about busy blocks."""
+        header = self.buffer.header_of(slots)
+        return search_regions(header, busy, max_side_px, alternation_of) if header and busy.any() else []
 
-    def select_blocks(
-        self, slots: FrameWindow, change: NDArray[np.float32], busy: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.bool_], bool]:
-        """Busy blocks but those that are left out to save time; to be asked once for frames."""
-        if not self.budget.bounded:
-            return busy, False
-        first = first_present(slots)
-        usual = self._usual[first.index % 2]
-        if not busy.any():
-            usual.record_quiet()
-            return busy, False
-        novel_blocks, strikes, novelty, waits = usual.novel_blocks(change, first.origin, self.budget.scarcity)
-        searched = self.budget.choose(busy, novel_blocks, novelty, waits)
-        usual.searched(searched)
-        return searched, bool((searched & strikes).any())
-
-    def parts(self, turned: bool) -> int:
-        """Coarse searches of frames."""
-        return len(self._coarse) if turned else 1
-
-    def alternating(self, slots: FrameWindow, busy: NDArray[np.bool_], around_px: float) -> list[NDArray[np.float32]]:
-        """What alternates in frames that are due, where it does."""
-        header = self._frames.header_of(slots)
-        return [one.change for one in search_regions(header, busy, around_px, alternation_of)] if header else []
-
-    def search(
-        self, slots: FrameWindow, busy: NDArray[np.bool_], taken: Sequence[Pose], turned: bool
-    ) -> list[Detection]:
-        """Look for headers in frames."""
-        header = self._frames.header_of(slots)
-        if header is None or not busy.any():
+    def search(self, slots: FrameWindow, busy: Blocks, tracked: Sequence[Pose], with_turned: bool) -> list[Detection]:
+        """Search busy blocks for headers: upright, then turned, then rolled, until an array is clear."""
+        regions = self.regions(slots, busy, self._sides[-1])
+        if not regions:
             return []
-        parts = search_regions(header, busy, self._sides[-1], alternation_of)
-        found = list[Detection]()
-        stages = [[(coarse, 0.0)] for coarse in self._coarse[: self.parts(turned)]]
-        for k, searches in enumerate([*stages, *(self._rolled if turned else ())]):
-            rolled = k >= len(stages)
-            if rolled and not self.budget.ample:
+        detections = list[Detection]()
+        stages = self._stages if with_turned else self._stages[:1]
+        for k, stage in enumerate([*stages, *(self._rolled_stages if with_turned else ())]):
+            is_rolled = k >= len(stages)
+            if is_rolled and not self.budget.is_full:
                 break
             fitted = list[Detection]()
-            for one, part, sought in self._candidates(parts, searches):
-                # what overlaps an array in clear sight would be left out as the less clear one
-                fits = all(not d.clear or apart(one.start, d.fit.pose, self._side) for d in [*found, *fitted])
-                if not fits:
-                    continue
-                if self.budget.fit(one.score):
-                    fitted += self._refine(slots, part, one, sought, taken)
-            if k and self.budget.short:
-                # an upright one may lie in blocks that were left out, and look like a turned one partly hidden
-                fitted = [one for one in fitted if one.clear]
-            # what seems an upright array partly hidden may be a turned one in clear sight
-            # and a rolled one must be in clear sight, as clutter has so many rolls to resemble a header
-            fitted = [d for d in fitted if d.clear or not (found or rolled)]
-            found = distinct([*found, *fitted], self._side)
-            compared = any(coarse.compared for coarse, _ in searches)
-            if (found and all(one.clear for one in found)) or not compared:
+            for candidate in self._candidates(regions, stage):
+                # of overlapping arrays the less clear is dropped
+                known = [found.fit.pose for found in (*detections, *fitted) if found.is_clear]
+                is_free = all(are_disjoint(candidate.start, pose, self._side) for pose in known)
+                if is_free and self.budget.try_fit(candidate.score):
+                    fitted += self._refine(slots, candidate, tracked)
+            if k and self.budget.is_low:
+                # an upright array in a skipped block may look like a turned array partly hidden
+                fitted = [found for found in fitted if found.is_clear]
+            # an apparent upright array partly hidden may be a clear turned array; of so many rolls clutter
+            # resembles some header
+            fitted = [found for found in fitted if found.is_clear or not (detections or is_rolled)]
+            detections = distinct([*detections, *fitted], self._side)
+            has_compared = any(search.has_compared for search, _ in stage)
+            if (detections and all(found.is_clear for found in detections)) or not has_compared:
                 break
-        sized = [one for one in found if is_in_size_range(one.fit, self._parameters, self._side)]
-        if len(sized) < len(found):
-            # one in clear sight that is none of these sizes is looked for on another level
-            self.budget.expect()
-        return sized
+        in_range = [found for found in detections if is_in_size_range(found.fit, self._parameters, self._side)]
+        if len(in_range) < len(detections):
+            # another level searches for a clear array of another size
+            self.budget.expect_array()
+        return in_range
 
     def _candidates(
-        self, parts: Sequence[SearchRegion], searches: Sequence[tuple[BudgetedSearch, float]]
-    ) -> list[tuple[Candidate, SearchRegion, Headers]]:
-        """The best candidates of several searches, each with its part and the headers that it may be."""
-        found = [
-            (one, part, coarse.headers)
-            for coarse, roll in searches
-            for one, part in candidates_of(parts, coarse, self._side, roll)
+        self, regions: Sequence[SearchRegion], stage: Sequence[tuple[BudgetedSearch, float]]
+    ) -> list[Candidate]:
+        """Return the best candidates of the searches of a stage."""
+        candidates = [
+            candidate for search, roll in stage for candidate in find_candidates(regions, search, self._side, roll)
         ]
-        if len(searches) == 1:
-            return found
-        # clutter has so many rolls to resemble a header
-        found = [one for one in found if abs(one[0].score) >= LITTLE_SCORE]
-        return sorted(found, key=lambda one: -abs(one[0].score))[: self._parameters.candidates]
+        if len(stage) == 1:
+            return candidates
+        # of so many rolls clutter resembles some header
+        candidates = [candidate for candidate in candidates if abs(candidate.score) >= self.budget.parameters.min_score]
+        return sorted(candidates, key=lambda candidate: -abs(candidate.score))[: self._parameters.candidates]
 
-    def _at_rolls(self, sought: Sequence[Headers]) -> list[list[tuple[BudgetedSearch, float]]]:
-        """Searches for rolled arrays, each with its roll in rad; none of a pose that was given or of squares."""
-        parameters = self._parameters
-        if parameters.all_on or parameters.start is not None:
+    def _refine(self, slots: FrameWindow, candidate: Candidate, tracked: Sequence[Pose]) -> list[Detection]:
+        """Fit a candidate upright and, if in doubt, tilted; return at most one detection."""
+        thresholds, parameters = self._thresholds, self._parameters
+        if is_tracked(candidate.start, tracked, self._side):
             return []
-        # a turned header that is rolled one way is another turned one, rolled the other way
-        return [
-            [
-                (BudgetedSearch(parameters, one, self.budget), math.radians(roll))
-                for roll in parameters.rolls_deg
-                if roll > 0 or len(one.cells) == IDENTITIES
-            ]
-            for one in sought
-        ]
-
-    def _refine(
-        self,
-        slots: FrameWindow,
-        part: SearchRegion,
-        candidate: Candidate,
-        searched: Headers,
-        taken: Sequence[Pose],
-    ) -> list[Detection]:
-        """Fit a candidate, ask when its header began and whether it alternates in step; one array or none."""
-        start, number, score = candidate
-        weights, blur = cell_weights(searched.cells[number], self._side), self._parameters.blur_px
-        if followed(start, taken, self._side):
-            return []
-        best, least = None, WORTH
+        weights = cell_weights(candidate.cells, self._side)
+        best, min_score = None, thresholds.min_rough_score
         for tilt in self._tilts:
-            self.budget.spend(FIT_WORK)
-            rough = fit_near(
-                part.change, part.first.origin, start, math.copysign(1.0, score) * weights, tilt, HIDING_BLUR
-            )
-            if rough is None or rough.score < least:
+            rough = self._fit(candidate, candidate.start, tilt, FIT.hiding_blur)
+            if rough is None or rough.score < min_score:
                 break
-            if tilt == UPRIGHT_SPREAD and self.budget.short and rough.score < SHORT_WORTH:
-                self.budget.drop()
+            if tilt == FIT.upright_sigma and self.budget.is_low and rough.score < thresholds.min_rough_score_low:
+                self.budget.skip_candidate()
                 break
-            least = self._parameters.coarse_score
-            pose = replace(rough.pose, blur=blur)
-            if start.roll and self._parameters.start is None:
-                pose = self._rolled_pose(part, pose, math.copysign(1.0, score) * weights, tilt)
+            min_score = parameters.coarse_score
+            pose = replace(rough.pose, blur=parameters.blur_px)
+            if candidate.start.roll and parameters.start is None:
+                for _ in range(thresholds.rolled_fits):
+                    rolled = self._fit(candidate, pose, tilt, FIT.hiding_blur)
+                    if rolled is None:
+                        break
+                    pose = replace(rolled.pose, blur=pose.blur)
             begun = find_header_start(slots, pose, weights, self._header)
             if begun is None:
-                # whatever its tilt
+                # at any tilt
                 break
-            found = self._fitted(slots, begun, pose, weights, searched.hypotheses[number], tilt)
-            if found is not None and (best is None or found.score > best.score + GAINED):
+            found = self._detect(slots, begun, pose, weights, candidate.hypotheses, tilt)
+            if found is not None and (best is None or found.score > best.score + thresholds.min_tilt_gain):
                 best = found
-            if best is not None and best.score >= CLEAR:
+            if best is not None and best.score >= FIT.clear_score:
                 break
         return [] if best is None else [best]
 
-    def _rolled_pose(self, part: SearchRegion, pose: Pose, weights: NDArray[np.float64], tilt: float) -> Pose:
-        """Pose of a rolled candidate, by fits that each start from the last one."""
-        for _ in range(ROLLED_FITS):
-            self.budget.spend(FIT_WORK)
-            fit = fit_near(part.change, part.first.origin, pose, weights, tilt, HIDING_BLUR)
-            if fit is None:
-                break
-            pose = replace(fit.pose, blur=pose.blur)
-        return pose
-
-    def _fitted(
+    def _detect(
         self,
         slots: FrameWindow,
         begun: tuple[int, float],
         pose: Pose,
-        weights: NDArray[np.float64],
+        weights: Floats,
         hypotheses: tuple[Hypothesis, ...],
         tilt: float,
     ) -> Detection | None:
-        """The array in just the frames of a header; None where they show none that is convincing."""
-        start, regularity = begun
-        header, there = filled(slots[start : start + self._span]), slots[start : start + self._header]
+        """Fit the frames of a header; None if they show no convincing array."""
+        parameters, thresholds, (start, regularity) = self._parameters, self._thresholds, begun
+        frames = slots[start : start + self._header]
+        header = fill_missing(frames[:4])
         if header is None:
             return None
-        # what is filled in alternates by itself: a pair of data must not pass for a header that is half hidden
-        whole = None not in there
-        if regularity < (self._parameters.regularity if whole else HIDDEN_REGULARITY):
+        # a copy for a missing frame alternates by itself: a pair of data must not pass for a half hidden header
+        is_whole, is_mixed = None not in frames, regularity < thresholds.min_level_regularity
+        if regularity < (parameters.regularity if is_whole else FIT.min_hidden_regularity):
             return None
-        if regularity < MIXED and tilt == UPRIGHT_SPREAD:
-            pose, tilt = replace(pose, stretch=0.0, shear=0.0), LEVEL_SPREAD
-        self.budget.spend(FIT_WORK)
-        even = self._parameters.impaired and whole and regularity >= HIDDEN_REGULARITY
-        fit, led_gains, level = fit_header(header, pose, weights, tilt, self._parameters.score, even)
-        least = HIDDEN_SCORE if level and led_gains.all() else self._parameters.score
-        if fit is not None and tilt > UPRIGHT_SPREAD and regularity < MIXED and _tilt(fit.pose) < LEAST_TURN:
+        if is_mixed and tilt == FIT.upright_sigma:
+            pose, tilt = replace(pose, stretch=0.0, shear=0.0), FIT.level_sigma
+        self.budget.charge_fits()
+        is_even = parameters.impaired and is_whole and regularity >= FIT.min_hidden_regularity
+        fit, led_gains, is_level = fit_header(header, pose, weights, tilt, parameters.score, is_even)
+        if fit is None or not is_plausible(fit, parameters, header[0].full_scale):
             return None
-        if fit is None or not self._convincing(fit, least if whole else CLEAR, header[0].full_scale):
+        fitted_tilt = math.hypot(fit.pose.stretch, fit.pose.shear)
+        if is_mixed and tilt > FIT.upright_sigma and fitted_tilt < thresholds.min_tilt:
             return None
-        start_s, middle = self._start_s(there), 0.5 * (header[0].time_s + header[-1].time_s)
-        (number, seen_as), *others = hypotheses
-        found = Detection(number, start_s, fit, middle, fit.score, regularity, led_gains, seen_as, tuple(others))
-        if not is_in_size_range(fit, self._parameters, self._side):
+        min_score = thresholds.min_post_score if is_level and led_gains.all() else parameters.score
+        if fit.score < (min_score if is_whole else FIT.clear_score):
+            return None
+        is_in_range = is_in_size_range(fit, parameters, self._side)
+        if not is_in_range and fit.score < FIT.clear_score:
+            return None
+        first, frame = next((k, frame) for k, frame in enumerate(frames) if frame is not None)
+        start_s, time_s = frame.time_s - first * self._period_s, 0.5 * (header[0].time_s + header[-1].time_s)
+        (identity, orientation), *others = hypotheses
+        found = Detection(identity, start_s, fit, time_s, fit.score, regularity, led_gains, orientation, tuple(others))
+        if not is_in_range:
             return found
-        if None not in there[:2] and self._parameters.impaired and self._span > 2:
-            fit, header = fit_first_pair(header, fit, led_gains * weights, LEVEL_SPREAD if level else tilt)
-        # its drift is fitted too, and the header once more
-        self.budget.spend(2 * FIT_WORK)
-        middle = 0.5 * (header[0].time_s + header[-1].time_s)
-        frames = [frame for frame in there if frame is not None]
-        drift = drift_of(frames, fit.pose, middle, led_gains * weights, self._period_s)
-        moved = drift[0] * self._period_s, drift[1] * self._period_s
-        fit = fit_moving(header, fit, led_gains * weights, LEVEL_SPREAD if level else tilt, moved)
-        return replace(found, fit=fit, time_s=middle, score=fit.score, drift=drift)
-
-    def _start_s(self, header: FrameWindow) -> float:
-        """Time of a header's first frame, by the first that is there."""
-        first, frame = next((k, frame) for k, frame in enumerate(header) if frame is not None)
-        return frame.time_s - first * self._period_s
-
-    def _convincing(self, fit: Fit, least: float, full_scale: int) -> bool:
-        sized = fit.score >= CLEAR or is_in_size_range(fit, self._parameters, self._side)
-        return sized and plausible(fit, self._parameters, full_scale) and fit.score >= least
+        tilt = FIT.level_sigma if is_level else tilt
+        if None not in frames[:2] and parameters.impaired and len(header) > 2:
+            fit, header = fit_first_pair(header, fit, led_gains * weights, tilt)
+        # the drift is fitted too, and the header with the smear
+        self.budget.charge_fits(2)
+        time_s = 0.5 * (header[0].time_s + header[-1].time_s)
+        present = [frame for frame in frames if frame is not None]
+        drift = estimate_drift(present, fit.pose, time_s, led_gains * weights, self._period_s)
+        fit = fit_moving(header, fit, led_gains * weights, tilt, (drift[0] * self._period_s, drift[1] * self._period_s))
+        return replace(found, fit=fit, time_s=time_s, score=fit.score, drift=drift)
 
 
-def _tilt(pose: Pose) -> float:
-    """Stretch and shear together."""
-    return math.hypot(pose.stretch, pose.shear)
+class HalfPeriodDetector(_BaseDetector):
+    """Detector of headers half a pattern out of step, in a stream of one frame per pattern; it does not refill."""
 
-
-QUIET = 0.3
-"""Most that changes within a header, as a fraction of what changes over it.
-
-A camera out of step by x T_b sees |1 - 2 x| of the header change within it. Of one header at each of 30, 50 and 90 m
-`HalfPeriodDetector` found all where |1 - 2 x| was 0.2 or less, and `Detector` all, once each, from 0.12 on.
-Frames of data change as much from one to the next as over N patterns. Of noise alone it would be 0.45 for N = 4.
-"""
-
-DATA_SCORE = 0.78
-"""What the light of data leaves of the correlation with a header.
-
-Of resolved LEDs it is 1 / sqrt(1 + 2 * 0.36 / 16 / 0.25) = 0.92: levels of data cut at 2 have the variance 0.36, and
-two of them, 1/4 each, stand beside a header of +-1/2. Of far arrays the high layer alone is left of the data, and
-weighs more: eight headers scored 0.85 to 0.86 at 25 m, 0.88 to 0.90 at 50 m, 0.86 at 100 m and 0.76 to 0.82 at 130 m.
-"""
-
-
-STRADDLED_SURGE, STRADDLED_BLOCKS = 1.3, 3
-"""Least that changes over a header, in parts of what usually does over as many patterns of data; and the blocks of a
-side over which that is asked.
-
-Of patterns p, q and so on, 0 to 1, and two header pairs, what changes over them is q - p + s - t where the first frame
-shows the end of an inverse, as that of a header does, and 2 (2 q - p - s) where it shows an inverse's beginning. So
-each of the two is compared with its own. A header with data about it is 2 - p - q. In the mean that is 1.8 times what
-changes over data of five even levels, 2.6 times of levels as the Haar transform has them, and 1.3 times of data that
-are on or off. Of 200 headers that were found, 12 to 150 m away and 0.38 to 0.62 patterns out of step, the least had
-1.38, and that 100 m away; of blocks of data that were quiet 3 to 13 % had 1.3. Data on or off were not measured: no
-receiver reads them out of step.
-"""
-
-
-SHARE = 0.25
-"""Share of the work of one search that a search half a pattern out of step may do, as it comes twice as often."""
-
-LIT_WITHIN, UNEVEN_WITHIN, HIDDEN_CELLS = 0.3, 0.5, 3
-"""Least light of a cell in the frames within a header and largest difference of two cells, relative to the light of the
-array with all LEDs on; and the number of extreme cells ignored at either end. Each LED is lit for half of such a frame.
-Lamps that change before and after are uneven within, and mostly dark."""
-
-
-class HalfPeriodDetector:
-    """Looks for headers whose frames straddle two patterns each, in a stream of one frame per pattern."""
-
-    def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
-        self._parameters, self._side = parameters, signal.side
-        self._light_s = signal.pattern_period_s
-        self._header = 2 * signal.header_pairs
-        self._sides = parameters.sides()
-        # turned ones are looked for only once the camera is known to see them so
-        upright = headers((UPRIGHT,), ORIENTATIONS[1:])
-        self._budget, self._earns = budget or Budget(parameters.cpu_share, signal.pattern_period_s), budget is None
-        self._coarse = BudgetedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
-        self._usual = tuple(RunningBaseline(STRADDLED_BLOCKS, signal.packet_patterns / 2) for _ in range(2))
+    def __init__(
+        self,
+        parameters: SearchParameters,
+        signal: SignalSettings,
+        budget: TokenBucket | None = None,
+        thresholds: HalfPeriodParameters = HalfPeriodParameters(),
+    ):
+        ratio, window = thresholds.min_novelty, thresholds.novelty_window
+        novelty = NoveltyParameters(min_ratio=ratio, max_ratio=ratio, window=window, repeats=False)
+        super().__init__(parameters, signal, budget, novelty)
+        self._thresholds = thresholds
+        # turned headers are searched for once the orientation is known
+        self._search = self._search_for(ALL_ON if parameters.all_on else headers((UPRIGHT,), ORIENTATIONS[1:]))
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
 
-    @property
-    def load(self) -> SearchLoad:
-        """What the searches did and left out so far."""
-        return self._budget.load
-
-    def settle(self, orientation: Orientation) -> None:
-        """Look for one orientation alone from now on; see `HeaderSearch`."""
+    def set_orientation(self, orientation: Orientation) -> None:
+        """Search for a single orientation from now on; see `HeaderSearch`."""
         if not self._parameters.all_on:
-            self._coarse = BudgetedSearch(self._parameters, headers((orientation,)), self._budget)
+            self._search = self._search_for(headers((orientation,)))
 
-    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame; see `HeaderSearch`."""
-        if self._earns:
-            self._budget.earn()
-        if self._frames and not (alike(self._frames[-1], frame) and frame.index == self._frames[-1].index + 1):
+    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
+        """Search with the next frame; see `HeaderSearch`."""
+        last = self._frames[-1] if self._frames else None
+        if last is not None and not (have_same_format(last, frame) and frame.index == last.index + 1):
             self._frames.clear()
         self._frames.append(frame)
         if len(self._frames) <= self._header:
             return []
-        frames = common(list(self._frames))
+        frames, thresholds = common(list(self._frames)), self._thresholds
         if min(frames[0].pixels.shape) < self._sides[0]:
             return []
-        # 2 (r_0 - w r_1 + w r_(N-1) - r_N), w = N / (N - 2): the header less its inverse, its levels being +-1/2
+        # 2 (r_0 - w r_1 + w r_(N-1) - r_N), w = N / (N - 2): the header less the inverse, with levels of +-1/2
         ends, weight = [frames[k] for k in (0, 1, -2, -1)], 2 * self._header / (self._header - 2)
         weights = (2.0, -weight, weight, -2.0)
-        means = combined_means(ends, weights)
-        busy = busy_blocks(
-            means, frames[0], taken, self._side, self._parameters.min_contrast, self._parameters.everywhere
-        )
-        usual = self._usual[frames[0].index % 2]
-        if not busy.any():
-            usual.record_quiet()
+        means = alternation_means(ends, weights)
+        busy = eligible = self.busy_blocks(means, frames[0], tracked)
+        if busy.any():
+            # the means are twice the change
+            within = alternation_means(frames[1:3])
+            eligible = busy & (within < 0.5 * thresholds.max_quiet * means)
+        chosen, _ = self.selector.select(means, busy, frames[0], eligible, thresholds.work_share)
+        if not busy.any() or not self.budget.try_start(chosen, share=thresholds.work_share):
             return []
-        within = combined_means([*frames[1:3], *frames[1:3]], DIFFERENCE)
-        # the latter are of twice what changes
-        quiet = within < 0.5 * QUIET * means
-        if self._budget.bounded:
-            now, _, early, waits = usual.novelty_of(means, frames[0].origin)
-            busy = self._budget.choose(busy & quiet, (now > STRADDLED_SURGE) | early, now, waits, SHARE)
-            usual.searched(busy)
-        else:
-            busy &= quiet
-        if not self._budget.begins(busy, share=SHARE):
-            return []
-        parts = search_regions(ends, busy, self._sides[-1], lambda part: combined(part, weights))
-        found = list[Detection | None]()
-        for one, part in candidates_of(parts, self._coarse, self._side):
-            if one.score > 0 and self._budget.fit():
-                found.append(self._fit(frames, part, one, taken))
-        return distinct([one for one in found if one is not None], self._side)
+        regions = search_regions(ends, chosen, self._sides[-1], lambda part: alternation_of(part, weights))
+        detections = [
+            self._detect(frames, candidate)
+            for candidate in find_candidates(regions, self._search, self._side)
+            if candidate.score > 0 and self.budget.try_fit() and not is_tracked(candidate.start, tracked, self._side)
+        ]
+        return distinct([found for found in detections if found is not None], self._side)
 
-    def _fit(
-        self,
-        frames: Sequence[Frame],
-        part: SearchRegion,
-        candidate: Candidate,
-        taken: Sequence[Pose],
-    ) -> Detection | None:
-        """Fit a candidate's pose; its start is that of the first frame and half a pattern."""
-        (start, number, _), parameters, sought = candidate, self._parameters, self._coarse.headers
-        weights = cell_weights(sought.cells[number], self._side)
-        if followed(start, taken, self._side):
+    def _detect(self, frames: Sequence[Frame], candidate: Candidate) -> Detection | None:
+        """Fit a candidate as level, as the light of data looks like a tilt; None if it is not convincing."""
+        parameters = self._parameters
+        fit = self._fit(candidate, candidate.start, FIT.level_sigma)
+        if fit is None or fit.score < self._thresholds.data_score * parameters.score:
             return None
-        self._budget.spend(FIT_WORK)
-        fit = fit_near(part.change, part.first.origin, start, weights, LEVEL_SPREAD)
-        if fit is None or fit.score < DATA_SCORE * parameters.score:
+        if not is_plausible(fit, parameters, frames[0].full_scale) or not is_in_size_range(fit, parameters, self._side):
             return None
-        if not (plausible(fit, parameters, frames[0].full_scale) and is_in_size_range(fit, parameters, self._side)):
+        weights = cell_weights(candidate.cells, self._side)
+        # amplitudes over the beginning and the end, less the mean within
+        amplitudes = header_amplitudes(frames, fit.pose, weights)
+        ends = np.array([1, -1]) * (amplitudes[[0, -1]] - amplitudes[1:-1].mean())
+        regularity = float(ends.min() / ends.mean()) if ends.mean() > 0 else 0.0
+        if regularity < parameters.regularity or not self._is_lit_within(frames, fit):
             return None
-        regularity = self._regularity(frames, fit, weights)
-        if regularity < parameters.regularity or not self._lit_within(frames, fit):
-            return None
-        time_s = 0.5 * (frames[0].time_s + frames[-1].time_s)
-        start_s = frames[0].time_s + 0.5 * self._light_s
-        (identity, seen_as), *others = sought.hypotheses[number]
+        time_s, start_s = 0.5 * (frames[0].time_s + frames[-1].time_s), frames[0].time_s + 0.5 * self._period_s
+        (identity, orientation), *others = candidate.hypotheses
         sound = np.ones(weights.shape)
-        return Detection(identity, start_s, fit, time_s, fit.score, regularity, sound, seen_as, tuple(others))
+        return Detection(identity, start_s, fit, time_s, fit.score, regularity, sound, orientation, tuple(others))
 
-    def _lit_within(self, frames: Sequence[Frame], fit: Fit) -> bool:
-        """True if the frames within the header show the array evenly lit."""
-        self._budget.spend(FIT_WORK)
-        window = window_around(fit.pose, self._side, CANDIDATE_MARGIN_PX)
+    def _is_lit_within(self, frames: Sequence[Frame], fit: Fit) -> bool:
+        """Return True if the frames within the header show the array evenly lit."""
+        self.budget.charge_fits()
+        window, thresholds = window_around(fit.pose, self._side, FIT.margin_px), self._thresholds
         cutouts = [cut_out(frame, window) for frame in frames[1:-1]]
-        seen = np.asarray(np.mean(cutouts, axis=0, dtype=np.float32))
-        light = np.sort(cell_light(seen, window[:2], fit.pose, np.ones((self._side, self._side))))
-        low, high = light[HIDDEN_CELLS], light[-1 - HIDDEN_CELLS]
-        return bool(low >= LIT_WITHIN * fit.gain and high - low <= UNEVEN_WITHIN * fit.gain)
-
-    def _regularity(self, frames: Sequence[Frame], fit: Fit, weights: NDArray[np.float64]) -> float:
-        """Weaker over mean amplitude of the frames over the beginning and the end, about the mean of those within."""
-        seen = header_amplitudes(frames, fit.pose, weights)
-        ends = np.array([1, -1]) * (seen[[0, -1]] - seen[1:-1].mean())
-        return float(ends.min() / ends.mean()) if ends.mean() > 0 else 0.0
+        image = np.asarray(np.mean(cutouts, axis=0, dtype=np.float32))
+        light = np.sort(measure_cells(image, window[:2], fit.pose, np.ones((self._side, self._side))))
+        low, high = light[thresholds.ignored_cells], light[-1 - thresholds.ignored_cells]
+        is_even = high - low <= thresholds.max_light_difference * fit.gain
+        return bool(low >= thresholds.min_light * fit.gain and is_even)

@@ -1,9 +1,7 @@
-"""The header in a pair of frames: its luminances, and how much of it the pair shows.
+"""Headers of all identities and orientations, and the amplitude of a header in a pair of frames.
 
-What a header may mean: an identity, and how the camera sees the array.
-
-A header that is turned or mirrored may be the header of another identity, upright or turned otherwise. Only what the
-array sends tells them apart: its blocks name the identity and have a CRC.
+A turned or mirrored header may equal the header of another identity. The blocks of a packet name the identity and have
+a CRC, so the data resolve the ambiguity.
 """
 
 from collections import defaultdict
@@ -12,10 +10,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.detect.alternation import APART_SIDES, TURNED_APART_SIDES
+from heliograph.receive.detect.alternation import COARSE
 from heliograph.receive.geometry.fit import header_amplitudes
 from heliograph.receive.geometry.pose import Orientation, Pose
 from heliograph.receive.sync.combine import Combination
@@ -24,57 +21,57 @@ from heliograph.signal.header import IDENTITIES, dimmed_leds, header_cells, head
 
 
 def header_weights(identity: int, form: int, side: int, combination: Combination | None = None) -> Floats:
-    """Luminances of a header less its inverse, (n, n): +-1, or +-1/2 where cells are dimmed."""
+    """Return luminances of a header less the inverse, (n, n): +-1, or +-1/2 in dimmed cells."""
     if combination is None:
-        # a kernel would be compiled anew for what is not writeable
-        return _in_step(identity, form, side).copy()
+        # a kernel would be compiled again for a read-only array
+        return _synchronous_weights(identity, form, side).copy()
     signs = header_levels(identity, side) / 2.0 - 1.0
     contrast, light = combination.dimmed
     return np.where(dimmed_leds(form, side), contrast * signs + light, signs)
 
 
 def header_score(pair: FramePair, pose: Pose, weights: Floats, gain: float) -> float:
-    """Amplitude of a header as a fraction of the array's light; about 1."""
+    """Return the amplitude of a header over the array's light, about 1."""
     up, down = header_amplitudes((pair.pattern, pair.inverted), pose, weights)
     return float(up - down) / max(gain, TINY)
 
 
-@lru_cache(maxsize=64)  # an array's headers are alike
-def _in_step(identity: int, form: int, side: int) -> Floats:
-    """`header_weights` of two frames in step, not writeable."""
+@lru_cache(maxsize=64)  # an array repeats the header
+def _synchronous_weights(identity: int, form: int, side: int) -> Floats:
+    """Return `header_weights` of two frames in step, read-only."""
     weights = signalling_levels(identity, form, side) / 2.0 - 1.0
     weights.setflags(write=False)
     return weights
 
 
 Hypothesis = tuple[int, Orientation]
-"""Identity of an array, and how the camera sees it."""
+"""Identity of an array, and the orientation in the camera's image."""
 
 
 @dataclass(frozen=True, slots=True)
 class Headers:
-    """Headers looked for."""
+    """Set of different headers."""
 
-    # (headers, 16) of +-1, as the camera sees them; no two are the same
-    cells: NDArray[np.float64]
-    # What each may mean, the most plausible first
+    # (headers, 16) of +-1, as the camera sees them
+    cells: Floats
+    # Identities and orientations of each header, the most plausible first
     hypotheses: tuple[tuple[Hypothesis, ...], ...]
-    # Least distance of two candidates as a fraction of the side; see `coarse_search`
-    apart: float = APART_SIDES
+    # Least distance of two candidates as a fraction of the side
+    min_distance: float = COARSE.min_distance
 
 
 ALL_ON = Headers(np.ones((1, 16)), (((0, Orientation()),),))
-"""A square that blinks as a whole, without an identity."""
+"""Blinking square with no identity."""
 
 
 @lru_cache
 def headers(orientations: Sequence[Orientation], other: Sequence[Orientation] = ()) -> Headers:
-    """Headers of all identities as a camera sees them."""
-    seen: dict[bytes, list[Hypothesis]] = defaultdict(list)
+    """Return the headers of all identities in some orientations; `other` orientations add hypotheses alone."""
+    hypotheses: dict[bytes, list[Hypothesis]] = defaultdict(list)
     for orientation in (*orientations, *other):
         for number in range(IDENTITIES):
-            seen[orientation.turned(header_cells(number)).tobytes()].append((number, orientation))
-    kept = {cells: hypotheses for cells, hypotheses in seen.items() if hypotheses[0][1] in orientations}
-    cells = np.array([np.frombuffer(one, np.int8) for one in kept], np.float64)
-    apart = APART_SIDES if len(orientations) == 1 else TURNED_APART_SIDES
-    return Headers(cells, tuple(map(tuple, kept.values())), apart)
+            hypotheses[orientation.turned(header_cells(number)).tobytes()].append((number, orientation))
+    kept = {cells: meanings for cells, meanings in hypotheses.items() if meanings[0][1] in orientations}
+    cells = np.array([np.frombuffer(header, np.int8) for header in kept], np.float64)
+    min_distance = COARSE.min_distance if len(orientations) == 1 else COARSE.min_distance_turned
+    return Headers(cells, tuple(map(tuple, kept.values())), min_distance)

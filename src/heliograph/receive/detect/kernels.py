@@ -1,4 +1,4 @@
-"""Hot loops of the detector; `reference.py` holds the same in plain NumPy, and a test holds the two together."""
+"""Compiled loops of the detector; `tests/oracles/detect_oracle.py` is the reference in plain NumPy."""
 
 import math
 
@@ -8,23 +8,15 @@ from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
 
 BLOCK_PX = 8
-"""Pixels of a side of the blocks in which the search first asks whether anything alternates: the smallest array."""
+"""Pixels of a side of a block: the smallest array."""
 
-BOXES_WORK, EXACT_WORK, CELLS_WORK = 2, 8, 15
-"""Work of two sums over the whole pixels of a place, of its exact sums, and of summing its cells. The unit is one place
-compared; that takes 6 ns on the machine measured on."""
-
-HEADERS_AT_ONCE = 4
-"""Headers that a place is correlated with in the time of looking at one."""
-
-
-SINGLE = 1e-5
-"""What single precision may take from a product of 16 numbers, and more, as a fraction of it."""
+SINGLE_ERROR = 1e-5
+"""Largest relative error of a product of 16 numbers in single precision, with a margin."""
 
 
 @compiled(fastmath=True)
 def combined(f0, f1, f2, f3, weights, out):
-    """Weighted sum of four frames."""
+    """Compute the weighted sum of four frames."""
     w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
     for i in range(out.shape[0]):
         a, b, c, d, o = f0[i], f1[i], f2[i], f3[i], out[i]
@@ -34,7 +26,7 @@ def combined(f0, f1, f2, f3, weights, out):
 
 @compiled(fastmath=True)
 def combined_means(f0, f1, f2, f3, weights, size, out):
-    """Mean magnitude over blocks of a weighted sum of four frames, which is not written down."""
+    """Compute the mean magnitude of a weighted sum of four frames over blocks."""
     rows, cols = f0.shape
     w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
     sums = np.empty(out.shape[1] * size, np.float32)
@@ -55,7 +47,7 @@ def combined_means(f0, f1, f2, f3, weights, size, out):
 
 @compiled()
 def integer_means(f0, f1, f2, f3, outer, inner, scale, out):
-    """`combined_means` over blocks of `BLOCK_PX` of a (f0 - f3) + b (f1 - f2) of frames of 8 bits, in 16 bits."""
+    """Compute `combined_means` of a (f0 - f3) + b (f1 - f2) in 16 bits, of frames of 8 bits."""
     rows, cols = f0.shape
     sums = np.empty(out.shape[1] * BLOCK_PX, np.uint16)
     for bi in range(out.shape[0]):
@@ -63,12 +55,12 @@ def integer_means(f0, f1, f2, f3, outer, inner, scale, out):
         for i in range(bi * BLOCK_PX, min(bi * BLOCK_PX + BLOCK_PX, rows)):
             a, b, c, d = f0[i], f1[i], f2[i], f3[i]
             for j in range(cols):
-                # each step is told its type: Numba would go on in 64 bits
+                # explicit types, or Numba computes in 64 bits
                 ends, within = np.int16(np.int16(a[j]) - np.int16(d[j])), np.int16(np.int16(b[j]) - np.int16(c[j]))
-                whole = np.int16(np.int16(outer * ends) + np.int16(inner * within))
-                sums[j] = np.uint16(sums[j] + np.uint16(np.int16(-whole) if whole < 0 else whole))
+                change = np.int16(np.int16(outer * ends) + np.int16(inner * within))
+                sums[j] = np.uint16(sums[j] + np.uint16(np.int16(-change) if change < 0 else change))
         for bj in range(out.shape[1]):
-            # so many columns, known to the compiler, are added at once
+            # the compiler knows the number of columns
             total = np.uint32(0)
             for j in range(BLOCK_PX):
                 total = np.uint32(total + np.uint32(sums[bj * BLOCK_PX + j]))
@@ -76,42 +68,8 @@ def integer_means(f0, f1, f2, f3, outer, inner, scale, out):
 
 
 @compiled()
-def middle_of_busy(means, spans, blank, busy, least, left):
-    """Blank the blocks of arrays that are followed, and tell whether the others may be busy."""
-    rows, columns = means.shape
-    for i in range(rows):
-        for j in range(columns):
-            left[i, j] = means[i, j]
-    for k in range(spans.shape[0]):
-        for i in range(spans[k, 0], min(spans[k, 2], rows)):
-            for j in range(spans[k, 1], min(spans[k, 3], columns)):
-                left[i, j] = blank
-    # the most of each column first, of many at once
-    tops, blanked = np.zeros(columns, np.float32), 0
-    for i in range(rows):
-        for j in range(columns):
-            tops[j] = left[i, j] if left[i, j] > tops[j] else tops[j]
-    most = np.float32(0.0)
-    for j in range(columns):
-        most = max(most, tops[j])
-    if most <= least:
-        return -1, True
-    for i in range(rows):
-        for j in range(columns):
-            blanked += left[i, j] == blank
-    # those blanked come first
-    middle, below, still = blanked + (rows * columns - blanked) // 2, 0, 0
-    for i in range(rows):
-        for j in range(columns):
-            below += left[i, j] < most / np.float32(busy)
-            still += left[i, j] < least / busy
-    # half of the blocks have more than most / busy, so none has more than busy times the median
-    return middle if below > middle else -1, still > middle
-
-
-@compiled()
 def _corner(integral, y, x):
-    """Integral image between its grid points."""
+    """Interpolate an integral image."""
     i, j = int(y), int(x)
     fy, fx = y - i, x - j
     top = integral[i, j] + fx * (integral[i, j + 1] - integral[i, j])
@@ -121,6 +79,7 @@ def _corner(integral, y, x):
 
 @compiled()
 def _box(integral, y, x, height, width):
+    """Sum over a box."""
     return (
         _corner(integral, y + height, x + width)
         - _corner(integral, y, x + width)
@@ -131,19 +90,19 @@ def _box(integral, y, x, height, width):
 
 @compiled()
 def _to_grid(start, step):
-    """How far the next multiple of a step is from a start."""
+    """Return the distance from a start to the next multiple of a step."""
     return math.ceil(start / step - TINY) * step - start
 
 
 @compiled()
 def _first_place(first, step, least):
-    """First place of a grid from `least` on."""
+    """Return the first place of a grid from `least` on."""
     return first + step * max(0.0, math.ceil((least - first) / step - TINY))
 
 
 @compiled()
 def _outer_box(integral, y, x, height, width):
-    """Sum over the whole pixels that a box touches, as far as the image goes."""
+    """Sum over the touched pixels of a box within the image."""
     top, low = max(0, math.floor(y)), min(integral.shape[0] - 1, math.ceil(y + height))
     left, right = max(0, math.floor(x)), min(integral.shape[1] - 1, math.ceil(x + width))
     return integral[low, right] - integral[top, right] - integral[low, left] + integral[top, left]
@@ -151,7 +110,7 @@ def _outer_box(integral, y, x, height, width):
 
 @compiled()
 def _inner_box(integral, y, x, height, width):
-    """Sum over the whole pixels that lie within a box."""
+    """Sum over the pixels within a box."""
     top, low = math.ceil(y), math.floor(y + height)
     left, right = math.ceil(x), math.floor(x + width)
     return integral[low, right] - integral[top, right] - integral[low, left] + integral[top, left]
@@ -159,7 +118,7 @@ def _inner_box(integral, y, x, height, width):
 
 @compiled(fastmath=True)
 def _cell_sums(integral, y, x, cell, columns, rows, sums):
-    """Sums over 4 x 4 cells, row by row; returns the sum of their squares. (5,) columns, (3, 5) rows are to work in."""
+    """Sum over 4 x 4 cells, row by row; return the sum of squares. (5,) columns, (3, 5) rows are working memory."""
     parts, above, below = rows[0], rows[1], rows[2]
     # neighbouring cells share their corners
     for j in range(5):
@@ -185,14 +144,14 @@ def _cell_sums(integral, y, x, cell, columns, rows, sums):
 
 
 @compiled(fastmath=True)
-def _most_alike(columns, sums, dots):
-    """Products of 16 sums with (16, headers) cells, all at once in single precision; returns the largest magnitude."""
+def _max_product(columns, sums, dots):
+    """Multiply 16 sums with (16, headers) cells in single precision; return the largest magnitude."""
     for t in range(dots.size):
         dots[t] = np.float32(0.0)
     for i in range(16):
-        one, row = np.float32(sums[i]), columns[i]
+        value, row = np.float32(sums[i]), columns[i]
         for t in range(dots.size):
-            dots[t] += one * row[t]
+            dots[t] += value * row[t]
     most = np.float32(0.0)
     for t in range(dots.size):
         most = max(most, abs(dots[t]))
@@ -208,24 +167,24 @@ def search(
     sides,
     contrast,
     threshold,
-    one_sided,
+    max_imbalance,
     ring_width,
     grid,
-    apart,
+    min_distance,
     corner,
     begin,
     limit,
     best,
 ):
-    """Correlate what alternates with all headers over scale and position."""
+    """Correlate an alternation with all headers over scale and position; return counts, and candidates in `best`."""
     total, magnitude, square = integrals[0], integrals[1], integrals[2]
     rows, cols = total.shape[0] - 1, total.shape[1] - 1
-    columns, room = (
-        np.ascontiguousarray(cells.T).astype(np.float32),
-        (np.empty(5, np.int64), np.empty((3, 5)), np.empty(16)),
-    )
+    columns = np.ascontiguousarray(cells.T).astype(np.float32)
+    memory = np.empty(5, np.int64), np.empty((3, 5)), np.empty(16)
     dots = np.empty(cells.shape[0], np.float32)
     found = np.int64(0)  # of a plain 0 a second `_keep` would be compiled
+    # in places compared, 6 ns each: sums over pixels, exact sums, and sums over cells
+    pixels_work, exact_work, cells_work, headers_per_place = 2, 8, 15, 4
     work = passed = compared = 0
     while passed < busy.size and work < limit:
         down, across = divmod((begin + passed) % busy.size, busy.shape[1])
@@ -235,7 +194,7 @@ def search(
             step = max(1.0, grid * side)
             ring = ring_width * side
             whole, least = side + 2 * ring, contrast * contrast * side * side
-            filled = (1.0 - SINGLE) * (threshold * side) ** 2
+            filled = (1.0 - SINGLE_ERROR) * (threshold * side) ** 2
             # where places are dense, a quarter of the block at a time
             parts = 2 if 4 * step < block else 1
             part = block / parts
@@ -249,42 +208,39 @@ def search(
                     x = _first_place(ring + _to_grid(corner[0], step), step, left - 0.5 * side)
                     while x + side + ring < cols - 1 and x + 0.5 * side < left + part:
                         work += 1
-                        # whole pixels are summed faster: those that it touches have no less energy, and
-                        # |<D, T>| <= sum |D| is below the threshold where small lamps fill a part of the place
+                        # sums over pixels are faster: touched pixels bound the energy, and |<D, T>| <= sum |D| is
+                        # below the threshold where small lamps fill a part of the place
                         touched = _outer_box(square, y - ring, x - ring, whole, whole) >= least
-                        work += BOXES_WORK if touched else 0
+                        work += pixels_work if touched else 0
                         if touched:
                             most = _outer_box(magnitude, y, x, side, side)
                             touched = most * most >= filled * _inner_box(square, y - ring, x - ring, whole, whole)
                         if touched:
-                            place = y, x, side, ring
-                            found, seen = _look(
+                            found, stages = _compare(
                                 (total, magnitude, square),
                                 cells,
                                 columns,
                                 dots,
-                                place,
-                                least,
-                                threshold,
-                                one_sided,
-                                apart,
+                                (y, x, side, ring),
+                                (least, threshold, max_imbalance, min_distance),
                                 best,
                                 found,
-                                room,
+                                memory,
                             )
-                            work += EXACT_WORK
-                            work += CELLS_WORK if seen > 0 else 0
-                            work += cells.shape[0] // HEADERS_AT_ONCE if seen > 1 else 0
-                            compared += seen > 1
+                            work += exact_work
+                            work += cells_work if stages > 0 else 0
+                            work += cells.shape[0] // headers_per_place if stages > 1 else 0
+                            compared += stages > 1
                         x += step
                     y += step
     return found, work, passed, compared
 
 
 @compiled(inline="always")
-def _look(integrals, cells, columns, dots, place, least, threshold, one_sided, apart, best, found, room):
-    """Keep what lies in a square as a candidate for each header that it resembles."""
-    (total, magnitude, square), (y, x, side, ring), (corners, rows, sums) = integrals, place, room
+def _compare(integrals, cells, columns, dots, place, limits, best, found, memory):
+    """Keep a square as a candidate for each similar header; return the number of passed stages too."""
+    (total, magnitude, square), (y, x, side, ring), (corners, rows, sums) = integrals, place, memory
+    least, threshold, max_imbalance, min_distance = limits
     energy = _box(square, y - ring, x - ring, side + 2 * ring, side + 2 * ring)
     if energy < least:
         return found, 0
@@ -292,27 +248,27 @@ def _look(integrals, cells, columns, dots, place, least, threshold, one_sided, a
     bound = threshold * size
     # |<D, T>| <= sum |D| and |T| |D| = side sqrt(energy): lamps fill too little of a larger square
     whole = _box(magnitude, y, x, side, side)
-    if whole < (1.0 - SINGLE) * bound or abs(_box(total, y, x, side, side)) > one_sided * whole:
+    if whole < (1.0 - SINGLE_ERROR) * bound or abs(_box(total, y, x, side, side)) > max_imbalance * whole:
         return found, 0
     # |<D, T>| <= |sums| 4
     if 16.0 * _cell_sums(total, y, x, side / 4.0, corners, rows, sums) < bound * bound:
         return found, 1
-    if _most_alike(columns, sums, dots) >= (1.0 - SINGLE) * bound:
+    if _max_product(columns, sums, dots) >= (1.0 - SINGLE_ERROR) * bound:
         for t in range(cells.shape[0]):
             dot = 0.0
             for i in range(16):
                 dot += cells[t, i] * sums[i]
             if abs(dot) >= bound:
-                found = _keep(best, found, apart, dot / size, x + 0.5 * side, y + 0.5 * side, side, t)
+                found = _keep(best, found, min_distance, dot / size, x + 0.5 * side, y + 0.5 * side, side, t)
     return found, 2
 
 
 @compiled()
-def _keep(best, found, apart, score, x, y, side, identity):
-    """Insert a candidate unless a better one lies on the same place; drop worse ones there."""
+def _keep(best, found, min_distance, score, x, y, side, header):
+    """Insert a candidate unless a better candidate lies on the same place; drop worse candidates there."""
     i = 0
     while i < found:
-        reach = apart * max(side, best[i, 3])
+        reach = min_distance * max(side, best[i, 3])
         if abs(best[i, 1] - x) < reach and abs(best[i, 2] - y) < reach:
             if abs(best[i, 0]) >= abs(score):
                 return found
@@ -329,12 +285,12 @@ def _keep(best, found, apart, score, x, y, side, identity):
     last = min(found, best.shape[0] - 1)
     for m in range(last, place, -1):
         _copy_row(best, m - 1, m)
-    best[place, 0], best[place, 1], best[place, 2], best[place, 3], best[place, 4] = score, x, y, side, identity
+    best[place, 0], best[place, 1], best[place, 2], best[place, 3], best[place, 4] = score, x, y, side, header
     return min(found + 1, best.shape[0])
 
 
 @compiled(inline="always")
 def _copy_row(rows, source, target):
-    """Copy a row, number by number: to assign whole rows takes long to compile, for the words of its errors."""
+    """Copy a row by numbers, as assignments of rows take long to compile."""
     for k in range(rows.shape[1]):
         rows[target, k] = rows[source, k]

@@ -1,215 +1,214 @@
-"""Search for headers of arrays of any size: a detector for each level of a pyramid of frames.
+"""Search for headers of arrays of any size, in the frames of a camera of any rate and phase.
 
-On its level an array is so small that single LEDs hardly show. Sums over cells of a header then hold most of its light,
-and its pixels are soon fitted.
-
-Search for headers in the frames of a camera of any rate and phase.
+Each level of a pyramid of frames has a detector, for arrays with hardly visible single LEDs. Then sums over cells of a
+header hold most of the light, and fits are fast.
 """
 
 import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import ceil
-from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame, Pixels
-from heliograph.receive.detect.alternation import PART_LIT, RING, SIDE_STEP, SearchParameters
-from heliograph.receive.detect.budget import Budget, SearchLoad
+from heliograph.receive.detect.alternation import COARSE, Blocks, Change, SearchParameters
+from heliograph.receive.detect.budget import SearchLoad, TokenBucket
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
-from heliograph.receive.detect.frame_window import FrameWindow, SearchJob, crop_to_common, first_present
+from heliograph.receive.detect.frame_window import FrameWindow, crop_to_common, first_present
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import Orientation, Pose
 from heliograph.receive.geometry.view import View, halved, reduced_blur
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
-LEVEL_SIDE_PX = 64.0
-"""Largest array in px that is looked for in the camera's own frames: 16 LEDs then have a pitch of 4 px."""
 
-LEVEL_PITCH_PX = 4.0
-"""The same as a pitch, for arrays of fewer LEDs: those of 8 x 8 have 32 px."""
+@dataclass(frozen=True, kw_only=True)
+class PyramidParameters:
+    """Sizes of arrays on the levels of a pyramid, and thresholds for the reduction of frames."""
 
-REDUCED = 0.7
-"""Largest array on a reduced level, as a fraction of that.
+    # Largest array on the finest level in px a side and in px of pitch: 16 LEDs with a pitch of 4 px have 64 px
+    max_side_px: float = 64.0
+    max_pitch_px: float = 4.0
+    # Largest array on a reduced level as a fraction of the finest level's: larger LEDs leave a correlation below 0.5
+    reduced_size: float = 0.7
+    # Least alternation on a reduced level over a busy block's: rounding adds to the alternation of reduced frames
+    rounding: float = 0.9
+    # Margin in px about busy blocks in the reduced alternation
+    margin_px: float = 32.0
+    # Least alternating part of an array: half of the columns and half of the rows are visible
+    min_alternating: float = 0.25
 
-Single LEDs at a pitch of 3.9 px left a header's cells a correlation of 0.50, which is the least of a candidate, and at
-2.0 px, on the next level, 0.72 (array of 499 px, `python -m benchmarks.near distances 1 0`).
-"""
 
-ROUNDED = 0.9
-"""Part of the least alternation of a busy block that is asked for before frames are reduced.
-
-A reduced frame is rounded to whole gray levels, which adds 0.3 of them to what alternates; a busy block has 1.9 or more
-of the reference link.
-"""
-
-AROUND_PX = 32.0
-"""Pixels about what alternates that are reduced to see whether it does so on a level: as far as a pixel of it shows."""
-
-LEAST_ALTERNATING_PART = 0.25
-"""Least part of a near array that alternates: half of its columns and half of its rows are in sight."""
+PYRAMID = PyramidParameters()
 
 
 class PyramidSearch:
-    """A detector for each level, the coarsest first; see `HeaderSearch`."""
+    """Detectors on the levels of a pyramid, the coarsest first; see `HeaderSearch`."""
 
-    def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
-        levels = level_parameters(parameters, signal.side)
-        self._least = ROUNDED * PART_LIT * parameters.min_contrast
+    def __init__(
+        self,
+        parameters: SearchParameters,
+        signal: SignalSettings,
+        budget: TokenBucket | None = None,
+        pyramid: PyramidParameters = PYRAMID,
+        with_half_period: bool = False,
+    ):
+        levels = level_parameters(parameters, signal.side, pyramid)
+        self._pyramid = pyramid
+        self._min_contrast = pyramid.rounding * COARSE.busy_contrast * parameters.min_contrast
         self._reduced: dict[tuple[object, ...], list[Frame]] = {}
-        self._budget, self._earns = budget or Budget(parameters.cpu_share, signal.pattern_period_s), budget is None
-        self._levels = [(View(k), Detector(one, signal, self._budget)) for k, one in enumerate(levels)]
-        self._smallest_px = [2**k * one.min_side_px for k, one in enumerate(levels)][1:]
+        self._budget = budget or TokenBucket(parameters.cpu_share, signal.pattern_period_s)
+        self._levels = [(View(k), Detector(level, signal, self._budget)) for k, level in enumerate(levels)]
+        self._finest = self._levels[0][1]
+        # larger arrays are not searched for half a pattern out of step, and a header of one pair has no quiet frames
+        with_half_period &= signal.header_pairs > 1
+        self._half_period = HalfPeriodDetector(levels[0], signal, self._budget) if with_half_period else None
+        self._smallest_px = [2**k * level.min_side_px for k, level in enumerate(levels)][1:]
 
     def start(self, period_s: float) -> None:
-        """Begin; the frames are taken to come one per pattern, whatever the period; see `HeaderSearch`."""
+        """Accept any period, as frames come one per pattern; see `HeaderSearch`."""
 
-    def settle(self, orientation: Orientation) -> None:
-        """Look for one orientation alone from now on; see `HeaderSearch`."""
+    def set_orientation(self, orientation: Orientation) -> None:
+        """Search for a single orientation from now on; see `HeaderSearch`."""
         for _, detector in self._levels:
-            detector.settle(orientation)
+            detector.set_orientation(orientation)
+        if self._half_period is not None:
+            self._half_period.set_orientation(orientation)
 
     @property
     def load(self) -> SearchLoad:
-        """What the searches of all levels did and left out so far."""
+        """Work of all levels, with the skipped candidates and blocks."""
         return self._budget.load
 
     @property
     def recent(self) -> Sequence[Frame]:
-        """The last frames, oldest first: enough to hold the header of an array just found."""
-        return self._levels[0][1].recent
+        """Last frames, oldest first; see `HeaderSearch`."""
+        return self._finest.buffer.present
 
-    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame; see `HeaderSearch`."""
-        if self._earns:
-            self._budget.earn()
-        found = list[Detection]()
-        for due in self._levels[0][1].due(frame):
-            found += self._search(due, [*taken, *(one.fit.pose for one in found)])
-        return found
+    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
+        """Search with the next frame; see `HeaderSearch`."""
+        self._budget.refill()
+        detections = list[Detection]()
+        for slots, with_turned in self._finest.buffer.push(frame):
+            detections += self._search(slots, [*tracked, *(found.fit.pose for found in detections)], with_turned)
+        if self._half_period is not None:
+            detections += self._half_period.push(frame, [*tracked, *(found.fit.pose for found in detections)])
+        return detections
 
-    def _search(self, due: SearchJob, taken: Sequence[Pose]) -> list[Detection]:
-        """Search frames on all levels."""
-        finest = self._levels[0][1]
-        change = finest.change(due.slots)
-        if change is None:
+    def _search(self, slots: FrameWindow, tracked: Sequence[Pose], with_turned: bool) -> list[Detection]:
+        """Search frames on all levels on which they alternate."""
+        finest, first = self._finest, first_present(slots)
+        means = finest.block_means(slots)
+        if means is None:
             return []
-        # what alternates on a level alternates in the frames themselves
-        alternating = finest.busy(due.slots, change, taken)
-        busy, strikes = finest.select_blocks(due.slots, change, alternating)
-        if not self._budget.begins(busy, strikes):
+        # alternation on a level is alternation in the frames themselves
+        alternating = finest.busy_blocks(means, first, tracked)
+        busy, is_novel = finest.selector.select(means, alternating, first)
+        if not self._budget.try_start(busy, is_novel):
             return []
-        left = alternating & ~busy
-        leaves_out = np.count_nonzero(left)
-        known, found = list(taken), list[Detection]()
-        shown = self._shown(due.slots, busy)
-        for k, (view, detector) in reversed(list(enumerate(self._levels[: shown + 1]))):
-            seen, poses = self._slots(due.slots, k), [view.pose_in(pose) for pose in known]
-            if not seen:
+        skipped = alternating & ~busy
+        known, detections = list(tracked), list[Detection]()
+        coarsest = self._coarsest_level(slots, busy)
+        for k, (view, detector) in reversed(list(enumerate(self._levels[: coarsest + 1]))):
+            reduced, poses = self._reduced_window(slots, k), [view.pose_in(pose) for pose in known]
+            level_means = (detector.block_means(reduced) if k else means) if reduced else None
+            if level_means is None:
                 continue
-            there = detector.change(seen) if k else change
-            if there is None:
-                continue
-            alternates = detector.busy(seen, there, poses)
+            level_busy = detector.busy_blocks(level_means, first_present(reduced), poses)
             if k == 0:
-                alternates &= busy
-            elif leaves_out:
-                alternates &= _but_left(left, busy, due.slots, seen, k)
-            for one in detector.search(seen, alternates, poses, due.turned):
-                known.append(view.pose_out(one.fit.pose))
-                found.append(replace(one, fit=view.fit_out(one.fit), drift=view.motion_out(one.drift)))
-        return found
+                level_busy &= busy
+            elif skipped.any():
+                level_busy &= _without_skipped(skipped, busy, slots, reduced, k)
+            for found in detector.search(reduced, level_busy, poses, with_turned):
+                known.append(view.pose_out(found.fit.pose))
+                detections.append(replace(found, fit=view.fit_out(found.fit), drift=view.motion_out(found.drift)))
+        return detections
 
-    def _shown(self, slots: FrameWindow, busy: NDArray[np.bool_]) -> int:
-        """Coarsest level on which something may alternate that is as large as an array there.
+    def _coarsest_level(self, slots: FrameWindow, busy: Blocks) -> int:
+        """Find the coarsest level on which an area as large as an array there may alternate.
 
-        What alternates is reduced instead of the frames, and only where it is.
+        The alternation is reduced instead of the frames, and only about busy blocks.
         """
-        alternating = np.count_nonzero(busy) * BLOCK_PX**2
-        most = sum(alternating >= LEAST_ALTERNATING_PART * side**2 for side in self._smallest_px)
-        changes = self._levels[0][1].alternating(slots, busy, AROUND_PX) if most else []
-        if not changes:
+        area = np.count_nonzero(busy) * BLOCK_PX**2
+        max_level = sum(area >= self._pyramid.min_alternating * side**2 for side in self._smallest_px)
+        if not max_level:
             return 0
-        least = self._least * first_present(slots).full_scale
-        for level in range(most):
+        changes = [region.change for region in self._finest.regions(slots, busy, self._pyramid.margin_px)]
+        min_change = self._min_contrast * first_present(slots).full_scale
+        for level in range(max_level):
             changes = [np.asarray(cv2.pyrDown(change), np.float32) for change in changes]
-            if all(_block_means(change).max() <= least for change in changes):
+            if all(_max_block_mean(change) <= min_change for change in changes):
                 return level
-        return most
+        return max_level
 
-    def _slots(self, slots: FrameWindow, level: int) -> FrameWindow:
-        """Frames that are due, as a level has them; none where they are too small for it."""
+    def _reduced_window(self, slots: FrameWindow, level: int) -> FrameWindow:
+        """Return the frames reduced to a level; none if they are too small for it."""
         if level == 0:
             return slots
-        there = [one for one in slots if one is not None]
-        self._reduced = {_name(one): self._reduced.get(_name(one)) or self._seen(one) for one in there}
-        if any(len(seen) <= level for seen in self._reduced.values()):
+        present = [frame for frame in slots if frame is not None]
+        self._reduced = {_key(frame): self._reduced.get(_key(frame)) or self._reduce(frame) for frame in present}
+        if any(len(frames) <= level for frames in self._reduced.values()):
             return []
-        return crop_to_common([None if one is None else self._reduced[_name(one)][level] for one in slots])
+        return crop_to_common([None if frame is None else self._reduced[_key(frame)][level] for frame in slots])
 
-    def _seen(self, frame: Frame) -> list[Frame]:
-        """The frame on each level that it has pixels for; on reduced ones with a rim, as a near array may fill it."""
-        seen, reduced = [frame], frame
+    def _reduce(self, frame: Frame) -> list[Frame]:
+        """Reduce a frame to each possible level, with a black rim for the ring of a large array."""
+        frames, reduced, rim = [frame], frame, math.ceil(2 * COARSE.ring * self._pyramid.max_side_px)
         for _ in self._levels[1:]:
             # an odd first row or column is left out
             if min(reduced.pixels.shape) < 3:
                 break
             reduced = halved(reduced)
-            seen.append(_rimmed(reduced))
-        return seen
+            frames.append(_with_rim(reduced, rim))
+        return frames
 
 
-def level_parameters(parameters: SearchParameters, side: int) -> list[SearchParameters]:
-    """What is looked for on each level, the finest first, each with sizes in px of its own."""
+def level_parameters(
+    parameters: SearchParameters, side: int, pyramid: PyramidParameters = PYRAMID
+) -> list[SearchParameters]:
+    """Return the search parameters of each level, the finest first, in px of the level."""
     smallest, largest = parameters.min_side_px, parameters.max_side_px
-    most = max(min(LEVEL_SIDE_PX, side * LEVEL_PITCH_PX), smallest * SIDE_STEP)
-    levels = [replace(parameters, max_side_px=min(most, largest))]
-    reduced = REDUCED * most
-    while largest > most and (len(levels) == 1 or reduced * 2 ** (len(levels) - 1) < largest):
+    finest = max(min(pyramid.max_side_px, side * pyramid.max_pitch_px), smallest * COARSE.size_ratio)
+    levels = [replace(parameters, max_side_px=min(finest, largest))]
+    reduced = pyramid.reduced_size * finest
+    while largest > finest and (len(levels) == 1 or reduced * 2 ** (len(levels) - 1) < largest):
         k = len(levels)
-        sizes = reduced / 2 / SIDE_STEP, min(reduced, largest / 2**k)
+        sizes = reduced / 2 / COARSE.size_ratio, min(reduced, largest / 2**k)
         blur = reduced_blur(parameters.blur_px, k)
         start = parameters.start and View(k).pose_in(parameters.start)
         levels.append(replace(parameters, min_side_px=min(sizes), max_side_px=max(sizes), blur_px=blur, start=start))
     return levels
 
 
-def _but_left(
-    left: NDArray[np.bool_], searched: NDArray[np.bool_], slots: FrameWindow, seen: FrameWindow, level: int
-) -> NDArray[np.bool_]:
-    """Blocks of a level but those that hold blocks left out and none that is searched, (blocks down, blocks across)."""
-    frame, reduced = first_present(slots), first_present(seen)
-    out = np.ones([-(-size // BLOCK_PX) for size in reduced.pixels.shape], bool)
-    for blocks, kept in ((left, False), (searched, True)):
+def _without_skipped(skipped: Blocks, searched: Blocks, slots: FrameWindow, reduced: FrameWindow, level: int) -> Blocks:
+    """Return the blocks of a level, except over skipped blocks with no searched block."""
+    frame, level_frame = first_present(slots), first_present(reduced)
+    out = np.ones([-(-size // BLOCK_PX) for size in level_frame.pixels.shape], bool)
+    for blocks, value in ((skipped, False), (searched, True)):
         # the middles of the blocks, on the sensor and on the level
         middles = (np.argwhere(blocks) + 0.5) * BLOCK_PX + frame.origin[::-1]
-        down, across = ((middles / 2**level - reduced.origin[::-1]) // BLOCK_PX).astype(int).T
-        # what all frames show may be less on a level, by some pixels of a rim
-        out[np.clip(down, 0, out.shape[0] - 1), np.clip(across, 0, out.shape[1] - 1)] = kept
+        down, across = ((middles / 2**level - level_frame.origin[::-1]) // BLOCK_PX).astype(int).T
+        # the common part of all frames may be smaller on a level, by some pixels of a rim
+        out[np.clip(down, 0, out.shape[0] - 1), np.clip(across, 0, out.shape[1] - 1)] = value
     return out
 
 
-def _block_means(change: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mean size of what alternates in a block about each pixel, (rows, columns)."""
-    means = cv2.blur(np.abs(change), (BLOCK_PX, BLOCK_PX), borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(means, np.float32)
+def _max_block_mean(change: Change) -> float:
+    """Return the largest mean magnitude of a block about a pixel."""
+    return float(cv2.blur(np.abs(change), (BLOCK_PX, BLOCK_PX), borderType=cv2.BORDER_CONSTANT).max())
 
 
-def _name(frame: Frame) -> tuple[object, ...]:
-    """What tells frames apart, those that stand for frames before the film, and those cut to what others show."""
+def _key(frame: Frame) -> tuple[object, ...]:
+    """Return a key to tell apart frames, copies before the film, and crops."""
     return frame.index, frame.time_s, frame.origin, frame.pixels.shape
 
 
-def _rimmed(frame: Frame) -> Frame:
-    """A frame with black about it: a candidate's ring must be there, and must not alternate."""
-    rim = ceil(2 * RING * LEVEL_SIDE_PX)
+def _with_rim(frame: Frame, rim: int) -> Frame:
+    """Add a black rim to a frame."""
     pixels: Pixels = cv2.copyMakeBorder(  # type: ignore[assignment]
         frame.pixels, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=0
     )
@@ -217,159 +216,88 @@ def _rimmed(frame: Frame) -> Frame:
     return replace(frame, pixels=pixels, origin=(x - rim, y - rim))
 
 
-PATTERNS_KEPT = 4
-"""Patterns around a header whose frames are kept too.
-
-The light's clock asks for two on either side, and two to spare.
-"""
-
-SLOW_PHASES = 4
-"""Phases tried for a camera of fewer than two frames per pattern: one of them is within 1/8 pattern of any header's."""
-
-
-@dataclass(frozen=True, slots=True)
-class PhaseLimits:
-    """Limits of a search by phases."""
-
-    # Most frames a pattern: all frames of a header are kept, and each phase has a search of its own
-    max_frames: int = 1000
-
-
-LIMITS = PhaseLimits()
-
-
 class PhasedSearch:
-    """Thins frames out to streams of one frame per pattern at several phases, each with a detector of its own."""
+    """Searches at several phases of a fast camera, with one frame per pattern each; see `HeaderSearch`."""
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings):
         self._parameters, self._signal = parameters, signal
-        # shared by the two detectors of a camera of the light's rate
-        self._budget = Budget(parameters.cpu_share, signal.pattern_period_s)
-        self._streams: list[_Stream] = []
-        self._kept: deque[Frame] = deque()
+        self._streams: list[tuple[_FrameThinner, PyramidSearch]] = []
+        self._recent: deque[Frame] = deque()
 
     @property
     def recent(self) -> Sequence[Frame]:
-        """The last frames, oldest first: enough to hold the header of an array just found."""
-        return self._kept
+        """Last frames, oldest first; see `HeaderSearch`."""
+        return self._recent
 
     @property
     def load(self) -> SearchLoad:
-        """What the searches of all streams did and left out so far."""
-        streams = [detector.load for stream in self._streams if len(self._streams) > 1 for detector in stream.detectors]
-        return sum(streams, self._budget.load)
+        """Work of all streams, with the skipped candidates and blocks."""
+        return sum((search.load for _, search in self._streams), SearchLoad())
 
     def start(self, period_s: float) -> None:
-        """Begin to search frames of a camera as fast as the light or faster; see `HeaderSearch`."""
-        light_s = self._signal.pattern_period_s
+        """Prepare for a camera as fast as the light or faster; see `HeaderSearch`."""
+        light_s, max_frames = self._signal.pattern_period_s, 1000
         if period_s > light_s * (1 + STEP_TOLERANCE):
             raise HeliographError(
                 f"the soft receiver needs at least one frame a pattern: the film has {1 / period_s:.1f} frames/s, the "
                 f"light {1 / light_s:.1f} patterns/s; film faster, give times in seconds, or say by --fps what the "
                 "camera did where the film misstates it"
             )
-        if period_s * LIMITS.max_frames < light_s:
+        if period_s * max_frames < light_s:
             raise HeliographError(
-                f"the soft receiver takes at most {LIMITS.max_frames} frames a pattern: the film has "
+                f"the soft receiver takes at most {max_frames} frames a pattern: the film has "
                 f"{1 / period_s:.3g} frames/s, the light {1 / light_s:.1f} patterns/s; give times in seconds, say by "
                 "--fps what the camera did where the film misstates it, or leave out frames"
             )
-        alike = period_s > light_s * (1 - STEP_TOLERANCE)
-        if alike:
-            detectors: list[_FrameDetector] = [PyramidSearch(self._parameters, self._signal, self._budget)]
-            if self._signal.header_pairs > 1:
-                # of the finest level alone: larger arrays are not looked for half a pattern out of step
-                finest = level_parameters(self._parameters, self._signal.side)[0]
-                detectors.append(HalfPeriodDetector(finest, self._signal, self._budget))
-            self._streams = [_EveryFrame(detectors, period_s)]
+        if period_s > light_s * (1 - STEP_TOLERANCE):
+            search = PyramidSearch(self._parameters, self._signal, with_half_period=True)
+            self._streams = [(_FrameThinner(period_s, None), search)]
         else:
-            phases = _phases(light_s / period_s)
-            # each with a budget of its own: one of them alone may be in step with an array
-            searches = [PyramidSearch(self._parameters, self._signal) for _ in range(phases)]
-            self._streams = [_Nearest(one, light_s, k / phases) for k, one in enumerate(searches)]
-        patterns = 2 * self._signal.header_pairs + 2 * PATTERNS_KEPT
-        self._kept = deque(maxlen=math.ceil(patterns * light_s / period_s))
+            # fewer frames per pattern need more phases; each has a budget, as a single phase may suit an array
+            rate = light_s / period_s
+            count = 4 if rate < 2 else math.floor(rate)
+            self._streams = [
+                (_FrameThinner(light_s, k / count), PyramidSearch(self._parameters, self._signal)) for k in range(count)
+            ]
+        # the light's clock needs two patterns on either side of a header, and two to spare
+        patterns = 2 * self._signal.header_pairs + 8
+        self._recent = deque(maxlen=math.ceil(patterns * light_s / period_s))
 
-    def settle(self, orientation: Orientation) -> None:
-        """Look for one orientation alone from now on; see `HeaderSearch`."""
-        for stream in self._streams:
-            for detector in stream.detectors:
-                detector.settle(orientation)
+    def set_orientation(self, orientation: Orientation) -> None:
+        """Search for a single orientation from now on; see `HeaderSearch`."""
+        for _, search in self._streams:
+            search.set_orientation(orientation)
 
-    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame; see `HeaderSearch`."""
-        self._kept.append(frame)
-        self._budget.earn()
-        known, found = list(taken), list[Detection]()
-        for stream in self._streams:
-            shown = stream.push(frame)
-            if shown is None:
-                continue
-            for detector in stream.detectors:
-                there = detector.push(shown, known)
-                known += [one.fit.pose for one in there]
-                found += there
-        return found
+    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
+        """Search with the next frame; see `HeaderSearch`."""
+        self._recent.append(frame)
+        detections = list[Detection]()
+        for thinner, search in self._streams:
+            if (thinned := thinner.push(frame)) is not None:
+                detections += search.push(thinned, [*tracked, *(found.fit.pose for found in detections)])
+        return detections
 
 
-class _FrameDetector(Protocol):
-    """Looks for headers in a stream of one frame per pattern."""
+class _FrameThinner:
+    """Numbers one frame per pattern: every frame, or the frames nearest to a phase."""
 
-    @property
-    def load(self) -> SearchLoad:
-        """What the searches did and left out so far."""
-
-    def settle(self, orientation: Orientation) -> None:
-        """Look for one orientation alone from now on; see `HeaderSearch`."""
-
-    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame; return the arrays whose header lies in the last ones."""
-
-
-class _Stream(Protocol):
-    """Thins frames out for detectors."""
-
-    @property
-    def detectors(self) -> Sequence[_FrameDetector]:
-        """The detectors, all of which get the same frames."""
-
-    def push(self, frame: Frame) -> Frame | None:
-        """Take a frame; return the one that a pattern is known to be seen in, with the pattern's number."""
-
-
-class _EveryFrame:
-    """All frames of a camera of the light's rate."""
-
-    def __init__(self, detectors: Sequence[_FrameDetector], period_s: float):
-        self.detectors, self._period_s = detectors, period_s
+    def __init__(self, step_s: float, phase: float | None):
+        self._step_s, self._phase = step_s, phase
         self._number, self._time_s = 0, 0.0
-
-    def push(self, frame: Frame) -> Frame:
-        """Number the frame; one that was dropped leaves a gap."""
-        self._number += max(1, round((frame.time_s - self._time_s) / self._period_s))
-        self._time_s = frame.time_s
-        return frame.numbered(self._number)
-
-
-class _Nearest:
-    """One frame per pattern: those that begin nearest to even times."""
-
-    def __init__(self, detector: _FrameDetector, step_s: float, phase: float):
-        self.detectors, self._step_s, self._phase = (detector,), step_s, phase
         self._best: Frame | None = None
-        self._off = 0.0
+        self._distance = 0.0
 
     def push(self, frame: Frame) -> Frame | None:
-        """Take a frame; return the last pattern's once it is known which one is nearest."""
+        """Add a frame; return the frame of the last pattern once it is known."""
+        if self._phase is None:
+            # a dropped frame leaves a gap
+            self._number += max(1, round((frame.time_s - self._time_s) / self._step_s))
+            self._time_s = frame.time_s
+            return frame.numbered(self._number)
         place = frame.time_s / self._step_s - self._phase
         number = round(place)
-        off, kept = abs(place - number), self._best
-        another = kept is None or kept.index != number
-        if another or off < self._off:
-            self._best, self._off = frame.numbered(number), off
-        return kept if another else None
-
-
-def _phases(rate: float) -> int:
-    """Streams for a camera of `rate` frames per pattern: the fewer frames to choose from, the more phases are tried."""
-    return SLOW_PHASES if rate < 2 else max(2, math.floor(rate))
+        distance, best = abs(place - number), self._best
+        is_next = best is None or best.index != number
+        if is_next or distance < self._distance:
+            self._best, self._distance = frame.numbered(number), distance
+        return best if is_next else None

@@ -37,7 +37,7 @@ def show(
             for p, one in zip(poses, (levels, 4 - levels), strict=True)
         ]
         up, down = (frame_of(light, k, rng) for k, light in enumerate(shown))
-        reader.take(pair, FramePair(up, down), (poses[0], poses[1]), known)
+        reader.add_pair(pair, FramePair(up, down), (poses[0], poses[1]), known)
 
 
 @pytest.mark.parametrize("distance_m", [40.0, 120.0, 200.0])
@@ -47,22 +47,22 @@ def test_formats_are_read(distance_m: float) -> None:
     for number in (*range(1, last, 37), last):
         reader = FormatReader(7, 16, SHORT_PAIRS)
         show(number, reader, (0, 1), distance_m, seed=number)
-        assert reader.number(GAIN) == number
+        assert reader.decide_format(GAIN) == number
 
 
 def test_the_gain_decides_where_the_first_pair_was_not_seen() -> None:
     reader = FormatReader(7, 16, 48)
     show(0o765, reader, (1,), 120.0)
-    assert reader.number(GAIN) == 0o765
+    assert reader.decide_format(GAIN) == 0o765
     # with all cells dimmed or none, the gain decides
-    assert reader.number(GAIN) != reader.number(0.5 * GAIN)
+    assert reader.decide_format(GAIN) != reader.decide_format(0.5 * GAIN)
 
 
 def test_without_a_later_pair_the_agreed_format_is_assumed() -> None:
     reader = FormatReader(7, 16, 48)
-    assert reader.number(GAIN) == AGREED.number
+    assert reader.decide_format(GAIN) == AGREED.number
     show(0o765, reader, (0,), 80.0)
-    assert reader.number(GAIN) == AGREED.number
+    assert reader.decide_format(GAIN) == AGREED.number
 
 
 def test_hidden_cells_are_not_taken_for_dimmed_ones() -> None:
@@ -72,7 +72,7 @@ def test_hidden_cells_are_not_taken_for_dimmed_ones() -> None:
     for number in (0, 0o765, 0o123):
         reader = FormatReader(7, 16, 48)
         show(number, reader, (0, 1), 60.0, seed=number, led_gains=gains)
-        assert reader.number(GAIN) == number
+        assert reader.decide_format(GAIN) == number
 
 
 @pytest.mark.parametrize("hidden", [3, 5, 6, 7])
@@ -85,7 +85,7 @@ def test_cells_that_are_hidden_in_part_are_not_taken_for_dimmed_ones(distance_m:
     for number in (0, 0o765, 0o123) if hidden < 4 else (0,):
         reader = FormatReader(7, 16, 48)
         show(number, reader, (0, 1), distance_m, seed=number, led_gains=gains, known_gains=SOUND)
-        assert reader.number(GAIN) == number
+        assert reader.decide_format(GAIN) == number
 
 
 @pytest.mark.parametrize("width", [2, 4, 8])
@@ -100,5 +100,5 @@ def test_light_that_no_cells_give_names_no_format(first: int, width: int) -> Non
             light, left = 0.1 + 0.5 * draw(pose, levels / 4, (0, 0), (80, 80)), first + 2 * (2 * pair + k)
             light[:, left : left + width] += 0.4
             frames.append(frame_of(light, k, rng))
-        reader.take(pair, FramePair(frames[0], frames[1]), (pose, pose), SOUND)
-    assert reader.number(0.5 * 255) == AGREED.number
+        reader.add_pair(pair, FramePair(frames[0], frames[1]), (pose, pose), SOUND)
+    assert reader.decide_format(0.5 * 255) == AGREED.number

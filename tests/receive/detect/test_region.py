@@ -14,7 +14,7 @@ from heliograph.receive import Pose
 from heliograph.receive.detect.alternation import SearchParameters
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.region import AROUND_SIDES, RegionSearch, pose_of
+from heliograph.receive.detect.region import RegionSearch, pose_of
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.geometry.pose import Orientation
 from heliograph.signal.header import header_levels
@@ -70,11 +70,11 @@ class Told:
     def start(self, period_s: float) -> None:
         """Take no notice."""
 
-    def settle(self, orientation: Orientation) -> None:
+    def set_orientation(self, orientation: Orientation) -> None:
         """Note it."""
         self.settled.append(orientation)
 
-    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:  # noqa: ARG002 - a search's
+    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:  # noqa: ARG002 - a search's
         """Find nothing."""
         self.shown.append(frame)
         return []
@@ -111,7 +111,7 @@ def test_an_array_that_is_followed_is_looked_for_where_it_went() -> None:
     before, during, after = (part.origin[0] + part.pixels.shape[1] for part in told.shown)
     assert before < 100
     # an array of 2 * SIDE px, and so much of it about
-    assert during == after == 150 + SIDE + 2 * SIDE * AROUND_SIDES + 1
+    assert during == after == 150 + SIDE + 2 * SIDE * 0.5 + 1
     assert {part.origin for part in told.shown} == {told.shown[0].origin}
 
 

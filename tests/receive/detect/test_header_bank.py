@@ -43,7 +43,11 @@ def test_all_orientations_are_looked_for_each_identity_once_a_way() -> None:
     meant = [one for each in turned.hypotheses for one in each]
     assert len(meant) == len(set(meant)) == 7 * 30
     # a turned header that is shifted looks like another: they may stand closer
-    assert turned.apart < headers((UPRIGHT,), ORIENTATIONS[1:]).apart == headers((ORIENTATIONS[3],)).apart
+    assert (
+        turned.min_distance
+        < headers((UPRIGHT,), ORIENTATIONS[1:]).min_distance
+        == headers((ORIENTATIONS[3],)).min_distance
+    )
 
 
 def test_a_blinking_square_is_lit_all_over_and_upright() -> None:

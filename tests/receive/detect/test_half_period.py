@@ -1,18 +1,16 @@
 """Headers of which every frame straddles two patterns."""
 
 from dataclasses import replace
-from unittest import mock
 
 import numpy as np
 import pytest
 from scenes import film, link
 
 from heliograph.base.frames import Frame
-from heliograph.receive.detect import detector as straddled
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import SAVED_S, WORK_PER_MS, Budget
+from heliograph.receive.detect.budget import BUDGET, TokenBucket
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.detector import STRADDLED_SURGE, HalfPeriodDetector
+from heliograph.receive.detect.detector import HalfPeriodDetector, HalfPeriodParameters
 from heliograph.signal.settings import SignalSettings
 
 PARAMETERS = SearchParameters(
@@ -57,18 +55,17 @@ def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
 ) -> None:
     """More changes over a header than over as many patterns of data, each beginning with an inverse or not."""
     work = list[float]()
-    for novelty_of in (STRADDLED_SURGE, 0.0):
-        budget = Budget(1.0, 1e-3)
+    for parameters in (HalfPeriodParameters(), HalfPeriodParameters(min_novelty=0.0)):
+        budget = TokenBucket(1.0, 1e-3)
         # a tenth is used up: blocks of data would have been searched until then
-        budget.spend(used := 0.1 * SAVED_S * 1e3 * WORK_PER_MS)
-        detector, header = HalfPeriodDetector(PARAMETERS, SignalSettings(), budget), list[Detection]()
-        with mock.patch.object(straddled, "STRADDLED_SURGE", novelty_of):
-            for k, frame in enumerate(frames_at(phase, distance_m, identity, count=76, before=32)):
-                header += detector.push(frame)
-                if k == 30:
-                    # none of its header is seen yet
-                    work.append(budget.load.work - used)
-        if novelty_of:
+        budget.charge(used := 0.1 * BUDGET.live_capacity_s * 1e3 * BUDGET.work_per_ms)
+        detector, header = HalfPeriodDetector(PARAMETERS, SignalSettings(), budget, parameters), list[Detection]()
+        for k, frame in enumerate(frames_at(phase, distance_m, identity, count=76, before=32)):
+            header += detector.push(frame)
+            if k == 30:
+                # none of its header is seen yet
+                work.append(budget.load.work - used)
+        if parameters.min_novelty:
             due = [one for one in header if one.start_time_s == pytest.approx((32 + phase) * 1e-3, abs=1e-4)]
             assert [one.identity for one in due] == [identity]
     assert work[0] < 0.7 * work[1]
@@ -77,8 +74,8 @@ def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
 @pytest.mark.parametrize("before", [0, 1, 2])
 def test_a_header_seen_first_is_found_with_a_bound(before: int) -> None:
     """Nothing is usual yet, so it surges over nothing."""
-    budget = Budget(1.0, 1e-3)
-    budget.spend(0.1 * SAVED_S * 1e3 * WORK_PER_MS)
+    budget = TokenBucket(1.0, 1e-3)
+    budget.charge(0.1 * BUDGET.live_capacity_s * 1e3 * BUDGET.work_per_ms)
     detector = HalfPeriodDetector(PARAMETERS, SignalSettings(), budget)
     shown = [one for frame in frames_at(0.5, 50.0, count=12, before=before) for one in detector.push(frame)]
     assert [one.identity for one in shown] == [5]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.receive.detect.frame_window import alike, before, crop_to_common, filled
+from heliograph.receive.detect.frame_window import copies_before, crop_to_common, fill_missing, have_same_format
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ from heliograph.receive.detect.frame_window import alike, before, crop_to_common
 )
 def test_a_missing_frame_is_filled_in(header: list[int | None], want: list[int]) -> None:
     kept = list(header)
-    assert filled(header) == want
+    assert fill_missing(header) == want
     assert header == kept
 
 
@@ -36,7 +36,7 @@ def test_a_missing_frame_is_filled_in(header: list[int | None], want: list[int])
     "header", [[None, 2], [None, None, 3, 4], [1, None, None, 4], [1, None, None, 4, 5, None, 7, 8]]
 )
 def test_with_too_many_missing_there_is_no_header(header: list[int | None]) -> None:
-    assert filled(header) is None
+    assert fill_missing(header) is None
 
 
 def frame(index: int, x: int, y: int, rows: int, columns: int) -> Frame:
@@ -57,18 +57,18 @@ def test_frames_are_cut_to_what_all_show_and_gaps_stay() -> None:
 
 def test_copies_before_a_film_are_numbered_backwards_and_long_past() -> None:
     first = frame(5, 0, 0, 4, 4)
-    copies = before(first, 3)
+    copies = copies_before(first, 3)
     assert [one.index for one in copies] == [2, 3, 4]
     assert all(one.pixels is first.pixels for one in copies)
     times = [one.time_s for one in [*copies, first]]
     # years apart
     assert np.diff(times).min() > 3e7
-    assert before(first, 0) == []
+    assert copies_before(first, 0) == []
 
 
 def test_frames_are_alike_that_have_one_kind_of_pixels() -> None:
     one = frame(0, 0, 0, 4, 4)
-    assert alike(one, frame(1, 3, 2, 6, 7))
+    assert have_same_format(one, frame(1, 3, 2, 6, 7))
     wide = replace(one, pixels=one.pixels.astype(np.uint16), bits=10)
-    assert not alike(one, wide)
-    assert not alike(wide, replace(wide, bits=12))
+    assert not have_same_format(one, wide)
+    assert not have_same_format(wide, replace(wide, bits=12))
