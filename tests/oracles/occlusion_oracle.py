@@ -9,7 +9,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.geometry.fit import robust_std
 
 
-def noise_beside(change: Floats, x: float, y: float, least: float) -> float:
+def noise_outside(change: Floats, x: float, y: float, least: float) -> float:
     """Standard deviation about 0 of the pixels beside a square; 0 where there are none."""
     around = change[_away(change, x, y) > least]
     return robust_std(around) if around.size else 0.0

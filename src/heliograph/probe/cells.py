@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.screen.locate import quadrilaterals, reduced, sharpened
+from heliograph.receive.screen.locate import find_quadrilaterals, reduce_frame, sharpen_corners
 
 SIDES = range(8, 33, 4)
 """Cells of a side that are told apart."""
@@ -38,9 +38,9 @@ def cells_of_a_side(frames: Sequence[Frame]) -> int | None:
     some = frames[-4 * LOOKED_AT :][:: max(1, min(len(frames) // LOOKED_AT, 4))]
     pixels = np.stack([frame.pixels for frame in some]).astype(np.float32)
     changes = np.asarray(pixels.std(axis=0), np.float64)
-    small, factor = reduced(np.asarray(changes, np.float32))
-    for corners in quadrilaterals(np.asarray(small, np.float64), factor):
-        lines = _lines(pixels, sharpened(np.asarray(changes, np.float32), corners, factor))
+    small, factor = reduce_frame(np.asarray(changes, np.float32))
+    for corners in find_quadrilaterals(np.asarray(small, np.float64), factor):
+        lines = _lines(pixels, sharpen_corners(np.asarray(changes, np.float32), corners, factor))
         like = {side: _like(lines, side) for side in SIDES}
         best = max(like, key=lambda side: like[side])
         if like[best] >= (LEAST_LIKE_8 if best == SIDES[0] else LEAST_LIKE):

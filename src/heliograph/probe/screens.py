@@ -18,7 +18,7 @@ from heliograph.probe.pace import patterns_per_s
 from heliograph.probe.reading import Asked
 from heliograph.probe.regions import Region
 from heliograph.receive.screen.clock import ANY_RATES
-from heliograph.receive.screen.locate import changing, quadrilaterals, reduced
+from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame
 from heliograph.signal.settings import SignalSettings
 
 LOOKED_AT = 32
@@ -295,9 +295,9 @@ def area_of(frames: Sequence[Frame]) -> Floats | None:
     some = frames[:: max(1, len(frames) // LOOKED_AT)]
     if len(some) < 2:
         return None
-    changes = changing([np.asarray(one.pixels / one.full_scale, np.float32) for one in some])
-    small, factor = reduced(changes)
-    found = quadrilaterals(small, factor)
+    changes = mean_change([np.asarray(one.pixels / one.full_scale, np.float32) for one in some])
+    small, factor = reduce_frame(changes)
+    found = find_quadrilaterals(small, factor)
     return found[0] if found else None
 
 

@@ -37,7 +37,7 @@ from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, Pairing, 
 from heliograph.receive.sync.slips import SlipWatch
 from heliograph.receive.track.track import Track, TrackedPair, check_pose
 from heliograph.receive.track.tracker import Tracker
-from heliograph.receive.track.unpaired_frames import REACH
+from heliograph.receive.track.unpaired_frames import MAX_DISTANCE_PAIRS
 from heliograph.signal.formats import Format
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
@@ -413,7 +413,7 @@ class ArrayReceiver:
     def _read_lone(self, place: int, lone: UnpairedFrame) -> None:
         """Keep the frame that is left of a pair where the array was in sight not long before."""
         self._gathered.frames.append(lone.frame.index)
-        if lone.frame.time_s - self._track.last_seen_s < 2 * REACH * self._signal.pattern_period_s:
+        if lone.frame.time_s - self._track.last_seen_s < 2 * MAX_DISTANCE_PAIRS * self._signal.pattern_period_s:
             self._reader.add_unpaired(place, lone)
             self._gathered.seen[place] = True
 

@@ -20,7 +20,7 @@ from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, UnpairedF
 from heliograph.receive.track.kalman import PoseState
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
-from heliograph.receive.track.unpaired_frames import around, state_between
+from heliograph.receive.track.unpaired_frames import nearest_pairs, state_between
 from heliograph.signal.formats import AGREED, Format, check_mode
 from heliograph.signal.packet import PacketFormat
 
@@ -183,7 +183,7 @@ class LuminanceObservations:
 
     def _read_lone(self, place: int, lone: UnpairedFrame) -> Floats | None:
         """Luminances (n, n) of a pair by one of its frames, the sum being that of the pairs around; None without."""
-        chosen = around(place, self.sums)
+        chosen = nearest_pairs(place, self.sums)
         if not chosen:
             return None
         pose = state_between(lone.frame.time_s, self.states, place).pose

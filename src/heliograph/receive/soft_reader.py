@@ -17,7 +17,7 @@ from heliograph.receive.events import ExtractEvent, Observer
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, UnpairedFrame
-from heliograph.receive.track.track import Track, TrackedPair, beside_what_hides, dark_zone
+from heliograph.receive.track.track import Track, TrackedPair, dark_zone, mask_occluded
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import AGREED, Format, known_format
 from heliograph.signal.packet import PacketFormat
@@ -200,7 +200,7 @@ class SoftReader:
 
     @one_thread()
     def _learn_gains(self, cutout: Cutout, header: Floats, track: Track, led_gains: LedGains) -> LearntGains:
-        return led_gains.learn(cutout, header, track.data_gain, track.unhidden)
+        return led_gains.learn(cutout, header, track.data_gain, track.uncovered)
 
     @one_thread()
     def _begin_decisions(self, late_s: float, track: Track) -> DecisionDirectedTracker:
@@ -216,7 +216,7 @@ class SoftReader:
             late_s = first, second
         poses = _poses_at(track, pair, late_s)
         cutout = take_cutout(pair, poses, self._side, (track.gain, led_gains.values))
-        return cutout if track.whole else beside_what_hides(cutout, track.in_sight)
+        return cutout if track.all_visible else mask_occluded(cutout, track.visible)
 
     def _shown_format(self, gain: float) -> Format:
         """The format that the header shows so far, by the light of data in gray levels."""

@@ -10,8 +10,8 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
 from heliograph.receive import make_receiver
 from heliograph.receive.events import Event, UnseenEvent
-from heliograph.receive.screen.cells import SAMPLES_PER_S, Look, Place, SearchBudget, SearchLimits
-from heliograph.receive.screen.locate import WINDOWS, ArraySearch, Placed
+from heliograph.receive.screen.cells import SAMPLES_PER_S, CellFitter, Place, SearchBudget, SearchLimits
+from heliograph.receive.screen.locate import PARAMETERS, ArraySearch, CandidateArray
 
 LIMITS = SearchLimits()
 
@@ -44,17 +44,17 @@ def test_a_film_without_a_screen_costs_a_part_of_its_length(monkeypatch: pytest.
     receiver = make_receiver(settings.signal, settings.receive, seen.append)
     packets = [packet for frame in flickering(seconds) for packet in receiver.push(frame)] + list(receiver.finish())
     assert packets == []
-    assert LIMITS.first_s < spent_s[0] < LIMITS.first_s + LIMITS.part * seconds + 2 * LIMITS.debt_s
+    assert LIMITS.first_s < spent_s[0] < LIMITS.first_s + LIMITS.share * seconds + 2 * LIMITS.debt_s
     assert [event.searched_s for event in seen if isinstance(event, UnseenEvent)] == pytest.approx([5.0], abs=0.1)
 
 
 def test_work_is_earned_by_the_films_time_and_no_more_is_kept_than_at_first() -> None:
-    budget = SearchBudget(SearchLimits(part=0.5, first_s=1.0, debt_s=0.5))
+    budget = SearchBudget(SearchLimits(share=0.5, first_s=1.0, debt_s=0.5))
     budget.spend(1.2 * SAMPLES_PER_S)
-    assert not budget.lasts
+    assert not budget.is_left
     assert not budget.is_overdrawn
     budget.earn(1.0)
-    assert budget.lasts
+    assert budget.is_left
     budget.earn(1000.0)
     budget.spend(1.6 * SAMPLES_PER_S)
     assert budget.is_overdrawn
@@ -63,24 +63,24 @@ def test_work_is_earned_by_the_films_time_and_no_more_is_kept_than_at_first() ->
 def test_a_search_that_broke_off_goes_on_with_the_next_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     budget, counts = SearchBudget(), list[int]()
     search = ArraySearch(8, 2.2, budget)
-    look = Look(8, 1.0, np.linspace(0, 1, 256, dtype=np.float32))
+    fitter = CellFitter(8, 1.0, np.linspace(0, 1, 256, dtype=np.float32))
     place = Place.of(np.array([[20, 20], [100, 20], [100, 100], [20, 100]], float), 8)
 
-    def placed(_corners: Floats, _changes: object) -> Placed:
+    def placed(_corners: Floats, _changes: object) -> CandidateArray:
         budget.spend(2 * LIMITS.first_s * SAMPLES_PER_S)
-        return Placed(np.inf, place, look)
+        return CandidateArray(np.inf, place, fitter)
 
     def changing(frames: Sequence[object]) -> object:
         counts.append(len(frames))
         return None
 
-    monkeypatch.setattr(search, "_placed", placed)
-    monkeypatch.setattr(search, "_changes", lambda _count: None)
-    monkeypatch.setattr("heliograph.receive.screen.locate.changing", changing)
-    monkeypatch.setattr("heliograph.receive.screen.locate.quadrilaterals", lambda *_: [None])
+    monkeypatch.setattr(search, "_fit_candidate", placed)
+    monkeypatch.setattr(search, "_mean_change", lambda _count: None)
+    monkeypatch.setattr("heliograph.receive.screen.locate.mean_change", changing)
+    monkeypatch.setattr("heliograph.receive.screen.locate.find_quadrilaterals", lambda *_: [None])
     rng = np.random.default_rng(1)
     for k in range(90):
-        search.take(Frame(k, k / 30, rng.integers(0, 255, (48, 64), dtype=np.uint8)))
+        search.push(Frame(k, k / 30, rng.integers(0, 255, (48, 64), dtype=np.uint8)))
         if k % 6 == 5:
             budget.fill()
-    assert set(counts[-6:]) == set(WINDOWS)
+    assert set(counts[-6:]) == set(PARAMETERS.windows)

@@ -6,8 +6,8 @@ import pytest
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Pixels
-from heliograph.receive.screen.cells import Look, Place
-from heliograph.receive.screen.locate import changing, quadrilaterals, reduced, sharpened
+from heliograph.receive.screen.cells import CellFitter, Place
+from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame, sharpen_corners
 
 SIDE = 16
 LINEAR = (np.arange(256) / 255).astype(np.float32)
@@ -34,7 +34,7 @@ def drawn(cells: Floats, corners: Floats = CORNERS, blur: float = 1.0) -> Pixels
 
 def test_cells_are_seen_at_their_place() -> None:
     cells = levels(1)
-    seen = Look(SIDE, 1.0, LINEAR)(drawn(cells), Place.of(CORNERS, SIDE), 0)
+    seen = CellFitter(SIDE, 1.0, LINEAR)(drawn(cells), Place.of(CORNERS, SIDE), 0)
     assert seen.light == pytest.approx(0.05 + 0.2 * cells, abs=0.04)
     assert seen.misfit < 0.15
     assert seen.saturated == 0
@@ -42,23 +42,23 @@ def test_cells_are_seen_at_their_place() -> None:
 
 @pytest.mark.parametrize("off", [(0.0, 0.0), (3.0, -2.0), (-4.0, 4.0)])
 def test_a_place_is_found_from_half_a_cell_away(off: tuple[float, float]) -> None:
-    look = Look(SIDE, 1.0, LINEAR)
-    seen = look(drawn(levels(2)), Place.of(CORNERS + off, SIDE), 10)
+    fitter = CellFitter(SIDE, 1.0, LINEAR)
+    seen = fitter(drawn(levels(2)), Place.of(CORNERS + off, SIDE), 10)
     assert np.abs(seen.place.corners(SIDE) - CORNERS).max() < 0.5
 
 
 def test_an_array_is_outlined_where_it_changes() -> None:
     frames = [LINEAR[drawn(levels(k))] for k in range(6)]
-    small = [reduced(one) for one in frames]
-    found = quadrilaterals(changing([one for one, _ in small]), small[0][1])
+    small = [reduce_frame(one) for one in frames]
+    found = find_quadrilaterals(mean_change([one for one, _ in small]), small[0][1])
     assert np.abs(found[0] - CORNERS).max() < 6
-    sharp = sharpened(changing(frames), found[0], small[0][1])
+    sharp = sharpen_corners(mean_change(frames), found[0], small[0][1])
     assert np.abs(sharp - CORNERS).max() < 2.5
 
 
 def test_where_nothing_changes_there_is_no_array() -> None:
     still = LINEAR[drawn(levels(1))]
-    assert quadrilaterals(changing([still, still, still]), 1) == []
+    assert find_quadrilaterals(mean_change([still, still, still]), 1) == []
 
 
 def test_places_are_moved_and_scaled() -> None:

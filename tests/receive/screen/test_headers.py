@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from heliograph.receive.geometry.pose import ORIENTATIONS, Orientation
-from heliograph.receive.screen.packets import headers, named_format
+from heliograph.receive.screen.packets import find_headers, read_format
 from heliograph.signal import haar
 from heliograph.signal.header import header_levels, signalling_levels
 
@@ -17,12 +17,12 @@ def test_headers_and_their_formats_are_found(side: int, orientation: Orientation
         data = haar.encode(rng.choice([-1, 1], (7, side, side))).astype(float)
         data[3], data[4] = header_levels(identity, side), signalling_levels(identity, form, side)
         change = np.stack([orientation.turned(one) for one in data - 2]) + rng.normal(0, 0.3, data.shape)
-        found = [one for one in headers(change, 2) if one.orientation == orientation and one.identity == identity]
+        found = [one for one in find_headers(change, 2) if one.orientation == orientation and one.identity == identity]
         assert found
         assert found[0].place == 3
-        assert named_format(found[0], change, 2) == form
+        assert read_format(found[0], change, 2) == form
 
 
 def test_data_are_no_header() -> None:
     data = haar.encode(np.random.default_rng(1).choice([-1, 1], (200, 8, 8))).astype(float) - 2
-    assert headers(data, 2) == []
+    assert find_headers(data, 2) == []

@@ -8,8 +8,8 @@ from screen_light import shown
 import heliograph
 from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
-from heliograph.receive.screen.cells import Follower, Look, Place
-from heliograph.receive.screen.locate import BELIEVED, KEPT_FRAMES, ArraySearch, Placed
+from heliograph.receive.screen.cells import CellFitter, CellTracker, Place
+from heliograph.receive.screen.locate import PARAMETERS, ArraySearch, CandidateArray
 from heliograph.web.sending import sending_of
 
 
@@ -36,16 +36,16 @@ def test_any_rate_is_found_also_where_refreshes_are_skipped(display_hz: float, l
 
 def test_what_is_doubtful_is_no_array_before_many_frames_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """Between two patterns of a slow light only noise changes, which looks like a bad array."""
-    look = Look(8, 1.0, np.linspace(0, 1, 256, dtype=np.float32))
+    fitter = CellFitter(8, 1.0, np.linspace(0, 1, 256, dtype=np.float32))
     place = Place.of(np.array([[20, 20], [100, 20], [100, 100], [20, 100]], float), 8)
     search = ArraySearch(8, 2.2)
-    monkeypatch.setattr(search, "_placed", lambda *_: Placed(0.5, place, look))
-    monkeypatch.setattr(search, "_searched", lambda placed: placed)
-    monkeypatch.setattr(Follower, "_slipped", lambda *args: args[-1])
+    monkeypatch.setattr(search, "_fit_candidate", lambda *_: CandidateArray(0.5, place, fitter))
+    monkeypatch.setattr(search, "_search_around", lambda candidate: candidate)
+    monkeypatch.setattr(CellTracker, "_correct_slip", lambda *args: args[-1])
     rng = np.random.default_rng(1)
     taken = []
-    for k in range(KEPT_FRAMES):
+    for k in range(PARAMETERS.kept_frames):
         cells = rng.integers(20, 230, (8, 8)).astype(np.uint8).repeat(10, 0).repeat(10, 1)
         pixels = np.pad(cells, 20, constant_values=10)
-        taken.append(search.take(Frame(k, k / 30, pixels)) is not None)
-    assert BELIEVED <= taken.index(True) + 1 <= KEPT_FRAMES
+        taken.append(search.push(Frame(k, k / 30, pixels)) is not None)
+    assert PARAMETERS.max_doubtful <= taken.index(True) + 1 <= PARAMETERS.kept_frames

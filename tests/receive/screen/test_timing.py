@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.screen.clock import Clock, Samples, searched
-from heliograph.receive.screen.packets import solved
+from heliograph.receive.screen.clock import Clock, Samples, search_clocks
+from heliograph.receive.screen.packets import solve_pairs
 
 HEIGHT, FRAME_S, SIDE = 720, 1 / 30, 8
 TRUE = Clock(start_s=0.037, period_s=0.1, row_s=2.5e-5, exposure_s=0.02, response_s=0.008)
@@ -43,31 +43,31 @@ def seen(clock: Clock, frames: int, noise: float = 0.02) -> Samples:
 
 def test_a_clock_is_found_among_rates() -> None:
     samples = seen(TRUE, 48)
-    found = searched(samples, [0.1, 1 / 15, 0.2], FRAME_S, HEIGHT, None)
+    found = search_clocks(samples, [0.1, 1 / 15, 0.2], FRAME_S, HEIGHT, None)
     left, clock = found[0]
     assert left < 0.02
     assert clock.period_s == pytest.approx(0.1, rel=3e-3)
     # all others leave most of it
     assert all(left > 0.3 for left, one in found if abs(one.period_s / 0.1 - 1) > 0.05)
-    middle = clock.begins(round(clock.pair_at(1.3))) + clock.row_s * 350
-    true = TRUE.begins(round(TRUE.pair_at(1.3))) + TRUE.row_s * 350
+    middle = clock.start_of(round(clock.pair_at(1.3))) + clock.row_s * 350
+    true = TRUE.start_of(round(TRUE.pair_at(1.3))) + TRUE.row_s * 350
     assert middle == pytest.approx(true, abs=0.012)
 
 
 def test_pairs_are_solved() -> None:
-    got = solved(seen(TRUE, 48), TRUE)
+    got = solve_pairs(seen(TRUE, 48), TRUE)
     data = change(1, 40)
     for k, pair in enumerate(got.pairs):
-        if TRUE.begins(pair) > 0.55 and TRUE.begins(pair + 1) < 1.95:
+        if TRUE.start_of(pair) > 0.55 and TRUE.start_of(pair + 1) < 1.95:
             assert got.change[k] == pytest.approx(data[pair], abs=0.15)
 
 
 def test_a_known_row_time_is_kept() -> None:
-    found = searched(seen(TRUE, 48), [0.1], FRAME_S, HEIGHT, TRUE.row_s)
+    found = search_clocks(seen(TRUE, 48), [0.1], FRAME_S, HEIGHT, TRUE.row_s)
     assert found[0][1].row_s == TRUE.row_s
     assert found[0][0] < 0.02
 
 
 def test_too_few_frames_tell_nothing() -> None:
-    assert searched(seen(TRUE, 10), [0.1], FRAME_S, HEIGHT, None) == []
-    assert searched(seen(TRUE, 48), [0.02], FRAME_S, HEIGHT, None) == []
+    assert search_clocks(seen(TRUE, 10), [0.1], FRAME_S, HEIGHT, None) == []
+    assert search_clocks(seen(TRUE, 48), [0.02], FRAME_S, HEIGHT, None) == []

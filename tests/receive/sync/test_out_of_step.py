@@ -95,8 +95,8 @@ def test_of_pairs_in_step_the_short_way_gives_what_the_table_of_all_values_gives
     mean, found = rng.uniform(-0.9, 0.9, (PAIRS, symbols)), rng.normal(0, 1.2, (PAIRS, symbols))
     mean[:, : symbols // 2] = np.sign(mean[:, : symbols // 2])
     variance = rng.uniform(0.1, 2.0, symbols)
-    assert pairs.in_step
-    assert not packet(0.37)[1].in_step
+    assert pairs.is_synchronous
+    assert not packet(0.37)[1].is_synchronous
     expected = pairs.expected(mean)
     assert np.stack([expected.mean, expected.variance]) == pytest.approx(
         np.stack(partial_exposure.moments(pairs.response, mean)), abs=1e-12
@@ -114,12 +114,12 @@ def test_of_pairs_in_step_the_short_way_gives_what_the_table_of_all_values_gives
 
 def test_a_packet_partly_in_step_or_with_light_of_others_is_not_in_step() -> None:
     combination, whole = combination_at(0.37), UnsynchronisedPacket.of([None] * PAIRS, np.ones((SIDE, SIDE), bool))
-    assert whole.in_step
-    assert not UnsynchronisedPacket.of([combination, None], np.ones((SIDE, SIDE), bool)).in_step
+    assert whole.is_synchronous
+    assert not UnsynchronisedPacket.of([combination, None], np.ones((SIDE, SIDE), bool)).is_synchronous
     for side in ("before", "after"):
         leak = getattr(whole, side).copy()
         leak[1] = 0.2 * partial_exposure.VALUES
-        assert not replace(whole, **{side: leak}).in_step
+        assert not replace(whole, **{side: leak}).is_synchronous
 
 
 def test_light_of_headers_counts_in_step_too() -> None:

@@ -9,13 +9,13 @@ from heliograph.receive import Pose
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track import kernels
 from heliograph.receive.track.kalman import MotionModel, PoseState
-from heliograph.receive.track.kernels import COVERED_RATE, USUAL_RATE
-from heliograph.receive.track.track import LEAST_CHANGED, USUAL_PAIRS, Track, line_distance
+from heliograph.receive.track.kernels import COVERED_LINE_RATE, LINE_RATE
+from heliograph.receive.track.track import Track, VisibilityParameters, line_distance
 from heliograph.receive.track.tracker import Tracker
 
 Floats = NDArray[np.float64]
 
-SHAPE, GAIN = (70, 70), 204.0
+SHAPE, GAIN, PARAMETERS = (70, 70), 204.0, VisibilityParameters()
 
 
 def pose_at(distance_m: float) -> Pose:
@@ -41,7 +41,7 @@ def cleared(
     """LEDs that nothing covers, and what lines then usually show."""
     clear, lines = np.ones((SIDE, SIDE)), np.full((2, SIDE + 2), np.nan) if usual is None else usual.copy()
     middle, away = np.array([pose.x, pose.y]), line_distance(pose, SIDE)
-    kernels.uncover(2 * 255 * light, middle, pose.axes, away, LEAST_CHANGED * gain, in_sight, lines, clear)
+    kernels.uncover(2 * 255 * light, middle, pose.axes, away, PARAMETERS.min_line_change * gain, in_sight, lines, clear)
     return clear, lines
 
 
@@ -96,14 +96,14 @@ def test_what_stays_beside_the_array_belongs_to_its_surroundings() -> None:
             post = pairs
             break
     # ln(change / least) / rate
-    assert 0.5 / COVERED_RATE < post < 3.5 / COVERED_RATE
+    assert 0.5 / COVERED_LINE_RATE < post < 3.5 / COVERED_LINE_RATE
 
 
 def test_lines_follow_slow_changes() -> None:
     pose = pose_at(50.0)
     _, before = cleared(pose, scene(pose), None)
     _, after = cleared(pose, scene(pose) + 0.01, before)
-    assert after - before == pytest.approx(USUAL_RATE * 2 * 255 * 0.01, abs=1e-6)
+    assert after - before == pytest.approx(LINE_RATE * 2 * 255 * 0.01, abs=1e-6)
 
 
 def test_hidden_leds_come_back_as_they_were() -> None:
@@ -125,7 +125,7 @@ def test_of_an_array_just_found_it_is_not_known_what_is_usual() -> None:
     _, usual = cleared(pose, scene(pose, -0.5), None, gain=np.inf)
     clear, after = cleared(pose, scene(pose), usual, gain=np.inf)
     assert clear.all()
-    assert after[0, 0] - usual[0, 0] == pytest.approx(-USUAL_RATE * 2 * 255 * 0.9, rel=0.05)
+    assert after[0, 0] - usual[0, 0] == pytest.approx(-LINE_RATE * 2 * 255 * 0.9, rel=0.05)
 
 
 @pytest.mark.parametrize("level", [0.02, 0.6, 0.95])
@@ -135,7 +135,7 @@ def test_a_post_does_not_pull_the_pose(distance_m: float, level: float) -> None:
     pose, rng, model = pose_at(distance_m), np.random.default_rng(8), MotionModel(1e-3, 0.1)
     tracker = Tracker(SIDE, model)
     state = PoseState.start(0.0, pose.full_vector()[:5], np.diag([0.05, 0.05, 1e-3, 1e-3, 0.05]) ** 2, model)
-    track, worst = Track(state, GAIN, GAIN, ALL_ON, 0.0, ALL_ON, pairs=USUAL_PAIRS), 0.0
+    track, worst = Track(state, GAIN, GAIN, ALL_ON, 0.0, ALL_ON, pairs=PARAMETERS.learning_pairs), 0.0
     for k in range(150):
         reach = -5 + 0.1 * k
         levels = rng.choice([0.0, 0.25, 0.5, 0.75, 1.0], (SIDE, SIDE), p=np.array([1, 4, 6, 4, 1]) / 16)

@@ -9,7 +9,7 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
-from heliograph.receive.track import kernels as kalman_kernels
+from heliograph.receive.track import kernels
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
     POSE,
@@ -179,15 +179,16 @@ def test_kernels_do_what_the_reference_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
     root, mean, dt = rng.normal(size=(10, 10)), rng.normal(size=10), float(rng.uniform(1e-4, 3.0))
     covariance = root @ root.T + 0.1 * np.eye(10)
-    later = kalman_kernels.predict(mean, covariance, dt, *MODEL.noise_by_powers)
-    for got, want in zip(later, kalman_reference.predict(mean, covariance, dt, MODEL.process_noise(dt)), strict=True):
+    later = kernels.predict(mean, covariance, dt, *MODEL.noise_by_powers)
+    noise = np.sum([dt**k * term for k, term in enumerate(MODEL.noise_by_powers, 1)], axis=0)
+    for got, want in zip(later, kalman_reference.predict(mean, covariance, dt, noise), strict=True):
         assert got == pytest.approx(want, rel=1e-12, abs=1e-12)
     observation = Observation(rng.normal(size=(5, 10)) * (rng.random((5, 10)) < 0.5), rng.random(5))
     shown = observation.matrix, observation.variances
-    found = kalman_kernels.expected(mean, covariance, *shown)
+    found = kernels.expected(mean, covariance, *shown)
     for got, want in zip(found, kalman_reference.expected(mean, covariance, *shown), strict=False):
         assert got == pytest.approx(want, rel=1e-12, abs=1e-12)
     fit = rng.normal(size=5), random_covariance(rng)
-    after = kalman_kernels.condition(mean, covariance, *shown, *fit)
+    after = kernels.condition(mean, covariance, *shown, *fit)
     for got, want in zip(after, kalman_reference.condition(mean, covariance, *shown, *fit), strict=True):
         assert got == pytest.approx(want, rel=1e-8, abs=1e-8)

@@ -16,7 +16,7 @@ from heliograph.receive import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.sync.pairing import FramePair, UnpairedFrame
 from heliograph.receive.track.kalman import PoseState, Tilt
-from heliograph.receive.track.unpaired_frames import SeenPair, around, lone_cutout, state_between
+from heliograph.receive.track.unpaired_frames import CompletePair, nearest_pairs, state_between, unpaired_cutout
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ GAIN = 150.0
     ],
 )
 def test_sums_are_those_of_the_nearest_pairs(place: int, seen: Sequence[int], want: list[int]) -> None:
-    assert around(place, dict.fromkeys(seen)) == want
+    assert nearest_pairs(place, dict.fromkeys(seen)) == want
 
 
 def state_at(time_s: float, vector: Floats, rates: Floats, tilt: tuple[float, float] = (0.0, 0.0)) -> PoseState:
@@ -120,7 +120,7 @@ class Film:
         rng, self.lone, self.step = np.random.default_rng(1), lone, step
         self.late_s, self.mean_late_s = late_s, mean_late_s
         self.levels = rng.binomial(4, 0.5, (9, SIDE, SIDE)) / 4
-        self.seen = {k: SeenPair(self.state(k), self.cutout(k)) for k in range(9) if k != lone}
+        self.seen = {k: CompletePair(self.state(k), self.cutout(k)) for k in range(9) if k != lone}
 
     def pose(self, k: int, late_s: float = 0.0) -> Pose:
         pairs = k + late_s / 0.002
@@ -152,7 +152,7 @@ def test_a_frame_left_shows_the_difference_of_its_pair(
     step: tuple[float, float], late_s: tuple[float, float], inverted: bool
 ) -> None:
     film = Film(step, 4, *late_s)
-    found = lone_cutout(film.left(inverted), 4, film.seen, late_s[0], GAIN, ALL_ON)
+    found = unpaired_cutout(film.left(inverted), 4, film.seen, late_s[0], GAIN, ALL_ON)
     want = film.cutout(4)
     assert found is not None
     assert (found.corner, found.shape) == (want.corner, want.shape)
@@ -168,19 +168,19 @@ def test_its_noise_is_that_of_twice_a_frame_and_of_the_sums(places: Sequence[int
     film = Film((0.0, 0.0), 8)
     seen = {k: film.seen[k] for k in places}
     # in units of the 2 s^2 of a difference, 2 r has 2, and the mean of k sums 1/k
-    found = lone_cutout(film.left(False), 4, seen, 0.0, GAIN, ALL_ON)
+    found = unpaired_cutout(film.left(False), 4, seen, 0.0, GAIN, ALL_ON)
     assert found is not None
     assert found.noise == pytest.approx(noise)
 
 
 def test_without_a_pair_near_it_nothing_is_said() -> None:
     film = Film((0.0, 0.0), 8)
-    assert lone_cutout(film.left(False), 8, {0: film.seen[0], 1: film.seen[1]}, 0.0, GAIN, ALL_ON) is None
-    assert lone_cutout(film.left(False), 8, {}, 0.0, GAIN, ALL_ON) is None
+    assert unpaired_cutout(film.left(False), 8, {0: film.seen[0], 1: film.seen[1]}, 0.0, GAIN, ALL_ON) is None
+    assert unpaired_cutout(film.left(False), 8, {}, 0.0, GAIN, ALL_ON) is None
 
 
 @pytest.mark.parametrize("level", [0, 255])
 def test_something_before_the_array_is_not_taken_for_data(level: int) -> None:
     film = Film((0.0, 0.0), 4)
     covered = Frame(8, 0.008, np.full((70, 70), level, np.uint8))
-    assert lone_cutout(UnpairedFrame(covered, False, 0.0), 4, film.seen, 0.0, GAIN, ALL_ON) is None
+    assert unpaired_cutout(UnpairedFrame(covered, False, 0.0), 4, film.seen, 0.0, GAIN, ALL_ON) is None

@@ -10,18 +10,11 @@ from heliograph.receive import Pose
 from heliograph.receive.geometry.fit import Prior, fit_array
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track import kernels
-from heliograph.receive.track.track import (
-    BRIGHT_QUANTILE,
-    LEAST_CHANGE_IN_SIGHT,
-    MOST_CHANGE,
-    RECENT_PAIR_WEIGHT,
-    open_pixels,
-    square_leds,
-)
+from heliograph.receive.track.track import VisibilityParameters, square_leds, visible_pixels
 
 Floats = NDArray[np.float64]
 
-SHAPE = (60, 60)
+SHAPE, PARAMETERS = (60, 60), VisibilityParameters()
 
 
 def pose_at(distance_m: float) -> Pose:
@@ -50,7 +43,8 @@ def change_of(pair: FramePair) -> Floats:
 
 def changed(before: Floats, pair: FramePair, pose: Pose) -> Floats:
     """Recent change of the LEDs with one more pair, whose noise is 2 gray levels; LEDs in sight change by 5."""
-    out, taken = np.empty_like(before), (25.0, int(BRIGHT_QUANTILE * (SIDE**2 - 1)), MOST_CHANGE, RECENT_PAIR_WEIGHT)
+    out, bright = np.empty_like(before), int(PARAMETERS.bright_quantile * (SIDE**2 - 1))
+    taken = 25.0, bright, PARAMETERS.max_change, PARAMETERS.change_rate
     kernels.recent_change(before, change_of(pair), 2.0, pose.x, pose.y, pose.axes, square_leds(pose, SIDE), *taken, out)
     return out
 
@@ -63,10 +57,10 @@ def test_what_a_post_hides_does_not_change(distance_m: float) -> None:
     change = np.ones((SIDE, SIDE))
     for _ in range(30):
         change = changed(change, pair_of(pose, rng, post), pose)
-    seen = change >= LEAST_CHANGE_IN_SIGHT
+    seen = change >= PARAMETERS.min_visible
     assert not seen[:, :4].any()
     assert seen[:, 9:].all()
-    clear = open_pixels(seen.astype(np.float64), pose, (0, 0), SHAPE)
+    clear = visible_pixels(seen.astype(np.float64), pose, (0, 0), SHAPE)
     assert not clear[:, : round(pose.x) - 4].any()
     assert clear[:, round(pose.x + 3 * pose.pitch) :].all()
 
@@ -78,7 +72,7 @@ def test_an_array_in_clear_sight_stays_in_sight() -> None:
     for _ in range(200):
         change = changed(change, pair_of(pose, rng), pose)
         least = min(least, float(change.min()))
-    assert least >= LEAST_CHANGE_IN_SIGHT
+    assert least >= PARAMETERS.min_visible
 
 
 def test_pixels_that_something_hides_do_not_move_a_fit() -> None:
@@ -89,7 +83,7 @@ def test_pixels_that_something_hides_do_not_move_a_fit() -> None:
     seen[:, :5] = 0
     spread = np.diag(np.array([1.0, 1.0, 0.05, 0.02, 0.1]) ** 2)
     prior = Prior(pose.full_vector() + np.array([0.3, -0.2, 0.01, 0, 0, 0, 0]), spread, 0.8 * 255)
-    clear = open_pixels(seen, pose, (0, 0), SHAPE)
+    clear = visible_pixels(seen, pose, (0, 0), SHAPE)
     found = fit_array(total, (0, 0), prior, seen, 6, panel=True, open_pixels=clear)
     pulled = fit_array(total, (0, 0), prior, np.ones((SIDE, SIDE)), 6, panel=True)
     assert abs(found.pose.x - pose.x) < 0.1
@@ -102,8 +96,8 @@ def test_kernels_do_what_the_reference_does(seed: int) -> None:
     change, pose = rng.normal(0, 20, (31, 33)), Pose(16.3, 14.8, 1.2 + 0.4 * seed, 0.05, 0.5, 0.02, -0.01)
     place = pose.x, pose.y
     for distance in (3.0, 11.5, 90.0):
-        got = kernels.noise_beside(change, *place, distance)
-        assert got == pytest.approx(reference.noise_beside(change, *place, distance), rel=1e-12)
+        got = kernels.noise_outside(change, *place, distance)
+        assert got == pytest.approx(reference.noise_outside(change, *place, distance), rel=1e-12)
         assert kernels.power_within(change, *place, distance) == pytest.approx(
             reference.power_within(change, *place, distance), rel=1e-12
         )

@@ -18,7 +18,7 @@ from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry.fit import PANEL_MARGINS
 from heliograph.receive.geometry.window import cut_out, window_around
 from heliograph.receive.track.kalman import POSE, POSE_SIZE, MotionModel, PoseState
-from heliograph.receive.track.tracker import widened
+from heliograph.receive.track.tracker import widen_covariance
 from heliograph.signal import haar
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import SLOTS
@@ -96,7 +96,7 @@ class KnownPattern:
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
         """Begin at the detection; see `Follower`."""
-        wider = widened(found.fit.covariance)[:POSE_SIZE, :POSE_SIZE]
+        wider = widen_covariance(found.fit.covariance)[:POSE_SIZE, :POSE_SIZE]
         self._state = PoseState.start(found.time_s, found.fit.vector[:POSE_SIZE], wider, self._model)
         self._start_s, self._gain = found.start_time_s, found.fit.gain
         self._pitch, self._lost = found.fit.pose.pitch, False

@@ -8,7 +8,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.sync.pairing import UnpairedFrame
 from heliograph.receive.track.track import Track, mask_occluded_retroactively
-from heliograph.receive.track.unpaired_frames import SeenPair, lone_cutout
+from heliograph.receive.track.unpaired_frames import CompletePair, unpaired_cutout
 
 T = TypeVar("T")
 
@@ -20,16 +20,16 @@ class PacketBuffer:
     # Cut-outs of pairs, in the single mode by number of the pattern
     cutouts: Mapping[int, Cutout] = field(default_factory=dict)
     # Pairs in step of which both frames are there
-    seen: Mapping[int, SeenPair] = field(default_factory=dict)
+    seen: Mapping[int, CompletePair] = field(default_factory=dict)
     # What is left of the others
     lone: Mapping[int, UnpairedFrame] = field(default_factory=dict)
 
     def with_pair(self, place: int, cutout: Cutout, track: Track, in_step: bool) -> "PacketBuffer":
         """A further pair, and of the pairs before it the cut-outs without LEDs that were hidden already."""
         cutouts = {**self.cutouts, place: cutout}
-        if not track.whole:
-            cutouts |= mask_occluded_retroactively(cutouts, place, track.in_sight)
-        seen = {**self.seen, place: SeenPair(track.state, cutout)} if in_step else self.seen
+        if not track.all_visible:
+            cutouts |= mask_occluded_retroactively(cutouts, place, track.visible)
+        seen = {**self.seen, place: CompletePair(track.state, cutout)} if in_step else self.seen
         return PacketBuffer(cutouts, seen, self.lone)
 
     def with_patterns(self, place: int, cutouts: Sequence[Cutout]) -> "PacketBuffer":
@@ -62,7 +62,7 @@ class PacketBuffer:
     def lone_cutouts(self, late_s: float, gain: float, led_gains: Floats) -> dict[int, Cutout | None]:
         """What the frames whose other half is lost show, by number of the pair; None where that is nothing."""
         return {
-            place: lone_cutout(lone, place, self.seen, late_s, gain, led_gains) for place, lone in self.lone.items()
+            place: unpaired_cutout(lone, place, self.seen, late_s, gain, led_gains) for place, lone in self.lone.items()
         }
 
 

@@ -181,7 +181,7 @@ class DecisionDirectedTracker:
         # fitting the first frame too would take as long again, and as many bits are wrong with it as without
         fit, state = self._step(track, pair.inverted)
         after = replace(track, state=state)
-        seen = self._tracker.sees(after, pair, fit)
+        seen = self._tracker.is_visible(after, pair, fit)
         if seen:
             after = replace(after, last_seen_s=state.time_s)
         else:

@@ -1,16 +1,13 @@
-"""What looking for a screen may cost: a film that shows none is gone through in less time than it lasts.
+"""Cells of a screen array: work budget of the search, fit of the cells in a frame, and tracking from frame to frame.
 
-The cells of an array in one frame: their light by least squares, and their place by how well it fits.
-
-The frame is drawn upright, S samples a cell, with a ring of one cell around. Drawn so it is B X B^T: X the light of the
-cells and of the ring, B how a cell is spread over samples by the blur. Least squares give X; what is left, against the
-derivatives of B X B^T by the place, moves the place.
-
-An array of a screen followed from frame to frame: what each frame shows of its cells.
+The array is resampled upright, S samples per cell, with a ring of one cell around. The samples are B X B^T, with the
+light X of the cells and of the ring, and the spread B of a cell by the blur. Least squares give X; the residual,
+projected on the derivatives of B X B^T, corrects the place.
 """
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 
 import cv2
 import numpy as np
@@ -20,115 +17,111 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame, Pixels
 
 SAMPLES_PER_S = 14e6
-"""Samples of an array that a core draws and fits in a second, on the machine of `docs/performance.md`."""
+"""Samples that a core resamples and fits per second, on the machine of `docs/performance.md`."""
 
 
 @dataclass(frozen=True)
 class SearchLimits:
     """Limits of the search, in seconds of a core."""
 
-    # Seconds of search for each second of the film
-    part: float = 0.2
-    # Seconds that are there at first, and at most
+    # Seconds of search per second of the film
+    share: float = 0.2
+    # Initial and maximum seconds
     first_s: float = 1.0
-    # Seconds beyond which an array without a header is given up
+    # Debt at which an array without a header is given up
     debt_s: float = 0.5
 
     def for_light(self, period_s: float) -> "SearchLimits":
-        """Limits of a light of a pattern period; a header of less than 10 patterns/s takes longer to be seen."""
+        """Scale the limits to a pattern period; headers below 10 patterns/s take longer."""
         slower = max(1.0, 10 * period_s)
         return replace(self, first_s=slower * self.first_s, debt_s=slower * self.debt_s)
 
 
 class SearchBudget:
-    """Work that the search for a screen may do. It is counted and not timed: every machine reads a film alike."""
+    """Work that the search for a screen may do, counted rather than timed to be reproducible."""
 
     def __init__(self, limits: SearchLimits | None = None):
         self._limits = limits or SearchLimits()
         self.fill()
 
     @property
-    def lasts(self) -> bool:
-        """True if there is work left."""
+    def is_left(self) -> bool:
+        """True if work is left."""
         return self._left_s > 0
 
     @property
     def is_overdrawn(self) -> bool:
-        """True if more was done than an array without a header is worth."""
+        """True if an array without a header has used up the debt."""
         return self._left_s < -self._limits.debt_s
 
     def fill(self) -> None:
-        """Allow as much work as at first."""
+        """Reset the work to the initial amount."""
         self._left_s = self._limits.first_s
 
     def earn(self, film_s: float) -> None:
-        """Allow the work of some seconds of the film more."""
-        self._left_s = min(self._left_s + self._limits.part * film_s, self._limits.first_s)
+        """Add the work of some seconds of the film."""
+        self._left_s = min(self._left_s + self._limits.share * film_s, self._limits.first_s)
 
     def spend(self, samples: float) -> None:
-        """Do work, in samples of an array that are drawn and fitted."""
+        """Subtract work, in samples that are resampled and fitted."""
         self._left_s -= samples / SAMPLES_PER_S
 
 
 S = 6
-"""Samples of a cell's side. Chosen: a blur of a third of a cell is drawn right to 1 %."""
+"""Samples along the side of a cell: a blur of a third of a cell is represented to 1 %."""
 
 RIM_CELLS = 1
-"""Cells around the array that are drawn too: what shines there is spread into the array."""
+"""Width of the ring around the array in cells, whose light leaks into the array."""
 
-CELL_LOADING = 1e-3
-"""Loading of the least squares, by the weight of a cell: cells smaller than the blur would amplify noise without
-bounds."""
+PIXEL_SAMPLES = 0.05
+"""Work of a pixel in samples."""
 
-CELL_PX = 10.0
-"""Px a cell above which frames are reduced before they are drawn: S samples see them then without gaps."""
 
-PLACE_STEPS = 4
-"""Most steps of a place in a frame. Chosen: from frame to frame it moves by less than half a cell, and each step halves
-the rest at least."""
+@dataclass(frozen=True)
+class CellParameters:
+    """Parameters of the fit of cells."""
 
-ENOUGH = 0.01
-"""Step in cells that ends the fit. A tolerance."""
+    # Loading of the least squares, relative to the weight of a cell: cells may be smaller than the blur
+    loading: float = 1e-3
+    # Cell size in px above which frames are reduced
+    max_cell_px: float = 10.0
+    # Step in cells that ends the fit, and maximum of a step
+    min_step: float = 0.01
+    max_step: float = 0.7
+    # Standard deviation in px of a pixel and of bilinear interpolation: sqrt(1/12 + 1/12)
+    pixel_px: float = 0.4
+    # The same of a sample, in samples
+    sample_width: float = 0.35
+    # Minimum blur in cells: sharper edges fall between samples
+    min_blur: float = 0.05
+    # Work of a step in addition to the samples
+    step_samples: int = 3000
+    # Light in full scales of a saturated sample, within the error of a codec
+    saturated: float = 0.985
+    # Rms of random data about the mean, relative to the mean
+    data_contrast: float = 0.5
+    # Weights that keep the shape of the array from frame to frame, relative to the weight of the image
+    stiffness: tuple[float, ...] = (0.0, 0.03, 0.03, 0.0, 0.03, 0.03, 0.2, 0.2)
 
-BOX_PX = 0.4
-"""Standard deviation of a pixel's box and of bilinear samples in px: sqrt(1/12 + 1/12)."""
 
-SAMPLED = 0.35
-"""The same of a sample in samples, rounded up for what is reduced."""
-
-NARROWEST = 0.05
-"""Least blur in cells: a sharper edge falls between samples."""
-
-STEP_SAMPLES, PIXEL_SAMPLES = 3000, 0.05
-"""Work of a step beside its samples, and of a pixel, in samples: 0.2 ms and 4 ns."""
-
-SATURATED = 0.985
-"""Light in full scales from which a sample counts as saturated: the highest levels of 8 bits, less a codec's error."""
-
-EVEN = 0.5
-"""Rms of random data about their mean, by that mean: levels of 0 to 4 have the standard deviation 1."""
-
-FIRM = (0.0, 0.03, 0.03, 0.0, 0.03, 0.03, 0.2, 0.2)
-"""Weight, as a part of the image's own, that holds the shape of the array from frame to frame: a hand turns a phone by
-hundredths of a degree a frame."""
+_CELL = CellParameters()
 
 
 @dataclass(frozen=True)
 class Place:
-    """An array's place in a frame."""
+    """Place of an array in a frame."""
 
-    # (3, 3) map of the array's square, 0 to n in cells, to px
+    # (3, 3) homography from cells, 0 to n, to px
     homography: Floats
 
     @classmethod
     def of(cls, corners: Floats, side: int) -> "Place":
         """Return the place of an array with four corners."""
         square = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32)
-        found = cv2.getPerspectiveTransform(square, np.asarray(corners, np.float32))
-        return cls(np.asarray(found, float))
+        return cls(np.asarray(cv2.getPerspectiveTransform(square, np.asarray(corners, np.float32)), float))
 
     def at(self, points: Floats) -> Floats:
-        """Return points of the array in px."""
+        """Convert points of the array to px."""
         h = self.homography
         out = points @ h[:, :2].T + h[:, 2]
         return out[..., :2] / out[..., 2:]
@@ -159,21 +152,21 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What a frame shows of an array."""
+class CellFit:
+    """Cells of an array in a frame."""
 
-    # Where it was, as least squares found it
+    # Fitted place
     place: Place
-    # (n + 2, n + 2) light of its cells, and of the ring around, in full scales
+    # (n + 2, n + 2) light of the cells and of the ring in full scales
     cells: Floats
-    # Rms of what the cells do not explain, as a part of the rms of the picture about its mean, or of data's
+    # Rms of the residual, relative to the contrast of the picture or of data
     misfit: float
-    # Part of the array that is at full scale
+    # Saturated fraction of the array
     saturated: float
 
     @property
     def ring(self) -> Floats:
-        """(4 n,) light of the ring's cells but for its corners."""
+        """(4 n,) light of the ring without the corners."""
         inner = slice(RIM_CELLS, -RIM_CELLS)
         return np.concatenate(
             [self.cells[0, inner], self.cells[-1, inner], self.cells[inner, 0], self.cells[inner, -1]]
@@ -181,13 +174,13 @@ class Seen:
 
     @property
     def light(self) -> Floats:
-        """(n, n) light of its cells in full scales."""
+        """(n, n) light of the cells in full scales."""
         return self.cells[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS]
 
 
 @lru_cache(maxsize=64)
 def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
-    """B, its derivative by the place in cells, and the least squares' weights, for a blur in cells."""
+    """Return B, the derivative of B by the place, and the weights of the least squares, for a blur in cells."""
     from scipy.special import ndtr
 
     cells = side + 2 * RIM_CELLS
@@ -196,18 +189,18 @@ def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     z = (at[:, None] - edge) / width
     b = ndtr(z[:, :-1]) - ndtr(z[:, 1:])
     bell = np.exp(-0.5 * z**2) / (np.sqrt(2 * np.pi) * width)
-    # what lies beyond the ring is as its rim
+    # the light beyond the ring continues the ring
     b[:, 0] += ndtr(-z[:, 0])
     b[:, -1] += ndtr(z[:, -1])
     slope = bell[:, :-1] - bell[:, 1:]
     slope[:, 0], slope[:, -1] = -bell[:, 1], bell[:, -2]
     gram = b.T @ b
-    weights = np.linalg.solve(gram + CELL_LOADING * S * np.eye(cells), b.T)
+    weights = np.linalg.solve(gram + _CELL.loading * S * np.eye(cells), b.T)
     return b, slope, weights
 
 
-def _drawn(part: NDArray[np.float32], homography: Floats, side: int) -> Floats:
-    """An array drawn upright, with its ring, of the light of a part of a frame and its place there."""
+def _resample(part: NDArray[np.float32], homography: Floats, side: int) -> Floats:
+    """Resample an array upright, with the ring, from a part of a frame."""
     cells = side + 2 * RIM_CELLS
     # sample (i + 1/2) / S - RIM_CELLS cells
     to_cells = np.array([[1 / S, 0, 0.5 / S - RIM_CELLS], [0, 1 / S, 0.5 / S - RIM_CELLS], [0, 0, 1]])
@@ -220,61 +213,62 @@ def _drawn(part: NDArray[np.float32], homography: Floats, side: int) -> Floats:
 
 
 def light_of(pixels: Pixels, light: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Look gray levels up in the light of each level."""
+    """Convert gray levels to light by a table."""
     if pixels.dtype == np.uint8:
         return np.asarray(cv2.LUT(pixels, light), np.float32)
     return light[pixels]
 
 
-def inside(place: Place, side: int, shape: tuple[int, ...]) -> bool:
-    """Whether all of an array lies in a frame."""
+def is_inside(place: Place, side: int, shape: tuple[int, ...]) -> bool:
+    """Return True if an array lies completely in a frame."""
     corners = place.corners(side)
     w = np.array([[0, 0, 1], [side, 0, 1], [side, side, 1], [0, side, 1.0]]) @ place.homography[2]
     size = np.array(shape[::-1])
     return bool(np.isfinite(corners).all() and (w > 0).all() and (corners > -1).all() and (corners < size).all())
 
 
-class Look:
-    """Finds an array's cells and place in frames."""
+class CellFitter:
+    """Fits the cells and the place of an array in frames."""
 
     def __init__(self, side: int, blur_px: float, light: NDArray[np.float32], budget: SearchBudget | None = None):
         self.side, self.blur_px, self.light = side, blur_px, light
         self.budget = budget or SearchBudget()
 
-    def __call__(self, pixels: Pixels, place: Place, steps: int = PLACE_STEPS) -> Seen:
-        """Find the cells and the place in a frame."""
+    def __call__(self, pixels: Pixels, place: Place, max_steps: int = 4) -> CellFit:
+        """Fit the cells and the place in a frame."""
         side = self.side
-        part, there = self._around(pixels, place)
-        # a pixel's box, bilinear samples and the lens together
-        width = float(np.hypot(np.hypot(self.blur_px, BOX_PX) / place.cell_px(side), SAMPLED / S))
-        b, slope, weights = _spread(side, round(max(width, NARROWEST), 2))
+        part, part_place = self._cut_out(pixels, place)
+        # blur of pixel, interpolation and lens
+        width = float(np.hypot(np.hypot(self.blur_px, _CELL.pixel_px) / place.cell_px(side), _CELL.sample_width / S))
+        b, slope, weights = _spread(side, round(max(width, _CELL.min_blur), 2))
         start = place
-        for step in range(steps + 1):
-            seen = _drawn(part, there.homography @ np.linalg.solve(start.homography, place.homography), side)
-            x = weights @ seen @ weights.T
-            left = seen - b @ x @ b.T
-            if step == steps:
+        for step in range(max_steps + 1):
+            homography = part_place.homography @ np.linalg.solve(start.homography, place.homography)
+            samples = _resample(part, homography, side)
+            x = weights @ samples @ weights.T
+            residual = samples - b @ x @ b.T
+            if step == max_steps:
                 break
-            delta = _step(left, b, slope, x, side)
+            delta = _step(residual, b, slope, x, side)
             place = Place(place.homography @ delta)
-            if np.abs(delta - np.eye(3))[:2].max() < ENOUGH:
+            if np.abs(delta - np.eye(3))[:2].max() < _CELL.min_step:
                 break
-        self.budget.spend((step + 1) * (seen.size + STEP_SAMPLES) + PIXEL_SAMPLES * part.size)
+        self.budget.spend((step + 1) * (samples.size + _CELL.step_samples) + PIXEL_SAMPLES * part.size)
         core = slice(RIM_CELLS * S, -RIM_CELLS * S)
-        inner = seen[core, core]
-        # from a pattern to its inverse all cells are alike for a moment, and tell nothing
-        contrast = max(float(inner.std()), EVEN * float(inner.mean()), TINY)
-        misfit = float(np.sqrt(np.mean(left[core, core] ** 2))) / contrast
-        return Seen(place, x, misfit, float(np.mean(inner > SATURATED)))
+        inner = samples[core, core]
+        # between a pattern and the inverse all cells are alike
+        contrast = max(float(inner.std()), _CELL.data_contrast * float(inner.mean()), TINY)
+        misfit = float(np.sqrt(np.mean(residual[core, core] ** 2))) / contrast
+        return CellFit(place, x, misfit, float(np.mean(inner > _CELL.saturated)))
 
-    def _around(self, pixels: Pixels, place: Place) -> tuple[NDArray[np.float32], Place]:
-        """Light of the part of a frame about an array, reduced where its cells are large, and the place in it."""
+    def _cut_out(self, pixels: Pixels, place: Place) -> tuple[NDArray[np.float32], Place]:
+        """Cut out the light around an array, reduced for large cells, with the place in the part."""
         corners, cell = place.corners(self.side), place.cell_px(self.side)
         rim = 2 * cell + 2
         low = np.maximum(np.floor(corners.min(0) - rim), 0).astype(int)
         high = np.minimum(np.ceil(corners.max(0) + rim).astype(int) + 1, pixels.shape[::-1])
         part = light_of(pixels[low[1] : high[1], low[0] : high[0]], self.light)
-        factor = max(1, int(cell / CELL_PX))
+        factor = max(1, int(cell / _CELL.max_cell_px))
         if factor > 1:
             size = (part.shape[1] // factor, part.shape[0] // factor)
             part = part[: size[1] * factor, : size[0] * factor]
@@ -285,31 +279,21 @@ class Look:
         return part, Place(move @ place.homography)
 
 
-def _step(left: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> Floats:
-    """A small homography in cells that lessens what is left, (3, 3)."""
+def _step(residual: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> Floats:
+    """Return a small homography in cells that reduces the residual, (3, 3)."""
     core = slice(RIM_CELLS * S - S // 2, -(RIM_CELLS * S - S // 2))
     across, down = (b @ x @ slope.T)[core, core], (slope @ x @ b.T)[core, core]
     at = (np.arange(b.shape[0])[core] + 0.5) / S - RIM_CELLS - side / 2
-    u, v = (one / side for one in np.meshgrid(at, at))
+    u, v = (axis / side for axis in np.meshgrid(at, at))
     # x' = x + a + b u + c v + g u^2 + h u v, y' = y + d + e u + f v + g u v + h v^2, in cells
-    rows = np.stack(
-        [
-            across,
-            across * u,
-            across * v,
-            down,
-            down * u,
-            down * v,
-            (across * u + down * v) * u,
-            (across * u + down * v) * v,
-        ]
-    )
-    rows = rows.reshape(8, -1)
+    tilt = across * u + down * v
+    terms = [across, across * u, across * v, down, down * u, down * v, tilt * u, tilt * v]
+    rows = np.stack(terms).reshape(8, -1)
     gram = rows @ rows.T
-    hold = np.array(FIRM) * (gram[0, 0] + gram[3, 3]) / 2
-    # the image moves against the place
-    p = np.linalg.solve(gram + np.diag(hold) + 1e-12 * np.eye(8), -(rows @ left[core, core].ravel()))
-    p = p / max(1.0, float(np.abs(p).max()) / 0.7)
+    hold = np.array(_CELL.stiffness) * (gram[0, 0] + gram[3, 3]) / 2
+    # the image moves opposite to the place
+    p = np.linalg.solve(gram + np.diag(hold) + 1e-12 * np.eye(8), -(rows @ residual[core, core].ravel()))
+    p = p / max(1.0, float(np.abs(p).max()) / _CELL.max_step)
     n = side
     a, bb, c, d, e, f, g, h = p
     centred = np.array([[1 + bb / n, c / n, a], [e / n, 1 + f / n, d], [-g / n**2, -h / n**2, 1]])
@@ -317,123 +301,118 @@ def _step(left: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> Float
     return move @ centred @ np.linalg.inv(move)
 
 
-LARGEST_MISFIT = 0.6
-"""Largest part of a picture that cells may leave unexplained, by its rms. Chosen: 0.06 to 0.3 is seen of an array in
-its place, 0.6 to 0.9 of one that is half a cell off."""
+@dataclass(frozen=True)
+class CellTrackerParameters:
+    """Parameters of the tracking from frame to frame."""
 
-FORGOTTEN = 0.5
-"""Part of a motion that is expected to go on from frame to frame. Chosen: sway goes on, tremor turns back."""
+    # Maximum misfit: 0.06 to 0.3 for the right place, 0.6 to 0.9 half a cell off
+    max_misfit: float = 0.6
+    # Fraction of the motion that is predicted to go on: sway goes on, tremor turns back
+    motion_share: float = 0.5
+    # Maximum rms change of a side of the ring, relative to the light; a slip by a cell changes 0.5 to 1
+    max_ring_change: float = 0.3
+    # Minimum light, relative to the brightest frames
+    min_light: float = 0.15
+    # Maximum factor of the usual misfit per frame, and decay of the brightest light
+    growth: float = 1.03
+    # Weight of a frame in the usual ring
+    ring_rate: float = 0.05
+    # Offsets in cells, right and down, that are tried after a slip: a fit corrects half a cell
+    slip_cells: tuple[float, ...] = (0, -0.6, 0.6, -1.2, 1.2)
+    # Ratio of the misfit to the usual misfit above which slips are tried; headers and smear have up to 1.5
+    max_misfit_ratio: float = 1.8
 
 
-STRANGE = 0.3
-"""Rms by which a side of the ring around an array may differ from what it usually shows, by the array's light. Cells of
-the array there, a cell off, differ by 0.5 to 1."""
-
-DARK = 0.15
-"""Light of an array by that of the brightest frames below which it tells nothing. Chosen: 2 % of the weight of
-others."""
-
-GROWTH = 1.03
-"""Factor by which the usual misfit follows that of a frame. Chosen: in 30 frames it has doubled."""
-
-USUAL = 0.05
-"""Weight of a frame in what the ring usually shows. Chosen: the light beside a screen changes in seconds."""
-
-SHIFTS = tuple((x, y) for x in (0, -0.6, 0.6, -1.2, 1.2) for y in (0, -0.6, 0.6, -1.2, 1.2))
-"""Cells, right and down, by which a place may have slipped: the fit finds one that is half a cell off."""
-
-POOR = 1.8
-"""Misfit by the usual one from which a frame is tried from other places. Chosen: a frame of a header or one that is
-smeared has up to 1.5."""
+_TRACKER = CellTrackerParameters()
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What a frame shows of an array."""
+    """An array in a frame."""
 
     # Number of the frame
     index: int
-    # Start of its first row's exposure by the camera's clock
+    # Start of the exposure of the first row in camera time
     time_s: float
     # (n, n, 2) x and y of each cell in px
     at: Floats
-    # The cells' light, and their place
-    seen: Seen
+    # Cells and place
+    fit: CellFit
 
 
-class Follower:
-    """Follows an array."""
+class CellTracker:
+    """Tracks an array from frame to frame."""
 
-    def __init__(self, look: Look, place: Place, firm: bool = True):
-        self._look, self.place, self._firm = look, place, firm
-        n = look.side
-        self._middles = np.stack(np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5), axis=-1)
+    def __init__(self, fitter: CellFitter, place: Place, corrects_slips: bool = True):
+        self._fitter, self.place, self._corrects_slips = fitter, place, corrects_slips
+        n = fitter.side
+        self._middle = np.array([n / 2] * 2)
+        self._cell_centres = np.stack(np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5), axis=-1)
         self._motion = np.zeros(2)
         self._ring: Floats | None = None
-        self._usual = LARGEST_MISFIT / POOR
-        self._sure = place
-        self._bright = 0.0
+        self._usual_misfit = _TRACKER.max_misfit / _TRACKER.max_misfit_ratio
+        self._last_good = place
+        self._max_light = 0.0
         self.lost_since: float | None = None
 
     @property
     def blur_px(self) -> float:
-        """Standard deviation of the blur in px by which cells are found."""
-        return self._look.blur_px
+        """Standard deviation of the blur in px."""
+        return self._fitter.blur_px
 
-    def take(self, frame: Frame, steps: int = 4) -> Sample | None:
-        """Find the array in the next frame; None where it is not seen."""
-        expected = self.place.moved(FORGOTTEN * self._motion)
-        seen = self._seen(frame, expected, steps)
-        if seen is not None and float(seen.light.mean()) < DARK * self._bright:
+    def track(self, frame: Frame, max_steps: int = 4) -> Sample | None:
+        """Find the array in the next frame; None for an invisible array."""
+        expected = self.place.moved(_TRACKER.motion_share * self._motion)
+        fit = self._fit(frame, expected, max_steps)
+        if fit is not None and float(fit.light.mean()) < _TRACKER.min_light * self._max_light:
             return None  # the backlight was off
-        if self._firm and (seen is None or self._doubt(seen) > 1) and self._look.budget.lasts:
-            seen = self._slipped(frame, expected, steps, seen)
-        if seen is None:
+        if self._corrects_slips and (fit is None or self._doubt(fit) > 1) and self._fitter.budget.is_left:
+            fit = self._correct_slip(frame, expected, max_steps, fit)
+        if fit is None:
             self._motion = np.zeros(2)
             if self.lost_since is None:
                 self.lost_since = frame.time_s
             return None
         self.lost_since = None
-        middle = np.array([self._look.side / 2] * 2)
-        self._motion = seen.place.at(middle) - self.place.at(middle)
-        self.place = seen.place
-        self._learn(seen)
-        return Sample(frame.index, frame.time_s, self.place.at(self._middles), seen)
+        self._motion = fit.place.at(self._middle) - self.place.at(self._middle)
+        self.place = fit.place
+        self._update(fit)
+        return Sample(frame.index, frame.time_s, self.place.at(self._cell_centres), fit)
 
-    def _slipped(self, frame: Frame, place: Place, steps: int, seen: Seen | None) -> Seen | None:
-        """The best that is seen about a place, of the shape that the array had when it was last seen well."""
+    def _correct_slip(self, frame: Frame, place: Place, max_steps: int, fit: CellFit | None) -> CellFit | None:
+        """Return the best fit around a place, with the shape of the last good fit."""
         if self._ring is None:
-            return seen
-        middle = np.array([self._look.side / 2] * 2)
-        shaped = self._sure.moved(place.at(middle) - self._sure.at(middle))
-        tried = [self._seen(frame, one.shifted(*shift), steps) for one in (shaped,) for shift in SHIFTS]
-        return min((one for one in (seen, *tried) if one is not None), key=self._doubt, default=None)
+            return fit
+        shaped = self._last_good.moved(place.at(self._middle) - self._last_good.at(self._middle))
+        offsets = product(_TRACKER.slip_cells, _TRACKER.slip_cells)
+        fits = [fit, *(self._fit(frame, shaped.shifted(*offset), max_steps) for offset in offsets)]
+        return min((candidate for candidate in fits if candidate is not None), key=self._doubt, default=None)
 
-    def _doubt(self, seen: Seen) -> float:
-        """How strange what is seen is; above 1 it may be a slip."""
-        return max(seen.misfit / (POOR * self._usual), self._strangeness(seen) / STRANGE)
-
-    def _strangeness(self, seen: Seen) -> float:
-        """By how much the ring differs from what it usually shows, by the array's light."""
+    def _doubt(self, fit: CellFit) -> float:
+        """Return the doubt about a fit; above 1 the fit may be a slip."""
+        misfit = fit.misfit / (_TRACKER.max_misfit_ratio * self._usual_misfit)
         if self._ring is None:
-            return 0.0
-        # a slip shows on two sides, and most on one
-        sides = np.sqrt(np.mean((seen.ring - self._ring).reshape(4, -1) ** 2, axis=1))
-        return float(sides.max() / max(float(seen.light.mean()), TINY))
+            return max(misfit, 0.0)
+        # a slip changes two sides, the largest change counts
+        sides = np.sqrt(np.mean((fit.ring - self._ring).reshape(4, -1) ** 2, axis=1))
+        return max(misfit, float(sides.max() / max(float(fit.light.mean()), TINY)) / _TRACKER.max_ring_change)
 
-    def _learn(self, seen: Seen) -> None:
+    def _update(self, fit: CellFit) -> None:
+        """Update the usual ring, light and misfit by a fit."""
         if self._ring is None:
-            self._ring, self._usual = seen.ring, seen.misfit
-        if self._doubt(seen) < 1:
-            self._ring = (1 - USUAL) * self._ring + USUAL * seen.ring
-            self._sure = seen.place
-        self._bright = max(float(seen.light.mean()), self._bright / GROWTH)
-        # a camera that loses focus is believed in the end
-        self._usual = float(np.clip(seen.misfit, self._usual / GROWTH, self._usual * GROWTH))
+            self._ring, self._usual_misfit = fit.ring, fit.misfit
+        if self._doubt(fit) < 1:
+            self._ring = (1 - _TRACKER.ring_rate) * self._ring + _TRACKER.ring_rate * fit.ring
+            self._last_good = fit.place
+        growth = _TRACKER.growth
+        self._max_light = max(float(fit.light.mean()), self._max_light / growth)
+        # the usual misfit follows slowly, for cameras that lose focus
+        self._usual_misfit = float(np.clip(fit.misfit, self._usual_misfit / growth, self._usual_misfit * growth))
 
-    def _seen(self, frame: Frame, place: Place, steps: int) -> Seen | None:
-        if not inside(place, self._look.side, frame.pixels.shape):
+    def _fit(self, frame: Frame, place: Place, max_steps: int) -> CellFit | None:
+        """Fit the cells from a place on; None for a bad fit."""
+        if not is_inside(place, self._fitter.side, frame.pixels.shape):
             return None
-        seen = self._look(frame.pixels, place, steps)
-        good = seen.misfit < LARGEST_MISFIT and inside(seen.place, self._look.side, frame.pixels.shape)
-        return seen if good else None
+        fit = self._fitter(frame.pixels, place, max_steps)
+        is_good = fit.misfit < _TRACKER.max_misfit and is_inside(fit.place, self._fitter.side, frame.pixels.shape)
+        return fit if is_good else None

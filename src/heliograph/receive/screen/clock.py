@@ -1,21 +1,13 @@
-"""When each cell of each frame was exposed to which pattern: the light's clock, found from the light alone.
+"""Clock of the light of a screen, estimated from the light of the cells.
 
-A pair of patterns is 2 + d and 2 - d in levels, so that a cell shows
+A pair of patterns has the levels 2 + d and 2 - d, so that a cell shows
 
     y_i = g_i (c + sum_p d_p q(t_i + r y - 2 p T)),   q = w(t) - w(t - T)
 
-w(t) is the mean of one pattern's light over an exposure that begins t after it, t_i the time of frame i, r y that of
-the cell's row of pixels, T the pattern period and g_i the camera's gain. Given phase, row time, exposure and response
-the d are linear least squares. What they leave unexplained judges the rest: variable projection. No header is needed
-for it.
-
-The light of an array's cells in some frames, and how much of it a clock leaves unexplained.
-
-The search of the light's clock: rates and phases that are tried, and the best of them refined.
-
-What is kept of an array: samples of its frames, with the way in which the camera reads its rows out.
-
-When the light's clock is looked for, among which rates, and by which way of reading out.
+with the mean light w(t) of a pattern over an exposure that begins at t, the time t_i of frame i, the row time r, the
+sensor row y of the cell, the pattern period T and the gain g_i of the camera. Given phase, row time, exposure and
+response, the d are linear least squares; the residual judges the other parameters (variable projection). No header is
+needed.
 """
 
 from collections import deque
@@ -27,168 +19,167 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.screen.cells import Sample, SearchBudget
 
-RESPONSE_S = 0.005
-"""Response of a display that a search begins with: 2 to 15 ms."""
+MAX_RESPONSE_S = 0.03
+"""Maximum time constant of a display in seconds."""
+
+
+@dataclass(frozen=True)
+class ClockParameters:
+    """Parameters of the clock search; exposures and readouts in frame periods."""
+
+    # Groups of cells by sensor row that share a time: 4 ms of readout at most
+    row_bins: int = 8
+    # Work of a clock, and of a product in the solution, in samples
+    clock_samples: int = 5000
+    product_samples: float = 0.008
+    # Loading of the least squares, relative to the power of a frame
+    loading: float = 1e-3
+    # Phases of a pair per rate, and for the comparison of many rates
+    phases: int = 16
+    rough_phases: int = 8
+    # Exposures that are tried, and the exposure for the comparison of many rates
+    exposures: tuple[float, float] = (0.3, 0.9)
+    rough_exposure: float = 0.6
+    # Readout times of all rows in seconds that are tried: phones take 5 to 30 ms
+    readouts_s: tuple[float, ...] = (0.0, 0.008, 0.016, 0.024)
+    # Rates that are compared closely, and clocks per rate that are refined
+    best_rates: int = 4
+    best_clocks: int = 2
+    # Maximum unexplained part for a refinement; without a light 0.9 to 1.1 is unexplained
+    max_rough_unexplained: float = 0.85
+    # Relative periods near the best that are tried, how often, and the required reduction of the unexplained part
+    nearby: tuple[float, ...] = (0.985, 0.995, 1.005, 1.015)
+    nearby_steps: int = 3
+    nearby_gain: float = 0.7
+    # Maximum readout of a frame, and minimum exposure
+    max_readout: float = 1.0
+    min_exposure: float = 0.03
+    # Minimum pattern period in frame periods: some rows would never show a single pattern
+    min_period: float = 1.7
+    # Deviation of the light of a frame from the neighbours above which the backlight flickers
+    flicker: float = 0.15
+    # Part of the time searched so far that passes until the next search
+    pause_share: float = 0.3
+    # Maximum unexplained part of a clock: 0.003 to 0.1 for the right clock, 0.4 to 1 for others
+    max_unexplained: float = 0.3
+    # Unexplained part below which no other rates are tried
+    certain_unexplained: float = 0.12
+    # Minimum number of patterns and of frames for a clock
+    min_patterns: int = 10
+    min_frames: int = 16
+    # Duration of the samples that are kept in seconds
+    max_search_s: float = 12.0
+    # Required reduction of the unexplained part for another readout direction
+    readout_gain: float = 0.8
+
+
+PARAMETERS = ClockParameters()
 
 
 @dataclass(frozen=True)
 class Clock:
-    """What decides which pattern a row sees."""
+    """Timing of the light and of the exposures."""
 
-    # Time of a pair's start by the camera's clock
+    # Start of a pair in camera time
     start_s: float
-    # Pattern period T by the camera's clock
+    # Pattern period T in camera time
     period_s: float
     # Time from a row of pixels to the next
     row_s: float
     # Exposure of each row of pixels
     exposure_s: float
-    # Time constant of the display
-    response_s: float = RESPONSE_S
+    # Time constant of the display: 2 to 15 ms
+    response_s: float = 0.005
 
     def pair_at(self, time_s: float) -> float:
-        """Return the number of pairs from the start to a time."""
+        """Convert a time to pairs since the start."""
         return (time_s - self.start_s) / (2 * self.period_s)
 
-    def begins(self, pair: float) -> float:
-        """Return the time at which a pair begins."""
+    def start_of(self, pair: float) -> float:
+        """Return the start of a pair in seconds."""
         return self.start_s + 2 * pair * self.period_s
 
     def design(self, times_s: Floats, pairs: Sequence[int]) -> Floats:
-        """Return q for exposures that begin at some times, (..., pairs)."""
+        """Return q for exposures that begin at given times, (..., pairs)."""
         t = times_s[..., None] - self.start_s - 2 * self.period_s * np.asarray(pairs)
         # q is the second difference of the integral of the step response
         edges = (t, t - self.period_s, t - 2 * self.period_s)
-        a, b, c = (self._risen(one + self.exposure_s) - self._risen(one) for one in edges)
+        a, b, c = (self._ramp(edge + self.exposure_s) - self._ramp(edge) for edge in edges)
         return (a - 2 * b + c) / self.exposure_s
 
-    def _risen(self, t: Floats) -> Floats:
+    def _ramp(self, t: Floats) -> Floats:
+        """Return the integral of the step response of the display."""
         t, tau = np.maximum(t, 0), max(self.response_s, 1e-5)
         return t + tau * np.expm1(-t / tau)
 
 
 def pairs_between(clock: Clock, first_s: float, last_s: float, late_s: float = 0.0) -> range:
-    """Return the pairs that frames between two times show anything of."""
+    """Return the pairs that overlap exposures between two times."""
     first = int(np.floor(clock.pair_at(first_s - 3 * clock.response_s)))
     last = int(np.floor(clock.pair_at(last_s + late_s + clock.exposure_s)))
     return range(first, last + 1)
 
 
-BINS = 8
-"""Groups of cells by row of pixels that are taken at one time. Chosen: an eighth of a frame's readout is 4 ms at
-most."""
-
-CLOCK_SAMPLES, PRODUCT_SAMPLES = 5000, 0.008
-"""Work of judging a clock, and of a product in it, in `budget.SAMPLES_PER_S`."""
-
-PAIR_LOADING = 1e-3
-"""Loading of the least squares, by the power of a frame: a pair that hardly any frame shows must not be made of
-noise."""
-
-
 @dataclass(frozen=True)
 class Samples:
-    """Light of an array's cells in some frames."""
+    """Light of the cells of an array in some frames."""
 
-    # (frames,) starts of the exposures of row 0, by the camera's clock
+    # (frames,) starts of the exposures of row 0 in camera time
     times_s: Floats
-    # (frames, n, n) row of pixels of each cell
+    # (frames, n, n) sensor row of each cell
     rows: Floats
     # (frames, n, n) light in any unit, linear
     light: Floats
     # (frames,) inverse variance of the light, in any unit
     weights: Floats
 
-    def between(self, start_s: float, end_s: float) -> "Samples":
-        """Return those of frames between two times."""
-        kept = (self.times_s >= start_s) & (self.times_s <= end_s)
-        return Samples(self.times_s[kept], self.rows[kept], self.light[kept], self.weights[kept])
-
-    def evened(self, gains: Floats) -> "Samples":
-        """Return the same without the camera's gain."""
-        whole = np.maximum(gains if gains.ndim == 1 else gains.mean((1, 2)), TINY)
-        # what is divided by a small gain is noisy
-        weights = self.weights * np.clip(whole / np.median(whole), 0, 1) ** 2
-        shape = (len(gains), 1, 1) if gains.ndim == 1 else gains.shape
-        return replace(self, light=self.light / np.maximum(gains.reshape(shape), TINY), weights=weights + TINY)
+    def without_gain(self, gains: Floats) -> "Samples":
+        """Divide the light by the gain of each frame."""
+        gains = np.maximum(gains, TINY)
+        # a small gain amplifies noise
+        weights = self.weights * np.clip(gains / np.median(gains), 0, 1) ** 2
+        return replace(self, light=self.light / gains[:, None, None], weights=weights + TINY)
 
 
-class Bins:
-    """Samples by groups of rows of pixels, for the search of a clock."""
+class RowBins:
+    """Samples grouped by sensor rows, for the search of a clock."""
 
     def __init__(self, samples: Samples, budget: SearchBudget | None = None):
         self._budget = budget or SearchBudget()
         n = samples.light.shape[-1]
         y = samples.rows.mean(0).ravel()
         order = np.argsort(y, kind="stable")
-        groups = np.array_split(order, min(BINS, n))
-        flat, rows = (one.reshape(len(samples.times_s), -1) for one in (samples.light, samples.rows))
+        groups = np.array_split(order, min(PARAMETERS.row_bins, n))
+        flat, rows = (values.reshape(len(samples.times_s), -1) for values in (samples.light, samples.rows))
         self.times_s = samples.times_s
         self.rows = np.stack([rows[:, g].mean(1) for g in groups])  # (bins, frames)
         self._share = samples.weights[:, None] / samples.weights.sum()
         self._root = np.sqrt(self._share * len(samples.weights))
-        seen = [self._root * (flat[:, g] - (self._share * flat[:, g]).sum(0)) for g in groups]
-        self.gram = np.stack([one @ one.T for one in seen])  # (bins, frames, frames)
+        centred = [self._root * (flat[:, g] - (self._share * flat[:, g]).sum(0)) for g in groups]
+        self.gram = np.stack([light @ light.T for light in centred])  # (bins, frames, frames)
         self.power = float(np.trace(self.gram, axis1=1, axis2=2).sum())
 
     def unexplained(self, clock: Clock) -> float:
-        """Return the variance that a clock's pairs leave, as a part of all."""
-        frames = len(self.times_s)
-        pairs = pairs_between(
-            clock, float(self.times_s[0]), float(self.times_s[-1]), clock.row_s * float(self.rows.max())
-        )
-        # a frame more is needed than there are unknowns
+        """Return the fraction of the variance that the pairs of a clock leave unexplained."""
+        frames, rows = len(self.times_s), len(self.rows)
+        late_s = clock.row_s * float(self.rows.max())
+        pairs = pairs_between(clock, float(self.times_s[0]), float(self.times_s[-1]), late_s)
+        # at least one frame more than unknowns
         if len(pairs) + 1 >= frames - 1:
             return 1.0
-        self._budget.spend(
-            CLOCK_SAMPLES + PRODUCT_SAMPLES * len(self.rows) * frames * len(pairs) * (frames + len(pairs))
-        )
+        products = rows * frames * len(pairs) * (frames + len(pairs))
+        self._budget.spend(PARAMETERS.clock_samples + PARAMETERS.product_samples * products)
         m = clock.design(self.times_s + clock.row_s * self.rows, pairs)
         m = self._root * (m - (self._share * m).sum(1, keepdims=True))
         gram = m.transpose(0, 2, 1) @ m
-        loading = PAIR_LOADING * 2 * frames / len(pairs) * np.eye(len(pairs))
+        loading = PARAMETERS.loading * 2 * frames / len(pairs) * np.eye(len(pairs))
         b = m.transpose(0, 2, 1) @ self.gram @ m
-        got = float(np.trace(np.linalg.solve(gram + loading, b), axis1=1, axis2=2).sum())
-        left = max(self.power - got, 0.0) / max(self.power, TINY)
+        explained = float(np.trace(np.linalg.solve(gram + loading, b), axis1=1, axis2=2).sum())
+        left = max(self.power - explained, 0.0) / max(self.power, TINY)
         return left * (frames - 1) / (frames - 1 - len(pairs))
 
 
-PHASES = 16
-"""Phases of a pair that are tried: an eighth of a pattern apart, which loses little of a match; they are refined."""
-
-BEST_CLOCKS = 2
-"""Clocks of a rate from which a search is refined. Chosen: phase and readout of one may lie on the wrong side."""
-
-READOUTS_S = (0.0, 0.008, 0.016, 0.024)
-"""Times for all rows of a frame that are tried: phones take 5 to 30 ms."""
-
-TRIED_EXPOSURES = (0.3, 0.9)
-"""Exposures that are tried, in frame periods."""
-
-ROUGH_EXPOSURE, ROUGH_PHASES, BEST_RATES = 0.6, 8, 4
-"""Exposure in frame periods and phases by which rates are compared at first, and how many of them are looked at
-closely. Chosen: a wrong readout or exposure leaves a right rate ahead of others."""
-
-UNFOLLOWED = 0.85
-"""Part of what changes from which a clock that a search begins with is not followed up: of what is no light at all it
-is 0.9 to 1.1."""
-
-NEARBY, NEARER_STEPS = (0.985, 0.995, 1.005, 1.015), 3
-"""Pattern periods about the best one that are tried, by it, and how often. Chosen: rates that are tried are 3 %
-apart."""
-
-MUCH_BETTER = 0.7
-"""Part of what is unexplained that a rate nearby must leave at most. Chosen: patterns of a display that skips refreshes
-come early and late, which other rates explain by a fifth better."""
-
-LONGEST_READOUT = 1.0
-"""Longest readout of a frame in frame periods."""
-
-MOST_PATTERNS_A_FRAME = 1.7
-"""Least frames of a pattern: with fewer, no frame of some rows shows a pattern by itself."""
-
-
-def searched(
+def search_clocks(
     samples: Samples,
     periods: Iterable[float],
     frame_s: float,
@@ -196,65 +187,78 @@ def searched(
     row_s: float | None,
     budget: SearchBudget | None = None,
 ) -> list[tuple[float, Clock]]:
-    """Find clocks that explain what is seen, the best first."""
-    bins = Bins(samples, budget)
-    readouts = [r for r in READOUTS_S if r <= LONGEST_READOUT * frame_s * 1.01] or [0.0]
+    """Search clocks for the samples; return the unexplained parts and the clocks, the best first."""
+    bins, parameters = RowBins(samples, budget), PARAMETERS
+    readouts = [r for r in parameters.readouts_s if r <= parameters.max_readout * frame_s * 1.01] or [0.0]
     rows = [r / height for r in readouts] if row_s is None else [row_s]
     length = float(samples.times_s[-1] - samples.times_s[0])
-    shown = [one for one in periods if one >= MOST_PATTERNS_A_FRAME * frame_s and length >= 4 * one]
-    if len(shown) > BEST_RATES:
-        rough = [rows[len(rows) // 2]], [ROUGH_EXPOSURE * frame_s]
-        first = {one: _begun(bins, one, *rough, ROUGH_PHASES)[0][0] for one in shown}
-        shown = sorted((one for one in shown if first[one] < UNFOLLOWED), key=lambda one: first[one])[:BEST_RATES]
-    exposures = [part * frame_s for part in TRIED_EXPOSURES]
-    begun = [one for period in shown for one in _begun(bins, period, rows, exposures)[:BEST_CLOCKS]]
-    # a wrong rate leaves so much that it need not be refined
-    begun = sorted((one for one in begun if one[0] < UNFOLLOWED), key=lambda one: one[0])
-    found = [refined(bins, clock, frame_s, height, row_s) for _, clock in begun[: 2 * BEST_CLOCKS]]
-    found.sort(key=lambda one: one[0])
-    if found:
-        found[0] = _nearer(bins, *found[0], frame_s, height, row_s)
-    return found
+    tried = [period for period in periods if period >= parameters.min_period * frame_s and length >= 4 * period]
+    if len(tried) > parameters.best_rates:
+        rough = [rows[len(rows) // 2]], [parameters.rough_exposure * frame_s], parameters.rough_phases
+        unexplained = {period: _rough_clocks(bins, period, *rough)[0][0] for period in tried}
+        tried = [period for period in tried if unexplained[period] < parameters.max_rough_unexplained]
+        tried = sorted(tried, key=lambda period: unexplained[period])[: parameters.best_rates]
+    exposures = [exposure * frame_s for exposure in parameters.exposures]
+    rough_clocks = [
+        clock
+        for period in tried
+        for clock in _rough_clocks(bins, period, rows, exposures, parameters.phases)[: parameters.best_clocks]
+    ]
+    # a wrong rate needs no refinement
+    rough_clocks = [clock for clock in rough_clocks if clock[0] < parameters.max_rough_unexplained]
+    rough_clocks.sort(key=lambda clock: clock[0])
+    best = rough_clocks[: 2 * parameters.best_clocks]
+    clocks = [refine_clock(bins, clock, frame_s, height, row_s) for _, clock in best]
+    clocks.sort(key=lambda clock: clock[0])
+    if clocks:
+        clocks[0] = _search_nearby(bins, *clocks[0], frame_s, height, row_s)
+    return clocks
 
 
-def _nearer(
-    bins: Bins, left: float, clock: Clock, frame_s: float, height: int, row_s: float | None
+def _search_nearby(
+    bins: RowBins, left: float, clock: Clock, frame_s: float, height: int, row_s: float | None
 ) -> tuple[float, Clock]:
-    """A better clock of a rate nearby, and what it leaves unexplained: a refined one hardly leaves the rate tried."""
-    middle, first = clock.begins(round(clock.pair_at(float(bins.times_s.mean())))), (left, clock)
-    for _ in range(NEARER_STEPS):
-        tried = [replace(clock, start_s=middle, period_s=clock.period_s * by) for by in NEARBY]
-        less, best = min(((bins.unexplained(one), one) for one in tried), key=lambda one: one[0])
+    """Search a better clock of a nearby rate, as a refinement hardly changes the rate."""
+    middle, first = clock.start_of(round(clock.pair_at(float(bins.times_s.mean())))), (left, clock)
+    for _ in range(PARAMETERS.nearby_steps):
+        tried = [replace(clock, start_s=middle, period_s=clock.period_s * factor) for factor in PARAMETERS.nearby]
+        less, best = _sorted_clocks(bins, tried)[0]
         if less >= left:
             break
-        left, clock = refined(bins, best, frame_s, height, row_s)
-    return (left, clock) if left < MUCH_BETTER * first[0] else first
+        left, clock = refine_clock(bins, best, frame_s, height, row_s)
+    return (left, clock) if left < PARAMETERS.nearby_gain * first[0] else first
 
 
-def _begun(
-    bins: Bins, period_s: float, rows_s: list[float], exposures_s: list[float], phases: int = PHASES
+def _rough_clocks(
+    bins: RowBins, period_s: float, rows_s: list[float], exposures_s: list[float], phases: int
 ) -> list[tuple[float, Clock]]:
-    """Clocks of a rate with what they leave unexplained, the best first."""
+    """Try phases, row times and exposures of a rate; return unexplained parts and clocks, the best first."""
+    start_s = float(bins.times_s[0])
     tried = [
-        Clock(float(bins.times_s[0]) + 2 * period_s * k / phases, period_s, row, min(exposure, period_s))
+        Clock(start_s + 2 * period_s * k / phases, period_s, row, min(exposure, period_s))
         for k in range(phases)
         for row in rows_s
         for exposure in exposures_s
     ]
-    return sorted(((bins.unexplained(one), one) for one in tried), key=lambda one: one[0])
+    return _sorted_clocks(bins, tried)
 
 
-def refined(
-    bins: Bins, clock: Clock, frame_s: float, height: int, row_s: float | None, steps: int = 120
+def _sorted_clocks(bins: RowBins, clocks: list[Clock]) -> list[tuple[float, Clock]]:
+    """Return the unexplained parts and the clocks, the best first."""
+    return sorted(((bins.unexplained(clock), clock) for clock in clocks), key=lambda clock: clock[0])
+
+
+def refine_clock(
+    bins: RowBins, clock: Clock, frame_s: float, height: int, row_s: float | None, max_evaluations: int = 120
 ) -> tuple[float, Clock]:
-    """Improve a clock by what it leaves unexplained."""
+    """Minimise the unexplained part from a clock on; return the unexplained part and the clock."""
     from scipy.optimize import minimize
 
-    middle = float(bins.times_s.mean())
-    anchor = clock.begins(round(clock.pair_at(middle)))
+    anchor = clock.start_of(round(clock.pair_at(float(bins.times_s.mean()))))
     scale = np.array([0.1 * clock.period_s, 3e-3 / height, 0.25 * frame_s, 3e-3, 1e-3 * clock.period_s])
+    max_readout_s, min_exposure_s = PARAMETERS.max_readout * frame_s, PARAMETERS.min_exposure * frame_s
 
-    def made(v: Floats) -> Clock:
+    def clock_at(v: Floats) -> Clock:
         start, row, exposure, response, period = v * scale
         return Clock(
             anchor + start,
@@ -264,64 +268,51 @@ def refined(
             clock.response_s + response,
         )
 
-    def cost(v: Floats) -> float:
-        one = made(v)
-        # what no device does costs as much as it is off
-        off = max(0.0, -one.row_s * height) + max(0.0, one.row_s * height - LONGEST_READOUT * frame_s)
-        off += max(0.0, 0.03 * frame_s - one.exposure_s) + max(0.0, one.exposure_s - frame_s)
-        off += max(0.0, -one.response_s) + max(0.0, one.response_s - 0.03)
-        bounded = replace(
-            one,
-            row_s=float(np.clip(one.row_s, 0, LONGEST_READOUT * frame_s / height)),
-            exposure_s=float(np.clip(one.exposure_s, 0.03 * frame_s, frame_s)),
-            response_s=float(np.clip(one.response_s, 0, 0.03)),
+    def bounded(free: Clock) -> Clock:
+        return replace(
+            free,
+            row_s=float(np.clip(free.row_s, 0, max_readout_s / height)),
+            exposure_s=float(np.clip(free.exposure_s, min_exposure_s, frame_s)),
+            response_s=float(np.clip(free.response_s, 0, MAX_RESPONSE_S)),
         )
-        drift = (one.period_s / clock.period_s - 1) / 2e-3
-        return bins.unexplained(bounded) + off / frame_s + 1e-3 * drift**2
 
-    found = minimize(
-        cost,
-        np.zeros(5),
-        method="Nelder-Mead",
-        options={"maxfev": steps, "xatol": 1e-2, "fatol": 1e-5, "initial_simplex": np.vstack([np.zeros(5), np.eye(5)])},
-    )
-    one = made(found.x)
-    one = replace(
-        one,
-        row_s=float(np.clip(one.row_s, 0, LONGEST_READOUT * frame_s / height)),
-        exposure_s=float(np.clip(one.exposure_s, 0.03 * frame_s, frame_s)),
-        response_s=float(np.clip(one.response_s, 0, 0.03)),
-    )
-    return bins.unexplained(one), one
+    def cost(v: Floats) -> float:
+        free = clock_at(v)
+        # values outside the bounds cost the excess
+        off = max(0.0, -free.row_s * height) + max(0.0, free.row_s * height - max_readout_s)
+        off += max(0.0, min_exposure_s - free.exposure_s) + max(0.0, free.exposure_s - frame_s)
+        off += max(0.0, -free.response_s) + max(0.0, free.response_s - MAX_RESPONSE_S)
+        drift = (free.period_s / clock.period_s - 1) / 2e-3
+        return bins.unexplained(bounded(free)) + off / frame_s + 1e-3 * drift**2
 
-
-FLICKER = 0.15
-"""Part by which a frame's light differs from that of the frames around, from which it is the backlight's and not that
-of the data: of 16 x 16 cells these differ by 0.03 rms, of 8 x 8 by 0.06."""
+    simplex = np.vstack([np.zeros(5), np.eye(5)])
+    options = {"maxfev": max_evaluations, "xatol": 1e-2, "fatol": 1e-5, "initial_simplex": simplex}
+    best = bounded(clock_at(minimize(cost, np.zeros(5), method="Nelder-Mead", options=options).x))
+    return bins.unexplained(best), best
 
 
 @dataclass(frozen=True)
-class Readout:
-    """The way in which a frame is read out, as pictures that are turned upright show it."""
+class RowTiming:
+    """Readout direction of upright frames."""
 
-    # 0 where columns are read one after the other, 1 where rows are
+    # 0 if columns are read one after the other, 1 for rows
     axis: int
-    # Whether the last one is read first
-    back: bool
-    # Columns or rows of a frame
+    # True if the last row is read first
+    is_reversed: bool
+    # Number of columns or rows of a frame
     length: int
 
     def rows(self, at: Floats) -> Floats:
-        """Return how many rows of the sensor are read before some places."""
+        """Return the number of sensor rows that are read before given places."""
         row = at[..., self.axis]
-        return self.length - 1 - row if self.back else row
+        return self.length - 1 - row if self.is_reversed else row
 
 
-class Kept:
-    """Samples of an array that are kept."""
+class SampleBuffer:
+    """Recent samples of an array."""
 
     def __init__(self, shape: tuple[int, ...], frame_s: float):
-        self.readouts = [Readout(axis, back, shape[1 - axis]) for axis in (1, 0) for back in (False, True)]
+        self.readouts = [RowTiming(axis, back, shape[1 - axis]) for axis in (1, 0) for back in (False, True)]
         self.readout = self.readouts[0]
         self.frame_s = frame_s
         self._samples: deque[Sample] = deque()
@@ -331,7 +322,7 @@ class Kept:
 
     @property
     def first(self) -> Sample:
-        """The first sample that is kept."""
+        """The first sample."""
         return self._samples[0]
 
     @property
@@ -339,142 +330,120 @@ class Kept:
         """The last sample."""
         return self._samples[-1]
 
-    def take(self, sample: Sample) -> None:
-        """Keep a sample."""
+    def add(self, sample: Sample) -> None:
+        """Add a sample."""
         self._samples.append(sample)
 
     def drop_before(self, time_s: float) -> None:
-        """Forget samples before a time, but for the last one."""
+        """Drop samples before a time, except the last sample."""
         while len(self._samples) > 1 and self._samples[0].time_s < time_s:
             self._samples.popleft()
 
     def between(self, start_s: float, end_s: float) -> list[Sample]:
         """Return the samples between two times."""
-        return [one for one in self._samples if start_s <= one.time_s <= end_s]
+        return [sample for sample in self._samples if start_s <= sample.time_s <= end_s]
 
-    def gathered(self, start_s: float, end_s: float) -> Samples:
-        """Return the light and the rows of cells between two times."""
-        kept = self.between(start_s, end_s)
+    def light_between(self, start_s: float, end_s: float) -> Samples:
+        """Return the light and the rows of the cells between two times."""
+        samples = self.between(start_s, end_s)
         return Samples(
-            np.array([one.time_s for one in kept]),
-            np.stack([self.readout.rows(one.at) for one in kept]),
-            np.stack([one.seen.light for one in kept]),
-            np.ones(len(kept)),
+            np.array([sample.time_s for sample in samples]),
+            np.stack([self.readout.rows(sample.at) for sample in samples]),
+            np.stack([sample.fit.light for sample in samples]),
+            np.ones(len(samples)),
         )
 
-    def evened(self, start_s: float, end_s: float, clock: Clock) -> Samples:
-        """Return the same without the camera's gain, which is even over a pair."""
-        samples = self.gathered(start_s, end_s)
+    def normalised_between(self, start_s: float, end_s: float, clock: Clock) -> Samples:
+        """Return the light between two times without the gain of the camera, which is constant over a pair."""
+        samples = self.light_between(start_s, end_s)
         mean, t = samples.light.mean((1, 2)), samples.times_s
         near = np.clip(1.0 + 0.5 * self.frame_s / clock.period_s - np.abs(t[:, None] - t) / clock.period_s, 0, None)
         near = np.minimum(near, self.frame_s / clock.period_s)
-        even = (near @ mean) / np.maximum(near.sum(1), TINY)
-        # a backlight that is switched shows in single frames
-        return samples.evened(np.where(np.abs(mean / np.maximum(even, TINY) - 1) > FLICKER, mean, even))
+        smooth = (near @ mean) / np.maximum(near.sum(1), TINY)
+        # a switched backlight changes single frames
+        is_flicker = np.abs(mean / np.maximum(smooth, TINY) - 1) > PARAMETERS.flicker
+        return samples.without_gain(np.where(is_flicker, mean, smooth))
 
 
 RATES = (10.0, 15.0, 30.0, 60.0, 5.0, 20.0, 12.0, 7.5, 6.0, 4.0, 3.0, 2.0, 24.0, 1.0)
-"""Patterns a second that are tried beside the nominal ones: those that divide a display's 60 Hz, and the commonest
-rates of films."""
+"""Patterns per second that are tried first: divisors of 60 Hz, and common frame rates of films."""
 
 DISPLAY_RATES = (12.5, 16.7, 25.0, 50.0, 14.4, 18.0, 36.0, 72.0, 18.75, 37.5, 75.0, 10.3, 20.6, 27.5, 33.0, 22.5, 28.8)
-"""Patterns a second of displays of 50, 72, 75, 90, 144 and 165 Hz, likewise."""
+"""Patterns per second of displays of 50, 72, 75, 90, 144 and 165 Hz."""
 
-STEP = 0.03
-"""Rates that are tried lie nearer to each other than this, as a fraction. Chosen: over ten patterns the ends are then
-off by a sixth of one, from where the right rate is found."""
+RATE_STEP = 0.03
+"""Relative distance of neighbouring rates: ten patterns are then off by a sixth of a pattern at the ends."""
 
-ANY_RATES = tuple(np.exp(np.arange(0.0, np.log(60.0), STEP)).tolist())
-"""Patterns a second that are tried where no usual rate fits, of 1 to 60."""
-
-SEARCH_PAUSE = 0.3
-"""Part of the time for which nothing was found that passes to the next search. Chosen: a search takes one or two
-seconds."""
-
-MOST_UNEXPLAINED = 0.3
-"""Largest part of what changes that a clock may leave unexplained. Of a right one it is 0.003 to 0.1, of a wrong one
-0.4 to 1."""
-
-SURELY_EXPLAINED = 0.12
-"""The same below which no other rates are tried."""
-
-ENOUGH_PATTERNS, ENOUGH_FRAMES = 10, 16
-"""Least patterns and frames from which a clock is found. Chosen: the five numbers of a clock want some pairs of
-data."""
-
-LONGEST_SEARCH_S = 6.0
-"""Seconds within which a clock is looked for: ten patterns at 2 a second last 5 s."""
-
-BETTER = 0.8
-"""Part of what is unexplained that another way of reading out must leave at most. Chosen: of a global shutter all are
-alike."""
+ANY_RATES = tuple(np.exp(np.arange(0.0, np.log(60.0), RATE_STEP)).tolist())
+"""Patterns per second, 1 to 60, that are tried last."""
 
 
 class ClockSearch:
-    """Looks for the light's clock, the more rarely the longer it takes."""
+    """Search for the clock of the light, at growing intervals."""
 
-    def __init__(self, period_s: float, row_s: float | None, fixed: bool, budget: SearchBudget):
+    def __init__(self, period_s: float, row_s: float | None, is_fixed: bool, budget: SearchBudget):
         self._period_s, self._row_s, self._budget = period_s, row_s, budget
-        usual = [1 / rate for rate in (*RATES, *DISPLAY_RATES) if abs(rate * period_s - 1) > STEP / 2]
-        self._periods = [[period_s]] if fixed else [[period_s], usual, [1 / rate for rate in ANY_RATES]]
+        usual = [1 / rate for rate in (*RATES, *DISPLAY_RATES) if abs(rate * period_s - 1) > RATE_STEP / 2]
+        self._periods = [[period_s]] if is_fixed else [[period_s], usual, [1 / rate for rate in ANY_RATES]]
         self._next_s = -np.inf
-        self._group = 0  # of rates with which the next search begins
+        self._group = 0  # group of rates at which the next search starts
 
-    def again(self) -> None:
-        """Look anew: the clock that was found was wrong."""
+    def restart(self) -> None:
+        """Search again at once, after a wrong clock."""
         self._next_s = -np.inf
 
-    def find(self, kept: Kept, final: bool = False) -> Clock | None:
-        """Return the clock, or None where none explains what is seen, or it is too early to look again."""
-        now_s = kept.last.time_s
-        length = now_s - kept.first.time_s
-        if len(kept) < ENOUGH_FRAMES or ((now_s < self._next_s or not self._budget.lasts) and not final):
+    def find(self, samples: SampleBuffer, final: bool = False) -> Clock | None:
+        """Return the clock; None without a clock, or before the next search is due."""
+        now_s, parameters = samples.last.time_s, PARAMETERS
+        length = now_s - samples.first.time_s
+        is_due = final or (now_s >= self._next_s and self._budget.is_left)
+        if len(samples) < parameters.min_frames or not is_due:
             return None
-        self._next_s = now_s + max(SEARCH_PAUSE * length, 4 * kept.frame_s)
-        # others explain a part of a slow light: its own rate has the first word
-        waits = length < ENOUGH_PATTERNS * self._period_s and not final
+        self._next_s = now_s + max(parameters.pause_share * length, 4 * samples.frame_s)
+        # other rates explain a part of a slow light: the nominal rate comes first
+        waits = length < parameters.min_patterns * self._period_s and not final
         best: tuple[float, Clock, float] | None = None
         groups = [0] if waits else [*range(self._group, len(self._periods)), *range(self._group)]
         for group in groups:
             periods, self._group = self._periods[group], group
-            if group != groups[0] and not self._budget.lasts:
+            if group != groups[0] and not self._budget.is_left:
                 break
-            fit = [p for p in periods if length >= ENOUGH_PATTERNS * p]
-            found = self._among(fit, kept) if fit else None
-            if found is not None and (best is None or found[0] < best[0]):
-                best = found
-            if best is not None and best[0] < SURELY_EXPLAINED:
+            fitting = [period for period in periods if length >= parameters.min_patterns * period]
+            candidate = self._search_rates(fitting, samples) if fitting else None
+            if candidate is not None and (best is None or candidate[0] < best[0]):
+                best = candidate
+            if best is not None and best[0] < parameters.certain_unexplained:
                 break
         else:
             self._group = 0
         if best is None:
-            kept.drop_before(now_s - 2 * LONGEST_SEARCH_S)
+            samples.drop_before(now_s - parameters.max_search_s)
             return None
-        left, clock, longest = best
-        return self._settled(left, clock, kept, now_s - longest, now_s)
+        left, clock, length_s = best
+        return self._select_readout(left, clock, samples, now_s - length_s, now_s)
 
-    def _among(self, periods: list[float], kept: Kept) -> tuple[float, Clock, float] | None:
-        """The best clock of some rates: what it leaves unexplained, itself, and the seconds by which it was found."""
-        longest = max(2 * ENOUGH_PATTERNS * min(periods), ENOUGH_PATTERNS * max(periods)) * 1.2
-        samples = kept.gathered(kept.last.time_s - longest, kept.last.time_s)
-        samples = samples.evened(samples.light.mean((1, 2)))
-        found = searched(samples, periods, kept.frame_s, kept.readout.length, self._row_s, self._budget)
-        if not found or found[0][0] >= MOST_UNEXPLAINED:
+    def _search_rates(self, periods: list[float], buffer: SampleBuffer) -> tuple[float, Clock, float] | None:
+        """Return unexplained part, clock and duration of the samples in seconds for the best of some rates."""
+        length_s = max(2 * min(periods), max(periods)) * PARAMETERS.min_patterns * 1.2
+        samples = buffer.light_between(buffer.last.time_s - length_s, buffer.last.time_s)
+        samples = samples.without_gain(samples.light.mean((1, 2)))
+        clocks = search_clocks(samples, periods, buffer.frame_s, buffer.readout.length, self._row_s, self._budget)
+        if not clocks or clocks[0][0] >= PARAMETERS.max_unexplained:
             return None
-        return *found[0], longest
+        return *clocks[0], length_s
 
-    def _settled(self, left: float, clock: Clock, kept: Kept, start_s: float, end_s: float) -> Clock:
-        """Take the way of reading out that explains most: phones film upright pictures with a sensor on its side."""
-        first = kept.readout
+    def _select_readout(self, left: float, clock: Clock, buffer: SampleBuffer, start_s: float, end_s: float) -> Clock:
+        """Select the readout direction that explains most: phones may hold the sensor sideways."""
+        first = buffer.readout
         best = left, clock, first
-        for one in kept.readouts:
-            kept.readout = one
-            samples = kept.gathered(start_s, end_s)
-            bins = Bins(samples.evened(samples.light.mean((1, 2))), self._budget)
-            begun = replace(clock, row_s=clock.row_s * first.length / one.length)
-            least = best[0] if one is first else BETTER * best[0]
-            now, refined_clock = refined(bins, begun, kept.frame_s, one.length, self._row_s)
+        for readout in buffer.readouts:
+            buffer.readout = readout
+            samples = buffer.light_between(start_s, end_s)
+            bins = RowBins(samples.without_gain(samples.light.mean((1, 2))), self._budget)
+            start = replace(clock, row_s=clock.row_s * first.length / readout.length)
+            least = best[0] if readout is first else PARAMETERS.readout_gain * best[0]
+            now, candidate = refine_clock(bins, start, buffer.frame_s, readout.length, self._row_s)
             if now < least:
-                best = now, refined_clock, one
-        _, found, kept.readout = best
-        return found
+                best = now, candidate, readout
+        _, selected, buffer.readout = best
+        return selected

@@ -1,7 +1,4 @@
-"""What an observer is told of an array: that its header is seen, where it is in each frame, and its pairs.
-
-The receiver "screen": one array of a screen, found where everything changes, followed, and read row by row.
-"""
+"""Receiver "screen": locates the array of a screen, tracks the array and decodes the packets row by row."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -28,119 +25,140 @@ from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import window_around
 from heliograph.receive.packet import Packet, Status
-from heliograph.receive.screen.cells import Follower, Place, Sample, SearchBudget, SearchLimits
-from heliograph.receive.screen.locate import ArraySearch, Taken
-from heliograph.receive.screen.packets import Coming, HeaderSeen, PacketReading, ReadPacket
+from heliograph.receive.screen.cells import CellTracker, Place, Sample, SearchBudget, SearchLimits
+from heliograph.receive.screen.locate import ArraySearch
+from heliograph.receive.screen.packets import CurrentPacket, PacketAssembler, ScreenHeader, ScreenPacket
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.signal.settings import SignalSettings
 
-MARGIN_SIDES = 0.25
-"""Sides of an array beside it that are kept of a frame. Chosen: page *Watch* shows 0.15."""
-
-KEPT_S = 2.5
-"""Seconds for which windows of frames are kept: a pair of 1 pattern a second lasts 2 s."""
-
 STILL = MotionModel(1.0, 0.0)
-"""Motion of a screen as the event names it: its rates are not estimated."""
+"""Motion model of the events, without rates."""
 
 
 @dataclass(frozen=True)
-class _Shown:
-    """The part of a frame about the array, and where it is."""
+class ScreenParameters:
+    """Parameters of the receiver "screen"."""
+
+    # Margin of the frames in events, in sides of the array
+    margin_sides: float = 0.25
+    # Seconds for which these frames are kept: a pair of 1 pattern/s lasts 2 s
+    kept_s: float = 2.5
+    # Seconds without the array after which the array is searched again
+    max_lost_s: float = 1.0
+    # The same for gaps without frames, in packets, if longer
+    max_gap_packets: float = 0.5
+    # Seconds and patterns without a clock after which no screen is visible, if both have passed
+    unseen_s: float = 5.0
+    unseen_patterns: int = 15
+    # Frames for the median of the frame period
+    period_frames: int = 64
+
+
+PARAMETERS = ScreenParameters()
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Part of a frame around the array."""
 
     frame: Frame
     pose: Pose
     gain: float  # gray levels with all cells white
-    fits: float
+    score: float
 
 
-class Telling:
-    """Tells an observer of one array that is followed."""
+class EventEmitter:
+    """Emits the events of a tracked array."""
 
     def __init__(self, signal: SignalSettings, observe: Observer):
         self._signal, self._observe = signal, observe
-        self._windows: deque[_Shown] = deque()
+        self._windows: deque[_Window] = deque()
         self._last: Frame | None = None
         self._track: Track | None = None
         self._identity: int | None = None
         self._packet_s = -np.inf
-        self._told = 0
+        self._next_pair = 0
 
-    def sees(self, frame: Frame, sample: Sample | None, coming: Coming | None) -> None:
-        """Tell what a frame shows."""
+    def add_frame(self, frame: Frame, sample: Sample | None, current: CurrentPacket | None) -> None:
+        """Emit the events of a frame."""
         if sample is not None:
-            self._keep(frame, sample)
+            self._add_window(frame, sample)
         self._last = frame
-        if coming is not None:
-            self.named(coming.header, coming.start_s)
-            self._pairs(coming, frame.time_s)
+        if current is not None:
+            self.add_header(current.header, current.start_s)
+            self._add_pairs(current, frame.time_s)
         if self._identity is not None:
-            self._followed(frame, sample is not None)
+            self._add_track(self._identity, frame, sample is not None)
 
-    def named(self, header: HeaderSeen, start_s: float) -> None:
-        """Tell that a header is seen, where it is another array's than before."""
+    def add_header(self, header: ScreenHeader, start_s: float) -> None:
+        """Emit the detection of an array with a new identity."""
         if header.identity == self._identity or not self._windows or self._last is None:
             return
-        self.lost(self._last.time_s)
+        self.end_array(self._last.time_s)
         newest, n = self._windows[-1], self._signal.side
         fit = Fit(newest.pose.full_vector(), np.eye(7), newest.gain, header.score)
         at, ones = newest.frame.time_s, np.ones((n, n))
-        seen = Detection(header.identity, start_s, fit, at, header.score, 1.0, ones, header.orientation)
-        self._observe(DetectEvent(seen, (self._last,)))
+        detection = Detection(header.identity, start_s, fit, at, header.score, 1.0, ones, header.orientation)
+        self._observe(DetectEvent(detection, (self._last,)))
         self._identity = header.identity
 
-    def lost(self, time_s: float) -> None:
-        """Tell that the array is lost, if it was told of."""
+    def end_array(self, time_s: float) -> None:
+        """Emit the loss of a detected array."""
         if self._identity is not None:
             self._observe(LostEvent(self._identity, time_s))
         self._identity = self._track = None
 
-    def _keep(self, frame: Frame, sample: Sample) -> None:
-        pose = pose_of(sample.seen.place, self._signal.side)
-        x, y, wide, high = window_around(pose, self._signal.side, MARGIN_SIDES * self._signal.side * pose.pitch)
-        x, y, right, low = max(x, 0), max(y, 0), max(x + wide, 1), max(y + high, 1)
+    def _add_window(self, frame: Frame, sample: Sample) -> None:
+        """Keep the part of a frame around the array."""
+        pose = pose_of(sample.fit.place, self._signal.side)
+        margin_px = PARAMETERS.margin_sides * self._signal.side * pose.pitch
+        x, y, width, height = window_around(pose, self._signal.side, margin_px)
+        x, y, right, low = max(x, 0), max(y, 0), max(x + width, 1), max(y + height, 1)
         part = replace(frame, pixels=frame.pixels[y:low, x:right].copy(), origin=(x, y))
         # data are half white on average
-        gain = 2 * float(sample.seen.light.mean()) * frame.full_scale
-        self._windows.append(_Shown(part, pose, gain, 1 - sample.seen.misfit))
-        while self._windows[0].frame.time_s < frame.time_s - KEPT_S:
+        gain = 2 * float(sample.fit.light.mean()) * frame.full_scale
+        self._windows.append(_Window(part, pose, gain, 1 - sample.fit.misfit))
+        while self._windows[0].frame.time_s < frame.time_s - PARAMETERS.kept_s:
             self._windows.popleft()
 
-    def _followed(self, frame: Frame, seen: bool) -> None:
-        assert self._identity is not None
+    def _add_track(self, identity: int, frame: Frame, seen: bool) -> None:
+        """Emit the pose of the array."""
         newest, before = self._windows[-1], self._track
-        fit = Fit(newest.pose.full_vector(), np.zeros((7, 7)), newest.gain, newest.fits)
-        if seen or before is None:
+        fit = Fit(newest.pose.full_vector(), np.zeros((7, 7)), newest.gain, newest.score)
+        track = before
+        if seen or track is None:
             state = PoseState.start(newest.frame.time_s, fit.vector, fit.covariance, STILL)
             ones, count = np.ones((self._signal.side,) * 2), before.pairs + 1 if before is not None else 1
             track = Track(state, fit.gain, fit.gain, ones, newest.frame.time_s, ones, fit.score, count)
-        else:
-            track = before
         self._track = track
-        self._observe(TrackEvent(self._identity, frame.index, TrackedPair(before or track, track, fit, seen)))
+        self._observe(TrackEvent(identity, frame.index, TrackedPair(before or track, track, fit, seen)))
 
-    def _pairs(self, coming: Coming, now_s: float) -> None:
-        """Tell of each pair of data that is over."""
+    def _add_pairs(self, current: CurrentPacket, now_s: float) -> None:
+        """Emit the completed data pairs."""
         assert self._identity is not None
-        if abs(coming.start_s - self._packet_s) > coming.period_s:
-            self._packet_s, self._told = coming.start_s, 0
-        while self._told < coming.data_pairs:
-            middles = coming.times_s(self._told)
-            if now_s < middles[1] + coming.period_s / 2:
+        if abs(current.start_s - self._packet_s) > current.period_s:
+            self._packet_s, self._next_pair = current.start_s, 0
+        while self._next_pair < current.data_pairs:
+            times_s = current.times_s(self._next_pair)
+            if now_s < times_s[1] + current.period_s / 2:
                 return
-            shown = [min(self._windows, key=lambda one, at=at: abs(one.frame.time_s - at)) for at in middles]  # type: ignore[misc]
-            # what was shown before the array was found is not kept for ever
-            if all(abs(one.frame.time_s - at) < coming.period_s / 2 for one, at in zip(shown, middles, strict=True)):
-                pattern, inverse = shown
+            pattern, inverse = (self._nearest_window(time_s) for time_s in times_s)
+            errors_s = [abs(w.frame.time_s - at) for w, at in zip((pattern, inverse), times_s, strict=True)]
+            # frames from before the detection may be missing
+            if max(errors_s) < current.period_s / 2:
                 frames, poses = (pattern.frame, inverse.frame), (pattern.pose, inverse.pose)
-                self._observe(ExtractEvent(self._identity, frames, poses, number=self._told))
-            self._told += 1
+                self._observe(ExtractEvent(self._identity, frames, poses, number=self._next_pair))
+            self._next_pair += 1
+
+    def _nearest_window(self, time_s: float) -> _Window:
+        """Return the window nearest to a time."""
+        return min(self._windows, key=lambda window: abs(window.frame.time_s - time_s))
 
 
 def pose_of(place: Place, side: int) -> Pose:
-    """Return the affine pose at an array's middle."""
+    """Return the affine pose at the middle of an array."""
     middle = np.array([side / 2, side / 2])
     x, y = place.at(middle)
     right, down = (place.at(middle + d) - place.at(middle - d) for d in np.eye(2) / 2)
@@ -151,20 +169,6 @@ def pose_of(place: Place, side: int) -> Pose:
     return Pose(float(x), float(y), float(sizes.mean()), roll, 0.6, float(stretch[0, 0] - 1), float(stretch[0, 1]))
 
 
-LOST_S = 1.0
-"""Seconds out of sight after which an array is looked for anew. Chosen."""
-
-PAUSE_PACKETS = 0.5
-"""Packets without a frame after which an array is looked for anew, if that is longer: half a packet is not read."""
-
-UNSEEN_S, UNSEEN_PATTERNS = 5.0, 15
-"""Seconds and patterns of a film without a light's clock from which on no screen is taken to be visible, if both are
-over. A clock is found from ten patterns."""
-
-PERIODS = 64
-"""Frames of which the median period is taken. Chosen: a camera's rate hardly changes."""
-
-
 def screen_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> "ScreenReceiver":
     """Make the receiver "screen"."""
     if signal.modulation != "haar" or signal.header != "m_sequence":
@@ -172,160 +176,141 @@ def screen_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: 
     return ScreenReceiver(signal, settings, observe)
 
 
-@dataclass(frozen=True)
-class Sight:
-    """What a receiver sees of the array that it follows, for those who ask why nothing is read."""
-
-    # Mean side of a cell in px
-    cell_px: float
-    # Standard deviation of the blur in px by which the cells fit best
-    blur_px: float
-    # Rms of what the cells do not explain, as a part of the picture's contrast
-    misfit: float
-    # Part of the array that is at full scale
-    saturated: float
-    # Whether the light's clock is known
-    clocked: bool
-
-
 class ScreenReceiver:
-    """Finds the array of a screen in a stream of frames and yields its packets; see `packets.Receiver`."""
+    """Receiver of one screen array; see `packets.Receiver`."""
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
         self._signal, self._settings, self._observe = signal, settings, observe
         self._options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
         self._budget = SearchBudget(SearchLimits().for_light(signal.pattern_period_s))
         self._search = ArraySearch(signal.side, settings.screen.gamma, self._budget)
-        self._telling = Telling(signal, observe)
+        self._events = EventEmitter(signal, observe)
         self._last: Frame | None = None
-        self._follower: Follower | None = None
-        self._reading: PacketReading | None = None
-        self._sample: Sample | None = None
+        # tracker and assembler of the array
+        self._array: tuple[CellTracker, PacketAssembler] | None = None
         self._unseen_since: float | None = None
-        self._periods: deque[float] = deque(maxlen=PERIODS)
+        self._periods: deque[float] = deque(maxlen=PARAMETERS.period_frames)
 
     def push(self, frame: Frame) -> Iterator[Packet]:
-        """Take the next frame; yield the packets it completes; see `Receiver`."""
-        return in_one_thread(self._checked(frame))
+        """Add the next frame; yield the completed packets; see `Receiver`."""
+        return in_one_thread(self._receive(frame))
 
     def finish(self) -> Iterator[Packet]:
-        """End of the film: yield the packet in progress if enough of it was seen."""
+        """End the film: yield the packet in progress if most of the packet was visible."""
         return in_one_thread(self._finish())
 
-    @property
-    def sight(self) -> Sight | None:
-        """What is seen of the array that is followed; None where none is."""
-        if self._follower is None or self._reading is None or self._sample is None:
-            return None
-        seen = self._sample.seen
-        cell = seen.place.cell_px(self._signal.side)
-        return Sight(cell, self._follower.blur_px, seen.misfit, seen.saturated, self._reading.clocked)
-
     def _finish(self) -> Iterator[Packet]:
-        if self._follower is None and (taken := self._search.find()) is not None:
-            yield from self._take_up(taken)
-        if self._follower is None and self._last is not None:
-            self._note_unseen(self._last.time_s, 0.0)
-        yield from self._give_up()
+        """See `finish`."""
+        if self._array is None and (acquired := self._search.find()) is not None:
+            yield from self._start_array(*acquired)
+        if self._array is None and self._last is not None:
+            self._emit_unseen(self._last.time_s, 0.0)
+        yield from self._end_array()
 
-    def _checked(self, frame: Frame) -> Iterator[Packet]:
+    def _receive(self, frame: Frame) -> Iterator[Packet]:
+        """See `push`."""
         check_next(frame, self._last)
         last = self._last
         if last is None:
             self._unseen_since = frame.time_s
         if last is not None:
-            # a copy of the frame before shows nothing new
+            # skip repeated frames
             if frame.pixels.shape == last.pixels.shape and np.array_equal(frame.pixels, last.pixels):
                 return
             check_order(frame, last)
-            self._budget.earn(frame.time_s - last.time_s)
-            self._periods.append((frame.time_s - last.time_s) / max(frame.index - last.index, 1))
-            if frame.time_s - last.time_s > max(LOST_S, PAUSE_PACKETS * self._signal.packet_s):
-                yield from self._give_up()
-        # the caller may fill its array again, and frames are kept
+            gap_s = frame.time_s - last.time_s
+            self._budget.earn(gap_s)
+            self._periods.append(gap_s / max(frame.index - last.index, 1))
+            if gap_s > max(PARAMETERS.max_lost_s, PARAMETERS.max_gap_packets * self._signal.packet_s):
+                yield from self._end_array()
+        # frames are kept, but the caller may reuse the pixels
         self._last = frame = frame.copied()
-        if self._follower is not None:
-            yield from self._follow(frame, self._follower)
-        if self._follower is None and (taken := self._search.take(frame)) is not None:
-            yield from self._take_up(taken)
-        self._note_unseen(frame.time_s, max(UNSEEN_S, UNSEEN_PATTERNS * self._signal.pattern_period_s))
+        if self._array is not None:
+            yield from self._track(frame, *self._array)
+        if self._array is None and (acquired := self._search.push(frame)) is not None:
+            yield from self._start_array(*acquired)
+        patterns_s = PARAMETERS.unseen_patterns * self._signal.pattern_period_s
+        self._emit_unseen(frame.time_s, max(PARAMETERS.unseen_s, patterns_s))
 
-    def _note_unseen(self, time_s: float, least_s: float) -> None:
-        """Tell once that no screen was seen for so long since the film began."""
-        if self._reading is not None and self._reading.clocked:
+    def _emit_unseen(self, time_s: float, least_s: float) -> None:
+        """Emit once that no screen was visible since the start of the film."""
+        if self._array is not None and self._array[1].has_clock:
             self._unseen_since = None
         if self._unseen_since is not None and time_s - self._unseen_since >= least_s:
             self._observe(UnseenEvent(time_s - self._unseen_since))
             self._unseen_since = None
 
-    def _take_up(self, taken: Taken) -> Iterator[Packet]:
-        """Follow an array that was found, and read what the frames kept show of it."""
+    def _start_array(self, tracker: CellTracker, tracked: list[tuple[Frame, Sample | None]]) -> Iterator[Packet]:
+        """Start an acquired array, and decode the frames so far."""
         self._search.forget()
-        self._follower = taken.follower
-        frame_s, shape = float(np.median(self._periods)), taken.seen[-1][0].pixels.shape
-        self._reading = PacketReading(self._signal, self._options, frame_s, shape, self._settings.screen, self._budget)
-        for frame, sample in taken.seen:
-            yield from self._read(frame, sample)
+        frame_s, shape = float(np.median(self._periods)), tracked[-1][0].pixels.shape
+        screen = self._settings.screen
+        assembler = PacketAssembler(self._signal, self._options, frame_s, shape, screen, self._budget)
+        self._array = tracker, assembler
+        for frame, sample in tracked:
+            yield from self._decode(frame, sample, assembler)
 
-    def _follow(self, frame: Frame, follower: Follower) -> Iterator[Packet]:
-        sample = follower.take(frame)
-        yield from self._read(frame, sample)
-        if sample is None and follower.lost_since is not None and frame.time_s - follower.lost_since > LOST_S:
-            yield from self._give_up()
-        elif self._reading is not None and self._reading.is_named:
+    def _track(self, frame: Frame, tracker: CellTracker, assembler: PacketAssembler) -> Iterator[Packet]:
+        """Track the array into the next frame, and decode the completed packets."""
+        sample = tracker.track(frame)
+        yield from self._decode(frame, sample, assembler)
+        lost_since = tracker.lost_since
+        if sample is None and lost_since is not None and frame.time_s - lost_since > PARAMETERS.max_lost_s:
+            yield from self._end_array()
+        elif assembler.has_header:
             self._budget.fill()
         elif self._budget.is_overdrawn:
-            yield from self._give_up()
+            yield from self._end_array()
 
-    def _read(self, frame: Frame, sample: Sample | None) -> Iterator[Packet]:
-        """Read what a frame shows."""
-        assert self._reading is not None
-        self._telling.sees(frame, sample, self._reading.coming)
-        if sample is None:
-            return
-        self._sample = sample
-        for one in self._reading.take(sample):
-            yield self._packet(one, self._reading.shown(one))
+    def _decode(self, frame: Frame, sample: Sample | None, assembler: PacketAssembler) -> Iterator[Packet]:
+        """Decode the packets that a frame completes."""
+        self._events.add_frame(frame, sample, assembler.current)
+        if sample is not None:
+            for packet in assembler.push(sample):
+                yield self._packet(packet, assembler.samples_of(packet))
 
-    def _give_up(self) -> Iterator[Packet]:
-        """End the array that is followed with the packet in progress, if enough of it was seen."""
-        if self._reading is not None:
-            for one in self._reading.finish():
-                yield self._packet(one, self._reading.shown(one))
+    def _end_array(self) -> Iterator[Packet]:
+        """End the array with the packet in progress."""
+        if self._array is not None:
+            assembler = self._array[1]
+            for packet in assembler.finish():
+                yield self._packet(packet, assembler.samples_of(packet))
         if self._last is not None:
-            self._telling.lost(self._last.time_s)
-        self._follower = self._reading = None
+            self._events.end_array(self._last.time_s)
+        self._array = None
         self._search.forget()
 
-    def _packet(self, one: ReadPacket, shown: list[Sample]) -> Packet:
-        self._telling.named(one.header, one.start_s)
-        first, known = shown[0], self._settings.calibration
-        pose = pose_of(first.seen.place, self._signal.side)
+    def _packet(self, decoded: ScreenPacket, samples: list[Sample]) -> Packet:
+        """Convert a decoded packet, and emit the events."""
+        self._events.add_header(decoded.header, decoded.start_s)
+        first, calibration = samples[0], self._settings.calibration
+        pose = pose_of(first.fit.place, self._signal.side)
         packet = Packet(
-            identity=one.header.identity,
-            status=_status(one),
-            start_time_s=one.start_s,
+            identity=decoded.header.identity,
+            status=_status(decoded),
+            start_time_s=decoded.start_s,
             first_frame=first.index,
-            last_frame=shown[-1].index,
+            last_frame=samples[-1].index,
             pose=pose,
             # pinhole: pitch_px = f p / (Z pixel)
-            distance_m=known.focal_m * known.pitch_m / (pose.frontal_pitch * known.pixel_m),
-            header_score=one.header.score,
-            track_score=float(np.clip(1 - first.seen.misfit**2, 0, 1)),
-            pairs_seen=float(np.mean(one.seen)),
-            layers=one.words,
-            format=one.form,
-            orientation=one.header.orientation,
-            reason=one.reason,
+            distance_m=calibration.focal_m * calibration.pitch_m / (pose.frontal_pitch * calibration.pixel_m),
+            header_score=decoded.header.score,
+            track_score=float(np.clip(1 - first.fit.misfit**2, 0, 1)),
+            pairs_seen=float(np.mean(decoded.seen)),
+            layers=decoded.words,
+            format=decoded.form,
+            orientation=decoded.header.orientation,
+            reason=decoded.reason,
         )
-        self._observe(DecodeEvent(packet.identity, packet, luminances=one.change))
+        self._observe(DecodeEvent(packet.identity, packet, luminances=decoded.change))
         return packet
 
 
-def _status(one: ReadPacket) -> Status:
-    good = [word.status == "ok" for words in one.words.values() for word in words]
-    if any(good):
-        return "ok" if all(good) else "partial"
-    if np.mean(one.seen) < ENOUGH_SEEN:
+def _status(packet: ScreenPacket) -> Status:
+    """Return the status of a decoded packet."""
+    n_words = sum(len(words) for words in packet.words.values())
+    if packet.n_ok:
+        return "ok" if packet.n_ok == n_words else "partial"
+    if np.mean(packet.seen) < ENOUGH_SEEN:
         return "no_array"
-    return "crc_fail" if one.header.score >= HEADER_SEEN else "no_header"
+    return "crc_fail" if packet.header.score >= HEADER_SEEN else "no_header"

@@ -1,23 +1,16 @@
-"""What an exposure of part of a pattern shows of the four symbols of a square of 2 x 2 LEDs.
+"""Combination of frames of any timing to a pattern and an inverse, and the symbols in the combined pair.
 
-PWM lights an LED of level k in the first k slots: slot j of a pattern shows on_j = 1 where k > j, else 0, and slot j of
-the inverse shows 1 - on_(3 - j). Only the sum of all four on_j is the level, which is linear in the symbols. Any other
-sum of lambda_j on_j is a function of the square's four symbols that holds products of symbols. The four symbols have 16
-values in all, few enough to list the *response* to each.
-
-Frames of any timing combined to a pattern and its inverse, and what the two then contain.
-
-Let on_j be 1 where an LED is on in slot j of a pattern, else 0. The first four slots of a pair show on_0 to on_3. The
-other four are those of the inverse: slot j of the inverse shows 1 - on_(3 - j). A frame f shows each slot by the
-overlap omega of its exposure and the slot. Of an LED it shows
+Let on_j be 1 if an LED is on in slot j of a pattern, else 0. PWM lights an LED of level k in the first k slots: on_j is
+1 for k > j. Slot j of the inverse shows 1 - on_(3 - j). A frame f overlaps each slot by omega and so shows the LED as
 
     l_f = sum_i sum_j omega_fij on_ij + const_f,
 
-where j counts the slots and i the pairs: the one before, this one and the next. A difference d = sum_f alpha_f r_f of
-the frames r_f with sum_f alpha_f = 0 holds nothing that is constant. Of all such differences `combine_pair` takes the
-one whose slope over the pair's levels is largest against noise and light of the pairs before and after.
+where i counts the pairs (previous, current, next). A difference d = sum_f alpha_f r_f of frames r_f with
+sum_f alpha_f = 0 is free of constant light. Among these differences, `combine_pair` selects the largest slope over the
+levels of the pair against noise and light of the neighbouring pairs.
 
-A packet's pairs combined of frames out of step: what is observed of them, and what that tells of their symbols.
+The level is the sum of all four on_j and linear in the symbols. Any other sum of lambda_j on_j also holds products of
+the four symbols of a square of 2 x 2 LEDs. These symbols have 16 values, so that a table lists the *response* to each.
 """
 
 from collections.abc import Sequence
@@ -40,9 +33,6 @@ VALUES = np.array([[1 - 2 * (k >> i & 1) for i in range(4)] for k in range(16)],
 # (2, 4, 16) which values of a square have +1, and which have -1, of each symbol
 _SPLIT = np.stack([VALUES.T > 0, VALUES.T < 0]).astype(np.float64)
 
-LEAST_LIKELIHOOD = 1e-300
-"""Least likelihood that is told from none: the LLR of two such is beyond `LARGEST_LLR` by far."""
-
 # level = 4 x = 2 + 1/2 H^T d H
 _LEVELS = 2 + VALUES @ SIGNS / 2
 _LIT = (_LEVELS[..., None] > np.arange(SLOTS)).astype(np.float64)
@@ -51,22 +41,19 @@ MEAN_LIT = _LIT.mean((0, 1))
 """(4,) E on_j of random data: 15, 11, 5 and 1 sixteenths."""
 
 COVARIANCE = np.einsum("klr,kls->rs", _LIT - MEAN_LIT, _LIT - MEAN_LIT) / (16 * 4)
-"""(4, 4) of the on_j of an LED."""
+"""(4, 4) covariance of the on_j of an LED."""
 
 SLOPES = COVARIANCE.sum(0)
 """(4,) cov(on_j, level); as the level's variance is 1, also the slope of on_j over the level."""
 
 
 def response(weights: Floats) -> Floats:
-    """Observed symbols, by the 16 values of the true ones.
-
-    They are the Haar transform of the light sum_j lambda_j on_j of each LED about its mean.
-    """
+    """Return the observed symbols for the 16 values of a square: the Haar transform of sum_j lambda_j on_j."""
     return np.asarray(((_LIT - MEAN_LIT) @ weights) @ SIGNS.T)
 
 
 def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
-    """Observed symbols of LEDs that are lit through the whole pattern or not at all. Returns (symbols,)."""
+    """Return the observed symbols (symbols,) of LEDs that are constantly on or off in a pattern."""
     light = (lit[..., None] - MEAN_LIT) @ weights
     side = len(lit)
     squares = light.reshape(side // 2, 2, side // 2, 2).transpose(0, 2, 1, 3).reshape(-1, 4)
@@ -74,39 +61,38 @@ def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
 
 
 def moments(table: Floats, mean: Floats) -> tuple[Floats, Floats]:
-    """Mean and variance of the observed symbols. Returns (..., symbols) each."""
+    """Return mean and variance of the observed symbols, (..., symbols) each."""
     first, second = _moments(table, _chances(mean))
     return first, np.maximum(second - first**2, 0)
 
 
 def posterior_moments(table: Floats, observed: Floats, variance: Floats, mean: Floats) -> tuple[Floats, Floats]:
-    """Mean of the observed symbols and of their squares without the errors of estimates, once these are known."""
-    # of known symbols too: what is observed may be out of all proportion to what they give
+    """Return the posterior means of the observed symbols and of the squared symbols, given noisy estimates."""
+    # certain symbols are relaxed as well: their response may contradict the estimates
     chance = _joint(_fit(table, observed, variance)) * _chances(uncertain(mean))
     return _moments(table, chance / chance.sum(-2, keepdims=True))
 
 
 def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats) -> Floats:
-    """Extrinsic LLRs ln P(c=+1)/P(c=-1) of the true symbols.
+    """Compute extrinsic LLRs ln P(c=+1)/P(c=-1) of the true symbols.
 
-    An observed symbol depends on another one by the product of three. The equaliser's errors within a square are
-    correlated, and so look like such products. What others say of a symbol therefore counts only as far as the other
-    three symbols are known, or as the response is made of products rather than symbols.
+    Correlated errors of the equaliser within a square look like products of symbols. The other observed symbols
+    therefore count only if the three other symbols are known or if the response consists of products.
     """
     prior, squares = uncertain(mean), _by_kind(mean)
     chance, fit = _chances(prior), _fit(table, observed, variance)
-    # extrinsic: the symbol's own prior is left out
+    # extrinsic: without the prior of the symbol
     own_prior = 2 * np.arctanh(_by_kind(prior))
     joint = _llrs((_joint(fit) * chance)[..., None, :, :]) - own_prior
-    # in place: new memory costs more than what is computed in it
+    # in place: allocation costs more than the arithmetic
     fit -= fit.max(-2, keepdims=True)
     fit = np.exp(fit, out=fit)
     fit *= chance[..., None, :, :]
     own = _llrs(fit) - own_prior
-    # part of the response's power that is products: 0 for the symbols themselves
+    # power of the products in the response; 0 for a linear response
     linear = np.einsum("...ki,ki->...", table, VALUES) / VALUES.size
     products = np.minimum((table**2).mean((-2, -1)) / linear**2 - 1, 1.0)[..., None, None]
-    # of the three others of each
+    # the three other symbols of each
     known = np.moveaxis(squares**2, -2, 0)
     first, last = known[0] * known[1], known[2] * known[3]
     three = np.stack([known[1] * last, known[0] * last, first * known[3], first * known[2]], -2)
@@ -115,17 +101,17 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
 
 
 def uncertain(mean: Floats) -> Floats:
-    """Means of which none is certain, so that no value of a square is impossible."""
+    """Clip means so that no value of a square is impossible."""
     return np.clip(mean, TINY - 1, 1 - TINY)
 
 
 def _by_kind(symbols: Floats) -> Floats:
-    """Symbols (..., symbols) as (..., 4, squares)."""
+    """Reshape symbols (..., symbols) to (..., 4, squares)."""
     return symbols.reshape(*symbols.shape[:-1], 4, -1)
 
 
 def _moments(table: Floats, chance: Floats) -> tuple[Floats, Floats]:
-    """Mean of the observed symbols and of their squares, (..., symbols), by the chance of each value."""
+    """Return means of observed and of squared symbols, (..., symbols), for the probability of each value."""
     responses = np.swapaxes(table, -2, -1)
     first, second = responses @ chance, responses**2 @ chance
     flat = *first.shape[:-2], -1
@@ -133,7 +119,7 @@ def _moments(table: Floats, chance: Floats) -> tuple[Floats, Floats]:
 
 
 def _fit(table: Floats, observed: Floats, variance: Floats) -> Floats:
-    """(..., 4, 16, squares) log likelihood of each value of a square by each of its observed symbols."""
+    """Return (..., 4, 16, squares) log likelihoods of the values of a square for each observed symbol."""
     error = np.swapaxes(table, -2, -1)[..., None] - _by_kind(observed)[..., None, :]
     error *= error
     error *= _by_kind(-0.5 / variance)[..., None, :]
@@ -141,85 +127,73 @@ def _fit(table: Floats, observed: Floats, variance: Floats) -> Floats:
 
 
 def _joint(fit: Floats) -> Floats:
-    """(..., 16, squares) likelihood of each value by all observed symbols, at most 1."""
+    """Return (..., 16, squares) likelihoods of each value for all observed symbols, at most 1."""
     together = fit.sum(-3)
     return np.asarray(np.exp(together - together.max(-2, keepdims=True)))
 
 
 def _llrs(likelihood: Floats) -> Floats:
-    """LLRs (..., 4, squares) of each symbol by likelihoods (..., 4 or 1, 16, squares) of all values."""
-    plus, minus = (np.maximum((part[:, None, :] @ likelihood)[..., 0, :], LEAST_LIKELIHOOD) for part in _SPLIT)
+    """Convert likelihoods (..., 4 or 1, 16, squares) of all values to LLRs (..., 4, squares)."""
+    # the floor lies far beyond the LLR limit of the decoder
+    plus, minus = (np.maximum((part[:, None, :] @ likelihood)[..., 0, :], 1e-300) for part in _SPLIT)
     return np.asarray(np.log(plus) - np.log(minus))
 
 
 def _chances(mean: Floats) -> Floats:
-    """(..., 16, squares) chance of each value of a square."""
+    """Return (..., 16, squares) probabilities of the values of a square."""
     symbols = _by_kind(mean)
     chance = np.ones((*symbols.shape[:-2], 1, symbols.shape[-1]))
     for i in range(4):
-        # the next bit of a value's number: 0 for +1
-        one = symbols[..., i : i + 1, :]
-        chance = np.concatenate([chance * (0.5 + 0.5 * one), chance * (0.5 - 0.5 * one)], -2)
+        # bit i of the value is 0 for +1
+        symbol = symbols[..., i : i + 1, :]
+        chance = np.concatenate([chance * (0.5 + 0.5 * symbol), chance * (0.5 - 0.5 * symbol)], -2)
     return chance
 
 
-FRAME_NOISE = 0.05
-"""Variance of a frame's noise in the choice of the difference, the light of an LED lit all through being 1.
+@dataclass(frozen=True)
+class CombinationParameters:
+    """Weights and limits of the combination of frames."""
 
-A bit at the limit of decoding has about the variance 1/16. A larger value trusts frames less that straddle patterns.
-"""
+    # Noise variance of a frame for the difference, for an LED of light 1: near the limit of decoding, 1/16
+    frame_noise: float = 0.05
+    # The same for the sum; smaller, since unevenness counts for more in a sum
+    sum_noise: float = 1e-3
+    # Minimum weight of a frame, as a fraction of the largest
+    min_weight: float = 0.05
+    # Minimum slope over the levels, as a fraction of the synchronous slope (20 dB down)
+    min_slope: float = 0.1
+    # Minimum part of an exposure within the pair
+    min_overlap: float = 0.02
+    # Minimum root of the sum of squared header amplitudes about the mean; 2 for two synchronous pairs (26 dB down)
+    min_header: float = 0.1
+    # Weight of a slot of another pair up to which the leak is ignored; slots of the pair weigh 1/2
+    max_ignored_leak: float = 1e-3
 
-SUM_NOISE = 1e-3
-"""The same in the choice of the sum. LEDs of a sum are not read one by one, so its unevenness counts for more."""
 
-LEAST_WEIGHT = 0.05
-"""Least weight of a frame as a fraction of the largest; frames of less are left out and cost no time."""
-
-LEAST_SLOPE = 0.1
-"""Least slope over the levels as a fraction of that in step; with less, a pair is lost (20 dB down)."""
-
-LEAST_OVERLAP = 0.02
-"""Least part of a frame's exposure within a pair for the frame to be used: that far two clocks agree."""
-
-LEAST_HEADER = 0.1
-"""Least root of the sum of squares of a header's amplitude over its frames, about their mean.
-
-The four frames of two header pairs in step have 2: this is 26 dB down.
-"""
-
-EXACT = 0.035
-"""Departure from a pattern less its inverse, as a fraction of T_b, that counts as none.
-
-It costs a quarter of a dB: 0.1 T_b cost 0.7 dB.
-"""
-
-LEAK = 1e-3
-"""Least weight of another pair's slot in the difference that is subtracted; the pair's own weigh 1/2 each."""
-
+_PARAMETERS = CombinationParameters()
 PAIR = 2 * SLOTS
 _EDGES = np.arange(-PAIR, 2 * PAIR + 1) / SLOTS
 
 
 @dataclass(frozen=True)
 class Combination:
-    """How frames combine to a pair."""
+    """Weights that combine frames to a pair."""
 
-    # (k,) numbers of the frames, in the order given
+    # (k,) numbers of the frames, in the given order
     frames: NDArray[np.intp]
-    # (k,) weights of the difference: positive ones make the pattern, negative ones its inverse; each sum to about 1
+    # (k,) weights of the difference: positive for the pattern, negative for the inverse; each sum to about 1
     difference: Floats
-    # (k,) weights of the sum, in which the array is lit most evenly and as brightly as with all LEDs on
+    # (k,) weights of the sum, in which the array is lit evenly and as brightly as with all LEDs on
     total: Floats
-    # (3, 4) light of each on_j in the difference: of the pair before, of this one, of the next
+    # (3, 4) light of each on_j in the difference: previous, current and next pair
     slots: Floats
-    # Mean light in the combined pattern and in its inverse for random data; 1/2 each in step
+    # Mean light in the combined pattern and in the inverse for random data; 1/2 each for a synchronous camera
     levels: tuple[float, float]
-    # Mean time of the sum's light, in T_b from the start of the pair
+    # Mean time of the light in the sum, in T_b from the start of the pair
     sum_time: float
-    # Mean times of the data's light in pattern and inverse, likewise
+    # Mean times of the data light in pattern and inverse, likewise
     data_times: tuple[float, float]
-    # Of a header, what the difference shows of a cell that is dimmed to signal a format: contrast and light, 1/2 and 0
-    # in step
+    # Contrast and light of a dimmed header cell in the difference, (1/2, 0) for a synchronous camera
     dimmed: tuple[float, float] = (DIMMED, 0.0)
 
     @property
@@ -234,21 +208,24 @@ class Combination:
 
     @cached_property
     def departure(self) -> float:
-        """How far two frames depart from pattern and inverse, as a fraction of T_b; infinite for other frames."""
+        """Misplaced light of two frames, as a fraction of T_b; infinite for any other number of frames."""
         ideal = np.zeros((3, SLOTS))
         ideal[1] = 0.5
-        two = np.array_equal(self.total > 0.5, [True, True]) and len(self.difference) == 2
-        return float(np.abs(self.slots - ideal).sum(1).max()) / 2 if two else float("inf")
+        is_two = np.array_equal(self.total > 0.5, [True, True]) and len(self.difference) == 2
+        return float(np.abs(self.slots - ideal).sum(1).max()) / 2 if is_two else float("inf")
 
     @cached_property
     def response(self) -> Floats:
-        """(16, 4) observed symbols by the values of this pair's; see `partial_exposure.response`."""
+        """(16, 4) observed symbols for each value of the current pair."""
         return response(self.slots[1])
 
     @cached_property
     def leaks(self) -> tuple[Floats | None, Floats | None]:
-        """(16, 4) light in the difference of the symbols of the pairs before and after; None where there is none."""
-        before, after = (response(slots) if np.abs(slots).max() > LEAK else None for slots in self.slots[[0, 2]])
+        """(16, 4) responses to the symbols of the previous and the next pair; None without such light."""
+        before, after = (
+            response(slots) if np.abs(slots).max() > _PARAMETERS.max_ignored_leak else None
+            for slots in self.slots[[0, 2]]
+        )
         return before, after
 
 
@@ -261,12 +238,12 @@ class SlotLight:
 
     @cached_property
     def rank(self) -> NDArray[np.intp]:
-        """(4,): slot s in time is the rank[s]-th to be lit."""
+        """(4,) place of each slot in the order of lighting."""
         return np.argsort(np.asarray(self.order))
 
     @cached_property
     def shows(self) -> Floats:
-        """(24, 3, 4): factor of each on_j in each slot of three pairs, 1 in patterns and -1 in inverses."""
+        """(24, 3, 4) factor of each on_j in the slots of three pairs: 1 in patterns, -1 in inverses."""
         out = np.zeros((3 * PAIR, 3, SLOTS))
         for j in range(3 * PAIR):
             q, s = divmod(j, PAIR)
@@ -284,20 +261,20 @@ class SlotLight:
 
     @cached_property
     def dimmed(self) -> tuple[Floats, Floats]:
-        """Contrast and mean light of each slot of a header's dimmed cells, (4,) each; 1 and 1/2 of other cells."""
+        """Contrast and mean light of dimmed header cells in each slot, (4,) each; 1 and 1/2 for other cells."""
         high, low = (np.where(self.rank < SLOTS * (0.5 + sign * DIMMED / 2), 1.0, 0.0) for sign in (1, -1))
         return high - low, 0.5 * (high + low)
 
 
 def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combination | None:
-    """Combine frames for a pair of data."""
+    """Combine frames to a data pair; None if the frames do not show the pair."""
     overlap, middle = _overlaps(starts, exposure)
     shown = np.einsum("fj,jqr->fqr", overlap, light.shows)
     slope = shown[:, 1] @ SLOPES
-    near = np.flatnonzero(overlap[:, PAIR : 2 * PAIR].sum(1) > LEAST_OVERLAP)
+    near = np.flatnonzero(overlap[:, PAIR : 2 * PAIR].sum(1) > _PARAMETERS.min_overlap)
     difference = _difference(shown[near], slope[near])
-    # in step the slope is 1/2: 1/4 of the pattern and 1/4 of its inverse
-    if difference @ slope[near] < LEAST_SLOPE / 2:
+    # a synchronous pair has the slope 1/2: 1/4 from the pattern, 1/4 from the inverse
+    if difference @ slope[near] < _PARAMETERS.min_slope / 2:
         return None
     total = _total(shown[near], (overlap @ light.mean)[near])
     used = np.abs(difference) + total > 0
@@ -320,14 +297,14 @@ def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combinati
 
 
 def combine_header(starts: Floats, exposure: float, shown: Floats, dimmed: tuple[Floats, Floats]) -> Combination | None:
-    """Combine frames of a header alone: their sum is free of it, their difference shows it as in step."""
+    """Combine frames of a header: the sum is free of the header, the difference shows it as in a synchronous pair."""
     about = shown - shown.mean() if len(shown) else shown
     energy = float(about @ about)
-    if energy < LEAST_HEADER**2:
+    if energy < _PARAMETERS.min_header**2:
         return None
     # least squares: sum beta = 2 with sum beta s = 0; sum w = 0 with sum w s = 2
     total, difference = 2 / len(shown) - 2 * shown.mean() / energy * about, 2 / energy * about
-    # a header's LEDs are lit evenly
+    # the LEDs of a header are lit evenly
     middle = float(total @ (starts + exposure / 2)) / 2
     cell = (0.5 * float(difference @ dimmed[0]), float(difference @ dimmed[1]))
     empty = np.zeros((3, SLOTS))
@@ -335,18 +312,18 @@ def combine_header(starts: Floats, exposure: float, shown: Floats, dimmed: tuple
 
 
 def _overlaps(starts: Floats, exposure: float) -> tuple[Floats, Floats]:
-    """Part of each exposure in each slot of three pairs, and the middles of those times, (frames, 24)."""
+    """Return the part of each exposure in each slot of three pairs, and the mean time in the slot, (frames, 24)."""
     begin = np.maximum(starts[:, None], _EDGES[:-1])
     end = np.minimum(starts[:, None] + exposure, _EDGES[1:])
     return np.maximum(end - begin, 0.0) / exposure, (begin + end) / 2
 
 
 def _difference(shown: Floats, slope: Floats) -> Floats:
-    """Weights alpha = Q^-1 (theta - mu 1), which maximise (alpha theta)^2 / (alpha Q alpha) with sum alpha = 0."""
+    """Return alpha = Q^-1 (theta - mu 1), which maximises (alpha theta)^2 / (alpha Q alpha) for sum alpha = 0."""
     weights, used = np.zeros_like(slope), np.arange(len(slope))
-    # what is not linear in the levels, and light of other pairs, counts as noise at first
+    # nonlinear light and light of other pairs count as noise
     rest = COVARIANCE - np.outer(SLOPES, SLOPES)
-    matrix = FRAME_NOISE * np.eye(len(slope)) + shown[:, 1] @ rest @ shown[:, 1].T
+    matrix = _PARAMETERS.frame_noise * np.eye(len(slope)) + shown[:, 1] @ rest @ shown[:, 1].T
     for q in (0, 2):
         matrix += shown[:, q] @ COVARIANCE @ shown[:, q].T
     while len(used) >= 2:
@@ -354,7 +331,7 @@ def _difference(shown: Floats, slope: Floats) -> Floats:
         # mu = (1 Q^-1 theta) / (1 Q^-1 1)
         a, b = np.linalg.solve(matrix[np.ix_(used, used)], np.stack([h, ones], axis=1)).T
         alpha = a - b * (a.sum() / b.sum())
-        strong = np.abs(alpha) >= LEAST_WEIGHT * np.abs(alpha).max()
+        strong = np.abs(alpha) >= _PARAMETERS.min_weight * np.abs(alpha).max()
         if strong.all():
             weights[used] = alpha / max(alpha[alpha > 0].sum(), TINY)
             break
@@ -363,14 +340,14 @@ def _difference(shown: Floats, slope: Floats) -> Floats:
 
 
 def _total(shown: Floats, light: Floats) -> Floats:
-    """Weights of the sum: the least noise and unevenness, for the mean light of all LEDs on; none is negative."""
-    matrix = SUM_NOISE * np.eye(len(light))
+    """Return nonnegative weights of the sum with the least noise and unevenness for the light of all LEDs on."""
+    matrix = _PARAMETERS.sum_noise * np.eye(len(light))
     for q in range(3):
         matrix += shown[:, q] @ COVARIANCE @ shown[:, q].T
     weights, used = np.zeros_like(light), np.arange(len(light))
     while True:
         beta = np.linalg.solve(matrix[np.ix_(used, used)], light[used])
-        strong = beta >= LEAST_WEIGHT * beta.max()
+        strong = beta >= _PARAMETERS.min_weight * beta.max()
         if strong.all():
             weights[used] = beta / (beta @ light[used])
             return weights
@@ -378,87 +355,85 @@ def _total(shown: Floats, light: Floats) -> Floats:
 
 
 def _centroid(weights: Floats, light: Floats, middle: Floats) -> float:
-    """Mean time of the light (frames, slots) of weighted frames."""
+    """Return the mean time of the light (frames, slots) of weighted frames."""
     return float((weights @ (light * middle)).sum() / max((weights @ light).sum(), TINY))
 
 
 @dataclass(frozen=True, slots=True)
 class ObservedSymbols:
-    """What is expected of a packet's observed symbols."""
+    """Expected observed symbols of a packet, (pairs, symbols) each."""
 
-    # mean, variance: (pairs, symbols) of the light of each pair's own symbols
+    # mean, variance: light of the symbols of the pair
     mean: Floats
     variance: Floats
-    # leak, leak_variance: (pairs, symbols) of the light of the pairs before and after
+    # leak, leak_variance: light of the previous and the next pair
     leak: Floats
     leak_variance: Floats
 
 
 @dataclass(frozen=True, slots=True)
 class UnsynchronisedPacket:
-    """How a packet's pairs show their symbols, and those of the pairs before and after."""
+    """Responses of the combined pairs of a packet to the symbols."""
 
-    # (pairs, 16, 4) observed symbols by the values of a pair's own; see `partial_exposure.response`
+    # (pairs, 16, 4) observed symbols for each value of the pair
     response: Floats
-    # before, after: (pairs, 16, 4) the same of the pair before and the one after; 0 where it does not show
+    # before, after: (pairs, 16, 4) observed symbols for each value of the previous and the next pair
     before: Floats
     after: Floats
-    # (pairs, symbols) light of the header before the first pair, and of the one after the last
+    # (pairs, symbols) light of the header before the first pair and of the header after the last pair
     headers: Floats
 
     @classmethod
     def of(cls, combinations: Sequence[Combination | None], header: NDArray[np.bool_]) -> "UnsynchronisedPacket":
-        """A packet's pairs."""
-        none, last = np.zeros_like(VALUES), len(combinations) - 1
-        response, leaks, headers = [], list[tuple[Floats, Floats]](), np.zeros((last + 1, header.size))
+        """Collect the responses of the pairs of a packet; None stands for a synchronous pair."""
+        count = len(combinations)
+        response, before, after = (np.zeros((count, *VALUES.shape)) for _ in range(3))
+        headers = np.zeros((count, header.size))
         for k, combination in enumerate(combinations):
-            response.append(VALUES if combination is None else combination.response)
-            sides = [none, none]
-            for side, place in enumerate((k - 1, k + 1)):
+            response[k] = VALUES if combination is None else combination.response
+            for side, leaks in enumerate((before, after)):
                 leak = None if combination is None else combination.leaks[side]
-                if leak is None or combination is None:
+                if combination is None or leak is None:
                     continue
-                if 0 <= place <= last:
-                    sides[side] = leak
+                if 0 <= k + 2 * side - 1 < count:
+                    leaks[k] = leak
                 else:
                     headers[k] += response_of_levels(combination.slots[2 * side], header)
-            leaks.append((sides[0], sides[1]))
-        before, after = (np.stack([pair[side] for pair in leaks]) for side in (0, 1))
-        return cls(np.stack(response), before, after, headers)
+        return cls(response, before, after, headers)
 
     @property
-    def in_step(self) -> bool:
-        """Whether all that is observed are the pairs' own symbols."""
+    def is_synchronous(self) -> bool:
+        """True if each pair shows exactly the symbols of the pair."""
         return not self.before.any() and not self.after.any() and bool((self.response == VALUES).all())
 
     def expected(self, mean: Floats) -> ObservedSymbols:
-        """What is expected of the observed symbols."""
-        if self.in_step:
+        """Predict the observed symbols from the means of the true symbols."""
+        if self.is_synchronous:
             return ObservedSymbols(mean, 1 - mean**2, self.headers.copy(), np.zeros_like(mean))
         own, spread = moments(self.response, mean)
-        leak, leak_spread = self.headers.copy(), np.zeros_like(mean)
+        leak, leak_variance = self.headers.copy(), np.zeros_like(mean)
         later, earlier = slice(1, None), slice(-1)
-        for there, others, response in ((later, earlier, self.before), (earlier, later, self.after)):
+        for pairs, sources, response in ((later, earlier, self.before), (earlier, later, self.after)):
             if response.any():
-                part, more = moments(response[there], mean[others])
-                leak[there] += part
-                leak_spread[there] += more
-        return ObservedSymbols(own, spread, leak, leak_spread)
+                leak_mean, variance = moments(response[pairs], mean[sources])
+                leak[pairs] += leak_mean
+                leak_variance[pairs] += variance
+        return ObservedSymbols(own, spread, leak, leak_variance)
 
-    def llrs(self, found: Floats, variance: Floats, expected: ObservedSymbols, mean: Floats) -> Floats:
-        """Extrinsic LLRs of the symbols by estimates of the observed ones."""
-        own, noise = found - expected.leak, variance + expected.leak_variance
-        if self.in_step:
+    def llrs(self, observed: Floats, variance: Floats, expected: ObservedSymbols, mean: Floats) -> Floats:
+        """Compute extrinsic LLRs of the symbols from estimates of the observed symbols."""
+        own, noise = observed - expected.leak, variance + expected.leak_variance
+        if self.is_synchronous:
             # y = c + n: ln P(c=+1)/P(c=-1) = 2 y / s^2
             return 2 * own / noise
         return symbol_llrs(self.response, own, noise, mean)
 
     def posterior_moments(
-        self, pairs: NDArray[np.intp], found: Floats, variance: Floats, mean: Floats
+        self, pairs: NDArray[np.intp], observed: Floats, variance: Floats, mean: Floats
     ) -> tuple[Floats, Floats]:
-        """Mean of observed symbols and of their squares, the light of other pairs left out; see `partial_exposure`."""
-        if self.in_step:
+        """Return the posterior means of observed and of squared symbols, for estimates without leaks."""
+        if self.is_synchronous:
             # <c> = tanh(y / s^2 + arctanh <c>_prior), c^2 = 1
-            first = np.tanh(found / variance + np.arctanh(uncertain(mean)))
+            first = np.tanh(observed / variance + np.arctanh(uncertain(mean)))
             return first, np.ones_like(first)
-        return posterior_moments(self.response[pairs], found, variance, mean)
+        return posterior_moments(self.response[pairs], observed, variance, mean)

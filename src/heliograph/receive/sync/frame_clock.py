@@ -1,7 +1,7 @@
-"""The camera's own clock: times of frames, even though stamps jitter, frames are missing or come twice."""
+"""Camera clocks: frame times despite jitter of the time stamps, missing frames and repeated frames."""
 
 from collections.abc import Iterator
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,100 +10,70 @@ from heliograph.base.arrays import TINY
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame, check_order
 
-SAMPLED_ROWS = 16
-"""Every so many rows of two frames are compared before all of them: nearly all frames differ there already."""
-
-SAMPLED_PIXELS = 16
-"""So many pixels in a row are compared before all else."""
-
-FIRST_FRAMES = 16
-"""Frames by which the camera's rate is first found: with a jitter of 5 % they give it to 0.3 %."""
-
-JITTER = 0.05
-"""Rms error of a time stamp that the filter expects, as a fraction of the frame period: 50 us at 1000 frames/s."""
-
-WANDER = 1e-5
-"""Random walk of the frame period from frame to frame, as a fraction of it.
-
-The filter remembers some hundred frames.
-"""
-
-MISSING = 0.75
-"""Frame periods by which a stamp must be late for a frame to be missing before it: 15 times the jitter expected."""
-
-PAUSE_PERIODS, PAUSE_OFF = 16, 0.25
-"""Frame periods from which on a gap is a pause of the camera, and the part of a period by which a shorter pause differs
-from a whole number of periods: five times the jitter expected."""
-
-ANY_PHASE = 1 / 12
-"""Variance in squared frame periods of the phase at which a camera goes on after a pause: it is uniform."""
-
 STEP_TOLERANCE = 0.02
-"""Largest departure of the camera's rate from the light's, as a fraction, for frames to count as in step."""
+"""Maximum relative deviation of the frame rate from the pattern rate of a synchronous camera."""
 
 
-SHORT = 0.7
-"""Gaps below this fraction of the median are of one frame period where a quarter are: the median is then of two.
+@dataclass(frozen=True)
+class FrameClockParameters:
+    """Parameters of the camera clocks; times in frame periods."""
 
-A jitter of 20 % leaves the lower quartile at 0.81 of the median; half of the median is 0.5.
-"""
-
-
-class FrameClock(Protocol):
-    """Passes frames on with their times."""
-
-    # Frame period in seconds; 0 until it is known
-    period_s: float
-
-    def push(self, frame: Frame) -> Iterator[Frame]:
-        """Take the next frame; yield those whose times are known by now."""
-
-    def flush(self) -> Iterator[Frame]:
-        """Yield the frames held back, as there will be no more."""
+    # Frames for the first estimate of the frame rate: 0.3 % at a jitter of 5 %
+    first_frames: int = 16
+    # Expected rms error of a time stamp
+    jitter: float = 0.05
+    # Random walk of the period per frame, as a fraction: the filter remembers some hundred frames
+    wander: float = 1e-5
+    # Delay of a stamp from which a frame is missing: 15 times the jitter
+    min_missing: float = 0.75
+    # Steps above which a gap is a pause of the camera
+    max_steps: int = 16
+    # Deviation from a number of periods above which a shorter gap is a pause: five times the jitter
+    max_step_error: float = 0.25
+    # Variance of the phase after a pause, which is uniform
+    pause_variance: float = 1 / 12
 
 
 class SteppedClock:
-    """Clock of a camera that takes one frame per pattern; it passes frames on as they are and checks their rate.
+    """Clock of a camera with one frame per pattern: checks the frame rate and drops repeated frames."""
 
-    A frame with the very pixels of the one before is a copy and is left out.
-    """
-
-    def __init__(self, pattern_period_s: float):
+    def __init__(self, pattern_period_s: float, parameters: FrameClockParameters = FrameClockParameters()):
         self.period_s = pattern_period_s
+        self._parameters = parameters
         self._last: Frame | None = None
         self._gaps: list[tuple[float, int]] = []
 
     def push(self, frame: Frame) -> Iterator[Frame]:
-        """Check and pass on the next frame; see `FrameClock`."""
+        """Check the next frame; yield the frame unless it repeats the last frame."""
         if self._last is not None:
-            if _copied(self._last, frame):
+            if _is_copy(self._last, frame):
                 return
             check_order(frame, self._last, by_index=True)
             self._gaps.append((frame.time_s - self._last.time_s, frame.index - self._last.index))
-            if len(self._gaps) == FIRST_FRAMES:
+            if len(self._gaps) == self._parameters.first_frames:
                 self._check_rate()
         self._last = frame
         yield frame
 
     def flush(self) -> Iterator[Frame]:
-        """No frame is held back."""
+        """Check the rate of the last frames; no frame is pending."""
         self._check_rate()
         yield from ()
 
     def _check_rate(self) -> None:
-        """Compare the rate of the last frames with the light's; a late stamp or a missing frame says nothing of it."""
-        taken, self._gaps = self._gaps, []
-        # mostly each step is the light's, and no median is needed
-        even = STEP_TOLERANCE * self.period_s
-        if all(abs(gap - number * self.period_s) <= even * number for gap, number in taken):
+        """Compare the frame rate with the pattern rate; late stamps and missing frames are tolerated."""
+        steps_taken, self._gaps = self._gaps, []
+        # fast path: no median is needed if each step matches
+        tolerance = STEP_TOLERANCE * self.period_s
+        if all(abs(gap - number * self.period_s) <= tolerance * number for gap, number in steps_taken):
             return
-        gaps, numbers = np.array(taken).T
-        # a number that was rounded up after one that was rounded down skips one: times alone count steps
+        gaps, numbers = np.array(steps_taken).T
+        # rounded frame numbers may skip a number: count steps by time
         steps = np.maximum(np.round(gaps / frame_period(gaps / numbers)), 1)
-        # after a pause a camera goes on at any phase
+        # steps across a pause are excluded: the phase changes
         period_s = float(gaps[steps == 1].mean())
         if abs(period_s - self.period_s) > STEP_TOLERANCE * self.period_s:
-            # the soft receiver, too, needs a frame a pattern
+            # the soft receiver needs at least a frame per pattern as well
             other = "use --receiver soft, " if period_s < self.period_s else ""
             rate = f"{1 / period_s:.1f}" if period_s < 1 else f"{1 / period_s:.2g}"
             raise HeliographError(
@@ -114,15 +84,14 @@ class SteppedClock:
 
 
 class CameraClock:
-    """Clock of a camera of any rate, which gives frames even times.
+    """Clock of a camera of any rate: a Kalman filter of time and period that smooths the time stamps.
 
-    Stamps are inexact readings of a clock that ticks once per frame. A Kalman filter follows time and period. Its step
-    is one frame or, where a stamp is late by more than `MISSING` periods, one more for each missing frame. A frame with
-    the very pixels of the one before is a copy and is left out.
+    A step is one frame, plus one for each missing frame. Repeated frames are dropped.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, parameters: FrameClockParameters = FrameClockParameters()) -> None:
         self.period_s = 0.0
+        self._parameters = parameters
         self._time_s = 0.0
         # covariance of time and period, in frame periods: P_00, P_01, P_11
         self._covariance = 0.0, 0.0, 0.0
@@ -130,9 +99,9 @@ class CameraClock:
         self._last: Frame | None = None
 
     def push(self, frame: Frame) -> Iterator[Frame]:
-        """Take the next frame; yield those whose times are known by now; see `FrameClock`."""
+        """Add the next frame; yield the frames with known times."""
         if self._last is not None:
-            if _copied(self._last, frame):
+            if _is_copy(self._last, frame):
                 return
             check_order(frame, self._last)
         self._last = frame
@@ -140,21 +109,23 @@ class CameraClock:
             yield self._timed(frame)
             return
         self._held.append(frame)
-        if len(self._held) == FIRST_FRAMES:
+        if len(self._held) == self._parameters.first_frames:
             yield from self.flush()
 
     def flush(self) -> Iterator[Frame]:
-        """Yield the frames held back, as there will be no more."""
+        """Yield the pending frames at the end of the film."""
         held, self._held = self._held, []
         if len(held) < 2:
             return
         times = np.array([f.time_s for f in held])
         gaps = np.diff(times)
-        # frames may be missing though their numbers run on
+        # frames may be missing despite consecutive numbers
         periods = gaps / frame_period(gaps)
         steps = np.maximum(np.round(periods), 1)
         number = np.append(0.0, np.cumsum(steps))
-        pause = (steps > PAUSE_PERIODS) | ((steps > 1) & (np.abs(periods - steps) > PAUSE_OFF))
+        pause = (steps > self._parameters.max_steps) | (
+            (steps > 1) & (np.abs(periods - steps) > self._parameters.max_step_error)
+        )
         run = np.append(0, np.cumsum(pause))
         # least squares of time = time_0 + number * period, with a time_0 for each run between two pauses
         count = np.bincount(run)
@@ -163,22 +134,24 @@ class CameraClock:
         slope = float(centred @ times / max(float(centred @ centred), TINY))
         self.period_s = slope if slope > 0 else frame_period(gaps)
         self._time_s = float(time_0[0] + (number[0] - number_0[0] - 1) * self.period_s)
-        self._covariance = JITTER**2, 0.0, 12 / len(held) ** 2 * JITTER**2
+        self._covariance = self._parameters.jitter**2, 0.0, 12 / len(held) ** 2 * self._parameters.jitter**2
         for frame in held:
             yield self._timed(frame)
 
     def _timed(self, frame: Frame) -> Frame:
-        """Give a frame the time of the clock, and correct the clock by its stamp."""
+        """Replace the time stamp of a frame by the clock time, and correct the clock by the stamp."""
         late = (frame.time_s - self._time_s) / self.period_s - 1
-        steps = 1 + (round(late) if abs(late) >= MISSING else 0)
+        steps = 1 + (round(late) if abs(late) >= self._parameters.min_missing else 0)
         # P = F P F^T + Q, F = ((1, steps), (0, 1)); two numbers need no arrays
         p00, p01, p11 = self._covariance
         p00, p01 = p00 + 2 * steps * p01 + steps**2 * p11, p01 + steps * p11
-        p11 += WANDER**2 * max(steps, 0)
-        if steps > PAUSE_PERIODS or (steps > 1 and abs(late + 1 - steps) > PAUSE_OFF):
-            p00 += ANY_PHASE
+        p11 += self._parameters.wander**2 * max(steps, 0)
+        if steps > self._parameters.max_steps or (
+            steps > 1 and abs(late + 1 - steps) > self._parameters.max_step_error
+        ):
+            p00 += self._parameters.pause_variance
         # K = P H^T / (H P H^T + R), P = (1 - K H) P
-        k0, k1 = p00 / (p00 + JITTER**2), p01 / (p00 + JITTER**2)
+        k0, k1 = p00 / (p00 + self._parameters.jitter**2), p01 / (p00 + self._parameters.jitter**2)
         error = (late + 1 - steps) * self.period_s
         self._time_s += steps * self.period_s + k0 * error
         self.period_s += k1 * error
@@ -186,19 +159,24 @@ class CameraClock:
         return frame.at_time(self._time_s)
 
 
+FrameClock = SteppedClock | CameraClock
+"""Clock that passes frames on with exact times."""
+
+
 def frame_period(gaps: NDArray[np.float64]) -> float:
-    """Frame period by the times between frames, of which up to three quarters may hold missing ones."""
+    """Estimate the frame period from the times between frames, up to three quarters of which hold missing frames."""
     median = float(np.median(gaps))
-    short = gaps[gaps < SHORT * median]
+    # the median may be two periods; a jitter of 20 % leaves the lower quartile of single periods at 0.81 of the median
+    short = gaps[gaps < 0.7 * median]
     return float(np.median(short)) if len(short) >= len(gaps) / 4 else median
 
 
-def _copied(last: Frame, frame: Frame) -> bool:
-    """Whether a frame has the very pixels of the one before; a camera's noise makes no two alike."""
+def _is_copy(last: Frame, frame: Frame) -> bool:
+    """Return True if a frame repeats all pixels of the last frame; noise makes two exposures differ."""
     a, b = last.pixels, frame.pixels
     if a.shape != b.shape or last.origin != frame.origin or a.dtype != b.dtype:
         return False
-    # some pixels tell nearly always, and some rows where these are dark
-    place = len(a) // 2, slice(a.shape[1] // 2, a.shape[1] // 2 + SAMPLED_PIXELS)
-    alike = a[place].tobytes() == b[place].tobytes() and np.array_equal(a[::SAMPLED_ROWS], b[::SAMPLED_ROWS])
-    return bool(alike and np.array_equal(a, b) and a.min() != a.max())
+    # compare a few pixels, then a few rows, before all pixels
+    place = len(a) // 2, slice(a.shape[1] // 2, a.shape[1] // 2 + 16)
+    are_alike = a[place].tobytes() == b[place].tobytes() and np.array_equal(a[::16], b[::16])
+    return bool(are_alike and np.array_equal(a, b) and a.min() != a.max())

@@ -1,4 +1,4 @@
-"""Hot loop of pairing; `reference.py` holds the same in plain NumPy, and a test holds the two together."""
+"""Compiled kernels of the slip detection; `tests/oracles/slips_oracle.py` is the reference."""
 
 import numpy as np
 
@@ -6,19 +6,19 @@ from heliograph.base.compiled import compiled
 
 
 @compiled()
-def about_mean(shown, mean, about):
-    """What a frame shows about the mean of frames."""
+def subtract_mean(light, mean, contrast):
+    """Subtract the mean frame; return power and mean of the contrast."""
     power, total = 0.0, 0.0
-    for k in range(shown.shape[0]):
-        about[k] = shown[k] - mean[k]
-        power += about[k] * about[k]
-        total += about[k]
-    return power, total / shown.shape[0]
+    for k in range(light.shape[0]):
+        contrast[k] = light[k] - mean[k]
+        power += contrast[k] * contrast[k]
+        total += contrast[k]
+    return power, total / light.shape[0]
 
 
 @compiled()
 def means_at_leds(image, x, y, axes, width, rim, side):
-    """Means of an image over squares about LEDs, between pixels by their distance."""
+    """Average an image over squares around LEDs, with linear interpolation between pixels."""
     inner, reach = side - 2 * rim, (width - 1) // 2
     bottom, right = image.shape[0] - 1, image.shape[1] - 1
     out = np.empty(inner * inner)
@@ -26,7 +26,7 @@ def means_at_leds(image, x, y, axes, width, rim, side):
         down, along = led // inner + rim - 0.5 * (side - 1), led % inner + rim - 0.5 * (side - 1)
         px = x + along * axes[0, 0] + down * axes[0, 1]
         py = y + along * axes[1, 0] + down * axes[1, 1]
-        # the mean over a square about a place between pixels: its first row and column count by what they lie within
+        # a square between pixels: the first and last row and column count by the overlap
         top, left = int(np.floor(py)) - reach, int(np.floor(px)) - reach
         below, over = py - np.floor(py), px - np.floor(px)
         total = 0.0

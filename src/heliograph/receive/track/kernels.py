@@ -1,12 +1,4 @@
-"""Lines of LEDs in a sum, and changes from pattern to inverse, as machine code.
-
-There are too many small steps each pair to take them in Python. Of the changes `reference.py` holds the same in plain
-NumPy; a test holds the two together.
-
-Steps of the Kalman filter, as machine code: on ten numbers a call of NumPy costs more than what it does.
-
-`kalman_reference.py` holds the same in plain NumPy; a test holds the two together.
-"""
+"""Compiled kernels of the tracker; `tests/oracles` has references of the visibility and of the Kalman filter."""
 
 import math
 
@@ -15,104 +7,78 @@ import numpy as np
 from heliograph.base.compiled import compiled
 from heliograph.receive.geometry.kernels import median, smallest
 
-USUAL_RATE, COVERED_RATE = 0.1, 0.02
-"""Weights of a pair in what a line usually shows: of lines as usual, and of covered ones.
-
-What stays beside the array belongs to its surroundings after some 100 pairs. The slowest post that is drawn in
-`benchmarks.poles` hides the outermost LEDs after 45.
-"""
-
-HIDDEN_BELOW = 0.5
-"""Fraction of a line's LEDs in sight below which the line counts as hidden."""
-
-LEAST_OPEN_LINES = 0.25
-"""Least fraction of the lines across another that must be open for the other to show anything."""
+LINE_RATE, COVERED_LINE_RATE = 0.1, 0.02
+"""Weights of a pair in the usual level of a line, and of a covered line: a slow post covers the rim for 45 pairs."""
 
 
 @compiled()
-def look(
-    up,
-    down,
-    middle,
-    axes,
-    beside,
-    before,
-    least,
-    width,
-    bright,
-    most,
-    rate,
-    sight_from,
-    away,
-    changed,
-    usual,
-    differs,
-    total,
-    after,
-    sight,
-    clear,
-):
-    """All that two frames of a pair show of an array before its pose is found in them."""
+def preview(up, down, middle, axes, before, lines, parameters):
+    """Measure noise, recent changes and covered LEDs of a pair before the fit; renews `lines`.
+
+    Returns difference, sum, noise, recent changes, uncovered LEDs, and whether any LED is covered.
+    """
+    edge, width, bright, min_power, max_change, rate, min_visible, away, min_line_change = parameters
+    difference, total = np.empty(up.shape), np.empty(up.shape)
     for i in range(up.shape[0]):
         for j in range(up.shape[1]):
-            differs[i, j], total[i, j] = up[i, j] - down[i, j], up[i, j] + down[i, j]
-    noise = noise_beside(differs, middle[0], middle[1], beside)
-    recent_change(before, differs, noise, middle[0], middle[1], axes, width, least, bright, most, rate, after)
-    hidden, covered = False, False
+            difference[i, j], total[i, j] = up[i, j] - down[i, j], up[i, j] + down[i, j]
+    noise = noise_outside(difference, middle[0], middle[1], edge)
+    after, visible, uncovered = np.empty(before.shape), np.empty(before.shape), np.ones(before.shape)
+    recent_change(
+        before, difference, noise, middle[0], middle[1], axes, width, min_power, bright, max_change, rate, after
+    )
     for u in range(after.shape[0]):
         for v in range(after.shape[1]):
-            sight[u, v], clear[u, v] = 1.0 if after[u, v] >= sight_from else 0.0, 1.0
-            hidden |= after[u, v] < sight_from
-    uncover(total, middle, axes, away, changed, sight, usual, clear)
-    for u in range(after.shape[0]):
-        for v in range(after.shape[1]):
-            covered |= clear[u, v] == 0.0
-    return noise, hidden, covered
+            visible[u, v] = 1.0 if after[u, v] >= min_visible else 0.0
+    uncover(total, middle, axes, away, min_line_change, visible, lines, uncovered)
+    return difference, total, noise, after, uncovered, not uncovered.all()
 
 
 @compiled()
-def uncover(image, middle, axes, away, least, in_sight, usual, clear):
-    """Mark LEDs before which something came from a side, and renew what lines usually show."""
-    side = in_sight.shape[0]
-    levels, across, seen = np.empty(side + 2), np.empty(side), np.empty(side)
+def uncover(image, middle, axes, away, least, visible, usual, uncovered):
+    """Mark LEDs that an object from a side covers, and renew the usual levels of the lines."""
+    side = visible.shape[0]
+    levels, across, sorted_levels = np.empty(side + 2), np.empty(side), np.empty(side)
     hidden, covered = np.empty((2, side + 2), np.bool_), np.zeros((2, side + 2), np.bool_)
     for k in range(side):
         column, row = 0.0, 0.0
         for n in range(side):
-            column += in_sight[n, k]
-            row += in_sight[k, n]
-        hidden[0, k + 1], hidden[1, k + 1] = column < HIDDEN_BELOW * side, row < HIDDEN_BELOW * side
+            column += visible[n, k]
+            row += visible[k, n]
+        # a line with less than half of the LEDs visible is hidden
+        hidden[0, k + 1], hidden[1, k + 1] = column < 0.5 * side, row < 0.5 * side
     for axis in range(2):
-        # the lines beside the array go with the outermost
+        # the lines outside the array follow the outermost lines
         hidden[axis, 0], hidden[axis, side + 1] = hidden[axis, 1], hidden[axis, side]
-    # columns first: posts are upright. Rows are looked at where no column is covered
+    # columns first: posts are upright. Rows are sampled at uncovered columns
     for axis in range(2):
-        count = np.int64(0)  # of a plain 0 a second `_medians` would be compiled
+        count = np.int64(0)  # a plain 0 would compile a second `_medians`
         for k in range(side):
             if not (hidden[1 - axis, k + 1] or covered[1 - axis, k + 1]):
                 across[count] = k - 0.5 * (side - 1)
                 count += 1
-        if count < LEAST_OPEN_LINES * side:
+        # too few samples along a line
+        if count < 0.25 * side:
             continue
-        _medians(image, middle, axes, axis, away, across, count, seen, levels)
+        _medians(image, middle, axes, axis, away, across, count, sorted_levels, levels)
         if math.isnan(usual[axis, 0]):
             for k in range(side + 2):
                 usual[axis, k] = levels[k]
             continue
         _cover(levels, usual, least, hidden, covered, axis)
         for k in range(side + 2):
-            # hidden LEDs come back as they were
-            rate = 0.0 if hidden[axis, k] else COVERED_RATE if covered[axis, k] else USUAL_RATE
+            # hidden LEDs return unchanged
+            rate = 0.0 if hidden[axis, k] else COVERED_LINE_RATE if covered[axis, k] else LINE_RATE
             usual[axis, k] += rate * (levels[k] - usual[axis, k])
     for i in range(side):
         for j in range(side):
             if covered[0, j + 1] or covered[1, i + 1]:
-                clear[i, j] = 0.0
+                uncovered[i, j] = 0.0
 
 
 @compiled()
-def _medians(image, middle, axes, axis, away, places, count, seen, levels):
-    """Medians of an image along lines of LEDs and beside them, at so many places along each; they are at least one."""
+def _medians(image, middle, axes, axis, away, places, count, sorted_levels, levels):
+    """Compute the median of an image along each line of LEDs and along the lines outside, at `count` >= 1 places."""
     bottom, right = image.shape[0] - 1, image.shape[1] - 1
     last = levels.size - 1
     for line in range(last + 1):
@@ -125,50 +91,50 @@ def _medians(image, middle, axes, axis, away, places, count, seen, levels):
             above = (1.0 - over) * image[i, j] + over * image[i, j + 1]
             below = (1.0 - over) * image[i + 1, j] + over * image[i + 1, j + 1]
             level = (1.0 - down) * above + down * below
-            # sorted in
+            # insertion sort
             n = k
-            while n > 0 and seen[n - 1] > level:
-                seen[n] = seen[n - 1]
+            while n > 0 and sorted_levels[n - 1] > level:
+                sorted_levels[n] = sorted_levels[n - 1]
                 n -= 1
-            seen[n] = level
-        levels[line] = seen[count // 2]
+            sorted_levels[n] = level
+        levels[line] = sorted_levels[count // 2]
 
 
 @compiled()
 def _cover(levels, usual, least, hidden, covered, axis):
-    """Mark lines that are hidden or changed one after the other, from a line beside the array on."""
+    """Mark consecutive hidden or changed lines, from the line outside the array inwards."""
     last = levels.size - 1
     for end in (0, last):
         step, k = (1, 0) if end == 0 else (-1, last)
         while 0 <= k <= last:
-            # the outermost LEDs seem to change where the pose is off: they go with the line beside them
-            asked = end if k == end + step else k
-            if not (hidden[axis, asked] or abs(levels[asked] - usual[axis, asked]) > least):
+            # pose errors change the outermost LEDs: the line outside decides
+            line = end if k == end + step else k
+            if not (hidden[axis, line] or abs(levels[line] - usual[axis, line]) > least):
                 break
             covered[axis, k] = True
             k += step
     if covered[axis, 0] and covered[axis, last]:
-        # nothing would hold the array's place
+        # covered from both sides: no line would fix the pose
         for k in range(last + 1):
             covered[axis, k] = False
 
 
 @compiled()
-def noise_beside(change, x, y, least):
-    """Standard deviation about 0 of the pixels beside a square, by their median magnitude; 0 where there are none."""
+def noise_outside(change, x, y, least):
+    """Return the standard deviation about 0 of the pixels outside a square, by the median; 0 without pixels."""
     sizes, count = np.empty(change.size), 0
     for i in range(change.shape[0]):
         for j in range(change.shape[1]):
             if max(abs(i - y), abs(j - x)) > least:
                 sizes[count] = abs(change[i, j])
                 count += 1
-    # median |x| / Phi^-1(3/4), as `image.robust` has it
+    # median |x| / Phi^-1(3/4)
     return 1.4826 * median(sizes[:count]) if count else 0.0
 
 
 @compiled()
 def power_within(change, x, y, most):
-    """Sum of the squares of the pixels in a square, and their number."""
+    """Return the sum of squares of the pixels in a square, and the number of pixels."""
     power, count = 0.0, 0
     for i in range(change.shape[0]):
         for j in range(change.shape[1]):
@@ -180,7 +146,7 @@ def power_within(change, x, y, most):
 
 @compiled()
 def recent_change(before, change, noise, x, y, axes, width, least, bright, most, rate, out):
-    """Recent change of each LED, with that of one more pair; see `sight.recent_change`."""
+    """Update the recent change of each LED by one pair, relative to bright LEDs."""
     side = before.shape[0]
     around, powers = np.empty((side, side)), np.empty(side * side)
     power_around(change, noise, x, y, axes, width, around)
@@ -190,13 +156,13 @@ def recent_change(before, change, noise, x, y, axes, width, least, bright, most,
     others = max(smallest(powers, bright), least)
     for u in range(side):
         for v in range(side):
-            shown = min(around[u, v] / others, most)
-            out[u, v] = before[u, v] + rate * (shown - before[u, v])
+            change_now = min(around[u, v] / others, most)
+            out[u, v] = before[u, v] + rate * (change_now - before[u, v])
 
 
 @compiled()
 def power_around(change, noise, x, y, axes, width, around):
-    """Mean power of a change over the squares about LEDs, less that of its noise."""
+    """Average the power of a change, less the noise power, over squares around LEDs."""
     side, reach = around.shape[0], width // 2
     bottom, right = change.shape[0] - 1, change.shape[1] - 1
     power, rows = np.empty((side, side)), np.empty((side, side))
@@ -229,7 +195,7 @@ def power_around(change, noise, x, y, axes, width, around):
 
 @compiled()
 def predict(mean, covariance, dt, linear, quadratic, cubic):
-    """State at a later time: x = F x, P = F P F^T + Q, where F adds dt times a rate to each of the first three."""
+    """Predict the state: x = F x, P = F P F^T + Q, where F adds dt times the rates to x, y and ln pitch."""
     x, p = mean.copy(), covariance.copy()
     size = x.shape[0]
     for k in range(3):
@@ -246,12 +212,12 @@ def predict(mean, covariance, dt, linear, quadratic, cubic):
 
 @compiled()
 def expected(mean, covariance, h, variances):
-    """What a fit will show: H x, H P H^T + R."""
+    """Predict a fit: H x, H P H^T + R, H P."""
     shown, size = h.shape
     z, s, across = np.zeros(shown), np.zeros((shown, shown)), np.zeros((shown, size))
     for k in range(shown):
         for n in range(size):
-            # H is nearly empty
+            # H is sparse
             if h[k, n] != 0.0:
                 z[k] += h[k, n] * mean[n]
                 for i in range(size):
@@ -266,7 +232,7 @@ def expected(mean, covariance, h, variances):
 
 @compiled()
 def condition(mean, covariance, h, variances, vector, fitted):
-    """State given the posterior of what a fit shows: K = P H^T S^-1; x += K (z - H x); P += K (C - S) K^T."""
+    """Update the state by the posterior of a fit: K = P H^T S^-1; x += K (z - H x); P += K (C - S) K^T."""
     z, s, gain = expected(mean, covariance, h, variances)
     shown, size = h.shape
     less = np.empty((shown, shown))

@@ -1,6 +1,6 @@
-"""Tracking: the sum of a pattern and its inverse shows every LED, so each pair gives a new pose."""
+"""Tracking: the sum of a pattern and the inverse shows every LED, so each pair gives a new pose."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from math import sqrt
 
@@ -27,164 +27,159 @@ from heliograph.receive.track.track import (
     TrackedPair,
     around_leds,
     dark_zone,
-    is_active,
-    look,
+    is_visible,
     noise_around,
-    open_pixels,
+    preview_pair,
+    visible_pixels,
 )
 
-WINDOW_MARGIN_PITCHES, WINDOW_MARGIN_PX = 1.5, 1.5
-"""Width of the surroundings that are fitted with the array: they hold its edge, the panel's and the background."""
 
-HEADER_SCORE = 0.6
-"""Least correlation with which a header refines the pose: a header half hidden still has more."""
+@dataclass(frozen=True)
+class TrackerParameters:
+    """Parameters of the tracker; lengths in pitches unless stated."""
 
-PAIR_STEPS = 3
-"""Most Gauss-Newton steps per pair; from the filter's prediction a fit mostly ends after two."""
+    # Width of the surroundings that are fitted with the array, and an additional width in px
+    margin: float = 1.5
+    margin_px: float = 1.5
+    # Minimum correlation of a header that refines the pose; a half hidden header has more
+    min_header_score: float = 0.6
+    # Maximum number of Gauss-Newton steps per pair
+    pair_steps: int = 3
+    # Pitch in px above which single LEDs are resolved
+    resolved_px: float = 1.0
+    # Standard deviation of the prediction above which LEDs may be confused with neighbours
+    max_spread: float = 0.2
+    # Maximum distance of a fit from the prediction: the steps of a fit approach slowly
+    max_step: float = 0.05
+    # Maximum loss of correlation against recent sums; an offset by a column of LEDs loses 0.06 or more
+    max_score_loss: float = 0.02
+    # Blur that hides single LEDs
+    unresolved_blur: float = 0.5
+    # Maximum smear of a sum by motion in px; faster motion is an error of the filter
+    max_smear_px: float = 2.0
+    # Minimum fraction of visible LEDs for a fit
+    min_visible: float = 0.25
+    # Weight of a pair in gain and score
+    gain_rate: float = 0.1
+    # Maximum ratio of the gains of sums and headers: the rim of the panel changes the light
+    max_gain_ratio: float = 1.5
+    # Maximum difference of ln blur between sums and headers: the edge of the panel looks like blur
+    max_sum_blur: float = 0.3
+    # Variances added to the pose of a detection for the motion since then: 1 px, 3 % of the pitch, 0.01 rad, 0.1
+    detection_variances: tuple[float, ...] = (1.0, 1.0, 1e-3, 1e-4, 1e-2)
 
-RESOLVED_PX = 1.0
-"""Pitch in px from which on single LEDs show in a sum."""
 
-UNSURE_PITCHES = 0.2
-"""Standard deviation of the prediction, in pitches, from which on LEDs may be taken for their neighbours."""
-
-AS_EXPECTED_PITCHES = 0.05
-"""Pitches by which a fit may move an array from its prediction to be near enough: its steps come near slowly.
-
-In hard shake (0.9 px per pattern) at 40 m positions erred by 0.12 px rms with 0.2, and by less than 0.1 with 0.05.
-"""
-
-LESS_ALIKE = 0.02
-"""Correlation by which a sum's fit may be worse than recent ones: a column of LEDs off it is worse by 0.06 or more."""
-
-UNRESOLVED_BLUR_PITCHES = 0.5
-"""Pitches of blur that hide single LEDs, as in the detector."""
-
-MOST_SMEAR_PX = 2.0
-"""Most that motion smears a sum: at 3.5 px per pattern; what seems to be faster is an error of the filter."""
-
-LEAST_IN_SIGHT = 0.25
-"""Least fraction of the LEDs in sight by which a pose is found: with less an array's place has no hold."""
-
-GAIN_RATE = 0.1
-"""Weight of a pair's gain in the tracker's: sums of about ten pairs count."""
-
-GAIN_RATIO = 1.5
-"""Most that the gains of sums and of headers differ by: a panel's rim takes or adds a sixth of the light at 60 m."""
-
-MOST_SUM_BLUR = 0.3
-"""Most that a sum's ln blur differs from that of headers: a panel's rim makes it 0.1 at 95 m, before a bright sky.
-
-In hard shake more and more of the panel's edge was taken for blur, until the array was lost.
-"""
-
-FOUND_SPREAD = np.array([1.0, 1.0, 1e-3, 1e-4, 1e-2])
-"""Variances added to a detection's pose vector for the motion since its middle: 1 px, and 3 % of the pitch.
-
-1 px is what hard shake moves an array by in a pattern (`START_RATES`), 3 % are a quarter of a step between the sizes
-looked for (`SIDE_STEP`). Roll gets 0.01 rad, ln blur 0.1. Half and twice of it lose none of 192 codewords.
-"""
+_PARAMETERS = TrackerParameters()
 
 
 class Tracker:
-    """Follows arrays from pair to pair; tracks are values, and the tracker itself holds no state."""
+    """Tracker of arrays from pair to pair; the state is in the `Track` values."""
 
     def __init__(self, side: int, model: MotionModel):
         self._side, self._model = side, model
 
     def start(self, detection: Detection) -> Track:
-        """Begin to follow an array that was found."""
+        """Start the track of a detected array."""
         fit = detection.fit
-        state = PoseState.start(detection.time_s, fit.vector, widened(fit.covariance), self._model, detection.drift)
+        state = PoseState.start(
+            detection.time_s, fit.vector, widen_covariance(fit.covariance), self._model, detection.drift
+        )
         change = around_leds(detection.led_gains, fit.pose)
-        # cells without alternation may be hidden or dead
+        # cells without alternation are hidden or dead
         return Track(state, fit.gain, fit.gain, detection.led_gains, detection.time_s, change)
 
     def follow(self, track: Track, pair: FramePair, header: Floats | None = None) -> TrackedPair:
-        """Find the array in the sum of a pair and move the filter on; coast where it is not seen."""
+        """Fit the array in the sum of a pair and update the filter; coast while the array is hidden."""
         predicted = self.predict(track, pair.time_s)
         pose = predicted.pose
-        window = track.drawn.window(pose, self._side, _margin(pose))
-        corner, up, down = _cut(pair, window)
-        seen = look(track, up, down, corner, pose)
-        before, track, total = track, seen.track, seen.total
-        open_leds, hides = track.unhidden, track.hidden
-        unhidden = self._unhidden(track, open_leds, pose, corner, up.shape) if hides or not track.sound else None
-        if (hides and open_leds.mean() < LEAST_IN_SIGHT) or (unhidden is not None and not unhidden.any()):
-            return _coasted(before, replace(track, state=predicted))
+        corner, up, down = _cut(pair, track.render_cache.window(pose, self._side, _margin(pose)))
+        before = track
+        difference, total, noise, track = preview_pair(track, up, down, corner, pose)
+        uncovered, is_occluded = track.uncovered, track.is_occluded
+        open_pixels = None
+        if is_occluded or not track.led_gains.all():
+            open_pixels = self._open_pixels(track, uncovered, pose, corner, up.shape)
+        is_hidden = is_occluded and uncovered.mean() < _PARAMETERS.min_visible
+        if is_hidden or (open_pixels is not None and not open_pixels.any()):
+            return _coast(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
         observation = sum_observation(pair.late_s)
         mean, covariance = predicted.expected(observation)
         prior = Prior(np.concatenate([mean, predicted.tilt.mean]), covariance, track.gain)
+        shining = track.shining
         if header is not None and pair.combination is None:
-            left = self._left_by_motion(predicted, pair, corner, total.shape, header * track.shining)
+            left = self._header_residue(predicted, pair, corner, total.shape, header * shining)
             total = total - track.data_gain * left
-        sums_fit = partial(
+        fit_sum = partial(
             fit_array,
             total,
             corner,
             prior,
-            track.shining,
+            shining,
             panel=True,
-            open_pixels=unhidden,
+            open_pixels=open_pixels,
             smear=self._smear(predicted),
         )
-        fit = sums_fit(PAIR_STEPS, drawn=track.drawn)
-        if self._unsure(predicted) and (hides or not _as_expected(track, pose, fit)):
-            # a start of its own saves a step
-            fit = sums_fit(PAIR_STEPS - 1, start=self._unresolved(total, corner, prior, track.shining, unhidden))
+        fit = fit_sum(_PARAMETERS.pair_steps, drawn=track.render_cache)
+        if self._is_unsure(predicted) and (is_occluded or not _is_as_expected(track, pose, fit)):
+            # a separate start saves a step
+            start = self._unresolved_start(total, corner, prior, shining, open_pixels)
+            fit = fit_sum(_PARAMETERS.pair_steps - 1, start=start)
         pose, gain = fit.pose, track.gain
-        there = _inside(pose, pair.pattern) and is_active(seen.differs, seen.noise, pose, corner, self._side, gain)
-        if there:
-            shown = fit.vector[:POSE_SIZE].copy()
-            blur = float(predicted.mean[4])
-            shown[4] = min(max(shown[4], blur - MOST_SUM_BLUR), blur + MOST_SUM_BLUR)
-            state = predicted.condition(shown, fit.covariance, observation)
-            # what hides a part of the array has light of its own
-            gain = gain if hides else self._gain(track, fit)
-            score = track.score + GAIN_RATE * (fit.score - track.score)
-            after = track.found(state, gain, score, predicted.time_s)
-        else:
-            after = replace(track, state=predicted)
-        return TrackedPair(before, after, fit, there)
+        seen = _is_inside(pose, pair.pattern) and is_visible(difference, noise, pose, corner, self._side, gain)
+        if not seen:
+            return TrackedPair(before, replace(track, state=predicted), fit, seen)
+        vector = fit.vector[:POSE_SIZE].copy()
+        blur = float(predicted.mean[4])
+        vector[4] = min(max(vector[4], blur - _PARAMETERS.max_sum_blur), blur + _PARAMETERS.max_sum_blur)
+        if not is_occluded:
+            # an occluder has light too
+            gain += _PARAMETERS.gain_rate * (fit.gain - gain)
+            ratio = _PARAMETERS.max_gain_ratio
+            gain = min(max(gain, track.data_gain / ratio), track.data_gain * ratio)
+        after = replace(
+            track,
+            state=predicted.condition(vector, fit.covariance, observation),
+            gain=gain,
+            score=track.score + _PARAMETERS.gain_rate * (fit.score - track.score),
+            last_seen_s=predicted.time_s,
+        )
+        return TrackedPair(before, after, fit, seen)
 
     def refine(self, track: Track, pair: FramePair, weights: Floats) -> Track:
-        """Refine pitch, roll, blur and tilt by a header, after its sum was followed."""
+        """Refine pitch, roll, blur and tilt by a header, after the fit of the sum."""
         state, tilt = track.state, track.state.tilt
         corner, up, down = _cut(pair, window_around(state.pose, self._side, _margin(state.pose)))
         mean, covariance = state.expected(HEADER_OBSERVATION)
         both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
         both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, tilt.covariance
         prior = Prior(np.append(mean, tilt.mean), both)
-        fit = fit_array(up - down, corner, prior, weights * track.shining, PAIR_STEPS, smear=self._smear(state))
-        if fit.score < HEADER_SCORE:
+        fit = fit_array(
+            up - down, corner, prior, weights * track.shining, _PARAMETERS.pair_steps, smear=self._smear(state)
+        )
+        if fit.score < _PARAMETERS.min_header_score:
             return track
         state = state.condition(fit.vector[:POSE_SIZE], fit.covariance[:POSE_SIZE, :POSE_SIZE], HEADER_OBSERVATION)
         state = replace(state, tilt=Tilt(fit.vector[POSE_SIZE:], fit.covariance[POSE_SIZE:, POSE_SIZE:]))
         return replace(track, state=state, data_gain=fit.gain)
 
-    def sees(self, track: Track, pair: FramePair, fit: Fit) -> bool:
-        """Whether the array is in sight where a fit has it, by two frames that show different patterns."""
+    def is_visible(self, track: Track, pair: FramePair, fit: Fit) -> bool:
+        """Return True if two frames with different patterns show the array at the pose of a fit."""
         corner, up, down = _cut(pair, window_around(track.state.pose, self._side, _margin(track.state.pose)))
         noise = noise_around(up - down, track.state.pose, corner, self._side)
         pose = fit.pose
-        return _inside(pose, pair.pattern) and is_active(up - down, noise, pose, corner, self._side, track.gain)
+        return _is_inside(pose, pair.pattern) and is_visible(up - down, noise, pose, corner, self._side, track.gain)
 
     def predict(self, track: Track, time_s: float) -> PoseState:
-        """State at a time; before the track's own time the state is taken as it is."""
+        """Predict the state at a time; earlier times keep the state."""
         if time_s <= track.state.time_s:
             return replace(track.state, time_s=time_s)
         return track.state.predict(time_s, self._model)
 
-    def _left_by_motion(
-        self,
-        predicted: PoseState,
-        pair: FramePair,
-        corner: tuple[int, int],
-        shape: tuple[int, int],
-        header: Floats,
+    def _header_residue(
+        self, predicted: PoseState, pair: FramePair, corner: tuple[int, int], shape: tuple[int, int], header: Floats
     ) -> Floats:
-        """What a header and its inverse leave in their sum where the array moves between them, for a gain of 1."""
+        """Return the residue of a header in the sum of a moving array, for a gain of 1."""
         # A_1 Y + A_2 (1 - Y) = (A_1 + A_2) / 2 + (A_1 - A_2) (Y - 1/2), Y being the header
         from heliograph.receive.geometry import kernels  # Numba is slow to import
 
@@ -195,88 +190,83 @@ class Tracker:
         return np.asarray(0.5 * (images[0, 0] - images[1, 0]))
 
     def _smear(self, state: PoseState) -> tuple[float, float]:
-        """Standard deviations in px of the array's motion while a pair's light shone: evenly over two patterns."""
+        """Return the standard deviations in px of the motion during a pair: uniform over two patterns."""
         # (2 v T_b)^2 / 12, v by the filter
         x, y, *_ = state.mean[RATE_STATES].tolist()
         spread = 2 * self._model.period_s / sqrt(12)
-        return min(spread * abs(x), MOST_SMEAR_PX), min(spread * abs(y), MOST_SMEAR_PX)
+        return min(spread * abs(x), _PARAMETERS.max_smear_px), min(spread * abs(y), _PARAMETERS.max_smear_px)
 
-    def _unsure(self, predicted: PoseState) -> bool:
-        """Whether the prediction may be a pitch off, so that resolved LEDs would be taken for their neighbours."""
+    def _is_unsure(self, predicted: PoseState) -> bool:
+        """Return True if resolved LEDs may be confused with neighbours, as the prediction may err by a pitch."""
         spread = sqrt(max(predicted.covariance[0, 0], predicted.covariance[1, 1]))
         pitch = predicted.pose.pitch
-        return pitch > RESOLVED_PX and spread > UNSURE_PITCHES * pitch
+        return pitch > _PARAMETERS.resolved_px and spread > _PARAMETERS.max_spread * pitch
 
-    def _unresolved(
-        self, total: Floats, corner: tuple[int, int], prior: Prior, led_gains: Floats, unhidden: Floats | None
+    def _unresolved_start(
+        self, total: Floats, corner: tuple[int, int], prior: Prior, led_gains: Floats, open_pixels: Floats | None
     ) -> Floats:
-        """Start of the fit, found on pixels so blurred that no LED can be taken for its neighbour."""
+        """Find the start of a fit on blurred pixels, without resolved LEDs to confuse."""
         pose = Pose.from_vector(prior.vector)
-        sigma = UNRESOLVED_BLUR_PITCHES * pose.pitch
+        sigma = _PARAMETERS.unresolved_blur * pose.pitch
         vector, covariance = prior.vector.copy(), prior.covariance.copy()
         vector[4] = np.log(np.hypot(pose.blur, sigma))
         covariance[[0, 1], [0, 1]] += pose.pitch**2
         smooth = np.asarray(cv2.GaussianBlur(total, (0, 0), sigma), np.float64)
-        # an even square stands for the array as long as all of it shines
+        # an even square represents an array without dark LEDs
         failed = bool((led_gains < 1).any())
         wide = Prior(vector, covariance, prior.gain)
-        # it need come near only: one step
-        fit = fit_array(smooth, corner, wide, led_gains, 1, panel=True, resolved=failed, open_pixels=unhidden)
-        found = fit.vector.copy()
-        found[4] = prior.vector[4]
-        return found
+        # one step suffices for a start
+        fit = fit_array(smooth, corner, wide, led_gains, 1, panel=True, resolved=failed, open_pixels=open_pixels)
+        start = fit.vector.copy()
+        start[4] = prior.vector[4]
+        return start
 
-    def _gain(self, track: Track, fit: Fit) -> float:
-        """The sums' gain after one more, within what a panel may add to the headers' or take from it."""
-        gain = track.gain + GAIN_RATE * (fit.gain - track.gain)
-        return min(max(gain, track.data_gain / GAIN_RATIO), track.data_gain * GAIN_RATIO)
-
-    def _unhidden(
-        self, track: Track, open_leds: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
+    def _open_pixels(
+        self, track: Track, uncovered: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
     ) -> Floats | None:
-        """Pixels (rows, columns) that count in a sum, 1 or 0; None where all do."""
-        # what a header found hidden may be in sight by now, what it found dead is not: that is no zone of its own
+        """Return the pixels (rows, columns) that count in a sum, 1 or 0; None for all pixels."""
+        # a zone hidden in the header may be visible by now, dead LEDs stay dark
         dark = track.led_gains == 0
         zone = dark_zone(dark, pose) if dark.any() else dark
-        sure = np.where(zone, 0.0, open_leds) if zone.any() else open_leds
-        if sure.mean() < LEAST_IN_SIGHT:
-            sure = open_leds
-        return None if sure.all() else open_pixels(sure, pose, corner, shape)
+        is_open = np.where(zone, 0.0, uncovered) if zone.any() else uncovered
+        if is_open.mean() < _PARAMETERS.min_visible:
+            is_open = uncovered
+        return None if is_open.all() else visible_pixels(is_open, pose, corner, shape)
 
 
 def _margin(pose: Pose) -> float:
-    """Pixels around an array that are fitted with it."""
-    return WINDOW_MARGIN_PITCHES * pose.pitch + WINDOW_MARGIN_PX
+    """Return the width in px of the surroundings that are fitted with an array."""
+    return _PARAMETERS.margin * pose.pitch + _PARAMETERS.margin_px
 
 
 def _cut(pair: FramePair, window: Window) -> tuple[tuple[int, int], Floats, Floats]:
-    """The array's surroundings in both frames, and their corner."""
+    """Cut a window out of both frames; return the corner and the two cut-outs."""
     return (window[0], window[1]), cut_out(pair.pattern, window), cut_out(pair.inverted, window)
 
 
-def _as_expected(track: Track, predicted: Pose, fit: Fit) -> bool:
-    """Whether a fit lies where it was expected and is as good as recent ones: no LED is taken for its neighbour."""
+def _is_as_expected(track: Track, predicted: Pose, fit: Fit) -> bool:
+    """Return True if a fit is near the prediction and as good as recent fits: no LED is confused with a neighbour."""
     x, y, *_ = fit.vector.tolist()
     away = max(abs(x - predicted.x), abs(y - predicted.y))
-    return away < AS_EXPECTED_PITCHES * predicted.pitch and fit.score > track.score - LESS_ALIKE
+    return away < _PARAMETERS.max_step * predicted.pitch and fit.score > track.score - _PARAMETERS.max_score_loss
 
 
-def widened(covariance: Floats) -> Floats:
-    """A detection's covariance with room for the motion since its middle."""
+def widen_covariance(covariance: Floats) -> Floats:
+    """Widen the covariance of a detection by the motion since then."""
     wider = covariance.copy()
-    wider[np.arange(5), np.arange(5)] += FOUND_SPREAD
+    wider[np.arange(5), np.arange(5)] += _PARAMETERS.detection_variances
     return wider
 
 
-def _coasted(before: Track, track: Track) -> TrackedPair:
-    """A pair in which the array is not in sight: its pose is the one predicted."""
+def _coast(before: Track, track: Track) -> TrackedPair:
+    """Return a pair with a hidden array at the predicted pose."""
     state = track.state
     vector = np.append(state.mean[:POSE_SIZE], state.tilt.mean)
     fit = Fit(vector, state.covariance[:POSE_SIZE, :POSE_SIZE], track.gain, 0.0)
     return TrackedPair(before, track, fit, seen=False)
 
 
-def _inside(pose: Pose, frame: AnyFrame) -> bool:
-    """Whether the array's centre is in the frame."""
+def _is_inside(pose: Pose, frame: AnyFrame) -> bool:
+    """Return True if the centre of the array is in the frame."""
     x, y = pose.x - frame.origin[0], pose.y - frame.origin[1]
     return 0 <= x < frame.pixels.shape[1] and 0 <= y < frame.pixels.shape[0]
