@@ -34,7 +34,7 @@ class ViewParameters:
     max_level: int = 3
 
 
-PARAMETERS = ViewParameters()
+VIEWS = ViewParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +49,13 @@ class View:
     @staticmethod
     def of(pose: Pose, orientation: Orientation = UPRIGHT) -> "View":
         """Choose the view for an array."""
-        level = int(np.ceil(log2(pose.pitch / PARAMETERS.max_pitch_px)))
-        return View(min(max(0, level), PARAMETERS.max_level), orientation)
+        level = int(np.ceil(log2(pose.pitch / VIEWS.max_pitch_px)))
+        return View(min(max(0, level), VIEWS.max_level), orientation)
 
     def suits(self, pose: Pose) -> bool:
         """True if an array may stay in this view."""
-        low, high = PARAMETERS.kept_pitch_px
-        fits_above = self.level == PARAMETERS.max_level or pose.pitch <= high
+        low, high = VIEWS.kept_pitch_px
+        fits_above = self.level == VIEWS.max_level or pose.pitch <= high
         return fits_above and (self.level == 0 or pose.pitch >= low)
 
     def frame(self, frame: Frame, pose: Pose, side: int) -> Frame:
