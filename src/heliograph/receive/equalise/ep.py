@@ -1,9 +1,9 @@
 """Expectation propagation for symbols of -1 or +1, which the equaliser treats as Gaussian.
 
 Linear MMSE treats the light of undecoded symbols as Gaussian noise of variance 1. But symbols are -1 or +1, and less
-uncertain after an observation. A Gaussian *site* of precision Lambda_i and mean eta_i / Lambda_i replaces the prior of symbol i.
-The estimate without the site is the *cavity*. Site and cavity together have the mean and variance of the cavity with -1
-and +1, weighted by the turbo decoder's probabilities (Minka 2001; for equalisers Santos et al. 2017).
+uncertain after an observation. A Gaussian *site* of precision Lambda_i and mean eta_i / Lambda_i replaces the prior of
+symbol i. The estimate without the site is the *cavity*. Site and cavity together have the mean and variance of the
+cavity with -1 and +1, weighted by the turbo decoder's probabilities (Minka 2001; for equalisers Santos et al. 2017).
 """
 
 from dataclasses import dataclass

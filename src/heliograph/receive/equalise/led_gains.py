@@ -92,14 +92,9 @@ class DecodedPair:
     # Whitened cut-out
     whitened: WhitenedCutout
 
-    @property
-    def unknown(self) -> NDArray[np.intp]:
-        """Numbers of the undecoded symbols."""
-        return np.flatnonzero(self.symbols == 0)
-
     def without_nuisance(self, gain: float, noise: float) -> tuple[NDArray[np.float32], Floats]:
         """Compute G and B^T W (d - g o) with undecoded symbols and an error of the pose marginalised."""
-        pair, whitened, unknown = self.statistics, self.whitened, self.unknown
+        pair, whitened, unknown = self.statistics, self.whitened, np.flatnonzero(self.symbols == 0)
         # N = (B_open, F): G - B^T N (N^T N + s^2 / g^2 P^-1)^-1 N^T B
         slopes = self.slopes.reshape(len(self.slopes), -1)
         light = (whitened.difference - gain * whitened.offset).ravel()

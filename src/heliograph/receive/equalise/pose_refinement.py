@@ -194,7 +194,8 @@ class ObservedPacket:
             residual = pair.whitened.residual(gain, pair.symbols)
             # J = g^2 F^T C^-1 F, q = g F^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_open B_open^T
             images, scale = np.concatenate([pair.slopes, residual[None]]), gain**2 / noise
-            part = products(pair.whitened, pair.statistics, images, pair.unknown, scale)
+            unknown = np.flatnonzero(pair.symbols == 0)
+            part = products(pair.whitened, pair.statistics, images, unknown, scale)
             evidence[k] = scale * part[:4, :4], gain / noise * part[:4, 4]
         before = np.array([np.zeros(4) if pair is None else pair.error for pair in self.pairs])
         return smoothed_errors(evidence, before)

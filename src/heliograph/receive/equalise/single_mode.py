@@ -61,18 +61,6 @@ DECISIONS = SingleModeParameters()
 DECIDED = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array(DECISIONS.pose_spreads) ** 2)
 
 
-@dataclass(frozen=True, slots=True)
-class Background:
-    """Background of an array: a panel and a plane."""
-
-    # Half of the panel's side, in pitches
-    half: float
-    # (4,) coefficients of the square and the plane, in gray levels
-    coefficients: Floats
-    # Variance of the residual around the array, in squared gray levels
-    variance: float
-
-
 def surroundings(frame: ImagePatch, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
     """Crop a frame around an array: corner (x, y) and pixels (rows, columns) in gray levels."""
     window = window_around(pose, side, RIM_PX + RING_PX)
@@ -87,8 +75,11 @@ def background_images(pose: Pose, corner: tuple[int, int], shape: tuple[int, int
     return out
 
 
-def fit_background(headers: list[HeaderPair], gain: float, led_gains: Floats) -> Background:
+def fit_background(headers: list[HeaderPair], gain: float, led_gains: Floats) -> tuple[float, Floats, float]:
     """Fit the background to header pairs.
+
+    Returns half of the panel's side in pitches, (4,) coefficients of the square and the plane in gray levels, and the
+    variance of the residual around the array in squared gray levels.
 
     The sum of a header and the inverse is the array with all LEDs on: r + r' = g (A + A') 1 / 2 + 2 b. The pose comes
     from the difference, in which the panel cancels, so the sum shows the width of the panel.
@@ -124,7 +115,7 @@ def fit_background(headers: list[HeaderPair], gain: float, led_gains: Floats) ->
     fits = fit(half)
     residuals = np.concatenate([squares[around] for (*_, around), (_, squares) in zip(views, fits, strict=True)])
     variance = float(residuals.mean()) if residuals.size else 0.0
-    return Background(half, np.mean([coefficients for coefficients, _ in fits], axis=0), variance)
+    return half, np.mean([coefficients for coefficients, _ in fits], axis=0), variance
 
 
 class DecisionDirectedTracker:
@@ -135,13 +126,12 @@ class DecisionDirectedTracker:
     ):
         self._tracker, self._late_s, self._gain, self._led_gains = tracker, late_s, gain, led_gains
         self._side = len(led_gains)
-        background = fit_background(headers, gain, led_gains)
-        self._half, self._background = background.half, background.coefficients
+        self._half, self._background, variance = fit_background(headers, gain, led_gains)
         # motion has the same effect on successive sums of headers, unlike random data: gain 0 subtracts no such effect
         cutouts = [take_cutout(pair, poses, self._side) for pair, poses in headers]
         noise = measure_noise(cutouts, 0.0, self._side, led_gains)
         # a single frame's cut-out is twice the frame: twice the variance of a difference of two
-        self.noise = Noise(2 * noise.lit, max(2 * noise.dark, 4 * background.variance))
+        self.noise = Noise(2 * noise.lit, max(2 * noise.dark, 4 * variance))
 
     @one_thread()
     def follow(self, track: Track, pair: FramePair) -> TrackedPair:
@@ -166,11 +156,18 @@ class DecisionDirectedTracker:
         # the background shines during the entire exposure
         middle = state.pose_at(frame.time_s)
         mean_light, data = (state.pose_at(frame.time_s + late_s) for late_s in self._late_s)
+        return self._subtract_background(frame, middle, mean_light, data, self._background)[0]
+
+    def _subtract_background(
+        self, frame: AnyFrame, middle: Pose, mean_light: Pose, data: Pose, coefficients: Floats
+    ) -> tuple[Cutout, Floats]:
+        """Make a cut-out of a frame less the background; return also the background's images."""
         corner, image = surroundings(frame, middle, self._side)
         rows, cols = image.shape
-        background = background_images(middle, corner, (rows, cols), self._half)[:, 0]
-        above = image - np.tensordot(self._background, background, 1)
-        return _single_cutout(frame, above, corner, data, mean_light)
+        images = background_images(middle, corner, (rows, cols), self._half)
+        above = 2 * (image - np.tensordot(coefficients, images[:, 0], 1))
+        inside = covered((frame,), corner, (rows, cols))
+        return Cutout(above, above, corner, (data,), mean_light, covered=inside), images
 
     def _fit(self, frame: AnyFrame, state: PoseState) -> Fit:
         """Fit pose, gain and background.
@@ -203,15 +200,11 @@ class DecisionDirectedTracker:
         """
         middle, gain = Pose.from_vector(np.append(at[:POSE_SIZE], state.tilt.mean)), float(at[POSE_SIZE])
         mean_light, data = (middle.moved(*(late_s * state.mean[RATE_STATES][:2])) for late_s in self._late_s)
-        corner, image = surroundings(frame, middle, self._side)
-        rows, cols = image.shape
-        background = background_images(middle, corner, (rows, cols), self._half)
-        above = image - np.tensordot(at[POSE_SIZE + 1 :], background[:, 0], 1)
-        cutout = _single_cutout(frame, above, corner, data, mean_light)
+        cutout, background = self._subtract_background(frame, middle, mean_light, data, at[POSE_SIZE + 1 :])
         whitened = whiten(cutout, self.noise, self._side, self._led_gains)
         pair = whitened.statistics()
         known, unknown = self._decided(pair, gain)
-        lit = self._images(known, mean_light, data, corner, (rows, cols))
+        lit = self._images(known, mean_light, data, cutout.corner, cutout.shape)
         slopes = gain * lit[1:] + np.tensordot(at[POSE_SIZE + 1 :], background[:, 1:], 1)
         residual = whitened.difference - 2 * gain * whitened.root * lit[0]
         columns = 2 * whitened.root * np.concatenate([slopes, lit[:1], background[:, 0]])
@@ -235,10 +228,3 @@ class DecisionDirectedTracker:
         levels = to_grid(0.5 * kernels.leds_of(known))
         varied = render_with_slopes(data, levels * self._led_gains, corner, shape)
         return np.asarray(varied + render_with_slopes(mean_light, 0.5 * self._led_gains, corner, shape))
-
-
-def _single_cutout(frame: AnyFrame, above: Floats, corner: tuple[int, int], data: Pose, mean_light: Pose) -> Cutout:
-    """Make a cut-out of a single frame from the light above the background."""
-    rows, cols = above.shape
-    inside = covered((frame,), corner, (rows, cols))
-    return Cutout(2 * above, 2 * above, corner, (data,), mean_light, covered=inside)

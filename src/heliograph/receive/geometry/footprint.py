@@ -28,18 +28,13 @@ class Footprints(NamedTuple):
 
     def dense(self, shape: tuple[int, int]) -> tuple[Floats, Floats]:
         """Expand to the light by column (n n, columns) and by row (n n, rows) of a window."""
-        parts = []
-        for narrow, first, count in (
-            (self.across, self.first[:, 0], shape[1]),
-            (self.down, self.first[:, 1], shape[0]),
-        ):
-            index = first[:, None] + np.arange(narrow.shape[1])
-            inside = (index >= 0) & (index < count)
-            wide = np.zeros((len(narrow), count))
-            leds, columns = np.nonzero(inside)
-            wide[leds, index[inside]] = narrow[leds, columns]
-            parts.append(wide)
-        return parts[0], parts[1]
+        count = len(self.across)
+        across, down = np.zeros((count, shape[1])), np.zeros((count, shape[0]))
+        for wide, narrow, first in ((across, self.across, self.first[:, :1]), (down, self.down, self.first[:, 1:])):
+            index = first + np.arange(narrow.shape[1])
+            leds, pixels = np.nonzero((index >= 0) & (index < wide.shape[1]))
+            wide[leds, index[leds, pixels]] = narrow[leds, pixels]
+        return across, down
 
 
 def by_squares(grid: NDArray[Any]) -> NDArray[Any]:

@@ -421,7 +421,7 @@ def near(vector, anchor, side):
 
 
 @compiled()
-def shift(vector, drawn, shapes):
+def shift(vector, shapes, drawn):
     """Move images to another pose by the slopes."""
     for n in range(shapes.shape[0]):
         for k in range(1, shapes.shape[1]):
@@ -429,18 +429,15 @@ def shift(vector, drawn, shapes):
             for i in range(shapes.shape[2]):
                 for j in range(shapes.shape[3]):
                     shapes[n, 0, i, j] += step * shapes[n, k, i, j]
-
-
-@compiled(inline="always")
-def copy_pose(vector, out):
-    """Copy a pose vector, number by number."""
     for k in range(vector.shape[0]):
-        out[k] = vector[k]
+        drawn[k] = vector[k]
 
 
 @compiled()
-def draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes):
-    """Draw the array and squares around it at a pose."""
+def draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes, anchor, drawn):
+    """Draw the array and squares around it at a pose, the new anchor."""
+    for k in range(vector.shape[0]):
+        anchor[k] = drawn[k] = vector[k]
     half = 0.5 * weights.shape[0]
     if resolved:
         render(vector, weights, corner[0], corner[1], shapes[0], smear[0], smear[1])
@@ -484,11 +481,9 @@ def fit(
     matrix, rhs = np.empty((size, size)), np.empty(size)
     residual = np.empty(image.shape)
     if near(vector, anchor, len(weights)):
-        shift(vector, drawn, shapes)
+        shift(vector, shapes, drawn)
     else:
-        draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
-        copy_pose(vector, anchor)
-    copy_pose(vector, drawn)
+        draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes, anchor, drawn)
     linear = _coefficients(image, shapes, plane, gain)
     for _ in range(steps):
         residuals(image, shapes, plane, linear, residual)
@@ -522,9 +517,7 @@ def fit(
         # headers give the distance: pitch and blur need all steps
         if len(margins) and close and abs(step[free]) < FIT.end_gain * abs(linear[0]):
             break
-        draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
-        copy_pose(vector, anchor)
-        copy_pose(vector, drawn)
+        draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes, anchor, drawn)
     residuals(image, shapes, plane, linear, residual)
     posterior = np.empty((free, free))
     invert(matrix, posterior)

@@ -45,8 +45,8 @@ class Noise:
 def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: Floats | None = None) -> Noise:
     """Measure the noise of cut-outs.
 
-    Inside the array the sum of a pair is even except for noise, with the variance of the difference, and for data left by
-    motion between the frames. The difference of successive sums removes failed LEDs.
+    Inside the array the sum of a pair is even except for noise, with the variance of the difference, and for data left
+    by motion between the frames. The difference of successive sums removes failed LEDs.
     """
     if not cutouts:
         return Noise(LEAST_NOISE, LEAST_NOISE)
