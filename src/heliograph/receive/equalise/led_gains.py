@@ -286,8 +286,8 @@ class LedGains:
         visible[brightness < p.max_failed] = 1.0
         sight = np.where(in_sight > 0, visible, self.sight)
         changed = bool(np.abs(sight - self.sight).max() > p.max_change)
-        kept = joint if in_sight.all() and not changed else None
-        return LearntGains(LedGains(sight, self.brightness, kept), gain, changed)
+        evidence = joint if in_sight.all() and not changed else None
+        return LearntGains(LedGains(sight, self.brightness, evidence), gain, changed)
 
 
 @dataclass(frozen=True, slots=True)

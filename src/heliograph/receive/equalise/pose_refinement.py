@@ -150,8 +150,8 @@ class ObservedPacket:
         if self.form.single:
             # these poses come from decided data already
             return self
-        errors = self._pose_errors(mean, variance, gain, noise)
-        pairs = [pair and self._corrected(pair, error) for pair, error in zip(self.pairs, errors, strict=True)]
+        errors = self._estimate_errors(mean, variance, gain, noise)
+        pairs = [pair and self._correct(pair, error) for pair, error in zip(self.pairs, errors, strict=True)]
         moved = any(after is not before for after, before in zip(pairs, self.pairs, strict=True))
         return replace(self, pairs=pairs, memo={}) if moved else self
 
@@ -173,12 +173,12 @@ class ObservedPacket:
             return self.brightness
         if decoded not in self.memo:
             before = replace(self.brightness, values=self.led_gains.brightness.values)
-            pairs = self._decoded(mean, variance, stride or before.stride).values()
+            pairs = self._decoded_pairs(mean, variance, stride or before.stride).values()
             # in fast motion light smears within an exposure, and LEDs of the rim would seem dim
             self.memo[decoded] = before.learn([pair for pair in pairs if not pair.whitened.apart], gain, noise)
         return self.memo[decoded]
 
-    def _corrected(self, pair: ObservedPair, error: Floats) -> ObservedPair:
+    def _correct(self, pair: ObservedPair, error: Floats) -> ObservedPair:
         """Correct the poses of a pair by the total error, (4,), unless that changes little."""
         step = error - pair.error
         return self._observe(pair.cutout.moved(step), error) if is_significant(step) else pair
@@ -187,10 +187,10 @@ class ObservedPacket:
         whitened = whiten(cutout, self.noise, self.form.settings.side, self.led_gains.values)
         return ObservedPair(cutout, whitened, whitened.statistics(), error)
 
-    def _pose_errors(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Floats:
+    def _estimate_errors(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Floats:
         """Estimate errors (pairs, 4) in x, y, ln pitch and roll of the tracked poses."""
         evidence = dict[int, PoseEvidence]()
-        for k, pair in self._decoded(mean, variance, REFINEMENT.stride).items():
+        for k, pair in self._decoded_pairs(mean, variance, REFINEMENT.stride).items():
             residual = pair.whitened.residual(gain, pair.symbols)
             # J = g^2 F^T C^-1 F, q = g F^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_open B_open^T
             images, scale = np.concatenate([pair.slopes, residual[None]]), gain**2 / noise
@@ -200,7 +200,7 @@ class ObservedPacket:
         before = np.array([np.zeros(4) if pair is None else pair.error for pair in self.pairs])
         return smoothed_errors(evidence, before)
 
-    def _decoded(self, mean: Floats, variance: Floats, stride: int) -> dict[int, DecodedPair]:
+    def _decoded_pairs(self, mean: Floats, variance: Floats, stride: int) -> dict[int, DecodedPair]:
         """Collect every stride-th pair with decoded symbols, by number."""
         # decoded symbols only: guesses come from the poses in doubt
         known = np.where(variance < KNOWN_VARIANCE, mean, 0.0)

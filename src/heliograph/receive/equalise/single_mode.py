@@ -139,19 +139,19 @@ class DecisionDirectedTracker:
         background = self._background
         # a fit of the first frame as well takes twice as long and does not lower the bit errors
         state = self._tracker.predict(track, pair.inverted.time_s)
-        fit = self._fit(pair.inverted, state)
+        fit = self._fit_pose(pair.inverted, state)
         after = replace(track, state=state.condition(fit.vector[:POSE_SIZE], fit.covariance, DECIDED))
-        seen = self._tracker.sees(after, pair, fit)
-        if seen:
+        is_visible = self._tracker.sees(after, pair, fit)
+        if is_visible:
             after = replace(after, last_seen_s=after.state.time_s)
         else:
             # an occluder is not background
             self._background = background
             after = replace(track, state=state)
-        cutouts = self._cutout(pair.pattern, after.state), self._cutout(pair.inverted, after.state)
-        return TrackedPair(track, after, fit, seen, cutouts)
+        cutouts = self._cut_out(pair.pattern, after.state), self._cut_out(pair.inverted, after.state)
+        return TrackedPair(track, after, fit, is_visible, cutouts)
 
-    def _cutout(self, frame: AnyFrame, state: PoseState) -> Cutout:
+    def _cut_out(self, frame: AnyFrame, state: PoseState) -> Cutout:
         """Cut out a frame less the background at the poses of a state."""
         # the background shines during the entire exposure
         middle = state.pose_at(frame.time_s)
@@ -169,11 +169,11 @@ class DecisionDirectedTracker:
         inside = covered((frame,), corner, (rows, cols))
         return Cutout(above, above, corner, (data,), mean_light, covered=inside), images
 
-    def _fit(self, frame: AnyFrame, state: PoseState) -> Fit:
+    def _fit_pose(self, frame: AnyFrame, state: PoseState) -> Fit:
         """Fit pose, gain and background.
 
         A Gauss-Newton step from the prediction of covariance P: (P^-1 + D^T C^-1 D)^-1 D^T C^-1 e, with e, D and C as
-        in `_equations`. The prediction is so near that a second step has no effect.
+        in `_build_equations`. The prediction is so near that a second step has no effect.
         """
         expected, covariance = state.expected(DECIDED)
         start = np.concatenate([expected, [self._gain], self._background])
@@ -181,7 +181,7 @@ class DecisionDirectedTracker:
         precision[:POSE_SIZE, :POSE_SIZE] = np.linalg.inv(covariance)
         spreads = np.append(DECISIONS.gain_spread * self._gain, np.full(4, DECISIONS.background_spread))
         precision[range(POSE_SIZE, start.size), range(POSE_SIZE, start.size)] = spreads**-2
-        matrix, rhs, score = self._equations(frame, state, start)
+        matrix, rhs, score = self._build_equations(frame, state, start)
         step = np.linalg.solve(matrix + precision, rhs)
         # without an array, steps have any length
         longest = [max(FIT.max_step_px, 0.5 * exp(expected[2]))] * 2 + [*FIT.max_steps[: POSE_SIZE - 2]]
@@ -192,7 +192,7 @@ class DecisionDirectedTracker:
         vector = np.append(end[:POSE_SIZE], state.tilt.mean)
         return Fit(vector, after, float(end[POSE_SIZE]), score)
 
-    def _equations(self, frame: AnyFrame, state: PoseState, at: Floats) -> tuple[Floats, Floats, float]:
+    def _build_equations(self, frame: AnyFrame, state: PoseState, at: Floats) -> tuple[Floats, Floats, float]:
         """Compute D^T C^-1 D, D^T C^-1 e and the correlation of frame and image; rates and tilt of the state are fixed.
 
         e is twice the frame less the known image, D the derivatives of the image and C = g^2 B B^T + s^2 the noise,
@@ -203,8 +203,8 @@ class DecisionDirectedTracker:
         cutout, background = self._subtract_background(frame, middle, mean_light, data, at[POSE_SIZE + 1 :])
         whitened = whiten(cutout, self.noise, self._side, self._led_gains)
         pair = whitened.statistics()
-        known, unknown = self._decided(pair, gain)
-        lit = self._images(known, mean_light, data, cutout.corner, cutout.shape)
+        known, unknown = self._decide_symbols(pair, gain)
+        lit = self._render_known(known, mean_light, data, cutout.corner, cutout.shape)
         slopes = gain * lit[1:] + np.tensordot(at[POSE_SIZE + 1 :], background[:, 1:], 1)
         residual = whitened.difference - 2 * gain * whitened.root * lit[0]
         columns = 2 * whitened.root * np.concatenate([slopes, lit[:1], background[:, 0]])
@@ -213,7 +213,7 @@ class DecisionDirectedTracker:
         score = correlation(whitened.difference, whitened.root * 2 * gain * lit[0])
         return part[:-1, :-1], part[:-1, -1], score
 
-    def _decided(self, pair: PairStatistics, gain: float) -> tuple[Floats, NDArray[np.intp]]:
+    def _decide_symbols(self, pair: PairStatistics, gain: float) -> tuple[Floats, NDArray[np.intp]]:
         """Means of the symbols, 0 for undecided symbols, and the numbers of the undecided symbols."""
         size = self._side**2
         # LLR = 2 eta_cavity, with the other symbols as Gaussian
@@ -221,7 +221,7 @@ class DecisionDirectedTracker:
         decided = np.abs(mean) > DECISIONS.min_decided
         return np.where(decided, mean, 0.0), np.flatnonzero(~decided)
 
-    def _images(
+    def _render_known(
         self, known: Floats, mean_light: Pose, data: Pose, corner: tuple[int, int], shape: tuple[int, int]
     ) -> Floats:
         """Render the known symbols and the levels' mean, with derivatives by the pose, (6, rows, columns)."""

@@ -32,7 +32,7 @@ class SymbolMapper:
         if not self._single:
             return np.concatenate(means, axis=1), np.concatenate(variances, axis=1)
         data = means[0].reshape(-1, self._half, self._half - 1)
-        checks, total = self._polarity(data)
+        checks, total = self._decode_polarities(data)
         mean, square = np.zeros_like(self._llr), np.zeros_like(self._llr)
         mean[:, 1:, 0] = np.tanh(0.5 * checks[:, 1:].sum(-1))
         known = np.tanh(0.5 * (total[..., None] - checks))
@@ -52,11 +52,11 @@ class SymbolMapper:
         latest = llr[:, :size].reshape(self._llr.shape)
         # the extrinsic LLR of a known symbol is 0: keep the last one
         self._llr = np.where(latest == 0, self._llr, latest)
-        checks, total = self._polarity(means[0].reshape(-1, self._half, self._half - 1))
+        checks, total = self._decode_polarities(means[0].reshape(-1, self._half, self._half - 1))
         data = _llr_of(np.tanh(0.5 * (total[..., None] - checks)) * np.tanh(0.5 * self._llr[:, :, 1:]))
         return [data.reshape(len(llr), -1), *np.split(llr[:, size:], self._edges[1:] - self._edges[0], axis=1)]
 
-    def _polarity(self, data: Floats) -> tuple[Floats, Floats]:
+    def _decode_polarities(self, data: Floats) -> tuple[Floats, Floats]:
         """Compute messages of data to the polarities of rows, and the LLRs of these; row 0 has the polarity +1."""
         checks = _llr_of(np.tanh(0.5 * self._llr[:, :, 1:]) * data)
         total = self._llr[:, :, 0] + checks.sum(-1)
