@@ -15,7 +15,7 @@ from heliograph.experiments.plots import LAYER_COLOURS, image_row
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
-from heliograph.receive.equalise.kernels import FEW, MANY
+from heliograph.receive.equalise.kernels import LLR
 from heliograph.receive.events import DecodeEvent, EqualiseEvent, Event
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise
@@ -126,7 +126,7 @@ def disturbers(packet: Packet) -> Figure:
     figure = Figure(figsize=(6, 3.2))
     axes = figure.subplots()
     axes.plot(u, 2 * u / s[i, i], color="#8a929b", ls="--", label="all Gaussian: 2 u / S")
-    for count, style in ((FEW, ":"), (MANY, "-")):
+    for count, style in ((LLR.first_drawn, ":"), (LLR.second_drawn, "-")):
         others = np.sort(np.abs(np.delete(s[i], i)))[-count:]
         rest, signs = k * s[i, i] - (others**2).sum(), np.array([*product((-1, 1), repeat=count)])
         side = {c: np.logaddexp.reduce([-((u - c * k + others @ x) ** 2) / 2 / rest for x in signs]) for c in (1, -1)}

@@ -7,7 +7,7 @@ from scipy.special import erf
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.equalise.single_mode import SeenHeader
+from heliograph.receive.equalise.single_mode import HeaderPair
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal import haar
 from heliograph.signal.header import header_levels
@@ -39,14 +39,14 @@ def framed(
     return frame_of(light, index, rng)
 
 
-def headers() -> list[SeenHeader]:
+def headers() -> list[HeaderPair]:
     """The two header pairs of identity 7 at 80 m."""
     rng, levels = np.random.default_rng(0), header_levels(7).astype(float)
     pose = Pose(40.2, 39.7, pitch_at(80.0), 0.01, 0.53)
     found = []
     for k in (0, 2):
         up, down = framed(pose, levels, k, rng), framed(pose, 4 - levels, k + 1, rng)
-        found.append(SeenHeader(FramePair(up, down), (pose, pose)))
+        found.append((FramePair(up, down), (pose, pose)))
     return found
 
 

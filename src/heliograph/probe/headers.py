@@ -269,7 +269,7 @@ def _amplitudes(frames: Sequence[Frame], poses: Sequence[Pose], weights: Floats)
     pixels -= np.median(pixels, axis=0)
     model, out = np.empty((6, height, width)), np.empty(len(frames))
     for k, (pose, at) in enumerate(zip(poses, corners, strict=True)):
-        kernels.render(pose.full_vector(), weights, float(at[0]), float(at[1]), model)
+        kernels.render(pose.full_vector(), weights, float(at[0]), float(at[1]), model, 0.0, 0.0)
         shape = model[0] - model[0].mean()
         out[k] = float((pixels[k] * shape).sum() / max(float((shape * shape).sum()), TINY))
     return out

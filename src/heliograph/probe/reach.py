@@ -206,7 +206,7 @@ def _plain(pose: Pose, gain: float, noise: Noise, signal: SignalSettings) -> dic
     through = np.empty((count, count))
     image = np.empty((6, *seen.shape))
     for symbol, levels in enumerate(_patterns(side)):
-        image_kernels.render(pose.full_vector(), levels, float(seen.corner[0]), float(seen.corner[1]), image)
+        image_kernels.render(pose.full_vector(), levels, float(seen.corner[0]), float(seen.corner[1]), image, 0.0, 0.0)
         shown = at_leds(image[0], seen.corner, pose, side)
         through[:, symbol] = shown.ravel()
     back = _symbols_of_leds(side)

@@ -12,7 +12,7 @@ from heliograph.receive.decode.worker import ReadHeader
 from heliograph.receive.detect.header_bank import header_score, header_weights
 from heliograph.receive.detect.header_format import FormatReader
 from heliograph.receive.equalise.led_gains import LearntGains, LedGains
-from heliograph.receive.equalise.single_mode import DecisionDirectedTracker, SeenHeader
+from heliograph.receive.equalise.single_mode import DecisionDirectedTracker, HeaderPair
 from heliograph.receive.events import ExtractEvent, Observer
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
@@ -51,7 +51,7 @@ class _Header:
     # (n, n) gains of the LEDs in its last pair, 0 where something hides them
     shining: Floats
     # Its pairs, and the array's poses in them
-    pairs: tuple[SeenHeader, ...] = ()
+    pairs: tuple[HeaderPair, ...] = ()
     # Format that it signals, as far as it was seen
     format: Format = AGREED
     # The header out of step, its frames combined to one pair; None in step
@@ -84,13 +84,13 @@ class SoftReader:
             self._led_gains = self._led_gains or LedGains.in_sight(track.led_gains)
             track = replace(track, led_gains=self._led_gains.values)
             state = track.state  # as the pairs before have refined it
-            seen = SeenHeader(pair, (state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)))
-            self._format_reader.add_pair(number, pair, seen.poses, track.shining)
+            poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
+            self._format_reader.add_pair(number, pair, poses, track.shining)
             self._light = replace(self._light, gain=track.data_gain)
             self._header = replace(
                 self._header,
                 shining=track.shining,
-                pairs=(*self._header.pairs, seen),
+                pairs=(*self._header.pairs, (pair, poses)),
                 format=self._shown_format(track.data_gain),
             )
         # the later pairs are dimmed where a format is signalled
@@ -146,7 +146,7 @@ class SoftReader:
             self._format_reader.decide_format(self._light.gain),
             self._data.to_decode,
             self._light,
-            None if self._led_gains is None else self._led_gains.told,
+            None if self._led_gains is None else self._led_gains.without_evidence,
             self._late_s,
             self._header.even,
             None if self._decisions is None else self._decisions.noise.lit,
@@ -159,7 +159,7 @@ class SoftReader:
         before, after = self._led_gains, lesson.led_gains
         # what headers have shown stays here; with other LEDs in sight than they said, it was mistaken
         if before is not None and after is not None and np.array_equal(after.sight, before.sight):
-            after = replace(after, seen=before.seen)
+            after = replace(after, header_statistics=before.header_statistics)
         self._led_gains, self._proven = after, lesson.proven
 
     def next(self, beyond_doubt: bool) -> "SoftReader":
@@ -189,7 +189,7 @@ class SoftReader:
             # of LEDs that packets showed, what lies together is hidden, not dead: data will show when it is seen again
             gone = (learnt.led_gains.sight == 0) & (led_gains.sight > 0) & self._proven
             hidden = dark_zone(gone, track.state.pose)
-            led_gains = learnt.led_gains.rather(np.where(hidden, led_gains.sight, learnt.led_gains.sight))
+            led_gains = learnt.led_gains.with_visibility(np.where(hidden, led_gains.sight, learnt.led_gains.sight))
             change = np.where(hidden, 0.0, track.change)
             track = replace(track, data_gain=learnt.gain, led_gains=led_gains.values, change=change)
             if not learnt.changed:

@@ -8,7 +8,7 @@ from scenes import SIDE, draw, film, frame_of, link, pitch_at
 
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose, receive_frames
-from heliograph.receive.equalise.led_gains import LEAST_BRIGHTNESS, Brightness, DecodedPair, LedGains
+from heliograph.receive.equalise.led_gains import GAINS, Brightness, DecodedPair, LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.observe.noise import Noise
@@ -44,7 +44,7 @@ def learnt(
     variance = np.broadcast_to(np.where(np.arange(symbols.shape[1]) < known, 0.0, 1.0), symbols.shape)
     with one_thread():
         observed = ObservedPacket.of(cutouts, NOISE, FORM, LedGains(EQUAL, brightness))
-        return observed.learnt(np.where(variance == 0, symbols, 0.0), variance, GAIN, NOISE.lit)
+        return observed.estimate_brightness(np.where(variance == 0, symbols, 0.0), variance, GAIN, NOISE.lit)
 
 
 @pytest.mark.parametrize(("known", "left"), [(192, 0.16), (256, 0.08)])
@@ -60,7 +60,7 @@ def test_dead_leds_are_told() -> None:
     found = learnt(gains, 256).values
     assert found[gains == 0].max() < 0.35
     assert found[gains == 1].min() > 0.7
-    assert found.min() >= LEAST_BRIGHTNESS
+    assert found.min() >= GAINS.min_brightness
 
 
 @pytest.mark.parametrize(("known", "pulled"), [(64, 0.0), (256, 0.0), (64, 0.1), (256, 0.1), (256, 0.3)])
@@ -85,7 +85,7 @@ def test_what_readers_are_told_is_what_nothing_was_seen_of() -> None:
     """Whoever is told the brightness alone begins to learn anew."""
     gains = unequal(0.2)
     whole = learnt(gains, 256)
-    told = whole.told
+    told = whole.without_evidence
     assert np.array_equal(told.values, whole.values)
     assert whole.information.any()
     assert not told.information.size
@@ -101,7 +101,7 @@ def test_what_was_told_stays_where_no_pair_says_anything(monkeypatch: pytest.Mon
     def nothing(*_: float) -> None:
         raise np.linalg.LinAlgError
 
-    told = learnt(unequal(0.2), 256).told
+    told = learnt(unequal(0.2), 256).without_evidence
     monkeypatch.setattr(DecodedPair, "without_nuisance", nothing)
     after = learnt(unequal(0.2), 256, told)
     assert np.array_equal(after.values, told.values)

@@ -88,16 +88,16 @@ def test_headers_add_up_and_fade() -> None:
     """Statistics of later headers join those before; with each packet the earlier ones count for half."""
     first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0).led_gains
     both = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, first, seed=5).led_gains
-    assert first.seen is not None
-    assert both.seen is not None
-    alone = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, seed=5).led_gains.seen
+    assert first.header_statistics is not None
+    assert both.header_statistics is not None
+    alone = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, seed=5).led_gains.header_statistics
     assert alone is not None
-    assert both.seen.matched == pytest.approx(first.seen.matched + alone.matched)
+    assert both.header_statistics.matched == pytest.approx(first.header_statistics.matched + alone.matched)
     faded = both.faded()
-    assert faded.seen is not None
+    assert faded.header_statistics is not None
     assert np.array_equal(faded.values, both.values)
-    assert faded.seen.matched == pytest.approx(0.5 * both.seen.matched)
-    assert LedGains.sound(SIDE).faded().seen is None
+    assert faded.header_statistics.matched == pytest.approx(0.5 * both.header_statistics.matched)
+    assert LedGains.sound(SIDE).faded().header_statistics is None
 
 
 def test_a_change_forgets_earlier_headers() -> None:
@@ -107,10 +107,10 @@ def test_a_change_forgets_earlier_headers() -> None:
     # a header fewer stands against a new one, so that the failure shows at once
     changed = learnt(gains, stuck, 200.0, first.faded().faded().faded())
     assert changed.changed
-    assert changed.led_gains.seen is None
+    assert changed.led_gains.header_statistics is None
     again = learnt(gains, stuck, 200.0, changed.led_gains, seed=6)
     assert not again.changed
-    assert again.led_gains.seen is not None
+    assert again.led_gains.header_statistics is not None
 
 
 @pytest.mark.parametrize("motion", [0.0, 0.3])

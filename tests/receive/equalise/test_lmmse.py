@@ -56,7 +56,7 @@ def test_products_before_the_light_of_symbols(motion: tuple[float, float], unkno
     flat = images.reshape(7, -1)
     # B by the symbols' correlations with single pixels, B^T B as the statistics have it
     pixels = np.eye(flat.shape[1]).reshape(-1, *whole.cutout.shape)
-    b = whitened.all_correlated(pixels).T[:, which]
+    b = whitened.correlate(pixels).T[:, which]
     gram = whitened.statistics().gram[np.ix_(which, which)].astype(np.float64)
     want = flat @ (flat.T - b @ np.linalg.solve(gram + np.eye(unknown) / scale, b.T @ flat.T))
     assert np.abs(got - want).max() < 1e-5 * want.max()

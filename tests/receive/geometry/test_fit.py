@@ -5,15 +5,13 @@ from dataclasses import replace
 import fit_oracle as fit_reference
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
-from properties import examples
 from scenes import ALL_ON, SIDE, draw, pitch_at
 from scipy.special import ndtr
 
 from heliograph.receive import Pose
-from heliograph.receive.geometry.fit import PANEL_MARGINS, Fit, Prior, RenderCache, fit_array
+from heliograph.receive.geometry.fit import Fit, Prior, RenderCache, fit_array
+from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.window import window_around
 from heliograph.signal.header import header_levels
 
@@ -174,22 +172,12 @@ def test_the_prior_holds_where_nothing_is_seen() -> None:
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx(np.full(5, 1e-3), rel=0.2)
 
 
-POSES = st.builds(
-    Pose,
-    x=st.floats(39, 41),
-    y=st.floats(30, 32),
-    pitch=st.floats(0.5, 2.5),
-    roll=st.floats(-3, 3),
-    blur=st.floats(0.4, 1.0),
-    stretch=st.floats(-0.1, 0.1),
-    shear=st.floats(-0.1, 0.1),
-)
-
-
-@examples(60)
-@given(pose=POSES, kind=st.sampled_from(sorted(PATTERNS)), seed=st.integers(0, 99))
-def test_any_pose_is_found_within_its_covariance(pose: Pose, kind: str, seed: int) -> None:
-    rng = np.random.default_rng(seed)
+@pytest.mark.parametrize("seed", range(60))
+def test_any_pose_is_found_within_its_covariance(seed: int) -> None:
+    rng, kind = np.random.default_rng(seed), sorted(PATTERNS)[seed % 2]
+    # x, y, pitch, roll, blur, stretch and shear
+    low, high = (39, 30, 0.5, -3, 0.4, -0.1, -0.1), (41, 32, 2.5, 3, 1.0, 0.1, 0.1)
+    pose = Pose(*rng.uniform(low, high).tolist())
     # nearer than a fifth of a pitch anywhere, else LEDs that show singly are taken for their neighbours
     spread = np.array([0.07 * pose.pitch, 0.07 * pose.pitch, 0.007, 0.007, 0.1, 0.007, 0.007])
     prior = Prior(pose.full_vector() + rng.normal(0, spread), np.diag(spread**2))
@@ -284,7 +272,7 @@ def test_machine_code_fits_as_the_reference(seed: int, panel: bool, tilted: bool
     image[3:6, 4:9] += 60  # something that stands before it
     spread = BROAD if not tilted else np.diag([*np.diag(BROAD), 0.05**2, 0.05**2])
     prior = pose.full_vector()[: 7 if tilted else 5] + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1, 0, 0])[: len(spread)]
-    margins = list(PANEL_MARGINS) if panel else []
+    margins = list(FIT.panel_margins) if panel else []
     vector, matrix, linear = fit_reference.fit(
         image, corner, weights, margins, prior, np.linalg.inv(spread), gain, steps := 4
     )

@@ -40,7 +40,7 @@ def test_render_is_the_sum_of_gaussians(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pose, weights, corner = some_pose(rng), rng.uniform(-1, 1, (16, 16)), (3.0, -5.0)
     got, want = np.empty((6, 40, 50)), reference.render(pose.vector(), weights, corner, (40, 50))
-    kernels.render(pose.vector(), weights, *corner, got)
+    kernels.render(pose.vector(), weights, *corner, got, 0.0, 0.0)
     # an LED's light is cut at 4 standard deviations
     around = (np.floor(pose.x) - 80, np.floor(pose.y) - 80)
     scale = np.abs(reference.render(pose.vector(), weights, around, (160, 160))).max(axis=(1, 2))
@@ -80,15 +80,15 @@ def test_normal_distribution() -> None:
 
 def test_render_of_odd_and_empty_windows() -> None:
     pose, far = Pose(2.3, 1.1, 0.8, 0.3, 0.5), np.empty((6, 1, 7))
-    kernels.render(pose.vector(), ALL_ON, 0.0, 0.0, far)
+    kernels.render(pose.vector(), ALL_ON, 0.0, 0.0, far, 0.0, 0.0)
     assert far[0] == pytest.approx(draw(pose, ALL_ON, (0, 0), (1, 7)), abs=1e-3)
-    kernels.render(pose.vector(), ALL_ON, 500.0, 0.0, far)
+    kernels.render(pose.vector(), ALL_ON, 500.0, 0.0, far, 0.0, 0.0)
     assert not far.any()
 
 
 def test_all_on_and_not_resolved_is_one() -> None:
     got = np.empty((6, 60, 60))
-    kernels.render(Pose(30.2, 29.7, 2.0, 0.4, 2.0).vector(), ALL_ON, 0.0, 0.0, got)
+    kernels.render(Pose(30.2, 29.7, 2.0, 0.4, 2.0).vector(), ALL_ON, 0.0, 0.0, got, 0.0, 0.0)
     assert got[0, 25:35, 25:35] == pytest.approx(1.0, abs=1e-3)
     # beyond the array's edge nothing shines
     assert np.abs(got[0, :2]).max() < 1e-3
@@ -97,7 +97,7 @@ def test_all_on_and_not_resolved_is_one() -> None:
 @pytest.mark.parametrize(("pitch", "roll", "blur"), [(0.39, 0.0, 0.5), (1.17, 0.7, 0.6), (2.33, -2.0, 1.1)])
 def test_the_total_light_is_that_of_the_leds(pitch: float, roll: float, blur: float) -> None:
     got = np.empty((6, 90, 90))
-    kernels.render(Pose(44.3, 45.1, pitch, roll, blur).vector(), ALL_ON, 0.0, 0.0, got)
+    kernels.render(Pose(44.3, 45.1, pitch, roll, blur).vector(), ALL_ON, 0.0, 0.0, got, 0.0, 0.0)
     assert got[0].sum() == pytest.approx(256 * pitch**2, rel=2e-4)
     # moving or turning the array keeps it; it grows with the square of the pitch
     assert np.abs(got[[1, 2, 4, 5]].sum(axis=(1, 2))).max() < 1e-2 * 256 * pitch**2
@@ -110,7 +110,7 @@ def test_box_is_the_blurred_square(seed: int, half: float) -> None:
     rng = np.random.default_rng(seed)
     pose, corner = some_pose(rng), (3.0, -5.0)
     got, want = np.empty((6, 40, 50)), reference.render_box(pose.vector(), half, corner, (40, 50))
-    kernels.render_box(pose.vector(), half, *corner, got)
+    kernels.render_box(pose.vector(), half, *corner, got, 0.0, 0.0)
     # an edge is cut at 4 standard deviations too
     slope = 2e-4 / np.hypot(pose.blur, np.sqrt(1 / 12))
     assert np.abs(got[0] - want[0]).max() < 1e-4

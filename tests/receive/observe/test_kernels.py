@@ -12,7 +12,6 @@ from heliograph.receive import Pose
 from heliograph.receive.geometry.footprint import Footprints, footprints
 from heliograph.receive.geometry.kernels import add_image
 from heliograph.receive.observe import kernels
-from heliograph.receive.observe import kernels as noise_kernels
 from heliograph.receive.observe.statistics import gram_of
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
@@ -96,7 +95,7 @@ def test_a_background_in_motion_is_taken_off_by_its_slopes() -> None:
     rng = np.random.default_rng(10)
     change, total, got = *rng.normal(size=(2, *SHAPE)), np.empty(SHAPE)
     gains, first, last = rng.random(SYMBOLS), (*light_of(POSES[0]),), (*light_of(POSES[1]),)
-    noise_kernels.motion_compensated(change, total, first, last, gains, 3.0, 0.2, -0.4, got)
+    kernels.compensate_motion(change, total, first, last, gains, 3.0, 0.2, -0.4, got)
     lit = np.zeros(SHAPE)
     for light in (first, last):
         add_image(gains, *light, lit)
@@ -108,7 +107,7 @@ def test_power_beside_the_array() -> None:
     difference = np.random.default_rng(12).normal(size=SHAPE)
     lit = np.zeros(SHAPE)
     add_image(np.ones(SYMBOLS), *light_of(POSES[0]), lit)
-    power, count = noise_kernels.power_beside(difference, (*light_of(POSES[0]),), 0.3)
+    power, count = kernels.measure_background(difference, (*light_of(POSES[0]),), 0.3)
     assert 0 < count == (lit < 0.3).sum() < lit.size
     assert power == pytest.approx((difference[lit < 0.3] ** 2).sum())
 
@@ -120,6 +119,6 @@ def test_unevenness_of_a_sum(even: bool) -> None:
     lit = np.ones(SHAPE) if even else symbol_matrix(POSES[0]).clip(0).sum(1).reshape(SHAPE)
     total, inside = rng.normal(100, 2, SHAPE) + 30 * lit, rng.random(SHAPE) < 0.4
     found = np.empty(SHAPE)
-    assert noise_kernels.uneven(total, lit, inside, found) == inside.sum()
+    assert kernels.fit_unevenness(total, lit, inside, found) == inside.sum()
     assert np.isnan(found[~inside]).all()
     assert np.allclose(found[inside], reference.uneven(total, lit, inside), atol=1e-9)

@@ -12,7 +12,7 @@ from scenes import film, link, pitch_at
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.geometry.fit import header_amplitude
+from heliograph.receive.geometry.fit import header_amplitudes
 from heliograph.receive.sync.pairing import AsynchronousPairing, CombinedFrame, FramePair, UnpairedFrame
 from heliograph.signal.header import header_levels
 
@@ -95,7 +95,7 @@ def test_whole_films_give_every_pair(fps: float, start_s: float) -> None:
     for number, pair in got:
         assert isinstance(pair, FramePair)
         if number % 7 < 2:
-            up, down = (header_amplitude(frame, POSE, signs) for frame in (pair.pattern, pair.inverted))
+            up, down = header_amplitudes((pair.pattern, pair.inverted), POSE, signs)
             # the difference is the header's, as in step: half of the light of +-1 in either direction
             assert up - down == pytest.approx(0.8 * 255, rel=0.1)
         if pair.combination is not None:

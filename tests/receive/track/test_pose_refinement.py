@@ -11,7 +11,7 @@ from scenes import SIDE, draw, frame_of, pitch_at
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.equalise.led_gains import LedGains
-from heliograph.receive.equalise.pose_refinement import ObservedPacket, PoseEvidence, smoothed_errors, worth_moving
+from heliograph.receive.equalise.pose_refinement import ObservedPacket, is_significant, smoothed_errors
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.sync.pairing import FramePair
@@ -143,13 +143,13 @@ def test_what_is_found_once_is_not_found_again() -> None:
 
 
 def test_a_movement_is_worth_new_statistics_from_a_hundredth_of_a_pixel() -> None:
-    assert worth_moving(np.array([0.0, 0.02, 0.0, 0.0]))
-    assert worth_moving(np.array([0.0, 0.0, 0.0, 0.01]))
-    assert worth_moving(np.array([-0.011, 0.0, 0.0, 0.0]))
+    assert is_significant(np.array([0.0, 0.02, 0.0, 0.0]))
+    assert is_significant(np.array([0.0, 0.0, 0.0, 0.01]))
+    assert is_significant(np.array([-0.011, 0.0, 0.0, 0.0]))
     # pitch and roll move the rim, 4 px from the middle
-    assert not worth_moving(np.array([0.009, -0.009, 0.0, 0.0]))
-    assert not worth_moving(np.array([0.0, 0.0, 0.002, 0.002]))
-    assert worth_moving(np.array([0.0, 0.0, 0.003, 0.0]))
+    assert not is_significant(np.array([0.009, -0.009, 0.0, 0.0]))
+    assert not is_significant(np.array([0.0, 0.0, 0.002, 0.002]))
+    assert is_significant(np.array([0.0, 0.0, 0.003, 0.0]))
 
 
 def test_pairs_that_are_asked_were_seen() -> None:
@@ -181,7 +181,7 @@ SHARP = 1e8 * np.eye(4)
 def test_errors_that_are_sharply_seen_are_taken_as_they_are() -> None:
     rng = np.random.default_rng(2)
     error = np.array([0.1, -0.05, 0.002, 0.004]) + rng.normal(0, [0.02, 0.02, 1e-4, 1e-4], (12, 4))
-    evidence = {k: PoseEvidence(SHARP, SHARP @ error[k]) for k in range(12)}
+    evidence = {k: (SHARP, SHARP @ error[k]) for k in range(12)}
     assert smoothed_errors(evidence, np.zeros((12, 4))) == pytest.approx(error, abs=1e-4)
 
 
@@ -189,7 +189,7 @@ def test_errors_are_about_the_poses_as_corrected_before() -> None:
     """What is left of an error after a correction adds to it."""
     before = np.tile([0.06, 0.0, 0.0, 0.0], (12, 1))
     rest = np.array([0.04, 0.02, 0.0, 0.0])
-    evidence = {k: PoseEvidence(SHARP, SHARP @ rest) for k in range(12)}
+    evidence = dict.fromkeys(range(12), (SHARP, SHARP @ rest))
     assert smoothed_errors(evidence, before) == pytest.approx(before + rest, abs=1e-4)
 
 
@@ -198,11 +198,11 @@ def test_neighbours_share_errors_and_far_pairs_do_not() -> None:
     rng = np.random.default_rng(3)
     quick = np.zeros((80, 4))
     quick[40:44, 0] = 0.2
-    evidence = {k: PoseEvidence(1e4 * np.eye(4), 1e4 * (quick[k] + rng.normal(0, 0.01, 4))) for k in range(10, 80, 3)}
+    evidence = {k: (1e4 * np.eye(4), 1e4 * (quick[k] + rng.normal(0, 0.01, 4))) for k in range(10, 80, 3)}
     found = smoothed_errors(evidence, np.zeros((80, 4)))
     assert found[41:43, 0] == pytest.approx([0.2, 0.2], abs=0.07)
     assert np.abs(found[:10, 0]).max() < 0.05
-    constant = {k: PoseEvidence(1e4 * np.eye(4), 1e4 * np.array([0.2, 0, 0, 0])) for k in range(10, 80, 3)}
+    constant = {k: (1e4 * np.eye(4), 1e4 * np.array([0.2, 0, 0, 0])) for k in range(10, 80, 3)}
     assert smoothed_errors(constant, np.zeros((80, 4)))[:, 0] == pytest.approx(0.2, abs=0.05)
 
 

@@ -155,7 +155,7 @@ class Lesson(NamedTuple):
     @property
     def told(self) -> "Lesson":
         """The gains without what has shown them: that is asked for where packets are decoded alone."""
-        return self._replace(led_gains=None if self.led_gains is None else self.led_gains.told)
+        return self._replace(led_gains=None if self.led_gains is None else self.led_gains.without_evidence)
 
 
 @dataclass(frozen=True, slots=True)
@@ -397,5 +397,5 @@ def with_brightness(led_gains: LedGains | None, learnt: LedGains | None) -> LedG
 def _learnt_from(decoded: DecodedPacket[ObservedPacket], led_gains: LedGains, stride: int | None = None) -> LedGains:
     """Gains of the LEDs with what a decoded packet shows of their brightness."""
     channel = decoded.channel
-    learnt = decoded.observed.learnt(decoded.mean, decoded.variance, channel.gain, channel.noise, stride)
+    learnt = decoded.observed.estimate_brightness(decoded.mean, decoded.variance, channel.gain, channel.noise, stride)
     return replace(led_gains, brightness=learnt)

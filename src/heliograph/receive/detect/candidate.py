@@ -191,7 +191,7 @@ def measure_cells(change: Change, origin: tuple[int, int], pose: Pose, weights: 
     shapes, out = [], np.empty((6, *image.shape))
     for cell in np.eye(CELLS * CELLS):
         lit = weights * cell_weights(cell, len(weights))
-        kernels.render(pose.full_vector(), lit, float(origin[0] + j), float(origin[1] + i), out)
+        kernels.render(pose.full_vector(), lit, float(origin[0] + j), float(origin[1] + i), out, 0.0, 0.0)
         shapes.append(out[0].ravel().copy())
     return np.asarray(np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0], np.float64)
 
@@ -258,7 +258,7 @@ def _position_error(frame: Frame, pose: Pose, weights: Floats) -> tuple[Floats, 
     pose = replace(pose, blur=float(np.hypot(pose.blur, sigma)))
     images = np.empty((2, 6, height, width))
     for levels, out in zip((weights, np.abs(weights)), images, strict=True):
-        kernels.render(pose.full_vector(), levels, float(x0), float(y0), out)
+        kernels.render(pose.full_vector(), levels, float(x0), float(y0), out, 0.0, 0.0)
     flat = images.reshape(2, 6, -1)
     columns = np.column_stack([flat[0, 0], flat[1, 0], np.ones(pixels.size)])
     slopes = flat[:, 1:3]

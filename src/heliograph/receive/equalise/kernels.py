@@ -1,53 +1,43 @@
-"""Hot loops of the equaliser; `reference.py` says the same with whole matrices, and a test holds the two together."""
+"""Compiled kernels of the equaliser; `tests/oracles/equalise_oracle.py` states the same with full matrices."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
 
-UNMODELLED = 1e-20
-"""Probability that a symbol's value comes from something that no model of the light holds: 9 standard deviations.
 
-What passes before an array hides LEDs in part, and what shines beside it pulls its pose. Symbols of such LEDs lie far
-from -1 and +1, some dozens of standard deviations, and a Gaussian alone is then sure of one by chance. Of two films of
-bright posts 22 codewords were read without it, and 27 or 28 with 1e-15, 1e-20 and 1e-30.
-"""
+class LlrParameters(NamedTuple):
+    """Tuning of LLRs; Numba compiles a named tuple into the kernels as constants."""
 
-UNMODELLED_SPREAD = 0.3
-"""How far such a value lies from its symbol on average, as a fraction of the symbol: Laplace's distribution.
+    # Probability of light that no model explains, such as posts and lamps: a Gaussian would be sure of it by chance
+    outlier_probability: float = 1e-20
+    # Mean distance of an outlier from the symbol, relative to the symbol: Laplace's distribution
+    outlier_spread: float = 0.3
+    # Disturbing symbols that are summed over as +-1: at first, and in a second evaluation
+    first_drawn: int = 2
+    second_drawn: int = 6
+    # Magnitudes between which an LLR is evaluated again; outside, no decision would change
+    doubtful: float = 3.0
+    decided: float = 10.0
+    # Least part of the variance that remains Gaussian, against rounding of float32
+    min_rest: float = 0.02
 
-Of three films with posts 52 codewords were read with 0.3, 48 with 0.5 and 49 with 1.
-"""
 
-
-FEW, MANY = 2, 6
-"""Disturbing symbols that are drawn from -1 and +1: at first, and in a second evaluation.
-
-With all disturbers taken as Gaussian up to five times as many errors are predicted below 1 % as there are, with two
-drawn twice as many, with six a tenth more; eight gain nothing for three times the time (docs/measured.md).
-"""
-
-DOUBTFUL_LLR, DECIDED_LLR = 3.0, 10.0
-"""LLRs in magnitude, 5 % and 5e-5 wrong, between which a symbol is evaluated again.
-
-Beyond them that would change no decision.
-"""
-
-LEAST_REST = 0.02
-"""Least part of the variance left to the Gaussian once symbols are drawn: rounding in float32 may leave less."""
+LLR = LlrParameters()
 
 
 @compiled()
 def precision(gram, unknown, scale, inverse, floor, size):
-    """Posterior precision scale G + V^-1 of the unknown symbols; only the upper triangle is filled."""
+    """Compute the upper triangle of the posterior precision scale G + V^-1 of the unknown symbols."""
     count, first = unknown.shape[0], unknown[0]
-    together = unknown[count - 1] - first == count - 1
+    adjacent = unknown[count - 1] - first == count - 1
     out = np.empty((size, size), np.float32)
     for i in range(count):
         row = gram[unknown[i]]
-        if together:  # without looking numbers up it takes a third of the time
+        if adjacent:  # without indirect indices it takes a third of the time
             for j in range(i, count):
                 out[i, j] = scale * row[first + j] + floor
         else:
@@ -73,56 +63,56 @@ def mirror(upper, out):
 
 @compiled()
 def extrinsic(covariance, posterior, mean, variance, out):
-    """Extrinsic LLR of each symbol of a linear MMSE estimate.
+    """Compute the extrinsic LLR of each symbol of a linear MMSE estimate.
 
     The estimate m is linear in the symbols: m_i - c_0i = sum_j R_ij (c_j - c_0j) + noise with R = 1 - S V^-1. In the
     statistic
 
         chi_i = m_i - c_0i S_ii / v_i = kappa c_i - sum_j S_ij / v_j (c_j - c_0j) + noise,   kappa = 1 - S_ii / v_i,
 
-    of variance kappa S_ii, the symbols that weigh most are drawn from +-1 and the rest is Gaussian. With all of them
-    Gaussian the LLR would be 2 chi_i / S_ii, too small where few neighbours disturb and their sum has no tails. `FEW`
-    are drawn at first; where the LLR is then between `DOUBTFUL_LLR` and `DECIDED_LLR`, `MANY`.
+    of variance kappa S_ii, the symbols with the largest weights are drawn from +-1 and the rest is Gaussian. If all
+    were Gaussian, the LLR would be 2 chi_i / S_ii, too small for few disturbing neighbours, which have no tails.
     """
     inverse = (1.0 / variance).astype(np.float32)
-    states, which = np.empty((2, 1 << MANY)), np.empty(MANY, np.int64)
+    states, which = np.empty((2, 1 << LLR.second_drawn)), np.empty(LLR.second_drawn, np.int64)
     for i in range(covariance.shape[0]):
         row = covariance[i]
         k = 1.0 - row[i] / variance[i]
         u = posterior[i] - mean[i] * row[i] / variance[i]
-        for most in (FEW, MANY):
-            count = _heaviest(row, inverse, i, which[:most])
+        for drawn in (LLR.first_drawn, LLR.second_drawn):
+            count = _heaviest(row, inverse, i, which[:drawn])
             out[i] = _mixture(u, k, k * row[i], row, which[:count], mean, variance, states)
-            if not DOUBTFUL_LLR < abs(out[i]) < DECIDED_LLR:
+            if not LLR.doubtful < abs(out[i]) < LLR.decided:
                 break
 
 
 @compiled()
 def _heaviest(row, inverse, i, which):
-    """Write the numbers of the symbols that disturb symbol i most, the strongest first; return how many there are."""
-    most = np.zeros(which.shape[0], np.float32)
+    """Write the numbers of the symbols that disturb symbol i most, the strongest first; return the count."""
+    largest = np.zeros(which.shape[0], np.float32)
     last = which.shape[0] - 1
     for j in range(row.shape[0]):
         weight = row[j] * row[j] * inverse[j]
-        if weight > most[last] and j != i:
+        if weight > largest[last] and j != i:
             place = last
-            while place > 0 and most[place - 1] < weight:
-                most[place], which[place] = most[place - 1], which[place - 1]
+            while place > 0 and largest[place - 1] < weight:
+                largest[place], which[place] = largest[place - 1], which[place - 1]
                 place -= 1
-            most[place], which[place] = weight, j
+            largest[place], which[place] = weight, j
     count = 0
-    while count < most.shape[0] and most[count] > 0:
+    while count < largest.shape[0] and largest[count] > 0:
         count += 1
     return count
 
 
 @compiled()
 def _mixture(u, k, power, row, drawn, mean, variance, states):
-    """Ln p(u|c=+1) / p(u|c=-1) of u = k c - sum S_ij / v_j (c_j - c_0j) + rest, whose variance is `power` beside k c.
+    """Compute ln p(u|c=+1) / p(u|c=-1) of u = k c - sum S_ij / v_j (c_j - c_0j) + rest.
 
-    row is S_i, drawn the numbers of the symbols to be drawn; states (2, 2^drawn or more) is overwritten.
+    `power` is the variance of u - k c, row is S_i, drawn the numbers of the symbols to draw; states (2, 2^drawn or
+    more) is overwritten.
     """
-    # for each state of the drawn symbols: the statistic without them, and the log of its probability
+    # for each state of the drawn symbols: the rest of the statistic, and the log probability
     rest, chance = states
     rest[0], chance[0], noise, number = u, 0.0, power, 1
     for j in drawn:
@@ -133,8 +123,8 @@ def _mixture(u, k, power, row, drawn, mean, variance, states):
             rest[number + w], chance[number + w] = rest[w] + weight * (1.0 - mean[j]), chance[w] + likely
             rest[w], chance[w] = rest[w] - weight * (1.0 + mean[j]), chance[w] + unlikely
         number *= 2
-    noise = max(noise, LEAST_REST * power, TINY)
-    # ln sum P exp(-(x -+ k)^2 / 2 r), less k^2 that both weight, by their largest exponents
+    noise = max(noise, LLR.min_rest * power, TINY)
+    # ln sum P exp(-(x -+ k)^2 / 2 r) relative to the largest exponents, the common k^2 left out
     top, below = -np.inf, -np.inf
     for w in range(number):
         x = rest[w]
@@ -145,14 +135,14 @@ def _mixture(u, k, power, row, drawn, mean, variance, states):
     for w in range(number):
         plus += math.exp(chance[w] + rest[w] - top)
         minus += math.exp(chance[w] - rest[w] - below)
-    # what no model holds: Laplace's distribution about each; the sums above lack exp(-k^2 / 2 r) and 1/2 of each drawn
-    bend, width = 0.5 * k * k / noise + len(drawn) * math.log(2.0), max(UNMODELLED_SPREAD * k, TINY)
-    other = math.log(UNMODELLED * math.sqrt(2.0 * math.pi * noise) / (2.0 * width))
-    likely = _log_sum(top + math.log(plus) - bend, other - abs(u - k) / width)
-    return likely - _log_sum(below + math.log(minus) - bend, other - abs(u + k) / width)
+    # outliers: Laplace's distribution about each; the sums above lack exp(-k^2 / 2 r) and 1/2 of each drawn
+    exponent, width = 0.5 * k * k / noise + len(drawn) * math.log(2.0), max(LLR.outlier_spread * k, TINY)
+    other = math.log(LLR.outlier_probability * math.sqrt(2.0 * math.pi * noise) / (2.0 * width))
+    likely = _log_sum(top + math.log(plus) - exponent, other - abs(u - k) / width)
+    return likely - _log_sum(below + math.log(minus) - exponent, other - abs(u + k) / width)
 
 
 @compiled(inline="always")
 def _log_sum(a, b):
-    """Ln(e^a + e^b)."""
+    """Compute ln(e^a + e^b)."""
     return max(a, b) + math.log1p(math.exp(-abs(a - b)))

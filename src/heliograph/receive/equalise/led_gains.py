@@ -1,27 +1,22 @@
-"""Brightness of the LEDs, learnt from decoded data: LEDs of one array differ, and some are dead.
+"""Gains of LEDs, from headers and from decoded data.
 
-Once symbols are known, the difference of a pair shows how much light each LED gives. Let beta be the
-brightness of the LEDs, T c_known their light by the known symbols, sight the fraction of each LED in sight, and c_open
-the symbols that are not known. Let e be an error of the pose, which a bright background may have pulled, and F the
-derivatives of the image. Then
+Brightness, from decoded data: LEDs of an array differ, and some are dead. Let beta be the brightness of the LEDs,
+T c_known the light by the known symbols, sight the visible fraction of each LED, and c_open the unknown symbols. Let e
+be an error of the pose, which a bright background may have pulled, and F the derivatives of the image. Then
 
     d = g (A diag(sight T c_known) beta + o + B_open c_open + F e) + n,
 
 which is linear in beta. Levels are random from pair to pair, so the pairs of a packet separate neighbours that blur has
-mixed. c_open and e are marginalised: what they add is noise of known covariance. Normal equations add up over pairs and
-packets. Those of every second pair are summed apart, which gives two halves. Errors of the image differ between the
-halves. So LEDs count as unequal only where both halves say so.
+mixed. c_open and e are marginalised. Normal equations add up over pairs and packets, separately for the odd and even
+pairs. Errors of the image differ between the halves, so LEDs count as unequal only if both halves show the difference.
 
-Gains of the LEDs, learnt from headers: LEDs that are dead, stuck or hidden have none.
-
-In the difference of a header and its inverse the background cancels. An LED that does not follow the pattern is missing
-there, whether dark, lit or hidden. With Y the header and w the gains of the LEDs, at least 0,
+Sight, from headers: dead, stuck and occluded LEDs do not follow the pattern. In the difference of a header and the
+inverse the background cancels. With Y the header and w the gains of the LEDs, at least 0,
 
     d = g A diag(w) (2 Y - 1) + n,
 
-the equaliser's problem with diag(w) (2 Y - 1) in place of the data: w follows by linear MMSE around w = 1. A bright
-background may have pulled the pose away, and LEDs of a rim would then seem to miss, so the difference that an error of
-the pose makes is marginalised.
+the problem of the equaliser with diag(w) (2 Y - 1) in place of the data: w follows by linear MMSE around w = 1. An
+error of the pose would make LEDs of a rim seem to miss, and is marginalised.
 """
 
 from collections.abc import Sequence
@@ -41,335 +36,276 @@ from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, noise_beside
 from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, whiten
 
-POSE_SPREADS = np.array([0.2, 0.2, 0.004, 0.02])
-"""Standard deviations of a pose's errors in x, y (px), ln pitch and roll before a bright background.
 
-Over real footage sums were pulled by up to 0.19 px at 64 to 70 m and 0.4 px at 95 m (docs/measured.md, Tracking).
-"""
+@dataclass(frozen=True, slots=True)
+class GainParameters:
+    """Tuning of the estimates of LED gains."""
 
-BRIGHTNESS_SPREAD = 0.3
-"""Prior standard deviation of an LED's brightness about 1: the largest spread that is to be read; a dead one is 3.3 of
-them away."""
+    # Prior standard deviation of an LED's gain about 1; a failed LED is 3.3 of these away
+    spread: float = 0.3
+    # Standard deviations of errors of a pose in x, y (px), ln pitch and roll before a bright background
+    pose_spreads: tuple[float, float, float, float] = (0.2, 0.2, 0.004, 0.02)
+    # Error of a pose in px up to which the slopes of the image describe the effect: half an LED's width at 95 m
+    max_pose_error_px: float = 0.2
+    # Bounds of a brightness; a dead LED keeps the lower one, as evidence is divided by brightness
+    min_brightness: float = 0.02
+    max_brightness: float = 3.0
+    # Rms difference from 1, in both halves of the pairs, from which LEDs count as unequal
+    min_difference: float = 0.05
+    # Weight of earlier packets for each later packet: about ten packets count
+    packet_fade: float = 0.9
+    # Pairs per evaluated pair, at first and once the brightness is known
+    stride: int = 3
+    known_stride: int = 12
+    # Packets after which LEDs that seem equal count as known
+    max_packets: int = 5
+    # Estimates by headers up to which an LED has the gain 0, and from which it has 1
+    max_failed: float = 0.25
+    min_sound: float = 0.65
+    # Change of a gain after which a header's pose is fitted again: half of the change from sound to failed
+    max_change: float = 0.5
+    # Noise variance inside the array relative to the background, if failed LEDs hide it
+    lit_ratio: float = 4.0
+    # Error of the image by the affine pose and the Gaussian blur, relative to the light
+    image_error: float = 0.02
+    # Weight of earlier headers for each later packet: occluded LEDs become visible again
+    header_fade: float = 0.5
+    # Corrections of the gain by the median LED at most, bounds of a correction, and the relative size that ends them
+    max_corrections: int = 2
+    corrections: tuple[float, float] = (0.5, 2.0)
+    end_correction: float = 0.03
 
-LINEAR_PX = 0.2
-"""Error of a pose in px up to which its slope describes what it makes: half the width of an LED's image at 95 m.
 
-With poses off by 0.14 px equal LEDs are found to be equal, with 0.28 px they seem to differ by 0.1 (known data, 95 m).
-"""
-
-BRIGHTNESS_FADE = 0.9
-"""Weight of earlier packets for each packet since: ten of them count, one second."""
-
-LEAST_BRIGHTNESS, MOST_BRIGHTNESS = 0.02, 3.0
-"""Bounds of an estimate.
-
-Chosen: the first keeps a dead LED at a fiftieth, because evidence is divided by the brightness. So the LED can return.
-The second bounds what noise adds to an LED of which little is seen: 3 is 6.7 of the prior's standard deviations.
-"""
-
-UNEQUAL = 0.05
-"""Rms difference from 1 on which the halves of the pairs agree, from which on LEDs count as unequal.
-
-Over the strongest bumps of a recorded drive at 95 m each half differed by 0.07 to 0.17 from equal LEDs; they agreed on
-0.034 at most, the root of the mean product.
-"""
-
-LEARNING_STRIDE, KNOWN_STRIDE = 3, 12
-"""One pair of so many is learnt from.
-
-The first holds at the beginning. The second holds once each LED is known to half of `UNEQUAL`, or once LEDs have seemed
-equal for `ENOUGH_PACKETS`. Chosen for speed: at 95 m 16 pairs of one packet show each LED to 3 %.
-"""
-
-ENOUGH_PACKETS = 5
-"""Packets after which LEDs that seem equal are learnt from fewer pairs, and LEDs that saturate are known no better.
-
-It is half of the ten packets that count by `BRIGHTNESS_FADE`.
-"""
+GAINS = GainParameters()
 
 
 @dataclass(frozen=True, slots=True)
 class DecodedPair:
-    """A pair of which symbols are decoded."""
+    """A pair with decoded symbols."""
 
-    # Its statistics, made with the brightness known so far
+    # Statistics with the brightness known so far
     statistics: PairStatistics
-    # (symbols,) +-1, and 0 for those that are not decoded
+    # (symbols,) +-1, and 0 for undecoded symbols
     symbols: Floats
     # (4, rows, columns) derivatives F of the decoded symbols' image by x, y, ln pitch and roll, times W^(1/2)
     slopes: Floats
-    # Its cut-out, divided by its noise
+    # Whitened cut-out
     whitened: WhitenedCutout
 
-    @property
-    def unknown(self) -> NDArray[np.intp]:
-        """Numbers of the symbols that are not decoded."""
-        return np.flatnonzero(self.symbols == 0)
-
     def without_nuisance(self, gain: float, noise: float) -> tuple[NDArray[np.float32], Floats]:
-        """G and B^T W (d - g o), what undecoded symbols and an error of the pose may have added marginalised."""
-        pair, whitened, unknown = self.statistics, self.whitened, self.unknown
+        """Compute G and B^T W (d - g o) with undecoded symbols and an error of the pose marginalised."""
+        pair, whitened, unknown = self.statistics, self.whitened, np.flatnonzero(self.symbols == 0)
         # N = (B_open, F): G - B^T N (N^T N + s^2 / g^2 P^-1)^-1 N^T B
         slopes = self.slopes.reshape(len(self.slopes), -1)
-        shown = (whitened.difference - gain * whitened.offset).ravel()
-        seen, images = pair.matched - gain * pair.offset, whitened.all_correlated(self.slopes)
+        light = (whitened.difference - gain * whitened.offset).ravel()
+        matched, images = pair.matched - gain * pair.offset, whitened.correlate(self.slopes)
         inner = np.block([[pair.gram[unknown][:, unknown], images[unknown]], [images[unknown].T, slopes @ slopes.T]])
-        inner += noise / gain**2 * np.diag(np.append(np.ones(unknown.size), POSE_SPREADS**-2))
+        precision = np.append(np.ones(unknown.size), np.array(GAINS.pose_spreads) ** -2)
+        inner += noise / gain**2 * np.diag(precision)
         across = np.vstack([pair.gram[unknown], images.T])
-        both = np.column_stack([across, np.append(seen[unknown], slopes @ shown)]).astype(np.float32)
-        # L^-1 (N^T B, N^T d) = (h, h_d): their products are what is taken off
+        right = np.column_stack([across, np.append(matched[unknown], slopes @ light)]).astype(np.float32)
+        # L^-1 (N^T B, N^T d) = (h, h_d): the products are subtracted
         root = np.linalg.cholesky(inner.astype(np.float32))
-        half = solve_triangular(root, both, lower=True, check_finite=False)
-        left, taken = half[:, :-1], half[:, -1]
-        # the most probable error of the pose, with the decoded symbols' light taken off
-        error = solve_triangular(root.T, taken - gain * left @ self.symbols, check_finite=False)[-4:] / gain
-        if np.hypot(error[0], error[1]) > LINEAR_PX:
+        half = solve_triangular(root, right, lower=True, check_finite=False)
+        h, h_d = half[:, :-1], half[:, -1]
+        # the most probable error of the pose, without the light of the decoded symbols
+        error = solve_triangular(root.T, h_d - gain * h @ self.symbols, check_finite=False)[-4:] / gain
+        if np.hypot(error[0], error[1]) > GAINS.max_pose_error_px:
             raise np.linalg.LinAlgError("the pose is too far off")
-        return pair.gram - left.T @ left, seen - left.T @ taken
+        return pair.gram - h.T @ h, matched - h.T @ h_d
 
 
 @dataclass(frozen=True, slots=True)
 class Brightness:
-    """Brightness of an array's LEDs, and what decoded data have shown of it."""
+    """Brightness of an array's LEDs and the evidence of decoded data."""
 
     # (n, n) brightness, 1 for the median LED
     values: Floats
-    # (2, n n, n n) sums of the normal equations' matrices over each half of the pairs, ordered as by `by_squares`; (2,
-    # 0, 0) before the first pair, and where the brightness alone is told
+    # (2, n n, n n) sums of the normal equations' matrices over each half of the pairs, ordered as by `by_squares`;
+    # (2, 0, 0) without evidence
     information: Floats
-    # (2, n n) sums of their right sides; (2, 0) likewise
+    # (2, n n) sums of the right sides; (2, 0) without evidence
     score: Floats
-    # Packets that were learnt from
+    # Number of evaluated packets
     packets: int = 0
 
     @classmethod
     def equal(cls, side: int) -> "Brightness":
-        """LEDs of which nothing is known."""
+        """Brightness of unknown LEDs."""
         return cls(np.ones((side, side)), np.empty((2, 0, 0)), np.empty((2, 0)))
 
     @property
-    def told(self) -> "Brightness":
-        """The brightness without what has shown it, which is 2 n^2 times as long; whoever learns on begins anew."""
+    def without_evidence(self) -> "Brightness":
+        """The brightness without the evidence, which is 2 n^2 times as long."""
         return replace(Brightness.equal(len(self.values)), values=self.values)
 
     @property
     def known(self) -> bool:
-        """Whether most LEDs are known to half of `UNEQUAL`."""
-        shown = self.information.sum(0).diagonal()
-        return bool(shown.size and np.median(shown) > (0.5 * UNEQUAL) ** -2)
+        """True if most LEDs are known to half of the least difference."""
+        information = self.information.sum(0).diagonal()
+        return bool(information.size and np.median(information) > (0.5 * GAINS.min_difference) ** -2)
 
     @property
-    def equal_so_far(self) -> bool:
-        """Whether nothing shows that LEDs differ."""
+    def seems_equal(self) -> bool:
+        """True if no evidence shows that LEDs differ."""
         return bool((self.values == 1).all())
 
     @property
     def settled(self) -> bool:
-        """Whether LEDs are known to be equal: while all is read nothing more need be learnt."""
-        return self.known and self.equal_so_far
+        """True if LEDs are known to be equal: complete packets need not be evaluated."""
+        return self.known and self.seems_equal
 
     @property
     def learnt(self) -> bool:
-        """Whether packets read without it need tell no more: LEDs are known, or enough packets did not show them."""
-        return self.known or self.packets >= ENOUGH_PACKETS
+        """True if LEDs are known, or enough packets did not show the brightness."""
+        return self.known or self.packets >= GAINS.max_packets
 
     @property
     def stride(self) -> int:
-        """Pairs of which one is worth learning from."""
-        enough = self.known or (self.packets >= ENOUGH_PACKETS and self.equal_so_far)
-        return KNOWN_STRIDE if enough else LEARNING_STRIDE
+        """Pairs per pair to evaluate."""
+        known = self.known or (self.learnt and self.seems_equal)
+        return GAINS.known_stride if known else GAINS.stride
 
     def faded(self) -> "Brightness":
-        """Trust earlier packets less, as one has gone by."""
-        return replace(self, information=BRIGHTNESS_FADE * self.information, score=BRIGHTNESS_FADE * self.score)
+        """Reduce the weight of earlier packets, once per packet."""
+        fade = GAINS.packet_fade
+        return replace(self, information=fade * self.information, score=fade * self.score)
 
     def differs(self, other: "Brightness") -> bool:
-        """Whether it is another than what was taken so far, by more than the light of equal LEDs seems to differ."""
-        return bool(np.sqrt(np.mean((self.values - other.values) ** 2)) > UNEQUAL)
+        """True if it differs from another by more than the error of equal LEDs."""
+        return bool(np.sqrt(np.mean((self.values - other.values) ** 2)) > GAINS.min_difference)
 
     def learn(self, pairs: Sequence[DecodedPair], gain: float, noise: float) -> "Brightness":
-        """Learn from decoded symbols."""
+        """Update the brightness from decoded symbols."""
         if not pairs or gain <= 0:
             return self
-        information, score = self._evidence()
-        seen_pairs = 0
+        count, used = self.values.size, 0
+        information, score = np.zeros((2, count, count)), np.zeros((2, count))
+        if self.score.size:
+            information, score = self.information.copy(), self.score.copy()
         inverse = 1 / by_squares(self.values)
         for k, pair in enumerate(pairs):
             try:
-                gram, seen = pair.without_nuisance(gain, noise)
+                gram, matched = pair.without_nuisance(gain, noise)
             except np.linalg.LinAlgError:
                 continue
-            # the statistics hold the LEDs' light times their brightness so far
+            # the statistics hold the light of the LEDs times the brightness so far
             levels = kernels.leds_of(pair.symbols) * inverse
             # T T^T = 1/4: A^T W A = 16 T G T^T, A^T W d = 4 T B^T W d
             kernels.add_information(gram, levels, gain**2 / noise, information[k % 2])
-            score[k % 2] += gain / noise * levels * 4 * kernels.leds_of(seen)
-            seen_pairs += 1
-        if not seen_pairs:
+            score[k % 2] += gain / noise * levels * 4 * kernels.leds_of(matched)
+            used += 1
+        if not used:
             return replace(self, packets=self.packets + 1)
         return Brightness(_estimate_brightness(information, score), information, score, self.packets + 1)
 
-    def _evidence(self) -> tuple[Floats, Floats]:
-        """Copies of information and score, with zeros where nothing was seen yet."""
-        if self.score.size:
-            return self.information.copy(), self.score.copy()
-        count = self.values.size
-        return np.zeros((2, count, count)), np.zeros((2, count))
-
 
 def _estimate_brightness(information: Floats, score: Floats) -> Floats:
-    """Most probable brightness, (n, n), the median LED's being 1; all of them 1 where the halves do not agree."""
-    one, other = (_most_probable(*half) for half in zip(information, score, strict=True))
-    if np.mean((one - 1) * (other - 1)) < UNEQUAL**2:
-        return np.ones_like(to_grid(one))
-    both = _most_probable(information.sum(0), score.sum(0))
-    return to_grid(np.clip(both, LEAST_BRIGHTNESS, MOST_BRIGHTNESS))
+    """Estimate the brightness, (n, n), relative to the median LED; 1 for all LEDs if the halves disagree."""
+    first, second = (_solve_brightness(*half) for half in zip(information, score, strict=True))
+    if np.mean((first - 1) * (second - 1)) < GAINS.min_difference**2:
+        return np.ones_like(to_grid(first))
+    joint = _solve_brightness(information.sum(0), score.sum(0))
+    return to_grid(np.clip(joint, GAINS.min_brightness, GAINS.max_brightness))
 
 
-def _most_probable(information: Floats, score: Floats) -> Floats:
-    """Most probable brightness by normal equations and the prior, (n n,), the median LED's being 1."""
-    prior = BRIGHTNESS_SPREAD**-2
-    found = solve(information + prior * np.eye(len(score)), score + prior, assume_a="pos", check_finite=False)
-    return np.asarray(found / max(float(np.median(found)), LEAST_BRIGHTNESS))
+def _solve_brightness(information: Floats, score: Floats) -> Floats:
+    """Solve normal equations with the prior, (n n,), relative to the median LED."""
+    prior = GAINS.spread**-2
+    brightness = solve(information + prior * np.eye(len(score)), score + prior, assume_a="pos", check_finite=False)
+    return np.asarray(brightness / max(float(np.median(brightness)), GAINS.min_brightness))
 
 
-LED_GAIN_SPREAD = 0.3
-"""Prior standard deviation of an LED's gain about 1: a failed LED is 3.3 of them away."""
-
-FAILED, SOUND = 0.25, 0.65
-"""Estimates up to which an LED has the gain 0, and from which on it has 1. Between them the gain rises evenly.
-
-Let headers show one LED by itself with the standard deviation s. The estimate goes k = p / (p + s^2) of the way from 1
-to what they show, p being the prior variance `LED_GAIN_SPREAD`^2. Of a sound LED it has the standard deviation k s,
-0.15 at most: 0.65 is 2.3 of them below 1. Of a failed LED it is 1 - k on average, below 0.25 where s is below 0.17.
-With 0.125 and 0.825 none of 192 codewords is lost, with 0.5 and 0.3 24 are.
-"""
-
-CHANGED = 0.5
-"""Change of an LED's gain for which the header's pose is fitted again: half of that from a sound to a failed one."""
-
-LIT = 4.0
-"""Noise variance inside the array over that beside it, where failed LEDs hide the first.
-
-Photons make it 2.4 in the reference link; more only makes the estimate keep closer to 1.
-"""
-
-MODEL = 0.02
-"""Error of the image that the affine pose and the Gaussian blur leave, as a fraction of the light.
-
-An LED that is 0.02 px off the grid of the pose changes a pixel by up to 0.02 e^(-1/2) / 0.58 = 2 % of its peak: 0.58 px
-is the standard deviation of a blur of 0.5 px with a pixel's own width. Half and twice of it lose none of 192 codewords.
-"""
-
-FADE = 0.5
-"""Weight of earlier headers for each packet since: hidden LEDs come to light.
-
-All earlier headers together then weigh as much as the new one, 1/2 + 1/4 + ... = 1.
-"""
-
-SETTLED = 0.1
-"""Correction of the gain, as a fraction of `LED_GAIN_SPREAD`, below which no other one follows.
-
-A tolerance: estimates are then off by less than 0.03, 1/13 of the way from `FAILED` to `SOUND`.
-"""
-
-MEDIAN_STEPS, MEDIAN_SCALES = 2, (0.5, 2.0)
-"""Most corrections of the gain by the median LED, and bounds of one.
-
-Chosen: the first bounds the time, the others what a header that shows no array does to the gain. With 1, (0.25, 1) and
-with 4, (1, 4) none of 192 codewords is lost.
-"""
-
-
-@dataclass(frozen=True)  # without slots, which leave no room for what is cached
+@dataclass(frozen=True)  # without slots, for a cached property
 class LedGains:
-    """Gains of an array's LEDs, and what headers have shown of them."""
+    """Gains of an array's LEDs and the evidence of headers."""
 
-    # (n, n) how much of each LED is in sight by headers, 0 to 1; 0 of one that is dead, stuck or hidden
+    # (n, n) visible fraction of each LED by headers, 0 to 1; 0 of a dead, stuck or occluded LED
     sight: Floats
     # Brightness of the LEDs by decoded data
     brightness: Brightness
-    # Statistics of the headers so far, the gains times the header in place of the data; None before the first
-    seen: PairStatistics | None = None
+    # Statistics of the headers so far, with the gains times the header in place of the data; None before the first
+    header_statistics: PairStatistics | None = None
 
     @classmethod
     def sound(cls, side: int) -> "LedGains":
-        """Gains of an array whose LEDs all give their light."""
+        """Gains of an array without failed LEDs."""
         return cls.in_sight(np.ones((side, side)))
 
     @classmethod
     def in_sight(cls, sight: Floats) -> "LedGains":
-        """Gains of an array of which nothing but a detection is known."""
+        """Gains of an array after the detection."""
         return cls(sight, Brightness.equal(len(sight)))
 
     @cached_property
     def values(self) -> Floats:
-        """(n, n) gains, at least 0: the brightness of what is in sight; all cut-outs of a packet share them."""
+        """(n, n) gains, at least 0: the brightness times the visible fraction; all cut-outs of a packet share them."""
         return self.sight * self.brightness.values
 
     @property
-    def told(self) -> "LedGains":
-        """The gains without what has shown them."""
-        return LedGains(self.sight, self.brightness.told)
+    def without_evidence(self) -> "LedGains":
+        """The gains without the evidence."""
+        return LedGains(self.sight, self.brightness.without_evidence)
 
     @property
     def doubtful(self) -> bool:
-        """Whether any LED seems hidden or failed."""
-        return bool((self.sight < 1).any() or (self.brightness.values < FAILED).any())
+        """True if any LED seems occluded or failed."""
+        return bool((self.sight < 1).any() or (self.brightness.values < GAINS.max_failed).any())
 
-    def rather(self, sight: Floats) -> "LedGains":
-        """The same with other LEDs in sight."""
-        return LedGains(sight, self.brightness, self.seen)
+    def with_visibility(self, sight: Floats) -> "LedGains":
+        """Replace the visible fractions of the LEDs."""
+        return LedGains(sight, self.brightness, self.header_statistics)
 
     def faded(self) -> "LedGains":
-        """Trust earlier headers and packets less, as a packet has gone by."""
-        seen = None if self.seen is None else self.seen.scaled(FADE)
-        return LedGains(self.sight, self.brightness.faded(), seen)
+        """Reduce the weight of earlier headers and packets, once per packet."""
+        faded = None if self.header_statistics is None else self.header_statistics.scaled(GAINS.header_fade)
+        return LedGains(self.sight, self.brightness.faded(), faded)
 
     def learn(self, cutout: Cutout, header: Floats, gain: float, in_sight: Floats) -> "LearntGains":
-        """Learn from a header pair."""
+        """Update the gains from a header pair."""
         if not in_sight.any():
             return LearntGains(self, gain, False)
-        side, brightness = len(self.values), self.brightness.values
+        p, side, brightness = GAINS, len(self.values), self.brightness.values
+        # failed LEDs hide the noise of a sum
         dark = noise_beside([cutout], side)
-        # with failed LEDs a sum does not show its noise
-        whitened, noise = whiten(cutout, Noise(LIT * dark, dark), side), LIT * dark + (MODEL * gain) ** 2
+        lit = p.lit_ratio * dark
+        whitened, noise = whiten(cutout, Noise(lit, dark), side), lit + (p.image_error * gain) ** 2
         slopes = whitened.root * cutout.slopes(header)
-        shown = whitened.without(slopes, np.diag(noise / (gain * POSE_SPREADS) ** 2))
-        seen = shown if self.seen is None else self.seen.plus(shown)
-        for _ in range(MEDIAN_STEPS):
-            # of LEDs that data have shown to be dark a header says nothing
-            found = _estimate(seen, header, brightness, gain, noise) / np.maximum(brightness, FAILED)
-            # the median LED is a sound one
-            scale = min(max(median_of(found[in_sight > 0]), MEDIAN_SCALES[0]), MEDIAN_SCALES[1])
+        statistics = whitened.marginalised(slopes, np.diag(noise / (gain * np.array(p.pose_spreads)) ** 2))
+        joint = statistics if self.header_statistics is None else self.header_statistics.plus(statistics)
+        for _ in range(p.max_corrections):
+            # a header shows no LED that data have shown to be dark
+            estimate = _estimate_sight(joint, header, brightness, gain, noise) / np.maximum(brightness, p.max_failed)
+            # the median LED is sound
+            low, high = p.corrections
+            scale = min(max(median_of(estimate[in_sight > 0]), low), high)
             gain *= scale
-            if abs(scale - 1) < SETTLED * LED_GAIN_SPREAD:
+            if abs(scale - 1) < p.end_correction:
                 break
-        shown_sight = np.clip((found / scale - FAILED) / (SOUND - FAILED), 0, 1)
-        shown_sight[brightness < FAILED] = 1.0
-        sight = np.where(in_sight > 0, shown_sight, self.sight)
-        changed = bool(np.abs(sight - self.sight).max() > CHANGED)
-        kept = seen if in_sight.all() and not changed else None
-        return LearntGains(LedGains(sight, self.brightness, kept), gain, changed)
+        visible = np.clip((estimate / scale - p.max_failed) / (p.min_sound - p.max_failed), 0, 1)
+        visible[brightness < p.max_failed] = 1.0
+        sight = np.where(in_sight > 0, visible, self.sight)
+        changed = bool(np.abs(sight - self.sight).max() > p.max_change)
+        evidence = joint if in_sight.all() and not changed else None
+        return LearntGains(LedGains(sight, self.brightness, evidence), gain, changed)
 
 
 @dataclass(frozen=True, slots=True)
 class LearntGains:
-    """What a header pair adds."""
+    """Gains after a header pair."""
 
     # Gains of the LEDs after this header
     led_gains: LedGains
-    # Gray levels of the array with all LEDs on, by the LEDs that give their light
+    # Gray levels of the array with all LEDs on, by the sound LEDs
     gain: float
-    # Whether an LED's gain changed so much that the pose was found with a wrong image: the pair is then to be followed
-    # and learnt from once more
+    # True if a gain changed so much that the pose came from a wrong image: the pair must be tracked and evaluated again
     changed: bool
 
 
-def _estimate(seen: PairStatistics, header: Floats, brightness: Floats, gain: float, noise: float) -> Floats:
-    """Gain of each LED, (n, n), by linear MMSE about its brightness."""
+def _estimate_sight(pair: PairStatistics, header: Floats, brightness: Floats, gain: float, noise: float) -> Floats:
+    """Estimate the gain of each LED, (n, n), by linear MMSE about the brightness."""
     signs = by_squares(header)
     mean = kernels.symbols_of(by_squares(header * brightness))
-    # of diag(w) (2 Y - 1) of the variance s^2 the symbols have the variance 4 s^2, T T^T being 1/4
-    symbols = equalise(seen, gain, noise, mean, np.full(mean.size, 4 * LED_GAIN_SPREAD**2)).mean
+    # for diag(w) (2 Y - 1) of variance s^2 the symbols have the variance 4 s^2, as T T^T = 1/4
+    symbols = equalise(pair, gain, noise, mean, np.full(mean.size, 4 * GAINS.spread**2)).mean
     return to_grid(kernels.leds_of(symbols) / signs)

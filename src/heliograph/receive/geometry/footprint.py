@@ -1,10 +1,11 @@
-"""The light that each LED gives the pixels of a window.
+"""Footprints of LEDs: the light of each LED on the pixels of a window.
 
-An LED's image is a Gaussian integrated over pixels: the product of a function of x and one of y, whatever the roll. A
-blur matrix A, (pixels, LEDs), is therefore kept as two narrow arrays, an LED's light by column and by row.
+An LED's image is a Gaussian integrated over pixels: the product of a function of x and a function of y, for any roll.
+Two narrow arrays, the light by column and by row, therefore represent a blur matrix A, (pixels, LEDs).
 """
 
 from functools import lru_cache
+from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,52 +26,31 @@ class Footprints(NamedTuple):
     # (n n, 2) int64, first column and row
     first: NDArray[np.int64]
 
-    def scaled(self, led_gains: Floats | None) -> "Footprints":
-        """Footprints times the LEDs' gains."""
-        if led_gains is None:
-            return self
-        return Footprints(self.across * by_squares(led_gains)[:, None], self.down, self.first)
-
     def dense(self, shape: tuple[int, int]) -> tuple[Floats, Floats]:
-        """Light by column (n n, columns) and by row (n n, rows) over a whole window."""
-        parts = []
-        for narrow, first, count in (
-            (self.across, self.first[:, 0], shape[1]),
-            (self.down, self.first[:, 1], shape[0]),
-        ):
-            place = first[:, None] + np.arange(narrow.shape[1])
-            inside = (place >= 0) & (place < count)
-            whole = np.zeros((len(narrow), count))
-            leds, columns = np.nonzero(inside)
-            whole[leds, place[inside]] = narrow[leds, columns]
-            parts.append(whole)
-        return parts[0], parts[1]
-
-    def all_on(self, shape: tuple[int, int]) -> Floats:
-        """A 1, the image with all LEDs on, (rows, columns)."""
-        image = np.zeros(shape)
-        self.add_all_on(1.0, image)
-        return image
-
-    def add_all_on(self, level: float, image: Floats) -> None:
-        """Add the image with all LEDs at one level to another."""
-        kernels.add_image(np.full(len(self.across), level), *self, image)
+        """Expand to the light by column (n n, columns) and by row (n n, rows) of a window."""
+        count = len(self.across)
+        across, down = np.zeros((count, shape[1])), np.zeros((count, shape[0]))
+        for wide, narrow, first in ((across, self.across, self.first[:, :1]), (down, self.down, self.first[:, 1:])):
+            index = first + np.arange(narrow.shape[1])
+            leds, pixels = np.nonzero((index >= 0) & (index < wide.shape[1]))
+            wide[leds, index[leds, pixels]] = narrow[leds, pixels]
+        return across, down
 
 
 def by_squares(grid: NDArray[Any]) -> NDArray[Any]:
-    """Put values of LEDs in the order of `footprints`, square by square of 2 x 2, (n n,)."""
+    """Sort values of LEDs like `footprints`, by squares of 2 x 2, (n n,)."""
     half = len(grid) // 2
     return np.ascontiguousarray(grid.reshape(half, 2, half, 2).transpose(0, 2, 1, 3)).ravel()
 
 
 def to_grid(values: Floats) -> Floats:
-    """Put values of LEDs at their places, (n, n); the inverse of `by_squares`."""
+    """Arrange values of LEDs as a grid, (n, n); the inverse of `by_squares`."""
     half = round(len(values) ** 0.5) // 2
     return np.ascontiguousarray(values.reshape(half, half, 2, 2).transpose(0, 2, 1, 3)).reshape(2 * half, 2 * half)
 
 
 def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
-    """Image of LEDs; an unresolved array of levels 1 has the image 1. Returns (rows, columns)."""
+    """Render LEDs, (rows, columns); an unresolved array of levels 1 has the image 1."""
     image = np.zeros(shape)
     kernels.add_image(by_squares(levels), *_footprints(pose, corner, shape, len(levels)), image)
     return image
@@ -79,27 +59,27 @@ def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[i
 def images_of(
     levels: Floats, parts: NDArray[Any], count: int, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
 ) -> Floats:
-    """Images of the parts of an array, each without the light of the others. Returns (count, rows, columns)."""
+    """Render each part of an array separately, (count, rows, columns)."""
     images, numbers = np.zeros((count, *shape)), by_squares(parts).astype(np.int64)
     kernels.add_parts(by_squares(levels), numbers, *_footprints(pose, corner, shape, len(levels)), images)
     return images
 
 
-@lru_cache(maxsize=512)  # a packet's poses are asked for again and again
-def footprints(
-    pose: Pose, corner: tuple[int, int], shape: tuple[int, int], side: int, motion: tuple[float, float] = (0.0, 0.0)
-) -> Footprints:
-    """Footprints of an array's LEDs."""
-    return _footprints(pose, corner, shape, side, motion)
+def render_with_slopes(pose: Pose, levels: Floats, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
+    """Render LEDs and the derivatives by (x, y, ln pitch, roll, ln blur), (6, rows, columns)."""
+    images = np.empty((6, *shape))
+    kernels.render(pose.full_vector(), levels, float(corner[0]), float(corner[1]), images, 0.0, 0.0)
+    return images
 
 
 def _footprints(
     pose: Pose, corner: tuple[int, int], shape: tuple[int, int], side: int, motion: tuple[float, float] = (0.0, 0.0)
 ) -> Footprints:
-    """`footprints` that nobody asks for again."""
+    """Compute the footprints of an array's LEDs."""
     # sigma^2 = blur^2 + motion^2
     sigma = np.hypot(pose.blur, motion)
-    width = kernels.footprint_width(float(sigma.max()))
+    # beyond 3.7 standard deviations lies 2e-4 of an LED's light
+    width = 2 * ceil(3.7 * float(sigma.max()) + 0.5) + 1
     across, down = np.empty((side * side, width)), np.empty((side * side, width))
     first = np.empty((side * side, 2), np.int64)
     where = np.array([pose.x - corner[0], pose.y - corner[1], *pose.axes.ravel(), pose.pitch, *sigma])
@@ -107,3 +87,6 @@ def _footprints(
     for part in (across, down, first):
         part.setflags(write=False)
     return Footprints(across, down, first)
+
+
+footprints = lru_cache(maxsize=512)(_footprints)  # decoding needs the poses of a packet many times

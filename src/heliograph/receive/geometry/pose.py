@@ -1,7 +1,4 @@
-"""How the camera sees an array turned: upside-down, on its side, or by way of a mirror.
-
-Where the array is in the image.
-"""
+"""Pose of an array in the image, and the orientation in which the camera sees the array."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,56 +11,45 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
-    """One of the eight ways in which a square can lie."""
+    """One of the eight orientations of a square."""
 
     # Quarter turns, clockwise in the image, 0 to 3
     turns: int = 0
-    # Whether left and right change places before it is turned
+    # True if left and right are exchanged before the turn
     mirrored: bool = False
 
     def __str__(self) -> str:
-        """Its name, as packets state it: "upright", "turned 90", "mirrored", "mirrored, turned 90" and so on."""
+        """Name of the orientation in packets: "upright", "turned 90", "mirrored", "mirrored, turned 90" and so on."""
         turned = f"turned {90 * self.turns}" if self.turns else ""
         return ", ".join(filter(None, ("mirrored" if self.mirrored else "", turned))) or "upright"
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """(2, 2) map of a vector (x, y) of the upright image to that of the turned one: a signed permutation."""
+        """Signed permutation (2, 2) that maps a vector (x, y) of the upright image to the turned image."""
         mirror = np.diag([-1.0 if self.mirrored else 1.0, 1.0])
         quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
         return np.asarray(np.linalg.matrix_power(quarter, self.turns) @ mirror)
 
     def turned(self, image: NDArray[Any]) -> NDArray[Any]:
-        """An upright image as the camera sees it."""
+        """Turn an upright image as the camera sees it."""
         return np.ascontiguousarray(np.rot90(image[:, ::-1] if self.mirrored else image, -self.turns))
 
     def upright(self, image: NDArray[Any]) -> NDArray[Any]:
-        """What the camera sees, turned back; the inverse of `turned`."""
+        """Turn a camera image upright; the inverse of `turned`."""
         back = np.rot90(image, self.turns)
         return np.ascontiguousarray(back[:, ::-1] if self.mirrored else back)
 
 
 UPRIGHT = Orientation()
-"""That of a camera that stands upright and looks straight at the array."""
-
 ORIENTATIONS = tuple(Orientation(turns, mirrored) for mirrored in (False, True) for turns in range(4))
-"""All eight, the upright one first."""
-
-
-TILT_NOISE = 0.004
-"""Magnitude of (stretch, shear) that a header's fit gives an array without tilt.
-
-Chosen: the fit's standard deviation of each is 0.002 to 0.003 at 60 to 80 m. Without it noise would always add to the
-pitch, and so take from the distance.
-"""
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
     """An affine map from LED numbers to image points, and the width of the blur.
 
-    The perspective within the array is left out: at 40 degrees of yaw and 25 m it moves the corners by 0.07 px, at 50 m
-    by 0.02 px.
+    The pose neglects perspective within the array, which moves the corners by 0.07 px at 40 degrees of yaw and 25 m,
+    and by 0.02 px at 50 m.
 
     Attributes
     ----------
@@ -76,13 +62,13 @@ class Pose:
     roll
         Rotation in rad, clockwise in the image.
     blur
-        Standard deviation in px of one LED's image, emitter and lens together, above 0.
+        Standard deviation in px of an LED's image, emitter and lens together, above 0.
     stretch
-        How much wider than high the array appears before it is rotated; 0 for an array that faces the camera.
+        Relative excess of width over height before rotation; 0 for an array that faces the camera.
     shear
-        Its skew before it is rotated. A point (a, b) of the array lies at
-        pitch R(roll) [[1 + stretch, shear], [shear, 1 - stretch]] (a, b); by the polar decomposition that is any
-        affine map.
+        Skew before rotation. A point (a, b) of the array lies at
+        pitch R(roll) [[1 + stretch, shear], [shear, 1 - stretch]] (a, b), by the polar decomposition a general affine
+        map.
     """
 
     x: float
@@ -124,19 +110,19 @@ class Pose:
         a, b
             The two poses; pitch and blur are averaged as logarithms.
         """
-        # number by number, for speed: the mean of two logarithms is that of the geometric mean
+        # scalars for speed: the mean of two logarithms is the logarithm of the geometric mean
         pitch, blur = math.sqrt(a.pitch * b.pitch), math.sqrt(a.blur * b.blur)
         x, y, roll = 0.5 * (a.x + b.x), 0.5 * (a.y + b.y), 0.5 * (a.roll + b.roll)
         return Pose(x, y, pitch, roll, blur, 0.5 * (a.stretch + b.stretch), 0.5 * (a.shear + b.shear))
 
     @property
     def axes(self) -> NDArray[np.float64]:
-        """Steps from one LED to the next along a row and along a column, (2, 2) px, one per column."""
+        """Steps between neighbouring LEDs, (2, 2) px: along a row in the first column, along a column in the second."""
         return np.array(self.steps)
 
     @property
     def steps(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """The same number by number: x of both, then y of both."""
+        """Elements of `axes` as rows of numbers."""
         # p R(roll) ((1 + stretch, shear), (shear, 1 - stretch)), written out for speed
         c, s = self.pitch * math.cos(self.roll), self.pitch * math.sin(self.roll)
         wide, high, shear = 1 + self.stretch, 1 - self.stretch, self.shear
@@ -144,9 +130,10 @@ class Pose:
 
     @property
     def frontal_pitch(self) -> float:
-        """Pitch in px along the axis about which the array is tilted: that of the same array facing the camera."""
+        """Pitch in px along the axis of the tilt: the pitch of the same array when it faces the camera."""
+        # less the mean square of the tilt that noise gives a header's fit, which would always add to the pitch
         tilt = math.hypot(self.stretch, self.shear)
-        return self.pitch * (1 + math.sqrt(max(tilt**2 - TILT_NOISE**2, 0.0)))
+        return self.pitch * (1 + math.sqrt(max(tilt**2 - 0.004**2, 0.0)))
 
     def leds(self, side: int) -> NDArray[np.float64]:
         """Image points of all LEDs.
@@ -174,21 +161,13 @@ class Pose:
 
 
 def rim_distance(a: Pose, b: Pose, side: int) -> float:
-    """Largest distance in px of an outer LED from itself in another pose.
-
-    Parameters
-    ----------
-    a, b
-        The two poses of the array on the sensor.
-    side
-        LEDs in a row.
-    """
+    """Largest distance in px between the same outer LED in two poses."""
     return float(np.linalg.norm(a.leds(side) - b.leds(side), axis=-1).max())
 
 
 @lru_cache(maxsize=8)  # arrays of one film have one size
 def _grid(side: int) -> NDArray[np.float64]:
-    """Columns and rows of LEDs from the centre, (side, side, 2), not writeable."""
+    """Columns and rows of LEDs from the centre, (side, side, 2), read-only."""
     steps = np.arange(side) - (side - 1) / 2
     grid = np.stack(np.meshgrid(steps, steps), axis=-1)
     grid.setflags(write=False)

@@ -1,18 +1,17 @@
-"""The frames as an array's receiver sees them: reduced where LEDs are large, and turned upright.
+"""Views: frames reduced to a pyramid level if LEDs are large, and turned upright.
 
-A near array shows more than it takes to read it. It is read on a level of a binomial pyramid, on which it looks like a
-farther one: each level halves rows and columns after smoothing by (1 4 6 4 1) / 16, of the variance 1 px^2. A blur of
-the variance s^2, seen through pixels of the variance 1/12, becomes
+A level of a binomial pyramid makes a near array look like a far array: each level halves rows and columns after
+smoothing by (1 4 6 4 1) / 16, of variance 1 px^2. A blur of variance s^2, in pixels of variance 1/12, becomes
 
     s'^2 + 1/12 = (s^2 + 1/12 + 1) / 4,
 
-so that a blur of 0.5 px stays one of 0.5 px on all levels: exactly that of the reference link. The pixel (2 x, 2 y)
-becomes (x, y), so that places are halved.
+so the blur of 0.5 px of the reference link is the same on all levels. Pixel (2 x, 2 y) becomes (x, y).
 """
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import exp, log, log2, sqrt
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -23,117 +22,93 @@ from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import UPRIGHT, Orientation, Pose
 from heliograph.receive.geometry.window import Window, window_around
 
-READ_PITCH_PX = 3.0
-"""Largest pitch in px that an array has on its level when it is found.
-
-Half of it, the smallest, is that of 39 m in the reference link, up to which the plain receiver reads without an error.
-"""
-
-MOST_LEVEL = 3
-"""Coarsest level on which arrays are read.
-
-LEDs of arrays nearer than 2.5 m are at full scale, and reducing mixes what is cut off with what is not. On level 4 the
-plain receiver lost half of the codewords of an array of 500 px, on level 3 none.
-"""
-
-KEPT_PITCH_PX = (1.35, 3.3)
-"""Pitches in px between which an array's level is kept: a tenth beyond those at which it would be chosen anew."""
-
-PIXEL_VARIANCE_PX2 = 1 / 12
-"""Variance of a pixel's own width in squared px: that of an even light over it."""
-
-SURROUNDINGS_SIDES = 0.5
-"""Sides of an array about it that are reduced or turned with it: as far as frames are combined (`clocked_pairing`)."""
-
-LEAST_BLUR_PX = 0.2
-"""Least blur of a reduced image undone, in px: what is below is noise, as an array is found to some percent of blur."""
-
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Where an array's receiver looks."""
+    """Pyramid level and orientation in which an array is read."""
 
-    # Level of the pyramid, at least 0: rows and columns are fewer by 2**level
+    # Largest pitch in px on the level of a new array
+    max_pitch_px: ClassVar[float] = 3.0
+    # Pitches in px between which an array stays on a level: a tenth beyond the pitches at which another is chosen
+    kept_pitch_px: ClassVar[tuple[float, float]] = (1.35, 3.3)
+    # Coarsest level; LEDs nearer than 2.5 m are at full scale, and reduction mixes clipped light with other light
+    max_level: ClassVar[int] = 3
+
+    # Level of the pyramid, at least 0: rows and columns are divided by 2**level
     level: int = 0
-    # How the camera sees the array
+    # Orientation of the array in the camera image
     orientation: Orientation = UPRIGHT
 
     @staticmethod
     def of(pose: Pose, orientation: Orientation = UPRIGHT) -> "View":
-        """The view in which an array is read."""
-        return View(min(max(0, int(np.ceil(log2(pose.pitch / READ_PITCH_PX)))), MOST_LEVEL), orientation)
+        """Choose the view for an array."""
+        level = int(np.ceil(log2(pose.pitch / View.max_pitch_px)))
+        return View(min(max(0, level), View.max_level), orientation)
 
     def suits(self, pose: Pose) -> bool:
-        """Whether an array is still to be read in this view."""
-        least, most = KEPT_PITCH_PX
-        return (self.level == MOST_LEVEL or pose.pitch <= most) and (self.level == 0 or pose.pitch >= least)
+        """True if an array may stay in this view."""
+        low, high = self.kept_pitch_px
+        fits_above = self.level == self.max_level or pose.pitch <= high
+        return fits_above and (self.level == 0 or pose.pitch >= low)
 
     def frame(self, frame: Frame, pose: Pose, side: int) -> Frame:
-        """A frame in this view; where the view is another than the camera's, its part about an array."""
+        """Transform a frame to this view; except in the camera's view, crop it to an array and half a side around."""
         if self == CAMERA:
             return frame
-        frame = _part(frame, window_around(pose, side, SURROUNDINGS_SIDES * side * pose.pitch), 2**self.level)
+        frame = _part(frame, window_around(pose, side, 0.5 * side * pose.pitch), 2**self.level)
         for _ in range(self.level):
             frame = halved(frame)
         return frame if self.orientation == UPRIGHT else _upright(frame, self.orientation)
 
     def fit_in(self, fit: Fit) -> Fit:
-        """A fit on the sensor, as it is in the view."""
-        if self == CAMERA:
-            return fit
-        moved = _linear(self)[: len(fit.vector), : len(fit.vector)]
-        return replace(fit, vector=self._vector_in(fit.vector), covariance=moved @ fit.covariance @ moved.T)
+        """Transform a fit on the sensor to the view."""
+        return self._map_fit(fit, inverse=False)
 
     def fit_out(self, fit: Fit) -> Fit:
-        """A fit in the view, as it is on the sensor; the inverse of `fit_in`."""
-        if self == CAMERA:
-            return fit
-        moved = _linear(self, inverse=True)[: len(fit.vector), : len(fit.vector)]
-        return replace(fit, vector=self._vector_out(fit.vector), covariance=moved @ fit.covariance @ moved.T)
+        """Transform a fit in the view to the sensor; the inverse of `fit_in`."""
+        return self._map_fit(fit, inverse=True)
 
     def pose_in(self, pose: Pose) -> Pose:
-        """A pose on the sensor, as it is in the view."""
-        return pose if self == CAMERA else Pose.from_vector(self._vector_in(pose.full_vector()))
+        """Transform a pose on the sensor to the view."""
+        return pose if self == CAMERA else Pose.from_vector(self._map(pose.full_vector(), inverse=False))
 
     def pose_out(self, pose: Pose) -> Pose:
-        """A pose in the view, as it is on the sensor; the inverse of `pose_in`."""
-        return pose if self == CAMERA else Pose.from_vector(self._vector_out(pose.full_vector()))
+        """Transform a pose in the view to the sensor; the inverse of `pose_in`."""
+        return pose if self == CAMERA else Pose.from_vector(self._map(pose.full_vector(), inverse=True))
 
     def motion_in(self, motion: tuple[float, float]) -> tuple[float, float]:
-        """A motion on the sensor, as it is in the view."""
+        """Transform a motion on the sensor to the view."""
         x, y = _linear(self)[:2, :2] @ motion
         return float(x), float(y)
 
     def motion_out(self, motion: tuple[float, float]) -> tuple[float, float]:
-        """A motion in the view, as it is on the sensor; the inverse of `motion_in`."""
+        """Transform a motion in the view to the sensor; the inverse of `motion_in`."""
         x, y = _linear(self, inverse=True)[:2, :2] @ motion
         return float(x), float(y)
 
-    def _vector_in(self, pose: Floats) -> Floats:
-        """A pose vector on the sensor, (5,) or (7,), as it is in the view."""
-        vector = _linear(self)[: len(pose), : len(pose)] @ pose
-        vector[2] -= self.level * log(2)
-        vector[4] = log(reduced_blur(exp(pose[4]), self.level))
-        return vector
+    def _map_fit(self, fit: Fit, inverse: bool) -> Fit:
+        if self == CAMERA:
+            return fit
+        linear = _linear(self, inverse)[: len(fit.vector), : len(fit.vector)]
+        return replace(fit, vector=self._map(fit.vector, inverse), covariance=linear @ fit.covariance @ linear.T)
 
-    def _vector_out(self, pose: Floats) -> Floats:
-        """A pose vector in the view, (5,) or (7,), as it is on the sensor."""
-        vector = _linear(self, inverse=True)[: len(pose), : len(pose)] @ pose
-        vector[2] += self.level * log(2)
-        vector[4] = log(_enlarged_blur(exp(pose[4]), self.level))
+    def _map(self, pose: Floats, inverse: bool) -> Floats:
+        """Map a pose vector, (5,) or (7,), from the sensor to the view, or back."""
+        vector = _linear(self, inverse)[: len(pose), : len(pose)] @ pose
+        vector[2] += (1 if inverse else -1) * self.level * log(2)
+        vector[4] = log((_enlarged_blur if inverse else reduced_blur)(exp(pose[4]), self.level))
         return vector
 
 
 CAMERA = View()
-"""The camera's own: frames as they are."""
 
 
-@lru_cache  # there are few views
+@lru_cache
 def _linear(view: View, inverse: bool = False) -> Floats:
-    """Linear part of the map of pose vectors into a view, or back, (7, 7)."""
+    """Linear part of the map of pose vectors to a view, or back, (7, 7)."""
     back = view.orientation.matrix.T
     out = np.eye(7)
-    # LED -> sensor is c + A, in the view it is M^T c + M^T A M: M^T R(w) M = R(det M w), M^T S M by its entries
+    # LED -> sensor is c + A, LED -> view is M^T c + M^T A M: M^T R(w) M = R(det M w), M^T S M by elements
     out[:2, :2] = back / 2**view.level
     out[3, 3] = np.linalg.det(back)
     for column, form in ((5, np.diag([1.0, -1.0])), (6, np.array([[0.0, 1.0], [1.0, 0.0]]))):
@@ -143,7 +118,7 @@ def _linear(view: View, inverse: bool = False) -> Floats:
 
 
 def halved(frame: Frame) -> Frame:
-    """A frame on the next level of the pyramid."""
+    """Reduce a frame to the next level of the pyramid."""
     x, y = frame.origin
     pixels = frame.pixels[y % 2 :, x % 2 :]
     reduced: Pixels = cv2.pyrDown(np.ascontiguousarray(pixels))  # type: ignore[assignment]
@@ -151,19 +126,18 @@ def halved(frame: Frame) -> Frame:
 
 
 def reduced_blur(blur: float, level: int) -> float:
-    """Blur in px of a level."""
-    added = (4**level - 1) / 3
-    return sqrt((blur**2 + PIXEL_VARIANCE_PX2 + added) / 4**level - PIXEL_VARIANCE_PX2)
+    """Blur in px on a level, from the blur on the sensor."""
+    # 1/12 is the variance of a pixel's width, (4^k - 1) / 3 of the smoothing
+    return sqrt((blur**2 + 1 / 12 + (4**level - 1) / 3) / 4**level - 1 / 12)
 
 
 def _enlarged_blur(blur: float, level: int) -> float:
-    """Blur on the sensor in px, of that on a level."""
-    added = (4**level - 1) / 3
-    return sqrt(max(4**level * (blur**2 + PIXEL_VARIANCE_PX2) - added - PIXEL_VARIANCE_PX2, LEAST_BLUR_PX**2))
+    """Blur in px on the sensor, from the blur on a level; below 0.2 px it is the error of the fit."""
+    return sqrt(max(4**level * (blur**2 + 1 / 12) - (4**level - 1) / 3 - 1 / 12, 0.2**2))
 
 
 def _part(frame: Frame, window: Window, grid: int) -> Frame:
-    """The part of a frame in a window, from a multiple of a grid on; at least a pixel of the grid."""
+    """Crop a frame to a window that begins at a multiple of a grid and holds a grid pixel at least."""
     x0, y0, width, height = window
     (left, top), (rows, columns) = frame.origin, frame.pixels.shape
     x = min(max(x0 // grid * grid - left, 0), max(columns - 2 * grid, 0))
@@ -173,7 +147,7 @@ def _part(frame: Frame, window: Window, grid: int) -> Frame:
 
 
 def _upright(frame: Frame, orientation: Orientation) -> Frame:
-    """A frame turned about the place (0, 0) of the sensor."""
+    """Turn a frame upright about the position (0, 0) of the sensor."""
     rows, columns = frame.pixels.shape
     corners = np.array([[0, 0], [columns - 1, rows - 1]]) + frame.origin
     x, y = (corners @ orientation.matrix).min(0)  # M^T of each

@@ -1,1 +1,1 @@
-"""What a pair of frames shows of its symbols: cut-outs, their noise, and sufficient statistics."""
+"""Observation of the symbols in a pair of frames: cut-outs, noise and sufficient statistics."""

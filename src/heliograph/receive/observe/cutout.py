@@ -1,4 +1,4 @@
-"""Cut-outs: pairs of frames about the array, kept until their packet is whole."""
+"""Cut-outs: pairs of frames cropped to the array."""
 
 from dataclasses import dataclass, replace
 from math import hypot
@@ -6,76 +6,59 @@ from math import hypot
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.geometry import kernels as image_kernels
-from heliograph.receive.geometry.footprint import by_squares, footprints
+from heliograph.receive.geometry.footprint import by_squares, footprints, render_with_slopes
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, covered, cut_out, window_around
-from heliograph.receive.observe import kernels as noise_kernels
+from heliograph.receive.observe import kernels
 from heliograph.receive.sync.combine import Combination
 from heliograph.receive.sync.pairing import FramePair
 
-RING_PX = 2.0
-"""Pixels beyond the rim whose difference shows what changes in the background."""
-
-APART_PX = 0.25
-"""Motion in px from one frame to the other above which one wider Gaussian does not stand for both.
-
-At 0.3 px it makes an error of 6e-4 in G, at 0.6 px of 2e-2, at 1.1 px, as in a pothole, of 0.15. A G of both frames
-takes twenty times as long.
-"""
-
-
-ALL_SHOWN = np.ones(0)
-"""Stands for factors of 1 on all columns, rows or LEDs."""
+RING_PX = 2.0  # pixels beyond the rim, where the difference shows changes of the background
 
 
 @dataclass(frozen=True, slots=True)
 class Cutout:
-    """A pair of frames about the array, a single frame of data without inverses, or what is left of a pair."""
+    """A pair of frames cropped to the array, a single frame of data without inverses, or the rest of a pair."""
 
-    # Sum of pattern and inverse in gray levels, (rows, columns); of a single frame twice what it shows above the
-    # background
+    # Sum of pattern and inverse in gray levels, (rows, columns); for a single frame twice the frame less the background
     total: Floats
-    # Pattern less inverse, (rows, columns); of a single frame the same as `total`
+    # Pattern less inverse, (rows, columns); for a single frame the same as `total`
     difference: Floats
     # (x, y) on the sensor of the first pixel
     corner: tuple[int, int]
-    # Where the data's light was in each frame, at the middle of the exposure or about it; one or two
+    # Pose of the data's light in each frame, near the middle of the exposure; one or two
     poses: tuple[Pose, ...]
-    # Of a single frame, where the light of the levels' mean was, which is earlier; None of a pair
+    # For a single frame, the pose of the light of the levels' mean, which is earlier; None for a pair
     mean_light_pose: Pose | None = None
-    # How the pair was combined; None for two frames in step
+    # Combination of frames; None for two synchronous frames
     combination: Combination | None = None
-    # 1 for columns (columns,) and rows (rows,) that all frames have, 0 for those that repeat a frame's border; None if
-    # the frames have all
+    # 1 for columns (columns,) and rows (rows,) inside all frames, 0 outside; None if all are inside
     covered: tuple[Floats, Floats] | None = None
     # Variance of a pixel of the difference, in units of that of a difference of two frames; above 0
     noise: float = 1.0
-    # (n, n) 1 for LEDs in sight, 0 for those that something hides; None if all are in sight
+    # (n, n) 1 for visible LEDs, 0 for occluded LEDs; None if all are visible
     in_sight: Floats | None = None
-    # Gray levels of the sum of a pair with all LEDs on, and (n, n) gains of these, by which `steady` takes the moving
-    # background off; None where that is done, or not to be done
+    # Gray levels of the sum of a pair with all LEDs on, and (n, n) gains, for the background that `steady` subtracts;
+    # None if not needed
     background: tuple[float, Floats] | None = None
 
     @property
     def steady(self) -> "Cutout":
-        """The cut-out without the background's light that moves with the array, as `motion_compensated` takes it off.
-
-        That takes as long as to follow the array, and LEDs that are read one by one need none of it.
-        """
+        """The cut-out after motion compensation, which reading single LEDs does not need and is slow."""
         if self.background is None:
             return self
         return replace(self.motion_compensated(*self.background), background=None)
 
     @property
     def apart(self) -> bool:
-        """Whether the array moves farther than `APART_PX` from one frame to the other."""
+        """True if the array moves too far between the frames for a wider Gaussian to stand for both."""
         first, last = self.poses[0], self.poses[-1]
-        return hypot(last.x - first.x, last.y - first.y) > APART_PX
+        # at 0.3 px the error of G is 6e-4, at 0.6 px 2e-2; two images take twenty times as long
+        return hypot(last.x - first.x, last.y - first.y) > 0.25
 
     @property
     def middle(self) -> Pose:
-        """The pose between the two; of one its own."""
+        """The pose between two, or the only pose."""
         return self.poses[0] if len(self.poses) == 1 else Pose.midway(self.poses[0], self.poses[-1])
 
     @property
@@ -84,18 +67,21 @@ class Cutout:
         rows, cols = self.difference.shape
         return rows, cols
 
+    @property
+    def factors(self) -> tuple[Floats, Floats]:
+        """Factors of columns and rows, `covered`, or empty arrays for factors of 1."""
+        return self.covered or (np.ones(0), np.ones(0))
+
     def shining(self, led_gains: Floats) -> Floats:
-        """Gains of LEDs (n, n), 0 where something hides them."""
+        """Gains of LEDs (n, n), 0 for occluded LEDs."""
         return led_gains if self.in_sight is None else led_gains * self.in_sight
 
     def slopes(self, levels: Floats) -> Floats:
         """Derivatives of the image of LEDs by x, y, ln pitch and roll, (4, rows, columns)."""
-        image = np.empty((6, *self.shape))
-        image_kernels.render(self.middle.full_vector(), levels, float(self.corner[0]), float(self.corner[1]), image)
-        return image[1:5]
+        return render_with_slopes(self.middle, levels, self.corner, self.shape)[1:5]
 
     def motion_compensated(self, gain: float, led_gains: Floats) -> "Cutout":
-        """Take off the background's light that does not cancel because it moves with the array between the frames."""
+        """Subtract the light of the background that does not cancel because the array moves between the frames."""
         if len(self.poses) != 2 or self.combination is not None:
             return self
         first, second = self.poses
@@ -103,13 +89,13 @@ class Cutout:
         # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b, b = (r + r' - g (A_1 + A_2) 1 / 2) / 2
         steady, shining = np.empty_like(self.difference), by_squares(self.shining(led_gains))
         x, y = second.x - first.x, second.y - first.y
-        noise_kernels.motion_compensated(
+        kernels.compensate_motion(
             self.difference, self.total, (*ends[0],), (*ends[1],), shining, 0.5 * gain, x, y, steady
         )
         return replace(self, difference=steady)
 
     def moved(self, error: Floats) -> "Cutout":
-        """Correct its poses by an error that all of them have."""
+        """Correct all poses by an error of x, y, ln pitch and roll."""
         step = np.append(error, np.zeros(3))
         return replace(self, poses=tuple(Pose.from_vector(pose.full_vector() + step) for pose in self.poses))
 
@@ -117,7 +103,7 @@ class Cutout:
 def take_cutout(
     pair: FramePair, poses: tuple[Pose, Pose], side: int, background: tuple[float, Floats] | None = None
 ) -> Cutout:
-    """Cut a pair of frames out."""
+    """Crop a pair of frames to the array."""
     frames, window = (pair.pattern, pair.inverted), window_around(Pose.midway(*poses), side, RIM_PX + RING_PX)
     up, down = (cut_out(frame, window) for frame in frames)
     corner = window[0], window[1]

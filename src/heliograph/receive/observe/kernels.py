@@ -1,13 +1,9 @@
-"""Hot loops of what pairs show of their symbols; `reference.py` says the same with whole matrices.
+"""Compiled kernels of observations: symbols' images, noise weights, and the background of pairs.
 
-Symbols come in the order in which `PacketFormat.split` gives them: the quarters D11, D12, D21 and D22 of the data
-matrix, row by row. The four symbols of equal place in their quarters are the Haar transform of one square of 2 x 2
-LEDs, so the transform of a matrix of LEDs goes square by square. LEDs come in the order of `image.kernels.footprints`.
-
-Hot loops of what pairs show of the background and of noise; `reference.py` says the same with whole matrices.
-
-Pixels are weighted by the noise that each has. What moves behind the array, what changes beside it and how unevenly it
-shines is told from the pairs themselves.
+Symbols come in the order of `PacketFormat.split`: the quarters D11, D12, D21 and D22 of the data matrix, row by row.
+Four symbols at the same position in the quarters are the Haar transform of a square of 2 x 2 LEDs, so the kernels
+transform square by square. LEDs come in the order of `geometry.kernels.footprints`.
+`tests/oracles/observe_oracle.py` states the same with full matrices.
 """
 
 import math
@@ -16,18 +12,19 @@ import numpy as np
 
 from heliograph.base.arrays import RCOND
 from heliograph.base.compiled import compiled
+from heliograph.receive.geometry.kernels import add_image
 
 
 @compiled(inline="always")
 def _haar(a, b, c, d):
-    """A square of LEDs (0, 0), (0, 1), (1, 0), (1, 1) to its four symbols: 1/4 H t H^T."""
-    q = np.float32(0.25)  # which leaves the sums in their own precision
+    """Transform a square of LEDs (0, 0), (0, 1), (1, 0), (1, 1) to four symbols: 1/4 H t H^T."""
+    q = np.float32(0.25)  # float32 keeps the precision of the sums
     return q * (a + b + c + d), q * (a - b + c - d), q * (a + b - c - d), q * (a - b - c + d)
 
 
 @compiled()
 def correlate(image, across, down, first, out):
-    """B^T image: correlation of an image with that of each symbol."""
+    """Correlate an image with the image of each symbol: B^T image."""
     squares, width = across.shape[0] // 4, across.shape[1]
     rows, cols = image.shape
     led = np.empty(4)
@@ -45,10 +42,10 @@ def correlate(image, across, down, first, out):
 
 
 @compiled()
-def seen_by_symbols(difference, offset, root, first, last, matched, shown):
-    """What a whitened pair shows of its symbols: B^T d and B^T o, B being the mean of two frames."""
+def match_symbols(difference, offset, root, first, last, matched, offset_matched):
+    """Compute B^T d and B^T o of a whitened pair, B being the mean of two frames, and the inner products of d and o."""
     other = np.empty_like(matched)
-    for image, out in ((difference, matched), (offset, shown)):
+    for image, out in ((difference, matched), (offset, offset_matched)):
         correlate(image, first[0], first[1], first[2], out)
         correlate(image, last[0], last[1], last[2], other)
         for k in range(out.shape[0]):
@@ -64,7 +61,7 @@ def seen_by_symbols(difference, offset, root, first, last, matched, shown):
 
 @compiled()
 def correlate_all(images, across, down, first, out):
-    """`correlate` of many images at once."""
+    """Correlate many images, (rows, columns, images), with the image of each symbol."""
     squares, width = across.shape[0] // 4, across.shape[1]
     rows, cols, count = images.shape
     led, line = np.empty((4, count)), np.empty(count)
@@ -87,7 +84,7 @@ def correlate_all(images, across, down, first, out):
 
 @compiled()
 def leds_of(symbols):
-    """Levels of LEDs about their mean, (n n,): t = 1/4 H^T D H."""
+    """Transform symbols to levels of LEDs about the mean, (n n,): t = 1/4 H^T D H."""
     squares = symbols.shape[0] // 4
     out = np.empty(4 * squares)
     for q in range(squares):
@@ -98,7 +95,7 @@ def leds_of(symbols):
 
 @compiled()
 def symbols_of(leds):
-    """Symbols of LEDs, (n n,), the inverse of `leds_of`: D = H t H^T."""
+    """Transform LEDs to symbols, (n n,), the inverse of `leds_of`: D = H t H^T."""
     squares = leds.shape[0] // 4
     out = np.empty(4 * squares)
     for q in range(squares):
@@ -109,7 +106,7 @@ def symbols_of(leds):
 
 @compiled()
 def spread(light, first, out):
-    """Write LEDs' light by column or by row at its place, LEDs of equal place in their squares together."""
+    """Expand the light of LEDs by column or by row to the window; LEDs at the same position of squares are adjacent."""
     squares = light.shape[0] // 4
     out[:] = 0.0
     for k in range(light.shape[0]):
@@ -120,7 +117,7 @@ def spread(light, first, out):
 
 @compiled()
 def gram(across, down, out):
-    """B^T B of the symbols: <led_i, led_j> = <across_i, across_j> <down_i, down_j>, Haar transformed on both sides."""
+    """Compute B^T B: <led_i, led_j> = <across_i, across_j> <down_i, down_j>, Haar transformed on both sides."""
     squares = across.shape[0] // 4
     for i in range(across.shape[0]):
         x, y, row = across[i], down[i], out[i]
@@ -135,7 +132,7 @@ def gram(across, down, out):
 
 @compiled()
 def add_light(across, down, first, out):
-    """Add B, the light of each symbol on each pixel."""
+    """Add B, the light of each symbol on each pixel, (rows, columns, symbols)."""
     rows, cols, count = out.shape
     squares, width = count // 4, across.shape[1]
     for n in range(count):
@@ -153,7 +150,7 @@ def add_light(across, down, first, out):
 
 @compiled()
 def add_information(gram, levels, weight, out):
-    """Add what a pair says of its LEDs' light: weight l_i l_j <led_i, led_j>, with 16 T G T^T = <led_i, led_j>."""
+    """Add a pair's information on the LEDs: weight l_i l_j <led_i, led_j>, with 16 T G T^T = <led_i, led_j>."""
     squares, count = gram.shape[0] // 4, gram.shape[0]
     rows = np.empty((4, count), np.float32)
     for p in range(squares):
@@ -161,22 +158,19 @@ def add_information(gram, levels, weight, out):
         for j in range(count):
             rows[0, j], rows[1, j], rows[2, j], rows[3, j] = _haar(a[j], b[j], c[j], d[j])
         for k in range(4):
-            row, one, scale = rows[k], out[4 * p + k], 16 * weight * levels[4 * p + k]
+            row, into, scale = rows[k], out[4 * p + k], 16 * weight * levels[4 * p + k]
             for q in range(squares):
                 x, y, z, w = _haar(row[q], row[squares + q], row[2 * squares + q], row[3 * squares + q])
                 m = 4 * q
-                one[m] += scale * levels[m] * x
-                one[m + 1] += scale * levels[m + 1] * y
-                one[m + 2] += scale * levels[m + 2] * z
-                one[m + 3] += scale * levels[m + 3] * w
+                into[m] += scale * levels[m] * x
+                into[m + 1] += scale * levels[m + 1] * y
+                into[m + 2] += scale * levels[m + 2] * z
+                into[m + 3] += scale * levels[m + 3] * w
 
 
 @compiled()
 def weight_roots(light, first, lit, dark, ring, out):
-    """Roots of the weights of a window's columns or rows, W = lit / s^2 with s^2 = dark + (lit - dark) f.
-
-    f is the light of all LEDs together, 0 to 1.
-    """
+    """Compute roots of weights of columns or rows, W = lit / s^2, s^2 = dark + (lit - dark) f, f the light 0 to 1."""
     out[:] = 0.0
     for k in range(light.shape[0]):
         for i in range(max(0, -first[k]), min(light.shape[1], out.shape[0] - first[k])):
@@ -189,8 +183,8 @@ def weight_roots(light, first, lit, dark, ring, out):
 
 
 @compiled()
-def whitened(lit, dark, ring, faded, covered_x, covered_y, gains, levels, difference, middle, first, last, out):
-    """Divide a pair's pixels, and the light that LEDs give them, by the roots of their noise."""
+def whiten(lit, dark, ring, faded, covered_x, covered_y, gains, levels, difference, middle, first, last, out):
+    """Divide the pixels of a pair, and the light of the LEDs on each pixel, by the standard deviation of the noise."""
     root, white, offset, middle_x, middle_y, first_x, first_y, last_x, last_y = out
     rows, cols = difference.shape
     columns, lines = np.empty(cols), np.empty(rows)
@@ -208,16 +202,16 @@ def whitened(lit, dark, ring, faded, covered_x, covered_y, gains, levels, differ
             root[i, j] = lines[i] * columns[j]
             white[i, j] = root[i, j] * difference[i, j]
             offset[i, j] = 0.0
-    # o = l_1 A_1 1 - l_2 A_2 1, none at all where nothing moves
-    other = np.zeros((rows, cols))
-    _add_all_on(first_x, first_y, first[2], levels[0], offset)
-    _add_all_on(last_x, last_y, last[2], levels[1], other)
+    # o = l_1 A_1 1 - l_2 A_2 1, exactly 0 for an array at rest
+    other, leds = np.zeros((rows, cols)), np.ones(first_x.shape[0])
+    add_image(levels[0] * leds, first_x, first_y, first[2], offset)
+    add_image(levels[1] * leds, last_x, last_y, last[2], other)
     offset -= other
 
 
 @compiled()
 def _weighted(light, columns, lines, gains, across, down):
-    """Footprints times the root of each pixel's weight, and times the LEDs' gains."""
+    """Multiply footprints by the root of each pixel's weight and by the gains of the LEDs."""
     x, y, first = light
     for k in range(x.shape[0]):
         gain = gains[k] if gains.shape[0] else 1.0
@@ -228,38 +222,25 @@ def _weighted(light, columns, lines, gains, across, down):
 
 
 @compiled()
-def _add_all_on(across, down, first, level, out):
-    """Add the image of all LEDs at one level."""
-    rows, cols = out.shape
-    width = across.shape[1]
-    for n in range(across.shape[0]):
-        x, y = first[n, 0], first[n, 1]
-        for i in range(max(0, -y), min(width, rows - y)):
-            w = level * down[n, i]
-            for j in range(max(0, -x), min(width, cols - x)):
-                out[y + i, x + j] += w * across[n, j]
-
-
-@compiled()
-def power_beside(difference, light, least):
-    """Sum of the squares of a difference beside the array, and the number of pixels there."""
-    whole, power, count = np.zeros(difference.shape), 0.0, 0
-    _add_all_on(light[0], light[1], light[2], 1.0, whole)
-    for i in range(whole.shape[0]):
-        for j in range(whole.shape[1]):
-            if whole[i, j] < least:
+def measure_background(difference, light, max_light):
+    """Sum the squares of a difference in pixels with little light of the array, and count the pixels."""
+    lit, power, count = np.zeros(difference.shape), 0.0, 0
+    add_image(np.ones(light[0].shape[0]), light[0], light[1], light[2], lit)
+    for i in range(lit.shape[0]):
+        for j in range(lit.shape[1]):
+            if lit[i, j] < max_light:
                 power += difference[i, j] ** 2
                 count += 1
     return power, count
 
 
 @compiled()
-def motion_compensated(difference, total, first, last, gains, gain, x, y, out):
-    """Difference of a pair less (x, y) . grad b, b = (total - gain (A_1 + A_2) w) / 2 the background."""
+def compensate_motion(difference, total, first, last, gains, gain, x, y, out):
+    """Subtract (x, y) . grad b from a difference, b = (total - gain (A_1 + A_2) w) / 2 being the background."""
     rows, cols = out.shape
     behind = total.copy()
-    _add_leds(first, gains, -gain, behind)
-    _add_leds(last, gains, -gain, behind)
+    add_image(-gain * gains, first[0], first[1], first[2], behind)
+    add_image(-gain * gains, last[0], last[1], last[2], behind)
     for i in range(rows):
         up, low = max(i - 1, 0), min(i + 1, rows - 1)
         for j in range(cols):
@@ -269,38 +250,24 @@ def motion_compensated(difference, total, first, last, gains, gain, x, y, out):
 
 
 @compiled()
-def unevenness(total, first, last, gains, in_sight, covered_x, covered_y, inside, out):
-    """Residual of a pair's sum about the array's light and a plane; see `uneven`."""
+def measure_unevenness(total, first, last, gains, in_sight, covered_x, covered_y, inside, out):
+    """Compute the residual of a pair's sum about the array's light and a plane in pixels inside the array."""
     rows, cols = total.shape
-    whole, lit, most = np.zeros((rows, cols)), np.zeros((rows, cols)), 0.0
-    _add_leds(first, in_sight, 1.0, whole)
-    _add_leds(first, gains, 0.5, lit)
-    _add_leds(last, gains, 0.5, lit)
+    visible, lit, brightest = np.zeros((rows, cols)), np.zeros((rows, cols)), 0.0
+    add_image(in_sight, first[0], first[1], first[2], visible)
+    add_image(0.5 * gains, first[0], first[1], first[2], lit)
+    add_image(0.5 * gains, last[0], last[1], last[2], lit)
     for i in range(rows):
         for j in range(cols):
             if covered_x.shape[0]:
-                whole[i, j] *= covered_x[j] * covered_y[i]
-            most = max(most, whole[i, j])
-    return uneven(total, lit, whole > inside * most, out)
+                visible[i, j] *= covered_x[j] * covered_y[i]
+            brightest = max(brightest, visible[i, j])
+    return fit_unevenness(total, lit, visible > inside * brightest, out)
 
 
 @compiled()
-def _add_leds(light, levels, factor, out):
-    """Add the image of LEDs at levels of their own, times a factor."""
-    across, down, first = light
-    rows, cols = out.shape
-    width = across.shape[1]
-    for n in range(across.shape[0]):
-        x, y = first[n, 0], first[n, 1]
-        for i in range(max(0, -y), min(width, rows - y)):
-            w = factor * levels[n] * down[n, i]
-            for j in range(max(0, -x), min(width, cols - x)):
-                out[y + i, x + j] += w * across[n, j]
-
-
-@compiled()
-def uneven(total, lit, inside, out):
-    """Residual of a sum about the array's light and a plane, (a, 1, x, y), by least squares on the pixels inside."""
+def fit_unevenness(total, lit, inside, out):
+    """Compute the residual of a sum about a plane and the array's light by least squares on the pixels inside."""
     rows, cols = total.shape
     count = 0
     for i in range(rows):
@@ -314,16 +281,16 @@ def uneven(total, lit, inside, out):
                 columns[0, n], columns[1, n], columns[2, n], columns[3, n] = 1.0, i, j, lit[i, j]
                 rest[n] = total[i, j]
                 n += 1
-    # Gram-Schmidt: each column less its part along those before it, and of the sum what none of them shows
+    # Gram-Schmidt: each column less the projections on earlier columns, and the sum less the projections on all
     for k in range(4):
         before = math.sqrt(_dot(columns[k], columns[k]))
         for earlier in range(k):
-            _take_off(columns[earlier], columns[k])
+            _project_out(columns[earlier], columns[k])
         length = math.sqrt(_dot(columns[k], columns[k]))
-        known = length > RCOND * before  # else it says what others said: light that is even all over
+        independent = length > RCOND * before  # False for light that is even in all pixels
         for n in range(count):
-            columns[k, n] = columns[k, n] / length if known else 0.0
-        _take_off(columns[k], rest)
+            columns[k, n] = columns[k, n] / length if independent else 0.0
+        _project_out(columns[k], rest)
     n = 0
     for i in range(rows):
         for j in range(cols):
@@ -342,8 +309,8 @@ def _dot(a, b):
 
 
 @compiled(inline="always")
-def _take_off(unit, values):
-    """What lies along a vector of length 1, or 0, taken off."""
+def _project_out(unit, values):
+    """Subtract the projection on a vector of length 1, or 0."""
     along = _dot(unit, values)
     for n in range(values.shape[0]):
         values[n] -= along * unit[n]

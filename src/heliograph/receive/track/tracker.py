@@ -186,7 +186,7 @@ class Tracker:
         images = np.empty((2, 6, *shape))
         for frame, image in zip((pair.pattern, pair.inverted), images, strict=True):
             pose = predicted.pose_at(frame.time_s)
-            kernels.render(pose.full_vector(), header, float(corner[0]), float(corner[1]), image)
+            kernels.render(pose.full_vector(), header, float(corner[0]), float(corner[1]), image, 0.0, 0.0)
         return np.asarray(0.5 * (images[0, 0] - images[1, 0]))
 
     def _smear(self, state: PoseState) -> tuple[float, float]:
