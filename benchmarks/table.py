@@ -12,6 +12,7 @@ import os
 import platform
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -346,7 +347,8 @@ def _commpy(k: int, rng: np.random.Generator) -> tuple[str, Call] | None:
 
 
 def _reference(llr: NDArray[np.float32]) -> None:
-    from tests.oracles import turbo as oracle
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "oracles"))
+    import turbo_oracle as oracle
 
     from heliograph.signal.turbo import DecoderOptions
     from heliograph.signal.turbo.qpp import interleaver

@@ -9,16 +9,19 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
-from tests.oracles import turbo as oracle
 
 from heliograph.signal.code import Algorithm
 from heliograph.signal.turbo import DecoderOptions, TurboCode
 from heliograph.signal.turbo.decoder import Stop
 from heliograph.signal.turbo.qpp import interleaver
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "oracles"))
+import turbo_oracle as oracle
 
 ITERATIONS = 8
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import turbo_oracle as reference
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import binom
-from tests.oracles import turbo as reference
 
 from heliograph.base.errors import SettingsError
 from heliograph.signal.code import Algorithm

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from tests.oracles.turbo import NEXT_STATE, PARITY
+from turbo_oracle import NEXT_STATE, PARITY
 
 from heliograph.base.errors import SettingsError
 from heliograph.signal.turbo import QPP_SIZES, TurboCode

@@ -85,15 +85,15 @@ class Journal:
         self._orientations[packet.identity] = str(packet.orientation)
         if packet.has_codeword:
             self._confirmed.add(packet.identity)
-        row = {"event": "packet", **packet_row(packet, self._confirmed), "approach_m_s": approach(way)}
+        row: dict[str, Any] = {"event": "packet", **packet_row(packet, self._confirmed), "approach_m_s": approach(way)}
         if packet.status != "ok":
             row["explanation"] = packet.explain()
         self._tell(row)
         for message in messages:
-            row = message_row(message)
-            self._tell(row)
-            if "road" in row:
-                self._lights[packet.identity].take(row["road"], packet.start_time_s)
+            said = message_row(message)
+            self._tell(said)
+            if "road" in said:
+                self._lights[packet.identity].take(said["road"], packet.start_time_s)
         lights = self._lights[packet.identity].at(packet.start_time_s)
         if lights:
             when = round(packet.start_time_s, 6)
