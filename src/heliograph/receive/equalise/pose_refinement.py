@@ -132,12 +132,13 @@ class ObservedPacket:
     ) -> "ObservedPacket":
         """Observe cut-outs at the tracked poses."""
         empty = cls([None] * len(cutouts), noise, form, led_gains, led_gains.brightness)
-        return replace(empty, pairs=[cutout and empty._observe(cutout, np.zeros(4)) for cutout in cutouts])
+        pairs = [None if cutout is None else empty._observe(cutout, np.zeros(4)) for cutout in cutouts]
+        return replace(empty, pairs=pairs)
 
     @property
     def statistics(self) -> Sequence[PairStatistics | None]:
         """Statistics of each pair; None without the array."""
-        return [pair and pair.statistics for pair in self.pairs]
+        return [None if pair is None else pair.statistics for pair in self.pairs]
 
     @property
     def moved_px(self) -> float:
