@@ -128,9 +128,9 @@ def test_what_headers_have_shown_stays_unless_other_leds_are_in_sight(mistaken: 
     reading = SoftReading(None, Decoding(), "propagation", True)
     parts = SoftParts(PacketFormat(signal, AGREED), Tracker(SIDE, MotionModel(1e-3, 0.02)), reading, ignore)
     reader = SoftReader(3, parts, before)
-    assert reader.taken().led_gains.seen is None  # type: ignore[union-attr]
+    assert reader.taken().led_gains.header_statistics is None  # type: ignore[union-attr]
     reader.learn(Lesson(LedGains(sound, replace(Brightness.equal(SIDE), values=values)), True).told)
     after = reader._led_gains
     assert after is not None
     assert np.array_equal(after.values, values)
-    assert after.seen is (None if mistaken else shown)
+    assert after.header_statistics is (None if mistaken else shown)
