@@ -29,7 +29,7 @@ def unequal(spread: float) -> Floats:
 def learnt(
     gains: Floats, known: int, before: Brightness | None = None, pulled: float = 0.0, blocks: int = 0
 ) -> Brightness:
-    """What a packet at 95 m shows of LEDs of such gains, the first symbols of each pair decoded, so many of them."""
+    """Estimate brightness from a packet at 95 m with the first `known` symbols of each pair decoded."""
     rng, symbols = np.random.default_rng([blocks, 1]), symbols_of(random_blocks(blocks))
     cutouts = []
     for x in haar.encode(FORM.join(symbols.astype(np.int8))) / 4.0:
@@ -48,13 +48,13 @@ def learnt(
 
 
 @pytest.mark.parametrize(("known", "left"), [(192, 0.16), (256, 0.08)])
-def test_unequal_leds_are_told(known: int, left: float) -> None:
-    """By all layers but the low one, and by all: eight pairs of one packet leave less of a spread of 0.2."""
+def test_brightness_of_unequal_leds_is_estimated(known: int, left: float) -> None:
+    """Eight pairs of a packet reduce a spread of 0.2, from the layers without the low layer, and from all."""
     gains = unequal(0.2)
     assert np.sqrt(np.mean((learnt(gains, known).values - gains) ** 2)) < left
 
 
-def test_dead_leds_are_told() -> None:
+def test_dead_leds_are_dark() -> None:
     gains = EQUAL.copy()
     gains.ravel()[np.random.default_rng(2).permutation(256)[:38]] = 0.0
     found = learnt(gains, 256).values
@@ -65,7 +65,7 @@ def test_dead_leds_are_told() -> None:
 
 @pytest.mark.parametrize(("known", "pulled"), [(64, 0.0), (256, 0.0), (64, 0.1), (256, 0.1), (256, 0.3)])
 def test_equal_leds_are_equal(known: int, pulled: float) -> None:
-    """Noise makes no difference of them, nor does a bright background that has pulled the poses."""
+    """Neither noise nor a bright background that has pulled the poses makes a difference."""
     assert (learnt(EQUAL, known, pulled=pulled).values == 1).all()
 
 
@@ -73,7 +73,7 @@ def test_packets_add_up_and_fade() -> None:
     gains = unequal(0.2)
     first = learnt(gains, 256)
     both = learnt(gains, 256, first, blocks=1)
-    errors = [np.sqrt(np.mean((one.values - gains) ** 2)) for one in (first, both)]
+    errors = [np.sqrt(np.mean((brightness.values - gains) ** 2)) for brightness in (first, both)]
     assert errors[1] < 0.85 * errors[0]
     assert both.information.sum(0).trace() > 1.8 * first.information.sum(0).trace()
     faded = both.faded()
@@ -81,35 +81,34 @@ def test_packets_add_up_and_fade() -> None:
     assert faded.information.sum(0).trace() == pytest.approx(0.9 * both.information.sum(0).trace())
 
 
-def test_what_readers_are_told_is_what_nothing_was_seen_of() -> None:
-    """Whoever is told the brightness alone begins to learn anew."""
+def test_learning_restarts_without_evidence() -> None:
     gains = unequal(0.2)
-    whole = learnt(gains, 256)
-    told = whole.without_evidence
-    assert np.array_equal(told.values, whole.values)
-    assert whole.information.any()
-    assert not told.information.size
-    assert not told.known
+    complete = learnt(gains, 256)
+    values_only = complete.without_evidence
+    assert np.array_equal(values_only.values, complete.values)
+    assert complete.information.any()
+    assert not values_only.information.size
+    assert not values_only.known
     assert not Brightness.equal(SIDE).known
-    assert not told.learnt
-    assert np.array_equal(told.faded().values, whole.values)
-    again = learnt(gains, 256, told)
+    assert not values_only.learnt
+    assert np.array_equal(values_only.faded().values, complete.values)
+    again = learnt(gains, 256, values_only)
     assert np.corrcoef(again.values.ravel(), gains.ravel())[0, 1] > 0.9
 
 
-def test_what_was_told_stays_where_no_pair_says_anything(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(*_: float) -> None:
+def test_brightness_stays_without_evidence_of_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: float) -> None:
         raise np.linalg.LinAlgError
 
-    told = learnt(unequal(0.2), 256).without_evidence
-    monkeypatch.setattr(DecodedPair, "without_nuisance", nothing)
-    after = learnt(unequal(0.2), 256, told)
-    assert np.array_equal(after.values, told.values)
-    # it counts, so that what shows nothing is not asked forever
+    values_only = learnt(unequal(0.2), 256).without_evidence
+    monkeypatch.setattr(DecodedPair, "without_nuisance", fail)
+    after = learnt(unequal(0.2), 256, values_only)
+    assert np.array_equal(after.values, values_only.values)
+    # the packet counts, so learning ends
     assert after.packets == 1
 
 
-def test_of_nothing_decoded_nothing_is_learnt() -> None:
+def test_undecoded_packets_teach_no_brightness() -> None:
     found = learnt(unequal(0.2), 0)
     assert (found.values == 1).all()
     assert not found.information.any()
@@ -117,7 +116,7 @@ def test_of_nothing_decoded_nothing_is_learnt() -> None:
 
 @pytest.mark.slow
 def test_the_low_layer_of_unequal_leds_is_read() -> None:
-    """With gains by headers alone it is lost in all packets."""
+    """With gains by headers only it is lost in all packets."""
     settings = link("receive.receiver=soft", distance_m=95.0, arrays=[{"x_m": 0.0, "y_m": 0.0, "spread": 0.2}])
     packets = list(receive_frames(film(settings, 301, roi_margin_px=24), settings.signal, settings.receive))
     assert [packet.status for packet in packets] == ["ok"] * 3

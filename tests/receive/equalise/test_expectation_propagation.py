@@ -1,4 +1,4 @@
-"""Expectation propagation, beside the exact probabilities of a few symbols."""
+"""Expectation propagation, compared with the exact probabilities of a few symbols."""
 
 from itertools import product
 
@@ -28,7 +28,7 @@ def exact(b: Floats, d: Floats, mean: Floats) -> Floats:
 
 
 def propagated(b: Floats, d: Floats, mean: Floats, iterations: int) -> Floats:
-    """E c by so many iterations."""
+    """E c after a number of iterations."""
     pair, propagation, llr = pair_of(b, d), ExpectationPropagation.begin((1, b.shape[1])), np.zeros_like(mean)
     for _ in range(iterations):
         priors = propagation.priors(mean[None], 1 - mean[None] ** 2)
@@ -36,14 +36,14 @@ def propagated(b: Floats, d: Floats, mean: Floats, iterations: int) -> Floats:
     return np.tanh(np.arctanh(mean) + 0.5 * llr)
 
 
-def test_of_symbols_that_do_not_overlap_it_is_exact() -> None:
+def test_propagation_is_exact_without_overlap() -> None:
     rng = np.random.default_rng(0)
     b, mean = np.diag(rng.uniform(0.2, 2, 6)), rng.uniform(-0.9, 0.9, 6)
     d = b @ rng.choice([-1.0, 1.0], 6) + rng.normal(size=6)
     assert propagated(b, d, mean, ITERATIONS) == pytest.approx(exact(b, d, mean), abs=2e-3)
 
 
-def test_it_comes_nearer_to_the_truth_where_symbols_overlap() -> None:
+def test_propagation_beats_linear_mmse_with_overlap() -> None:
     rng, gaussian, two_valued = np.random.default_rng(1), list[float](), list[float]()
     for _ in range(60):
         b, mean = rng.normal(0, 0.8, (7, 9)), np.zeros(9)
@@ -66,7 +66,7 @@ def test_decoded_symbols_keep_their_values() -> None:
     assert spread[0, 2] == pytest.approx(0.96)
 
 
-def test_cavities_that_were_dropped_leave_no_trace() -> None:
+def test_dropped_cavities_have_no_effect() -> None:
     rng = np.random.default_rng(2)
     b, mean, even = rng.normal(size=(6, 4)), np.zeros((1, 4)), np.ones((1, 4))
     propagation = ExpectationPropagation.begin((1, 4))
@@ -78,7 +78,7 @@ def test_cavities_that_were_dropped_leave_no_trace() -> None:
     assert np.allclose(spread, 1)
 
 
-def test_a_site_moves_by_seven_tenths_of_its_way() -> None:
+def test_site_moves_by_the_damping() -> None:
     """Site and cavity together shall have the moments of +-1; the cavity has precision 2 and mean 1/2."""
     propagation = ExpectationPropagation.begin((1, 1))
     # L L^T is the posterior precision, 2 of the cavity and 1 of the prior
@@ -93,8 +93,8 @@ def test_a_site_moves_by_seven_tenths_of_its_way() -> None:
     assert at[0, 0] / spread[0, 0] == pytest.approx(0.7 * weighted)
 
 
-def test_at_first_the_strongest_neighbours_are_drawn_from_two_values() -> None:
-    """That is more exact than taking all as Gaussian; later their sites know it."""
+def test_first_llr_sums_over_the_strongest_neighbours() -> None:
+    """This is more exact than Gaussian neighbours; later the sites hold the same knowledge."""
     rng = np.random.default_rng(3)
     b, d = rng.normal(0, 0.8, (7, 9)), rng.normal(size=7)
     propagation = ExpectationPropagation.begin((1, 9))

@@ -32,7 +32,7 @@ def learnt(
     seed: int = 4,
     in_sight: Floats = SOUND,
 ) -> LearntGains:
-    """What a header shows of LEDs of gains, where those that are stuck are lit in both frames; its gain is 200."""
+    """Learn gains from a header of gain 200; stuck LEDs are lit in both frames."""
     rng = np.random.default_rng(seed)
     frames = [
         shot(200 * draw(POSE, gains * (1 + sign * HEADER) / 2 + stuck, (0, 0), (60, 60)) + 20, k, rng)
@@ -43,7 +43,7 @@ def learnt(
 
 
 def failed() -> tuple[Floats, Floats]:
-    """Gains of an array of which one LED is dead, one stuck and a corner hidden; and where one is stuck."""
+    """Gains of an array with a dead LED, a stuck LED and a hidden corner; and the light of the stuck LED."""
     gains, stuck = SOUND.copy(), np.zeros((SIDE, SIDE))
     gains[2, 3] = gains[10, 12] = 0.0
     gains[12:, :4] = 0.0
@@ -53,46 +53,46 @@ def failed() -> tuple[Floats, Floats]:
 
 def test_failed_leds_are_found() -> None:
     gains, stuck = failed()
-    found = learnt(gains, stuck, 190.0)
-    assert found.changed
-    assert found.gain == pytest.approx(200, rel=0.02)
-    values = found.led_gains.values
+    result = learnt(gains, stuck, 190.0)
+    assert result.changed
+    assert result.gain == pytest.approx(200, rel=0.02)
+    values = result.led_gains.values
     assert values[gains == 0] == pytest.approx(0, abs=0.3)
     assert values[gains == 1].mean() > 0.99
 
 
-def test_of_an_array_that_is_hidden_nothing_is_learnt() -> None:
+def test_hidden_array_leaves_the_gains() -> None:
     before = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0).led_gains
-    found = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0, before, in_sight=np.zeros((SIDE, SIDE)))
-    assert found.led_gains is before
-    assert (found.gain, found.changed) == (190.0, False)
+    result = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0, before, in_sight=np.zeros((SIDE, SIDE)))
+    assert result.led_gains is before
+    assert (result.gain, result.changed) == (190.0, False)
 
 
 def test_sound_leds_are_sound() -> None:
-    found = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0)
-    assert not found.changed
-    assert (found.led_gains.values == 1).all()
+    result = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0)
+    assert not result.changed
+    assert (result.led_gains.values == 1).all()
 
 
 @pytest.mark.parametrize("factor", [0.3, 0.6, 1.6, 3.5])
 def test_gains_are_relative_to_the_median_led(factor: float) -> None:
-    """Whatever gain the array was thought to have: sound LEDs have 1, and the gain is theirs."""
+    """For any expected gain, sound LEDs have the gain 1, and the gain is that of sound LEDs."""
     gains, stuck = failed()
-    found = learnt(gains, stuck, factor * 200)
-    assert found.gain == pytest.approx(200, rel=0.06)
-    assert found.led_gains.values[gains == 1].min() > 0.9
-    assert found.led_gains.values[gains == 0].max() < 0.4
+    result = learnt(gains, stuck, factor * 200)
+    assert result.gain == pytest.approx(200, rel=0.06)
+    assert result.led_gains.values[gains == 1].min() > 0.9
+    assert result.led_gains.values[gains == 0].max() < 0.4
 
 
 def test_headers_add_up_and_fade() -> None:
-    """Statistics of later headers join those before; with each packet the earlier ones count for half."""
+    """Statistics of headers add up; with each packet earlier headers count half."""
     first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0).led_gains
     both = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, first, seed=5).led_gains
     assert first.header_statistics is not None
     assert both.header_statistics is not None
-    alone = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, seed=5).led_gains.header_statistics
-    assert alone is not None
-    assert both.header_statistics.matched == pytest.approx(first.header_statistics.matched + alone.matched)
+    single = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, seed=5).led_gains.header_statistics
+    assert single is not None
+    assert both.header_statistics.matched == pytest.approx(first.header_statistics.matched + single.matched)
     faded = both.faded()
     assert faded.header_statistics is not None
     assert np.array_equal(faded.values, both.values)
@@ -101,7 +101,7 @@ def test_headers_add_up_and_fade() -> None:
 
 
 def test_a_change_forgets_earlier_headers() -> None:
-    """The pose was found with a wrong image, so the pair is learnt from once more."""
+    """The pose came from a wrong image, so the pair is evaluated again."""
     gains, stuck = failed()
     first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0).led_gains
     # a header fewer stands against a new one, so that the failure shows at once
@@ -124,9 +124,9 @@ def test_a_pose_pulled_away_makes_no_led_dead(pulled: tuple[float, float], motio
         for k, (p, sign) in enumerate(zip(poses, (1, -1), strict=True))
     )
     wrong = poses[0].moved(*pulled), poses[1].moved(*pulled)
-    found = LedGains.sound(SIDE).learn(
+    result = LedGains.sound(SIDE).learn(
         take_cutout(FramePair(up, down), wrong, SIDE), header, 0.7 * 255, np.ones((SIDE, SIDE))
     )
-    assert not found.changed
-    assert found.led_gains.values.mean() > 0.99
-    assert found.led_gains.values.min() > (0.5 if motion else 0.99)
+    assert not result.changed
+    assert result.led_gains.values.mean() > 0.99
+    assert result.led_gains.values.min() > (0.5 if motion else 0.99)

@@ -93,13 +93,13 @@ def test_the_estimate_is_linear_mmse(distance_m: float, kind: str) -> None:
     assert not got.llr[~open_].any()
     trace = float(np.trace(b.T @ (w[:, None] * b) @ want.covariance))
     assert got.trace == pytest.approx(trace, rel=2e-3)
-    # and it is worth the name: most symbols of the layer that shows best are right
+    # most symbols of the best layer are right
     assert np.mean((got.llr > 0) == (symbols > 0), where=open_) > 0.6
 
 
 @pytest.mark.parametrize("kind", ["nothing", "something", "the high layer"])
-def test_the_extrinsic_gaussian_leaves_the_prior_out(kind: str) -> None:
-    """With its symbol's prior put back it is the posterior."""
+def test_extrinsic_gaussian_excludes_the_prior(kind: str) -> None:
+    """With the prior of the symbol it is the posterior."""
     mean, variance = priors(kind)
     pair = whiten(pair_at_rest(80).cutout, Noise(4.0, 4.0), SIDE).statistics()
     got = equalise(pair, GAIN, 4.0, mean, variance)
@@ -113,7 +113,7 @@ def test_the_extrinsic_gaussian_leaves_the_prior_out(kind: str) -> None:
     assert not weighted[known].any()
 
 
-def test_if_all_symbols_are_known_nothing_is_estimated() -> None:
+def test_known_symbols_are_not_estimated() -> None:
     symbols, pair = random_levels()[0], whiten(pair_at_rest(80).cutout, Noise(4.0, 4.0), SIDE).statistics()
     got = equalise(pair, GAIN, 4.0, symbols, np.zeros(SYMBOLS))
     assert np.array_equal(got.mean, symbols)
@@ -123,7 +123,7 @@ def test_if_all_symbols_are_known_nothing_is_estimated() -> None:
 
 
 @pytest.mark.parametrize(("variances", "unknown"), [((2e-3, 5e-4, 1.0), [0, 2]), ((9e-4, 9e-4, 0.0), [])])
-def test_a_variance_below_a_thousandth_is_none(variances: Sequence[float], unknown: list[int]) -> None:
+def test_symbol_of_small_variance_is_known(variances: Sequence[float], unknown: list[int]) -> None:
     rng = np.random.default_rng(7)
     b, d = rng.normal(size=(9, 3)), rng.normal(size=9)
     got = equalise(by_matrices(b, d, np.zeros(9)), 1.0, 1.0, np.array([0.1, -1.0, 0.2]), np.array(variances))

@@ -1,4 +1,4 @@
-"""Polarities of the single mode, decided softly: messages between data and symbols, beside exact sums."""
+"""Soft decisions on polarities of the single mode, compared with exact sums."""
 
 from itertools import product
 
@@ -19,7 +19,7 @@ SMALL = PacketFormat(SignalSettings(side=8, data_pairs=21), Format(mode="single"
 def by_hand(llr: Floats, mean: Floats) -> tuple[Floats, Floats]:
     """A row of 4 symbols, polarity first: LLRs of its data and priors of its symbols, over all polarities and data.
 
-    Each message leaves its own symbol's, or datum's, part out.
+    Messages are extrinsic.
     """
 
     def odds(symbol: int | None, datum: int | None) -> Floats:
@@ -55,7 +55,7 @@ def test_messages_are_those_of_exact_sums() -> None:
         assert high[pattern, row] == pytest.approx(expected, abs=1e-9)
         assert mean[pattern, :16].reshape(4, 4)[row] == pytest.approx(prior, abs=1e-9)
     assert variance[:, :16] == pytest.approx(1 - mean[:, :16] ** 2, abs=1e-9)
-    # row 0 has no polarity: symbols are data, and its first symbol carries nothing
+    # row 0 has no polarity: symbols are data, and the first symbol carries no datum
     assert high[:, 0] == pytest.approx(llr[:, 1:4])
     assert mean[:, 1:4] == pytest.approx(means[0][:, :3])
     assert np.all(mean[:, 0] == 0)

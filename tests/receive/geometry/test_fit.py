@@ -69,7 +69,7 @@ def bound(pose: Pose, weights: Floats, sigma: float) -> Floats:
 def test_clean_image_gives_the_pose(distance_m: float, kind: str) -> None:
     rng, pose = np.random.default_rng(3), Pose(40.37, 31.81, pitch_at(distance_m), 0.015, 0.55)
     found = fit(pixels(pose, PATTERNS[kind]), pose, PATTERNS[kind], start(pose, rng))
-    # what is left is the light cut at 4 standard deviations and the prior's pull
+    # the rest is by the light beyond 4 standard deviations and by the prior
     assert np.abs(error(found, pose))[:2].max() < 1e-3
     assert abs(error(found, pose)[2]) < 5e-3
     assert found.score > 0.9999
@@ -128,7 +128,7 @@ def test_a_header_shows_the_tilt() -> None:
     prior = Prior(np.append(start(pose, rng).vector, [0.0, 0.0]), np.diag([1.0, 1.0, 0.1, 0.1, 0.3, 0.1, 0.1]) ** 2)
     found = fit(pixels(pose, HEADER), pose, HEADER, prior)
     assert found.vector == pytest.approx(pose.full_vector(), abs=2e-3)
-    # it is held where the prior has no room for it
+    # a prior without tilt fixes the tilt
     held = fit(pixels(pose, HEADER), pose, HEADER, Prior(pose.full_vector() + 0.01, BROAD))
     assert held.vector[5:] == pytest.approx(pose.full_vector()[5:] + 0.01)
     assert len(held.covariance) == 5
@@ -148,23 +148,23 @@ def test_a_light_that_is_not_as_expected_does_not_end_the_fit_early(distance_m: 
 
 @pytest.mark.parametrize("panel", [False, True])
 def test_with_the_gain_expected_the_first_step_comes_near(panel: bool) -> None:
-    """Beside an array that is a little off, only the expected gain tells how bright its image is."""
+    """With a pose that is a little off, only the expected gain gives the brightness of the image."""
     pose = Pose(40.37, 31.81, pitch_at(60), 0.0, 0.55)
     off = np.array([0.2, -0.15, 0.005, 0.0, 0.02])
     prior = Prior(pose.vector() + off, np.diag([0.5, 0.5, 0.02, 0.02, 0.1]) ** 2, GAIN)
     found = fit_array(pixels(pose, ALL_ON), window(pose)[0], prior, ALL_ON, 1, panel=panel)
-    # what is left is of the second order in the step
+    # the rest is of the second order in the step
     assert np.abs(error(found, pose))[:2].max() < 0.1 * 0.2
     assert found.gain == pytest.approx(GAIN, rel=0.02)
 
 
-def test_score_of_nothing_is_low() -> None:
+def test_score_without_an_array_is_low() -> None:
     rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
     noise = rng.normal(LEVEL, 2.5, window(pose)[1])
     assert abs(fit(noise, pose, HEADER, start(pose, rng)).score) < 0.5
 
 
-def test_the_prior_holds_where_nothing_is_seen() -> None:
+def test_prior_holds_without_an_array() -> None:
     rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
     sharp = Prior(pose.vector(), 1e-6 * np.eye(5), GAIN)
     found = fit_array(rng.normal(LEVEL, 2.5, window(pose)[1]), window(pose)[0], sharp, ALL_ON, 5)
@@ -178,7 +178,7 @@ def test_any_pose_is_found_within_its_covariance(seed: int) -> None:
     # x, y, pitch, roll, blur, stretch and shear
     low, high = (39, 30, 0.5, -3, 0.4, -0.1, -0.1), (41, 32, 2.5, 3, 1.0, 0.1, 0.1)
     pose = Pose(*rng.uniform(low, high).tolist())
-    # nearer than a fifth of a pitch anywhere, else LEDs that show singly are taken for their neighbours
+    # below a fifth of a pitch, so that single LEDs do not match the neighbours
     spread = np.array([0.07 * pose.pitch, 0.07 * pose.pitch, 0.007, 0.007, 0.1, 0.007, 0.007])
     prior = Prior(pose.full_vector() + rng.normal(0, spread), np.diag(spread**2))
     clean = pixels(pose, PATTERNS[kind])
@@ -190,7 +190,7 @@ def test_any_pose_is_found_within_its_covariance(seed: int) -> None:
 
 
 def test_the_covariance_is_as_true_with_few_pixels_as_with_many() -> None:
-    """Of 49 pixels nine parameters are fitted: what is left of the noise is that of 40."""
+    """A fit of nine parameters to 49 pixels leaves the noise of 40."""
     rng, pose, sigma = np.random.default_rng(9), Pose(40.1, 30.9, pitch_at(150), 0.0, 0.55), 2.5
     ratios = []
     for corner, shape in (((37, 28), (7, 7)), ((25, 16), (30, 31))):
@@ -233,9 +233,9 @@ def posterior_gain(light: Floats, columns: Floats, mean: float, spread: float) -
 
 
 def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> None:
-    """Of a far array in strong noise the gain is hardly seen, and the pose is known.
+    """A far array in strong noise with a known pose hardly shows the gain.
 
-    What the pixels say is 145 gray levels off from draw to draw, so each draw has its own gain to be compared with.
+    The gain from pixels varies by 145 gray levels, so each draw has a separate reference.
     """
     rng, pose, sigma = np.random.default_rng(6), Pose(40.37, 31.81, pitch_at(150), 0.0, 0.55), 660.0
     corner, shape = window(pose)
@@ -249,11 +249,11 @@ def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> Non
         want, own = posterior_gain(light.ravel(), columns, expected, 0.5 * expected)
         assert fit_array(light, corner, prior, ALL_ON, 12).gain == pytest.approx(want, rel=0.005)
         shares.append((want - expected) / (own - expected))
-    # both count
+    # both have weight
     assert 0.4 < np.mean(shares) < 0.7
 
 
-def test_pixels_without_a_number_give_no_pose() -> None:
+def test_pixels_that_are_not_finite_give_no_pose() -> None:
     prior = Prior(np.array([20.0, 20.0, 0.2, 0.0, -0.5]), np.diag([1.0, 1.0, 0.01, 0.01, 0.1]))
     with pytest.raises(np.linalg.LinAlgError, match="no solution"):
         fit_array(np.full((40, 40), np.nan), (0, 0), prior, np.ones((16, 16)), 3)
@@ -305,7 +305,7 @@ def test_images_drawn_near_a_pose_stand_for_it() -> None:
     assert away[4] < 0.02
 
 
-def test_images_of_other_leds_or_places_are_drawn_anew() -> None:
+def test_images_of_other_leds_or_positions_are_rendered_again() -> None:
     drawn, pose, dim = RenderCache(), Pose(30.2, 28.7, 1.6, 0.015, 0.55), ALL_ON.copy()
     dim[:, :3] = 0.0
     (x, y), shape = window(pose)

@@ -1,4 +1,4 @@
-"""The compiled kernels of images against the reference, which says the same slowly."""
+"""Compiled kernels of images, compared with the slow reference."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_tilted_arrays_and_their_derivatives(seed: int, smear: tuple[float, floa
     box, square = np.empty((6, 40, 50)), reference.render_box(vector, 9.0, (0.0, 0.0), (40, 50), smear)
     kernels.render_box(vector, 9.0, 0.0, 0.0, box, *smear)
     assert np.abs(box[0] - square[0]).max() < 2e-4
-    # the width of a smeared edge changes with the roll; the kernel leaves that out
+    # the kernel neglects the change of a smeared edge with the roll
     known = [1, 2, 3, 4] if smear == (0.0, 0.0) else [1, 2, 3]
     assert np.abs(box[known] - square[known]).max() < 1e-2
 
@@ -90,7 +90,7 @@ def test_all_on_and_not_resolved_is_one() -> None:
     got = np.empty((6, 60, 60))
     kernels.render(Pose(30.2, 29.7, 2.0, 0.4, 2.0).vector(), ALL_ON, 0.0, 0.0, got, 0.0, 0.0)
     assert got[0, 25:35, 25:35] == pytest.approx(1.0, abs=1e-3)
-    # beyond the array's edge nothing shines
+    # no light outside the array
     assert np.abs(got[0, :2]).max() < 1e-3
 
 
@@ -132,7 +132,7 @@ def test_squared_difference_of_two_blur_matrices(pose: Pose, motion: tuple[float
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_median_is_numpy_s(seed: int) -> None:
-    """Bit by bit; of few numbers, of many alike, sorted ones, and infinite ones."""
+    """Bit by bit, for few, many equal, sorted and infinite numbers."""
     rng = np.random.default_rng(seed)
     for count in (1, 2, 3, 4, 5, 16, 99, 1000):
         for values in (rng.normal(size=count), rng.integers(0, 3, count).astype(float), np.arange(count) * -1.0,
@@ -142,6 +142,6 @@ def test_the_median_is_numpy_s(seed: int) -> None:
             assert smallest(values.copy(), place) == np.sort(values)[place]
 
 
-def test_the_median_ends_where_a_number_is_none() -> None:
+def test_median_of_nan_ends() -> None:
     median(np.array([np.nan, 1.0, np.nan, 0.0, 2.0]))
     median(np.full(6, np.nan))

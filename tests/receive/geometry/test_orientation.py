@@ -1,4 +1,4 @@
-"""The eight ways in which a square can lie, and poses of arrays that are seen so."""
+"""The eight orientations of a square, and poses of turned arrays."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_turns_are_clockwise_and_come_after_the_mirror() -> None:
     assert Orientation(1).turned(corner).tolist() == [[0, 1], [0, 2]]
     assert Orientation(0, True).turned(corner).tolist() == [[2, 1], [0, 0]]
     assert Orientation(1, True).turned(corner).tolist() == [[0, 2], [0, 1]]
-    # y goes down: what is right of the centre comes to lie below it
+    # y goes down: points right of the centre move below
     assert (Orientation(1).matrix @ [1, 0]).tolist() == [0, 1]
 
 

@@ -1,4 +1,4 @@
-"""Windows about an array: they hold it, and what is cut out is what the frame has there."""
+"""Windows around an array, and cut-outs of frames."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from heliograph.receive import Pose
 from heliograph.receive.geometry.window import common, covered, cut_out, plane, window_around
 
 SENSOR = np.random.default_rng(0).integers(0, 256, (60, 70)).astype(np.uint8)
-"""The pixels of which frames are windows."""
+"""Pixels of the sensor; frames are windows."""
 
 
 @st.composite

@@ -1,4 +1,4 @@
-"""Cut-outs of pairs, and the motion of what is behind the array."""
+"""Cut-outs of pairs, and compensation of background motion."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ def test_a_cutout_holds_sum_and_difference_about_the_array() -> None:
     poses = moving(80, 0.02, (0.12, -0.2))
     pair = pair_of(poses, random_levels()[1], noise=2.0)
     cutout = take_cutout(pair, poses, SIDE)
-    # the rim on which LEDs shine, and a ring beside it: 2 px each
+    # the rim with light of the LEDs and a ring around, 2 px each
     x, y, cols, rows = window_around(Pose.midway(*poses), SIDE, 4.0)
     assert (cutout.corner, cutout.shape) == ((x, y), (rows, cols))
     up, down = (frame.pixels[y : y + rows, x : x + cols] for frame in (pair.pattern, pair.inverted))
@@ -35,7 +35,7 @@ def test_a_cutout_holds_sum_and_difference_about_the_array() -> None:
     assert (cutout.mean_light_pose, cutout.combination, cutout.covered) == (None, None, None)
 
 
-def test_pixels_beyond_a_frame_are_known_not_to_be_covered() -> None:
+def test_pixels_beyond_a_frame_are_not_covered() -> None:
     pose = Pose(4.0, 30.0, 0.8)
     frames = [Frame(k, k * 1e-3, np.zeros((60, 60), np.uint8)) for k in range(2)]
     cutout = take_cutout(FramePair(frames[0], frames[1]), (pose, pose), SIDE)
@@ -67,8 +67,8 @@ def test_poses_are_corrected_by_an_error() -> None:
     assert np.array_equal(moved.difference, cutout.difference)
 
 
-def test_what_moves_with_the_array_is_taken_off() -> None:
-    """A bright edge behind it, a third of a pixel farther in the second frame; what is sent stays as it is."""
+def test_background_motion_is_compensated() -> None:
+    """A bright edge moves by a third of a pixel between the frames; the data are unchanged."""
     symbols = symbols_of(random_blocks(1))[:1].astype(np.int8)
     rng, x = np.random.default_rng(5), haar.encode(FORM.join(symbols))[0] / 4.0
     pose, grid = Pose(30.3, 29.8, pitch_at(80), 0.0, 0.51), np.arange(60)
@@ -83,15 +83,15 @@ def test_what_moves_with_the_array_is_taken_off() -> None:
     compensated = cutout.motion_compensated(0.6 * 255, ALL_ON)
     rows, columns = (slice(c, c + n) for c, n in zip(reversed(cutout.corner), cutout.shape, strict=True))
     sent = (ideal[0] - ideal[1])[rows, columns]
-    before, after = (np.sqrt(((one.difference - sent) ** 2).mean()) for one in (cutout, compensated))
+    before, after = (np.sqrt(((part.difference - sent) ** 2).mean()) for part in (cutout, compensated))
     # the sensor's noise alone is 1.8 gray levels
     assert before > 3.5
     assert after < 2.2
-    # taken off later, it is the same
+    # the same if compensated later
     kept = replace(cutout, background=(0.6 * 255, ALL_ON))
     assert np.array_equal(kept.steady.difference, compensated.difference)
     assert kept.steady.background is None
     assert cutout.steady is cutout
-    # a single frame has no second one to differ from
+    # a single frame has no motion
     single = replace(cutout, poses=poses[:1])
     assert single.motion_compensated(0.6 * 255, ALL_ON) is single

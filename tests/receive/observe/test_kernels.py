@@ -1,4 +1,4 @@
-"""The kernels of what pairs show of their symbols and of noise, against whole matrices."""
+"""Kernels of observations, compared with full matrices."""
 
 import numpy as np
 import observe_oracle as reference
@@ -27,7 +27,7 @@ POSES = [
     Pose(21.0, 18.9, 1.9, -0.4, 0.9),
     Pose(3.0, 38.0, 1.1, 0.1, 0.6),
 ]
-"""The last lies partly beyond the window."""
+"""The last pose is partly outside the window."""
 
 
 def light_of(pose: Pose) -> Footprints:
@@ -91,7 +91,7 @@ def test_gram(pose: Pose) -> None:
     assert np.abs(light.reshape(-1, SYMBOLS) - symbol_matrix(pose)).max() < CUT
 
 
-def test_a_background_in_motion_is_taken_off_by_its_slopes() -> None:
+def test_background_motion_is_subtracted_by_slopes() -> None:
     rng = np.random.default_rng(10)
     change, total, got = *rng.normal(size=(2, *SHAPE)), np.empty(SHAPE)
     gains, first, last = rng.random(SYMBOLS), (*light_of(POSES[0]),), (*light_of(POSES[1]),)
@@ -103,7 +103,7 @@ def test_a_background_in_motion_is_taken_off_by_its_slopes() -> None:
     assert got == pytest.approx(change - 0.2 * right + 0.4 * down)
 
 
-def test_power_beside_the_array() -> None:
+def test_background_power() -> None:
     difference = np.random.default_rng(12).normal(size=SHAPE)
     lit = np.zeros(SHAPE)
     add_image(np.ones(SYMBOLS), *light_of(POSES[0]), lit)
@@ -114,7 +114,7 @@ def test_power_beside_the_array() -> None:
 
 @pytest.mark.parametrize("even", [False, True])
 def test_unevenness_of_a_sum(even: bool) -> None:
-    """Also where the light is even all over, as that of a near array: then it says what the plane says."""
+    """Also with even light, as of a near array, which is linearly dependent on the plane."""
     rng = np.random.default_rng(11)
     lit = np.ones(SHAPE) if even else symbol_matrix(POSES[0]).clip(0).sum(1).reshape(SHAPE)
     total, inside = rng.normal(100, 2, SHAPE) + 30 * lit, rng.random(SHAPE) < 0.4

@@ -1,4 +1,4 @@
-"""Noise of a packet, inside the array and beside it."""
+"""Noise of a packet, inside the array and in the background."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def noisy(pair: FramePair, sigma: Floats, rng: np.random.Generator) -> FramePair
     return FramePair(up, down)
 
 
-# unaware of the motion it would find 12.3 in place of 8 at 60 m
+# without the effect of motion the estimate would be 12.3 instead of 8 at 60 m
 @pytest.mark.parametrize(("motion", "error"), [((0.0, 0.0), 0.06), ((0.05, 0.1), 0.12), ((0.2, 0.2), 0.3)])
 @pytest.mark.parametrize(("inside", "beside"), [(2.0, 2.0), (1.5, 0.8)])
 @pytest.mark.parametrize("distance_m", [60, 100, 150])
@@ -47,20 +47,20 @@ def test_noise_is_measured(
     assert noise.dark == pytest.approx(2 * beside**2, rel=0.06)
 
 
-def test_noise_beside_single_frames() -> None:
+def test_background_noise_of_single_frames() -> None:
     rng, poses = np.random.default_rng(8), moving(80, 0.02, (0.0, 0.0))
     even = pair_of(poses, np.zeros((SIDE, SIDE)))
     cutouts = []
     for _ in range(8):
         pair = noisy(even, np.full((60, 60), 1.5), rng)
-        taken = take_cutout(FramePair(pair.pattern, even.pattern), poses, SIDE)
-        # twice what the frame shows above the background
-        cutouts.append(replace(taken, difference=2 * taken.difference, poses=poses[:1]))
+        cutout = take_cutout(FramePair(pair.pattern, even.pattern), poses, SIDE)
+        # twice the frame less the background
+        cutouts.append(replace(cutout, difference=2 * cutout.difference, poses=poses[:1]))
     assert noise_beside(cutouts, SIDE) == pytest.approx((2 * 1.5) ** 2, rel=0.06)
 
 
 def test_noise_of_combined_frames_is_in_units_of_two() -> None:
-    """Sum and difference of combined frames have other variances than those of two, and the array's sum is even."""
+    """Sum and difference of combined frames have different variances, and the array's sum is even."""
     rng, sigma, poses = np.random.default_rng(9), 1.5, moving(80, 0.02, (0.0, 0.0))
     combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, SlotLight((0, 1, 2, 3)))
     assert combination is not None
@@ -74,14 +74,14 @@ def test_noise_of_combined_frames_is_in_units_of_two() -> None:
     assert (noise.lit, noise.dark) == pytest.approx((2 * sigma**2, 2 * sigma**2), rel=0.12)
 
 
-def test_of_nothing_the_noise_is_that_of_rounding() -> None:
+def test_noise_without_cutouts_is_rounding() -> None:
     # 1 / 12 in each of two frames
     none = measure_noise([], GAIN, SIDE)
     assert (none.lit, none.dark) == pytest.approx((1 / 6, 1 / 6))
     assert noise_beside([], SIDE) == pytest.approx(1 / 6)
 
 
-def test_noise_that_motion_hides_is_not_taken_for_none() -> None:
+def test_noise_hidden_by_motion_is_not_zero() -> None:
     rng, cutouts = np.random.default_rng(9), []
     poses = moving(40, 0.02, (1.2, 0.4))
     for _ in range(12):

@@ -1,4 +1,4 @@
-"""Sufficient statistics of pairs, against whole matrices."""
+"""Sufficient statistics of pairs, compared with full matrices."""
 
 from dataclasses import replace
 
@@ -20,8 +20,8 @@ Floats = NDArray[np.float64]
 def assert_equal(got: PairStatistics, want: PairStatistics, rel: float = 1e-6) -> None:
     """Check that all statistics are the same to a relative error."""
     for name in ("gram", "matched", "offset"):
-        one, other = np.asarray(getattr(got, name), float), np.asarray(getattr(want, name), float)
-        assert np.abs(one - other).max() <= rel * np.abs(other).max(), name
+        result, expected = np.asarray(getattr(got, name), float), np.asarray(getattr(want, name), float)
+        assert np.abs(result - expected).max() <= rel * np.abs(expected).max(), name
     for name in ("cross", "offset_power", "power", "pixels"):
         assert getattr(got, name) == pytest.approx(getattr(want, name), rel=rel), name
 
@@ -57,7 +57,7 @@ def test_statistics_are_those_of_all_pixels(roll: float, motion: tuple[float, fl
 
 
 @pytest.mark.parametrize("motion", [(0.3, 0.0), (0.1, -0.6), (0.7, 0.8)])
-def test_far_motion_makes_two_images_and_no_wider_one(motion: tuple[float, float]) -> None:
+def test_far_motion_makes_two_images(motion: tuple[float, float]) -> None:
     """A pothole moves the array by up to a pixel between pattern and inverse."""
     _, x = random_levels()
     poses, noise = moving(95, 0.0, motion), Noise(4.5, 4.5)
@@ -101,7 +101,7 @@ def test_the_residual_is_the_difference_less_the_light_of_the_symbols(motion: tu
     whitened, mean = whiten(whole.cutout, noise, SIDE), rng.uniform(-1, 1, SYMBOLS)
     want = np.sqrt(whole.w) * (whole.d - GAIN * (whole.b @ mean + whole.o))
     assert whitened.residual(GAIN, mean).ravel() == pytest.approx(want, abs=0.01 * np.abs(want).max())
-    # with the symbols that were sent nothing is left
+    # the transmitted symbols leave no residual
     right = whitened.residual(GAIN, random_levels()[0])
     assert np.abs(right).max() < 0.01 * np.abs(want).max()
 
@@ -133,7 +133,7 @@ def test_other_images_are_marginalised() -> None:
         assert np.abs(getattr(got, name) - want).max() < 0.1 * np.abs(want - apart).max(), name
 
 
-def test_leds_of_other_gains_shine_by_their_gains() -> None:
+def test_led_gains_scale_the_light() -> None:
     gains = np.random.default_rng(5).uniform(0, 1, (SIDE, SIDE))
     symbols, x = random_levels()
     poses, noise = moving(60, 0.0, (0.12, -0.2)), Noise(4.0, 1.5)
@@ -150,7 +150,7 @@ def test_leds_of_other_gains_shine_by_their_gains() -> None:
     assert np.abs(explained).max() < 0.01 * np.abs(shown).max()
 
 
-def test_pixels_that_a_frame_does_not_have_count_for_nothing() -> None:
+def test_pixels_outside_a_frame_have_no_weight() -> None:
     poses, noise = moving(80, 0.0, (0.0, 0.0)), Noise(4.0, 1.5)
     cutout = WholePair(poses, pair_of(poses, random_levels()[1]), noise).cutout
     rows, cols = cutout.shape
@@ -167,7 +167,7 @@ def test_pixels_that_a_frame_does_not_have_count_for_nothing() -> None:
     assert parts[0].pixels == (root > 0).sum() < (whole > 0).sum()
 
 
-def test_combined_frames_have_a_noise_and_levels_of_their_own() -> None:
+def test_combined_frames_have_other_noise_and_levels() -> None:
     """Weights are in units of a difference of two frames; the mean light of pattern and inverse need not be a half."""
     poses, noise = moving(80, 0.02, (0.12, -0.2)), Noise(4.0, 4.0)
     cutout = WholePair(poses, pair_of(poses, random_levels()[1]), noise).cutout

@@ -6,8 +6,8 @@ be an error of the pose, which a bright background may have pulled, and F the de
 
     d = g (A diag(sight T c_known) beta + o + B_open c_open + F e) + n,
 
-which is linear in beta. Levels are random from pair to pair, so the pairs of a packet separate neighbours that blur has
-mixed. c_open and e are marginalised. Normal equations add up over pairs and packets, separately for the odd and even
+which is linear in beta. Levels are random from pair to pair, so the pairs of a packet separate neighbours mixed by
+blur. c_open and e are marginalised. Normal equations add up over pairs and packets, separately for the odd and even
 pairs. Errors of the image differ between the halves, so LEDs count as unequal only if both halves show the difference.
 
 Sight, from headers: dead, stuck and occluded LEDs do not follow the pattern. In the difference of a header and the
@@ -57,7 +57,7 @@ class GainParameters:
     # Pairs per evaluated pair, at first and once the brightness is known
     stride: int = 3
     known_stride: int = 12
-    # Packets after which LEDs that seem equal count as known
+    # Packets after which seemingly equal LEDs count as known
     max_packets: int = 5
     # Estimates by headers up to which an LED has the gain 0, and from which it has 1
     max_failed: float = 0.25
@@ -274,7 +274,7 @@ class LedGains:
         statistics = whitened.marginalised(slopes, np.diag(noise / (gain * np.array(p.pose_spreads)) ** 2))
         joint = statistics if self.header_statistics is None else self.header_statistics.plus(statistics)
         for _ in range(p.max_corrections):
-            # a header shows no LED that data have shown to be dark
+            # a header shows no LED known to be dark from data
             estimate = _estimate_sight(joint, header, brightness, gain, noise) / np.maximum(brightness, p.max_failed)
             # the median LED is sound
             low, high = p.corrections

@@ -136,7 +136,7 @@ def _factor(pair: PairStatistics, unknown: NDArray[np.intp], scale: float, inver
     """Factor scale B^T B + V^-1 = L L^T of the unknown symbols, V^-1 being the diagonal `inverse`."""
     # padding: columns a multiple of 256 bytes apart would share cache lines
     size = unknown.size + (4 if unknown.size % 64 == 0 else 0)
-    # 1e-9 keeps factors of symbols that hardly overlap from slow denormal numbers
+    # 1e-9 keeps factors of hardly overlapping symbols from slow denormal numbers
     matrix = kernels.precision(pair.gram, unknown, scale, inverse, 1e-9, size)
     # the transpose has the order of LAPACK and needs no copy
     factor, failed = lapack.spotrf(matrix.T, lower=1, clean=0, overwrite_a=1)

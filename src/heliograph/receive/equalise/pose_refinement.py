@@ -73,7 +73,7 @@ def _vertex(values: Floats) -> float:
 class RefinementParameters:
     """Tuning of the refinement by decoded data."""
 
-    # Sizes to try for errors that last a packet and for errors by shake, relative to `GainParameters.pose_spreads`
+    # Sizes to try for errors of a packet's length and for errors by shake, relative to `GainParameters.pose_spreads`
     slow_sizes: tuple[float, ...] = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0)
     fast_sizes: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3, 1.0)
     # Log likelihood by which a smaller size may explain a packet worse: most poses of sums are right
@@ -132,9 +132,8 @@ class ObservedPacket:
     ) -> "ObservedPacket":
         """Observe cut-outs at the tracked poses."""
         empty = cls([None] * len(cutouts), noise, form, led_gains, led_gains.brightness)
-        return replace(
-            empty, pairs=[None if cutout is None else empty._observe(cutout, np.zeros(4)) for cutout in cutouts]
-        )
+        pairs = [None if cutout is None else empty._observe(cutout, np.zeros(4)) for cutout in cutouts]
+        return replace(empty, pairs=pairs)
 
     @property
     def statistics(self) -> Sequence[PairStatistics | None]:
@@ -158,7 +157,7 @@ class ObservedPacket:
         return replace(self, pairs=pairs, memo={}) if moved else self
 
     def with_led_brightness(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
-        """Apply the brightness of the LEDs that decoded data show."""
+        """Apply the brightness of the LEDs from decoded data."""
         brightness = self.estimate_brightness(mean, variance, gain, noise)
         if not brightness.differs(self.led_gains.brightness):
             return self
@@ -250,7 +249,7 @@ def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats
         likelihood = 0.5 * (score @ prior @ weights - np.log(np.abs(factors[0].diagonal())).sum())
         candidates.append((likelihood, covariance, weights))
     best = max(likelihood for likelihood, _, _ in candidates)
-    # the smallest sizes that explain the packet nearly as well
+    # the smallest sizes with nearly the best likelihood
     covariance, weights = next((c, w) for likelihood, c, w in candidates if likelihood > best - p.smaller_margin)
     # P of all pairs: the same in x, y, ln pitch and roll except for the sizes
     return np.asarray(covariance @ (weights.reshape(-1, 4) * variances))

@@ -56,22 +56,14 @@ def covered(
     frames: Sequence[ImagePatch], corner: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Floats, Floats] | None:
     """Mark columns and rows of a window inside all frames with 1; None if all are inside."""
-    (x, y), (rows, columns) = corner, shape
-    if all(
-        frame.origin[0] <= x
-        and frame.origin[1] <= y
-        and x + columns <= frame.origin[0] + frame.pixels.shape[1]
-        and y + rows <= frame.origin[1] + frame.pixels.shape[0]
-        for frame in frames
-    ):
-        return None
     sides = []
     for axis in (0, 1):
         first = max(frame.origin[axis] for frame in frames)
         end = min(frame.origin[axis] + frame.pixels.shape[1 - axis] for frame in frames)
         index = corner[axis] + np.arange(shape[1 - axis])
-        sides.append(((index >= first) & (index < end)).astype(np.float64))
-    return sides[0], sides[1]
+        sides.append((index >= first) & (index < end))
+    columns, rows = sides
+    return None if columns.all() and rows.all() else (columns.astype(np.float64), rows.astype(np.float64))
 
 
 def common(frames: Sequence[Frame]) -> list[Frame]:
