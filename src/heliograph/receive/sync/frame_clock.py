@@ -35,7 +35,7 @@ class FrameClockParameters:
 
 
 class SteppedClock:
-    """Clock of a camera with one frame per pattern: checks the frame rate and drops repeated frames."""
+    """Clock of a synchronous camera: checks the frame rate and drops repeated frames."""
 
     def __init__(self, pattern_period_s: float, parameters: FrameClockParameters = FrameClockParameters()):
         self.period_s = pattern_period_s
@@ -86,7 +86,7 @@ class SteppedClock:
 class CameraClock:
     """Clock of a camera of any rate: a Kalman filter of time and period that smooths the time stamps.
 
-    A step is one frame, plus one for each missing frame. Repeated frames are dropped.
+    A step covers the missing frames as well. Repeated frames are dropped.
     """
 
     def __init__(self, parameters: FrameClockParameters = FrameClockParameters()) -> None:

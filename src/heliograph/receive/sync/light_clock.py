@@ -32,7 +32,7 @@ from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import SignalSettings
 
 PATTERNS_AROUND = 2
-"""Patterns before and after a header whose frames are measured as well: both ends of the header show the start."""
+"""Patterns to measure before and after a header: both ends of the header show the start."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class LightClockParameters:
     max_odds_against: float = 40.0
     # Maximum number of starts of the grid
     starts: int = 121
-    # Reach of the first grid: one pattern for frames half a pattern late, and a quarter
+    # Reach of the first grid: a pattern and a quarter, for frames half a pattern late
     first_reach: float = 1.25
     # Reach of later grids in standard deviations, with the limits in patterns
     reach_deviations: float = 6.0

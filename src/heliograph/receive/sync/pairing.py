@@ -1,6 +1,6 @@
-"""Pairing: frames of one array that show a pattern and the inverse.
+"""Pairing of the frames of an array to patterns and inverses.
 
-A synchronous camera takes one frame per pattern. For any other camera, the light clock times the patterns, and frames
+A synchronous camera takes a frame per pattern. For any other camera, the light clock times the patterns, and frames
 are combined. Pairs are numbered from the header of the detection.
 """
 
@@ -34,7 +34,7 @@ PoseAt = Callable[[float], Pose]
 
 @dataclass(frozen=True, slots=True)
 class CombinedFrame:
-    """Frames combined to a pattern or to an inverse around one array."""
+    """Frames combined to a pattern or to an inverse around an array."""
 
     # Number of the first or the last camera frame
     index: int
@@ -72,7 +72,7 @@ class FramePair:
 
 @dataclass(frozen=True, slots=True)
 class UnpairedFrame:
-    """Remaining frame of a synchronous data pair with one lost frame."""
+    """Remaining frame of a synchronous data pair after the loss of the other frame."""
 
     # Camera frame, with the start of the exposure as time
     frame: Frame
@@ -104,7 +104,7 @@ class MeasuredHeader:
 
     # Gray levels of the array with all LEDs on
     gain: float
-    # Combination of all header frames to one pair with an even sum; None without such a combination
+    # Combination of all header frames to a pair with an even sum; None if impossible
     pair: FramePair | None = None
     # The frames for the format; None as `pair`
     frames: HeaderFrames | None = None
@@ -144,7 +144,7 @@ class SynchronousPairing:
 
     @property
     def exposure_range(self) -> None:
-        """None: a frame shows one pattern at any exposure."""
+        """None: a synchronous frame shows a single pattern at any exposure."""
 
     def push(self, frame: Frame) -> Iterator[int]:
         """Add the next frame; yield the numbers of the complete pairs."""
@@ -379,7 +379,7 @@ class AsynchronousPairing:
         return round(patterns / self._parameters.tick) * self._parameters.tick
 
     def _rounded_exposure(self, clock: LightClock) -> float:
-        """Round the exposure of a clock to the nearest tick, at least one."""
+        """Round the exposure of a clock to the nearest positive tick."""
         return self._rounded(max(clock.exposure, self._parameters.tick))
 
     def _is_synchronous(self, clock: LightClock, combination: Combination | None) -> bool:
@@ -468,4 +468,4 @@ def _starts(clock: LightClock, frames: list[Frame]) -> NDArray[np.float64]:
 
 
 Pairing = SynchronousPairing | AsynchronousPairing
-"""Pairing of the frames of one array."""
+"""Pairing of the frames of an array."""

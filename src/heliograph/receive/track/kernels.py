@@ -121,7 +121,7 @@ def _cover(levels, usual, least, hidden, covered, axis):
 
 @compiled()
 def noise_outside(change, x, y, least):
-    """Return the standard deviation about 0 of the pixels outside a square, by the median; 0 without pixels."""
+    """Return the standard deviation about 0 of the pixels outside a square, by the median; 0 if no pixel is outside."""
     sizes, count = np.empty(change.size), 0
     for i in range(change.shape[0]):
         for j in range(change.shape[1]):

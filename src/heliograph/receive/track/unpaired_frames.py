@@ -38,7 +38,7 @@ class CompletePair:
 
 
 def nearest_pairs(place: int, pairs: Mapping[int, object]) -> list[int]:
-    """Return the numbers of up to six pairs whose sums replace the sum of another pair, nearest first."""
+    """Return the numbers of up to six pairs to replace the sum of another pair, nearest first."""
     # the noise of six sums adds 1/6 to the 2 of the frame
     nearest = sorted(pairs, key=lambda k: (abs(k - place), k))[:6]
     return nearest if nearest and abs(nearest[0] - place) <= MAX_DISTANCE_PAIRS else []
@@ -70,7 +70,7 @@ def unpaired_cutout(
     gain: float,
     led_gains: Floats,
 ) -> Cutout | None:
-    """Cut out the remaining frame of a pair; None without near pairs or with an object before the array."""
+    """Cut out the remaining frame of a pair; None if no pair is near or an object occludes the array."""
     nearest, frame = nearest_pairs(place, pairs), unpaired.frame
     if not nearest:
         return None
