@@ -93,7 +93,7 @@ class HeaderAmplitudes:
     trust: float = 1.0
 
 
-def header_amplitudes(
+def measure_amplitudes(
     frames: list[Frame], poses: list[Pose], lit: Floats, parameters: LightClockParameters = LightClockParameters()
 ) -> HeaderAmplitudes:
     """Measure the amplitudes of a header in the frames around the header."""
@@ -207,7 +207,7 @@ class LightClock:
         pattern, start_s, period_s = self._pattern, self.start_s, self.period_s
         return [pattern + (time_s - start_s) / period_s for time_s in times_s]
 
-    def header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
+    def predict_header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
         """Predict header amplitude and mean light of frames, for a fraction of dimmed cells."""
         edges, wave, bright = self._header_wave(dimmed)
         amplitude, light = _mean_over(starts, self.exposure, edges, np.stack([wave, bright]))

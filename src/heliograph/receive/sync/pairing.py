@@ -22,7 +22,7 @@ from heliograph.receive.sync.light_clock import (
     HeaderAmplitudes,
     LightClock,
     LightClockParameters,
-    header_amplitudes,
+    measure_amplitudes,
 )
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import light_centroids
@@ -163,10 +163,12 @@ class SynchronousPairing:
         """Return an empty iterator: no pair is pending."""
         yield from ()
 
-    def header(self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]) -> None:
+    def measure_header(
+        self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]
+    ) -> None:
         """Return None: a synchronous pairing has no clock to correct."""
 
-    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:  # noqa: ARG002 - as in `AsynchronousPairing`
+    def get_pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:  # noqa: ARG002 - as in `AsynchronousPairing`
         """Return the frames of a pair, or the remaining frame of a data pair."""
         first, second = self._frames.get(2 * number), self._frames.get(2 * number + 1)
         data = is_data(number, self._signal)
@@ -266,7 +268,7 @@ class AsynchronousPairing:
             end = self._clock.pattern_at(self._frames[-1].time_s) + self._clock.exposure
             yield from self._due_pairs(self._clock, end)
 
-    def header(
+    def measure_header(
         self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]
     ) -> MeasuredHeader | None:
         """Correct the clock by the header before a pair; return the header of an asynchronous camera."""
@@ -274,11 +276,9 @@ class AsynchronousPairing:
         near = self._frames_between(clock, pattern - PATTERNS_AROUND, pattern + self._header + PATTERNS_AROUND)
         if not poses or len(near) <= self._header:
             return None
-        known = np.array(sorted(poses))
-        pairs = 0.5 * (_starts(clock, near) - 0.5)
-        predicted = [
-            poses[int(known[np.argmin(np.abs(known - k))])](frame.time_s) for k, frame in zip(pairs, near, strict=True)
-        ]
+        known, pairs = np.array(sorted(poses)), 0.5 * (_starts(clock, near) - 0.5)
+        nearest = known[np.abs(known - pairs[:, None]).argmin(1)].tolist()
+        predicted = [poses[k](frame.time_s) for k, frame in zip(nearest, near, strict=True)]
         is_measured = clock.measure(self._amplitudes(near, predicted, led_gains), pattern, again=pattern == 0)
         if not is_measured or self._is_synchronous(clock, self._combination(clock, near, pattern)):
             return None
@@ -289,12 +289,12 @@ class AsynchronousPairing:
             return MeasuredHeader(clock.gain)
         combined = self._combine(clock, pattern, combination, inside, window)
         starts = _starts(clock, inside) - pattern
-        amplitudes, lights = zip(clock.header(starts, 0.0), clock.header(starts, 1.0), strict=True)
+        amplitudes, lights = zip(clock.predict_header(starts, 0.0), clock.predict_header(starts, 1.0), strict=True)
         images = _cut(inside, window)
         frames = HeaderFrames(images, (window[0], window[1]), middle, np.stack(amplitudes), np.stack(lights))
         return MeasuredHeader(clock.gain, combined, frames)
 
-    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:
+    def get_pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:
         """Return the frames of a pair, combined unless synchronous, or the remaining frame of a data pair."""
         clock, place = self._started_clock, 2 * number
         in_packet, data = number % (self._signal.packet_patterns // 2), is_data(number, self._signal)
@@ -389,7 +389,7 @@ class AsynchronousPairing:
 
     def _amplitudes(self, frames: list[Frame], poses: list[Pose], led_gains: NDArray[np.float64]) -> HeaderAmplitudes:
         """Measure the header amplitudes of frames."""
-        return header_amplitudes(frames, poses, self._signs * led_gains, self._clock_parameters)
+        return measure_amplitudes(frames, poses, self._signs * led_gains, self._clock_parameters)
 
     def _header_combination(
         self, clock: LightClock, first: int, part: tuple[int, int]
@@ -403,8 +403,8 @@ class AsynchronousPairing:
         within &= (starts + clock.exposure > part[0] + overhang) & (starts < part[1] - overhang)
         near = [f for f, is_within in zip(near, within, strict=True) if is_within]
         starts = starts[within]
-        amplitudes, _ = clock.header(starts, 0.0)
-        return near, combine_header(starts, clock.exposure, amplitudes, clock.header(starts, 1.0))
+        amplitudes, _ = clock.predict_header(starts, 0.0)
+        return near, combine_header(starts, clock.exposure, amplitudes, clock.predict_header(starts, 1.0))
 
     def _frames_between(self, clock: LightClock, first: float, last: float) -> list[Frame]:
         """Return the frames that start between two patterns."""

@@ -44,7 +44,7 @@ def nearest_pairs(place: int, pairs: Mapping[int, object]) -> list[int]:
     return nearest if nearest and abs(nearest[0] - place) <= MAX_DISTANCE_PAIRS else []
 
 
-def state_between(time_s: float, states: Mapping[int, PoseState], place: int) -> PoseState:
+def interpolate_state(time_s: float, states: Mapping[int, PoseState], place: int) -> PoseState:
     """Interpolate the state of an array between the neighbouring pairs by a cubic Hermite spline."""
     before = max((k for k in states if k < place), default=None)
     after = min((k for k in states if k > place), default=None)
@@ -74,7 +74,7 @@ def unpaired_cutout(
     nearest, frame = nearest_pairs(place, pairs), unpaired.frame
     if not nearest:
         return None
-    state = state_between(frame.time_s, {k: pair.state for k, pair in pairs.items()}, place)
+    state = interpolate_state(frame.time_s, {k: pair.state for k, pair in pairs.items()}, place)
     data, mean_light = state.pose_at(frame.time_s + late_s), state.pose_at(frame.time_s + unpaired.late_s)
     side = len(led_gains)
     x, y, cols, rows = window_around(data, side, RIM_PX + RING_PX)
