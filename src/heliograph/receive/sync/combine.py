@@ -62,15 +62,15 @@ def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
 
 def moments(table: Floats, mean: Floats) -> tuple[Floats, Floats]:
     """Return mean and variance of the observed symbols, (..., symbols) each."""
-    first, second = _moments(table, _chances(mean))
+    first, second = _moments(table, _probabilities(mean))
     return first, np.maximum(second - first**2, 0)
 
 
 def posterior_moments(table: Floats, observed: Floats, variance: Floats, mean: Floats) -> tuple[Floats, Floats]:
     """Return the posterior means of the observed symbols and of the squared symbols, given noisy estimates."""
     # certain symbols are relaxed as well: their response may contradict the estimates
-    chance = _joint(_fit(table, observed, variance)) * _chances(uncertain(mean))
-    return _moments(table, chance / chance.sum(-2, keepdims=True))
+    probability = _joint_likelihood(_log_likelihoods(table, observed, variance)) * _probabilities(uncertain(mean))
+    return _moments(table, probability / probability.sum(-2, keepdims=True))
 
 
 def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats) -> Floats:
@@ -80,15 +80,15 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
     therefore count only if the three other symbols are known or if the response consists of products.
     """
     prior, squares = uncertain(mean), _by_kind(mean)
-    chance, fit = _chances(prior), _fit(table, observed, variance)
+    probability, fit = _probabilities(prior), _log_likelihoods(table, observed, variance)
     # extrinsic: without the prior of the symbol
     own_prior = 2 * np.arctanh(_by_kind(prior))
-    joint = _llrs((_joint(fit) * chance)[..., None, :, :]) - own_prior
+    joint = _to_llrs((_joint_likelihood(fit) * probability)[..., None, :, :]) - own_prior
     # in place: allocation costs more than the arithmetic
     fit -= fit.max(-2, keepdims=True)
     fit = np.exp(fit, out=fit)
-    fit *= chance[..., None, :, :]
-    own = _llrs(fit) - own_prior
+    fit *= probability[..., None, :, :]
+    own = _to_llrs(fit) - own_prior
     # power of the products in the response; 0 for a linear response
     linear = np.einsum("...ki,ki->...", table, VALUES) / VALUES.size
     products = np.minimum((table**2).mean((-2, -1)) / linear**2 - 1, 1.0)[..., None, None]
@@ -110,15 +110,15 @@ def _by_kind(symbols: Floats) -> Floats:
     return symbols.reshape(*symbols.shape[:-1], 4, -1)
 
 
-def _moments(table: Floats, chance: Floats) -> tuple[Floats, Floats]:
+def _moments(table: Floats, probability: Floats) -> tuple[Floats, Floats]:
     """Return means of observed and of squared symbols, (..., symbols), for the probability of each value."""
     responses = np.swapaxes(table, -2, -1)
-    first, second = responses @ chance, responses**2 @ chance
+    first, second = responses @ probability, responses**2 @ probability
     flat = *first.shape[:-2], -1
     return first.reshape(flat), second.reshape(flat)
 
 
-def _fit(table: Floats, observed: Floats, variance: Floats) -> Floats:
+def _log_likelihoods(table: Floats, observed: Floats, variance: Floats) -> Floats:
     """Return (..., 4, 16, squares) log likelihoods of the values of a square for each observed symbol."""
     error = np.swapaxes(table, -2, -1)[..., None] - _by_kind(observed)[..., None, :]
     error *= error
@@ -126,28 +126,28 @@ def _fit(table: Floats, observed: Floats, variance: Floats) -> Floats:
     return np.asarray(error)
 
 
-def _joint(fit: Floats) -> Floats:
+def _joint_likelihood(fit: Floats) -> Floats:
     """Return (..., 16, squares) likelihoods of each value for all observed symbols, at most 1."""
     together = fit.sum(-3)
     return np.asarray(np.exp(together - together.max(-2, keepdims=True)))
 
 
-def _llrs(likelihood: Floats) -> Floats:
+def _to_llrs(likelihood: Floats) -> Floats:
     """Convert likelihoods (..., 4 or 1, 16, squares) of all values to LLRs (..., 4, squares)."""
     # the floor lies far beyond the LLR limit of the decoder
     plus, minus = (np.maximum((part[:, None, :] @ likelihood)[..., 0, :], 1e-300) for part in _SPLIT)
     return np.asarray(np.log(plus) - np.log(minus))
 
 
-def _chances(mean: Floats) -> Floats:
+def _probabilities(mean: Floats) -> Floats:
     """Return (..., 16, squares) probabilities of the values of a square."""
     symbols = _by_kind(mean)
-    chance = np.ones((*symbols.shape[:-2], 1, symbols.shape[-1]))
+    probability = np.ones((*symbols.shape[:-2], 1, symbols.shape[-1]))
     for i in range(4):
         # bit i of the value is 0 for +1
         symbol = symbols[..., i : i + 1, :]
-        chance = np.concatenate([chance * (0.5 + 0.5 * symbol), chance * (0.5 - 0.5 * symbol)], -2)
-    return chance
+        probability = np.concatenate([probability * (0.5 + 0.5 * symbol), probability * (0.5 - 0.5 * symbol)], -2)
+    return probability
 
 
 @dataclass(frozen=True)

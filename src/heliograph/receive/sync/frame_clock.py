@@ -34,7 +34,7 @@ class FrameClockParameters:
     pause_variance: float = 1 / 12
 
 
-class SteppedClock:
+class SynchronousClock:
     """Clock of a synchronous camera: checks the frame rate and drops repeated frames."""
 
     def __init__(self, pattern_period_s: float, parameters: FrameClockParameters = FrameClockParameters()):
@@ -159,7 +159,7 @@ class CameraClock:
         return frame.at_time(self._time_s)
 
 
-FrameClock = SteppedClock | CameraClock
+FrameClock = SynchronousClock | CameraClock
 """Clock that passes frames on with exact times."""
 
 

@@ -127,29 +127,18 @@ class SynchronousPairing:
     def __init__(self, start_s: float, time_s: float, signal: SignalSettings):
         self.lost = False
         self.first_gain: float | None = None
-        self._origin_s, self._now_s, self._signal = start_s, time_s, signal
+        # start of pair 0, and time of the last frame
+        self.origin_s, self.now_s, self._signal = start_s, time_s, signal
+        # a frame shows a single pattern at any exposure
+        self.exposure_range = None
         self._late_s = sum_late_s(signal)
         self._next = 0
         self._frames: dict[int, Frame] = {}
 
-    @property
-    def now_s(self) -> float:
-        """Time in seconds of the last frame."""
-        return self._now_s
-
-    @property
-    def origin_s(self) -> float:
-        """Start in seconds of pair 0."""
-        return self._origin_s
-
-    @property
-    def exposure_range(self) -> None:
-        """None: a synchronous frame shows a single pattern at any exposure."""
-
     def push(self, frame: Frame) -> Iterator[int]:
         """Add the next frame; yield the numbers of the complete pairs."""
-        self._now_s = max(self._now_s, frame.time_s)
-        number = round((frame.time_s - self._origin_s) / self._signal.pattern_period_s)
+        self.now_s = max(self.now_s, frame.time_s)
+        number = round((frame.time_s - self.origin_s) / self._signal.pattern_period_s)
         if number < 0:
             return
         self._frames[number] = frame

@@ -222,7 +222,11 @@ class SlipWatch:
         """Return epsilon of a pending frame and the next, at most 1; None for frames of no pattern."""
         first, second = self._pending[place], self._pending[place + 1]
         if first.other is not second:
-            first.other, first.epsilon = second, _epsilon(first, second, self._parameters.min_power_ratio)
+            first.other, first.epsilon = second, None
+            u, v, p, q = first.contrast, second.contrast, first.power, second.power
+            is_similar = min(p, q) >= self._parameters.min_power_ratio * max(p, q)
+            if u is not None and v is not None and first.is_pattern and second.is_pattern and is_similar:
+                first.epsilon = min(1 + 2 * float(u @ v) / max(p + q, TINY), 1.0)
         return first.epsilon
 
     def _is_even(self, place: int, limit: float | None = None) -> bool:
@@ -276,16 +280,3 @@ class SlipWatch:
         if place >= len(self._pending) - 1:
             return False
         return (self._pending[place].number + lost) % 2 == 0 and self._gap(place) <= 1
-
-
-def _epsilon(first: _PendingFrame, second: _PendingFrame, min_power_ratio: float) -> float | None:
-    """Return epsilon of two frames, at most 1; None for frames of no pattern."""
-    u, v, p, q = first.contrast, second.contrast, first.power, second.power
-    if (
-        u is None
-        or v is None
-        or not (first.is_pattern and second.is_pattern)
-        or min(p, q) < min_power_ratio * max(p, q)
-    ):
-        return None
-    return min(1 + 2 * float(u @ v) / max(p + q, TINY), 1.0)

@@ -89,7 +89,7 @@ def is_visible(change: Floats, noise: float, pose: Pose, corner: tuple[int, int]
     return bool(count and power >= count * (least**2 + _PARAMETERS.noise_factor * noise**2))
 
 
-def noise_around(change: Floats, pose: Pose, corner: tuple[int, int], side: int) -> float:
+def estimate_noise(change: Floats, pose: Pose, corner: tuple[int, int], side: int) -> float:
     """Estimate the noise of a difference around the array in gray levels; 0 if the array fills the image."""
     half = 0.5 * side * pose.pitch + _PARAMETERS.outside_edge_px
     return float(kernels.noise_outside(change, pose.x - corner[0], pose.y - corner[1], half))
@@ -112,7 +112,7 @@ def square_leds(pose: Pose, side: int) -> int:
     return min(max(_PARAMETERS.square_leds, ceil(_PARAMETERS.min_square_px / pose.pitch) | 1), side - 1 | 1)
 
 
-def around_leds(values: Floats, pose: Pose) -> Floats:
+def average_around_leds(values: Floats, pose: Pose) -> Floats:
     """Average values of LEDs over the squares around the LEDs."""
     width = square_leds(pose, len(values))
     return np.asarray(cv2.blur(values, (width, width), borderType=cv2.BORDER_REFLECT), np.float64)
@@ -120,7 +120,7 @@ def around_leds(values: Floats, pose: Pose) -> Floats:
 
 def dark_zone(dark: NDArray[np.bool_], pose: Pose) -> NDArray[np.bool_]:
     """Select the hidden LEDs among the dark LEDs of a header: hidden LEDs are adjacent, dead LEDs are not."""
-    return dark & (around_leds(dark.astype(np.float64), pose) >= _PARAMETERS.min_dark_zone)
+    return dark & (average_around_leds(dark.astype(np.float64), pose) >= _PARAMETERS.min_dark_zone)
 
 
 def visible_pixels(visible: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:

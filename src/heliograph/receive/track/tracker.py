@@ -25,10 +25,10 @@ from heliograph.receive.track.kalman import (
 from heliograph.receive.track.track import (
     Track,
     TrackedPair,
-    around_leds,
+    average_around_leds,
     dark_zone,
+    estimate_noise,
     is_visible,
-    noise_around,
     preview_pair,
     visible_pixels,
 )
@@ -84,7 +84,7 @@ class Tracker:
         state = PoseState.start(
             detection.time_s, fit.vector, widen_covariance(fit.covariance), self._model, detection.drift
         )
-        change = around_leds(detection.led_gains, fit.pose)
+        change = average_around_leds(detection.led_gains, fit.pose)
         # static cells are hidden or dead
         return Track(state, fit.gain, fit.gain, detection.led_gains, detection.time_s, change)
 
@@ -166,7 +166,7 @@ class Tracker:
     def is_visible(self, track: Track, pair: FramePair, fit: Fit) -> bool:
         """Return True if two frames with different patterns show the array at the pose of a fit."""
         corner, up, down = _cut(pair, window_around(track.state.pose, self._side, _margin(track.state.pose)))
-        noise = noise_around(up - down, track.state.pose, corner, self._side)
+        noise = estimate_noise(up - down, track.state.pose, corner, self._side)
         pose = fit.pose
         return _is_inside(pose, pair.pattern) and is_visible(up - down, noise, pose, corner, self._side, track.gain)
 
