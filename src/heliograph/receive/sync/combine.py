@@ -269,24 +269,24 @@ class SlotLight:
 def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combination | None:
     """Combine frames to a data pair; None if the frames do not show the pair."""
     overlap, middle = _overlaps(starts, exposure)
-    shown = np.einsum("fj,jqr->fqr", overlap, light.shows)
-    slope = shown[:, 1] @ SLOPES
+    slot_light = np.einsum("fj,jqr->fqr", overlap, light.shows)
+    slope = slot_light[:, 1] @ SLOPES
     near = np.flatnonzero(overlap[:, PAIR : 2 * PAIR].sum(1) > _PARAMETERS.min_overlap)
-    difference = _difference(shown[near], slope[near])
+    difference = _difference(slot_light[near], slope[near])
     # a synchronous pair has the slope 1/2: 1/4 from the pattern, 1/4 from the inverse
     if difference @ slope[near] < _PARAMETERS.min_slope / 2:
         return None
-    total = _total(shown[near], (overlap @ light.mean)[near])
+    total = _total(slot_light[near], (overlap @ light.mean)[near])
     used = np.abs(difference) + total > 0
     near, difference, total = near[used], difference[used], total[used]
-    overlap, middle, shown = overlap[near], middle[near], shown[near]
+    overlap, middle, slot_light = overlap[near], middle[near], slot_light[near]
     parts = np.maximum(difference, 0), np.maximum(-difference, 0)
     data = overlap[:, PAIR : 2 * PAIR] * np.abs(light.shows[PAIR : 2 * PAIR, 1] @ SLOPES)
     return Combination(
         frames=near,
         difference=difference,
         total=total,
-        slots=np.einsum("f,fqr->qr", difference, shown),
+        slots=np.einsum("f,fqr->qr", difference, slot_light),
         levels=(float((parts[0] @ overlap) @ light.mean), float((parts[1] @ overlap) @ light.mean)),
         sum_time=_centroid(total, overlap * light.mean, middle),
         data_times=(
@@ -296,19 +296,21 @@ def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combinati
     )
 
 
-def combine_header(starts: Floats, exposure: float, shown: Floats, dimmed: tuple[Floats, Floats]) -> Combination | None:
+def combine_header(
+    starts: Floats, exposure: float, amplitudes: Floats, dimmed: tuple[Floats, Floats]
+) -> Combination | None:
     """Combine frames of a header: the sum is free of the header, the difference shows it as in a synchronous pair."""
-    about = shown - shown.mean() if len(shown) else shown
+    about = amplitudes - amplitudes.mean() if len(amplitudes) else amplitudes
     energy = float(about @ about)
     if energy < _PARAMETERS.min_header**2:
         return None
     # least squares: sum beta = 2 with sum beta s = 0; sum w = 0 with sum w s = 2
-    total, difference = 2 / len(shown) - 2 * shown.mean() / energy * about, 2 / energy * about
+    total, difference = 2 / len(amplitudes) - 2 * amplitudes.mean() / energy * about, 2 / energy * about
     # the LEDs of a header are lit evenly
     middle = float(total @ (starts + exposure / 2)) / 2
     cell = (0.5 * float(difference @ dimmed[0]), float(difference @ dimmed[1]))
     empty = np.zeros((3, SLOTS))
-    return Combination(np.arange(len(shown)), difference, total, empty, (0.5, 0.5), middle, (middle, middle), cell)
+    return Combination(np.arange(len(amplitudes)), difference, total, empty, (0.5, 0.5), middle, (middle, middle), cell)
 
 
 def _overlaps(starts: Floats, exposure: float) -> tuple[Floats, Floats]:
@@ -318,14 +320,14 @@ def _overlaps(starts: Floats, exposure: float) -> tuple[Floats, Floats]:
     return np.maximum(end - begin, 0.0) / exposure, (begin + end) / 2
 
 
-def _difference(shown: Floats, slope: Floats) -> Floats:
+def _difference(slot_light: Floats, slope: Floats) -> Floats:
     """Return alpha = Q^-1 (theta - mu 1), which maximises (alpha theta)^2 / (alpha Q alpha) for sum alpha = 0."""
     weights, used = np.zeros_like(slope), np.arange(len(slope))
     # nonlinear light and light of other pairs count as noise
     rest = COVARIANCE - np.outer(SLOPES, SLOPES)
-    matrix = _PARAMETERS.frame_noise * np.eye(len(slope)) + shown[:, 1] @ rest @ shown[:, 1].T
+    matrix = _PARAMETERS.frame_noise * np.eye(len(slope)) + slot_light[:, 1] @ rest @ slot_light[:, 1].T
     for q in (0, 2):
-        matrix += shown[:, q] @ COVARIANCE @ shown[:, q].T
+        matrix += slot_light[:, q] @ COVARIANCE @ slot_light[:, q].T
     while len(used) >= 2:
         h, ones = slope[used], np.ones(len(used))
         # mu = (1 Q^-1 theta) / (1 Q^-1 1)
@@ -339,11 +341,11 @@ def _difference(shown: Floats, slope: Floats) -> Floats:
     return weights
 
 
-def _total(shown: Floats, light: Floats) -> Floats:
+def _total(slot_light: Floats, light: Floats) -> Floats:
     """Return nonnegative weights of the sum with the least noise and unevenness for the light of all LEDs on."""
     matrix = _PARAMETERS.sum_noise * np.eye(len(light))
     for q in range(3):
-        matrix += shown[:, q] @ COVARIANCE @ shown[:, q].T
+        matrix += slot_light[:, q] @ COVARIANCE @ slot_light[:, q].T
     weights, used = np.zeros_like(light), np.arange(len(light))
     while True:
         beta = np.linalg.solve(matrix[np.ix_(used, used)], light[used])

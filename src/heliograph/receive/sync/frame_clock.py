@@ -74,11 +74,11 @@ class SynchronousClock:
         period_s = float(gaps[steps == 1].mean())
         if abs(period_s - self.period_s) > STEP_TOLERANCE * self.period_s:
             # the soft receiver needs at least a frame per pattern as well
-            other = "use --receiver soft, " if period_s < self.period_s else ""
+            hint = "use --receiver soft, " if period_s < self.period_s else ""
             rate = f"{1 / period_s:.1f}" if period_s < 1 else f"{1 / period_s:.2g}"
             raise HeliographError(
                 f"the plain receiver needs one frame a pattern: the film has {rate} frames/s, the light "
-                f"{1 / self.period_s:.1f} patterns/s; film at that rate, {other}give times in seconds, or say by --fps "
+                f"{1 / self.period_s:.1f} patterns/s; film at that rate, {hint}give times in seconds, or say by --fps "
                 f"what the camera did where the film misstates it"
             )
 

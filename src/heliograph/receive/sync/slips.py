@@ -75,7 +75,7 @@ class _PendingFrame:
     # True if `contrast` may be a pattern
     is_pattern: bool
     # Memo: the frame of the last comparison, and epsilon of both
-    other: "_PendingFrame | None" = None
+    partner: "_PendingFrame | None" = None
     epsilon: float | None = None
 
 
@@ -221,8 +221,8 @@ class SlipWatch:
     def _epsilon(self, place: int) -> float | None:
         """Return epsilon of a pending frame and the next, at most 1; None for frames of no pattern."""
         first, second = self._pending[place], self._pending[place + 1]
-        if first.other is not second:
-            first.other, first.epsilon = second, None
+        if first.partner is not second:
+            first.partner, first.epsilon = second, None
             u, v, p, q = first.contrast, second.contrast, first.power, second.power
             is_similar = min(p, q) >= self._parameters.min_power_ratio * max(p, q)
             if u is not None and v is not None and first.is_pattern and second.is_pattern and is_similar:
