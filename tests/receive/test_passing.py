@@ -8,7 +8,7 @@ from scenes import SIDE, draw, frame_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import Pose, receive_frames
-from heliograph.receive.sync.light_clock import header_amplitudes
+from heliograph.receive.sync.light_clock import measure_amplitudes
 from heliograph.signal.header import header_levels
 
 
@@ -52,6 +52,6 @@ def test_a_background_that_moves_past_does_not_mislead_the_clock() -> None:
         panel = draw(pose, np.ones((SIDE, SIDE)), (0, 0), (80, 80))
         frames.append(frame_of((1 - panel) * behind + 0.3 * draw(pose, levels, (0, 0), (80, 80)), k, rng))
         poses.append(pose)
-    view = header_amplitudes(frames, poses, header)
+    view = measure_amplitudes(frames, poses, header)
     assert np.ptp(view.brightness) < 0.06 * 0.3 * 255
     assert np.abs(view.alternation[[2, 4]] - 0.15 * 255).max() < 4

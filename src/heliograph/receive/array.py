@@ -362,7 +362,7 @@ class ArrayReceiver:
         if place == 0:
             self._end_header()
         single = place >= 0 and self._reader.format.mode == "single"
-        pair = self._pairing.pair(number, self._track.state.pose_at, single)
+        pair = self._pairing.get_pair(number, self._track.state.pose_at, single)
         if isinstance(pair, UnpairedFrame):
             self._read_lone(place, pair)
         elif pair is not None:
@@ -385,7 +385,7 @@ class ArrayReceiver:
     def _end_header(self) -> None:
         """Correct the clock by the header just over; out of step it is read as a whole."""
         pose_at, led_gains = self._track.state.pose_at, self._track.shining
-        header = self._pairing.header(self._number, self._poses, pose_at, led_gains)
+        header = self._pairing.measure_header(self._number, self._poses, pose_at, led_gains)
         if header is None:
             return
         self._gathered.clocked = True

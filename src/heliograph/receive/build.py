@@ -19,7 +19,7 @@ from heliograph.receive.plain_reader import PlainReader
 from heliograph.receive.receiver import Parts, StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft_reader import SoftParts, SoftReader
-from heliograph.receive.sync.frame_clock import CameraClock, SteppedClock
+from heliograph.receive.sync.frame_clock import CameraClock, SynchronousClock
 from heliograph.receive.sync.pairing import AsynchronousPairing, Pairing, SynchronousPairing
 from heliograph.receive.track.kalman import MotionModel
 from heliograph.receive.track.tracker import Tracker
@@ -75,7 +75,7 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
     search = _there(PyramidSearch(parameters, signal), parameters, settings, signal.side)
     follow = _following(signal, settings, observe, pairing, reader)
-    return Parts(SteppedClock(signal.pattern_period_s), search, follow, signal)
+    return Parts(SynchronousClock(signal.pattern_period_s), search, follow, signal)
 
 
 def soft_parts(

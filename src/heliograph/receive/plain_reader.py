@@ -20,7 +20,7 @@ from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, UnpairedF
 from heliograph.receive.track.kalman import PoseState
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
-from heliograph.receive.track.unpaired_frames import nearest_pairs, state_between
+from heliograph.receive.track.unpaired_frames import interpolate_state, nearest_pairs
 from heliograph.signal.formats import AGREED, Format, check_mode
 from heliograph.signal.packet import PacketFormat
 
@@ -186,7 +186,7 @@ class LuminanceObservations:
         chosen = nearest_pairs(place, self.sums)
         if not chosen:
             return None
-        pose = state_between(lone.frame.time_s, self.states, place).pose
+        pose = interpolate_state(lone.frame.time_s, self.states, place).pose
         total = np.mean([self.sums[k] for k in chosen], axis=0)
         # 2 r - (r + r') = r - r'
         shown = 2 * luminances(lone.frame, pose, len(total)) - total

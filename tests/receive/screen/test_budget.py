@@ -10,10 +10,10 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
 from heliograph.receive import make_receiver
 from heliograph.receive.events import Event, UnseenEvent
-from heliograph.receive.screen.cells import SAMPLES_PER_S, CellFitter, Place, SearchBudget, SearchLimits
+from heliograph.receive.screen.cells import SAMPLES_PER_S, CellFitter, Place, SearchBudget
 from heliograph.receive.screen.locate import PARAMETERS, ArraySearch, CandidateArray
 
-LIMITS = SearchLimits()
+LIMITS = SearchBudget()
 
 
 def flickering(seconds: float, seed: int = 1) -> list[Frame]:
@@ -49,7 +49,7 @@ def test_a_film_without_a_screen_costs_a_part_of_its_length(monkeypatch: pytest.
 
 
 def test_work_is_earned_by_the_films_time_and_no_more_is_kept_than_at_first() -> None:
-    budget = SearchBudget(SearchLimits(share=0.5, first_s=1.0, debt_s=0.5))
+    budget = SearchBudget(share=0.5, first_s=1.0, debt_s=0.5)
     budget.spend(1.2 * SAMPLES_PER_S)
     assert not budget.is_left
     assert not budget.is_overdrawn

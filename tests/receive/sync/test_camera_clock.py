@@ -11,7 +11,7 @@ from properties import examples
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
-from heliograph.receive.sync.frame_clock import CameraClock, FrameClock, SteppedClock
+from heliograph.receive.sync.frame_clock import CameraClock, FrameClock, SynchronousClock
 
 FIRST = 16
 """Frames that are held back until the camera's rate is known."""
@@ -121,7 +121,7 @@ def test_frames_that_go_back_are_refused() -> None:
 
 @pytest.mark.parametrize(("fps", "message"), [(979.0, "979.0 frames/s"), (1021.0, "1021.0 frames/s")])
 def test_a_camera_out_of_step_is_refused_by_the_plain_receivers_clock(fps: float, message: str) -> None:
-    clock = SteppedClock(1e-3)
+    clock = SynchronousClock(1e-3)
     with pytest.raises(HeliographError, match=message):
         timed(stamped([k / fps for k in range(40)]), clock)
 
@@ -129,7 +129,7 @@ def test_a_camera_out_of_step_is_refused_by_the_plain_receivers_clock(fps: float
 @pytest.mark.parametrize("late_s", [0.4e-3, -0.4e-3, 1e-3, 5e-3])
 def test_one_stamp_is_no_rate(late_s: float) -> None:
     """It is late or early, or frames before it are missing though their numbers run on."""
-    clock, times = SteppedClock(1e-3), 1e-3 * np.arange(40)
+    clock, times = SynchronousClock(1e-3), 1e-3 * np.arange(40)
     times[20:] += late_s if late_s >= 1e-3 else 0
     times[20] += late_s if late_s < 1e-3 else 0
     frames = stamped(times.tolist())
@@ -139,11 +139,11 @@ def test_one_stamp_is_no_rate(late_s: float) -> None:
 def test_a_number_that_was_rounded_the_other_way_is_no_rate() -> None:
     """Frames at 0.5, 1.5, 2.5 ms ... have the numbers 0, 2, 3 ... once 0.5 was rounded down."""
     frames = stamped([(k + 0.5) * 1e-3 for k in range(20)], [0, *range(2, 21)])
-    assert timed(frames, SteppedClock(1e-3)) == frames
+    assert timed(frames, SynchronousClock(1e-3)) == frames
 
 
 def test_a_short_film_is_judged_at_its_end() -> None:
-    clock = SteppedClock(1e-3)
+    clock = SynchronousClock(1e-3)
     timed(stamped([0.0, 2e-3, 4e-3]), clock)
     with pytest.raises(HeliographError, match=r"500\.0 frames/s"):
         list(clock.flush())
@@ -151,7 +151,7 @@ def test_a_short_film_is_judged_at_its_end() -> None:
 
 @pytest.mark.parametrize("fps", [981.0, 1019.0])
 def test_frames_in_step_pass_as_they_are(fps: float) -> None:
-    clock, numbers = SteppedClock(1e-3), [0, 1, 2, 7, 8]
+    clock, numbers = SynchronousClock(1e-3), [0, 1, 2, 7, 8]
     frames = stamped([k / fps for k in numbers], numbers)
     assert timed(frames, clock) == frames
     assert list(clock.flush()) == []
@@ -166,7 +166,7 @@ def test_a_camera_may_go_on_at_any_phase_after_a_pause(pause: float, at: int) ->
     assert [f.time_s for f in out] == pytest.approx(list(stamps), abs=0.05e-3)
     assert clock.period_s == pytest.approx(1e-3, rel=1e-4)
     frames = stamped(list(stamps))
-    assert timed(frames, SteppedClock(1e-3)) == frames
+    assert timed(frames, SynchronousClock(1e-3)) == frames
 
 
 def test_pauses_between_all_of_the_first_frames_leave_a_period() -> None:

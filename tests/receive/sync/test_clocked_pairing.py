@@ -43,8 +43,8 @@ def paired(
 ) -> list[tuple[int, FramePair | UnpairedFrame | None]]:
     """Numbers of pairs with their frames, as a receiver asks for them."""
     pushed = (number for frame in frames for number in pairing.push(frame))
-    got = [(number, pairing.pair(number, lambda _: POSE, single)) for number in pushed]
-    return got + [(number, pairing.pair(number, lambda _: POSE, single)) for number in pairing.flush()]
+    got = [(number, pairing.get_pair(number, lambda _: POSE, single)) for number in pushed]
+    return got + [(number, pairing.get_pair(number, lambda _: POSE, single)) for number in pairing.flush()]
 
 
 @examples(40)
@@ -153,7 +153,7 @@ def test_a_whole_header_gives_the_gain_and_an_even_sum() -> None:
         for number in pairing.push(frame):
             if number % 7 == 2:
                 poses = {number - 2: lambda _: POSE, number - 1: lambda _: POSE}
-                measured.append(pairing.header(number, poses, lambda _: POSE, np.ones((16, 16))))
+                measured.append(pairing.measure_header(number, poses, lambda _: POSE, np.ones((16, 16))))
     assert len(measured) == 3
     for header in measured:
         assert header is not None
@@ -175,4 +175,4 @@ def test_a_header_in_step_gives_no_more() -> None:
         for number in pairing.push(frame):
             if number in (2, 9):
                 poses = {number - 2: lambda _: POSE, number - 1: lambda _: POSE}
-                assert pairing.header(number, poses, lambda _: POSE, np.ones((16, 16))) is None
+                assert pairing.measure_header(number, poses, lambda _: POSE, np.ones((16, 16))) is None

@@ -23,7 +23,7 @@ def frame(number: int, start_s: float = 0.0) -> Frame:
 
 def paired(pairing: SynchronousPairing, frames: list[Frame]) -> list[tuple[int, FramePair | UnpairedFrame | None]]:
     """Numbers of pairs with their frames, as a receiver asks for them."""
-    return [(number, pairing.pair(number, lambda _: POSE, False)) for one in frames for number in pairing.push(one)]
+    return [(number, pairing.get_pair(number, lambda _: POSE, False)) for one in frames for number in pairing.push(one)]
 
 
 @examples(150)

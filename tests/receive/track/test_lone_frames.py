@@ -16,7 +16,7 @@ from heliograph.receive import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.sync.pairing import FramePair, UnpairedFrame
 from heliograph.receive.track.kalman import PoseState, Tilt
-from heliograph.receive.track.unpaired_frames import CompletePair, nearest_pairs, state_between, unpaired_cutout
+from heliograph.receive.track.unpaired_frames import CompletePair, interpolate_state, nearest_pairs, unpaired_cutout
 
 Floats = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def test_between_two_states_the_pose_follows_the_cubic_of_both(
     # times in spans
     states = {3: state_at(begin, one[0], one[1] / span), 8: state_at(begin + span, other[0], other[1] / span)}
     time_s = begin + part * span
-    found = state_between(time_s, states, 5)
+    found = interpolate_state(time_s, states, 5)
     assert found.time_s == time_s
     assert found.mean[:5] == pytest.approx(between[0], abs=1e-6)
     assert span * found.mean[5:8] == pytest.approx(between[1], abs=1e-6)
@@ -81,7 +81,7 @@ def test_it_is_the_two_states_beside_it_that_tell() -> None:
         round(500 * t): state_at(t, np.array([x[k], -x[k], 0.0, 0.0, 0.0]), np.array([rate[k], -rate[k], 0.0]))
         for k, t in enumerate(times)
     }
-    found = state_between(0.011, states, 5)
+    found = interpolate_state(0.011, states, 5)
     want = float(CubicHermiteSpline(times[2:4], x[2:4], rate[2:4])(0.011))
     assert found.mean[:2] == pytest.approx([want, -want])
     # what is not of the motion is as it was before
@@ -95,7 +95,7 @@ def test_beyond_all_states_the_nearest_goes_on_evenly(place: int, near: int) -> 
     states = {
         k: state_at(0.002 * k, np.array([k, 2.0 * k, 0.1, 0.02, -0.6]), k * rates, (0.03, -0.01)) for k in (4, 6, 9)
     }
-    found = state_between(0.002 * place, states, place)
+    found = interpolate_state(0.002 * place, states, place)
     dt = 0.002 * (place - near)
     want = np.array([near, 2.0 * near, 0.1, 0.02, -0.6]) + dt * near * np.append(rates, [0, 0])
     assert found.time_s == 0.002 * place

@@ -6,7 +6,7 @@ from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
 from heliograph.receive import Pose
 from heliograph.receive.track import kernels
 from heliograph.receive.track.kalman import MotionModel, PoseState
-from heliograph.receive.track.track import Track, VisibilityParameters, line_distance, noise_around, preview_pair
+from heliograph.receive.track.track import Track, VisibilityParameters, estimate_noise, line_distance, preview_pair
 
 PARAMETERS = VisibilityParameters()
 CORNER, SHAPE = (100, 50), (60, 64)
@@ -29,7 +29,7 @@ def test_a_preview_equals_the_separate_kernels() -> None:
         difference, total, noise, after = preview_pair(track, up, down, CORNER, pose)
         assert np.array_equal(difference, up - down)
         assert np.array_equal(total, up + down)
-        assert noise == noise_around(up - down, pose, CORNER, SIDE)
+        assert noise == estimate_noise(up - down, pose, CORNER, SIDE)
         clear, lines = np.ones((SIDE, SIDE)), np.full((2, SIDE + 2), np.nan) if track.lines is None else track.lines
         lines, middle = lines.copy(), np.array([pose.x - CORNER[0], pose.y - CORNER[1]])
         visible, least = (after.change >= PARAMETERS.min_visible).astype(float), PARAMETERS.min_line_change * 200.0

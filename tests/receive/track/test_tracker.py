@@ -15,7 +15,7 @@ from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import MotionModel, PoseState
-from heliograph.receive.track.track import Track, TrackedPair, around_leds, contrast
+from heliograph.receive.track.track import Track, TrackedPair, average_around_leds, contrast
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.header import header_levels
 
@@ -171,7 +171,7 @@ def worst_error(led_gains: Floats, shown: Floats) -> tuple[float, bool]:
     rng, pose = np.random.default_rng(2), Pose(40.2, 39.7, pitch_at(47.0), 0.0, 0.52)
     tracker, model = Tracker(SIDE, MotionModel(1e-3, 0.1)), MotionModel(1e-3, 0.1)
     state = PoseState.start(0.0, pose.full_vector(), np.eye(7) * 1e-3, model)
-    track, worst, seen = Track(state, 204.0, 204.0, led_gains, 0.0, around_leds(led_gains, pose)), 0.0, True
+    track, worst, seen = Track(state, 204.0, 204.0, led_gains, 0.0, average_around_leds(led_gains, pose)), 0.0, True
     for k in range(30):
         levels = rng.binomial(4, 0.5, (SIDE, SIDE)) / 4
         light = [0.1 + 0.8 * draw(pose, shown * x, (0, 0), (80, 80)) for x in (levels, 1 - levels)]

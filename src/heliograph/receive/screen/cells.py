@@ -5,7 +5,7 @@ light X of the cells and of the ring, and the spread B of a cell by the blur. Le
 projected on the derivatives of B X B^T, corrects the place.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 
@@ -20,29 +20,19 @@ SAMPLES_PER_S = 14e6
 """Samples that a core resamples and fits per second, on the machine of `docs/performance.md`."""
 
 
-@dataclass(frozen=True)
-class SearchLimits:
-    """Limits of the search, in seconds of a core."""
-
-    # Seconds of search per second of the film
-    share: float = 0.2
-    # Initial and maximum seconds
-    first_s: float = 1.0
-    # Debt at which an array without a header is given up
-    debt_s: float = 0.5
-
-    def for_light(self, period_s: float) -> "SearchLimits":
-        """Scale the limits to a pattern period; headers below 10 patterns/s take longer."""
-        slower = max(1.0, 10 * period_s)
-        return replace(self, first_s=slower * self.first_s, debt_s=slower * self.debt_s)
-
-
 class SearchBudget:
-    """Work that the search for a screen may do, counted rather than timed to be reproducible."""
+    """Work of the search for a screen in seconds of a core, counted rather than timed to be reproducible."""
 
-    def __init__(self, limits: SearchLimits | None = None):
-        self._limits = limits or SearchLimits()
+    def __init__(self, share: float = 0.2, first_s: float = 1.0, debt_s: float = 0.5):
+        # work per second of the film, initial and maximum work, and debt to give up an array that shows no header
+        self.share, self.first_s, self.debt_s = share, first_s, debt_s
         self.fill()
+
+    @classmethod
+    def for_light(cls, period_s: float) -> "SearchBudget":
+        """Return the budget for a pattern period; headers below 10 patterns/s take longer."""
+        budget, slower = cls(), max(1.0, 10 * period_s)
+        return cls(budget.share, slower * budget.first_s, slower * budget.debt_s)
 
     @property
     def is_left(self) -> bool:
@@ -51,19 +41,19 @@ class SearchBudget:
 
     @property
     def is_overdrawn(self) -> bool:
-        """True if an array without a header has used up the debt."""
-        return self._left_s < -self._limits.debt_s
+        """True if the debt is used up."""
+        return self._left_s < -self.debt_s
 
     def fill(self) -> None:
         """Reset the work to the initial amount."""
-        self._left_s = self._limits.first_s
+        self._left_s = self.first_s
 
     def earn(self, film_s: float) -> None:
         """Add the work of some seconds of the film."""
-        self._left_s = min(self._left_s + self._limits.share * film_s, self._limits.first_s)
+        self._left_s = min(self._left_s + self.share * film_s, self.first_s)
 
     def spend(self, samples: float) -> None:
-        """Subtract work, in samples that are resampled and fitted."""
+        """Subtract work in resampled and fitted samples."""
         self._left_s -= samples / SAMPLES_PER_S
 
 
@@ -71,7 +61,7 @@ S = 6
 """Samples along the side of a cell: a blur of a third of a cell is represented to 1 %."""
 
 RIM_CELLS = 1
-"""Width of the ring around the array in cells, whose light leaks into the array."""
+"""Width of the ring around the array in cells; the light of the ring leaks into the array."""
 
 PIXEL_SAMPLES = 0.05
 """Work of a pixel in samples."""
@@ -79,13 +69,13 @@ PIXEL_SAMPLES = 0.05
 
 @dataclass(frozen=True)
 class CellParameters:
-    """Parameters of the fit of cells."""
+    """Parameters of the fit of cells and of the tracking from frame to frame."""
 
     # Loading of the least squares, relative to the weight of a cell: cells may be smaller than the blur
     loading: float = 1e-3
     # Cell size in px above which frames are reduced
     max_cell_px: float = 10.0
-    # Step in cells that ends the fit, and maximum of a step
+    # Minimum step in cells to continue the fit, and maximum of a step
     min_step: float = 0.01
     max_step: float = 0.7
     # Standard deviation in px of a pixel and of bilinear interpolation: sqrt(1/12 + 1/12)
@@ -100,11 +90,27 @@ class CellParameters:
     saturated: float = 0.985
     # Rms of random data about the mean, relative to the mean
     data_contrast: float = 0.5
-    # Weights that keep the shape of the array from frame to frame, relative to the weight of the image
+    # Weights of the shape of the array in the last frame, relative to the weight of the image
     stiffness: tuple[float, ...] = (0.0, 0.03, 0.03, 0.0, 0.03, 0.03, 0.2, 0.2)
+    # Maximum misfit: 0.06 to 0.3 for the right place, 0.6 to 0.9 half a cell off
+    max_misfit: float = 0.6
+    # Predicted fraction of the last motion: sway goes on, tremor turns back
+    motion_share: float = 0.5
+    # Maximum rms change of a side of the ring, relative to the light; a slip by a cell changes 0.5 to 1
+    max_ring_change: float = 0.3
+    # Minimum light, relative to the brightest frames
+    min_light: float = 0.15
+    # Maximum factor of the usual misfit per frame, and decay of the brightest light
+    growth: float = 1.03
+    # Weight of a frame in the usual ring
+    ring_rate: float = 0.05
+    # Offsets in cells, right and down, to try after a slip: a fit corrects half a cell
+    slip_cells: tuple[float, ...] = (0, -0.6, 0.6, -1.2, 1.2)
+    # Ratio of the misfit to the usual misfit above which slips are tried; headers and smear have up to 1.5
+    max_misfit_ratio: float = 1.8
 
 
-_CELL = CellParameters()
+_PARAMETERS = CellParameters()
 
 
 @dataclass(frozen=True)
@@ -195,7 +201,7 @@ def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     slope = bell[:, :-1] - bell[:, 1:]
     slope[:, 0], slope[:, -1] = -bell[:, 1], bell[:, -2]
     gram = b.T @ b
-    weights = np.linalg.solve(gram + _CELL.loading * S * np.eye(cells), b.T)
+    weights = np.linalg.solve(gram + _PARAMETERS.loading * S * np.eye(cells), b.T)
     return b, slope, weights
 
 
@@ -239,8 +245,10 @@ class CellFitter:
         side = self.side
         part, part_place = self._cut_out(pixels, place)
         # blur of pixel, interpolation and lens
-        width = float(np.hypot(np.hypot(self.blur_px, _CELL.pixel_px) / place.cell_px(side), _CELL.sample_width / S))
-        b, slope, weights = _spread(side, round(max(width, _CELL.min_blur), 2))
+        width = float(
+            np.hypot(np.hypot(self.blur_px, _PARAMETERS.pixel_px) / place.cell_px(side), _PARAMETERS.sample_width / S)
+        )
+        b, slope, weights = _spread(side, round(max(width, _PARAMETERS.min_blur), 2))
         start = place
         for step in range(max_steps + 1):
             homography = part_place.homography @ np.linalg.solve(start.homography, place.homography)
@@ -251,15 +259,15 @@ class CellFitter:
                 break
             delta = _step(residual, b, slope, x, side)
             place = Place(place.homography @ delta)
-            if np.abs(delta - np.eye(3))[:2].max() < _CELL.min_step:
+            if np.abs(delta - np.eye(3))[:2].max() < _PARAMETERS.min_step:
                 break
-        self.budget.spend((step + 1) * (samples.size + _CELL.step_samples) + PIXEL_SAMPLES * part.size)
+        self.budget.spend((step + 1) * (samples.size + _PARAMETERS.step_samples) + PIXEL_SAMPLES * part.size)
         core = slice(RIM_CELLS * S, -RIM_CELLS * S)
         inner = samples[core, core]
         # between a pattern and the inverse all cells are alike
-        contrast = max(float(inner.std()), _CELL.data_contrast * float(inner.mean()), TINY)
+        contrast = max(float(inner.std()), _PARAMETERS.data_contrast * float(inner.mean()), TINY)
         misfit = float(np.sqrt(np.mean(residual[core, core] ** 2))) / contrast
-        return CellFit(place, x, misfit, float(np.mean(inner > _CELL.saturated)))
+        return CellFit(place, x, misfit, float(np.mean(inner > _PARAMETERS.saturated)))
 
     def _cut_out(self, pixels: Pixels, place: Place) -> tuple[NDArray[np.float32], Place]:
         """Cut out the light around an array, reduced for large cells, with the place in the part."""
@@ -268,7 +276,7 @@ class CellFitter:
         low = np.maximum(np.floor(corners.min(0) - rim), 0).astype(int)
         high = np.minimum(np.ceil(corners.max(0) + rim).astype(int) + 1, pixels.shape[::-1])
         part = light_of(pixels[low[1] : high[1], low[0] : high[0]], self.light)
-        factor = max(1, int(cell / _CELL.max_cell_px))
+        factor = max(1, int(cell / _PARAMETERS.max_cell_px))
         if factor > 1:
             size = (part.shape[1] // factor, part.shape[0] // factor)
             part = part[: size[1] * factor, : size[0] * factor]
@@ -280,7 +288,7 @@ class CellFitter:
 
 
 def _step(residual: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> Floats:
-    """Return a small homography in cells that reduces the residual, (3, 3)."""
+    """Return a small homography in cells to reduce the residual, (3, 3)."""
     core = slice(RIM_CELLS * S - S // 2, -(RIM_CELLS * S - S // 2))
     across, down = (b @ x @ slope.T)[core, core], (slope @ x @ b.T)[core, core]
     at = (np.arange(b.shape[0])[core] + 0.5) / S - RIM_CELLS - side / 2
@@ -290,40 +298,15 @@ def _step(residual: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> F
     terms = [across, across * u, across * v, down, down * u, down * v, tilt * u, tilt * v]
     rows = np.stack(terms).reshape(8, -1)
     gram = rows @ rows.T
-    hold = np.array(_CELL.stiffness) * (gram[0, 0] + gram[3, 3]) / 2
+    hold = np.array(_PARAMETERS.stiffness) * (gram[0, 0] + gram[3, 3]) / 2
     # the image moves opposite to the place
     p = np.linalg.solve(gram + np.diag(hold) + 1e-12 * np.eye(8), -(rows @ residual[core, core].ravel()))
-    p = p / max(1.0, float(np.abs(p).max()) / _CELL.max_step)
+    p = p / max(1.0, float(np.abs(p).max()) / _PARAMETERS.max_step)
     n = side
     a, bb, c, d, e, f, g, h = p
     centred = np.array([[1 + bb / n, c / n, a], [e / n, 1 + f / n, d], [-g / n**2, -h / n**2, 1]])
     move = np.array([[1, 0, n / 2], [0, 1, n / 2], [0, 0, 1]])
     return move @ centred @ np.linalg.inv(move)
-
-
-@dataclass(frozen=True)
-class CellTrackerParameters:
-    """Parameters of the tracking from frame to frame."""
-
-    # Maximum misfit: 0.06 to 0.3 for the right place, 0.6 to 0.9 half a cell off
-    max_misfit: float = 0.6
-    # Fraction of the motion that is predicted to go on: sway goes on, tremor turns back
-    motion_share: float = 0.5
-    # Maximum rms change of a side of the ring, relative to the light; a slip by a cell changes 0.5 to 1
-    max_ring_change: float = 0.3
-    # Minimum light, relative to the brightest frames
-    min_light: float = 0.15
-    # Maximum factor of the usual misfit per frame, and decay of the brightest light
-    growth: float = 1.03
-    # Weight of a frame in the usual ring
-    ring_rate: float = 0.05
-    # Offsets in cells, right and down, that are tried after a slip: a fit corrects half a cell
-    slip_cells: tuple[float, ...] = (0, -0.6, 0.6, -1.2, 1.2)
-    # Ratio of the misfit to the usual misfit above which slips are tried; headers and smear have up to 1.5
-    max_misfit_ratio: float = 1.8
-
-
-_TRACKER = CellTrackerParameters()
 
 
 @dataclass(frozen=True)
@@ -350,7 +333,7 @@ class CellTracker:
         self._cell_centres = np.stack(np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5), axis=-1)
         self._motion = np.zeros(2)
         self._ring: Floats | None = None
-        self._usual_misfit = _TRACKER.max_misfit / _TRACKER.max_misfit_ratio
+        self._usual_misfit = _PARAMETERS.max_misfit / _PARAMETERS.max_misfit_ratio
         self._last_good = place
         self._max_light = 0.0
         self.lost_since: float | None = None
@@ -362,9 +345,9 @@ class CellTracker:
 
     def track(self, frame: Frame, max_steps: int = 4) -> Sample | None:
         """Find the array in the next frame; None for an invisible array."""
-        expected = self.place.moved(_TRACKER.motion_share * self._motion)
+        expected = self.place.moved(_PARAMETERS.motion_share * self._motion)
         fit = self._fit(frame, expected, max_steps)
-        if fit is not None and float(fit.light.mean()) < _TRACKER.min_light * self._max_light:
+        if fit is not None and float(fit.light.mean()) < _PARAMETERS.min_light * self._max_light:
             return None  # the backlight was off
         if self._corrects_slips and (fit is None or self._doubt(fit) > 1) and self._fitter.budget.is_left:
             fit = self._correct_slip(frame, expected, max_steps, fit)
@@ -384,27 +367,27 @@ class CellTracker:
         if self._ring is None:
             return fit
         shaped = self._last_good.moved(place.at(self._middle) - self._last_good.at(self._middle))
-        offsets = product(_TRACKER.slip_cells, _TRACKER.slip_cells)
+        offsets = product(_PARAMETERS.slip_cells, _PARAMETERS.slip_cells)
         fits = [fit, *(self._fit(frame, shaped.shifted(*offset), max_steps) for offset in offsets)]
         return min((candidate for candidate in fits if candidate is not None), key=self._doubt, default=None)
 
     def _doubt(self, fit: CellFit) -> float:
         """Return the doubt about a fit; above 1 the fit may be a slip."""
-        misfit = fit.misfit / (_TRACKER.max_misfit_ratio * self._usual_misfit)
+        misfit = fit.misfit / (_PARAMETERS.max_misfit_ratio * self._usual_misfit)
         if self._ring is None:
             return max(misfit, 0.0)
         # a slip changes two sides, the largest change counts
         sides = np.sqrt(np.mean((fit.ring - self._ring).reshape(4, -1) ** 2, axis=1))
-        return max(misfit, float(sides.max() / max(float(fit.light.mean()), TINY)) / _TRACKER.max_ring_change)
+        return max(misfit, float(sides.max() / max(float(fit.light.mean()), TINY)) / _PARAMETERS.max_ring_change)
 
     def _update(self, fit: CellFit) -> None:
         """Update the usual ring, light and misfit by a fit."""
         if self._ring is None:
             self._ring, self._usual_misfit = fit.ring, fit.misfit
         if self._doubt(fit) < 1:
-            self._ring = (1 - _TRACKER.ring_rate) * self._ring + _TRACKER.ring_rate * fit.ring
+            self._ring = (1 - _PARAMETERS.ring_rate) * self._ring + _PARAMETERS.ring_rate * fit.ring
             self._last_good = fit.place
-        growth = _TRACKER.growth
+        growth = _PARAMETERS.growth
         self._max_light = max(float(fit.light.mean()), self._max_light / growth)
         # the usual misfit follows slowly, for cameras that lose focus
         self._usual_misfit = float(np.clip(fit.misfit, self._usual_misfit / growth, self._usual_misfit * growth))
@@ -414,5 +397,5 @@ class CellTracker:
         if not is_inside(place, self._fitter.side, frame.pixels.shape):
             return None
         fit = self._fitter(frame.pixels, place, max_steps)
-        is_good = fit.misfit < _TRACKER.max_misfit and is_inside(fit.place, self._fitter.side, frame.pixels.shape)
+        is_good = fit.misfit < _PARAMETERS.max_misfit and is_inside(fit.place, self._fitter.side, frame.pixels.shape)
         return fit if is_good else None

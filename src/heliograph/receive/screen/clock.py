@@ -4,7 +4,7 @@ A pair of patterns has the levels 2 + d and 2 - d, so that a cell shows
 
     y_i = g_i (c + sum_p d_p q(t_i + r y - 2 p T)),   q = w(t) - w(t - T)
 
-with the mean light w(t) of a pattern over an exposure that begins at t, the time t_i of frame i, the row time r, the
+with the mean light w(t) of a pattern over an exposure from t on, the time t_i of frame i, the row time r, the
 sensor row y of the cell, the pattern period T and the gain g_i of the camera. Given phase, row time, exposure and
 response, the d are linear least squares; the residual judges the other parameters (variable projection). No header is
 needed.
@@ -37,17 +37,17 @@ class ClockParameters:
     # Phases of a pair per rate, and for the comparison of many rates
     phases: int = 16
     rough_phases: int = 8
-    # Exposures that are tried, and the exposure for the comparison of many rates
+    # Exposures to try, and the exposure for the comparison of many rates
     exposures: tuple[float, float] = (0.3, 0.9)
     rough_exposure: float = 0.6
-    # Readout times of all rows in seconds that are tried: phones take 5 to 30 ms
+    # Readout times of all rows in seconds to try: phones take 5 to 30 ms
     readouts_s: tuple[float, ...] = (0.0, 0.008, 0.016, 0.024)
-    # Rates that are compared closely, and clocks per rate that are refined
+    # Closely compared rates, and refined clocks per rate
     best_rates: int = 4
     best_clocks: int = 2
     # Maximum unexplained part for a refinement; without a light 0.9 to 1.1 is unexplained
     max_rough_unexplained: float = 0.85
-    # Relative periods near the best that are tried, how often, and the required reduction of the unexplained part
+    # Relative periods to try near the best, how often, and the required reduction of the unexplained part
     nearby: tuple[float, ...] = (0.985, 0.995, 1.005, 1.015)
     nearby_steps: int = 3
     nearby_gain: float = 0.7
@@ -58,7 +58,7 @@ class ClockParameters:
     min_period: float = 1.7
     # Deviation of the light of a frame from the neighbours above which the backlight flickers
     flicker: float = 0.15
-    # Part of the time searched so far that passes until the next search
+    # Pause until the next search, as a part of the time searched so far
     pause_share: float = 0.3
     # Maximum unexplained part of a clock: 0.003 to 0.1 for the right clock, 0.4 to 1 for others
     max_unexplained: float = 0.3
@@ -67,7 +67,7 @@ class ClockParameters:
     # Minimum number of patterns and of frames for a clock
     min_patterns: int = 10
     min_frames: int = 16
-    # Duration of the samples that are kept in seconds
+    # Duration of the kept samples in seconds
     max_search_s: float = 12.0
     # Required reduction of the unexplained part for another readout direction
     readout_gain: float = 0.8
@@ -303,7 +303,7 @@ class RowTiming:
     length: int
 
     def rows(self, at: Floats) -> Floats:
-        """Return the number of sensor rows that are read before given places."""
+        """Return the number of sensor rows read before given places."""
         row = at[..., self.axis]
         return self.length - 1 - row if self.is_reversed else row
 
@@ -366,7 +366,7 @@ class SampleBuffer:
 
 
 RATES = (10.0, 15.0, 30.0, 60.0, 5.0, 20.0, 12.0, 7.5, 6.0, 4.0, 3.0, 2.0, 24.0, 1.0)
-"""Patterns per second that are tried first: divisors of 60 Hz, and common frame rates of films."""
+"""Patterns per second to try first: divisors of 60 Hz, and common frame rates of films."""
 
 DISPLAY_RATES = (12.5, 16.7, 25.0, 50.0, 14.4, 18.0, 36.0, 72.0, 18.75, 37.5, 75.0, 10.3, 20.6, 27.5, 33.0, 22.5, 28.8)
 """Patterns per second of displays of 50, 72, 75, 90, 144 and 165 Hz."""
@@ -375,7 +375,7 @@ RATE_STEP = 0.03
 """Relative distance of neighbouring rates: ten patterns are then off by a sixth of a pattern at the ends."""
 
 ANY_RATES = tuple(np.exp(np.arange(0.0, np.log(60.0), RATE_STEP)).tolist())
-"""Patterns per second, 1 to 60, that are tried last."""
+"""Patterns per second, 1 to 60, to try last."""
 
 
 class ClockSearch:

@@ -40,25 +40,25 @@ class LocateParameters:
     # Maximum number of quadrilaterals, and maximum ratio of the sides
     max_candidates: int = 4
     max_side_ratio: float = 2.5
-    # Tolerances of the polygons of an outline that are tried, relative to the length
+    # Tolerances of the polygons of an outline, relative to the length
     tolerances: tuple[float, ...] = tuple(np.geomspace(0.01, 0.15, 24).tolist())
     # Profiles across a side, reach of a profile in reduced px, and distance in px at which an edge counts half
     profiles: int = 32
     edge_reach: float = 2.5
     edge_distance_px: float = 2.0
-    # Frames that are kept: 16 patterns of 60 patterns/s at 240 frames/s
+    # Kept frames: 16 patterns of 60 patterns/s at 240 frames/s
     kept_frames: int = 64
     # Frames between two searches, and before the first
     search_interval: int = 6
     first_search: int = 12
     # Frames after which a doubtful array is accepted
     max_doubtful: int = 48
-    # Numbers of recent frames whose changes are searched: few for shaken cameras, many for slow patterns
+    # Numbers of recent frames for the changes: few for shaken cameras, many for slow patterns
     windows: tuple[int, ...] = (8, 16, 64)
-    # Blurs in px that are tried, and the maximum in cells
+    # Blurs in px to try, and the maximum in cells
     blurs_px: tuple[float, ...] = (1.0, 0.6, 1.6, 2.4)
     max_blur: float = 0.45
-    # Candidates of one frame that are tried in several frames
+    # Best candidates of a frame to try in several frames
     max_trials: int = 8
     # Misfit plus change of the ring above which a candidate is doubtful; 0.06 to 0.25 for the right place
     min_doubt: float = 0.3

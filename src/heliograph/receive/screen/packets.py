@@ -37,7 +37,7 @@ class PacketParameters:
 
     # Minimum correlation of a pair with a header: six standard deviations of random data of 8 x 8 cells
     min_correlation: float = 0.75
-    # Maximum difference of the correlations of headers that look alike in several orientations
+    # Maximum difference of the correlations of headers with ambiguous orientation
     max_tie: float = 0.03
     # Iterations of the row gains; each removes three quarters of the remaining bands
     gain_steps: int = 3
@@ -47,7 +47,7 @@ class PacketParameters:
     outlier: float = 4.0
     # Variance of a missing pair, relative to the median
     max_variance: float = 10.0
-    # Part of a pair that the start of a film may cut off
+    # Part of a pair before the start of a film
     max_cut: float = 0.45
     # Packets without a header after which the header is searched again
     max_lost: int = 2
@@ -177,7 +177,7 @@ class ScreenPacket:
 
 
 def solve_with_gains(samples: Samples, clock: Clock) -> PairSolution:
-    """Solve the pairs with the gain of each row, and without frames that do not fit."""
+    """Solve the pairs with the gain of each row, and reduced weights of outlier frames."""
     solution = solve_pairs(samples, clock)
     for _ in range(PARAMETERS.gain_steps):
         fitted = samples.light - solution.residual
@@ -214,7 +214,7 @@ def decode_pairs(
     upright = np.stack([header.orientation.upright(pair) for pair in change])
     reason, words = "", {}
     if form.mode == "single":
-        reason = "the receiver screen reads pairs of patterns alone, this packet is of the single mode"
+        reason = "the receiver screen reads only pairs of patterns, this packet is of the single mode"
     else:
         try:
             words = decode_packet(upright, seen, PacketFormat(signal, form), header.identity, options)
@@ -310,7 +310,7 @@ class PacketAssembler:
         return self._buffer.between(packet.start_s, packet.end_s) or [self._buffer.last]
 
     def _decode_complete(self, now_s: float, final: bool = False) -> Iterator[ScreenPacket]:
-        """Yield the packets that are complete at a time."""
+        """Yield the packets completed by a time."""
         while (clock := self._clock) is not None:
             late_s = clock.row_s * self._buffer.readout.length + clock.exposure_s + 2 * clock.response_s
             if self._next_s is None:

@@ -25,7 +25,7 @@ from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import window_around
 from heliograph.receive.packet import Packet, Status
-from heliograph.receive.screen.cells import CellTracker, Place, Sample, SearchBudget, SearchLimits
+from heliograph.receive.screen.cells import CellTracker, Place, Sample, SearchBudget
 from heliograph.receive.screen.locate import ArraySearch
 from heliograph.receive.screen.packets import CurrentPacket, PacketAssembler, ScreenHeader, ScreenPacket
 from heliograph.receive.settings import ReceiveSettings
@@ -45,9 +45,9 @@ class ScreenParameters:
     margin_sides: float = 0.25
     # Seconds for which these frames are kept: a pair of 1 pattern/s lasts 2 s
     kept_s: float = 2.5
-    # Seconds without the array after which the array is searched again
+    # Seconds of a lost array before a new search
     max_lost_s: float = 1.0
-    # The same for gaps without frames, in packets, if longer
+    # The same for gaps between frames, in packets, if longer
     max_gap_packets: float = 0.5
     # Seconds and patterns without a clock after which no screen is visible, if both have passed
     unseen_s: float = 5.0
@@ -182,7 +182,7 @@ class ScreenReceiver:
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
         self._signal, self._settings, self._observe = signal, settings, observe
         self._options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
-        self._budget = SearchBudget(SearchLimits().for_light(signal.pattern_period_s))
+        self._budget = SearchBudget.for_light(signal.pattern_period_s)
         self._search = ArraySearch(signal.side, settings.screen.gamma, self._budget)
         self._events = EventEmitter(signal, observe)
         self._last: Frame | None = None
@@ -233,7 +233,7 @@ class ScreenReceiver:
         self._emit_unseen(frame.time_s, max(PARAMETERS.unseen_s, patterns_s))
 
     def _emit_unseen(self, time_s: float, least_s: float) -> None:
-        """Emit once that no screen was visible since the start of the film."""
+        """Emit once the absence of a screen since the start of the film."""
         if self._array is not None and self._array[1].has_clock:
             self._unseen_since = None
         if self._unseen_since is not None and time_s - self._unseen_since >= least_s:
@@ -263,7 +263,7 @@ class ScreenReceiver:
             yield from self._end_array()
 
     def _decode(self, frame: Frame, sample: Sample | None, assembler: PacketAssembler) -> Iterator[Packet]:
-        """Decode the packets that a frame completes."""
+        """Decode the packets completed by a frame."""
         self._events.add_frame(frame, sample, assembler.current)
         if sample is not None:
             for packet in assembler.push(sample):

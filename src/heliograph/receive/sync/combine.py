@@ -62,15 +62,15 @@ def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
 
 def moments(table: Floats, mean: Floats) -> tuple[Floats, Floats]:
     """Return mean and variance of the observed symbols, (..., symbols) each."""
-    first, second = _moments(table, _chances(mean))
+    first, second = _moments(table, _probabilities(mean))
     return first, np.maximum(second - first**2, 0)
 
 
 def posterior_moments(table: Floats, observed: Floats, variance: Floats, mean: Floats) -> tuple[Floats, Floats]:
     """Return the posterior means of the observed symbols and of the squared symbols, given noisy estimates."""
     # certain symbols are relaxed as well: their response may contradict the estimates
-    chance = _joint(_fit(table, observed, variance)) * _chances(uncertain(mean))
-    return _moments(table, chance / chance.sum(-2, keepdims=True))
+    probability = _joint_likelihood(_log_likelihoods(table, observed, variance)) * _probabilities(uncertain(mean))
+    return _moments(table, probability / probability.sum(-2, keepdims=True))
 
 
 def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats) -> Floats:
@@ -80,15 +80,15 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
     therefore count only if the three other symbols are known or if the response consists of products.
     """
     prior, squares = uncertain(mean), _by_kind(mean)
-    chance, fit = _chances(prior), _fit(table, observed, variance)
+    probability, fit = _probabilities(prior), _log_likelihoods(table, observed, variance)
     # extrinsic: without the prior of the symbol
     own_prior = 2 * np.arctanh(_by_kind(prior))
-    joint = _llrs((_joint(fit) * chance)[..., None, :, :]) - own_prior
+    joint = _to_llrs((_joint_likelihood(fit) * probability)[..., None, :, :]) - own_prior
     # in place: allocation costs more than the arithmetic
     fit -= fit.max(-2, keepdims=True)
     fit = np.exp(fit, out=fit)
-    fit *= chance[..., None, :, :]
-    own = _llrs(fit) - own_prior
+    fit *= probability[..., None, :, :]
+    own = _to_llrs(fit) - own_prior
     # power of the products in the response; 0 for a linear response
     linear = np.einsum("...ki,ki->...", table, VALUES) / VALUES.size
     products = np.minimum((table**2).mean((-2, -1)) / linear**2 - 1, 1.0)[..., None, None]
@@ -110,15 +110,15 @@ def _by_kind(symbols: Floats) -> Floats:
     return symbols.reshape(*symbols.shape[:-1], 4, -1)
 
 
-def _moments(table: Floats, chance: Floats) -> tuple[Floats, Floats]:
+def _moments(table: Floats, probability: Floats) -> tuple[Floats, Floats]:
     """Return means of observed and of squared symbols, (..., symbols), for the probability of each value."""
     responses = np.swapaxes(table, -2, -1)
-    first, second = responses @ chance, responses**2 @ chance
+    first, second = responses @ probability, responses**2 @ probability
     flat = *first.shape[:-2], -1
     return first.reshape(flat), second.reshape(flat)
 
 
-def _fit(table: Floats, observed: Floats, variance: Floats) -> Floats:
+def _log_likelihoods(table: Floats, observed: Floats, variance: Floats) -> Floats:
     """Return (..., 4, 16, squares) log likelihoods of the values of a square for each observed symbol."""
     error = np.swapaxes(table, -2, -1)[..., None] - _by_kind(observed)[..., None, :]
     error *= error
@@ -126,28 +126,28 @@ def _fit(table: Floats, observed: Floats, variance: Floats) -> Floats:
     return np.asarray(error)
 
 
-def _joint(fit: Floats) -> Floats:
+def _joint_likelihood(fit: Floats) -> Floats:
     """Return (..., 16, squares) likelihoods of each value for all observed symbols, at most 1."""
     together = fit.sum(-3)
     return np.asarray(np.exp(together - together.max(-2, keepdims=True)))
 
 
-def _llrs(likelihood: Floats) -> Floats:
+def _to_llrs(likelihood: Floats) -> Floats:
     """Convert likelihoods (..., 4 or 1, 16, squares) of all values to LLRs (..., 4, squares)."""
     # the floor lies far beyond the LLR limit of the decoder
     plus, minus = (np.maximum((part[:, None, :] @ likelihood)[..., 0, :], 1e-300) for part in _SPLIT)
     return np.asarray(np.log(plus) - np.log(minus))
 
 
-def _chances(mean: Floats) -> Floats:
+def _probabilities(mean: Floats) -> Floats:
     """Return (..., 16, squares) probabilities of the values of a square."""
     symbols = _by_kind(mean)
-    chance = np.ones((*symbols.shape[:-2], 1, symbols.shape[-1]))
+    probability = np.ones((*symbols.shape[:-2], 1, symbols.shape[-1]))
     for i in range(4):
         # bit i of the value is 0 for +1
         symbol = symbols[..., i : i + 1, :]
-        chance = np.concatenate([chance * (0.5 + 0.5 * symbol), chance * (0.5 - 0.5 * symbol)], -2)
-    return chance
+        probability = np.concatenate([probability * (0.5 + 0.5 * symbol), probability * (0.5 - 0.5 * symbol)], -2)
+    return probability
 
 
 @dataclass(frozen=True)
@@ -269,24 +269,24 @@ class SlotLight:
 def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combination | None:
     """Combine frames to a data pair; None if the frames do not show the pair."""
     overlap, middle = _overlaps(starts, exposure)
-    shown = np.einsum("fj,jqr->fqr", overlap, light.shows)
-    slope = shown[:, 1] @ SLOPES
+    slot_light = np.einsum("fj,jqr->fqr", overlap, light.shows)
+    slope = slot_light[:, 1] @ SLOPES
     near = np.flatnonzero(overlap[:, PAIR : 2 * PAIR].sum(1) > _PARAMETERS.min_overlap)
-    difference = _difference(shown[near], slope[near])
+    difference = _difference(slot_light[near], slope[near])
     # a synchronous pair has the slope 1/2: 1/4 from the pattern, 1/4 from the inverse
     if difference @ slope[near] < _PARAMETERS.min_slope / 2:
         return None
-    total = _total(shown[near], (overlap @ light.mean)[near])
+    total = _total(slot_light[near], (overlap @ light.mean)[near])
     used = np.abs(difference) + total > 0
     near, difference, total = near[used], difference[used], total[used]
-    overlap, middle, shown = overlap[near], middle[near], shown[near]
+    overlap, middle, slot_light = overlap[near], middle[near], slot_light[near]
     parts = np.maximum(difference, 0), np.maximum(-difference, 0)
     data = overlap[:, PAIR : 2 * PAIR] * np.abs(light.shows[PAIR : 2 * PAIR, 1] @ SLOPES)
     return Combination(
         frames=near,
         difference=difference,
         total=total,
-        slots=np.einsum("f,fqr->qr", difference, shown),
+        slots=np.einsum("f,fqr->qr", difference, slot_light),
         levels=(float((parts[0] @ overlap) @ light.mean), float((parts[1] @ overlap) @ light.mean)),
         sum_time=_centroid(total, overlap * light.mean, middle),
         data_times=(
@@ -296,19 +296,21 @@ def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combinati
     )
 
 
-def combine_header(starts: Floats, exposure: float, shown: Floats, dimmed: tuple[Floats, Floats]) -> Combination | None:
+def combine_header(
+    starts: Floats, exposure: float, amplitudes: Floats, dimmed: tuple[Floats, Floats]
+) -> Combination | None:
     """Combine frames of a header: the sum is free of the header, the difference shows it as in a synchronous pair."""
-    about = shown - shown.mean() if len(shown) else shown
+    about = amplitudes - amplitudes.mean() if len(amplitudes) else amplitudes
     energy = float(about @ about)
     if energy < _PARAMETERS.min_header**2:
         return None
     # least squares: sum beta = 2 with sum beta s = 0; sum w = 0 with sum w s = 2
-    total, difference = 2 / len(shown) - 2 * shown.mean() / energy * about, 2 / energy * about
+    total, difference = 2 / len(amplitudes) - 2 * amplitudes.mean() / energy * about, 2 / energy * about
     # the LEDs of a header are lit evenly
     middle = float(total @ (starts + exposure / 2)) / 2
     cell = (0.5 * float(difference @ dimmed[0]), float(difference @ dimmed[1]))
     empty = np.zeros((3, SLOTS))
-    return Combination(np.arange(len(shown)), difference, total, empty, (0.5, 0.5), middle, (middle, middle), cell)
+    return Combination(np.arange(len(amplitudes)), difference, total, empty, (0.5, 0.5), middle, (middle, middle), cell)
 
 
 def _overlaps(starts: Floats, exposure: float) -> tuple[Floats, Floats]:
@@ -318,14 +320,14 @@ def _overlaps(starts: Floats, exposure: float) -> tuple[Floats, Floats]:
     return np.maximum(end - begin, 0.0) / exposure, (begin + end) / 2
 
 
-def _difference(shown: Floats, slope: Floats) -> Floats:
+def _difference(slot_light: Floats, slope: Floats) -> Floats:
     """Return alpha = Q^-1 (theta - mu 1), which maximises (alpha theta)^2 / (alpha Q alpha) for sum alpha = 0."""
     weights, used = np.zeros_like(slope), np.arange(len(slope))
     # nonlinear light and light of other pairs count as noise
     rest = COVARIANCE - np.outer(SLOPES, SLOPES)
-    matrix = _PARAMETERS.frame_noise * np.eye(len(slope)) + shown[:, 1] @ rest @ shown[:, 1].T
+    matrix = _PARAMETERS.frame_noise * np.eye(len(slope)) + slot_light[:, 1] @ rest @ slot_light[:, 1].T
     for q in (0, 2):
-        matrix += shown[:, q] @ COVARIANCE @ shown[:, q].T
+        matrix += slot_light[:, q] @ COVARIANCE @ slot_light[:, q].T
     while len(used) >= 2:
         h, ones = slope[used], np.ones(len(used))
         # mu = (1 Q^-1 theta) / (1 Q^-1 1)
@@ -339,11 +341,11 @@ def _difference(shown: Floats, slope: Floats) -> Floats:
     return weights
 
 
-def _total(shown: Floats, light: Floats) -> Floats:
+def _total(slot_light: Floats, light: Floats) -> Floats:
     """Return nonnegative weights of the sum with the least noise and unevenness for the light of all LEDs on."""
     matrix = _PARAMETERS.sum_noise * np.eye(len(light))
     for q in range(3):
-        matrix += shown[:, q] @ COVARIANCE @ shown[:, q].T
+        matrix += slot_light[:, q] @ COVARIANCE @ slot_light[:, q].T
     weights, used = np.zeros_like(light), np.arange(len(light))
     while True:
         beta = np.linalg.solve(matrix[np.ix_(used, used)], light[used])

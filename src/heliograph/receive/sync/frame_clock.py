@@ -34,8 +34,8 @@ class FrameClockParameters:
     pause_variance: float = 1 / 12
 
 
-class SteppedClock:
-    """Clock of a camera with one frame per pattern: checks the frame rate and drops repeated frames."""
+class SynchronousClock:
+    """Clock of a synchronous camera: checks the frame rate and drops repeated frames."""
 
     def __init__(self, pattern_period_s: float, parameters: FrameClockParameters = FrameClockParameters()):
         self.period_s = pattern_period_s
@@ -74,11 +74,11 @@ class SteppedClock:
         period_s = float(gaps[steps == 1].mean())
         if abs(period_s - self.period_s) > STEP_TOLERANCE * self.period_s:
             # the soft receiver needs at least a frame per pattern as well
-            other = "use --receiver soft, " if period_s < self.period_s else ""
+            hint = "use --receiver soft, " if period_s < self.period_s else ""
             rate = f"{1 / period_s:.1f}" if period_s < 1 else f"{1 / period_s:.2g}"
             raise HeliographError(
                 f"the plain receiver needs one frame a pattern: the film has {rate} frames/s, the light "
-                f"{1 / self.period_s:.1f} patterns/s; film at that rate, {other}give times in seconds, or say by --fps "
+                f"{1 / self.period_s:.1f} patterns/s; film at that rate, {hint}give times in seconds, or say by --fps "
                 f"what the camera did where the film misstates it"
             )
 
@@ -86,7 +86,7 @@ class SteppedClock:
 class CameraClock:
     """Clock of a camera of any rate: a Kalman filter of time and period that smooths the time stamps.
 
-    A step is one frame, plus one for each missing frame. Repeated frames are dropped.
+    A step covers the missing frames as well. Repeated frames are dropped.
     """
 
     def __init__(self, parameters: FrameClockParameters = FrameClockParameters()) -> None:
@@ -159,7 +159,7 @@ class CameraClock:
         return frame.at_time(self._time_s)
 
 
-FrameClock = SteppedClock | CameraClock
+FrameClock = SynchronousClock | CameraClock
 """Clock that passes frames on with exact times."""
 
 

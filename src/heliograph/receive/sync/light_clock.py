@@ -32,7 +32,7 @@ from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import SignalSettings
 
 PATTERNS_AROUND = 2
-"""Patterns before and after a header whose frames are measured as well: both ends of the header show the start."""
+"""Patterns to measure before and after a header: both ends of the header show the start."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class LightClockParameters:
     max_odds_against: float = 40.0
     # Maximum number of starts of the grid
     starts: int = 121
-    # Reach of the first grid: one pattern for frames half a pattern late, and a quarter
+    # Reach of the first grid: a pattern and a quarter, for frames half a pattern late
     first_reach: float = 1.25
     # Reach of later grids in standard deviations, with the limits in patterns
     reach_deviations: float = 6.0
@@ -93,7 +93,7 @@ class HeaderAmplitudes:
     trust: float = 1.0
 
 
-def header_amplitudes(
+def measure_amplitudes(
     frames: list[Frame], poses: list[Pose], lit: Floats, parameters: LightClockParameters = LightClockParameters()
 ) -> HeaderAmplitudes:
     """Measure the amplitudes of a header in the frames around the header."""
@@ -207,7 +207,7 @@ class LightClock:
         pattern, start_s, period_s = self._pattern, self.start_s, self.period_s
         return [pattern + (time_s - start_s) / period_s for time_s in times_s]
 
-    def header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
+    def predict_header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
         """Predict header amplitude and mean light of frames, for a fraction of dimmed cells."""
         edges, wave, bright = self._header_wave(dimmed)
         amplitude, light = _mean_over(starts, self.exposure, edges, np.stack([wave, bright]))

@@ -1,6 +1,6 @@
-"""Pairing: frames of one array that show a pattern and the inverse.
+"""Pairing of the frames of an array to patterns and inverses.
 
-A synchronous camera takes one frame per pattern. For any other camera, the light clock times the patterns, and frames
+A synchronous camera takes a frame per pattern. For any other camera, the light clock times the patterns, and frames
 are combined. Pairs are numbered from the header of the detection.
 """
 
@@ -22,7 +22,7 @@ from heliograph.receive.sync.light_clock import (
     HeaderAmplitudes,
     LightClock,
     LightClockParameters,
-    header_amplitudes,
+    measure_amplitudes,
 )
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import light_centroids
@@ -34,7 +34,7 @@ PoseAt = Callable[[float], Pose]
 
 @dataclass(frozen=True, slots=True)
 class CombinedFrame:
-    """Frames combined to a pattern or to an inverse around one array."""
+    """Frames combined to a pattern or to an inverse around an array."""
 
     # Number of the first or the last camera frame
     index: int
@@ -72,7 +72,7 @@ class FramePair:
 
 @dataclass(frozen=True, slots=True)
 class UnpairedFrame:
-    """Remaining frame of a synchronous data pair with one lost frame."""
+    """Remaining frame of a synchronous data pair after the loss of the other frame."""
 
     # Camera frame, with the start of the exposure as time
     frame: Frame
@@ -104,7 +104,7 @@ class MeasuredHeader:
 
     # Gray levels of the array with all LEDs on
     gain: float
-    # Combination of all header frames to one pair with an even sum; None without such a combination
+    # Combination of all header frames to a pair with an even sum; None if impossible
     pair: FramePair | None = None
     # The frames for the format; None as `pair`
     frames: HeaderFrames | None = None
@@ -127,29 +127,18 @@ class SynchronousPairing:
     def __init__(self, start_s: float, time_s: float, signal: SignalSettings):
         self.lost = False
         self.first_gain: float | None = None
-        self._origin_s, self._now_s, self._signal = start_s, time_s, signal
+        # start of pair 0, and time of the last frame
+        self.origin_s, self.now_s, self._signal = start_s, time_s, signal
+        # a frame shows a single pattern at any exposure
+        self.exposure_range = None
         self._late_s = sum_late_s(signal)
         self._next = 0
         self._frames: dict[int, Frame] = {}
 
-    @property
-    def now_s(self) -> float:
-        """Time in seconds of the last frame."""
-        return self._now_s
-
-    @property
-    def origin_s(self) -> float:
-        """Start in seconds of pair 0."""
-        return self._origin_s
-
-    @property
-    def exposure_range(self) -> None:
-        """None: a frame shows one pattern at any exposure."""
-
     def push(self, frame: Frame) -> Iterator[int]:
         """Add the next frame; yield the numbers of the complete pairs."""
-        self._now_s = max(self._now_s, frame.time_s)
-        number = round((frame.time_s - self._origin_s) / self._signal.pattern_period_s)
+        self.now_s = max(self.now_s, frame.time_s)
+        number = round((frame.time_s - self.origin_s) / self._signal.pattern_period_s)
         if number < 0:
             return
         self._frames[number] = frame
@@ -163,10 +152,12 @@ class SynchronousPairing:
         """Return an empty iterator: no pair is pending."""
         yield from ()
 
-    def header(self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]) -> None:
+    def measure_header(
+        self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]
+    ) -> None:
         """Return None: a synchronous pairing has no clock to correct."""
 
-    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:  # noqa: ARG002 - as in `AsynchronousPairing`
+    def get_pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:  # noqa: ARG002 - as in `AsynchronousPairing`
         """Return the frames of a pair, or the remaining frame of a data pair."""
         first, second = self._frames.get(2 * number), self._frames.get(2 * number + 1)
         data = is_data(number, self._signal)
@@ -266,7 +257,7 @@ class AsynchronousPairing:
             end = self._clock.pattern_at(self._frames[-1].time_s) + self._clock.exposure
             yield from self._due_pairs(self._clock, end)
 
-    def header(
+    def measure_header(
         self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]
     ) -> MeasuredHeader | None:
         """Correct the clock by the header before a pair; return the header of an asynchronous camera."""
@@ -274,11 +265,9 @@ class AsynchronousPairing:
         near = self._frames_between(clock, pattern - PATTERNS_AROUND, pattern + self._header + PATTERNS_AROUND)
         if not poses or len(near) <= self._header:
             return None
-        known = np.array(sorted(poses))
-        pairs = 0.5 * (_starts(clock, near) - 0.5)
-        predicted = [
-            poses[int(known[np.argmin(np.abs(known - k))])](frame.time_s) for k, frame in zip(pairs, near, strict=True)
-        ]
+        known, pairs = np.array(sorted(poses)), 0.5 * (_starts(clock, near) - 0.5)
+        nearest = known[np.abs(known - pairs[:, None]).argmin(1)].tolist()
+        predicted = [poses[k](frame.time_s) for k, frame in zip(nearest, near, strict=True)]
         is_measured = clock.measure(self._amplitudes(near, predicted, led_gains), pattern, again=pattern == 0)
         if not is_measured or self._is_synchronous(clock, self._combination(clock, near, pattern)):
             return None
@@ -289,12 +278,12 @@ class AsynchronousPairing:
             return MeasuredHeader(clock.gain)
         combined = self._combine(clock, pattern, combination, inside, window)
         starts = _starts(clock, inside) - pattern
-        amplitudes, lights = zip(clock.header(starts, 0.0), clock.header(starts, 1.0), strict=True)
+        amplitudes, lights = zip(clock.predict_header(starts, 0.0), clock.predict_header(starts, 1.0), strict=True)
         images = _cut(inside, window)
         frames = HeaderFrames(images, (window[0], window[1]), middle, np.stack(amplitudes), np.stack(lights))
         return MeasuredHeader(clock.gain, combined, frames)
 
-    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:
+    def get_pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:
         """Return the frames of a pair, combined unless synchronous, or the remaining frame of a data pair."""
         clock, place = self._started_clock, 2 * number
         in_packet, data = number % (self._signal.packet_patterns // 2), is_data(number, self._signal)
@@ -379,7 +368,7 @@ class AsynchronousPairing:
         return round(patterns / self._parameters.tick) * self._parameters.tick
 
     def _rounded_exposure(self, clock: LightClock) -> float:
-        """Round the exposure of a clock to the nearest tick, at least one."""
+        """Round the exposure of a clock to the nearest positive tick."""
         return self._rounded(max(clock.exposure, self._parameters.tick))
 
     def _is_synchronous(self, clock: LightClock, combination: Combination | None) -> bool:
@@ -389,7 +378,7 @@ class AsynchronousPairing:
 
     def _amplitudes(self, frames: list[Frame], poses: list[Pose], led_gains: NDArray[np.float64]) -> HeaderAmplitudes:
         """Measure the header amplitudes of frames."""
-        return header_amplitudes(frames, poses, self._signs * led_gains, self._clock_parameters)
+        return measure_amplitudes(frames, poses, self._signs * led_gains, self._clock_parameters)
 
     def _header_combination(
         self, clock: LightClock, first: int, part: tuple[int, int]
@@ -403,8 +392,8 @@ class AsynchronousPairing:
         within &= (starts + clock.exposure > part[0] + overhang) & (starts < part[1] - overhang)
         near = [f for f, is_within in zip(near, within, strict=True) if is_within]
         starts = starts[within]
-        amplitudes, _ = clock.header(starts, 0.0)
-        return near, combine_header(starts, clock.exposure, amplitudes, clock.header(starts, 1.0))
+        amplitudes, _ = clock.predict_header(starts, 0.0)
+        return near, combine_header(starts, clock.exposure, amplitudes, clock.predict_header(starts, 1.0))
 
     def _frames_between(self, clock: LightClock, first: float, last: float) -> list[Frame]:
         """Return the frames that start between two patterns."""
@@ -468,4 +457,4 @@ def _starts(clock: LightClock, frames: list[Frame]) -> NDArray[np.float64]:
 
 
 Pairing = SynchronousPairing | AsynchronousPairing
-"""Pairing of the frames of one array."""
+"""Pairing of the frames of an array."""

@@ -1,4 +1,4 @@
-"""Detection of frames that were lost without a gap in the frame times (slips).
+"""Detection of slips: frames lost without a gap in the frame times.
 
 After a slip, pattern and inverse swap places. With r~_i, frame i at the LED positions less the mean frame,
 
@@ -32,7 +32,7 @@ class SlipParameters:
     max_even: float = 0.4
     # The same for a repeated frame that explains a gap
     max_even_copy: float = 0.2
-    # Cost of a single frame: two slips must cost less than one uneven pair
+    # Cost of a single frame: two slips must cost less than an uneven pair
     slip_cost: float = 0.45
     # Minimum number of even pairs after a slip
     min_even_pairs: int = 2
@@ -75,7 +75,7 @@ class _PendingFrame:
     # True if `contrast` may be a pattern
     is_pattern: bool
     # Memo: the frame of the last comparison, and epsilon of both
-    other: "_PendingFrame | None" = None
+    partner: "_PendingFrame | None" = None
     epsilon: float | None = None
 
 
@@ -84,7 +84,7 @@ _Pairs = tuple[float, tuple[float, ...], int]
 
 
 class SlipWatch:
-    """Corrects the frame times of one array for lost frames."""
+    """Corrects the frame times of an array for lost frames."""
 
     def __init__(self, identity: int, signal: SignalSettings, parameters: SlipParameters = SlipParameters()):
         self._parameters = parameters
@@ -219,10 +219,14 @@ class SlipWatch:
         return number % 2 == 1 and first.number > self._number + 1 and is_data(number // 2, self._signal)
 
     def _epsilon(self, place: int) -> float | None:
-        """Return epsilon of a pending frame and the next, at most 1; None if one is not a pattern."""
+        """Return epsilon of a pending frame and the next, at most 1; None for frames of no pattern."""
         first, second = self._pending[place], self._pending[place + 1]
-        if first.other is not second:
-            first.other, first.epsilon = second, _epsilon(first, second, self._parameters.min_power_ratio)
+        if first.partner is not second:
+            first.partner, first.epsilon = second, None
+            u, v, p, q = first.contrast, second.contrast, first.power, second.power
+            is_similar = min(p, q) >= self._parameters.min_power_ratio * max(p, q)
+            if u is not None and v is not None and first.is_pattern and second.is_pattern and is_similar:
+                first.epsilon = min(1 + 2 * float(u @ v) / max(p + q, TINY), 1.0)
         return first.epsilon
 
     def _is_even(self, place: int, limit: float | None = None) -> bool:
@@ -276,16 +280,3 @@ class SlipWatch:
         if place >= len(self._pending) - 1:
             return False
         return (self._pending[place].number + lost) % 2 == 0 and self._gap(place) <= 1
-
-
-def _epsilon(first: _PendingFrame, second: _PendingFrame, min_power_ratio: float) -> float | None:
-    """Return epsilon of two frames, at most 1; None if one is not a pattern."""
-    u, v, p, q = first.contrast, second.contrast, first.power, second.power
-    if (
-        u is None
-        or v is None
-        or not (first.is_pattern and second.is_pattern)
-        or min(p, q) < min_power_ratio * max(p, q)
-    ):
-        return None
-    return min(1 + 2 * float(u @ v) / max(p + q, TINY), 1.0)

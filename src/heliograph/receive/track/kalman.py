@@ -71,11 +71,11 @@ class MotionModel:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """Part of the state that a fit observes."""
+    """Part of the state observed by a fit."""
 
     # H, (5, 10): state to pose vector
     matrix: Floats
-    # (5,) variances of model errors that differ from fit to fit
+    # (5,) variances of independent model errors
     variances: Floats
 
     def __post_init__(self) -> None:
@@ -85,7 +85,7 @@ class Observation:
 
 @lru_cache(maxsize=8)  # synchronous sums share one delay
 def sum_observation(late_s: float) -> Observation:
-    """Return the observation by the sum of a pattern and the inverse, whose light is delayed by `late_s`."""
+    """Return the observation by the sum of a pattern and the inverse, with light delayed by `late_s`."""
     matrix = np.eye(POSE_SIZE, STATE_SIZE)
     matrix[:3, RATE_STATES] = late_s * np.eye(3)
     matrix[2, 8] = matrix[4, 9] = 1.0
@@ -105,7 +105,7 @@ class Tilt:
 
     # (2,) stretch and shear
     mean: Floats = field(default_factory=partial(np.zeros, 2))
-    # (2, 2) covariance; by default of an upright array that was not fitted: 1e-3 at 2.6 degrees of yaw
+    # (2, 2) covariance; by default of an upright array before a fit: 1e-3 at 2.6 degrees of yaw
     covariance: Floats = field(default_factory=lambda: 1e-3**2 * np.eye(2))
 
     def predict(self, dt: float, x_rate: float, y_rate: float, model: MotionModel) -> "Tilt":

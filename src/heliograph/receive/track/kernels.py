@@ -121,7 +121,7 @@ def _cover(levels, usual, least, hidden, covered, axis):
 
 @compiled()
 def noise_outside(change, x, y, least):
-    """Return the standard deviation about 0 of the pixels outside a square, by the median; 0 without pixels."""
+    """Return the standard deviation about 0 of the pixels outside a square, by the median; 0 if no pixel is outside."""
     sizes, count = np.empty(change.size), 0
     for i in range(change.shape[0]):
         for j in range(change.shape[1]):
@@ -213,18 +213,18 @@ def predict(mean, covariance, dt, linear, quadratic, cubic):
 @compiled()
 def expected(mean, covariance, h, variances):
     """Predict a fit: H x, H P H^T + R, H P."""
-    shown, size = h.shape
-    z, s, across = np.zeros(shown), np.zeros((shown, shown)), np.zeros((shown, size))
-    for k in range(shown):
+    observed, size = h.shape
+    z, s, across = np.zeros(observed), np.zeros((observed, observed)), np.zeros((observed, size))
+    for k in range(observed):
         for n in range(size):
             # H is sparse
             if h[k, n] != 0.0:
                 z[k] += h[k, n] * mean[n]
                 for i in range(size):
                     across[k, i] += h[k, n] * covariance[n, i]
-    for k in range(shown):
+    for k in range(observed):
         s[k, k] = variances[k]
-        for n in range(shown):
+        for n in range(observed):
             for i in range(size):
                 s[k, n] += across[k, i] * h[n, i]
     return z, s, across
@@ -234,23 +234,23 @@ def expected(mean, covariance, h, variances):
 def condition(mean, covariance, h, variances, vector, fitted):
     """Update the state by the posterior of a fit: K = P H^T S^-1; x += K (z - H x); P += K (C - S) K^T."""
     z, s, gain = expected(mean, covariance, h, variances)
-    shown, size = h.shape
-    less = np.empty((shown, shown))
-    for k in range(shown):
-        for n in range(shown):
+    observed, size = h.shape
+    less = np.empty((observed, observed))
+    for k in range(observed):
+        for n in range(observed):
             less[k, n] = fitted[k, n] - s[k, n]
     _divide(s, gain)
     x, p = mean.copy(), np.empty((size, size))
-    turned = np.zeros((shown, size))
-    for k in range(shown):
+    turned = np.zeros((observed, size))
+    for k in range(observed):
         for i in range(size):
             x[i] += gain[k, i] * (vector[k] - z[k])
-            for n in range(shown):
+            for n in range(observed):
                 turned[k, i] += less[k, n] * gain[n, i]
     for i in range(size):
         for j in range(i + 1):
             total = 0.5 * (covariance[i, j] + covariance[j, i])
-            for k in range(shown):
+            for k in range(observed):
                 total += 0.5 * (gain[k, i] * turned[k, j] + gain[k, j] * turned[k, i])
             p[i, j] = p[j, i] = total
     return x, p

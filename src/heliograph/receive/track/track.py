@@ -1,7 +1,7 @@
 """Tracks of arrays and the visibility of the LEDs.
 
-Data are random, so each visible LED changes between pattern and inverse within a few pairs. An LED without changes is
-hidden, whatever the gray level of the object in front.
+Data are random, so each visible LED changes between pattern and inverse within a few pairs. An unchanged LED is
+hidden by an object of any gray level.
 
 An object that approaches from a side covers the surroundings first, and the light of the object would pull the pose.
 The sum of a pattern and the inverse shows all LEDs and the background, and hardly changes along the rows and columns of
@@ -29,14 +29,14 @@ from heliograph.receive.track.kalman import PoseState
 class VisibilityParameters:
     """Parameters of the visibility of an array and of the LEDs."""
 
-    # Factor on the noise variance that the change of a visible array exceeds
+    # Minimum change of a visible array, relative to the noise variance
     noise_factor: float = 1.5
     # Minimum rms change of a visible array, as a fraction of light and contrast: an eighth of random data
     min_activity: float = 0.06
-    # Pixels inside the edge that are left out of the change of an array, and outside the edge out of the noise
+    # Margins in px inside the edge for the change, and outside the edge for the noise
     inside_edge_px: float = 0.5
     outside_edge_px: float = 1.0
-    # Minimum half side in px of the square that is tested for activity
+    # Minimum half side in px of the square for the change of an array
     min_half_px: float = 1.5
     # Maximum blur, as a fraction of the side, and maximum side, as a fraction of the frame, of a plausible pose
     max_blur_sides: float = 0.5
@@ -48,14 +48,14 @@ class VisibilityParameters:
     min_line_change: float = 0.15
     # Pairs after which the usual levels of the lines are known: a packet
     learning_pairs: int = 50
-    # Side of the square around an LED whose change counts, in LEDs, and the minimum in px
+    # Side of the square of an LED, which averages the change, in LEDs, and the minimum in px
     square_leds: int = 5
     min_square_px: float = 4.0
     # Weight of the last pair in the recent change
     change_rate: float = 0.25
     # Minimum recent change of a visible LED, as a fraction of bright LEDs: four standard deviations below the mean
     min_visible: float = 0.2
-    # Quantile of the changes that stands for visible LEDs
+    # Quantile of the changes of visible LEDs
     bright_quantile: float = 0.8
     # Minimum of that quantile, as a fraction of the power of random data
     min_data_power: float = 0.1
@@ -63,9 +63,9 @@ class VisibilityParameters:
     max_change: float = 2.0
     # Pairs after which a hidden LED is noticed: 0.75^n falls below `min_visible`
     noticed_pairs: int = 6
-    # Minimum part of the visible pixels that full columns or rows must keep
+    # Minimum part of the visible pixels in full columns or rows
     min_lines: float = 0.9
-    # Minimum fraction of dark LEDs around a dark LED of a header that is hidden rather than dead
+    # Minimum fraction of dark LEDs around a hidden LED in a header; fewer around a dead LED
     min_dark_zone: float = 0.4
 
 
@@ -89,14 +89,14 @@ def is_visible(change: Floats, noise: float, pose: Pose, corner: tuple[int, int]
     return bool(count and power >= count * (least**2 + _PARAMETERS.noise_factor * noise**2))
 
 
-def noise_around(change: Floats, pose: Pose, corner: tuple[int, int], side: int) -> float:
-    """Estimate the noise of a difference around the array in gray levels; 0 without pixels around the array."""
+def estimate_noise(change: Floats, pose: Pose, corner: tuple[int, int], side: int) -> float:
+    """Estimate the noise of a difference around the array in gray levels; 0 if the array fills the image."""
     half = 0.5 * side * pose.pitch + _PARAMETERS.outside_edge_px
     return float(kernels.noise_outside(change, pose.x - corner[0], pose.y - corner[1], half))
 
 
 def contrast(pose: Pose) -> float:
-    """Return the fraction of the contrast of 2 x 2 LEDs that remains after blur and pixels, 0 to 1."""
+    """Return the contrast of 2 x 2 LEDs after blur and pixels, 0 to 1."""
     # along x and y alike: int (box * Gaussian)^2 / w = erf u - (1 - exp(-u^2)) / (sqrt(pi) u), u = w / 2 s
     u = pose.pitch / hypot(pose.blur, 12**-0.5)
     return erf(u) - (1 - exp(-(u**2))) / (sqrt(pi) * u)
@@ -108,11 +108,11 @@ def line_distance(pose: Pose, side: int) -> float:
 
 
 def square_leds(pose: Pose, side: int) -> int:
-    """Return the side in LEDs of the square around an LED whose change counts."""
+    """Return the side in LEDs of the square of an LED, which averages the change."""
     return min(max(_PARAMETERS.square_leds, ceil(_PARAMETERS.min_square_px / pose.pitch) | 1), side - 1 | 1)
 
 
-def around_leds(values: Floats, pose: Pose) -> Floats:
+def average_around_leds(values: Floats, pose: Pose) -> Floats:
     """Average values of LEDs over the squares around the LEDs."""
     width = square_leds(pose, len(values))
     return np.asarray(cv2.blur(values, (width, width), borderType=cv2.BORDER_REFLECT), np.float64)
@@ -120,11 +120,11 @@ def around_leds(values: Floats, pose: Pose) -> Floats:
 
 def dark_zone(dark: NDArray[np.bool_], pose: Pose) -> NDArray[np.bool_]:
     """Select the hidden LEDs among the dark LEDs of a header: hidden LEDs are adjacent, dead LEDs are not."""
-    return dark & (around_leds(dark.astype(np.float64), pose) >= _PARAMETERS.min_dark_zone)
+    return dark & (average_around_leds(dark.astype(np.float64), pose) >= _PARAMETERS.min_dark_zone)
 
 
 def visible_pixels(visible: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
-    """Return 1 for pixels whose LED and neighbouring LEDs are visible, else 0."""
+    """Return 1 for pixels of a visible LED with visible neighbours, 0 for other pixels."""
     side = len(visible)
     inner = cv2.erode(visible.astype(np.float32), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
     middle, inverse = 0.5 * (side - 1), np.linalg.inv(pose.axes)
@@ -142,7 +142,7 @@ def visible_pixels(visible: Floats, pose: Pose, corner: tuple[int, int], shape: 
 
 
 def visible_lines(visible: Floats) -> tuple[Floats, Floats]:
-    """Return the visible columns and rows, restricting those that keep more pixels: occluders have straight edges."""
+    """Return visible columns or rows, depending on the number of pixels left: occluders have straight edges."""
     rows, columns = visible.shape
     across, down = visible.min(0), visible.min(1)
     by_columns, by_rows = across.sum() * rows, down.sum() * columns
@@ -174,7 +174,7 @@ class Track:
     pairs: int = 0
     # (2, n + 2) usual gray levels of sums along columns and rows and along the lines outside; NaN if unknown
     lines: Floats | None = None
-    # (n, n) 1 for LEDs that are not covered from a side, else 0; None if no LED is covered
+    # (n, n) 0 for LEDs covered from a side, 1 for other LEDs; None if no LED is covered
     clear: Floats | None = None
     # Images of the array with all LEDs on, for the fits of sums
     render_cache: RenderCache = field(default_factory=RenderCache, compare=False, repr=False)
@@ -191,7 +191,7 @@ class Track:
 
     @property
     def uncovered(self) -> Floats:
-        """1 for visible LEDs that are not covered, (n, n)."""
+        """1 for visible and uncovered LEDs, (n, n)."""
         return self.visible if self.clear is None else self.visible * self.clear
 
     @property
@@ -217,7 +217,7 @@ class TrackedPair:
     fit: Fit
     # True if the array was visible
     seen: bool
-    # For data without inverses, the two frames less the background; else empty
+    # The two frames less the background, if the data have no inverses
     cutouts: tuple[Cutout, ...] = ()
 
     @property

@@ -25,10 +25,10 @@ from heliograph.receive.track.kalman import (
 from heliograph.receive.track.track import (
     Track,
     TrackedPair,
-    around_leds,
+    average_around_leds,
     dark_zone,
+    estimate_noise,
     is_visible,
-    noise_around,
     preview_pair,
     visible_pixels,
 )
@@ -38,7 +38,7 @@ from heliograph.receive.track.track import (
 class TrackerParameters:
     """Parameters of the tracker; lengths in pitches unless stated."""
 
-    # Width of the surroundings that are fitted with the array, and an additional width in px
+    # Width of the fitted surroundings, and an additional width in px
     margin: float = 1.5
     margin_px: float = 1.5
     # Minimum correlation of a header that refines the pose; a half hidden header has more
@@ -84,8 +84,8 @@ class Tracker:
         state = PoseState.start(
             detection.time_s, fit.vector, widen_covariance(fit.covariance), self._model, detection.drift
         )
-        change = around_leds(detection.led_gains, fit.pose)
-        # cells without alternation are hidden or dead
+        change = average_around_leds(detection.led_gains, fit.pose)
+        # static cells are hidden or dead
         return Track(state, fit.gain, fit.gain, detection.led_gains, detection.time_s, change)
 
     def follow(self, track: Track, pair: FramePair, header: Floats | None = None) -> TrackedPair:
@@ -166,7 +166,7 @@ class Tracker:
     def is_visible(self, track: Track, pair: FramePair, fit: Fit) -> bool:
         """Return True if two frames with different patterns show the array at the pose of a fit."""
         corner, up, down = _cut(pair, window_around(track.state.pose, self._side, _margin(track.state.pose)))
-        noise = noise_around(up - down, track.state.pose, corner, self._side)
+        noise = estimate_noise(up - down, track.state.pose, corner, self._side)
         pose = fit.pose
         return _is_inside(pose, pair.pattern) and is_visible(up - down, noise, pose, corner, self._side, track.gain)
 
@@ -205,14 +205,14 @@ class Tracker:
     def _unresolved_start(
         self, total: Floats, corner: tuple[int, int], prior: Prior, led_gains: Floats, open_pixels: Floats | None
     ) -> Floats:
-        """Find the start of a fit on blurred pixels, without resolved LEDs to confuse."""
+        """Find the start of a fit on blurred pixels, which resolve no LEDs."""
         pose = Pose.from_vector(prior.vector)
         sigma = _PARAMETERS.unresolved_blur * pose.pitch
         vector, covariance = prior.vector.copy(), prior.covariance.copy()
         vector[4] = np.log(np.hypot(pose.blur, sigma))
         covariance[[0, 1], [0, 1]] += pose.pitch**2
         smooth = np.asarray(cv2.GaussianBlur(total, (0, 0), sigma), np.float64)
-        # an even square represents an array without dark LEDs
+        # an even square represents an array with all LEDs on
         failed = bool((led_gains < 1).any())
         wide = Prior(vector, covariance, prior.gain)
         # one step suffices for a start
@@ -224,7 +224,7 @@ class Tracker:
     def _open_pixels(
         self, track: Track, uncovered: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
     ) -> Floats | None:
-        """Return the pixels (rows, columns) that count in a sum, 1 or 0; None for all pixels."""
+        """Return a mask of the valid pixels (rows, columns) of a sum, 1 or 0; None for all pixels."""
         # a zone hidden in the header may be visible by now, dead LEDs stay dark
         dark = track.led_gains == 0
         zone = dark_zone(dark, pose) if dark.any() else dark
@@ -235,7 +235,7 @@ class Tracker:
 
 
 def _margin(pose: Pose) -> float:
-    """Return the width in px of the surroundings that are fitted with an array."""
+    """Return the width in px of the fitted surroundings."""
     return _PARAMETERS.margin * pose.pitch + _PARAMETERS.margin_px
 
 

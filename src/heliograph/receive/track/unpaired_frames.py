@@ -38,13 +38,13 @@ class CompletePair:
 
 
 def nearest_pairs(place: int, pairs: Mapping[int, object]) -> list[int]:
-    """Return the numbers of up to six pairs whose sums replace the sum of another pair, nearest first."""
+    """Return the numbers of up to six pairs to replace the sum of another pair, nearest first."""
     # the noise of six sums adds 1/6 to the 2 of the frame
     nearest = sorted(pairs, key=lambda k: (abs(k - place), k))[:6]
     return nearest if nearest and abs(nearest[0] - place) <= MAX_DISTANCE_PAIRS else []
 
 
-def state_between(time_s: float, states: Mapping[int, PoseState], place: int) -> PoseState:
+def interpolate_state(time_s: float, states: Mapping[int, PoseState], place: int) -> PoseState:
     """Interpolate the state of an array between the neighbouring pairs by a cubic Hermite spline."""
     before = max((k for k in states if k < place), default=None)
     after = min((k for k in states if k > place), default=None)
@@ -70,11 +70,11 @@ def unpaired_cutout(
     gain: float,
     led_gains: Floats,
 ) -> Cutout | None:
-    """Cut out the remaining frame of a pair; None without near pairs or with an object before the array."""
+    """Cut out the remaining frame of a pair; None if no pair is near or an object occludes the array."""
     nearest, frame = nearest_pairs(place, pairs), unpaired.frame
     if not nearest:
         return None
-    state = state_between(frame.time_s, {k: pair.state for k, pair in pairs.items()}, place)
+    state = interpolate_state(frame.time_s, {k: pair.state for k, pair in pairs.items()}, place)
     data, mean_light = state.pose_at(frame.time_s + late_s), state.pose_at(frame.time_s + unpaired.late_s)
     side = len(led_gains)
     x, y, cols, rows = window_around(data, side, RIM_PX + RING_PX)
