@@ -159,21 +159,24 @@ def busy_blocks(
     means: Change, frame: Frame, tracked: Sequence[Pose], side: int, min_contrast: float, everywhere: bool = False
 ) -> Blocks:
     """Find the alternating blocks outside tracked arrays, and the blocks around."""
-    # mean magnitudes are never negative
-    free, tracked_mark = means.copy(), -1.0
+    is_tracked = np.zeros(means.shape, bool)
     for pose in tracked:
         top, left, end_row, end_column = _block_span(pose, side, frame.origin)
-        free[top:end_row, left:end_column] = tracked_mark
-    is_tracked = free == tracked_mark
+        is_tracked[top:end_row, left:end_column] = True
     if everywhere:
         return ~is_tracked
-    least = COARSE.busy_contrast * min_contrast * frame.full_scale
-    if free.max() <= least:
-        return np.zeros(means.shape, bool)
+    # mean magnitudes are never negative
+    free = np.where(is_tracked, np.float32(-1), means) if tracked else means
+    least, ratio, peak = COARSE.busy_contrast * min_contrast * frame.full_scale, COARSE.busy_ratio, free.max()
     # a large array lights all of the frame through the windscreen: the blocks within it do not count
-    count = np.count_nonzero(is_tracked)
+    count = np.count_nonzero(is_tracked) if tracked else 0
     middle = count + (free.size - count) // 2
-    busy = free > max(least, COARSE.busy_ratio * float(np.partition(free, middle, axis=None)[middle]))
+    # counts, which are faster than the median: no block above the least, or above `ratio` times the median
+    if peak <= least or np.count_nonzero(free < peak / ratio) <= middle:
+        return np.zeros(means.shape, bool)
+    is_quiet = np.count_nonzero(free < least / ratio) > middle
+    median = 0.0 if is_quiet else float(np.partition(free, middle, axis=None)[middle])
+    busy = free > max(least, ratio * median)
     return np.asarray(cv2.dilate(busy.view(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
 
 
