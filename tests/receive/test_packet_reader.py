@@ -12,7 +12,8 @@ from scenes import SIDE, drawn_film, film, link
 
 from heliograph.receive import receive_frames
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.packet_decoder import Lesson, SoftReading
+from heliograph.receive.decode.soft_packet import SoftDecoding
+from heliograph.receive.decode.worker import ArrayState
 from heliograph.receive.equalise.led_gains import Brightness, DecodedPair, LearntGains, LedGains
 from heliograph.receive.events import DecodeEvent, ExtractEvent, ignore
 from heliograph.receive.observe.cutout import Cutout
@@ -125,12 +126,17 @@ def test_what_headers_have_shown_stays_unless_other_leds_are_in_sight(mistaken: 
     shown = PairStatistics(np.eye(SIDE**2, dtype=np.float32), np.zeros(SIDE**2), np.zeros(SIDE**2), 0.0, 0.0)
     before = LedGains(sound - mistaken * np.eye(SIDE), Brightness.equal(SIDE), shown)
     signal = SignalSettings()
-    reading = SoftReading(None, Decoding(), "propagation", True)
-    parts = SoftParts(PacketFormat(signal, AGREED), Tracker(SIDE, MotionModel(1e-3, 0.02)), reading, ignore)
+    decoding = SoftDecoding(Decoding(), "propagation", led_by_led=True, combining=False)
+    parts = SoftParts(PacketFormat(signal, AGREED), Tracker(SIDE, MotionModel(1e-3, 0.02)), decoding, ignore)
     reader = SoftReader(3, parts, before)
-    assert reader.taken().led_gains.seen is None  # type: ignore[union-attr]
-    reader.learn(Lesson(LedGains(sound, replace(Brightness.equal(SIDE), values=values)), True).told)
-    after = reader._led_gains
+    assert reader.observations().led_gains.seen is None  # type: ignore[union-attr]
+    state = ArrayState(LedGains(sound, replace(Brightness.equal(SIDE), values=values)), True).for_tracking
+    after = reader.next(state, confirmed=False)._led_gains
     assert after is not None
     assert np.array_equal(after.values, values)
-    assert after.seen is (None if mistaken else shown)
+    if mistaken:
+        assert after.seen is None
+    else:
+        # the next packet trusts the headers of this one less
+        assert after.seen is not None
+        assert np.array_equal(after.seen.gram, LedGains(sound, Brightness.equal(SIDE), shown).faded().seen.gram)  # type: ignore[union-attr]

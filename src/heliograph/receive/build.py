@@ -1,13 +1,14 @@
 """The receivers "plain" and "soft": two assemblies of the same parts."""
 
 from collections.abc import Callable
+from concurrent.futures import Executor
+from itertools import count
 
 from heliograph.base.errors import SettingsError
 from heliograph.receive.array import ArrayReceiver, PacketReader
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.combining import SharedBuffers
-from heliograph.receive.decode.packet_decoder import SoftReading
-from heliograph.receive.decode.worker import decoders
+from heliograph.receive.decode.soft_packet import SoftDecoding
+from heliograph.receive.decode.worker import ArrayKey, InlineExecutor, PacketDecoder, ProcessExecutor
 from heliograph.receive.detect.alternation import SearchParameters
 from heliograph.receive.detect.budget import FILM_PART, UNBOUNDED_PART
 from heliograph.receive.detect.detection import Detection, HeaderSearch
@@ -73,9 +74,9 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
         return SynchronousPairing(detection.start_time_s, detection.time_s, signal)
 
     parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
-    search = _there(PyramidSearch(parameters, signal), parameters, settings, signal.side)
-    follow = _following(signal, settings, observe, pairing, reader)
-    return Parts(SteppedClock(signal.pattern_period_s), search, follow, signal)
+    search = _restrict_to_region(PyramidSearch(parameters, signal), parameters, settings, signal.side)
+    track = _array_factory(signal, settings, observe, pairing, reader)
+    return Parts(SteppedClock(signal.pattern_period_s), search, track, signal)
 
 
 def soft_parts(
@@ -98,23 +99,20 @@ def soft_parts(
         )
 
     parameters = search_parameters(settings, signal, SOFT_REGULARITY, impaired=True)
-    search = _there(PhasedSearch(parameters, signal), parameters, settings, signal.side)
+    search = _restrict_to_region(PhasedSearch(parameters, signal), parameters, settings, signal.side)
     reader = reader or soft_reader(signal, settings, observe)
-    follow = _following(signal, settings, observe, pairing, reader)
-    return Parts(CameraClock(), search, follow, signal)
+    track = _array_factory(signal, settings, observe, pairing, reader)
+    return Parts(CameraClock(), search, track, signal)
 
 
 def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> MakeReader:
-    """Make the soft receiver's readers, which share what was seen of an array's codewords."""
-    form = PacketFormat(signal)
-    decoding = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
-    # by identity, not by array: one lost and found again goes on with its carousel
-    buffers = SharedBuffers()
+    """Return the maker of the soft receiver's readers."""
+    form, soft = PacketFormat(signal), settings.soft
+    options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
+    decoding = SoftDecoding(options, soft.feedback, soft.led_by_led, soft.combining)
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
-        buffer = buffers.of((detection.identity, detection.orientation)) if settings.soft.combining else None
-        reading = SoftReading(buffer, decoding, settings.soft.feedback, settings.soft.led_by_led)
-        return SoftReader(detection.identity, SoftParts(form, tracker, reading, observe))
+        return SoftReader(detection.identity, SoftParts(form, tracker, decoding, observe))
 
     return reader
 
@@ -142,7 +140,9 @@ def search_parameters(
     )
 
 
-def _there(search: HeaderSearch, parameters: SearchParameters, settings: ReceiveSettings, side: int) -> HeaderSearch:
+def _restrict_to_region(
+    search: HeaderSearch, parameters: SearchParameters, settings: ReceiveSettings, side: int
+) -> HeaderSearch:
     """A search where somebody said an array is; of all the frames where nobody did."""
     start, region = parameters.start, settings.detect.region
     if start is not None:
@@ -157,7 +157,7 @@ def _there(search: HeaderSearch, parameters: SearchParameters, settings: Receive
     return search if start is None else RegionSearch(search, around(start, side), side)
 
 
-def _following(
+def _array_factory(
     signal: SignalSettings,
     settings: ReceiveSettings,
     observe: Observer,
@@ -166,22 +166,24 @@ def _following(
 ) -> Callable[[Detection], ArrayReceiver]:
     """Makes the receiver of an array that was found."""
     focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
-    # of all arrays, so that they share what is seen of codewords in the packets' order
-    packets = decoders(bool(settings.decode.in_background))
+    executor, decoder, numbers = decode_executor(bool(settings.decode.in_background)), PacketDecoder(), count()
 
-    def follow(detection: Detection) -> ArrayReceiver:
+    def track(detection: Detection) -> ArrayReceiver:
         view = View.of(detection.fit.pose, detection.orientation)
         # what a shake moves by is as many of the camera's pixels, however near the array
         shake_px, view_focal_px = settings.track.acceleration_px / 2**view.level, focal_px / 2**view.level
         model = MotionModel(signal.pattern_period_s, shake_px, view_focal_px)
         tracker = Tracker(signal.side, model)
         seen = detection.seen_in(view)
+        key = ArrayKey(detection.identity, detection.orientation, next(numbers))
         return ArrayReceiver(
             seen,
             pairing(seen),
             tracker,
             reader(seen, tracker),
-            packets,
+            executor,
+            decoder,
+            key,
             signal=signal,
             calibration=settings.calibration,
             coast_s=settings.track.coast_patterns * signal.pattern_period_s,
@@ -189,7 +191,20 @@ def _following(
             view=view,
         )
 
-    return follow
+    return track
+
+
+def decode_executor(in_background: bool) -> Executor:
+    """Return the executor that decodes packets."""
+    if not in_background:
+        return InlineExecutor()
+    executor = ProcessExecutor()
+    executor.submit(_load_modules)
+    return executor
+
+
+def _load_modules() -> None:
+    """Import this module, and so the decoder, where the call runs."""
 
 
 def _check_signal(signal: SignalSettings) -> None:

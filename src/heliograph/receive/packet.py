@@ -52,17 +52,25 @@ class Codeword:
 Words = Mapping[str, tuple[Codeword, ...]]
 """Codewords of a packet by layer, decoded or not."""
 
+MIN_HEADER_SCORE = 0.5
+"""Header score from which a header counts as seen: half of the array's light alternates."""
+
+MIN_PAIRS_SEEN = 0.5
+"""Fraction of a packet's data pairs that must be seen; no code of a rate above 1/2 survives the loss of more."""
+
+
+def packet_status(words: Words, header_score: float, pairs_seen: float) -> Status:
+    """Status of a packet by its codewords, or else by how much of it was seen."""
+    decoded = [word.status == "ok" for layer in words.values() for word in layer]
+    if any(decoded):
+        return "ok" if all(decoded) else "partial"
+    if pairs_seen < MIN_PAIRS_SEEN:
+        return "no_array"
+    return "crc_fail" if header_score >= MIN_HEADER_SCORE else "no_header"
+
 
 def with_raw(words: Words, first: Words) -> Words:
-    """Return codewords with the raw bits of the first reading of their packet.
-
-    Parameters
-    ----------
-    words
-        Codewords by layer, as the last reading left them.
-    first
-        The same codewords, as the first reading left them.
-    """
+    """Return codewords with the raw bits of the first attempt at their packet."""
     return {
         name: tuple(replace(word, raw=before.raw) for word, before in zip(by, first[name], strict=True))
         for name, by in words.items()

@@ -7,8 +7,8 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.threads import one_thread
 from heliograph.receive.decode.observations import PacketBuffer
-from heliograph.receive.decode.packet_decoder import Lesson, Light, PacketObservations, SoftReading, with_brightness
-from heliograph.receive.decode.worker import ReadHeader
+from heliograph.receive.decode.soft_packet import Light, PacketObservations, SoftDecoding, with_brightness
+from heliograph.receive.decode.worker import ArrayState
 from heliograph.receive.detect.header_bank import header_score, header_weights
 from heliograph.receive.detect.header_format import FormatReader
 from heliograph.receive.equalise.led_gains import LearntGains, LedGains
@@ -38,8 +38,8 @@ class SoftParts:
     form: PacketFormat
     # Follows the array from pair to pair
     tracker: Tracker
-    # How its packets are decoded
-    reading: SoftReading
+    # Settings of decoding
+    decoding: SoftDecoding
     # Gets an `ExtractEvent` each pair
     observe: Observer
 
@@ -61,12 +61,12 @@ class _Header:
 class SoftReader:
     """Reads a packet at the limit of the channel; see `array.PacketReader`."""
 
-    def __init__(self, identity: int, parts: SoftParts, led_gains: LedGains | None = None, proven: bool = False):
+    def __init__(self, identity: int, parts: SoftParts, led_gains: LedGains | None = None, confirmed: bool = False):
         self._identity, self._parts, self._side = identity, parts, parts.form.settings.side
         _, data = light_centroids(parts.form.settings.slot_order)
         # the data's light was in the middle of the exposure, or about it
         self._late_s = (data - 0.5) * parts.form.settings.pattern_period_s
-        self._led_gains, self._proven = led_gains, proven
+        self._led_gains, self._confirmed = led_gains, confirmed
         self._format_reader = FormatReader(identity, self._side, parts.form.settings.data_pairs)
         self._decisions: DecisionDirectedTracker | None = None
         self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), Light(), PacketBuffer()
@@ -76,7 +76,7 @@ class SoftReader:
         """The packet's format, as far as its header has shown it."""
         return self._header.format
 
-    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> tuple[Track, float]:
         """Read the format, refine the pose and learn the LEDs' gains; see `PacketReader`."""
         track = tracked.track
         if tracked.seen:
@@ -99,7 +99,7 @@ class SoftReader:
         score = header_score(pair, tracked.state.pose, weights * track.shining, track.gain)
         if tracked.seen:
             track, self._led_gains = self._learn(pair, weights, tracked.before, track, self._gains())
-        return ReadHeader(track, score)
+        return track, score
 
     def end_header(self, header: MeasuredHeader) -> None:
         """Take a header out of step: its even sum for the noise, its frames for the format; see `PacketReader`."""
@@ -119,7 +119,7 @@ class SoftReader:
             self._decisions = self._begin_decisions(pair.late_s, track)
         return self._decisions.follow(track, pair)
 
-    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+    def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
         """Keep a pair; see `PacketReader`."""
         track = tracked.track
         sum_gain = self._light.sum_gain
@@ -137,12 +137,12 @@ class SoftReader:
         """Keep the frame that is left of a pair; see `PacketReader`."""
         self._data = self._data.with_lone(place, lone)
 
-    def taken(self) -> PacketObservations:
-        """The cut-outs of all pairs, and what is known of the array; see `PacketReader`."""
+    def observations(self) -> PacketObservations:
+        """Return the cut-outs of all pairs, with the light and LED gains of the array; see `PacketReader`."""
         return PacketObservations(
             self._identity,
             self._form,
-            self._parts.reading,
+            self._parts.decoding,
             self._format_reader.number(self._light.gain),
             self._data.to_decode,
             self._light,
@@ -152,25 +152,21 @@ class SoftReader:
             None if self._decisions is None else self._decisions.noise.lit,
         )
 
-    def learn(self, lesson: Lesson | None) -> None:
-        """Know the LEDs as the packet has shown them; see `PacketReader`."""
-        if lesson is None:
-            return
-        before, after = self._led_gains, lesson.led_gains
-        # what headers have shown stays here; with other LEDs in sight than they said, it was mistaken
-        if before is not None and after is not None and np.array_equal(after.sight, before.sight):
-            after = replace(after, seen=before.seen)
-        self._led_gains, self._proven = after, lesson.proven
+    def next(self, state: ArrayState | None, confirmed: bool) -> "SoftReader":
+        """Make the reader of the next packet, which knows the LEDs; see `PacketReader`."""
+        led_gains = self._led_gains
+        if state is not None:
+            led_gains, confirmed = state.led_gains, confirmed or state.confirmed
+            # the evidence of headers stays here, unless it is for other LEDs in sight
+            if self._led_gains and led_gains and np.array_equal(led_gains.sight, self._led_gains.sight):
+                led_gains = replace(led_gains, seen=self._led_gains.seen)
+        else:
+            confirmed = confirmed or self._confirmed
+        return SoftReader(self._identity, self._parts, led_gains and led_gains.faded(), confirmed)
 
-    def next(self, beyond_doubt: bool) -> "SoftReader":
-        """The reader of the next packet; it knows the LEDs; see `PacketReader`."""
-        led_gains = None if self._led_gains is None else self._led_gains.faded()
-        return SoftReader(self._identity, self._parts, led_gains, self._proven or beyond_doubt)
-
-    def catch_up(self, lesson: Lesson | None) -> None:
-        """Take over the LEDs' brightness; what is in sight, this packet's own header shows; see `PacketReader`."""
-        if lesson is not None:
-            self._led_gains, self._proven = with_brightness(self._led_gains, lesson.led_gains), lesson.proven
+    def update(self, state: ArrayState) -> None:
+        """Use the LEDs' brightness; this packet's header shows which are in sight; see `PacketReader`."""
+        self._led_gains, self._confirmed = with_brightness(self._led_gains, state.led_gains), state.confirmed
 
     def _learn(
         self, pair: FramePair, weights: Floats, before: Track, track: Track, led_gains: LedGains
@@ -187,7 +183,7 @@ class SoftReader:
                 break
             learnt = self._learn_gains(cutout, weights, track, led_gains)
             # of LEDs that packets showed, what lies together is hidden, not dead: data will show when it is seen again
-            gone = (learnt.led_gains.sight == 0) & (led_gains.sight > 0) & self._proven
+            gone = (learnt.led_gains.sight == 0) & (led_gains.sight > 0) & self._confirmed
             hidden = dark_zone(gone, track.state.pose)
             led_gains = learnt.led_gains.rather(np.where(hidden, led_gains.sight, learnt.led_gains.sight))
             change = np.where(hidden, 0.0, track.change)

@@ -12,7 +12,7 @@ from scenes import drawn_film, link
 
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, Pose, receive_frames
-from heliograph.receive.decode import packet_decoder as taken_pairs
+from heliograph.receive.decode import soft_packet as taken_pairs
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.per_led import read_led_by_led
 from heliograph.receive.decode.turbo_equaliser import decode_iteratively

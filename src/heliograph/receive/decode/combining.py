@@ -5,13 +5,12 @@ is one better observation, equalised as a whole. Of a codeword that is sent agai
 LLRs of one and the same packet would not add: the light of its other layers disturbs them alike each time.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.base.shared import Shared
 from heliograph.receive.equalise.lmmse import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.signal.code import Code
@@ -22,9 +21,6 @@ Kind = tuple[str, Code]
 
 CODEWORDS_KEPT = 32
 """Codewords kept of each kind: 0.8 MB of 3072 LLRs; a carousel of more goes round before one comes again."""
-
-BUFFERS_KEPT = 8
-"""Buffers of arrays that are kept, those asked for last. Chosen: more arrays than are in view at a crossing."""
 
 PACKETS_KEPT = 4
 """Packets whose statistics are kept: 13 MB each of 48 pairs of 16 x 16 LEDs, twice that without inverses."""
@@ -135,30 +131,6 @@ class SoftBuffer:
         rest = (other for other in self.codewords.get(kind, ()) if not np.array_equal(other, earlier))
         kept = (*rest, llr + earlier)[-CODEWORDS_KEPT:]
         return replace(self, codewords={**self.codewords, kind: kept})
-
-
-class SharedBuffers:
-    """The buffers of the arrays seen of late: clutter that is taken for one array after another fills no memory."""
-
-    def __init__(self) -> None:
-        self._buffers: dict[Hashable, SharedBuffer] = {}
-
-    def of(self, array: Hashable) -> "SharedBuffer":
-        """The buffer of an array, empty where it is new or was not asked for of late."""
-        found = self._buffers.pop(array) if array in self._buffers else SharedBuffer()
-        self._buffers[array] = found  # the last one asked for stands last
-        while len(self._buffers) > BUFFERS_KEPT:
-            del self._buffers[next(iter(self._buffers))]
-        return found
-
-
-class SharedBuffer(Shared[SoftBuffer]):
-    """Hands a buffer on from packet to packet of an array, also to those of the array lost and found again."""
-
-    kept = BUFFERS_KEPT
-
-    def __init__(self, name: str | None = None) -> None:
-        super().__init__(SoftBuffer(), name)
 
 
 def agreement(a: Floats, b: Floats) -> tuple[float, float]:

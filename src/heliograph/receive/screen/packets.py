@@ -15,9 +15,8 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.errors import SettingsError
 from heliograph.receive.decode.codeword import Decoding, decode_packet
-from heliograph.receive.decode.worker import ENOUGH_SEEN
 from heliograph.receive.geometry.pose import ORIENTATIONS, Orientation
-from heliograph.receive.packet import Words
+from heliograph.receive.packet import MIN_PAIRS_SEEN, Words
 from heliograph.receive.screen.cells import Sample, SearchBudget
 from heliograph.receive.screen.clock import (
     BINS,
@@ -335,7 +334,7 @@ class PacketReading:
             end = self._next + 2 * pairs * clock.period_s
             if now_s < end + late and not final:
                 return
-            if now_s - self._next < ENOUGH_SEEN * (end - self._next):
+            if now_s - self._next < MIN_PAIRS_SEEN * (end - self._next):
                 return
             yield from self._packet(clock, self._next, end)
             if final and now_s < end + late:

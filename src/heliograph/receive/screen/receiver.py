@@ -13,7 +13,6 @@ from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame, check_next, check_order
 from heliograph.base.threads import in_one_thread
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.worker import ENOUGH_SEEN, HEADER_SEEN
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import (
     DecodeEvent,
@@ -27,7 +26,7 @@ from heliograph.receive.events import (
 from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import window_around
-from heliograph.receive.packet import Packet, Status
+from heliograph.receive.packet import Packet, packet_status
 from heliograph.receive.screen.cells import Follower, Place, Sample, SearchBudget, SearchLimits
 from heliograph.receive.screen.locate import ArraySearch, Taken
 from heliograph.receive.screen.packets import Coming, HeaderSeen, PacketReading, ReadPacket
@@ -303,7 +302,7 @@ class ScreenReceiver:
         pose = pose_of(first.seen.place, self._signal.side)
         packet = Packet(
             identity=one.header.identity,
-            status=_status(one),
+            status=packet_status(one.words, one.header.score, float(np.mean(one.seen))),
             start_time_s=one.start_s,
             first_frame=first.index,
             last_frame=shown[-1].index,
@@ -320,12 +319,3 @@ class ScreenReceiver:
         )
         self._observe(DecodeEvent(packet.identity, packet, luminances=one.change))
         return packet
-
-
-def _status(one: ReadPacket) -> Status:
-    good = [word.status == "ok" for words in one.words.values() for word in words]
-    if any(good):
-        return "ok" if all(good) else "partial"
-    if np.mean(one.seen) < ENOUGH_SEEN:
-        return "no_array"
-    return "crc_fail" if one.header.score >= HEADER_SEEN else "no_header"

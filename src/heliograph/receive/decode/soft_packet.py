@@ -6,24 +6,23 @@ What the soft receiver took of a packet, and its decoding: all frames equalised 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 from heliograph.base.threads import one_thread
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.combining import SharedBuffer, SoftBuffer
+from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.observations import PacketBuffer
 from heliograph.receive.decode.per_led import read_led_by_led
 from heliograph.receive.decode.per_quad import read_square_by_square
 from heliograph.receive.decode.turbo_equaliser import DecodedPacket, GainAndNoise, decode_iteratively
-from heliograph.receive.decode.worker import Decoded
+from heliograph.receive.decode.worker import ArrayState, Decoded
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket, align_by_power
-from heliograph.receive.events import DecodeEvent, Observer, ignore
+from heliograph.receive.events import Observer, ignore
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
-from heliograph.receive.packet import Codeword, Packet, Words, with_raw
+from heliograph.receive.packet import Codeword, Words, with_raw
 from heliograph.receive.settings import Feedback
-from heliograph.signal.formats import Format, UnreadableModeError, check_mode
+from heliograph.signal.formats import UnreadableModeError, check_mode
 from heliograph.signal.packet import PacketFormat
 
 PULLED_PX = 0.5
@@ -51,8 +50,8 @@ class Assumption:
 
 
 @dataclass(frozen=True, slots=True)
-class ReadPacket:
-    """A packet as it was read."""
+class DecodeAttempt:
+    """Attempt at a packet under an assumption."""
 
     # What was taken for granted
     assumed: Assumption
@@ -62,7 +61,7 @@ class ReadPacket:
     words: Words
 
     @classmethod
-    def of(cls, assumed: Assumption, decoded: DecodedPacket[ObservedPacket]) -> "ReadPacket":
+    def of(cls, assumed: Assumption, decoded: DecodedPacket[ObservedPacket]) -> "DecodeAttempt":
         """A reading with the codewords that it gave."""
         return cls(assumed, decoded, decoded.words)
 
@@ -76,7 +75,7 @@ class ReadPacket:
         pairs = (pair for name, by in self.words.items() for pair in zip(by, others[name], strict=True))
         return any(one.status == "crc_fail" and other.status != "crc_fail" for one, other in pairs)
 
-    def with_cutouts(self, later: "ReadPacket") -> "ReadPacket":
+    def best_of(self, later: "DecodeAttempt") -> "DecodeAttempt":
         """The later reading if it leaves fewer codewords open, else this one; with the codewords of both."""
         best = later if later.open < self.open else self
         words = {name: tuple(map(_decoded_one, by, later.words[name])) for name, by in self.words.items()}
@@ -88,19 +87,19 @@ def open_words(words: Words) -> int:
     return sum(word.status == "crc_fail" for by in words.values() for word in by)
 
 
-def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[ObservedPacket]]) -> ReadPacket:
+def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[ObservedPacket]]) -> DecodeAttempt:
     """Read a packet, and where codewords stay open, once more under each other assumption that there is reason for."""
-    reading = ReadPacket.of(first, decode(first))
+    reading = DecodeAttempt.of(first, decode(first))
     for otherwise in (all_leds_sound, poses_by_power):
         assumed = otherwise(reading) if reading.open else None
         if assumed is not None:
-            reading = reading.with_cutouts(ReadPacket.of(assumed, decode(assumed)))
+            reading = reading.best_of(DecodeAttempt.of(assumed, decode(assumed)))
     return reading
 
 
 def verify_first_packet(
-    first: Assumption, shown: Words | None, read: Callable[[Words | None], ReadPacket]
-) -> tuple[ReadPacket, bool]:
+    first: Assumption, shown: Words | None, read: Callable[[Words | None], DecodeAttempt]
+) -> tuple[DecodeAttempt, bool]:
     """Read a packet of an array just found, of which the equaliser must show by itself that the pose is right."""
     if shown is not None and open_words(known := _without_finest(shown)) < sum(map(len, shown.values())):
         # a codeword that the equaliser adds to them where the poses are is proof enough, in half the time
@@ -118,13 +117,13 @@ def _without_finest(words: Words) -> Words:
     return {**words, finest: tuple(replace(word, status="crc_fail", block=None) for word in words[finest])}
 
 
-def all_leds_sound(reading: ReadPacket) -> Assumption | None:
+def all_leds_sound(reading: DecodeAttempt) -> Assumption | None:
     """Assume that no LED is dead or hidden: a header before a bright background may make sound ones seem so."""
     led_gains = reading.assumed.led_gains
     return replace(reading.assumed, led_gains=LedGains.sound(len(led_gains.sight))) if led_gains.doubtful else None
 
 
-def poses_by_power(reading: ReadPacket) -> Assumption | None:
+def poses_by_power(reading: DecodeAttempt) -> Assumption | None:
     """Assume the array where the differences have their power: what shines beside it may have pulled sums' poses."""
     assumed = reading.assumed
     if reading.decoded.observed.form.single:
@@ -138,38 +137,18 @@ def _decoded_one(one: Codeword, other: Codeword) -> Codeword:
     return other if one.status == "crc_fail" else one
 
 
-OUT_OF_STEP_STRIDE = 4
-"""Pairs out of step of which one is asked for the noise: the equaliser estimates it once more, from all of them."""
-
-
-class Lesson(NamedTuple):
-    """What a decoded packet teaches."""
-
-    # Gains of the LEDs; None where nothing was known of them before
-    led_gains: LedGains | None
-    # Whether the equaliser has decoded a codeword of the array since it was found
-    proven: bool
-    # Whether the array is not quite as it is followed: the equaliser does not read what the LEDs' positions tell
-    misled: bool = False
-
-    @property
-    def told(self) -> "Lesson":
-        """The gains without what has shown them: that is asked for where packets are decoded alone."""
-        return self._replace(led_gains=None if self.led_gains is None else self.led_gains.told)
-
-
 @dataclass(frozen=True, slots=True)
-class SoftReading:
-    """How the soft receiver decodes an array's packets."""
+class SoftDecoding:
+    """Settings of decoding for the packets of the soft receiver."""
 
-    # What was seen of its codewords before; None adds nothing
-    buffer: SharedBuffer | None
     # Algorithm of the channel decoder, and its most iterations
     options: Decoding
     # What the equaliser gets back from the decoder
     feedback: Feedback
-    # Whether a packet is read LED by LED and square by square first
+    # True to decode samples at the LEDs before the equaliser runs
     led_by_led: bool
+    # True to combine a codeword with repetitions received earlier
+    combining: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,21 +165,21 @@ class Light:
 
 @dataclass(frozen=True, slots=True)
 class PacketObservations:
-    """All that was taken of a packet; see `UndecodedPacket`."""
+    """Observations of a packet by the soft receiver; see `worker.Observations`."""
 
     # Number of the array, 0 to 29
     identity: int
     # Format of the packet
     form: PacketFormat
-    # How it is decoded
-    reading: SoftReading
-    # Number of the format that its header signals
+    # Settings of decoding
+    decoding: SoftDecoding
+    # Number of the format that the header signals
     mode: int
-    # What was kept of its pairs
+    # Cut-outs and unpaired frames
     data: PacketBuffer
     # Light of the array
     light: Light
-    # Gains of its LEDs; None where nothing is known of them
+    # Gains of the LEDs; None if unknown
     led_gains: LedGains | None
     # Seconds by which the data's light comes after the middle of an exposure
     late_s: float
@@ -208,104 +187,95 @@ class PacketObservations:
     even: Cutout | None
     # Variance of a pixel inside the array by decided data, in squared gray levels; None where there are inverses
     decided_noise: float | None
-    # Whether the equaliser has decoded a codeword of it since it was found: its pose and gains are then right
-    proven: bool = False
+    # True if the equaliser has decoded a codeword of the array: its pose and gains are right
+    confirmed: bool = False
 
     @property
-    def format(self) -> Format:
-        """The packet's format, as far as its header has shown it."""
-        return self.form.format
-
-    def taught(self, lesson: Lesson | None) -> "PacketObservations":
-        """The same with the LEDs' brightness by earlier packets, and whether it is proven; see `UndecodedPacket`."""
-        if lesson is None:
-            return self
-        # what is in sight, its own header shows
-        return replace(self, led_gains=with_brightness(self.led_gains, lesson.led_gains), proven=lesson.proven)
+    def cutouts(self) -> list[Cutout | None]:
+        """Cut-out of each pair, in the single mode of each pattern; None where the array was not seen."""
+        return self.data.in_order(self.form.layers["high"].pairs)
 
     @one_thread()
-    def glance(self) -> bool:
-        """Whether the LEDs' positions alone tell a codeword; see `UndecodedPacket`."""
+    def has_codeword(self) -> bool:
+        """Return True if samples at the LEDs decode to a codeword; see `Observations`."""
         try:
             check_mode(self.mode, self.form.settings.data_pairs)
         except UnreadableModeError:
             return False
-        shown = self._led_by_led(Assumption(self._gains(), self._cutouts()), glance=True)
-        return shown is not None and any(word.status == "ok" for by in shown.values() for word in by)
+        sampled = self._led_by_led(Assumption(self._gains(), self.cutouts), quick=True)
+        return sampled is not None and any(word.status == "ok" for by in sampled.values() for word in by)
 
     def renumbered(self, place: int) -> "PacketObservations":
-        """The same with the pairs from one on moved to the next number; see `UndecodedPacket`."""
-        data = self.data.renumbered(place, self.form.settings.data_pairs)
-        return replace(self, data=data, reading=replace(self.reading, buffer=None))
+        """Return the packet with the pairs from a lost one on moved to the next number; see `Observations`."""
+        return replace(self, data=self.data.renumbered(place, self.form.settings.data_pairs))
 
     @one_thread()
-    def decode(self, observe: Observer, /) -> Decoded:
-        """Codewords by layer, of all pairs kept; see `UndecodedPacket`."""
+    def decode(self, state: ArrayState, observe: Observer, /) -> Decoded:
+        """Decode by samples at the LEDs, then by the equaliser; see `Observations`."""
         check_mode(self.mode, self.form.settings.data_pairs)
-        as_kept = Assumption(self._gains(), self._cutouts())
-        shown = self._led_by_led(as_kept)
-        if shown is not None and not open_words(shown):
-            # whether they were read where the array is, nobody need wait for
-            return Decoded(shown, study=lambda: self._learnt_beside(as_kept, shown))
-        first = as_kept.steady
-        reading, misled = self._equalised(first, shown, observe)
-        cutouts = None if reading.assumed.cutouts is first.cutouts else tuple(reading.assumed.cutouts)
-        words = reading.words if shown is None else with_raw(reading.words, shown)
-        return Decoded(words, lambda: self._lesson(reading, misled), cutouts)
+        # the packet's own header shows which LEDs are in sight
+        led_gains = with_brightness(self.led_gains, state.led_gains)
+        packet = replace(self, led_gains=led_gains, confirmed=state.confirmed)
+        return packet._decode_all(state.buffer if self.decoding.combining else None, observe)
 
-    def _equalised(self, first: Assumption, shown: Words | None, observe: Observer) -> tuple[ReadPacket, bool]:
-        """The packet as the equaliser reads it, and whether its poses misled it."""
-        buffer = self.reading.buffer
-        earlier = None if buffer is None else buffer.content
+    def _decode_all(self, buffer: SoftBuffer | None, observe: Observer) -> Decoded:
+        as_kept = Assumption(self._gains(), self.cutouts)
+        sampled = self._led_by_led(as_kept)
+        if sampled is not None and not open_words(sampled):
+            # the array's pose is confirmed later: the packet need not wait for it
+            return Decoded(sampled, learn=lambda: self._learn_from_samples(as_kept, sampled, buffer))
+        first = as_kept.steady
+        attempt, misled, buffer = self._equalise(first, sampled, buffer, observe)
+        cutouts = None if attempt.assumed.cutouts is first.cutouts else tuple(attempt.assumed.cutouts)
+        words = attempt.words if sampled is None else with_raw(attempt.words, sampled)
+        return Decoded(words, lambda: self._learn(attempt, misled), buffer, cutouts)
+
+    def _equalise(
+        self, first: Assumption, sampled: Words | None, buffer: SoftBuffer | None, observe: Observer
+    ) -> tuple[DecodeAttempt, bool, SoftBuffer | None]:
+        """Equalise and decode; also return True if the poses were wrong, and the buffer with this packet."""
 
         def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
-            return self._decode(
-                assumed, earlier, shown if assumed.cutouts is first.cutouts else self._led_by_led(assumed), observe
-            )
+            known = sampled if assumed.cutouts is first.cutouts else self._led_by_led(assumed)
+            return self._decode(assumed, buffer, known, observe)
 
-        def read_with(known: Words | None) -> ReadPacket:
-            return read_packet(first, lambda assumed: self._decode(assumed, earlier, known, observe))
+        def read_with(known: Words | None) -> DecodeAttempt:
+            return read_packet(first, lambda assumed: self._decode(assumed, buffer, known, observe))
 
-        reading, misled = (
-            verify_first_packet(first, shown, read_with) if self._new else (read_packet(first, read), False)
-        )
+        if self._is_unconfirmed:
+            attempt, misled = verify_first_packet(first, sampled, read_with)
+        else:
+            attempt, misled = read_packet(first, read), False
         if misled:
-            reading = reading.with_cutouts(read_packet(first, read))
-        if buffer is not None and reading.decoded.buffer is not None:
-            buffer.keep(reading.decoded.buffer)
-        return reading, misled
+            attempt = attempt.best_of(read_packet(first, read))
+        return attempt, misled, attempt.decoded.buffer
 
-    def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
-        """The packet with the cut-outs of its pairs; see `UndecodedPacket`."""
-        cutouts = tuple(self._cutouts()) if decoded.cutouts is None else decoded.cutouts
-        return DecodeEvent(self.identity, packet, cutouts=cutouts)
-
-    def _led_by_led(self, assumed: Assumption, glance: bool = False) -> Words | None:
-        """What the LEDs' positions alone tell, or at a glance; None where they are not asked, or tell nothing."""
-        reading = self.reading
-        if not reading.led_by_led or reading.feedback == "none":
+    def _led_by_led(self, assumed: Assumption, quick: bool = False) -> Words | None:
+        """Codewords by samples at the LEDs, quick for a first round only; None if they are not sampled."""
+        decoding = self.decoding
+        if not decoding.led_by_led or decoding.feedback == "none":
             return None
-        # behind a post the scale of these LLRs is wrong; max-log heeds their proportions alone
-        options = replace(reading.options, algorithm="max-log")
+        # behind a post the scale of these LLRs is wrong; max-log depends on their proportions only
+        options = replace(decoding.options, algorithm="max-log")
         cutouts, place = self._with_lone(assumed), (self.form, self.identity, options)
-        soft = reading.feedback in ("soft", "propagation")
+        soft = decoding.feedback in ("soft", "propagation")
         if _out_of_step(cutouts):
-            return read_square_by_square(cutouts, self.light.gain, *place, soft=soft, glance=glance)
-        shown = read_led_by_led(cutouts, *place)
-        if shown is None or glance or open_words(shown) in (0, sum(map(len, shown.values()))):
-            return shown
-        # what is decoded tells what it leaves of its light in the others
-        return read_square_by_square(cutouts, self.light.gain, *place, shown, soft=soft) or shown
+            return read_square_by_square(cutouts, self.light.gain, *place, soft=soft, glance=quick)
+        sampled = read_led_by_led(cutouts, *place)
+        if sampled is None or quick or open_words(sampled) in (0, sum(map(len, sampled.values()))):
+            return sampled
+        # decoded codewords show how much of their light is left in the others
+        return read_square_by_square(cutouts, self.light.gain, *place, sampled, soft=soft) or sampled
 
     def _decode(
-        self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None, observe: Observer
+        self, assumed: Assumption, buffer: SoftBuffer | None, known: Words | None, observe: Observer
     ) -> DecodedPacket[ObservedPacket]:
-        """Decode what is not known yet of all that was kept; `earlier` is what was seen of its codewords before."""
-        reading, light, noise = self.reading, self.light, self._noise(assumed)
+        """Equalise and decode the codewords that are not known, combined with the buffer's."""
+        decoding, light, noise = self.decoding, self.light, self._noise(assumed)
         observed = ObservedPacket.of(self._with_lone(assumed), noise, self.form, assumed.led_gains)
         channel = GainAndNoise(min(light.gain, light.full_scale), noise.lit, light.full_scale)
         return decode_iteratively(
-            observed, channel, self.form, self.identity, reading.options, earlier, reading.feedback, observe, known
+            observed, channel, self.form, self.identity, decoding.options, buffer, decoding.feedback, observe, known
         )
 
     def _with_lone(self, assumed: Assumption) -> list[Cutout | None]:
@@ -326,37 +296,36 @@ class PacketObservations:
         asked = whole if len(whole) > 1 else seen
         if even is None or not _out_of_step(seen):
             return measure_noise(asked, gain, self._side, values)
-        # of pairs out of step the sum is uneven, but not that of a header
-        noise = measure_noise(asked[::OUT_OF_STEP_STRIDE], gain, self._side, values)
+        # of pairs out of step the sum is uneven, but not that of a header; a quarter of them is enough at first
+        noise = measure_noise(asked[::4], gain, self._side, values)
         return Noise(min(measure_noise([even], gain, self._side, values).lit, noise.lit), noise.dark)
 
     @property
-    def _new(self) -> bool:
-        """Whether the equaliser must show yet that the array is where it is followed."""
-        return self.led_gains is not None and not self.proven
+    def _is_unconfirmed(self) -> bool:
+        """True if the equaliser must still show that the array is where it is tracked."""
+        return self.led_gains is not None and not self.confirmed
 
     @one_thread()
-    def _learnt_beside(self, as_kept: Assumption, shown: Words) -> Lesson:
-        """What a packet teaches whose codewords the LEDs' positions have told."""
-        if self._new:
-            return self._lesson(*self._equalised(as_kept.steady, shown, ignore))
-        return Lesson(self._brightness_learnt(as_kept, shown), self.proven)
+    def _learn_from_samples(self, assumed: Assumption, sampled: Words, buffer: SoftBuffer | None) -> ArrayState:
+        """State of the array after a packet that samples at the LEDs decoded completely."""
+        if self._is_unconfirmed:
+            attempt, misled, buffer = self._equalise(assumed.steady, sampled, buffer, ignore)
+            return replace(self._learn(attempt, misled), buffer=buffer)
+        return ArrayState(self._brightness_by_samples(assumed, sampled), self.confirmed)
 
     @one_thread()
-    def _lesson(self, reading: ReadPacket, misled: bool) -> Lesson:
-        """What a packet teaches that was equalised."""
-        there = self._new and not misled and reading.open < sum(map(len, reading.words.values()))
-        return Lesson(self._learnt(reading), self.proven or there, misled)
+    def _learn(self, attempt: DecodeAttempt, misled: bool) -> ArrayState:
+        """State of the array after a packet that was equalised."""
+        confirms = self._is_unconfirmed and not misled and attempt.open < sum(map(len, attempt.words.values()))
+        led_gains = attempt.assumed.led_gains
+        if self.led_gains is None or (not attempt.open and led_gains.brightness.settled):
+            led_gains = self.led_gains
+        else:
+            led_gains = _learnt_from(attempt.decoded, led_gains)
+        return ArrayState(led_gains, self.confirmed or confirms, misled)
 
-    def _learnt(self, reading: ReadPacket) -> LedGains | None:
-        """Gains of the LEDs after a packet was equalised."""
-        led_gains = reading.assumed.led_gains
-        if self.led_gains is None or (not reading.open and led_gains.brightness.settled):
-            return self.led_gains
-        return _learnt_from(reading.decoded, led_gains)
-
-    def _brightness_learnt(self, assumed: Assumption, shown: Words) -> LedGains | None:
-        """Gains with the brightness of LEDs that a packet showed by themselves, unless that is known."""
+    def _brightness_by_samples(self, assumed: Assumption, sampled: Words) -> LedGains | None:
+        """Gains with the brightness of the LEDs by a packet decoded from samples, unless it is known."""
         if self.led_gains is None or self.led_gains.brightness.learnt or _out_of_step(assumed.cutouts):
             return self.led_gains
         # only these pairs are learnt from
@@ -366,15 +335,11 @@ class PacketObservations:
         ]
         if all(cutout is None for cutout in kept):
             return self.led_gains
-        decoded = self._decode(replace(assumed, cutouts=kept).steady, None, shown, ignore)
+        decoded = self._decode(replace(assumed, cutouts=kept).steady, None, sampled, ignore)
         return _learnt_from(decoded, assumed.led_gains, stride=1)
 
     def _gains(self) -> LedGains:
         return self.led_gains or LedGains.sound(self._side)
-
-    def _cutouts(self) -> list[Cutout | None]:
-        """One per pair, in the single mode one per pattern; None where the array was not seen."""
-        return self.data.in_order(self.form.layers["high"].pairs)
 
     @property
     def _side(self) -> int:
