@@ -202,7 +202,7 @@ class OnDemand:
     ("change", "orientation", "waits"),
     [
         ("transmit.identities=[7]", UPRIGHT, False),
-        # turned, its header would be another one's: a glance at its LEDs tells, where they are looked at
+        # turned, its header would be another one's: a quick check of its LEDs tells, if they are sampled
         ("transmit.identities=[3]", UPRIGHT, False),
         ("transmit.identities=[7]", ORIENTATIONS[1], False),
         ("transmit.identities=[3]; receive.soft.led_by_led=false", UPRIGHT, True),

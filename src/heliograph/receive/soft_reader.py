@@ -144,7 +144,7 @@ class SoftReader:
             self._form,
             self._parts.decoding,
             self._format_reader.number(self._light.gain),
-            self._data.to_decode,
+            self._data.trimmed,
             self._light,
             None if self._led_gains is None else self._led_gains.told,
             self._late_s,

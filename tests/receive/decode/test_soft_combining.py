@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.threads import one_thread
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.combining import BufferedPacket, SoftBuffer, consistent
+from heliograph.receive.decode.combining import BufferedPacket, SoftBuffer, is_consistent
 from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
 from heliograph.receive.equalise.lmmse import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
@@ -278,12 +278,12 @@ def test_a_packet_must_support_what_others_helped_to_read() -> None:
     signs = rng.choice([-1.0, 1.0], 1000)
     # LLRs of a bit sent over Gaussian noise are N(2 / s^2, 4 / s^2)
     llr = 0.5 * signs + rng.normal(0, 1, 1000)
-    assert consistent(llr, signs)
-    assert not consistent(llr, rng.choice([-1.0, 1.0], 1000))
-    assert not consistent(np.where(np.arange(1000) < 20, llr, 0.0), signs)
+    assert is_consistent(llr, signs)
+    assert not is_consistent(llr, rng.choice([-1.0, 1.0], 1000))
+    assert not is_consistent(np.where(np.arange(1000) < 20, llr, 0.0), signs)
     some = np.where(rng.uniform(size=1000) < 0.25, -1, 1) * signs
-    assert not consistent(3 * llr, some)
-    assert not consistent(np.zeros(1000), signs)
+    assert not is_consistent(3 * llr, some)
+    assert not is_consistent(np.zeros(1000), signs)
 
 
 def test_the_number_of_codewords_is_bounded() -> None:

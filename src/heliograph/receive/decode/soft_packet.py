@@ -1,6 +1,7 @@
-"""Readings of a packet: where codewords stay open it is read once more, with other LEDs or other poses assumed.
+"""The soft receiver's packet observations and their joint decoding.
 
-What the soft receiver took of a packet, and its decoding: all frames equalised and decoded together.
+Samples at the LEDs are decoded first, then the equaliser reads all frames together. If codewords fail, the packet is
+read again with other LEDs or other poses assumed.
 """
 
 import math
@@ -25,125 +26,121 @@ from heliograph.receive.settings import Feedback
 from heliograph.signal.formats import UnreadableModeError, check_mode
 from heliograph.signal.packet import PacketFormat
 
-PULLED_PX = 0.5
-"""Error of a pose in px, by the power of differences, from which on a packet is read once more without it.
-
-Of poses that are right that power errs by 0.1 px rms at 63 m, and by 0.3 px at most at 95 m. A pose that decoded data
-correct by as much proves nothing of an array.
-"""
+MAX_POSE_ERROR_PX = 0.5
+"""Error of a pose, by the power of differences, above which the pose is wrong: right poses err by 0.3 px at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """What a reading of a packet takes for granted."""
+    """LED gains and poses that an attempt at a packet assumes."""
 
     # Gains of the LEDs
     led_gains: LedGains
-    # One per pair at the poses where the array is thought to be, in the single mode one per pattern; None where it was
-    # not seen
+    # Cut-outs of the pairs at the assumed poses, in the single mode of the patterns; None for unseen ones
     cutouts: Sequence[Cutout | None]
 
     @property
     def steady(self) -> "Assumption":
-        """The same with cut-outs without the background's light that moves with the array."""
-        return replace(self, cutouts=[None if one is None else one.steady for one in self.cutouts])
+        """The same without the background's light that moves with the array."""
+        return replace(self, cutouts=[None if cutout is None else cutout.steady for cutout in self.cutouts])
 
 
 @dataclass(frozen=True, slots=True)
 class DecodeAttempt:
     """Attempt at a packet under an assumption."""
 
-    # What was taken for granted
+    # Assumed LED gains and poses
     assumed: Assumption
-    # What came of it
+    # Result of the equaliser
     decoded: DecodedPacket[ObservedPacket]
-    # Codewords by layer, with those that only other readings gave
+    # Codewords by layer, with those that only other attempts decoded
     words: Words
 
     @classmethod
     def of(cls, assumed: Assumption, decoded: DecodedPacket[ObservedPacket]) -> "DecodeAttempt":
-        """A reading with the codewords that it gave."""
+        """Attempt with the codewords that it decoded."""
         return cls(assumed, decoded, decoded.words)
 
     @property
     def open(self) -> int:
-        """Codewords that are not decoded."""
+        """Number of undecoded codewords."""
         return open_words(self.words)
 
     def lacks(self, others: Words) -> bool:
-        """Whether another reading decoded a codeword that this one did not."""
+        """Return True if another attempt decoded a codeword that this one did not."""
         pairs = (pair for name, by in self.words.items() for pair in zip(by, others[name], strict=True))
-        return any(one.status == "crc_fail" and other.status != "crc_fail" for one, other in pairs)
+        return any(own.status == "crc_fail" and other.status != "crc_fail" for own, other in pairs)
 
     def best_of(self, later: "DecodeAttempt") -> "DecodeAttempt":
-        """The later reading if it leaves fewer codewords open, else this one; with the codewords of both."""
+        """Return the later attempt if it decoded more codewords, else this one; with the codewords of both."""
         best = later if later.open < self.open else self
-        words = {name: tuple(map(_decoded_one, by, later.words[name])) for name, by in self.words.items()}
+        words = {name: tuple(map(_prefer_decoded, by, later.words[name])) for name, by in self.words.items()}
         return replace(best, words=with_raw(words, self.words))
 
 
 def open_words(words: Words) -> int:
-    """How many codewords are not decoded."""
+    """Number of undecoded codewords."""
     return sum(word.status == "crc_fail" for by in words.values() for word in by)
 
 
 def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[ObservedPacket]]) -> DecodeAttempt:
-    """Read a packet, and where codewords stay open, once more under each other assumption that there is reason for."""
-    reading = DecodeAttempt.of(first, decode(first))
-    for otherwise in (all_leds_sound, poses_by_power):
-        assumed = otherwise(reading) if reading.open else None
+    """Decode a packet; if codewords fail, decode it again with all LEDs assumed sound, then with other poses."""
+    attempt = DecodeAttempt.of(first, decode(first))
+    for revise in (all_leds_sound, poses_by_power):
+        assumed = revise(attempt) if attempt.open else None
         if assumed is not None:
-            reading = reading.best_of(DecodeAttempt.of(assumed, decode(assumed)))
-    return reading
+            attempt = attempt.best_of(DecodeAttempt.of(assumed, decode(assumed)))
+    return attempt
 
 
 def verify_first_packet(
-    first: Assumption, shown: Words | None, read: Callable[[Words | None], DecodeAttempt]
+    first: Assumption, sampled: Words | None, read: Callable[[Words | None], DecodeAttempt]
 ) -> tuple[DecodeAttempt, bool]:
-    """Read a packet of an array just found, of which the equaliser must show by itself that the pose is right."""
-    if shown is not None and open_words(known := _without_finest(shown)) < sum(map(len, shown.values())):
-        # a codeword that the equaliser adds to them where the poses are is proof enough, in half the time
-        reading = read(known)
-        there = reading.assumed.cutouts is first.cutouts and reading.decoded.observed.moved_px < PULLED_PX
-        if there and reading.open < open_words(known) and not reading.lacks(shown):
-            return reading, False
-    reading = read(None)
-    return reading, shown is not None and reading.lacks(shown)
+    """Decode the first packet of an array; also return True if the equaliser shows that the pose is wrong."""
+    if sampled is not None and open_words(known := _without_finest(sampled)) < sum(map(len, sampled.values())):
+        # if the equaliser adds a codeword at these poses they are right, and half the time is saved
+        attempt = read(known)
+        moved = attempt.assumed.cutouts is not first.cutouts
+        is_right = not moved and attempt.decoded.observed.moved_px < MAX_POSE_ERROR_PX
+        if is_right and attempt.open < open_words(known) and not attempt.lacks(sampled):
+            return attempt, False
+    attempt = read(None)
+    return attempt, sampled is not None and attempt.lacks(sampled)
 
 
 def _without_finest(words: Words) -> Words:
-    """Codewords, those of the finest layer open: the last one, which asks most of the pose."""
+    """Codewords without those of the finest layer, the last one, which needs the best pose."""
     finest = [*words][-1]
     return {**words, finest: tuple(replace(word, status="crc_fail", block=None) for word in words[finest])}
 
 
-def all_leds_sound(reading: DecodeAttempt) -> Assumption | None:
-    """Assume that no LED is dead or hidden: a header before a bright background may make sound ones seem so."""
-    led_gains = reading.assumed.led_gains
-    return replace(reading.assumed, led_gains=LedGains.sound(len(led_gains.sight))) if led_gains.doubtful else None
+def all_leds_sound(attempt: DecodeAttempt) -> Assumption | None:
+    """Assume that no LED is dead or hidden: a header before a bright background may make LEDs seem so."""
+    led_gains = attempt.assumed.led_gains
+    return replace(attempt.assumed, led_gains=LedGains.sound(len(led_gains.sight))) if led_gains.doubtful else None
 
 
-def poses_by_power(reading: DecodeAttempt) -> Assumption | None:
-    """Assume the array where the differences have their power: what shines beside it may have pulled sums' poses."""
-    assumed = reading.assumed
-    if reading.decoded.observed.form.single:
+def poses_by_power(attempt: DecodeAttempt) -> Assumption | None:
+    """Assume the array at the power of the differences: a bright neighbour may have shifted the poses of the sums."""
+    assumed = attempt.assumed
+    if attempt.decoded.observed.form.single:
         return None
     cutouts, largest_px = align_by_power(assumed.cutouts, assumed.led_gains.values)
-    return replace(assumed, cutouts=cutouts) if largest_px > PULLED_PX else None
+    return replace(assumed, cutouts=cutouts) if largest_px > MAX_POSE_ERROR_PX else None
 
 
-def _decoded_one(one: Codeword, other: Codeword) -> Codeword:
-    """The first of two that is decoded; the other where none is."""
-    return other if one.status == "crc_fail" else one
+def _prefer_decoded(first: Codeword, second: Codeword) -> Codeword:
+    """Return the first codeword if it is decoded, else the second."""
+    return second if first.status == "crc_fail" else first
 
 
 @dataclass(frozen=True, slots=True)
 class SoftDecoding:
     """Settings of decoding for the packets of the soft receiver."""
 
-    # Algorithm of the channel decoder, and its most iterations
+    # Parameters of the channel decoder
     options: Decoding
-    # What the equaliser gets back from the decoder
+    # Feedback from the decoder to the equaliser
     feedback: Feedback
     # True to decode samples at the LEDs before the equaliser runs
     led_by_led: bool
@@ -153,13 +150,13 @@ class SoftDecoding:
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """Light of the array with all LEDs on in gray levels, as the last pair showed it."""
+    """Light of the array with all LEDs on in gray levels, by the last pair."""
 
-    # That of a difference of a pair
+    # Light of a difference of a pair
     gain: float = 0.0
-    # Largest that the sensor can show
+    # Largest light that the sensor can show
     full_scale: float = math.inf
-    # Of the sum of a pair of data in step
+    # Light of the sum of a pair of data in step
     sum_gain: float = 0.0
 
 
@@ -260,7 +257,7 @@ class PacketObservations:
         cutouts, place = self._with_lone(assumed), (self.form, self.identity, options)
         soft = decoding.feedback in ("soft", "propagation")
         if _out_of_step(cutouts):
-            return read_square_by_square(cutouts, self.light.gain, *place, soft=soft, glance=quick)
+            return read_square_by_square(cutouts, self.light.gain, *place, soft=soft, quick=quick)
         sampled = read_led_by_led(cutouts, *place)
         if sampled is None or quick or open_words(sampled) in (0, sum(map(len, sampled.values()))):
             return sampled
@@ -279,7 +276,7 @@ class PacketObservations:
         )
 
     def _with_lone(self, assumed: Assumption) -> list[Cutout | None]:
-        """All cut-outs, those of frames included whose other half is lost."""
+        """All cut-outs, with those estimated from unpaired frames."""
         cutouts, gain, values = [*assumed.cutouts], self.light.sum_gain, assumed.led_gains.values
         for place, lone in self.data.lone_cutouts(self.late_s, gain, values).items():
             cutouts[place] = lone
@@ -290,14 +287,14 @@ class PacketObservations:
         seen = [cutout for cutout in assumed.cutouts if cutout is not None]
         if self.decided_noise is not None:
             return Noise(self.decided_noise, noise_beside(seen, self._side))
-        # what hides a part of the array is uneven too
+        # an occluder is uneven too
         whole = [cutout for cutout in seen if cutout.in_sight is None]
         gain, values, even = self.light.gain, assumed.led_gains.values, self.even
-        asked = whole if len(whole) > 1 else seen
+        even_cutouts = whole if len(whole) > 1 else seen
         if even is None or not _out_of_step(seen):
-            return measure_noise(asked, gain, self._side, values)
+            return measure_noise(even_cutouts, gain, self._side, values)
         # of pairs out of step the sum is uneven, but not that of a header; a quarter of them is enough at first
-        noise = measure_noise(asked[::4], gain, self._side, values)
+        noise = measure_noise(even_cutouts[::4], gain, self._side, values)
         return Noise(min(measure_noise([even], gain, self._side, values).lit, noise.lit), noise.dark)
 
     @property
@@ -347,12 +344,12 @@ class PacketObservations:
 
 
 def _out_of_step(cutouts: Sequence[Cutout | None]) -> bool:
-    """Whether any pair was combined of frames out of step."""
+    """Return True if any pair was combined of frames out of step."""
     return any(cutout is not None and cutout.combination is not None for cutout in cutouts)
 
 
 def with_brightness(led_gains: LedGains | None, learnt: LedGains | None) -> LedGains | None:
-    """Gains of the LEDs, their brightness as it was learnt a packet before."""
+    """LED gains with the brightness learnt from the packet before."""
     if learnt is None:
         return led_gains
     faded = learnt.faded()
@@ -360,7 +357,7 @@ def with_brightness(led_gains: LedGains | None, learnt: LedGains | None) -> LedG
 
 
 def _learnt_from(decoded: DecodedPacket[ObservedPacket], led_gains: LedGains, stride: int | None = None) -> LedGains:
-    """Gains of the LEDs with what a decoded packet shows of their brightness."""
+    """LED gains with the brightness learnt from a decoded packet."""
     channel = decoded.channel
     learnt = decoded.observed.learnt(decoded.mean, decoded.variance, channel.gain, channel.noise, stride)
     return replace(led_gains, brightness=learnt)
