@@ -18,7 +18,7 @@ from heliograph.receive.equalise.led_gains import Brightness, DecodedPair, Learn
 from heliograph.receive.events import DecodeEvent, ExtractEvent, ignore
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.soft_reader import SoftParts, SoftReader
+from heliograph.receive.soft_reader import SoftReader
 from heliograph.receive.track.kalman import MotionModel
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import AGREED
@@ -127,8 +127,8 @@ def test_what_headers_have_shown_stays_unless_other_leds_are_in_sight(mistaken: 
     before = LedGains(sound - mistaken * np.eye(SIDE), Brightness.equal(SIDE), shown)
     signal = SignalSettings()
     decoding = SoftDecoding(Decoding(), "propagation", led_by_led=True, combining=False)
-    parts = SoftParts(PacketFormat(signal, AGREED), Tracker(SIDE, MotionModel(1e-3, 0.02)), decoding, ignore)
-    reader = SoftReader(3, parts, before)
+    tracker = Tracker(SIDE, MotionModel(1e-3, 0.02))
+    reader = SoftReader(3, PacketFormat(signal, AGREED), tracker, decoding, ignore, before)
     assert reader.observations().led_gains.seen is None  # type: ignore[union-attr]
     state = ArrayState(LedGains(sound, replace(Brightness.equal(SIDE), values=values)), True).for_tracking
     after = reader.next(state, confirmed=False)._led_gains

@@ -19,7 +19,7 @@ from heliograph.receive.geometry.view import View
 from heliograph.receive.plain_reader import PlainReader
 from heliograph.receive.receiver import Parts, StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
-from heliograph.receive.soft_reader import SoftParts, SoftReader
+from heliograph.receive.soft_reader import SoftReader
 from heliograph.receive.sync.frame_clock import CameraClock, SteppedClock
 from heliograph.receive.sync.pairing import AsynchronousPairing, Pairing, SynchronousPairing
 from heliograph.receive.track.kalman import MotionModel
@@ -28,25 +28,13 @@ from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
 PLAIN_REGULARITY = 0.5
-"""Least regularity of a detection in step: the header's frames alternate evenly, clutter does not.
-
-What changes only once or twice within four frames has 0 or less. A header of two pairs, of which a format dims the
-second to a half, has the least of all, 1 / 1.5 = 0.67. Half of it loses none of 192 codewords; with twice of it, 1, all
-37 of the plain receiver are lost.
-"""
+"""Minimum regularity of a detection in step: that of a header is 0.67 or more, of clutter 0 or less."""
 
 SOFT_REGULARITY = 0.15
-"""The same for a camera out of step, to which a header alternates unevenly.
-
-It is low because a second test follows: what the light's clock cannot explain as a header is dropped.
-"""
+"""Minimum regularity out of step, where a header alternates unevenly; the light's clock then drops clutter."""
 
 GIVEN_CONTRAST = 0.1
-"""Least contrast of an array where somebody sees one, as a fraction of `detect.min_contrast`.
-
-Chosen: in a part of the frame that somebody looked at there is less clutter. An array of 3 % of the reference link's
-light is read at 40 m then, of 1 % it is not found with any least contrast.
-"""
+"""Minimum contrast of an array in a given region, as a fraction of `detect.min_contrast`: there is less clutter."""
 
 MakeReader = Callable[[Detection, Tracker], PacketReader]
 """Makes the reader of an array's first packet."""
@@ -85,17 +73,17 @@ def soft_parts(
     """Parts of the receiver at the limit of the channel: any camera of at least one frame per pattern."""
     _check_signal(signal)
 
-    def pairing(found: Detection) -> Pairing:
+    def pairing(detection: Detection) -> Pairing:
         exposure_s = settings.calibration.exposure_s
         return AsynchronousPairing(
-            found.start_time_s,
-            found.time_s,
-            found.fit.pose,
-            found.identity,
-            found.led_gains,
+            detection.start_time_s,
+            detection.time_s,
+            detection.fit.pose,
+            detection.identity,
+            detection.led_gains,
             signal,
             exposure_s,
-            found.drift,
+            detection.drift,
         )
 
     parameters = search_parameters(settings, signal, SOFT_REGULARITY, impaired=True)
@@ -112,7 +100,7 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     decoding = SoftDecoding(options, soft.feedback, soft.led_by_led, soft.combining)
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
-        return SoftReader(detection.identity, SoftParts(form, tracker, decoding, observe))
+        return SoftReader(detection.identity, form, tracker, decoding, observe)
 
     return reader
 
@@ -120,7 +108,7 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
 def search_parameters(
     settings: ReceiveSettings, signal: SignalSettings, regularity: float, impaired: bool = False
 ) -> SearchParameters:
-    """What a receiver's detector looks for."""
+    """Parameters of a receiver's search."""
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
     cpu_share = FILM_PART if detect.cpu_share is None else detect.cpu_share
@@ -164,23 +152,23 @@ def _array_factory(
     pairing: Callable[[Detection], Pairing],
     reader: MakeReader,
 ) -> Callable[[Detection], ArrayReceiver]:
-    """Makes the receiver of an array that was found."""
+    """Return the maker of an array's receiver."""
     focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
     executor, decoder, numbers = decode_executor(bool(settings.decode.in_background)), PacketDecoder(), count()
 
     def track(detection: Detection) -> ArrayReceiver:
         view = View.of(detection.fit.pose, detection.orientation)
-        # what a shake moves by is as many of the camera's pixels, however near the array
+        # a shake moves the image by as many of the camera's pixels in every view
         shake_px, view_focal_px = settings.track.acceleration_px / 2**view.level, focal_px / 2**view.level
         model = MotionModel(signal.pattern_period_s, shake_px, view_focal_px)
         tracker = Tracker(signal.side, model)
-        seen = detection.seen_in(view)
+        viewed = detection.seen_in(view)
         key = ArrayKey(detection.identity, detection.orientation, next(numbers))
         return ArrayReceiver(
-            seen,
-            pairing(seen),
+            viewed,
+            pairing(viewed),
             tracker,
-            reader(seen, tracker),
+            reader(viewed, tracker),
             executor,
             decoder,
             key,
@@ -208,8 +196,8 @@ def _load_modules() -> None:
 
 
 def _check_signal(signal: SignalSettings) -> None:
-    for key, found, wanted in (("modulation", signal.modulation, "haar"), ("header", signal.header, "m_sequence")):
-        if found != wanted:
+    for key, value, wanted in (("modulation", signal.modulation, "haar"), ("header", signal.header, "m_sequence")):
+        if value != wanted:
             raise SettingsError(
-                f'the soft receiver reads signal.{key} = "{wanted}", not "{found}"; set receive.receiver = "plain"'
+                f'the soft receiver reads signal.{key} = "{wanted}", not "{value}"; set receive.receiver = "plain"'
             )
