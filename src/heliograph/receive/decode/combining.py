@@ -1,8 +1,8 @@
-"""Soft combining: packets and codewords that failed are kept, and added when they are sent again.
+"""Soft combining: a buffer of failed packets and codewords, to be added to repetitions.
 
-The only packet of a carousel is sent again as a packet: the statistics of its pairs are summed, and equalised together.
-A codeword that is sent again among other codewords is kept as LLRs. LLRs of one and the same packet would not add: the
-light of the other layers disturbs them alike each time.
+The single packet of a carousel repeats as a packet: the statistics of the pairs are summed, and equalised together. A
+codeword that repeats among other codewords is kept as LLRs. LLRs of a repeated packet would not add up: the light of
+the other layers disturbs every repetition in the same way.
 """
 
 from collections.abc import Mapping, Sequence

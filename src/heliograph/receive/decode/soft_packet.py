@@ -53,7 +53,7 @@ class DecodeAttempt:
     assumed: Assumption
     # Result of the equaliser
     decoded: DecodedPacket[ObservedPacket]
-    # Codewords by layer, with those that only other attempts decoded
+    # Codewords by layer, also from other attempts
     words: Words
 
     @classmethod
@@ -314,11 +314,9 @@ class PacketObservations:
     def _learn(self, attempt: DecodeAttempt, misled: bool) -> ArrayState:
         """State of the array after a packet that was equalised."""
         confirms = self._is_unconfirmed and not misled and attempt.open < sum(map(len, attempt.words.values()))
-        led_gains = attempt.assumed.led_gains
-        if self.led_gains is None or (not attempt.open and led_gains.brightness.settled):
-            led_gains = self.led_gains
-        else:
-            led_gains = _learnt_from(attempt.decoded, led_gains)
+        assumed, led_gains = attempt.assumed.led_gains, self.led_gains
+        if led_gains is not None and (attempt.open or not assumed.brightness.settled):
+            led_gains = _learnt_from(attempt.decoded, assumed)
         return ArrayState(led_gains, self.confirmed or confirms, misled)
 
     def _brightness_by_samples(self, assumed: Assumption, sampled: Words) -> LedGains | None:

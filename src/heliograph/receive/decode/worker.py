@@ -28,7 +28,9 @@ from heliograph.signal.packet import PacketFormat
 
 LOG = logging.getLogger(__name__)
 
-Key, Value, Result = TypeVar("Key"), TypeVar("Value"), TypeVar("Result")
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,7 @@ class ArrayState:
     confirmed
         True if the equaliser has decoded a codeword of the array: the pose is right.
     misled
-        True if the equaliser cannot read what samples at the LEDs tell: the pose is wrong.
+        True if samples at the LEDs decode better than the equaliser: the pose is wrong.
     buffer
         Undecoded codewords of the array, to be combined with repetitions; None without combining.
     """
@@ -130,29 +132,29 @@ class ArrayKey(NamedTuple):
 
     identity: int
     orientation: Orientation
-    number: int  # tells arrays of one identity apart, such as one that was lost and detected again
+    number: int  # distinguishes arrays of equal identity, as after a loss and a new detection
 
 
 MAX_ARRAYS = 64
-"""Arrays of which a decoder keeps the state: more than are in view. That of 16 x 16 LEDs takes 1 MB."""
+"""Array states in a decoder, more than are in view: 1 MB each with 16 x 16 LEDs."""
 
 MAX_BUFFERS = 32
-"""Identities and orientations of which a decoder keeps undecoded codewords: more than there are identities."""
+"""Soft buffers in a decoder, by identity and orientation: more than identities exist."""
 
 MAX_DECODERS = 4
-"""Receivers whose decoders the worker process keeps."""
+"""Decoders in the worker process, a decoder for each receiver."""
 
 
 class PacketDecoder:
     """Decodes the packets of a receiver's arrays, and owns the state of each array.
 
-    A pickled decoder stands for one of the same name in the other process, where the state stays from packet to packet.
+    A pickled decoder becomes the decoder of the same name in the other process, where the state stays between packets.
     """
 
     def __init__(self, name: str | None = None):
         self._name = name or uuid4().hex
         self._states: dict[ArrayKey, ArrayState] = {}
-        # by identity, not by array: one lost and detected again goes on with its carousel
+        # by identity, not by array: after a loss and a new detection the carousel goes on
         self._buffers: dict[tuple[int, Orientation], SoftBuffer] = {}
         self._learn: Callable[[], ArrayState] | None = None
 
@@ -198,7 +200,7 @@ class PacketDecoder:
 
 
 _DECODERS: dict[str, PacketDecoder] = {}
-"""Decoders that another process has pickled to this one, by name."""
+"""Decoders of other processes, by name."""
 
 
 def _local_decoder(name: str) -> PacketDecoder:
@@ -250,9 +252,9 @@ class InlineExecutor(Executor):
 
 
 class ProcessExecutor(Executor):
-    """Runs calls in order in a process of their own, one for all receivers of this process.
+    """Runs calls in order in a second process, shared by all receivers of this process.
 
-    A thread would gain little: tracking and decoding are half Python, of which one thread runs at a time.
+    A thread would gain little: tracking and decoding are half Python, which runs in a single thread at a time.
     """
 
     def submit(self, call: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
