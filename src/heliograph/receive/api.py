@@ -141,4 +141,4 @@ def _check_settings(settings: object) -> None:
 
 
 def _ignore(event: Any, /) -> None:
-    """Observe nothing."""
+    """Ignore an event."""

@@ -40,11 +40,11 @@ LOG = logging.getLogger(__name__)
 
 
 class PacketReader(Protocol):
-    """Reads one packet of an array."""
+    """Reads a packet of an array."""
 
     @property
     def format(self) -> Format:
-        """Format of the packet, as far as its header has shown it."""
+        """Format of the packet, as far as the header has shown."""
 
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> tuple[Track, float]:
         """Read a header pair.
@@ -61,7 +61,7 @@ class PacketReader(Protocol):
         Returns
         -------
         track, score
-            The array, its pose refined by the header; amplitude of the header as a fraction of the array's light.
+            Track with the pose refined by the header; amplitude of the header as a fraction of the array's light.
         """
 
     def end_header(self, header: MeasuredHeader) -> None:
@@ -85,7 +85,7 @@ class PacketReader(Protocol):
         """
 
     def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
-        """Add a pair of data in which the array was seen.
+        """Add a pair of data in which the array is visible.
 
         Parameters
         ----------
@@ -117,9 +117,9 @@ class PacketReader(Protocol):
         Parameters
         ----------
         state
-            State of the array after this packet; None if unchanged, or if `update` of the next reader follows.
+            State of the array after this packet; None if unchanged, or if a call of `update` follows.
         confirmed
-            True if the array is certain to be where it is tracked.
+            True if the pose of the track is certain.
         """
 
     def update(self, state: ArrayState) -> None:
@@ -128,18 +128,18 @@ class PacketReader(Protocol):
         Parameters
         ----------
         state
-            That state, without the evidence for it.
+            State without the evidence.
         """
 
 
 class Confidence(IntEnum):
-    """Evidence that an array is where it is tracked; a search looks for other arrays in place of a candidate."""
+    """Evidence for the track of an array; the search detects other arrays in place of a candidate."""
 
     # a weak header, or the last packet was not decoded or showed that the pose is wrong
     CANDIDATE = 0
     # a clear header, before the first packet is decoded
     HEADER = 1
-    # the last packet was decoded: the next one is tracked without waiting for the decoder
+    # the last packet was decoded: tracking need not wait for the decoder
     CODEWORD = 2
 
 
@@ -147,7 +147,7 @@ class Confidence(IntEnum):
 class PacketRecord:
     """Metadata of the packet in progress."""
 
-    # (pairs,) True for pairs of data in which the array was seen
+    # (pairs,) True for pairs of data in which the array was visible
     seen: NDArray[np.bool_]
     # Numbers of the frames
     frames: list[int] = field(default_factory=list)
@@ -168,17 +168,17 @@ class PacketRecord:
 
     @property
     def header_score(self) -> float:
-        """Amplitude of the header as a fraction of the array's light; 0 where no pair of it was read."""
+        """Amplitude of the header as a fraction of the array's light; 0 if no pair was read."""
         return float(np.mean(self.header or [0.0]))
 
     @property
     def has_header(self) -> bool:
-        """True if the header was seen."""
-        # about half a pattern out of step none of its pairs alternates
+        """True if the header was received."""
+        # about half a pattern out of step no pair of a header alternates
         return self.header_score >= MIN_HEADER_SCORE or (self.clocked and not self.header)
 
     def to_packet(self, identity: int, start_time_s: float, view: View, calibration: CalibrationSettings) -> Packet:
-        """Return the packet without its codewords; a pair of it must have been seen."""
+        """Return the packet before decoding; at least one pair must be recorded."""
         pose = view.pose_out(self.poses[len(self.poses) // 2])
         return Packet(
             identity=identity,
@@ -198,11 +198,11 @@ class PacketRecord:
 
 
 MAX_TRACK_ERROR_PITCHES = 0.5
-"""Pitches by which the rim of a tracked array may lie off its header; beyond, LEDs are taken for their neighbours."""
+"""Maximum distance between the rims of track and header in pitches: beyond, LEDs are mistaken for neighbours."""
 
 
 class ArrayReceiver:
-    """Tracks an array from its detection on and reads its packets."""
+    """Tracks an array from the detection on and reads the packets."""
 
     def __init__(
         self,
@@ -234,7 +234,7 @@ class ArrayReceiver:
         # True if the last packet was decoded; None before the first
         self._decoded: bool | None = None
         self._has_codeword = self._misled = self._failed = self._outgrown = self._over = False
-        # the packet before, while its state is awaited
+        # the last packet, while the state after it is pending
         self._pending: PendingPacket | None = None
 
     @property
@@ -264,7 +264,7 @@ class ArrayReceiver:
 
     @property
     def confidence(self) -> Confidence:
-        """Evidence that the array is tracked rightly: by the last packet, or before the first by the header."""
+        """Evidence for the track: the last packet, or the header before the first packet."""
         decoded = self._decoded or (self._decoded is None and self._has_codeword)
         if decoded and not self._misled:
             return Confidence.CODEWORD
@@ -273,14 +273,14 @@ class ArrayReceiver:
 
     @property
     def done(self) -> bool:
-        """True if the array is out of sight, has outgrown its view, or is no array."""
+        """True if the array is out of sight or has outgrown the view, or clutter was tracked."""
         out_of_sight = self._pairing.now_s - self._track.last_seen_s > self._coast_s
         return self._failed or self._outgrown or self._over or self._pairing.lost or out_of_sight
 
     def has_outgrown_view(self, time_s: float) -> bool:
-        """Return True if the array no longer fits its view and its packet has ended: its next header is awaited.
+        """Return True if the array no longer fits the view and the packet has ended: the next header is due.
 
-        The packet's last pair may still be missing while the search detects that header.
+        The packet's last pair may still be missing while the search detects the header.
         """
         if self._view.suits(self._track.state.pose):
             return False
@@ -293,15 +293,15 @@ class ArrayReceiver:
         start_s = detection.start_time_s + self._slips.lost * self._signal.pattern_period_s
         packets = (start_s - self._pairing.origin_s) / self._signal.packet_s
         off_s = abs(packets - round(packets)) * self._signal.packet_s
-        # a pattern off the start of a packet it is another header
+        # a header a pattern off the start of a packet is another array's
         due = detection.identity == self.identity and off_s < 0.5 * self._signal.pattern_period_s
-        # the first header started this array; a later one in clear sight may show that the track went astray
+        # the first header started this array; a later header in clear sight may show that the track went astray
         if due and round(packets) > 0:
             return self.has_outgrown_view(detection.time_s) or self._is_off_track(detection)
         return not due and detection.score > self.detection.score
 
     def _is_off_track(self, detection: Detection) -> bool:
-        """Return True if a clear header with all LEDs in sight shows the array elsewhere than it is tracked."""
+        """Return True if a clear header with all LEDs in sight shows the array off the track."""
         pose = self._view.pose_out(self._track.state.pose_at(detection.time_s))
         error_px = rim_distance(pose, detection.fit.pose, self._signal.side)
         all_visible = bool((detection.led_gains == 1).all())
@@ -315,7 +315,7 @@ class ArrayReceiver:
         if self._over:
             return
         if frame.time_s - before_s > self._coast_s + self._signal.packet_s:
-            # the packet in progress is over; times may jump by any length, so the pairs of the gap are skipped
+            # the packet has ended; times may jump by any length, so the pairs of the gap are skipped
             self._over = True
             yield from self.flush(over=True)
             return
@@ -340,7 +340,7 @@ class ArrayReceiver:
         return self._signal.packet_patterns // 2
 
     def _read_pairs(self, numbers: Iterator[int]) -> Iterator[PendingPacket]:
-        """Read pairs; an array whose pixels give no solution is given up, and found again by its next header."""
+        """Read pairs; end the track if the equations have no solution: the next header starts another."""
         try:
             for number in () if self._failed else numbers:
                 yield from self._take(number)
@@ -369,25 +369,25 @@ class ArrayReceiver:
             else:
                 self._read_data(place, pair)
             self._poses[number] = self._track.state.pose_at
-        # the light's clock asks for those around a header
+        # the light's clock uses the poses around a header
         oldest = number + 1 - self._signal.header_pairs - PATTERNS_AROUND
-        # pairs come in the order of their numbers
+        # pairs come in order
         while self._poses and (first := next(iter(self._poses))) < oldest:
             del self._poses[first]
         if in_packet == self._pairs - 1 and self._record.poses:
             yield self._finish()
         elif in_packet == self._pairs - 1 and self._record.frames:
-            # single frames of its pairs, but none that shows where the array is
+            # unpaired frames only, which show no pose
             self._record, self._reader = self._new_record(), self._reader.next(None, confirmed=False)
 
     def _end_header(self) -> None:
-        """Correct the clock by the header just over; out of step it is read as a whole."""
+        """Correct the clock by the last header; out of step the reader gets the complete header."""
         pose_at, led_gains = self._track.state.pose_at, self._track.shining
         header = self._pairing.header(self._number, self._poses, pose_at, led_gains)
         if header is None:
             return
         self._record.clocked = True
-        # a sum hardly tells the array's light from that of its panel
+        # in a sum the light of the panel adds to the array's
         self._track = replace(self._track, gain=header.gain)
         self._reader.end_header(header)
 
@@ -400,7 +400,7 @@ class ArrayReceiver:
         self._record.header.append(score)
 
     def _read_data(self, place: int, pair: FramePair) -> None:
-        # all LEDs show in a pair's sum; only the reader knows what shows in data without inverses
+        # a pair's sum shows all LEDs; data without inverses need the reader's decisions
         tracked = self._reader.follow(pair, self._track)
         self._record_pair(pair, tracked)
         self._track = tracked.track
@@ -416,7 +416,7 @@ class ArrayReceiver:
             self._record.seen[place] = True
 
     def _record_pair(self, pair: FramePair, tracked: TrackedPair) -> None:
-        """Record a pair and report it; raise `LinAlgError` if its pose is none of an array."""
+        """Record and report a pair; raise `LinAlgError` if the pose is impossible."""
         check_pose(tracked.state.pose, self._signal.side, pair.pattern.pixels.shape)
         self._record.add_pair((pair.pattern.index, pair.inverted.index), tracked)
         self._observe(TrackEvent(self.identity, pair.pattern.index, tracked, self._view))
@@ -430,7 +430,7 @@ class ArrayReceiver:
         start_s = self._pairing.origin_s + patterns * self._signal.pattern_period_s
         packet = record.to_packet(self.identity, start_s, self._view, self._calibration)
         observations, lacks_pair = self._reader.observations(), self._lacks_pair
-        # its next header finds it again, in a view that suits
+        # the next header starts a track in a suitable view
         self._outgrown = not self._view.suits(self._track.state.pose)
         is_certain = not lacks_pair and record.has_header and self._is_certain(packet, observations)
         decoded = self._executor.submit(self._decoder.decode, observations, self._key, lacks_pair)
@@ -439,7 +439,7 @@ class ArrayReceiver:
         if not is_certain:
             self._judge(pending.packet())
             is_certain = pending.packet().status == "ok" and not lacks_pair and self._all_visible
-        # else the state is needed at the next packet's end only
+        # otherwise the state is used at the end of the next packet
         is_needed = self._misled or not is_certain
         self._pending = None if is_needed else pending
         self._reader = self._reader.next(self._state_after(pending) if is_needed else None, is_certain)
@@ -475,14 +475,14 @@ class ArrayReceiver:
 
     def _judge(self, packet: Packet) -> None:
         """Update the confidence by a decoded packet."""
-        # neither header nor codeword: no array, or out of step; it is found again by its next header
-        # where LEDs seem to be missing, a packet decoded in part may have come from a wrong pose
+        # if LEDs seem to be missing, a packet decoded in part may stem from a wrong pose
         self._decoded = packet.status == "ok" or (packet.status == "partial" and self._all_visible)
         self._has_codeword |= packet.has_codeword
+        # no array, or out of step: the next header starts another track
         self._failed = packet.status in ("no_header", "no_array")
 
     def _state_after(self, pending: PendingPacket) -> ArrayState | None:
-        """State of the array after a packet, which may show that the tracked pose is wrong."""
+        """State of the array after a packet; it may show that the tracked pose is wrong."""
         state = pending.state
         if state is not None:
             self._misled = state.misled

@@ -37,7 +37,7 @@ GIVEN_CONTRAST = 0.1
 """Minimum contrast of an array in a given region, as a fraction of `detect.min_contrast`: there is less clutter."""
 
 MakeReader = Callable[[Detection, Tracker], PacketReader]
-"""Makes the reader of an array's first packet."""
+"""Makes the reader of the first packet of an array."""
 
 
 def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
@@ -51,7 +51,7 @@ def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Ob
 
 
 def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> Parts:
-    """Parts of the paper's own receiver: one frame per pattern, in step with the light."""
+    """Parts of the paper's receiver: a frame for each pattern, in step with the light."""
     form = PacketFormat(signal)
     options = Decoding(settings.decode.algorithm or "max-log", settings.decode.iterations)
 
@@ -70,7 +70,7 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
 def soft_parts(
     signal: SignalSettings, settings: ReceiveSettings, observe: Observer, reader: MakeReader | None = None
 ) -> Parts:
-    """Parts of the receiver at the limit of the channel: any camera of at least one frame per pattern."""
+    """Parts of the receiver at the limit of the channel, for a camera of at least a frame for each pattern."""
     _check_signal(signal)
 
     def pairing(detection: Detection) -> Pairing:
@@ -131,7 +131,7 @@ def search_parameters(
 def _restrict_to_region(
     search: HeaderSearch, parameters: SearchParameters, settings: ReceiveSettings, side: int
 ) -> HeaderSearch:
-    """A search where somebody said an array is; of all the frames where nobody did."""
+    """Restrict a search to the corners or the region of the settings, if given."""
     start, region = parameters.start, settings.detect.region
     if start is not None:
         size, (least, most) = side * start.pitch, (parameters.min_side_px, parameters.max_side_px)

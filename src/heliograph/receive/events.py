@@ -40,7 +40,7 @@ class EqualiseEvent:
 
 
 def ignore(event: object, /) -> None:
-    """Observe nothing."""
+    """Ignore an event."""
 
 
 __all__ = [

@@ -25,7 +25,7 @@ class Codeword:
     status
         "ok" (CRC right), "crc_fail", or "mismatch" (CRC right, but of another array or layer: not to be used).
     block
-        Content if the status is "ok", else None: a segment of a message, or symbols of a file.
+        Segment of a message, or symbols of a file; None unless the status is "ok".
     bits
         (K,) uint8 decided information bits, right or not.
     raw
@@ -53,14 +53,14 @@ Words = Mapping[str, tuple[Codeword, ...]]
 """Codewords of a packet by layer, decoded or not."""
 
 MIN_HEADER_SCORE = 0.5
-"""Header score from which a header counts as seen: half of the array's light alternates."""
+"""Minimum header score of a received header: half of the array's light alternates."""
 
 MIN_PAIRS_SEEN = 0.5
-"""Fraction of a packet's data pairs that must be seen; no code of a rate above 1/2 survives the loss of more."""
+"""Minimum fraction of visible data pairs: a code of a rate above 1/2 fails if more are lost."""
 
 
 def packet_status(words: Words, header_score: float, pairs_seen: float) -> Status:
-    """Status of a packet by its codewords, or else by how much of it was seen."""
+    """Status of a packet by the codewords, or by the visible part if none decoded."""
     decoded = [word.status == "ok" for layer in words.values() for word in layer]
     if any(decoded):
         return "ok" if all(decoded) else "partial"
@@ -112,7 +112,7 @@ class Packet:
         Orientation of the array in the image: upright, turned or mirrored. The pose is that of the square; the position
         of an LED is that in the upright array, turned by the orientation.
     reason
-        Reason if the mode of the packet is unknown or the receiver's equations had no solution; else empty.
+        Reason if the mode of the packet is unknown or the receiver's equations had no solution; empty otherwise.
     """
 
     identity: int

@@ -25,7 +25,7 @@ from heliograph.signal.packet import PacketFormat
 
 
 class PlainReader:
-    """Reads a packet as the paper does; see `array.PacketReader`."""
+    """Reads a packet like the paper; see `array.PacketReader`."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class PlainReader:
         """Ignore a header as a whole; see `PacketReader`."""
 
     def follow(self, pair: FramePair, track: Track) -> TrackedPair:
-        """Find the array by the sum; see `PacketReader`."""
+        """Track the array by the sum; see `PacketReader`."""
         return self._tracker.follow(track, pair)
 
     def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
@@ -85,7 +85,7 @@ class PlainReader:
         self._observe(ExtractEvent(self._identity, frames, poses, x))
 
     def add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
-        """Keep the frame that is left of a pair; see `PacketReader`."""
+        """Add the remaining frame of a pair; see `PacketReader`."""
         self._lone[place] = lone
 
     def observations(self) -> "LuminanceObservations":
@@ -119,19 +119,19 @@ class LuminanceObservations:
     identity: int
     # The agreed format of packets
     form: PacketFormat
-    # How codewords are decoded: algorithm and iterations
+    # Parameters of the channel decoder
     options: Decoding
-    # Number of the format that its header signals
+    # Number of the format that the header signals
     mode: int
     # (pairs, n, n) difference of pattern and inverse at each LED
     luminances: Floats
-    # (pairs,) pairs that were seen
+    # (pairs,) True for visible pairs
     seen: NDArray[np.bool_]
-    # By number of the pair, frames whose other half is lost
+    # Unpaired frames by number of the pair
     lone: Mapping[int, UnpairedFrame]
-    # By number of the pair, where the array was
+    # Pose of the array by number of the pair
     states: Mapping[int, PoseState]
-    # By number of the pair, (n, n) sum of pattern and inverse at each LED in gray levels
+    # (n, n) sum of pattern and inverse at each LED in gray levels, by number of the pair
     sums: Mapping[int, Floats]
     # Gray levels of a sum with all LEDs on
     sum_gain: float
@@ -170,7 +170,7 @@ class LuminanceObservations:
         return Decoded(words, luminances=luminances)
 
     def _estimate_pair(self, place: int, lone: UnpairedFrame) -> Floats | None:
-        """Luminances (n, n) of a pair by one of its frames, the sum being that of the pairs around; None without."""
+        """Luminances (n, n) of a pair by the remaining frame and the sums of pairs around; None if impossible."""
         chosen = around(place, self.sums)
         if not chosen:
             return None

@@ -1,7 +1,7 @@
 """Receiver: detects arrays in a stream of frames, and hands each frame to all tracked arrays.
 
-A header may fit several identities and orientations. The most plausible hypothesis gets the frames first; if its first
-packet decodes no codeword, the others get the same frames then.
+A header may fit several identities and orientations. The most plausible hypothesis gets the frames first; if the first
+packet decodes no codeword, the other hypotheses get the same frames.
 """
 
 from collections import deque
@@ -22,11 +22,11 @@ from heliograph.receive.sync.frame_clock import FrameClock
 from heliograph.signal.settings import SignalSettings
 
 MAX_HELD_BYTES = 128e6
-"""Bytes of frames held for the other hypotheses: 244 frames of 1024 x 512. Beyond it they read along."""
+"""Bytes of frames held for the other hypotheses: 244 frames of 1024 x 512. Beyond, the others read along."""
 
 
 class HeaderHypotheses:
-    """An array that is tracked under each hypothesis of its identity and orientation, until a codeword decodes."""
+    """Tracks of an array, a track for each hypothesis of identity and orientation, until a codeword decodes."""
 
     def __init__(self, receivers: Sequence[ArrayReceiver], settled: bool):
         self._receivers, self._settled = list(receivers), settled
@@ -41,7 +41,7 @@ class HeaderHypotheses:
 
     @property
     def is_credible(self) -> bool:
-        """True if it may be an array without a codeword: turned arrays are rare, clutter is not."""
+        """True if packets without a codeword count: turned arrays are rare, clutter is not."""
         return self._settled or self.leading.has_codeword or self.leading.orientation == UPRIGHT
 
     @property
@@ -62,7 +62,7 @@ class HeaderHypotheses:
             packets_of.append((receiver, packets))
             has_room = len(self._held) * frame.pixels.nbytes < MAX_HELD_BYTES
             wait = self._only_first and receiver is self._first and not packets and has_room
-            # after a codeword the other hypotheses are wrong: their packets need not be decoded
+            # after a codeword the other hypotheses are wrong and need no decoding
             if wait or receiver.has_codeword:
                 break
         if wait:
@@ -96,12 +96,12 @@ class HeaderHypotheses:
         return [] if receiver is self._first else self._held
 
     def _select(self, packets_of: list[tuple[ArrayReceiver, list[PendingPacket]]]) -> Iterator[PendingPacket]:
-        """Yield the packets of the receiver that decoded a codeword, else of the upright one."""
+        """Yield the packets of the receiver that decoded a codeword, or of the upright receiver."""
         decoded = next((receiver for receiver, _ in packets_of if receiver.has_codeword), None)
         if decoded is not None:
             self._receivers = [decoded]
         else:
-            # the leading receiver says when the array is lost
+            # the leading receiver reports the loss of the array
             self._receivers[1:] = [receiver for receiver in self._receivers[1:] if not receiver.done]
         for receiver, packets in packets_of:
             if receiver is self.leading and self.is_credible:
@@ -123,7 +123,7 @@ class Parts:
 
 
 class StreamReceiver:
-    """Detects arrays in a stream of frames, tracks each, and yields its packets; see `packet.Receiver`."""
+    """Detects and tracks arrays in a stream of frames and yields packets; see `packet.Receiver`."""
 
     def __init__(self, parts: Parts, observe: Observer):
         self._parts, self._observe = parts, observe
@@ -147,14 +147,14 @@ class StreamReceiver:
     def _take_checked(self, frame: Frame) -> Iterator[Packet]:
         """Check and take a camera's frame."""
         check_next(frame, self._last)
-        # the caller may fill its array again, and frames are kept
+        # the caller may fill the array again
         self._last = frame = frame.copied()
         for timed in self._parts.clock.push(frame):
             self._queue(self._take(timed))
         yield from self._finished_packets()
 
     def finish(self) -> Iterator[Packet]:
-        """End of the film: yield the packets in progress of which enough was seen."""
+        """End the film: yield the packets in progress that were visible for half of the data."""
         return in_one_thread(self._finish())
 
     def _finish(self) -> Iterator[Packet]:
@@ -175,7 +175,7 @@ class StreamReceiver:
             self._newest = packet
 
     def _finished_packets(self, wait: bool = False) -> Iterator[Packet]:
-        """Packets decoded by now, or all, in the order of their ends; the loss of an array comes after them."""
+        """Packets decoded by now, or all, in the order of the packets' ends; the loss of an array follows."""
         while self._pending:
             first = self._pending[0]
             if isinstance(first, LostEvent):
@@ -211,7 +211,7 @@ class StreamReceiver:
             self._observe(DropEvent(frame.time_s, self.load - before))
 
     def _handle_detection(self, detection: Detection) -> Iterator[PendingPacket]:
-        """Start to track a detected array, unless a better one is tracked there."""
+        """Start to track a detected array, unless a better track is at the same position."""
         rivals = [a for a in self._arrays if not apart(a.leading.pose, detection.fit.pose, self._parts.signal.side)]
         if any(self._rival_wins(rival, detection) for rival in rivals):
             return
@@ -229,7 +229,7 @@ class StreamReceiver:
         return not rival.leading.should_restart_on(detection)
 
     def _start_array(self, detection: Detection) -> Iterator[PendingPacket]:
-        """Start to track an array, from the frames of its header on."""
+        """Start to track an array, from the frames of the header on."""
         recent = tuple(self._parts.search.recent)
         self._emit_losses()
         self._observe(DetectEvent(detection, recent))
@@ -245,17 +245,17 @@ class StreamReceiver:
             yield from self._push(array, frame)
 
     def _emit_missed_start(self, packet: Packet) -> None:
-        """Report before the first packet read of an array that one before it is lost."""
+        """Report a lost packet before the first decoded packet of an array."""
         if packet.status in ("ok", "partial"):
             self._read.add(packet.identity)
             if packet.identity in self._missed:
                 self._observe(MissedStartEvent(packet.identity, self._missed.pop(packet.identity)))
 
     def _misses_start(self, detection: Detection, recent: Sequence[Frame]) -> bool:
-        """Return True if the array was sending before its header, in the first two packets of the film."""
+        """Return True if the array was sending before the header, in the first two packets of the film."""
         assert self._began_s is not None
         signal, began_s = self._parts.signal, self._began_s
-        # the search fills up its window with copies of the first frame, at times before it
+        # the search fills its window with copies of the first frame at earlier times
         filmed = [frame for frame in recent if frame.time_s > began_s - signal.pattern_period_s / 2]
         return detection.start_time_s - began_s < 2.5 * signal.packet_s and shone_before(detection, filmed, signal)
 

@@ -1,4 +1,4 @@
-"""The soft receiver's reader: cut-outs of a packet are kept until its end, to be decoded together."""
+"""The soft receiver's reader: collects the cut-outs of a packet for joint decoding."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
 MAX_HEADER_FITS = 3
-"""Fits of a header pair, one more whenever it shows that an LED has failed or come back: its gain may alternate."""
+"""Maximum fits of a header pair: each change of an LED's gain asks for another fit, and the gain may alternate."""
 
 
 class SoftReader:
@@ -48,7 +48,7 @@ class SoftReader:
         self._late_s = (data - 0.5) * self._settings.pattern_period_s
         self._format_reader = FormatReader(identity, self._side, self._settings.data_pairs)
         self._format = AGREED
-        # (n, n) gains of the LEDs in the header's last pair, 0 where something hides them
+        # (n, n) gains of the LEDs in the header's last pair, 0 if hidden
         self._shining = np.ones((self._side, self._side))
         self._headers = list[SeenHeader]()
         # the header out of step, its frames combined to one pair
@@ -58,7 +58,7 @@ class SoftReader:
 
     @property
     def format(self) -> Format:
-        """Format of the packet, as far as its header has shown it."""
+        """Format of the packet, as far as the header has shown."""
         return self._format
 
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> tuple[Track, float]:
@@ -84,7 +84,7 @@ class SoftReader:
         return track, score
 
     def end_header(self, header: MeasuredHeader) -> None:
-        """Read a header out of step: its even sum for the noise, its frames for the format; see `PacketReader`."""
+        """Read noise and format from a header out of step; see `PacketReader`."""
         if header.pair is None or header.frames is None:
             return
         pose = header.frames.pose
@@ -135,11 +135,11 @@ class SoftReader:
         )
 
     def next(self, state: ArrayState | None, confirmed: bool) -> "SoftReader":
-        """Make the reader of the next packet, which knows the LEDs; see `PacketReader`."""
+        """Make the reader of the next packet with the LED gains; see `PacketReader`."""
         led_gains = self._led_gains
         if state is not None:
             led_gains, confirmed = state.led_gains, confirmed or state.confirmed
-            # the evidence of headers stays here, unless it is for other LEDs in sight
+            # the evidence of headers stays valid for the same visible LEDs
             if self._led_gains and led_gains and np.array_equal(led_gains.sight, self._led_gains.sight):
                 led_gains = replace(led_gains, seen=self._led_gains.seen)
         else:
@@ -149,7 +149,7 @@ class SoftReader:
         return SoftReader(self._identity, *shared, led_gains, confirmed)
 
     def update(self, state: ArrayState) -> None:
-        """Use the LEDs' brightness; this packet's header shows which are in sight; see `PacketReader`."""
+        """Use the LED brightness; the packet's header shows the visible LEDs; see `PacketReader`."""
         self._led_gains, self._confirmed = with_brightness(self._led_gains, state.led_gains), state.confirmed
 
     def _learn(
@@ -207,6 +207,6 @@ class SoftReader:
 
 
 def _poses_at(track: Track, pair: FramePair, late_s: tuple[float, float]) -> tuple[Pose, Pose]:
-    """Poses at times after the starts of a pair's two frames."""
+    """Poses at times after the starts of the two frames of a pair."""
     state = track.state
     return state.pose_at(pair.pattern.time_s + late_s[0]), state.pose_at(pair.inverted.time_s + late_s[1])

@@ -1,4 +1,4 @@
-"""Codewords: LLRs to bits by the channel decoder and the CRC, once for a packet or again and again for a layer."""
+"""Codewords: LLRs to bits by channel decoder and CRC, once for a packet or iteratively for a layer."""
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ ERASED = 255
 HOPELESS = 0.3
 """Information in LLRs, as a fraction of a code's rate, below which a codeword is not expected to decode.
 
-It only saves iterations: a code of rate 1/3 needs 1.3 times its rate.
+It only saves iterations: a code of rate 1/3 needs 1.3 times the rate.
 """
 
 
@@ -44,7 +44,7 @@ def decode_packet(
     options = options or Decoding()
     soft = form.split(form.soft_data(luminances))
     received = {name: form.layers[name].deinterleave(soft_to_llr(values, seen)) for name, values in soft.items()}
-    # codewords of equal codes are decoded in one call
+    # codewords of equal codes are decoded together
     groups: dict[Code, list[tuple[str, int]]] = defaultdict(list)
     for name, rows in received.items():
         groups[form.layers[name].code] += [(name, i) for i in range(len(rows))]
@@ -99,7 +99,7 @@ def hard(llr: Floats) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Codewords of a layer while their packet is decoded."""
+    """Codewords of a layer between iterations."""
 
     # Code, codewords and interleaver
     form: LayerFormat
@@ -109,7 +109,7 @@ class Layer:
     soft: Floats
     # (codewords, E) variance of each coded bit
     variance: Floats
-    # (codewords, E) LLRs of this packet that tell one codeword from another: 0 except for distinguishing bits
+    # (codewords, E) LLRs of this packet for comparison with earlier packets: 0 except for distinguishing bits
     own: Floats
     # (codewords, E) LLRs of earlier packets with the same codeword
     earlier_llr: Floats
@@ -127,7 +127,7 @@ class Layer:
         return cls(form, zeros, zeros, variance, zeros, zeros, (), np.zeros(form.codewords, bool))
 
     def with_known(self, words: tuple[Codeword, ...]) -> "Layer":
-        """Return the layer with codewords of another attempt; failed ones stay unknown."""
+        """Return the layer with codewords of another attempt; failed codewords stay unknown."""
         soft, variance = self.soft.copy(), self.variance.copy()
         known = np.array([word.status != "crc_fail" for word in words])
         for i in np.flatnonzero(known):
@@ -142,7 +142,7 @@ class Layer:
 
     @property
     def information(self) -> Floats:
-        """(codewords,) bit per coded bit in the LLRs of this packet and earlier ones."""
+        """(codewords,) bit per coded bit in the LLRs of this packet and earlier packets."""
         return information(self.llr + self.earlier_llr)
 
     @property
@@ -160,11 +160,11 @@ class Layer:
         return replace(self, earlier_llr=earlier)
 
     def with_own(self) -> "Layer":
-        """Return the layer with the present LLRs, of the first equalisation, as those that tell codewords apart."""
+        """Return the layer with the LLRs of the first equalisation as the LLRs of this packet."""
         return replace(self, own=np.where(self.form.code.distinguishing, self.llr, 0.0))
 
     def reject_inconsistent(self) -> "Layer":
-        """Reject codewords that disagree with the LLRs of this packet; their bits are unknown again."""
+        """Reject codewords that disagree with the LLRs of this packet; the bits are unknown again."""
         words, soft, variance = list(self.words), self.soft.copy(), self.variance.copy()
         for i, (word, own, known) in enumerate(zip(self.words, self.own, self.known, strict=True)):
             if word.status != "crc_fail" and not known and not is_consistent(own, coded_signs(self.form.code, word)):
@@ -184,7 +184,7 @@ class Layer:
         ]
 
     def without_feedback(self) -> "Layer":
-        """Return the layer without feedback of failed codewords."""
+        """Drop the feedback of failed codewords."""
         failed = [i for i, word in enumerate(self.words) if word.status == "crc_fail"]
         soft, variance = self.soft.copy(), self.variance.copy()
         soft[failed], variance[failed] = 0.0, 1.0
@@ -231,7 +231,7 @@ def _attempts(layer: Layer, name: str, identity: int, options: Decoding) -> dict
     attempts = {i: (*attempt, True) for i, attempt in zip(numbers, decoded, strict=True)}
     doubtful = [i for i, (word, _, _) in attempts.items() if _is_doubtful(layer, i, word)]
     for i, attempt in zip(doubtful, _decode(code, layer.llr[doubtful], identity, name, options), strict=True):
-        # the earlier packets' codeword may be another one than this
+        # the earlier packets' codeword may differ
         if attempts[i][0].status != "crc_fail" or attempt[0].status != "crc_fail":
             attempts[i] = *attempt, False
     return attempts

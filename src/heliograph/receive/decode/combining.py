@@ -17,7 +17,7 @@ from heliograph.signal.code import Code
 from heliograph.signal.formats import Format
 
 Kind = tuple[str, Code]
-"""Layer and code: only codewords of one kind can be the same."""
+"""Layer and code, equal for equal codewords."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +30,15 @@ class CombiningParameters:
     max_packets: int = 4
     # Standard deviations of agreement from which two codewords are the same: 2e-8 by chance
     same_threshold: float = 5.5
-    # Agreement from which two packets may be the same: the middle between the same (1) and another one (0)
+    # Agreement from which two packets may be the same (1), not different (0)
     packet_threshold: float = 0.5
-    # Standard deviations below it by which the agreement of a codeword rules out the same packet
+    # Standard deviations below the threshold at which a codeword rules out the same packet
     packet_spreads: float = 2.0
-    # Agreement of LLRs with their codeword, of that expected: 0.6 if a fifth of the bits differ
+    # Ratio of measured to expected agreement of LLRs and codeword: 0.6 if a fifth of the bits differ
     consistent_ratio: float = 0.6
-    # Standard deviations below it that are still consistent: the codeword that was sent is further off in 0.13 %
+    # Standard deviations below this ratio that are still consistent: 0.13 % of sent codewords are further off
     consistent_spreads: float = 3.0
-    # Agreement of LLRs with their codeword in standard deviations of another codeword's: 3e-5 by chance
+    # Minimum agreement of LLRs and codeword in standard deviations: 3e-5 by chance
     min_support: float = 4.0
 
 
@@ -47,11 +47,11 @@ PARAMETERS = CombiningParameters()
 
 @dataclass(frozen=True, slots=True)
 class BufferedPacket:
-    """Packet that failed in part, or decoded only with earlier ones."""
+    """Packet that failed in part, or decoded only with earlier packets."""
 
     # Mode and code rates
     format: Format
-    # LLRs (E,) of each codeword, layer by layer; the largest possible of a decoded one
+    # LLRs (E,) of each codeword, layer by layer; the largest possible if decoded
     llrs: tuple[Floats, ...]
     # Sum of the statistics of each pair over all repetitions; None for an unseen pair
     statistics: tuple[PairStatistics | None, ...]
@@ -92,13 +92,13 @@ class SoftBuffer:
     codewords: Mapping[Kind, tuple[Floats, ...]] = field(default_factory=dict)
 
     def same_packet(self, form: Format, llrs: Sequence[Floats]) -> BufferedPacket | None:
-        """Find the packet that a new one repeats."""
+        """Find the packet that a new packet repeats."""
         alike = [(packet.likeness(llrs), packet) for packet in self.packets if packet.format == form]
         best, packet = max(alike, key=lambda entry: entry[0], default=(0.0, None))
         return None if best < PARAMETERS.same_threshold else packet
 
     def same_codeword(self, kind: Kind, llr: Floats) -> Floats:
-        """Sum of the LLRs (E,) of earlier repetitions of a codeword, else zeros."""
+        """Sum of the LLRs (E,) of earlier repetitions of a codeword; zeros if new."""
         kept = self.codewords.get(kind, ())
         agreements = [agreement(llr, other)[0] for other in kept]
         best = int(np.argmax(agreements)) if agreements else -1
@@ -130,9 +130,9 @@ def agreement(a: Floats, b: Floats) -> tuple[float, float]:
 
 
 def is_consistent(llr: Floats, signs: Floats) -> bool:
-    """Return True if LLRs agree with a codeword as if it was sent.
+    """Return True if LLRs agree with a codeword as if sent.
 
-    A codeword decoded by LLRs of earlier packets may be another one than this packet's, different in some bits.
+    A codeword decoded with LLRs of earlier packets may differ from this packet's in some bits.
     """
     soft = np.tanh(llr / 2)
     # E[soft * sign] = soft^2 for the codeword that was sent; 0 for another one, with the variance sum soft^2

@@ -42,7 +42,7 @@ class PacketBuffer:
         return replace(self, lone={**self.lone, place: lone})
 
     def renumbered(self, place: int, pairs: int) -> "PacketBuffer":
-        """Return the data with the pairs from a lost one on moved to the next number."""
+        """Return the data with a lost pair: it and later pairs move to the next number."""
         cutouts, seen = renumbered(self.cutouts, place, pairs), renumbered(self.seen, place, pairs)
         return PacketBuffer(cutouts, seen, renumbered(self.lone, place, pairs))
 
@@ -52,7 +52,7 @@ class PacketBuffer:
         return self if self.lone else replace(self, seen={})
 
     def in_order(self, count: int) -> list[Cutout | None]:
-        """Cut-outs of all pairs, in the single mode of all patterns; None where the array was not seen."""
+        """Cut-outs of all pairs, in the single mode of all patterns; None for missing pairs."""
         return [self.cutouts.get(k) for k in range(count)]
 
     def lone_cutouts(self, late_s: float, gain: float, led_gains: Floats) -> dict[int, Cutout | None]:

@@ -4,10 +4,10 @@ The Haar transform of the light at the LEDs of a quad is, for each of the four o
 
     y = a (z + l) + sum_j b_j x_j + n.
 
-z is a function of the quad's symbols, in step the symbol itself, and l light of the pairs before and after. Blur leaves
-less of a fine symbol than of a coarse one: expectation and maximisation estimate a and the variance of n for each kind
-of symbol. x_j is the light of the quad's other symbols and of the eight quads around, as far as they are decoded; the
-b_j follow by least squares. This needs no pose, blur or gain.
+z is a function of the quad's symbols, in step the symbol itself, and l light of the pairs before and after. Blur
+weakens fine symbols more than coarse symbols: expectation and maximisation estimate a and the variance of n for each
+kind. x_j is the light of the quad's other symbols and of the eight quads around, as far as decoded; the b_j follow by
+least squares. Neither pose, blur nor gain is needed.
 """
 
 from collections.abc import Sequence
@@ -34,13 +34,13 @@ class QuadParameters:
 
     # Maximum number of rounds
     max_rounds: int = 8
-    # Successive rounds without a new codeword that end it: each still improves the symbols
+    # Maximum number of successive rounds that decode no codeword: each still improves the symbols
     max_idle_rounds: int = 3
     # First variance of n, the symbols being +-1
     first_noise: float = 0.1
     # Steps of expectation and maximisation in each round
     em_steps: int = 2
-    # One pair of so many is used for it: twelve pairs show an amplitude to a few percent
+    # Stride of the pairs for these steps: twelve pairs show an amplitude to a few percent
     em_stride: int = 4
     # Bounds of a and the variance of n, the light of all LEDs being 1: keep quotients and LLRs finite
     min_amplitude: float = 1e-3

@@ -1,4 +1,4 @@
-"""The soft receiver's packet observations and their joint decoding.
+"""The soft receiver's packet observations and the joint decoding.
 
 Samples at the LEDs are decoded first, then the equaliser reads all frames together. If codewords fail, the packet is
 read again with other LEDs or other poses assumed.
@@ -36,12 +36,12 @@ class Assumption:
 
     # Gains of the LEDs
     led_gains: LedGains
-    # Cut-outs of the pairs at the assumed poses, in the single mode of the patterns; None for unseen ones
+    # Cut-outs of the pairs at the assumed poses, in the single mode of the patterns; None for missing pairs
     cutouts: Sequence[Cutout | None]
 
     @property
     def steady(self) -> "Assumption":
-        """The same without the background's light that moves with the array."""
+        """Assumption less the background's light that moves with the array."""
         return replace(self, cutouts=[None if cutout is None else cutout.steady for cutout in self.cutouts])
 
 
@@ -67,12 +67,12 @@ class DecodeAttempt:
         return open_words(self.words)
 
     def lacks(self, others: Words) -> bool:
-        """Return True if another attempt decoded a codeword that this one did not."""
+        """Return True if another attempt decoded a codeword that failed here."""
         pairs = (pair for name, by in self.words.items() for pair in zip(by, others[name], strict=True))
         return any(own.status == "crc_fail" and other.status != "crc_fail" for own, other in pairs)
 
     def best_of(self, later: "DecodeAttempt") -> "DecodeAttempt":
-        """Return the later attempt if it decoded more codewords, else this one; with the codewords of both."""
+        """Return the attempt with more codewords, this one if equal; with the codewords of both."""
         best = later if later.open < self.open else self
         words = {name: tuple(map(_prefer_decoded, by, later.words[name])) for name, by in self.words.items()}
         return replace(best, words=with_raw(words, self.words))
@@ -109,7 +109,7 @@ def verify_first_packet(
 
 
 def _without_finest(words: Words) -> Words:
-    """Codewords without those of the finest layer, the last one, which needs the best pose."""
+    """Codewords less the last and finest layer, which needs the best pose."""
     finest = [*words][-1]
     return {**words, finest: tuple(replace(word, status="crc_fail", block=None) for word in words[finest])}
 
@@ -180,16 +180,16 @@ class PacketObservations:
     led_gains: LedGains | None
     # Seconds by which the data's light comes after the middle of an exposure
     late_s: float
-    # The header out of step, its frames combined to one pair; None in step
+    # Header out of step, the frames combined to a pair; None in step
     even: Cutout | None
-    # Variance of a pixel inside the array by decided data, in squared gray levels; None where there are inverses
+    # Variance of a pixel inside the array by decided data, in squared gray levels; None with inverses
     decided_noise: float | None
-    # True if the equaliser has decoded a codeword of the array: its pose and gains are right
+    # True if the equaliser has decoded a codeword of the array: pose and gains are right
     confirmed: bool = False
 
     @property
     def cutouts(self) -> list[Cutout | None]:
-        """Cut-out of each pair, in the single mode of each pattern; None where the array was not seen."""
+        """Cut-outs of the pairs, in the single mode of the patterns; None for missing pairs."""
         return self.data.in_order(self.form.layers["high"].pairs)
 
     @one_thread()
@@ -203,14 +203,14 @@ class PacketObservations:
         return sampled is not None and any(word.status == "ok" for by in sampled.values() for word in by)
 
     def renumbered(self, place: int) -> "PacketObservations":
-        """Return the packet with the pairs from a lost one on moved to the next number; see `Observations`."""
+        """Return the packet with a lost pair; see `Observations`."""
         return replace(self, data=self.data.renumbered(place, self.form.settings.data_pairs))
 
     @one_thread()
     def decode(self, state: ArrayState, observe: Observer, /) -> Decoded:
         """Decode by samples at the LEDs, then by the equaliser; see `Observations`."""
         check_mode(self.mode, self.form.settings.data_pairs)
-        # the packet's own header shows which LEDs are in sight
+        # the packet's header shows the visible LEDs
         led_gains = with_brightness(self.led_gains, state.led_gains)
         packet = replace(self, led_gains=led_gains, confirmed=state.confirmed)
         return packet._decode_all(state.buffer if self.decoding.combining else None, observe)
@@ -219,7 +219,7 @@ class PacketObservations:
         as_kept = Assumption(self._gains(), self.cutouts)
         sampled = self._led_by_led(as_kept)
         if sampled is not None and not open_words(sampled):
-            # the array's pose is confirmed later: the packet need not wait for it
+            # the pose is confirmed after the packet is returned
             return Decoded(sampled, learn=lambda: self._learn_from_samples(as_kept, sampled, buffer))
         first = as_kept.steady
         attempt, misled, buffer = self._equalise(first, sampled, buffer, observe)
@@ -230,7 +230,7 @@ class PacketObservations:
     def _equalise(
         self, first: Assumption, sampled: Words | None, buffer: SoftBuffer | None, observe: Observer
     ) -> tuple[DecodeAttempt, bool, SoftBuffer | None]:
-        """Equalise and decode; also return True if the poses were wrong, and the buffer with this packet."""
+        """Equalise and decode; also return True if the poses were wrong, and the new buffer."""
 
         def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
             known = sampled if assumed.cutouts is first.cutouts else self._led_by_led(assumed)
@@ -248,11 +248,11 @@ class PacketObservations:
         return attempt, misled, attempt.decoded.buffer
 
     def _led_by_led(self, assumed: Assumption, quick: bool = False) -> Words | None:
-        """Codewords by samples at the LEDs, quick for a first round only; None if they are not sampled."""
+        """Codewords by samples at the LEDs, after the first round if quick; None without samples."""
         decoding = self.decoding
         if not decoding.led_by_led or decoding.feedback == "none":
             return None
-        # behind a post the scale of these LLRs is wrong; max-log depends on their proportions only
+        # behind a post the scale of the LLRs is wrong; max-log needs the proportions only
         options = replace(decoding.options, algorithm="max-log")
         cutouts, place = self._with_lone(assumed), (self.form, self.identity, options)
         soft = decoding.feedback in ("soft", "propagation")
@@ -261,13 +261,13 @@ class PacketObservations:
         sampled = read_led_by_led(cutouts, *place)
         if sampled is None or quick or open_words(sampled) in (0, sum(map(len, sampled.values()))):
             return sampled
-        # decoded codewords show how much of their light is left in the others
+        # decoded codewords show the residue of decoded light in the others
         return read_square_by_square(cutouts, self.light.gain, *place, sampled, soft=soft) or sampled
 
     def _decode(
         self, assumed: Assumption, buffer: SoftBuffer | None, known: Words | None, observe: Observer
     ) -> DecodedPacket[ObservedPacket]:
-        """Equalise and decode the codewords that are not known, combined with the buffer's."""
+        """Equalise and decode the unknown codewords, with the buffer."""
         decoding, light, noise = self.decoding, self.light, self._noise(assumed)
         observed = ObservedPacket.of(self._with_lone(assumed), noise, self.form, assumed.led_gains)
         channel = GainAndNoise(min(light.gain, light.full_scale), noise.lit, light.full_scale)
@@ -276,7 +276,7 @@ class PacketObservations:
         )
 
     def _with_lone(self, assumed: Assumption) -> list[Cutout | None]:
-        """All cut-outs, with those estimated from unpaired frames."""
+        """All cut-outs, completed by estimates from unpaired frames."""
         cutouts, gain, values = [*assumed.cutouts], self.light.sum_gain, assumed.led_gains.values
         for place, lone in self.data.lone_cutouts(self.late_s, gain, values).items():
             cutouts[place] = lone
@@ -293,13 +293,13 @@ class PacketObservations:
         even_cutouts = whole if len(whole) > 1 else seen
         if even is None or not _out_of_step(seen):
             return measure_noise(even_cutouts, gain, self._side, values)
-        # of pairs out of step the sum is uneven, but not that of a header; a quarter of them is enough at first
+        # the sum of pairs out of step is uneven, that of a header even; a quarter of the pairs is enough
         noise = measure_noise(even_cutouts[::4], gain, self._side, values)
         return Noise(min(measure_noise([even], gain, self._side, values).lit, noise.lit), noise.dark)
 
     @property
     def _is_unconfirmed(self) -> bool:
-        """True if the equaliser must still show that the array is where it is tracked."""
+        """True if the equaliser must still confirm the track."""
         return self.led_gains is not None and not self.confirmed
 
     @one_thread()
@@ -323,7 +323,7 @@ class PacketObservations:
         """Gains with the brightness of the LEDs by a packet decoded from samples, unless it is known."""
         if self.led_gains is None or self.led_gains.brightness.learnt or _out_of_step(assumed.cutouts):
             return self.led_gains
-        # only these pairs are learnt from
+        # pairs that show the brightness
         stride = assumed.led_gains.brightness.stride
         kept = [
             None if k % stride or cutout is None or cutout.apart else cutout for k, cutout in enumerate(assumed.cutouts)

@@ -1,7 +1,7 @@
 """Turbo equaliser: MMSE equaliser and channel decoder in turns, with parallel interference cancellation.
 
 The light of decoded codewords is subtracted; soft values of the others are the equaliser's priors, until the codewords
-stay as they are. Gain and noise are estimated along with the symbols by expectation and maximisation.
+converge. Gain and noise are estimated along with the symbols by expectation and maximisation.
 """
 
 import logging
@@ -67,7 +67,7 @@ class Observed(Protocol):
 
     @property
     def statistics(self) -> Sequence[PairStatistics | None]:
-        """Statistics of each pair, in the single mode of each pattern; None where the array was not seen."""
+        """Statistics of each pair, in the single mode of each pattern; None for missing pairs."""
 
     def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Self:
         """Return the packet with its poses refined by the symbols; itself if no pose moves."""
@@ -92,19 +92,19 @@ class DecodedPacket(Generic[ObservedT]):
     variance: Floats
     # Last estimate of gain and noise
     channel: GainAndNoise
-    # Buffer of the array with this packet; None without combining
+    # Buffer of the array with this packet; None if unused
     buffer: SoftBuffer | None
 
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """Observed symbols of pairs out of step, each square of 2 x 2 LEDs having at most one open symbol u.
+    """Observed symbols of pairs out of step, each square of 2 x 2 LEDs having a single open symbol u or none.
 
     The observed symbols of a square are start + slope u, and the pairs before and after depend on u in the same way. So
     the equaliser has a quarter of the unknowns, and uses the dependence of a square's observed symbols.
     """
 
-    # (pairs, squares) number of the open symbol of each square in the pair; any symbol of a square without one
+    # (pairs, squares) number of the open symbol of each square in the pair; any symbol of a square with all known
     open: NDArray[np.intp]
     # (pairs, symbols) observed symbols if all u of the pair are 0, with the known light of other pairs
     start: Floats
@@ -187,7 +187,7 @@ class IterationParameters:
 
     # Maximum number of iterations: at 150 m packets take four to seven
     max_iterations: int = 24
-    # Gain of information, in bit per coded bit, below which an iteration without a new codeword is the last
+    # Gain of information, in bit per coded bit, below which iterations end if no codeword decodes
     min_progress: float = 0.002
     # Relative change of the noise of pairs out of step below which it counts as estimated
     noise_tolerance: float = 0.01
@@ -214,7 +214,7 @@ def decode_iteratively(
     observed = packet.decode(observed, buffer, observe)
     words = packet.words
     if packet.earlier is not None and packet.open.any():
-        # the earlier packet may be another one, whose light disturbs; poses stay refined
+        # the earlier packet may differ and disturb by light; poses stay refined
         alone = _Packet.begin(observed.statistics, packet.channel, form, identity, options, feedback, known)
         observed = alone.decode(observed, None, observe)
         if alone.open.sum() < packet.open.sum():
@@ -235,7 +235,7 @@ class _Packet:
     identity: int
     options: Decoding
     feedback: Feedback
-    # Statistics of the pairs, with those of earlier repetitions
+    # Statistics of the pairs, with earlier repetitions
     statistics: Sequence[PairStatistics | None]
     # Gain and noise
     channel: GainAndNoise
@@ -274,7 +274,7 @@ class _Packet:
         if any(combination is not None for combination in combinations):
             packet.out_of_step = UnsynchronisedPacket.of(combinations, form.header_pattern(identity) > SLOTS // 2)
         elif feedback == "propagation":
-            # not for combined pairs, whose observed symbols are products with more than two values
+            # not for combined pairs, where observed symbols are products with more than two values
             packet.propagation = ExpectationPropagation.begin((len(statistics), form.settings.side**2))
         return packet
 
@@ -297,7 +297,7 @@ class _Packet:
                 for name, layer in self.layers.items()
             }
             if self.earlier is not None:
-                # before their bits serve to decode the rest
+                # before the bits help to decode the rest
                 self.layers = {name: layer.reject_inconsistent() for name, layer in self.layers.items()}
             left = self.open
             self.information = np.concatenate([layer.information for layer in self.layers.values()])
@@ -320,7 +320,7 @@ class _Packet:
                     self.drop_feedback()
                 due, refinements = moved, refinements - 1
             elif moved:
-                # this iteration began without feedback: another iteration follows
+                # this iteration had no feedback: another iteration follows
                 moved = False
             elif not (decoded or guessed) and (hopeless or self.gained_little(left, before, noise)):
                 # this is the end, unless LEDs differ
@@ -365,7 +365,7 @@ class _Packet:
         return self.mapper.expected([layer.mean() for layer in values], [layer.variances() for layer in values])
 
     def replace(self, statistics: Sequence[PairStatistics | None]) -> None:
-        """Replace the statistics, and add those of earlier repetitions."""
+        """Replace the statistics, and add earlier repetitions."""
         earlier, channel = self.earlier, self.channel
         self.statistics = statistics if earlier is None else earlier.joined(statistics, channel.gain, channel.noise)
 
@@ -376,7 +376,7 @@ class _Packet:
             self.propagation.forget()
 
     def add_earlier(self, buffer: SoftBuffer) -> None:
-        """Add the same packet from the buffer, or else the same codewords."""
+        """Add the same packet from the buffer, otherwise the same codewords."""
         self.layers = {name: layer.with_own() for name, layer in self.layers.items()}
         if not self.combined:
             own = [llr for layer in self.layers.values() for llr in layer.own]
@@ -397,7 +397,7 @@ class _Packet:
     def added_to(self, buffer: SoftBuffer) -> SoftBuffer:
         """Return the buffer with the codewords that failed, or needed earlier packets.
 
-        The packet is equalised once more without feedback of failed codewords, which would count again with each
+        The packet is equalised once more with no feedback of failed codewords, which would count again with each
         repetition.
         """
         if self.earlier is not None:

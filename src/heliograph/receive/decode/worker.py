@@ -46,7 +46,7 @@ class ArrayState:
     misled
         True if samples at the LEDs decode better than the equaliser: the pose is wrong.
     buffer
-        Undecoded codewords of the array, to be combined with repetitions; None without combining.
+        Undecoded codewords of the array, for repetitions; None without combining.
     """
 
     led_gains: LedGains | None = None
@@ -56,7 +56,7 @@ class ArrayState:
 
     @property
     def for_tracking(self) -> "ArrayState":
-        """State without the evidence and the buffer, which only the decoder needs."""
+        """State for tracking, less evidence and buffer."""
         led_gains = None if self.led_gains is None else self.led_gains.told
         return replace(self, led_gains=led_gains, buffer=None)
 
@@ -70,17 +70,17 @@ class Decoded:
     words
         Codewords by layer, decoded or not.
     learn
-        Computes the array's state after this packet; None if the packet changes no state.
+        Computes the array's state after this packet; None for no change.
     buffer
-        Undecoded codewords of the array after this packet; None to keep the buffer as it is.
+        Undecoded codewords of the array after this packet; None if unchanged.
     cutouts
-        Cut-outs of the pairs if others than the observed ones were decoded; else None.
+        Decoded cut-outs of the pairs if they differ from the observed cut-outs; else None.
     luminances
-        (pairs, n, n) luminances that were decoded; None if the packet was not decoded from luminances.
+        (pairs, n, n) decoded luminances; None if cut-outs were decoded.
     events
         Events of decoding, in order.
     failure
-        Reason why the packet was not decoded; None if it was.
+        Reason of a failure to decode the packet; else None.
     """
 
     words: Words
@@ -93,21 +93,21 @@ class Decoded:
 
 
 class Observations(Protocol):
-    """Observations of a packet, ready to decode: a value that another process can decode."""
+    """Observations of a packet as a value, which another process can decode."""
 
     @property
     def form(self) -> PacketFormat:
-        """Format of the packet, as far as the header has shown it."""
+        """Format of the packet, as far as the header has shown."""
 
     @property
     def cutouts(self) -> Sequence[Cutout | None]:
-        """Cut-outs of the pairs, None for unseen pairs; empty if the packet is decoded from luminances."""
+        """Cut-outs of the pairs, None for missing pairs; empty if luminances are decoded."""
 
     def has_codeword(self) -> bool:
-        """Return True if a codeword decodes by a check that is faster than `decode`."""
+        """Return True if a check, faster than `decode`, decodes a codeword."""
 
     def renumbered(self, place: int) -> "Observations":
-        """Return the packet with the pairs from a lost one on moved to the next number.
+        """Return the packet with a lost pair: it and later pairs move to the next number.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ MAX_DECODERS = 4
 
 
 class PacketDecoder:
-    """Decodes the packets of a receiver's arrays, and owns the state of each array.
+    """Decodes the packets of a receiver's arrays and owns the array states.
 
     A pickled decoder becomes the decoder of the same name in the other process, where the state stays between packets.
     """
@@ -162,7 +162,7 @@ class PacketDecoder:
         return _local_decoder, (self._name,)
 
     def has_codeword(self, packet: Observations) -> bool:
-        """Return True if a codeword of a packet decodes by a quick check."""
+        """Return True if a quick check decodes a codeword of a packet."""
         return packet.has_codeword()
 
     def decode(self, packet: Observations, array: ArrayKey, lacks_pair: bool) -> Decoded:
@@ -182,7 +182,7 @@ class PacketDecoder:
         return replace(decoded, learn=None, buffer=None, events=tuple(events))
 
     def learn(self, array: ArrayKey) -> ArrayState | None:
-        """Update the state of an array from the packet decoded last; None if the packet changes no state."""
+        """Update the state of an array from the last packet; return None if unchanged."""
         learn, self._learn = self._learn, None
         if learn is None:
             return None
@@ -204,7 +204,7 @@ _DECODERS: dict[str, PacketDecoder] = {}
 
 
 def _local_decoder(name: str) -> PacketDecoder:
-    """Decoder in this process for a pickled one."""
+    """Decoder in this process for a pickled decoder."""
     return _remember(_DECODERS, name, _DECODERS.get(name) or PacketDecoder(name), MAX_DECODERS)
 
 
@@ -218,10 +218,10 @@ def _remember(recent: dict[Key, Value], key: Key, value: Value, count: int) -> V
 
 
 def decode_with_missing_pair(packet: Observations, state: ArrayState, observe: Observer, places: int = 6) -> Decoded:
-    """Decode a packet that lacks a pair of unknown number, as if the pair were lost at each of a few places.
+    """Decode a packet that lacks a pair of unknown number: try a few numbers.
 
-    The sums after a lost pair stay even; only the next header, a pair early, shows the loss. Of 48 pairs four at most
-    have a wrong number then, which the code corrects. The packet is not combined with others.
+    The sums after a lost pair stay even; only the next header, a pair early, shows the loss. Of 48 pairs at most four
+    then have a wrong number, which the code corrects. Such a packet is not combined with repetitions.
     """
     best: Decoded | None = None
     pairs = packet.form.settings.data_pairs
@@ -233,7 +233,7 @@ def decode_with_missing_pair(packet: Observations, state: ArrayState, observe: O
             best = replace(decoded, cutouts=decoded.cutouts or tuple(renumbered.cutouts))
         if _count_decoded(decoded.words) == sum(map(len, decoded.words.values())):
             break
-    assert best is not None  # there is at least one place
+    assert best is not None  # places is positive
     return best
 
 
@@ -258,7 +258,7 @@ class ProcessExecutor(Executor):
     """
 
     def submit(self, call: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
-        """Hand a call to the process, or to a new one if that has ended; see `Executor`."""
+        """Hand a call to the process, restarted if it has ended; see `Executor`."""
         with worker_environment():
             try:
                 return _process(registered()).submit(call, *args, **kwargs)
@@ -269,12 +269,12 @@ class ProcessExecutor(Executor):
 
 @lru_cache(maxsize=1)
 def _process(_parts: tuple[Part, ...]) -> ProcessPoolExecutor:
-    """Process that decodes, which knows some registered parts."""
+    """Worker process with the registered parts."""
     return worker_processes(1)
 
 
 class PendingPacket:
-    """A packet that was observed, and is decoded or being decoded."""
+    """Observed packet during and after decoding."""
 
     def __init__(
         self,
@@ -296,16 +296,16 @@ class PendingPacket:
 
     @property
     def state(self) -> ArrayState | None:
-        """State of the array after the packet, None if unchanged; waits until it is computed."""
+        """State of the array after the packet, None if unchanged; waits for the decoder."""
         return wait_for(self._state)
 
     def settle(self) -> None:
-        """Wait until the decoder has finished with the packet, whether it succeeds or not."""
+        """Wait until the decoder has finished with the packet or failed."""
         with contextlib.suppress(Exception):
             self._state.result()
 
     def packet(self) -> Packet:
-        """Packet with codewords; waits until they are decoded."""
+        """Packet with codewords; waits for the decoder."""
         if self._packet is None:
             decoded, packet = wait_for(self._decoded), self._undecoded
             self._packet = packet = replace(
@@ -326,7 +326,7 @@ class PendingPacket:
     def _log_failure(self, failure: Exception | None) -> str:
         if failure is None:
             return ""
-        # of a header that something hides, any mode may be read
+        # an occluded header may show any mode
         level = logging.INFO if isinstance(failure, UnreadableModeError) else logging.WARNING
         packet = self._undecoded
         LOG.log(level, "array %d, packet at frame %d is not read: %s", packet.identity, packet.first_frame, failure)
@@ -334,7 +334,7 @@ class PendingPacket:
 
 
 def wait_for(future: Future[Result]) -> Result:
-    """Return the result of a decoder's call; a worker process that has ended is a user's error."""
+    """Wait for the result of a decoder's call; report the end of the worker process."""
     try:
         return future.result()
     except BrokenProcessPool:
