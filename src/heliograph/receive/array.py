@@ -187,8 +187,7 @@ class PacketRecord:
             first_frame=self.frames[0],
             last_frame=self.frames[-1],
             pose=pose,
-            # pinhole: pitch_px = f p / (Z pixel)
-            distance_m=calibration.focal_m * calibration.pitch_m / (pose.frontal_pitch * calibration.pixel_m),
+            distance_m=calibration.distance_m(pose),
             header_score=self.header_score,
             track_score=float(np.mean(self.scores)),
             pairs_seen=float(self.seen.mean()),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.decode.observations import renumbered
-from heliograph.receive.decode.per_led import luminances, normalised, pair_luminances
+from heliograph.receive.decode.per_led import luminances, normalised, unblurred
 from heliograph.receive.decode.worker import ArrayState, Decoded
 from heliograph.receive.detect.header_bank import header_score, header_weights
 from heliograph.receive.detect.header_format import FormatReader
@@ -77,9 +77,8 @@ class PlainReader:
         poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
         side, gain = self._form.settings.side, tracked.track.gain
         up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
-        x = normalised(up - down, gain)
-        if self._equaliser != "none":
-            x = pair_luminances(frames, poses, gain, side, self._equaliser)
+        inverse = self._equaliser == "inverse"
+        x = unblurred(frames, poses, gain, side) if inverse else normalised(up - down, gain)
         self._luminances[place], self._seen[place] = x, True
         self._states[place], self._sums[place], self._sum_gain = state, up + down, gain
         self._observe(ExtractEvent(self._identity, frames, poses, x))

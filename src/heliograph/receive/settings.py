@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM, clear_errors, from_mapping
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.registry import GROUPS, RECEIVERS, part_of
 
 Equaliser = Literal["none", "inverse"]
@@ -60,6 +61,17 @@ class CalibrationSettings:
     pitch_m: PitchM = 0.02
     blur_px: Annotated[float, Field(ge=0.2, le=5)] = 0.55
     exposure_s: Annotated[float, Field(ge=1e-9, le=10)] | None = None
+
+    def distance_m(self, pose: Pose) -> float:
+        """Distance of an array in metres by the pitch in the image.
+
+        Parameters
+        ----------
+        pose
+            Pose of the array on the sensor.
+        """
+        # pinhole: pitch_px = f p / (Z pixel)
+        return self.focal_m * self.pitch_m / (pose.frontal_pitch * self.pixel_m)
 
 
 LIVE_CPU_SHARE = 0.3

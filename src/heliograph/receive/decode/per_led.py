@@ -92,7 +92,7 @@ def at_leds(pixels: NDArray[Any], corner: tuple[int, int], pose: Pose, side: int
     return out
 
 
-def read_led_by_led(
+def decode_per_led(
     cutouts: Sequence[Cutout | None], form: PacketFormat, identity: int, options: Decoding
 ) -> Words | None:
     """Decode samples at the LEDs, as the paper does: no blur, neighbour or hidden LED need be known."""

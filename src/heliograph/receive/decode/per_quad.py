@@ -52,7 +52,7 @@ class QuadParameters:
 PARAMETERS = QuadParameters()
 
 
-def read_square_by_square(
+def decode_per_quad(
     cutouts: Sequence[Cutout | None],
     gain: float,
     form: PacketFormat,

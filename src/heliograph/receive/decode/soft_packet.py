@@ -12,8 +12,8 @@ from heliograph.base.threads import one_thread
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.observations import PacketBuffer
-from heliograph.receive.decode.per_led import read_led_by_led
-from heliograph.receive.decode.per_quad import read_square_by_square
+from heliograph.receive.decode.per_led import decode_per_led
+from heliograph.receive.decode.per_quad import decode_per_quad
 from heliograph.receive.decode.turbo_equaliser import DecodedPacket, GainAndNoise, decode_iteratively
 from heliograph.receive.decode.worker import ArrayState, Decoded
 from heliograph.receive.equalise.led_gains import LedGains
@@ -199,7 +199,7 @@ class PacketObservations:
             check_mode(self.mode, self.form.settings.data_pairs)
         except UnreadableModeError:
             return False
-        sampled = self._led_by_led(Assumption(self._gains(), self.cutouts), quick=True)
+        sampled = self._decode_samples(Assumption(self._gains(), self.cutouts), quick=True)
         return sampled is not None and any(word.status == "ok" for by in sampled.values() for word in by)
 
     def renumbered(self, place: int) -> "PacketObservations":
@@ -217,7 +217,7 @@ class PacketObservations:
 
     def _decode_all(self, buffer: SoftBuffer | None, observe: Observer) -> Decoded:
         as_kept = Assumption(self._gains(), self.cutouts)
-        sampled = self._led_by_led(as_kept)
+        sampled = self._decode_samples(as_kept)
         if sampled is not None and not open_words(sampled):
             # the pose is confirmed after the packet is returned
             return Decoded(sampled, learn=lambda: self._learn_from_samples(as_kept, sampled, buffer))
@@ -233,7 +233,7 @@ class PacketObservations:
         """Equalise and decode; also return True if the poses were wrong, and the new buffer."""
 
         def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
-            known = sampled if assumed.cutouts is first.cutouts else self._led_by_led(assumed)
+            known = sampled if assumed.cutouts is first.cutouts else self._decode_samples(assumed)
             return self._decode(assumed, buffer, known, observe)
 
         def read_with(known: Words | None) -> DecodeAttempt:
@@ -247,7 +247,7 @@ class PacketObservations:
             attempt = attempt.best_of(read_packet(first, read))
         return attempt, misled, attempt.decoded.buffer
 
-    def _led_by_led(self, assumed: Assumption, quick: bool = False) -> Words | None:
+    def _decode_samples(self, assumed: Assumption, quick: bool = False) -> Words | None:
         """Codewords by samples at the LEDs, after the first round if quick; None without samples."""
         decoding = self.decoding
         if not decoding.led_by_led or decoding.feedback == "none":
@@ -257,12 +257,12 @@ class PacketObservations:
         cutouts, place = self._with_lone(assumed), (self.form, self.identity, options)
         soft = decoding.feedback in ("soft", "propagation")
         if _out_of_step(cutouts):
-            return read_square_by_square(cutouts, self.light.gain, *place, soft=soft, quick=quick)
-        sampled = read_led_by_led(cutouts, *place)
+            return decode_per_quad(cutouts, self.light.gain, *place, soft=soft, quick=quick)
+        sampled = decode_per_led(cutouts, *place)
         if sampled is None or quick or open_words(sampled) in (0, sum(map(len, sampled.values()))):
             return sampled
         # decoded codewords show the residue of decoded light in the others
-        return read_square_by_square(cutouts, self.light.gain, *place, sampled, soft=soft) or sampled
+        return decode_per_quad(cutouts, self.light.gain, *place, sampled, soft=soft) or sampled
 
     def _decode(
         self, assumed: Assumption, buffer: SoftBuffer | None, known: Words | None, observe: Observer

@@ -307,8 +307,7 @@ class ScreenReceiver:
             first_frame=first.index,
             last_frame=shown[-1].index,
             pose=pose,
-            # pinhole: pitch_px = f p / (Z pixel)
-            distance_m=known.focal_m * known.pitch_m / (pose.frontal_pitch * known.pixel_m),
+            distance_m=known.distance_m(pose),
             header_score=one.header.score,
             track_score=float(np.clip(1 - first.seen.misfit**2, 0, 1)),
             pairs_seen=float(np.mean(one.seen)),
