@@ -8,8 +8,16 @@ from heliograph.base.compiled import compiled
 
 
 @compiled()
+def sample_cubic(image, points, out):
+    """Image between its pixels by cubic convolution (Keys 1981, a = -1/2); the border repeats."""
+    wx, wy = np.empty(4), np.empty(4)
+    for p in range(points.shape[0]):
+        out[p] = _cubic(image, points[p, 0], points[p, 1], wx, wy)
+
+
+@compiled()
 def cubic_at_leds(image, x, y, axes, out):
-    """Image at the LEDs by cubic convolution (Keys 1981, a = -1/2); the border repeats."""
+    """Image at the LEDs by cubic convolution, as in `sample_cubic`."""
     side = out.shape[0]
     wx, wy = np.empty(4), np.empty(4)
     for u in range(side):
