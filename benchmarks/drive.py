@@ -159,7 +159,7 @@ class Step:
 
 
 class Stopwatch:
-    """Times what following does and what it hands over, which is done at once; it stands for `coming.Beside`."""
+    """Times tracking, and the calls it submits, which run at once; it stands for `worker.ProcessExecutor`."""
 
     def __init__(self) -> None:
         self.steps, self.last_frames = list[Step](), dict[int, int]()
@@ -173,10 +173,11 @@ class Stopwatch:
         self.steps.append(Step("follow", 0, time.process_time() - self._since))
         self._since = time.process_time()
 
-    def submit(self, work: Callable[[], Any], /) -> "Result":
-        handed, number, self._tasks = pickle.dumps(work, 5), self._tasks, self._tasks + 1
+    def submit(self, call: Callable[..., Any], /, *args: Any) -> "Result":
+        handed, number, self._tasks = pickle.dumps((call, args), 5), self._tasks, self._tasks + 1
         self.followed()
-        answer = pickle.dumps(pickle.loads(handed)(), 5)
+        call, args = pickle.loads(handed)
+        answer = pickle.dumps(call(*args), 5)
         self.steps.append(Step("task", number, time.process_time() - self._since))
         self._since = time.process_time()
         return Result(self, number, pickle.loads(answer))
@@ -188,13 +189,13 @@ class Stopwatch:
     def read(self, frames: Sequence[Frame], settings: LinkSettings) -> None:
         made = PendingPacket.__init__
 
-        def noted(packet: PendingPacket, seen: Packet, taken: Any, work: Result, *others: Any) -> None:
-            self.last_frames[work.number] = seen.last_frame
-            made(packet, seen, taken, work, *others)
+        def noted(packet: PendingPacket, seen: Packet, observations: Any, decoded: Result, *others: Any) -> None:
+            self.last_frames[decoded.number] = seen.last_frame
+            made(packet, seen, observations, decoded, *others)
 
         gc.collect()
         with (
-            mock.patch.object(assemblies, "decoders", return_value=self),
+            mock.patch.object(assemblies, "decode_executor", return_value=self),
             mock.patch.object(PendingPacket, "__init__", noted),
         ):
             one = make_receiver(settings.signal, settings.receive)

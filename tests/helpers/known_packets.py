@@ -18,7 +18,7 @@ from slot_light import light_about_mean, observed
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.combining import SharedBuffer
+from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
 from heliograph.receive.events import EqualiseEvent, ignore
 from heliograph.receive.observe.statistics import PairStatistics
@@ -150,18 +150,18 @@ def decoded(
     packet: Sequence[PairStatistics | None] | KnownPoses,
     feedback: Feedback = "propagation",
     channel: GainAndNoise | None = None,
-    buffer: SharedBuffer | None = None,
+    buffer: list[SoftBuffer] | None = None,
     identity: int = IDENTITY,
     observe: Callable[[EqualiseEvent], None] = ignore,
 ) -> Words:
-    """What the soft receiver reads of a packet; what it cannot read is kept in the buffer."""
+    """What the soft receiver reads of a packet; a list's last buffer is used, and the next one is appended."""
     observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet)
     options = Decoding("log-map")
     with one_thread():  # as in the receiver
-        earlier, channel = buffer.content if buffer else None, channel or GainAndNoise(GAIN, NOISE)
+        earlier, channel = buffer[-1] if buffer else None, channel or GainAndNoise(GAIN, NOISE)
         read = decode_iteratively(observed, channel, FORM, identity, options, earlier, feedback, observe)
     if buffer is not None and read.buffer is not None:
-        buffer.keep(read.buffer)
+        buffer.append(read.buffer)
     return read.words
 
 

@@ -14,7 +14,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, receive_frames
 from heliograph.receive.decode.codeword import ERASED
-from heliograph.receive.decode.packet_decoder import PacketObservations
+from heliograph.receive.decode.soft_packet import PacketObservations
 from heliograph.receive.plain_reader import LuminanceObservations
 from heliograph.receive.track.track import TrackedPair
 from heliograph.receive.track.tracker import Tracker
@@ -128,10 +128,10 @@ def test_a_packet_whose_equations_have_no_solution_is_lost_alone(
     )
     decode = taken.decode
 
-    def failing(self: Any, observe: Any) -> Any:
+    def failing(self: Any, *arguments: Any) -> Any:
         if next(calls) == 0:
             raise np.linalg.LinAlgError("no solution")
-        return decode(self, observe)
+        return decode(self, *arguments)
 
     monkeypatch.setattr(taken, "decode", failing)
     packets, _ = read(film(settings, 204), settings)

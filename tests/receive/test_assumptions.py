@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scenes import SIDE
 
 from heliograph.receive import Codeword, Pose
-from heliograph.receive.decode import packet_decoder as assumptions
-from heliograph.receive.decode.packet_decoder import (
+from heliograph.receive.decode import soft_packet as assumptions
+from heliograph.receive.decode.soft_packet import (
     Assumption,
-    ReadPacket,
+    DecodeAttempt,
     all_leds_sound,
     read_packet,
     verify_first_packet,
@@ -91,7 +91,7 @@ def test_leds_that_all_shine_are_not_assumed_once_more() -> None:
 
 
 def test_leds_that_seem_dead_are_assumed_to_shine() -> None:
-    reading = assumptions.ReadPacket.of(Assumption(SEEMS_DEAD, [None]), decoded("-"))
+    reading = assumptions.DecodeAttempt.of(Assumption(SEEMS_DEAD, [None]), decoded("-"))
     other = all_leds_sound(reading)
     assert other is not None
     assert (other.led_gains.values == 1).all()
@@ -131,10 +131,10 @@ def test_the_equaliser_shows_that_the_pose_of_a_new_array_is_right(
 ) -> None:
     calls = list[str]()
 
-    def read(known: Words | None) -> ReadPacket:
+    def read(known: Words | None) -> DecodeAttempt:
         calls.append("----" if known is None else shown(known))
         result = layers(alone if known is None else with_known)
-        return ReadPacket(first, decoded("-"), result)
+        return DecodeAttempt(first, decoded("-"), result)
 
     first = Assumption(SEEMS_DEAD, [CUTOUT])
     reading, wrong = verify_first_packet(first, None if by_leds is None else layers(by_leds), read)
@@ -152,9 +152,9 @@ def test_what_is_read_at_other_poses_proves_nothing(moved_px: float, align_by_po
     corrected = replace(pair, error=np.array([0.0, moved_px, 0.0, 0.0]))
     there = replace(whole, observed=replace(whole.observed, pairs=[corrected]))
 
-    def read(known: Words | None) -> ReadPacket:
+    def read(known: Words | None) -> DecodeAttempt:
         calls.append(known)
-        return ReadPacket(Assumption(SEEMS_DEAD, [CUTOUT]) if align_by_power else first, there, layers("xxxx"))
+        return DecodeAttempt(Assumption(SEEMS_DEAD, [CUTOUT]) if align_by_power else first, there, layers("xxxx"))
 
     assert not verify_first_packet(first, layers("x---"), read)[1]
     assert len(calls) == asked

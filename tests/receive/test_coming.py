@@ -11,12 +11,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from recorder import Recorder
-from scenes import film, link
+from scenes import SIDE, film, link
 from waiting import HANG_S
 
 from heliograph.base.errors import HeliographError
@@ -24,11 +24,23 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, make_receiver, receive_frames
 from heliograph.receive import build as assemblies
-from heliograph.receive.array import ArrayReceiver
-from heliograph.receive.decode import worker as coming
+from heliograph.receive.array import ArrayReceiver, Confidence
 from heliograph.receive.decode.codeword import unread
-from heliograph.receive.decode.packet_decoder import Lesson, PacketObservations
-from heliograph.receive.decode.worker import Decoded, UndecodedPacket
+from heliograph.receive.decode.combining import SoftBuffer
+from heliograph.receive.decode.soft_packet import PacketObservations
+from heliograph.receive.decode.worker import (
+    MAX_ARRAYS,
+    MAX_BUFFERS,
+    ArrayKey,
+    ArrayState,
+    Decoded,
+    InlineExecutor,
+    PacketDecoder,
+    PendingPacket,
+    ProcessExecutor,
+    wait_for,
+)
+from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.events import ignore
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.soft_reader import SoftReader
@@ -81,22 +93,24 @@ def test_the_packets_are_those_decoded_at_once(receiver: str, frames: list[Frame
 
 def test_what_is_handed_over_is_pixels_and_little_else(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
     """What has shown the LEDs stays where it was learnt: of 256 LEDs it takes a megabyte."""
-    handed = list[coming.Work]()
+    handed = list[tuple[PacketObservations, int]]()
 
-    class Noted(coming.InlineExecutor):
-        def submit(self, work: Callable[[], Any], /) -> Future[Any]:
-            if isinstance(work, coming.Work):
-                handed.append(work)
-            return super().submit(pickle.loads(pickle.dumps(work)))
+    class Noted(InlineExecutor):
+        def submit(self, call: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+            pickled = pickle.dumps((call, args))
+            if call.__name__ == "decode":
+                handed.append((args[0], len(pickled)))
+            call, args = pickle.loads(pickled)
+            return super().submit(call, *args, **kwargs)
 
-    monkeypatch.setattr(assemblies, "decoders", lambda _: Noted())
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: Noted())
     settings = settings_of("soft", True)
     packets = list(receive_frames(frames, settings.signal, settings.receive))
     assert {packet.status for packet in packets} == {"ok"}
-    for work in handed:
-        cutouts = cast(PacketObservations, work.taken).data.cutouts.values()
-        pixels = sum(one.total.nbytes + one.difference.nbytes for one in cutouts)
-        assert len(pickle.dumps(work)) < 1.3 * pixels + 50_000
+    assert handed
+    for observations, size in handed:
+        pixels = sum(one.total.nbytes + one.difference.nbytes for one in observations.data.cutouts.values())
+        assert size < 1.3 * pixels + 50_000
 
 
 def test_nothing_is_left_to_do_when_a_film_is_over(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,16 +118,16 @@ def test_nothing_is_left_to_do_when_a_film_is_over(frames: list[Frame], monkeypa
     asked = list[Future[Any]]()
 
     class Slow(ThreadPoolExecutor):
-        def submit(self, work: Callable[[], Any], /) -> Future[Any]:  # type: ignore[override]
+        def submit(self, call: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
             def late() -> Any:
                 time.sleep(0.02)
-                return work()
+                return call(*args, **kwargs)
 
             asked.append(super().submit(late))
             return asked[-1]
 
-    with Slow(1) as decoders:
-        monkeypatch.setattr(assemblies, "decoders", lambda _: decoders)
+    with Slow(1) as executor:
+        monkeypatch.setattr(assemblies, "decode_executor", lambda _: executor)
         settings = settings_of("soft", True)
         list(receive_frames(frames[: 2 * PACKET], settings.signal, settings.receive))
         assert asked
@@ -124,12 +138,12 @@ def in_a_thread(monkeypatch: pytest.MonkeyPatch, before: Callable[[int], None]) 
     """Packets are decoded in a thread, and a function is called with the number of each before."""
     decode, calls = PacketObservations.decode, itertools.count(1)
 
-    def late(self: PacketObservations, observe: Any, /) -> Any:
+    def late(self: PacketObservations, *arguments: Any) -> Any:
         before(next(calls))
-        return decode(self, observe)
+        return decode(self, *arguments)
 
     monkeypatch.setattr(PacketObservations, "decode", late)
-    monkeypatch.setattr(assemblies, "decoders", lambda _: ThreadPoolExecutor(1))
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: ThreadPoolExecutor(1))
 
 
 def one_array() -> LinkSettings:
@@ -179,8 +193,8 @@ class OnDemand:
 
     handed: list[WhenAsked] = field(default_factory=list)
 
-    def submit(self, work: Callable[[], Any], /) -> WhenAsked:
-        self.handed.append(WhenAsked(self.handed, work))
+    def submit(self, call: Callable[..., Any], /, *args: Any) -> WhenAsked:
+        self.handed.append(WhenAsked(self.handed, partial(call, *args)))
         return self.handed[-1]
 
 
@@ -188,7 +202,7 @@ class OnDemand:
     ("change", "orientation", "waits"),
     [
         ("transmit.identities=[7]", UPRIGHT, False),
-        # turned, its header would be another one's: a glance at its LEDs tells, where they are looked at
+        # turned, its header would be another one's: a quick check of its LEDs tells, if they are sampled
         ("transmit.identities=[3]", UPRIGHT, False),
         ("transmit.identities=[7]", ORIENTATIONS[1], False),
         ("transmit.identities=[3]; receive.soft.led_by_led=false", UPRIGHT, True),
@@ -202,7 +216,7 @@ def test_following_waits_for_a_first_packet_where_its_header_leaves_a_doubt(
 ) -> None:
     settings, demand = link("receive.receiver=soft", *change.split("; "), distance_m=40.0), OnDemand()
     frames = [replace(frame, pixels=orientation.turned(frame.pixels)) for frame in film(settings, 2 * PACKET + 80)]
-    monkeypatch.setattr(assemblies, "decoders", lambda _: demand)
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: demand)
     receiver, packets = pushed(frames[: PACKET + 80], settings)
     assert [packet.first_frame for packet in packets] == ([0] if waits else [])
     packets += [packet for frame in frames[PACKET + 80 :] for packet in receiver.push(frame)]
@@ -215,7 +229,7 @@ def test_half_a_pattern_out_of_step_following_waits_for_the_first_packet_alone(m
     array = {"x_m": 0.0, "y_m": 0.0, "start_s": 0.0025}
     settings, demand = link("receive.receiver=soft", arrays=[array], distance_m=40.0), OnDemand()
     frames = film(settings, 3 * PACKET + 80)
-    monkeypatch.setattr(assemblies, "decoders", lambda _: demand)
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: demand)
     receiver, packets = pushed(frames[: 2 * PACKET + 80], settings)
     assert [packet.header_score for packet in packets] == [0.0]
     packets += [packet for frame in frames[2 * PACKET + 80 :] for packet in receiver.push(frame)]
@@ -225,19 +239,19 @@ def test_half_a_pattern_out_of_step_following_waits_for_the_first_packet_alone(m
 
 def test_what_a_packet_teaches_reaches_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where following does not know it yet: the next packet is not read as that of an array just found."""
-    decode, seen = PacketObservations.decode, list[tuple[bool, int]]()
+    decode_all, seen = PacketObservations._decode_all, list[tuple[bool, int]]()
 
-    def noted(self: PacketObservations, observe: Any, /) -> Any:
-        seen.append((self.proven, self._gains().brightness.packets))
-        return decode(self, observe)
+    def noted(self: PacketObservations, *arguments: Any) -> Any:
+        seen.append((self.confirmed, self._gains().brightness.packets))
+        return decode_all(self, *arguments)
 
     settings, demand = link("receive.receiver=soft", distance_m=60.0), OnDemand()
     frames = film(settings, 2 * PACKET + 80)
-    monkeypatch.setattr(PacketObservations, "decode", noted)
-    monkeypatch.setattr(assemblies, "decoders", lambda _: demand)
+    monkeypatch.setattr(PacketObservations, "_decode_all", noted)
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: demand)
     list(receive_frames(frames, settings.signal, settings.receive))
     assert seen[:2] == [(False, 0), (True, 1)]
-    assert [proven for proven, _ in seen] == [False, True, True]
+    assert [confirmed for confirmed, _ in seen] == [False, True, True]
 
 
 @pytest.mark.parametrize("beside", [False, True])
@@ -246,10 +260,9 @@ def test_an_array_that_was_not_what_it_seemed_is_doubted_a_packet_later(
 ) -> None:
     decode, calls, arrays = PacketObservations.decode, itertools.count(), list[ArrayReceiver]()
 
-    def misled(self: PacketObservations, observe: Any, /) -> Decoded:
-        words = unread(self.form, self.identity)
-        lesson = Lesson(None, proven=False, misled=True)
-        return Decoded(words, study=lambda: lesson) if next(calls) < 2 else decode(self, observe)
+    def misled(self: PacketObservations, *arguments: Any) -> Decoded:
+        words, state = unread(self.form, self.identity), ArrayState(misled=True)
+        return Decoded(words, learn=lambda: state) if next(calls) < 2 else decode(self, *arguments)
 
     class Noted(ArrayReceiver):
         def __init__(self, *args: Any, **names: Any) -> None:
@@ -260,12 +273,12 @@ def test_an_array_that_was_not_what_it_seemed_is_doubted_a_packet_later(
     frames = film(settings, 3 * PACKET + 10)
     monkeypatch.setattr(PacketObservations, "decode", misled)
     monkeypatch.setattr(assemblies, "ArrayReceiver", Noted)
-    monkeypatch.setattr(assemblies, "decoders", lambda _: ThreadPoolExecutor(1) if beside else coming.InlineExecutor())
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: ThreadPoolExecutor(1) if beside else InlineExecutor())
     receiver, sure = make_receiver(settings.signal, settings.receive), list[bool]()
     packets = list[Packet]()
     for frame in frames:
         packets += receiver.push(frame)
-        sure.append(bool(arrays) and arrays[0].sure)
+        sure.append(bool(arrays) and arrays[0].confidence > Confidence.CANDIDATE)
     packets += receiver.finish()
     assert [packet.status for packet in packets] == ["crc_fail", "crc_fail", "ok"]
     assert len(arrays) == 1
@@ -280,10 +293,9 @@ def test_an_array_whose_packets_are_whole_is_doubted_until_one_shows_that_it_is_
 ) -> None:
     decode, calls, arrays = PacketObservations.decode, itertools.count(), list[ArrayReceiver]()
 
-    def misled(self: PacketObservations, observe: Any, /) -> Decoded:
-        decoded, number = decode(self, observe), next(calls)
-        lesson = Lesson(None, proven=False, misled=True)
-        return replace(decoded, study=lambda: lesson) if number < 2 else decoded
+    def misled(self: PacketObservations, *arguments: Any) -> Decoded:
+        decoded, number = decode(self, *arguments), next(calls)
+        return replace(decoded, learn=lambda: ArrayState(misled=True)) if number < 2 else decoded
 
     class Noted(ArrayReceiver):
         def __init__(self, *args: Any, **names: Any) -> None:
@@ -293,11 +305,11 @@ def test_an_array_whose_packets_are_whole_is_doubted_until_one_shows_that_it_is_
     settings = one_array()
     monkeypatch.setattr(PacketObservations, "decode", misled)
     monkeypatch.setattr(assemblies, "ArrayReceiver", Noted)
-    monkeypatch.setattr(assemblies, "decoders", lambda _: ThreadPoolExecutor(1) if beside else coming.InlineExecutor())
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: ThreadPoolExecutor(1) if beside else InlineExecutor())
     receiver, sure, packets = make_receiver(settings.signal, settings.receive), list[bool](), list[Packet]()
     for frame in film(settings, 4 * PACKET + 10):
         packets += receiver.push(frame)
-        sure.append(bool(arrays) and arrays[0].sure)
+        sure.append(bool(arrays) and arrays[0].confidence > Confidence.CANDIDATE)
     packets += receiver.finish()
     assert [packet.status for packet in packets] == ["ok"] * 4
     assert sure[PACKET + 50]
@@ -306,40 +318,76 @@ def test_an_array_whose_packets_are_whole_is_doubted_until_one_shows_that_it_is_
     assert sure[3 * PACKET + 50] or len(arrays) > 1
 
 
-def test_a_process_that_ends_at_a_glance_is_told_of_in_one_line() -> None:
-    class Ended:
-        def submit(self, _work: Any, /) -> Any:
-            future = Future[Any]()
-            future.set_exception(BrokenProcessPool("gone"))
-            return future
-
+def test_a_process_that_ends_at_a_quick_check_is_told_of_in_one_line() -> None:
+    future = Future[Any]()
+    future.set_exception(BrokenProcessPool("gone"))
     with pytest.raises(HeliographError, match="the process that decodes packets has ended"):
-        coming.glanced(Ended(), cast(UndecodedPacket, None))
+        wait_for(future)
 
 
-class Long(NamedTuple):
-    """A lesson of which readers are told a part."""
-
-    text: str
-    misled: bool = False
-
-    @property
-    def told(self) -> "Long":
-        return Long(f"{self.text} in short")
+KEY = ArrayKey(3, UPRIGHT, 0)
 
 
-def test_a_study_without_a_solution_teaches_nothing() -> None:
+@dataclass
+class Scripted:
+    """Observations that decode to a given result, and record the states they are decoded with."""
+
+    decoded: Decoded
+    states: list[ArrayState] = field(default_factory=list)
+
+    def decode(self, state: ArrayState, _observe: Any, /) -> Decoded:
+        self.states.append(state)
+        return self.decoded
+
+
+def decode(decoder: PacketDecoder, decoded: Decoded, key: ArrayKey = KEY) -> ArrayState:
+    """State of an array that a packet is decoded with."""
+    packet = Scripted(decoded)
+    decoder.decode(cast(Any, packet), key, lacks_pair=False)
+    return packet.states[0]
+
+
+def test_a_state_without_a_solution_changes_nothing() -> None:
     def fails() -> Any:
         raise np.linalg.LinAlgError
 
-    taught, before, after = coming.SharedLesson(), Long("before"), Long("after")
-    taught.keep(coming.Teaching(before, lambda: after))
-    assert coming.Study(taught)() == Long("after in short")
-    assert coming.Study(taught)() is None
-    assert taught.content == (after, None)
-    taught.keep(coming.Teaching(after, fails))
-    assert coming.Study(taught)() is None
-    assert taught.content == (after, None)
+    decoder, after = PacketDecoder(), ArrayState(LedGains.sound(SIDE), confirmed=True)
+    decode(decoder, Decoded({}, learn=lambda: after))
+    learnt = decoder.learn(KEY)
+    assert learnt is not None
+    assert learnt.confirmed
+    assert decoder.learn(KEY) is None
+    assert decode(decoder, Decoded({}, learn=fails)).led_gains is after.led_gains
+    assert decoder.learn(KEY) is None
+    assert decode(decoder, Decoded({})).led_gains is after.led_gains
+
+
+def test_a_pickled_decoder_has_a_state_of_its_own_that_stays() -> None:
+    here = PacketDecoder()
+    there = pickle.loads(pickle.dumps(here))
+    decode(there, Decoded({}, learn=lambda: ArrayState(confirmed=True)))
+    there.learn(KEY)
+    assert pickle.loads(pickle.dumps(here)) is there
+    assert decode(there, Decoded({})).confirmed
+    assert not decode(here, Decoded({})).confirmed
+
+
+def test_a_decoder_keeps_the_states_of_the_arrays_and_the_buffers_of_the_identities_decoded_last() -> None:
+    decoder = PacketDecoder()
+    for number in range(MAX_ARRAYS + 2):
+        key = ArrayKey(number % 30, ORIENTATIONS[number // 30], number)
+        buffer = SoftBuffer((), {("high", cast(Any, number)): ()})
+        decode(decoder, Decoded({}, buffer=buffer, learn=lambda: ArrayState(confirmed=True)), key)
+        decoder.learn(key)
+    keys = [ArrayKey(k % 30, ORIENTATIONS[k // 30], k) for k in range(MAX_ARRAYS + 2)]
+    states = [decode(decoder, Decoded({}), key) for key in keys]
+    assert [state.confirmed for state in states] == [False] * 2 + [True] * MAX_ARRAYS
+    kept = [bool(state.buffer and state.buffer.codewords) for state in states]
+    assert kept == [False] * (MAX_ARRAYS + 2 - MAX_BUFFERS) + [True] * MAX_BUFFERS
+    # an array that is detected again goes on with its buffer, and starts with a new state
+    again = decode(decoder, Decoded({}), keys[-1]._replace(number=-1))
+    assert again.buffer is states[-1].buffer
+    assert not again.confirmed
 
 
 def test_what_breaks_off_decoding_breaks_off_receiving(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -374,27 +422,27 @@ def test_a_packet_without_a_solution_is_lost_alone(monkeypatch: pytest.MonkeyPat
 def test_the_led_brightness_of_a_packet_reaches_the_next_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a packet teaches is taken over by the reader that followed meanwhile."""
     taught: list[tuple[Any, Any]] = []
-    catch_up = SoftReader.catch_up
+    update = SoftReader.update
 
-    def noted(self: SoftReader, lesson: Any) -> None:
-        catch_up(self, lesson)
-        taught.append((lesson.led_gains.faded(), self._gains()))
+    def noted(self: SoftReader, state: Any) -> None:
+        update(self, state)
+        taught.append((state.led_gains.faded(), self._gains()))
 
-    monkeypatch.setattr(SoftReader, "catch_up", noted)
+    monkeypatch.setattr(SoftReader, "update", noted)
     settings = one_array()
     list(receive_frames(film(settings, 4 * PACKET + 10), settings.signal, settings.receive))
     assert taught
-    for lesson, gains in taught:
-        assert np.array_equal(lesson.brightness.values, gains.brightness.values)
+    for led_gains, gains in taught:
+        assert np.array_equal(led_gains.brightness.values, gains.brightness.values)
 
 
 def test_a_process_that_dies_is_told_in_a_line_and_begun_anew() -> None:
     settings = one_array()
     frames = film(settings, PACKET + 10)
     (packet,) = receive_frames(frames, settings.signal, settings.receive)
-    dying: Any = coming.ProcessExecutor().submit(partial(os._exit, 1))
-    lost = coming.PendingPacket(packet, cast(Any, None), dying, dying, ignore, None)
-    with pytest.raises(HeliographError, match=r"^the process that decodes packets has ended.*beside = false"):
+    dying: Any = ProcessExecutor().submit(partial(os._exit, 1))
+    lost = PendingPacket(packet, cast(Any, None), dying, dying, ignore, None)
+    with pytest.raises(HeliographError, match=r"^the process that decodes packets has ended.*in_background = false"):
         lost.packet()
     assert [one.status for one in receive_frames(frames, settings.signal, settings.receive)] == ["ok"]
 

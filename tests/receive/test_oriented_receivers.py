@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.receive.array import ArrayReceiver
+from heliograph.receive.array import ArrayReceiver, Confidence
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.receiver import HeaderHypotheses
 
@@ -21,8 +21,8 @@ class Scripted:
 
     name: str
     orientation: Orientation
-    proven: bool = False
-    sure: bool = True
+    has_codeword: bool = False
+    confidence: Confidence = Confidence.HEADER
     done: bool = False
     proves_at: int = 99
     every: int = 1
@@ -30,7 +30,7 @@ class Scripted:
 
     def push(self, frame: Frame) -> Iterator[Any]:
         self.frames.append(frame)
-        self.proven |= len(self.frames) >= self.proves_at
+        self.has_codeword |= len(self.frames) >= self.proves_at
         if len(self.frames) % self.every == 0:
             yield f"{self.name}{len(self.frames)}"
 
@@ -129,8 +129,8 @@ def test_of_two_that_are_right_at_once_the_more_plausible_stays() -> None:
 def test_turned_arrays_are_believed_by_a_right_codeword(
     orientation: Orientation, settled: bool, proven: bool, credible: bool
 ) -> None:
-    array = array_of(Scripted("a", orientation, proven=proven), settled=settled)
-    assert array.credible == credible
+    array = array_of(Scripted("a", orientation, has_codeword=proven), settled=settled)
+    assert array.is_credible == credible
     # what is not believed is read in silence
     assert pushed(array) == (["a1"] if credible else [])
 
@@ -139,7 +139,7 @@ def test_settling_leaves_out_other_orientations_in_order() -> None:
     receivers = [Scripted(name, way) for name, way in zip("abcd", (*ORIENTATIONS[:3], ORIENTATIONS[1]), strict=True)]
     array = array_of(*receivers)
     assert array.settle(ORIENTATIONS[1])
-    assert array.credible
+    assert array.is_credible
     assert pushed(array) == ["b1"]
     assert [len(one.frames) for one in receivers] == [0, 1, 0, 1]
 
@@ -147,7 +147,7 @@ def test_settling_leaves_out_other_orientations_in_order() -> None:
 def test_settling_on_what_no_receiver_has_changes_nothing() -> None:
     array = array_of(Scripted("a", ORIENTATIONS[1]), Scripted("b", ORIENTATIONS[2]))
     assert not array.settle(ORIENTATIONS[5])
-    assert not array.credible
+    assert not array.is_credible
     assert array.leading.orientation == ORIENTATIONS[1]
 
 
@@ -164,6 +164,8 @@ def test_what_gave_up_is_read_no_longer_and_the_first_says_when_all_is_over() ->
     assert array.leading is cast(Any, a)
 
 
-@pytest.mark.parametrize("sure", [False, True])
-def test_it_is_as_sure_as_its_first(sure: bool) -> None:
-    assert array_of(Scripted("a", UPRIGHT, sure=sure), Scripted("b", UPRIGHT, sure=not sure)).sure == sure
+@pytest.mark.parametrize("confidence", Confidence)
+def test_its_confidence_is_that_of_its_first(confidence: Confidence) -> None:
+    other = Confidence.HEADER if confidence == Confidence.CANDIDATE else Confidence.CANDIDATE
+    first, second = Scripted("a", UPRIGHT, confidence=confidence), Scripted("b", UPRIGHT, confidence=other)
+    assert array_of(first, second).confidence == confidence

@@ -12,12 +12,13 @@ from scenes import SIDE, drawn_film, film, link
 
 from heliograph.receive import receive_frames
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.packet_decoder import Lesson, SoftReading
+from heliograph.receive.decode.soft_packet import SoftDecoding
+from heliograph.receive.decode.worker import ArrayState
 from heliograph.receive.equalise.led_gains import Brightness, DecodedPair, LearntGains, LedGains
 from heliograph.receive.events import DecodeEvent, ExtractEvent, ignore
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.soft_reader import SoftParts, SoftReader
+from heliograph.receive.soft_reader import SoftReader
 from heliograph.receive.track.kalman import MotionModel
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import AGREED
@@ -125,12 +126,19 @@ def test_what_headers_have_shown_stays_unless_other_leds_are_in_sight(mistaken: 
     shown = PairStatistics(np.eye(SIDE**2, dtype=np.float32), np.zeros(SIDE**2), np.zeros(SIDE**2), 0.0, 0.0)
     before = LedGains(sound - mistaken * np.eye(SIDE), Brightness.equal(SIDE), shown)
     signal = SignalSettings()
-    reading = SoftReading(None, Decoding(), "propagation", True)
-    parts = SoftParts(PacketFormat(signal, AGREED), Tracker(SIDE, MotionModel(1e-3, 0.02)), reading, ignore)
-    reader = SoftReader(3, parts, before)
-    assert reader.taken().led_gains.header_statistics is None  # type: ignore[union-attr]
-    reader.learn(Lesson(LedGains(sound, replace(Brightness.equal(SIDE), values=values)), True).told)
-    after = reader._led_gains
+    decoding = SoftDecoding(Decoding(), "propagation", led_by_led=True, combining=False)
+    tracker = Tracker(SIDE, MotionModel(1e-3, 0.02))
+    reader = SoftReader(3, PacketFormat(signal, AGREED), tracker, decoding, ignore, before)
+    assert reader.observations().led_gains.header_statistics is None  # type: ignore[union-attr]
+    state = ArrayState(LedGains(sound, replace(Brightness.equal(SIDE), values=values)), True).for_tracking
+    after = reader.next(state, confirmed=False)._led_gains
     assert after is not None
     assert np.array_equal(after.values, values)
-    assert after.header_statistics is (None if mistaken else shown)
+    if mistaken:
+        assert after.header_statistics is None
+    else:
+        # the next packet trusts the headers of this one less
+        assert after.header_statistics is not None
+        faded = LedGains(sound, Brightness.equal(SIDE), shown).faded().header_statistics
+        assert faded is not None
+        assert np.array_equal(after.header_statistics.gram, faded.gram)

@@ -38,7 +38,7 @@ def test_an_array_found_behind_the_edge_of_a_post_is_found_again() -> None:
 
 
 @pytest.mark.slow
-def test_a_packet_is_read_led_by_led_where_a_post_misleads_the_equaliser() -> None:
+def test_a_packet_is_decode_per_led_where_a_post_misleads_the_equaliser() -> None:
     # the equaliser alone reads nothing of the second one
     _, packets = read(23, 0.205, seed=11)
     assert [packet.status for packet in packets] == ["ok", "ok"]

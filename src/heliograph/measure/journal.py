@@ -12,7 +12,6 @@ from heliograph.link.film import packet_row
 from heliograph.receive import Packet
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, LostEvent, MissedStartEvent
-from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.road.countdown import Countdown
 from heliograph.road.read import group_words, road_values, road_words
@@ -109,7 +108,7 @@ class Journal:
             "frame": frames[-1].index,
             "x": round(detection.fit.pose.x, 3),
             "y": round(detection.fit.pose.y, 3),
-            "distance_m": round(self._distance_m(detection.fit.pose), 3),
+            "distance_m": round(self._calibration.distance_m(detection.fit.pose), 3),
             "orientation": str(detection.orientation),
             "drift_px_s": [round(speed, 1) for speed in detection.drift],
             "score": round(detection.score, 3),
@@ -118,11 +117,6 @@ class Journal:
     def _named(self, identity: int) -> Row:
         """The identity of an array, marked as uncertain until a codeword of the array is decoded."""
         return {"id": identity} | ({} if identity in self._confirmed else {"uncertain": True})
-
-    def _distance_m(self, pose: Pose) -> float:
-        known = self._calibration
-        # pinhole: pitch_px = f p / (Z pixel)
-        return known.focal_m * known.pitch_m / (pose.frontal_pitch * known.pixel_m)
 
 
 def approach(way: Sequence[tuple[float, float]]) -> float | None:

@@ -337,7 +337,7 @@ def _would_be(
     pose, clock = fit.pose, found.clock if found is not None else None
     reach: tuple[Reach, ...] = ()
     if seen.region.saturated <= SATURATED and signal.header == "m_sequence":
-        distance_m = known.focal_m * known.pitch_m / (pose.frontal_pitch * known.pixel_m)
+        distance_m = known.distance_m(pose)
         light = _noise_of(seen.region, noise, quiet, fit.gain)
         reach = reaches(pose, fit.gain, light, distance_m, signal, asked.settings.detect.min_side_px)
     return ArrayLike(pose.pitch, pose.blur, fit.gain / full_scale, clock, reach)

@@ -1,4 +1,4 @@
-"""Camera frames -> packets: acquire, track, equalise, decode."""
+"""Camera frames -> packets: detect, track, equalise, decode."""
 
 from heliograph.receive.api import make_receiver, own_settings, receive_frames, register_receiver
 from heliograph.receive.geometry.pose import Pose

@@ -1,4 +1,4 @@
-"""All receivers by name. One algorithm is called in three ways: as a class, as the generator below, as a list of it."""
+"""Receivers by name, with three entry points: a class with `push`, a generator, and a list of the generator."""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -15,34 +15,34 @@ AnyObserver = Callable[[Any], None]
 """An observer of any receiver's events; see `heliograph.receive.events.Event`."""
 
 MakeReceiver = Callable[[SignalSettings, ReceiveSettings, AnyObserver], Receiver]
-"""Makes a receiver before its first frame, from the light's signal, the settings and an observer."""
+"""Makes a receiver from the light's signal, the settings and an observer."""
 
 
 def register_receiver(name: str, make: MakeReceiver, settings: type | None = None, reads: Iterable[str] = ()) -> None:
-    """Register a receiver of one's own.
+    """Register a receiver.
 
-    It is then chosen by its name wherever ``receive.receiver`` is: on the command line, in sweeps, in plots. Packages
-    offer receivers without a call, by an entry point of the group "heliograph.receivers" that names a `ReceiverPart` or
-    a function as `make`.
+    The setting ``receive.receiver`` then selects the receiver by name: on the command line, in sweeps, in plots. A
+    package can also offer a receiver by an entry point of the group "heliograph.receivers", a `ReceiverPart` or a
+    function like `make`.
 
     Parameters
     ----------
     name
-        Its name: letters, digits, "-", "_" and ".".
+        Name of the receiver: letters, digits, "-", "_" and ".".
     make
-        Takes the light's signal, the receiver's settings and an observer, and returns something with `push` and
-        `finish` (see `Receiver`); a class with such a constructor will do.
+        Function of the light's signal, the receiver's settings and an observer that returns a `Receiver`; a class with
+        such a constructor is fine.
     settings
-        A frozen dataclass of its own settings, made of ``receive.own``; the receiver gets it as
+        Frozen dataclass of settings, made from ``receive.own``; the receiver gets them by
         ``own_settings(receive_settings)``.
     reads
-        Groups of ``receive`` that it reads as well: "calibration", "detect", "track", "decode". A setting of another
-        group has no effect, and is an error.
+        Other groups of ``receive`` that the receiver reads: "calibration", "detect", "track", "decode". A setting of
+        another group is an error.
 
     Raises
     ------
     SettingsError
-        The name is "plain" or "soft", or is no name; `make` is no function; or there is no such group.
+        The name is invalid or taken by the package, `make` is no function, or a group is unknown.
     """
     groups = tuple(reads)
     if unknown := [group for group in groups if group not in GROUPS]:
@@ -51,12 +51,12 @@ def register_receiver(name: str, make: MakeReceiver, settings: type | None = Non
 
 
 def own_settings(settings: ReceiveSettings) -> Any:
-    """A registered receiver's own settings, an object of its settings class; None where it has none.
+    """Settings of a registered receiver, an object of the registered class; None without a class.
 
     Parameters
     ----------
     settings
-        Settings of the receiver, which name it and hold its own by name.
+        Settings with the receiver's name, and the settings in ``own``.
 
     Raises
     ------
@@ -71,33 +71,32 @@ def own_settings(settings: ReceiveSettings) -> Any:
 def make_receiver(
     signal: SignalSettings, settings: ReceiveSettings | None = None, observe: AnyObserver | None = None
 ) -> Receiver:
-    """Make the receiver that the settings name, before its first frame.
+    """Make the receiver that the settings name.
 
-    A receiver is for one thread at a time. Receivers in several threads share nothing that they change: each reads what
-    it reads alone. Settings, frames and packets may be shared. While a receiver takes a frame, BLAS has one thread in
-    the whole process.
+    Use a receiver in a single thread at a time. Receivers in several threads share no mutable state; settings, frames
+    and packets may be shared. While a receiver processes a frame, BLAS has a single thread in the process.
 
     Parameters
     ----------
     signal
-        Settings of the light's signal, on which both ends agree.
+        Settings of the light's signal, equal at both ends.
     settings
         Settings of the receiver; None for "plain" with all defaults.
     observe
-        Gets its events, see `heliograph.receive.events`; None observes nothing.
+        Observer of the events, see `heliograph.receive.events`; None for no observer.
 
     Raises
     ------
     SettingsError
-        There is no receiver of that name, or it cannot read this signal; or the arguments are no settings or observer.
+        The receiver is unknown, or cannot read this signal; or an argument is no settings or observer.
     """
     check_signal(signal)
     settings = ReceiveSettings() if settings is None else settings
     _check_settings(settings)
     if not callable(observe or _ignore):
         raise SettingsError(f"an observer is a function that takes an event, not {shown(observe)}")
-    found: Receiver = part_of(settings.receiver).make(signal, settings, observe or _ignore)
-    return found
+    receiver: Receiver = part_of(settings.receiver).make(signal, settings, observe or _ignore)
+    return receiver
 
 
 def receive_frames(
@@ -106,13 +105,13 @@ def receive_frames(
     settings: ReceiveSettings | None = None,
     observe: AnyObserver | None = None,
 ) -> Iterator[Packet]:
-    """Receive a stream of frames: its packets, each as soon as it is complete.
+    """Receive a stream of frames: yield each packet as soon as it is complete.
 
     Parameters
     ----------
     frames
-        Camera frames in the order of time. The receivers of this package copy the pixels, so one array may be filled
-        again for each frame, as OpenCV's ``read(image)`` does.
+        Camera frames in the order of time. The receivers of this package copy the pixels, so the caller may fill the
+        same array again for each frame, as OpenCV's ``read(image)`` does.
     signal, settings, observe
         The light's signal, the receiver's settings and an observer, as for `make_receiver`.
 
@@ -142,4 +141,4 @@ def _check_settings(settings: object) -> None:
 
 
 def _ignore(event: Any, /) -> None:
-    """Observe nothing."""
+    """Ignore an event."""

@@ -1,36 +1,30 @@
-"""What an array's pairs give of a packet beside its data: when and where it was seen, and how well.
-
-One array's receiver: its frames paired, followed, and gathered to packets.
-"""
+"""One array: frames are paired, the array is tracked through the pairs, and packets are recorded and decoded."""
 
 import logging
 import math
 from collections.abc import Iterator
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from enum import IntEnum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.decode.worker import (
-    ENOUGH_SEEN,
-    HEADER_SEEN,
-    Decoders,
-    Lesson,
+    ArrayKey,
+    ArrayState,
+    Observations,
+    PacketDecoder,
     PendingPacket,
-    ReadHeader,
-    SharedLesson,
-    Study,
-    UndecodedPacket,
-    Work,
-    glanced,
+    wait_for,
 )
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import Observer, TrackEvent
 from heliograph.receive.geometry.pose import Orientation, Pose, rim_distance
 from heliograph.receive.geometry.view import CAMERA, View
-from heliograph.receive.packet import Packet
+from heliograph.receive.packet import MIN_HEADER_SCORE, MIN_PAIRS_SEEN, Packet
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.sync.light_clock import PATTERNS_AROUND
 from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, Pairing, PoseAt, UnpairedFrame
@@ -42,109 +36,120 @@ from heliograph.signal.formats import Format
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
+LOG = logging.getLogger(__name__)
+
 
 class PacketReader(Protocol):
-    """Reads one packet of an array."""
+    """Reads a packet of an array."""
 
     @property
     def format(self) -> Format:
-        """The packet's format, as far as its header has shown it."""
+        """Format of the packet, as far as the header has shown."""
 
-    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> tuple[Track, float]:
         """Read a header pair.
 
         Parameters
         ----------
         number
-            Its number in the header, from 0.
+            Number of the pair in the header, from 0.
         pair
             Frames of the header and its inverse.
         tracked
-            The array in them, as their sum shows it.
+            The array in the frames, as their sum shows it.
+
+        Returns
+        -------
+        track, score
+            Track with the pose refined by the header; amplitude of the header as a fraction of the array's light.
         """
 
     def end_header(self, header: MeasuredHeader) -> None:
-        """Take a whole header that a camera out of step saw.
+        """Read a complete header that a camera out of step recorded.
 
         Parameters
         ----------
         header
-            The gain it showed, its frames combined to one pair, and the frames one by one.
+            The measured gain, and the frames, both combined to one pair and one by one.
         """
 
     def follow(self, pair: FramePair, track: Track) -> TrackedPair:
-        """Find the array in a pair of data.
+        """Track the array through a pair of data.
 
         Parameters
         ----------
         pair
             Frames of a pattern and its inverse; in the single mode of two patterns.
         track
-            The array as known before the pair.
+            The array before the pair.
         """
 
-    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
-        """Take a pair of data in which the array was seen.
+    def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+        """Add a pair of data in which the array is visible.
 
         Parameters
         ----------
         place
-            Its number in the packet's data, from 0.
+            Number of the pair in the packet's data, from 0.
         pair
             Frames of a pattern and its inverse; in the single mode of two patterns.
         tracked
-            The array in them, as `follow` found it.
+            The array in the frames, as `follow` returned it.
         """
 
     def add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
-        """Take what is left of a pair of data.
+        """Add the remaining frame of a pair of data.
 
         Parameters
         ----------
         place
-            Its number in the packet's data, from 0.
+            Number of the pair in the packet's data, from 0.
         lone
-            The frame that is there.
+            The remaining frame.
         """
 
-    def taken(self) -> UndecodedPacket:
-        """All that was taken, to be decoded."""
+    def observations(self) -> Observations:
+        """Return the observations of the packet, ready to decode."""
 
-    def learn(self, lesson: Any) -> None:
-        """Learn what decoding this packet has taught, before `next` is asked for; else the next one's `catch_up` is.
+    def next(self, state: ArrayState | None, confirmed: bool) -> "PacketReader":
+        """Make the reader of the next packet.
 
         Parameters
         ----------
-        lesson
-            `Lesson.told` of what `Decoded.study` of this packet has given; None for nothing.
+        state
+            State of the array after this packet; None if unchanged, or if a call of `update` follows.
+        confirmed
+            True if the pose of the track is certain.
         """
 
-    def next(self, beyond_doubt: bool) -> "PacketReader":
-        """Give the reader of the next packet.
+    def update(self, state: ArrayState) -> None:
+        """Use the state of the array after the packet before, which was decoded during this one.
 
         Parameters
         ----------
-        beyond_doubt
-            Whether the array is there beyond doubt: this is then asked for before it is known what the packet teaches.
+        state
+            State without the evidence.
         """
 
-    def catch_up(self, lesson: Any) -> None:
-        """Learn what the packet before has taught, which was decoded while this one was seen.
 
-        Parameters
-        ----------
-        lesson
-            `Lesson.told` of what `Decoded.study` of the packet before has given; None for nothing.
-        """
+class Confidence(IntEnum):
+    """Evidence for the track of an array; the search detects other arrays in place of a candidate."""
+
+    # a weak header, or the last packet was not decoded or showed that the pose is wrong
+    CANDIDATE = 0
+    # a clear header, before the first packet is decoded
+    HEADER = 1
+    # the last packet was decoded: tracking need not wait for the decoder
+    CODEWORD = 2
 
 
 @dataclass(slots=True)
 class PacketRecord:
-    """What has been read of the current packet."""
+    """Metadata of the packet in progress."""
 
-    # (pairs,) pairs of data in which the array was seen
+    # (pairs,) True for pairs of data in which the array was visible
     seen: NDArray[np.bool_]
-    # Numbers of its frames
+    # Numbers of the frames
     frames: list[int] = field(default_factory=list)
     # Correlation of each pair's sum with the array, -1 to 1
     scores: list[float] = field(default_factory=list)
@@ -152,18 +157,13 @@ class PacketRecord:
     poses: list[Pose] = field(default_factory=list)
     # Standard deviation of the position in each pair, in px of its view
     stds_px: list[float] = field(default_factory=list)
-    # Score of each pair of its header
+    # Score of each pair of the header
     header: list[float] = field(default_factory=list)
-    # Whether the light's clock measured its header
+    # True if the light's clock measured the header
     clocked: bool = False
 
-    @classmethod
-    def nothing(cls, pairs: int) -> "PacketRecord":
-        """Nothing yet."""
-        return cls(np.zeros(pairs, dtype=bool))
-
-    def note(self, frames: tuple[int, int], tracked: TrackedPair) -> None:
-        """Gather what every pair gives."""
+    def add_pair(self, frames: tuple[int, int], tracked: TrackedPair) -> None:
+        """Record a pair."""
         self.frames += frames
         self.scores.append(tracked.fit.score)
         self.poses.append(tracked.state.pose)
@@ -172,17 +172,17 @@ class PacketRecord:
 
     @property
     def header_score(self) -> float:
-        """Amplitude of the header as a fraction of the array's light; 0 where no pair of it was read."""
+        """Amplitude of the header as a fraction of the array's light; 0 if no pair was read."""
         return float(np.mean(self.header or [0.0]))
 
     @property
-    def header_seen(self) -> bool:
-        """Whether the header was seen."""
-        # about half a pattern out of step none of its pairs alternates
-        return self.header_score >= HEADER_SEEN or (self.clocked and not self.header)
+    def has_header(self) -> bool:
+        """True if the header was received."""
+        # about half a pattern out of step no pair of a header alternates
+        return self.header_score >= MIN_HEADER_SCORE or (self.clocked and not self.header)
 
-    def packet(self, identity: int, start_time_s: float, view: View, calibration: CalibrationSettings) -> Packet:
-        """The packet gathered, without its codewords; a pair of it must have been seen."""
+    def to_packet(self, identity: int, start_time_s: float, view: View, calibration: CalibrationSettings) -> Packet:
+        """Return the packet before decoding; at least one pair must be recorded."""
         pose = view.pose_out(self.poses[len(self.poses) // 2])
         return Packet(
             identity=identity,
@@ -191,8 +191,7 @@ class PacketRecord:
             first_frame=self.frames[0],
             last_frame=self.frames[-1],
             pose=pose,
-            # pinhole: pitch_px = f p / (Z pixel)
-            distance_m=calibration.focal_m * calibration.pitch_m / (pose.frontal_pitch * calibration.pixel_m),
+            distance_m=calibration.distance_m(pose),
             header_score=self.header_score,
             track_score=float(np.mean(self.scores)),
             pairs_seen=float(self.seen.mean()),
@@ -202,17 +201,12 @@ class PacketRecord:
         )
 
 
-LOG = logging.getLogger(__name__)
-
-ASTRAY = 0.5
-"""Pitches by which the rim of an array that is followed may lie off its header: beyond it LEDs are taken for others."""
-
-DUE_PATTERNS = 0.5
-"""Patterns by which a header may lie off the start of a packet and still be its own: a pattern off, it is another."""
+MAX_TRACK_ERROR_PITCHES = 0.5
+"""Maximum distance between the rims of track and header in pitches: beyond, LEDs are mistaken for neighbours."""
 
 
 class ArrayReceiver:
-    """Follows an array from its detection on and reads its packets."""
+    """Tracks an array from the detection on and reads the packets."""
 
     def __init__(
         self,
@@ -220,7 +214,9 @@ class ArrayReceiver:
         pairing: Pairing,
         tracker: Tracker,
         reader: PacketReader,
-        decoders: Decoders,
+        executor: Executor,
+        decoder: PacketDecoder,
+        key: ArrayKey,
         *,
         signal: SignalSettings,
         calibration: CalibrationSettings,
@@ -228,62 +224,67 @@ class ArrayReceiver:
         observe: Observer,
         view: View = CAMERA,
     ):
-        self.found, self._view, self._as_camera = detection, view, view == CAMERA
-        self._pairing, self._tracker, self._reader, self._decoders = pairing, tracker, reader, decoders
+        self.detection, self._view, self._as_camera = detection, view, view == CAMERA
+        self._pairing, self._tracker, self._reader = pairing, tracker, reader
+        self._executor, self._decoder, self._key = executor, decoder, key
         self._signal, self._calibration, self._coast_s, self._observe = signal, calibration, coast_s, observe
         self._track = tracker.start(detection)
-        self._gathered = self._empty()
+        self._record = self._new_record()
         self._number, self._last_s = 0, -math.inf
         self._header = header_levels(detection.identity, signal.side) / 2.0 - 1.0
         self._slips = SlipWatch(detection.identity, signal)
         self._start_lost = 0
         self._poses: dict[int, PoseAt] = {}
-        self._read: bool | None = None
-        self._beside: PendingPacket | None = None
-        self._taught = SharedLesson()
-        self._proven = self._misled = self._failed = self._outgrown = self._over = False
+        # True if the last packet was decoded; None before the first
+        self._decoded: bool | None = None
+        self._has_codeword = self._misled = self._failed = self._outgrown = self._over = False
+        # the last packet, while the state after it is pending
+        self._pending: PendingPacket | None = None
 
     @property
     def identity(self) -> int:
-        """Number of the array."""
-        return self.found.identity
+        """Number of the array, 0 to 29."""
+        return self.detection.identity
 
     @property
     def orientation(self) -> Orientation:
-        """How the camera sees it, as its header was taken."""
+        """Orientation in which the header was read."""
         return self._view.orientation
 
     @property
-    def proven(self) -> bool:
-        """Whether a codeword was right."""
-        return self._proven
+    def has_codeword(self) -> bool:
+        """True if a codeword was decoded: identity and orientation are right."""
+        return self._has_codeword
 
     @property
     def pose(self) -> Pose:
-        """Its pose now, on the sensor."""
+        """Present pose on the sensor."""
         return self._view.pose_out(self._track.state.pose)
 
     @property
     def time_s(self) -> float:
-        """Time of that pose in seconds."""
+        """Time of the present pose in seconds."""
         return self._track.state.time_s
 
     @property
-    def sure(self) -> bool:
-        """Whether it is followed rightly: by the last packet, or before that is known by its header or a codeword."""
-        read = self.found.is_clear or self._proven if self._read is None else self._read
-        return read and not self._misled
+    def confidence(self) -> Confidence:
+        """Evidence for the track: the last packet, or the header before the first packet."""
+        decoded = self._decoded or (self._decoded is None and self._has_codeword)
+        if decoded and not self._misled:
+            return Confidence.CODEWORD
+        has_header = self._decoded is None and self.detection.is_clear and not self._misled
+        return Confidence.HEADER if has_header else Confidence.CANDIDATE
 
     @property
     def done(self) -> bool:
-        """Whether the array is out of sight or another size than its view is for, or what was followed is no array."""
+        """True if the array is out of sight or has outgrown the view, or clutter was tracked."""
         out_of_sight = self._pairing.now_s - self._track.last_seen_s > self._coast_s
         return self._failed or self._outgrown or self._over or self._pairing.lost or out_of_sight
 
-    def leaves(self, time_s: float) -> bool:
-        """Whether the array has another size than its view is for, and its packet is over: its next header is awaited.
+    def has_outgrown_view(self, time_s: float) -> bool:
+        """Return True if the array no longer fits the view and the packet has ended: the next header is due.
 
-        Its last pair may still be waited for, while the search finds that header.
+        The packet's last pair may still be missing while the search detects the header.
         """
         if self._view.suits(self._track.state.pose):
             return False
@@ -291,23 +292,24 @@ class ArrayReceiver:
         end_s = self._pairing.origin_s + (self._number // self._pairs + 1) * self._signal.packet_s
         return time_s + self._slips.lost * period_s > end_s - period_s / 2
 
-    def yields(self, detection: Detection) -> bool:
-        """Whether a header that was found where this array is followed is a better start than its own."""
+    def should_restart_on(self, detection: Detection) -> bool:
+        """Return True if a header detected where this array is tracked is a better start."""
         start_s = detection.start_time_s + self._slips.lost * self._signal.pattern_period_s
         packets = (start_s - self._pairing.origin_s) / self._signal.packet_s
         off_s = abs(packets - round(packets)) * self._signal.packet_s
-        due = detection.identity == self.identity and off_s < DUE_PATTERNS * self._signal.pattern_period_s
-        # its first header was weighed already; a later one in clear sight may show that the track went astray
-        later = due and round(packets) > 0
-        if later:
-            return self.leaves(detection.time_s) or self._astray(detection)
-        return not due and detection.score > self.found.score
+        # a header a pattern off the start of a packet is another array's
+        due = detection.identity == self.identity and off_s < 0.5 * self._signal.pattern_period_s
+        # the first header started this array; a later header in clear sight may show that the track went astray
+        if due and round(packets) > 0:
+            return self.has_outgrown_view(detection.time_s) or self._is_off_track(detection)
+        return not due and detection.score > self.detection.score
 
-    def _astray(self, detection: Detection) -> bool:
-        """Whether a header that is whole and leaves no doubt shows the array elsewhere than it is followed."""
-        there = self._view.pose_out(self._track.state.pose_at(detection.time_s))
-        off = rim_distance(there, detection.fit.pose, self._signal.side)
-        return detection.is_clear and bool((detection.led_gains == 1).all()) and off > ASTRAY * there.pitch
+    def _is_off_track(self, detection: Detection) -> bool:
+        """Return True if a clear header with all LEDs in sight shows the array off the track."""
+        pose = self._view.pose_out(self._track.state.pose_at(detection.time_s))
+        error_px = rim_distance(pose, detection.fit.pose, self._signal.side)
+        all_visible = bool((detection.led_gains == 1).all())
+        return detection.is_clear and all_visible and error_px > MAX_TRACK_ERROR_PITCHES * pose.pitch
 
     def push(self, frame: Frame) -> Iterator[PendingPacket]:
         """Take the next frame; yield the packet it completes."""
@@ -317,21 +319,21 @@ class ArrayReceiver:
         if self._over:
             return
         if frame.time_s - before_s > self._coast_s + self._signal.packet_s:
-            # the packet in progress is over; times may jump by any length, so the pairs of the gap are skipped
+            # the packet has ended; times may jump by any length, so the pairs of the gap are skipped
             self._over = True
             yield from self.flush(over=True)
             return
         paired = self._reader.format.mode != "single"
-        seen = frame if self._as_camera else self._view.frame(frame, self.pose, self._signal.side)
-        for one in self._slips.push(seen, self._pairing.origin_s, self._pose_at, paired):
-            yield from self._take_all(self._pairing.push(one))
+        viewed = frame if self._as_camera else self._view.frame(frame, self.pose, self._signal.side)
+        for kept in self._slips.push(viewed, self._pairing.origin_s, self._pose_at, paired):
+            yield from self._read_pairs(self._pairing.push(kept))
 
     def flush(self, over: bool = False) -> Iterator[PendingPacket]:
         """Yield the packet in progress."""
-        for one in self._slips.flush():
-            yield from self._take_all(self._pairing.push(one))
-        yield from self._take_all(self._pairing.flush())
-        if self._gathered.poses if over else self._gathered.seen.mean() >= ENOUGH_SEEN:
+        for frame in self._slips.flush():
+            yield from self._read_pairs(self._pairing.push(frame))
+        yield from self._read_pairs(self._pairing.flush())
+        if self._record.poses if over else self._record.seen.mean() >= MIN_PAIRS_SEEN:
             yield self._finish()
 
     def _pose_at(self, time_s: float) -> Pose:
@@ -341,8 +343,8 @@ class ArrayReceiver:
     def _pairs(self) -> int:
         return self._signal.packet_patterns // 2
 
-    def _take_all(self, numbers: Iterator[int]) -> Iterator[PendingPacket]:
-        """Read pairs; an array whose pixels give no solution is given up, and found again by its next header."""
+    def _read_pairs(self, numbers: Iterator[int]) -> Iterator[PendingPacket]:
+        """Read pairs; end the track if the equations have no solution: the next header starts another."""
         try:
             for number in () if self._failed else numbers:
                 yield from self._take(number)
@@ -364,137 +366,131 @@ class ArrayReceiver:
         single = place >= 0 and self._reader.format.mode == "single"
         pair = self._pairing.get_pair(number, self._track.state.pose_at, single)
         if isinstance(pair, UnpairedFrame):
-            self._read_lone(place, pair)
+            self._add_unpaired(place, pair)
         elif pair is not None:
             if place < 0:
                 self._read_header(in_packet, pair)
             else:
                 self._read_data(place, pair)
             self._poses[number] = self._track.state.pose_at
-        # the light's clock asks for those around a header
+        # the light's clock uses the poses around a header
         oldest = number + 1 - self._signal.header_pairs - PATTERNS_AROUND
-        # pairs come in the order of their numbers
+        # pairs come in order
         while self._poses and (first := next(iter(self._poses))) < oldest:
             del self._poses[first]
-        if in_packet == self._pairs - 1 and self._gathered.poses:
+        if in_packet == self._pairs - 1 and self._record.poses:
             yield self._finish()
-        elif in_packet == self._pairs - 1 and self._gathered.frames:
-            # single frames of its pairs, but none that shows where the array is
-            self._gathered, self._reader = self._empty(), self._reader.next(beyond_doubt=False)
+        elif in_packet == self._pairs - 1 and self._record.frames:
+            # unpaired frames only, which show no pose
+            self._record, self._reader = self._new_record(), self._reader.next(None, confirmed=False)
 
     def _end_header(self) -> None:
-        """Correct the clock by the header just over; out of step it is read as a whole."""
+        """Correct the clock by the last header; out of step the reader gets the complete header."""
         pose_at, led_gains = self._track.state.pose_at, self._track.shining
         header = self._pairing.measure_header(self._number, self._poses, pose_at, led_gains)
         if header is None:
             return
-        self._gathered.clocked = True
-        # a sum hardly tells the array's light from that of its panel
+        self._record.clocked = True
+        # in a sum the light of the panel adds to the array's
         self._track = replace(self._track, gain=header.gain)
         self._reader.end_header(header)
 
     def _read_header(self, number: int, pair: FramePair) -> None:
         tracked = self._tracker.follow(self._track, pair, self._header)
-        self._note(pair, tracked)
-        read = self._reader.read_header(number, pair, tracked)
-        check_pose(read.track.state.pose, self._signal.side, pair.pattern.pixels.shape)
-        self._track = read.track
-        self._gathered.header.append(read.score)
+        self._record_pair(pair, tracked)
+        track, score = self._reader.read_header(number, pair, tracked)
+        check_pose(track.state.pose, self._signal.side, pair.pattern.pixels.shape)
+        self._track = track
+        self._record.header.append(score)
 
     def _read_data(self, place: int, pair: FramePair) -> None:
-        # all LEDs show in a pair's sum; only the reader knows what shows in data without inverses
+        # a pair's sum shows all LEDs; data without inverses need the reader's decisions
         tracked = self._reader.follow(pair, self._track)
-        self._note(pair, tracked)
+        self._record_pair(pair, tracked)
         self._track = tracked.track
         if tracked.seen:
-            self._reader.take(place, pair, tracked)
-            self._gathered.seen[place] = True
+            self._reader.add_pair(place, pair, tracked)
+            self._record.seen[place] = True
 
-    def _read_lone(self, place: int, lone: UnpairedFrame) -> None:
-        """Keep the frame that is left of a pair where the array was in sight not long before."""
-        self._gathered.frames.append(lone.frame.index)
+    def _add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
+        """Add the remaining frame of a pair if the array was in sight shortly before."""
+        self._record.frames.append(lone.frame.index)
         if lone.frame.time_s - self._track.last_seen_s < 2 * MAX_DISTANCE_PAIRS * self._signal.pattern_period_s:
             self._reader.add_unpaired(place, lone)
-            self._gathered.seen[place] = True
+            self._record.seen[place] = True
 
-    def _note(self, pair: FramePair, tracked: TrackedPair) -> None:
-        """Gather what every pair of a packet gives; one whose pose is none of an array gives the array up."""
+    def _record_pair(self, pair: FramePair, tracked: TrackedPair) -> None:
+        """Record and report a pair; raise `LinAlgError` if the pose is impossible."""
         check_pose(tracked.state.pose, self._signal.side, pair.pattern.pixels.shape)
-        self._gathered.note((pair.pattern.index, pair.inverted.index), tracked)
+        self._record.add_pair((pair.pattern.index, pair.inverted.index), tracked)
         self._observe(TrackEvent(self.identity, pair.pattern.index, tracked, self._view))
 
     def _finish(self) -> PendingPacket:
-        """Have decoded what was gathered, and begin the next packet."""
-        self._take_over()
-        gathered, self._gathered = self._gathered, self._empty()
+        """Have the packet decoded, and begin the next one."""
+        self._apply_pending_state()
+        record, self._record = self._record, self._new_record()
         # by the camera's clock
         patterns = 2 * (self._number - self._number % self._pairs) - self._start_lost
         start_s = self._pairing.origin_s + patterns * self._signal.pattern_period_s
-        seen = gathered.packet(self.identity, start_s, self._view, self._calibration)
-        taken, lacks_pair = self._reader.taken(), self._lacks_pair
-        # its next header finds it again, in a view that suits
+        packet = record.to_packet(self.identity, start_s, self._view, self._calibration)
+        observations, lacks_pair = self._reader.observations(), self._lacks_pair
+        # the next header starts a track in a suitable view
         self._outgrown = not self._view.suits(self._track.state.pose)
-        beyond_doubt = not lacks_pair and gathered.header_seen and self._expected(seen, taken)
-        coming = self._coming(seen, taken, lacks_pair)
-        if not beyond_doubt:
-            self._conclude(coming)
-        there = beyond_doubt or (coming.packet().status == "ok" and not lacks_pair and self._in_sight)
-        if there and not self._misled:
-            # nothing more of it is asked before the next packet's end
-            self._beside = coming
-        else:
-            self._reader.learn(self._lesson(coming))
-        self._reader = self._reader.next(there)
-        return coming
+        is_certain = not lacks_pair and record.has_header and self._is_certain(packet, observations)
+        decoded = self._executor.submit(self._decoder.decode, observations, self._key, lacks_pair)
+        learnt = self._executor.submit(self._decoder.learn, self._key)
+        pending = PendingPacket(packet, observations, decoded, learnt, self._observe, self._pairing.exposure_range)
+        if not is_certain:
+            self._judge(pending.packet())
+            is_certain = pending.packet().status == "ok" and not lacks_pair and self._all_visible
+        # otherwise the state is used at the end of the next packet
+        is_needed = self._misled or not is_certain
+        self._pending = None if is_needed else pending
+        self._reader = self._reader.next(self._state_after(pending) if is_needed else None, is_certain)
+        return pending
 
     @property
     def _lacks_pair(self) -> bool:
-        """Whether the next header shows where the packet's last pair should be."""
+        """True if the next header came in the place of the packet's last pair."""
         return self._slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1
 
     @property
-    def _in_sight(self) -> bool:
-        """Whether no LED seems hidden or dark."""
+    def _all_visible(self) -> bool:
+        """True if no LED seems hidden or dark."""
         return bool((self._track.shining == 1).all())
 
-    def _expected(self, seen: Packet, taken: UndecodedPacket) -> bool:
-        """Whether an array is followed on, whatever comes of decoding its packet: that it is there, is beyond doubt."""
-        if seen.pairs_seen < ENOUGH_SEEN or not self._in_sight or self._misled:
+    def _is_certain(self, packet: Packet, observations: Observations) -> bool:
+        """Return True if tracking may continue without waiting for the packet to decode."""
+        if packet.pairs_seen < MIN_PAIRS_SEEN or not self._all_visible or self._misled:
             return False
-        if self._read is not None:
-            return self._proven and self._read
-        if self.found.is_complete and not self.found.is_ambiguous:
-            return True
-        self._proven |= glanced(self._decoders, taken)
-        return self._proven
+        if self._decoded is None and not (self.detection.is_complete and not self.detection.is_ambiguous):
+            check = self._executor.submit(self._decoder.has_codeword, observations)
+            self._has_codeword |= wait_for(check)
+            return self._has_codeword
+        return self._decoded is not False
 
-    def _coming(self, seen: Packet, taken: UndecodedPacket, lacks_pair: bool) -> PendingPacket:
-        work = self._decoders.submit(Work(taken, self.identity, self._signal, lacks_pair, self._taught))
-        lesson = self._decoders.submit(Study(self._taught))
-        return PendingPacket(seen, taken, work, lesson, self._observe, self._pairing.exposure_range)
+    def _apply_pending_state(self) -> None:
+        """Use the state after the packet before, if that was decoded during this one."""
+        if self._pending is not None:
+            self._judge(self._pending.packet())
+            state, self._pending = self._state_after(self._pending), None
+            if state is not None:
+                self._reader.update(state)
 
-    def _take_over(self) -> None:
-        """Take over what the packet before has taught, if it was decoded while this one was seen."""
-        if self._beside is not None:
-            self._conclude(self._beside)
-            self._reader.catch_up(self._lesson(self._beside))
-            self._beside = None
-
-    def _conclude(self, coming: PendingPacket) -> None:
-        """Know from a packet how the array is followed."""
-        packet = coming.packet()
-        # neither header nor a right codeword: no array, or out of step; it is found again by its next header
-        # where LEDs seem to be missing, a packet read in part may have come from a wrong pose
-        self._read = packet.status == "ok" or (packet.status == "partial" and self._in_sight)
-        self._proven |= packet.status in ("ok", "partial")
+    def _judge(self, packet: Packet) -> None:
+        """Update the confidence by a decoded packet."""
+        # if LEDs seem to be missing, a packet decoded in part may stem from a wrong pose
+        self._decoded = packet.status == "ok" or (packet.status == "partial" and self._all_visible)
+        self._has_codeword |= packet.has_codeword
+        # no array, or out of step: the next header starts another track
         self._failed = packet.status in ("no_header", "no_array")
 
-    def _lesson(self, coming: PendingPacket) -> Lesson | None:
-        """What a packet teaches; it may be that the array is not quite as it is followed."""
-        lesson = coming.lesson
-        if lesson is not None:
-            self._misled = lesson.misled
-        return lesson
+    def _state_after(self, pending: PendingPacket) -> ArrayState | None:
+        """State of the array after a packet; it may show that the tracked pose is wrong."""
+        state = pending.state
+        if state is not None:
+            self._misled = state.misled
+        return state
 
-    def _empty(self) -> PacketRecord:
-        return PacketRecord.nothing(self._signal.data_pairs)
+    def _new_record(self) -> PacketRecord:
+        return PacketRecord(np.zeros(self._signal.data_pairs, dtype=bool))

@@ -1,13 +1,14 @@
 """The receivers "plain" and "soft": two assemblies of the same parts."""
 
 from collections.abc import Callable
+from concurrent.futures import Executor
+from itertools import count
 
 from heliograph.base.errors import SettingsError
 from heliograph.receive.array import ArrayReceiver, PacketReader
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.combining import SharedBuffers
-from heliograph.receive.decode.packet_decoder import SoftReading
-from heliograph.receive.decode.worker import decoders
+from heliograph.receive.decode.soft_packet import SoftDecoding
+from heliograph.receive.decode.worker import ArrayKey, InlineExecutor, PacketDecoder, ProcessExecutor
 from heliograph.receive.detect.alternation import SearchParameters
 from heliograph.receive.detect.budget import BUDGET
 from heliograph.receive.detect.detection import Detection, HeaderSearch
@@ -18,7 +19,7 @@ from heliograph.receive.geometry.view import View
 from heliograph.receive.plain_reader import PlainReader
 from heliograph.receive.receiver import Parts, StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
-from heliograph.receive.soft_reader import SoftParts, SoftReader
+from heliograph.receive.soft_reader import SoftReader
 from heliograph.receive.sync.frame_clock import CameraClock, SynchronousClock
 from heliograph.receive.sync.pairing import AsynchronousPairing, Pairing, SynchronousPairing
 from heliograph.receive.track.kalman import MotionModel
@@ -27,28 +28,16 @@ from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
 PLAIN_REGULARITY = 0.5
-"""Least regularity of a detection in step: the header's frames alternate evenly, clutter does not.
-
-What changes only once or twice within four frames has 0 or less. A header of two pairs, of which a format dims the
-second to a half, has the least of all, 1 / 1.5 = 0.67. Half of it loses none of 192 codewords; with twice of it, 1, all
-37 of the plain receiver are lost.
-"""
+"""Minimum regularity of a detection in step: that of a header is 0.67 or more, of clutter 0 or less."""
 
 SOFT_REGULARITY = 0.15
-"""The same for a camera out of step, to which a header alternates unevenly.
-
-It is low because a second test follows: what the light's clock cannot explain as a header is dropped.
-"""
+"""Minimum regularity out of step, where a header alternates unevenly; the light's clock then drops clutter."""
 
 GIVEN_CONTRAST = 0.1
-"""Least contrast of an array where somebody sees one, as a fraction of `detect.min_contrast`.
-
-Chosen: in a part of the frame that somebody looked at there is less clutter. An array of 3 % of the reference link's
-light is read at 40 m then, of 1 % it is not found with any least contrast.
-"""
+"""Minimum contrast of an array in a given region, as a fraction of `detect.min_contrast`: there is less clutter."""
 
 MakeReader = Callable[[Detection, Tracker], PacketReader]
-"""Makes the reader of an array's first packet."""
+"""Makes the reader of the first packet of an array."""
 
 
 def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
@@ -62,7 +51,7 @@ def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Ob
 
 
 def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> Parts:
-    """Parts of the paper's own receiver: one frame per pattern, in step with the light."""
+    """Parts of the paper's receiver: a frame for each pattern, in step with the light."""
     form = PacketFormat(signal)
     options = Decoding(settings.decode.algorithm or "max-log", settings.decode.iterations)
 
@@ -73,48 +62,45 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
         return SynchronousPairing(detection.start_time_s, detection.time_s, signal)
 
     parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
-    search = _there(PyramidSearch(parameters, signal), parameters, settings, signal.side)
-    follow = _following(signal, settings, observe, pairing, reader)
-    return Parts(SynchronousClock(signal.pattern_period_s), search, follow, signal)
+    search = _restrict_to_region(PyramidSearch(parameters, signal), parameters, settings, signal.side)
+    track = _array_factory(signal, settings, observe, pairing, reader)
+    return Parts(SynchronousClock(signal.pattern_period_s), search, track, signal)
 
 
 def soft_parts(
     signal: SignalSettings, settings: ReceiveSettings, observe: Observer, reader: MakeReader | None = None
 ) -> Parts:
-    """Parts of the receiver at the limit of the channel: any camera of at least one frame per pattern."""
+    """Parts of the receiver at the limit of the channel, for a camera of at least a frame for each pattern."""
     _check_signal(signal)
 
-    def pairing(found: Detection) -> Pairing:
+    def pairing(detection: Detection) -> Pairing:
         exposure_s = settings.calibration.exposure_s
         return AsynchronousPairing(
-            found.start_time_s,
-            found.time_s,
-            found.fit.pose,
-            found.identity,
-            found.led_gains,
+            detection.start_time_s,
+            detection.time_s,
+            detection.fit.pose,
+            detection.identity,
+            detection.led_gains,
             signal,
             exposure_s,
-            found.drift,
+            detection.drift,
         )
 
     parameters = search_parameters(settings, signal, SOFT_REGULARITY, impaired=True)
-    search = _there(PhasedSearch(parameters, signal), parameters, settings, signal.side)
+    search = _restrict_to_region(PhasedSearch(parameters, signal), parameters, settings, signal.side)
     reader = reader or soft_reader(signal, settings, observe)
-    follow = _following(signal, settings, observe, pairing, reader)
-    return Parts(CameraClock(), search, follow, signal)
+    track = _array_factory(signal, settings, observe, pairing, reader)
+    return Parts(CameraClock(), search, track, signal)
 
 
 def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> MakeReader:
-    """Make the soft receiver's readers, which share what was seen of an array's codewords."""
-    form = PacketFormat(signal)
-    decoding = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
-    # by identity, not by array: one lost and found again goes on with its carousel
-    buffers = SharedBuffers()
+    """Return the maker of the soft receiver's readers."""
+    form, soft = PacketFormat(signal), settings.soft
+    options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
+    decoding = SoftDecoding(options, soft.feedback, soft.led_by_led, soft.combining)
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
-        buffer = buffers.of((detection.identity, detection.orientation)) if settings.soft.combining else None
-        reading = SoftReading(buffer, decoding, settings.soft.feedback, settings.soft.led_by_led)
-        return SoftReader(detection.identity, SoftParts(form, tracker, reading, observe))
+        return SoftReader(detection.identity, form, tracker, decoding, observe)
 
     return reader
 
@@ -122,7 +108,7 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
 def search_parameters(
     settings: ReceiveSettings, signal: SignalSettings, regularity: float, impaired: bool = False
 ) -> SearchParameters:
-    """What a receiver's detector looks for."""
+    """Parameters of a receiver's search."""
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
     cpu_share = BUDGET.film_share if detect.cpu_share is None else detect.cpu_share
@@ -142,8 +128,10 @@ def search_parameters(
     )
 
 
-def _there(search: HeaderSearch, parameters: SearchParameters, settings: ReceiveSettings, side: int) -> HeaderSearch:
-    """A search where somebody said an array is; of all the frames where nobody did."""
+def _restrict_to_region(
+    search: HeaderSearch, parameters: SearchParameters, settings: ReceiveSettings, side: int
+) -> HeaderSearch:
+    """Restrict a search to the corners or the region of the settings, if given."""
     start, region = parameters.start, settings.detect.region
     if start is not None:
         size, (least, most) = side * start.pitch, (parameters.min_side_px, parameters.max_side_px)
@@ -157,31 +145,33 @@ def _there(search: HeaderSearch, parameters: SearchParameters, settings: Receive
     return search if start is None else RegionSearch(search, around(start, side), side)
 
 
-def _following(
+def _array_factory(
     signal: SignalSettings,
     settings: ReceiveSettings,
     observe: Observer,
     pairing: Callable[[Detection], Pairing],
     reader: MakeReader,
 ) -> Callable[[Detection], ArrayReceiver]:
-    """Makes the receiver of an array that was found."""
+    """Return the maker of an array's receiver."""
     focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
-    # of all arrays, so that they share what is seen of codewords in the packets' order
-    packets = decoders(bool(settings.decode.in_background))
+    executor, decoder, numbers = decode_executor(bool(settings.decode.in_background)), PacketDecoder(), count()
 
-    def follow(detection: Detection) -> ArrayReceiver:
+    def track(detection: Detection) -> ArrayReceiver:
         view = View.of(detection.fit.pose, detection.orientation)
-        # what a shake moves by is as many of the camera's pixels, however near the array
+        # a shake moves the image by as many of the camera's pixels in every view
         shake_px, view_focal_px = settings.track.acceleration_px / 2**view.level, focal_px / 2**view.level
         model = MotionModel(signal.pattern_period_s, shake_px, view_focal_px)
         tracker = Tracker(signal.side, model)
-        seen = detection.in_view(view)
+        viewed = detection.in_view(view)
+        key = ArrayKey(detection.identity, detection.orientation, next(numbers))
         return ArrayReceiver(
-            seen,
-            pairing(seen),
+            viewed,
+            pairing(viewed),
             tracker,
-            reader(seen, tracker),
-            packets,
+            reader(viewed, tracker),
+            executor,
+            decoder,
+            key,
             signal=signal,
             calibration=settings.calibration,
             coast_s=settings.track.coast_patterns * signal.pattern_period_s,
@@ -189,12 +179,25 @@ def _following(
             view=view,
         )
 
-    return follow
+    return track
+
+
+def decode_executor(in_background: bool) -> Executor:
+    """Return the executor that decodes packets."""
+    if not in_background:
+        return InlineExecutor()
+    executor = ProcessExecutor()
+    executor.submit(_load_modules)
+    return executor
+
+
+def _load_modules() -> None:
+    """Import this module, and so the decoder, where the call runs."""
 
 
 def _check_signal(signal: SignalSettings) -> None:
-    for key, found, wanted in (("modulation", signal.modulation, "haar"), ("header", signal.header, "m_sequence")):
-        if found != wanted:
+    for key, value, wanted in (("modulation", signal.modulation, "haar"), ("header", signal.header, "m_sequence")):
+        if value != wanted:
             raise SettingsError(
-                f'the soft receiver reads signal.{key} = "{wanted}", not "{found}"; set receive.receiver = "plain"'
+                f'the soft receiver reads signal.{key} = "{wanted}", not "{value}"; set receive.receiver = "plain"'
             )

@@ -1,4 +1,4 @@
-"""What an observer of a receiver gets: one event per stage, as a value."""
+"""Events of a receiver, which an observer gets as values."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ from heliograph.receive.track.track import TrackedPair
 
 @dataclass(frozen=True, slots=True)
 class EqualiseEvent:
-    """An iteration of the soft receiver: its symbols are equalised, its codewords not yet decoded.
+    """An iteration of the soft receiver has equalised the symbols; the codewords are not decoded yet.
 
-    A packet that LEDs alone decode completely gives none, though it may be equalised later to learn the LED gains.
+    A packet that samples at the LEDs decode completely has no such event, even if it is equalised later for LED gains.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class EqualiseEvent:
 
 
 def ignore(event: object, /) -> None:
-    """Observe nothing."""
+    """Ignore an event."""
 
 
 __all__ = [
@@ -61,14 +61,14 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class DetectEvent:
-    """An array is found and will be followed.
+    """An array is detected and will be tracked.
 
     Attributes
     ----------
     detection
-        Where and when its header was.
+        Pose, time and identity of the header.
     frames
-        The last frames, oldest first, which hold the header.
+        The last frames, oldest first, with the header.
     """
 
     detection: Detection
@@ -77,18 +77,18 @@ class DetectEvent:
 
 @dataclass(frozen=True, slots=True)
 class TrackEvent:
-    """An array is followed through a pair, by the receiver "screen" through a frame.
+    """An array is tracked through a pair, by the receiver "screen" through a frame.
 
     Attributes
     ----------
     identity
         Number of the array, 0 to 29.
     frame
-        Number of the pair's first camera frame, or of the frame.
+        Number of the first camera frame of the pair, or of the frame.
     tracked
-        Pose, fit, and whether the array was in sight, in the array's view.
+        Pose, fit and visibility of the array, in the array's view.
     view
-        That view: ``view.pose_out`` gives the pose on the sensor.
+        View of the array: ``view.pose_out`` returns the pose on the sensor.
     """
 
     identity: int
@@ -99,7 +99,7 @@ class TrackEvent:
 
 @dataclass(frozen=True, slots=True)
 class ExtractEvent:
-    """A pair of data is taken.
+    """A pair of data is extracted.
 
     Attributes
     ----------
@@ -108,11 +108,11 @@ class ExtractEvent:
     frames
         Pattern and inverse, in the array's view; in the single mode two patterns.
     poses
-        The array's pose in each.
+        Pose of the array in each frame.
     luminances
-        (n, n) normalised luminances x' = level - 2; None of receivers that read pairs at the packet's end.
+        (n, n) normalised luminances x' = level - 2; None if the receiver decodes cut-outs.
     number
-        Number of the pair among the packet's data, from 0; None where it is not known.
+        Number of the pair in the packet's data, from 0; None if unknown.
     """
 
     identity: int
@@ -131,13 +131,13 @@ class DecodeEvent:
     identity
         Number of the array, 0 to 29.
     packet
-        The packet as the receiver hands it out.
+        The packet as returned by the receiver.
     luminances
-        (pairs, n, n) from which the receivers "plain" and "screen" decoded it; None of "soft".
+        (pairs, n, n) luminances that "plain" and "screen" decoded; None from "soft".
     cutouts
-        Cut-outs of its pairs, from which the soft receiver decoded it, None for pairs not seen; empty of the plain one.
+        Cut-outs of the pairs that "soft" decoded, None for unseen pairs; empty from the other receivers.
     exposure_range
-        Exposures in T_b between which headers so far put the camera's; None of the plain receiver.
+        Bounds of the camera's exposure in T_b by the headers so far; None from "plain".
     """
 
     identity: int
@@ -149,14 +149,14 @@ class DecodeEvent:
 
 @dataclass(frozen=True, slots=True)
 class LostEvent:
-    """An array is followed no longer.
+    """An array is lost.
 
     Attributes
     ----------
     identity
         Number of the array, 0 to 29.
     time_s
-        Time in seconds of its last pose.
+        Time in seconds of the last pose.
     """
 
     identity: int
@@ -165,16 +165,16 @@ class LostEvent:
 
 @dataclass(frozen=True, slots=True)
 class MissedStartEvent:
-    """A packet of an array began before the first header found of the array; that packet is not read.
+    """A packet of an array began before the first detected header, and is lost.
 
-    It comes before the first packet with a decoded codeword.
+    The event precedes the first packet with a decoded codeword.
 
     Attributes
     ----------
     identity
         Number of the array, 0 to 29.
     time_s
-        Start in seconds of the first header found.
+        Start in seconds of the first detected header.
     """
 
     identity: int
@@ -183,14 +183,14 @@ class MissedStartEvent:
 
 @dataclass(frozen=True, slots=True)
 class DropEvent:
-    """More alternates in the frames than searching them may cost: a part was left out.
+    """The search skipped work to stay within its CPU share.
 
     Attributes
     ----------
     time_s
-        Time in seconds of the frame with which it was left out.
+        Time in seconds of the searched frame.
     load
-        What was fitted and what was left out with this frame.
+        Work done and skipped with this frame.
     """
 
     time_s: float
@@ -199,12 +199,12 @@ class DropEvent:
 
 @dataclass(frozen=True, slots=True)
 class UnseenEvent:
-    """The receiver "screen" has seen no screen since the film began. The event comes once.
+    """The receiver "screen" has detected no screen since the film began; reported once.
 
     Attributes
     ----------
     searched_s
-        Seconds of the film that were searched.
+        Searched time of the film in seconds.
     """
 
     searched_s: float
@@ -224,4 +224,4 @@ Event = (
 """Every event."""
 
 Observer = Callable[[Event], None]
-"""Gets every event: plots, a browser view or timings hang on it. It changes nothing of what is received."""
+"""Function that gets every event, for plots, a browser view or timings. It does not change the reception."""

@@ -1,4 +1,4 @@
-"""What receivers hand out: packets as values, with their outcome and margins."""
+"""Received packets as values, with outcome and margins."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -29,19 +29,19 @@ class Codeword:
     status
         "ok" (CRC right), "crc_fail", or "mismatch" (CRC right, but of another array or layer: not to be used).
     block
-        Its content where the status is "ok", else None: a segment of a message, or symbols of a file.
+        Segment of a message, or symbols of a file; None unless the status is "ok".
     bits
-        (K,) uint8 information bits as decided, right or not.
+        (K,) uint8 decided information bits, right or not.
     raw
-        (E,) uint8 coded bits as decided by the first equalisation, before anything of the packet is decoded; whitening
-        undone; 255 where nothing was received.
+        (E,) uint8 coded bits as decided by the first equalisation, before any codeword is decoded; whitening undone;
+        255 for bits that were not received.
     iterations
         Iterations of the decoder.
     margin
         Mean magnitude of the information bits' LLRs after decoding.
     final_raw
-        The same as `raw` by the last equalisation before the decoder, when codewords decoded by then no longer disturb;
-        None if the receiver equalises only once.
+        Like `raw` by the last equalisation, when the light of decoded codewords no longer disturbs; None if the
+        receiver equalises only once.
     information
         Mean information in the LLRs that the decoder got, in bit per coded bit, 0 to 1. The turbo code needs about 1.3
         times its rate. NaN if unknown.
@@ -60,17 +60,25 @@ class Codeword:
 Words = Mapping[str, tuple[Codeword, ...]]
 """Codewords of a packet by layer, decoded or not."""
 
+MIN_HEADER_SCORE = 0.5
+"""Minimum header score of a received header: half of the array's light alternates."""
+
+MIN_PAIRS_SEEN = 0.5
+"""Minimum fraction of visible data pairs: a code of a rate above 1/2 fails if more are lost."""
+
+
+def packet_status(words: Words, header_score: float, pairs_seen: float) -> Status:
+    """Status of a packet by the codewords, or by the visible part if none decoded."""
+    decoded = [word.status == "ok" for layer in words.values() for word in layer]
+    if any(decoded):
+        return "ok" if all(decoded) else "partial"
+    if pairs_seen < MIN_PAIRS_SEEN:
+        return "no_array"
+    return "crc_fail" if header_score >= MIN_HEADER_SCORE else "no_header"
+
 
 def with_raw(words: Words, first: Words) -> Words:
-    """Return codewords with the raw bits of the first reading of their packet.
-
-    Parameters
-    ----------
-    words
-        Codewords by layer, as the last reading left them.
-    first
-        The same codewords, as the first reading left them.
-    """
+    """Return codewords with the raw bits of the first attempt at their packet."""
     return {
         name: tuple(replace(word, raw=before.raw) for word, before in zip(by, first[name], strict=True))
         for name, by in words.items()
@@ -84,18 +92,18 @@ class Packet:
     Attributes
     ----------
     identity
-        Number of the array, 0 to 29; uncertain until a codeword of the array is decoded, see `has_codeword`.
+        Number of the array, 0 to 29; uncertain before a codeword of the array is decoded, see `has_codeword`.
     status
-        "ok" (all codewords), "partial" (some), "crc_fail" (none), "no_header" (none, and its header was not seen) or
-        "no_array" (none, and the array was out of sight for most of it).
+        "ok" (all codewords), "partial" (some), "crc_fail" (none), "no_header" (none, and no header) or "no_array"
+        (none, and the array was out of sight for most of the packet).
     start_time_s
-        When its header began, in seconds of the camera's clock.
+        Start of the header in seconds of the camera's clock.
     first_frame
-        Number of the first camera frame it was read from.
+        Number of the first camera frame of the packet.
     last_frame
-        Number of the last one.
+        Number of the last camera frame.
     pose
-        The array's pose in its middle.
+        Pose of the array in the middle of the packet.
     distance_m
         Distance in metres by the pitch in the image.
     header_score
@@ -103,17 +111,16 @@ class Packet:
     track_score
         Mean correlation of the pairs' sums with the array, -1 to 1.
     pairs_seen
-        Fraction of its data pairs in which the array was seen.
+        Fraction of data pairs in which the array was visible.
     layers
         Codewords by layer, "high", "middle" and "low".
     format
-        The format it was read in, as its header signals it.
+        Format that the header signals.
     orientation
-        How the camera saw the array: upright, turned, mirrored. The pose has the place of the array's square alone; an
-        LED's is that of the upright array turned by the orientation.
+        Orientation of the array in the image: upright, turned or mirrored. The pose is that of the square; the position
+        of an LED is that in the upright array, turned by the orientation.
     reason
-        Why nothing was read where the packet's mode is not known or the receiver's equations had no solution; empty
-        otherwise.
+        Reason if the mode of the packet is unknown or the receiver's equations had no solution; empty otherwise.
     pose_std_px
         Standard deviation of the tracked position in px, by the tracker's own covariance in the packet's middle; NaN if
         the receiver has none.
@@ -163,12 +170,12 @@ class Packet:
 
     @property
     def has_codeword(self) -> bool:
-        """True if a codeword is decoded: it names the array. A header alone may be clutter that resembles one."""
+        """True if a codeword is decoded, which names the array; a header may be clutter."""
         return self.status in ("ok", "partial")
 
 
 class Receiver(Protocol):
-    """What every receiver is: frames in, packets out."""
+    """Protocol of receivers: frames in, packets out."""
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packets it completes.
@@ -176,9 +183,9 @@ class Receiver(Protocol):
         Parameters
         ----------
         frame
-            A camera frame, or a window of one; frames come in the order of time. The caller may fill its array again
-            once the packets are taken, so a receiver copies the pixels that it keeps.
+            A camera frame, or a window of a frame; in the order of time. The caller may fill the array again after the
+            call, so a receiver copies the pixels that it keeps.
         """
 
     def finish(self) -> Iterator[Packet]:
-        """End of the film: yield the packets in progress of which enough was seen."""
+        """End the film: yield the packets in progress that were visible for half of the data."""

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.decode.observations import renumbered
-from heliograph.receive.decode.per_led import luminances, normalised, pair_luminances
-from heliograph.receive.decode.worker import Decoded, ReadHeader
+from heliograph.receive.decode.per_led import luminances, normalised, unblurred
+from heliograph.receive.decode.worker import ArrayState, Decoded
 from heliograph.receive.detect.header_bank import header_score, header_weights
 from heliograph.receive.detect.header_format import FormatReader
-from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
-from heliograph.receive.packet import Packet
+from heliograph.receive.events import ExtractEvent, Observer
 from heliograph.receive.settings import Equaliser
 from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, UnpairedFrame
 from heliograph.receive.track.kalman import PoseState
@@ -26,7 +25,7 @@ from heliograph.signal.packet import PacketFormat
 
 
 class PlainReader:
-    """Reads a packet as the paper does; see `array.PacketReader`."""
+    """Reads a packet like the paper; see `array.PacketReader`."""
 
     def __init__(
         self,
@@ -51,10 +50,10 @@ class PlainReader:
 
     @property
     def format(self) -> Format:
-        """The agreed one."""
+        """Agreed format."""
         return AGREED
 
-    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> tuple[Track, float]:
         """Refine the pose by a header pair; see `PacketReader`."""
         track, side = tracked.track, self._form.settings.side
         if tracked.seen:
@@ -63,34 +62,33 @@ class PlainReader:
             self._gain = track.data_gain
         weights = header_weights(self._identity, AGREED.number, side)
         score = header_score(pair, track.state.pose, weights * track.shining, track.gain)
-        return ReadHeader(self._tracker.refine(track, pair, weights) if tracked.seen else track, score)
+        return (self._tracker.refine(track, pair, weights) if tracked.seen else track), score
 
     def end_header(self, header: MeasuredHeader) -> None:
-        """Nothing is read of a header as a whole; see `PacketReader`."""
+        """Ignore a header as a whole; see `PacketReader`."""
 
     def follow(self, pair: FramePair, track: Track) -> TrackedPair:
-        """Find the array by the sum; see `PacketReader`."""
+        """Track the array by the sum; see `PacketReader`."""
         return self._tracker.follow(track, pair)
 
-    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+    def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
         """Read the luminances of a pair; see `PacketReader`."""
         frames, state = (pair.pattern, pair.inverted), tracked.state
         poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
         side, gain = self._form.settings.side, tracked.track.gain
         up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
-        x = normalised(up - down, gain)
-        if self._equaliser != "none":
-            x = pair_luminances(frames, poses, gain, side, self._equaliser)
+        inverse = self._equaliser == "inverse"
+        x = unblurred(frames, poses, gain, side) if inverse else normalised(up - down, gain)
         self._luminances[place], self._seen[place] = x, True
         self._states[place], self._sums[place], self._sum_gain = state, up + down, gain
         self._observe(ExtractEvent(self._identity, frames, poses, x))
 
     def add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
-        """Keep the frame that is left of a pair; see `PacketReader`."""
+        """Add the remaining frame of a pair; see `PacketReader`."""
         self._lone[place] = lone
 
-    def taken(self) -> "LuminanceObservations":
-        """The luminances, and frames whose other half is lost; see `PacketReader`."""
+    def observations(self) -> "LuminanceObservations":
+        """Return the luminances and the unpaired frames; see `PacketReader`."""
         return LuminanceObservations(
             self._identity,
             self._form,
@@ -104,57 +102,50 @@ class PlainReader:
             self._sum_gain,
         )
 
-    def learn(self, lesson: None) -> None:
-        """Nothing is learnt of a packet; see `PacketReader`."""
-
-    def next(self, beyond_doubt: bool) -> "PlainReader":  # noqa: ARG002 - the protocol's
-        """The reader of the next packet; see `PacketReader`."""
+    def next(self, state: ArrayState | None, confirmed: bool) -> "PlainReader":  # noqa: ARG002 - the protocol's
+        """Make the reader of the next packet; see `PacketReader`."""
         return PlainReader(self._identity, self._form, self._tracker, self._equaliser, self._options, self._observe)
 
-    def catch_up(self, lesson: None) -> None:
-        """Nothing is learnt of a packet; see `PacketReader`."""
+    def update(self, state: ArrayState) -> None:
+        """Ignore the array's state; see `PacketReader`."""
 
 
 @dataclass(frozen=True, slots=True)
 class LuminanceObservations:
-    """All that was taken of a packet; see `UndecodedPacket`."""
+    """Observations of a packet by the plain receiver; see `worker.Observations`."""
 
     # Number of the array, 0 to 29
     identity: int
     # The agreed format of packets
     form: PacketFormat
-    # How codewords are decoded: algorithm and iterations
+    # Parameters of the channel decoder
     options: Decoding
-    # Number of the format that its header signals
+    # Number of the format that the header signals
     mode: int
     # (pairs, n, n) difference of pattern and inverse at each LED
     luminances: Floats
-    # (pairs,) pairs that were seen
+    # (pairs,) True for visible pairs
     seen: NDArray[np.bool_]
-    # By number of the pair, frames whose other half is lost
+    # Unpaired frames by number of the pair
     lone: Mapping[int, UnpairedFrame]
-    # By number of the pair, where the array was
+    # Pose of the array by number of the pair
     states: Mapping[int, PoseState]
-    # By number of the pair, (n, n) sum of pattern and inverse at each LED in gray levels
+    # (n, n) sum of pattern and inverse at each LED in gray levels, by number of the pair
     sums: Mapping[int, Floats]
     # Gray levels of a sum with all LEDs on
     sum_gain: float
 
     @property
-    def format(self) -> Format:
-        """The agreed one."""
-        return AGREED
+    def cutouts(self) -> tuple[()]:
+        """No cut-outs: the packet is decoded from luminances."""
+        return ()
 
-    def taught(self, lesson: None) -> "LuminanceObservations":  # noqa: ARG002 - the protocol's
-        """The same: packets teach nothing; see `UndecodedPacket`."""
-        return self
-
-    def glance(self) -> bool:
-        """Nothing is faster than to decode it; see `UndecodedPacket`."""
+    def has_codeword(self) -> bool:
+        """Return False: no check is faster than decoding; see `Observations`."""
         return False
 
     def renumbered(self, place: int) -> "LuminanceObservations":
-        """The same with the pairs from one on moved to the next number; see `UndecodedPacket`."""
+        """Return the packet with the pairs from a lost one on moved to the next number; see `Observations`."""
         pairs, luminances, seen = len(self.seen), self.luminances.copy(), self.seen.copy()
         luminances[place + 1 :], seen[place + 1 :] = self.luminances[place:-1], self.seen[place:-1]
         luminances[place], seen[place] = 0.0, False
@@ -167,27 +158,23 @@ class LuminanceObservations:
             sums=renumbered(self.sums, place, pairs),
         )
 
-    def decode(self, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
-        """Codewords by layer; see `UndecodedPacket`."""
+    def decode(self, state: ArrayState, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
+        """Decode the luminances; see `Observations`."""
         luminances, seen = self.luminances.copy(), self.seen.copy()
         for place, lone in self.lone.items():
-            if (shown := self._read_lone(place, lone)) is not None:
-                luminances[place], seen[place] = shown, True
+            if (estimate := self._estimate_pair(place, lone)) is not None:
+                luminances[place], seen[place] = estimate, True
         check_mode(self.mode, self.form.settings.data_pairs)
         words = decode_packet(luminances, seen, self.form, self.identity, self.options)
         return Decoded(words, luminances=luminances)
 
-    def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
-        """The packet with its luminances; see `UndecodedPacket`."""
-        return DecodeEvent(self.identity, packet, luminances=decoded.luminances)
-
-    def _read_lone(self, place: int, lone: UnpairedFrame) -> Floats | None:
-        """Luminances (n, n) of a pair by one of its frames, the sum being that of the pairs around; None without."""
+    def _estimate_pair(self, place: int, lone: UnpairedFrame) -> Floats | None:
+        """Luminances (n, n) of a pair by the remaining frame and the sums of pairs around; None if impossible."""
         chosen = nearest_pairs(place, self.sums)
         if not chosen:
             return None
         pose = interpolate_state(lone.frame.time_s, self.states, place).pose
         total = np.mean([self.sums[k] for k in chosen], axis=0)
         # 2 r - (r + r') = r - r'
-        shown = 2 * luminances(lone.frame, pose, len(total)) - total
-        return normalised(-shown if lone.inverted else shown, self.sum_gain)
+        difference = 2 * luminances(lone.frame, pose, len(total)) - total
+        return normalised(-difference if lone.inverted else difference, self.sum_gain)

@@ -1,9 +1,7 @@
-"""Receivers of one array: one for each way in which its header may be read, until a codeword is right.
+"""Receiver: detects arrays in a stream of frames, and hands each frame to all tracked arrays.
 
-Turned arrays are rare. So the most plausible receiver alone gets frames until its first packet is over. If no codeword
-of that is right, the others get the same frames then.
-
-A receiver: finds arrays in a stream of frames and hands each frame to all that are followed.
+A header may fit several identities and orientations. The most plausible hypothesis gets the frames first; if the first
+packet decodes no codeword, the other hypotheses get the same frames.
 """
 
 from collections import deque
@@ -12,7 +10,7 @@ from dataclasses import dataclass
 
 from heliograph.base.frames import Frame, check_next
 from heliograph.base.threads import in_one_thread
-from heliograph.receive.array import ArrayReceiver
+from heliograph.receive.array import ArrayReceiver, Confidence
 from heliograph.receive.decode.worker import PendingPacket
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.candidate import are_disjoint
@@ -23,108 +21,109 @@ from heliograph.receive.packet import Packet
 from heliograph.receive.sync.frame_clock import FrameClock
 from heliograph.signal.settings import SignalSettings
 
-HELD_BYTES = 128e6
-"""Bytes of frames that are kept for the others at most: 244 frames of 1024 x 512. Beyond it they read along."""
+MAX_HELD_BYTES = 128e6
+"""Bytes of frames held for the other hypotheses: 244 frames of 1024 x 512. Beyond, the others read along."""
 
 
 class HeaderHypotheses:
-    """An array that is followed, its identity and orientation taken to be any of several until a codeword is right."""
+    """Tracks of an array, a track for each hypothesis of identity and orientation, until a codeword decodes."""
 
     def __init__(self, receivers: Sequence[ArrayReceiver], settled: bool):
         self._receivers, self._settled = list(receivers), settled
-        # whether the first gets frames alone, and those that the others have not had
-        self._first, self._alone, self._held = self._receivers[0], len(self._receivers) > 1, list[Frame]()
+        self._first, self._only_first = self._receivers[0], len(self._receivers) > 1
+        # frames that the others have not had
+        self._held = list[Frame]()
 
     @property
     def leading(self) -> ArrayReceiver:
-        """The most plausible receiver; once a codeword was right, the only one."""
+        """Most plausible receiver; once a codeword is decoded, the only one."""
         return self._receivers[0]
 
     @property
-    def credible(self) -> bool:
-        """Whether it may be taken for an array without a right codeword: turned arrays are rare, clutter is not."""
-        return self._settled or self.leading.proven or self.leading.orientation == UPRIGHT
+    def is_credible(self) -> bool:
+        """True if packets without a codeword count: turned arrays are rare, clutter is not."""
+        return self._settled or self.leading.has_codeword or self.leading.orientation == UPRIGHT
 
     @property
-    def sure(self) -> bool:
-        """Whether no other array is to be looked for where it is."""
-        return self.leading.sure
+    def confidence(self) -> Confidence:
+        """Confidence of the leading receiver."""
+        return self.leading.confidence
 
     @property
     def done(self) -> bool:
-        """Whether it is followed no longer."""
+        """True if no receiver tracks the array any more."""
         return not self._receivers or self.leading.done
 
     def push(self, frame: Frame) -> Iterator[PendingPacket]:
         """Take the next frame; yield the packet it completes."""
-        read, wait = list[tuple[ArrayReceiver, list[PendingPacket]]](), False
-        for one in self._receivers:
-            packets = [packet for each in (*self._missed(one), frame) for packet in one.push(each)]
-            read.append((one, packets))
-            room = len(self._held) * frame.pixels.nbytes < HELD_BYTES
-            wait = self._alone and one is self._first and not packets and room
-            # where a codeword is right, the others are mistaken: their packets need not be decoded
-            if wait or one.proven:
+        packets_of, wait = list[tuple[ArrayReceiver, list[PendingPacket]]](), False
+        for receiver in self._receivers:
+            packets = [packet for each in (*self._missed(receiver), frame) for packet in receiver.push(each)]
+            packets_of.append((receiver, packets))
+            has_room = len(self._held) * frame.pixels.nbytes < MAX_HELD_BYTES
+            wait = self._only_first and receiver is self._first and not packets and has_room
+            # after a codeword the other hypotheses are wrong and need no decoding
+            if wait or receiver.has_codeword:
                 break
         if wait:
             self._held.append(frame)
         else:
-            self._alone, self._held = False, []
-        yield from self._believed(read)
+            self._only_first, self._held = False, []
+        yield from self._select(packets_of)
 
     def flush(self, over: bool = False) -> Iterator[PendingPacket]:
         """Yield the packet in progress; see `ArrayReceiver`."""
-        read = list[tuple[ArrayReceiver, list[PendingPacket]]]()
-        for one in self._receivers:
-            late = [packet for each in self._missed(one) for packet in one.push(each)]
-            read.append((one, [*late, *one.flush(over)]))
-            if self._alone and one.proven:
+        packets_of = list[tuple[ArrayReceiver, list[PendingPacket]]]()
+        for receiver in self._receivers:
+            late = [packet for each in self._missed(receiver) for packet in receiver.push(each)]
+            packets_of.append((receiver, [*late, *receiver.flush(over)]))
+            if self._only_first and receiver.has_codeword:
                 break
-        self._alone, self._held = False, []
-        yield from self._believed(read)
+        self._only_first, self._held = False, []
+        yield from self._select(packets_of)
 
     def settle(self, orientation: Orientation) -> bool:
-        """Leave out what the camera's orientation rules out."""
-        left = [one for one in self._receivers if one.orientation == orientation]
+        """Drop the hypotheses of other orientations than the camera's; return False if none is left."""
+        left = [receiver for receiver in self._receivers if receiver.orientation == orientation]
         if left:
             self._receivers, self._settled = left, True
             if left == [self._first]:
-                self._alone, self._held = False, []
+                self._only_first, self._held = False, []
         return bool(left)
 
-    def _missed(self, one: ArrayReceiver) -> list[Frame]:
+    def _missed(self, receiver: ArrayReceiver) -> list[Frame]:
         """Frames that a receiver has not had."""
-        return [] if one is self._first else self._held
+        return [] if receiver is self._first else self._held
 
-    def _believed(self, read: list[tuple[ArrayReceiver, list[PendingPacket]]]) -> Iterator[PendingPacket]:
-        """Packets of the receiver of which a codeword was right, else of the upright one."""
-        proven = next((one for one, _ in read if one.proven), None)
-        if proven is not None:
-            self._receivers = [proven]
+    def _select(self, packets_of: list[tuple[ArrayReceiver, list[PendingPacket]]]) -> Iterator[PendingPacket]:
+        """Yield the packets of the receiver that decoded a codeword, or of the upright receiver."""
+        decoded = next((receiver for receiver, _ in packets_of if receiver.has_codeword), None)
+        if decoded is not None:
+            self._receivers = [decoded]
         else:
-            # what gave up is no longer of interest, but the leading one says when all is over
-            self._receivers[1:] = [one for one in self._receivers[1:] if not one.done]
-        for one, packets in read:
-            if one is self.leading and self.credible:
+            # the leading receiver reports the loss of the array
+            self._receivers[1:] = [receiver for receiver in self._receivers[1:] if not receiver.done]
+        for receiver, packets in packets_of:
+            if receiver is self.leading and self.is_credible:
                 yield from packets
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a receiver is made of."""
+    """Parts of a receiver."""
 
     # Gives frames their times
     clock: FrameClock
-    # Looks for headers of arrays that are not followed yet
+    # Searches for headers of arrays that are not tracked yet
     search: HeaderSearch
-    # Makes the receiver of an array that was found
-    follow: Callable[[Detection], ArrayReceiver]
+    # Makes the receiver of a detected array
+    track: Callable[[Detection], ArrayReceiver]
     # The light's signal: LEDs in a row, length of a pattern and of a packet
     signal: SignalSettings
 
 
 class StreamReceiver:
-    """Finds arrays in a stream of frames, follows each, and yields its packets; see `packets.Receiver`."""
+    """Detects and tracks arrays in a stream of frames and yields packets; see `packet.Receiver`."""
 
     def __init__(self, parts: Parts, observe: Observer):
         self._parts, self._observe = parts, observe
@@ -133,65 +132,65 @@ class StreamReceiver:
         self._began_s: float | None = None
         self._read, self._missed = set[int](), dict[int, float]()
         self._last: Frame | None = None
-        self._coming: deque[PendingPacket | LostEvent] = deque()
+        self._pending: deque[PendingPacket | LostEvent] = deque()
         self._newest: PendingPacket | None = None
 
     @property
     def load(self) -> SearchLoad:
-        """What the search did and left out so far."""
+        """Work that the search has done and skipped so far."""
         return self._parts.search.load
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packets it completes; see `Receiver`."""
-        return in_one_thread(self._checked(frame))
+        return in_one_thread(self._take_checked(frame))
 
-    def _checked(self, frame: Frame) -> Iterator[Packet]:
-        """Take a camera's frame, if it may follow the last one."""
+    def _take_checked(self, frame: Frame) -> Iterator[Packet]:
+        """Check and take a camera's frame."""
         check_next(frame, self._last)
-        # the caller may fill its array again, and frames are kept
+        # the caller may fill the array again
         self._last = frame = frame.copied()
         for timed in self._parts.clock.push(frame):
-            self._await(self._take(timed))
-        yield from self._known()
+            self._queue(self._take(timed))
+        yield from self._finished_packets()
 
     def finish(self) -> Iterator[Packet]:
-        """End of the film: yield the packets in progress of which enough was seen."""
+        """End the film: yield the packets in progress that were visible for half of the data."""
         return in_one_thread(self._finish())
 
     def _finish(self) -> Iterator[Packet]:
         for timed in self._parts.clock.flush():
-            self._await(self._take(timed))
+            self._queue(self._take(timed))
         for array in self._arrays:
-            self._await(array.flush())
+            self._queue(array.flush())
         self._arrays = []
-        yield from self._known(wait=True)
+        yield from self._finished_packets(wait=True)
         if self._newest is not None:
-            # this process may end now; what the one that decodes sends it then, Python prints an error of
+            # this process may end now; Python prints an error if the decoding process still sends something then
             self._newest.settle()
 
-    def _await(self, packets: Iterator[PendingPacket]) -> None:
-        """Keep packets that were seen, each in its place among the losses of arrays."""
+    def _queue(self, packets: Iterator[PendingPacket]) -> None:
+        """Queue packets, each in order with the losses of arrays."""
         for packet in packets:
-            self._coming.append(packet)
+            self._pending.append(packet)
             self._newest = packet
 
-    def _known(self, wait: bool = False) -> Iterator[Packet]:
-        """Packets decoded by now, or all, in the order in which they were seen; an array's loss comes after them."""
-        while self._coming:
-            first = self._coming[0]
+    def _finished_packets(self, wait: bool = False) -> Iterator[Packet]:
+        """Packets decoded by now, or all, in the order of the packets' ends; the loss of an array follows."""
+        while self._pending:
+            first = self._pending[0]
             if isinstance(first, LostEvent):
-                self._coming.popleft()
+                self._pending.popleft()
                 self._observe(first)
             elif wait or first.done:
-                self._coming.popleft()
+                self._pending.popleft()
                 packet = first.packet()
-                self._tell_missed_start(packet)
+                self._emit_missed_start(packet)
                 yield packet
             else:
                 return
 
     def _take(self, frame: Frame) -> Iterator[PendingPacket]:
-        """Take a frame whose time is known."""
+        """Track and search for arrays in a frame whose time is known."""
         if self._began_s is None:
             self._parts.search.start(self._parts.clock.period_s)
             self._began_s = frame.time_s
@@ -200,84 +199,88 @@ class StreamReceiver:
         for array in [a for a in self._arrays if a.done]:
             yield from array.flush()
             self._forget(array)
-        kept = [one for one in self._arrays if one.sure and not one.leading.leaves(frame.time_s)]
+        kept = [
+            array
+            for array in self._arrays
+            if array.confidence > Confidence.CANDIDATE and not array.leading.has_outgrown_view(frame.time_s)
+        ]
         before = self.load
         for detection in self._parts.search.push(frame, [array.leading.pose for array in kept]):
-            yield from self._weigh(detection)
+            yield from self._handle_detection(detection)
         if self.load.left_out != before.left_out:
             self._observe(DropEvent(frame.time_s, self.load - before))
 
-    def _weigh(self, detection: Detection) -> Iterator[PendingPacket]:
-        """Follow what was found unless it lies where a better array is followed."""
+    def _handle_detection(self, detection: Detection) -> Iterator[PendingPacket]:
+        """Start to track a detected array, unless a better track is at the same position."""
         rivals = [
             a for a in self._arrays if not are_disjoint(a.leading.pose, detection.fit.pose, self._parts.signal.side)
         ]
-        if any(self._stands(rival, detection) for rival in rivals):
+        if any(self._rival_wins(rival, detection) for rival in rivals):
             return
         for rival in rivals:
-            if rival.leading.leaves(detection.time_s):
+            if rival.leading.has_outgrown_view(detection.time_s):
                 yield from rival.flush()
             self._forget(rival)
-        yield from self._take_up(detection)
+        yield from self._start_array(detection)
 
-    def _stands(self, rival: HeaderHypotheses, detection: Detection) -> bool:
-        """Whether an array is followed on where a header was found; what was taken for one may stand in its way."""
+    def _rival_wins(self, rival: HeaderHypotheses, detection: Detection) -> bool:
+        """Return True if a tracked array stays where a header is detected."""
         upright = detection.orientation in (UPRIGHT, self._orientation)
-        if upright != rival.credible:
-            return rival.credible
-        return not rival.leading.yields(detection)
+        if upright != rival.is_credible:
+            return rival.is_credible
+        return not rival.leading.should_restart_on(detection)
 
-    def _take_up(self, detection: Detection) -> Iterator[PendingPacket]:
-        """Begin to follow an array, its header's frames first."""
+    def _start_array(self, detection: Detection) -> Iterator[PendingPacket]:
+        """Start to track an array, from the frames of the header on."""
         recent = tuple(self._parts.search.recent)
-        self._tell_losses()
+        self._emit_losses()
         self._observe(DetectEvent(detection, recent))
         missed = self._misses_start(detection, recent)
-        for one in detection.hypotheses:
-            self._missed.pop(one.identity, None)
-            if missed and one.identity not in self._read:
-                self._missed[one.identity] = detection.start_time_s
+        for hypothesis in detection.hypotheses:
+            self._missed.pop(hypothesis.identity, None)
+            if missed and hypothesis.identity not in self._read:
+                self._missed[hypothesis.identity] = detection.start_time_s
         settled = self._orientation is not None
-        array = HeaderHypotheses([self._parts.follow(one) for one in detection.hypotheses], settled)
+        array = HeaderHypotheses([self._parts.track(hypothesis) for hypothesis in detection.hypotheses], settled)
         self._arrays.append(array)
         for frame in recent:
             yield from self._push(array, frame)
 
-    def _tell_missed_start(self, packet: Packet) -> None:
-        """Report before the first packet read of an array that one before it is lost."""
+    def _emit_missed_start(self, packet: Packet) -> None:
+        """Report a lost packet before the first decoded packet of an array."""
         if packet.status in ("ok", "partial"):
             self._read.add(packet.identity)
             if packet.identity in self._missed:
                 self._observe(MissedStartEvent(packet.identity, self._missed.pop(packet.identity)))
 
     def _misses_start(self, detection: Detection, recent: Sequence[Frame]) -> bool:
-        """Return True if the array was sending before its header, in the first two packets of the film."""
+        """Return True if the array was sending before the header, in the first two packets of the film."""
         assert self._began_s is not None
         signal, began_s = self._parts.signal, self._began_s
-        # the search fills up its window with copies of the first frame, at times before it
+        # the search fills its window with copies of the first frame at earlier times
         filmed = [frame for frame in recent if frame.time_s > began_s - signal.pattern_period_s / 2]
         return detection.start_time_s - began_s < 2.5 * signal.packet_s and shone_before(detection, filmed, signal)
 
     def _push(self, array: HeaderHypotheses, frame: Frame) -> Iterator[PendingPacket]:
-        """Hand a frame to an array; the first right codeword tells how the camera sees all of them."""
+        """Hand a frame to an array; the first decoded codeword settles the camera's orientation."""
         packets = list(array.push(frame))
-        if self._orientation is None and array.leading.proven:
+        if self._orientation is None and array.leading.has_codeword:
             self._settle(array.leading.orientation)
         yield from packets
 
     def _settle(self, orientation: Orientation) -> None:
-        """Know the camera's orientation from now on."""
+        """Drop all hypotheses of other orientations than the camera's."""
         self._orientation = orientation
         self._parts.search.set_orientation(orientation)
         for array in [a for a in self._arrays if not a.settle(orientation)]:
             self._forget(array)
 
     def _forget(self, array: HeaderHypotheses) -> None:
-        self._coming.append(LostEvent(array.leading.identity, array.leading.time_s))
+        self._pending.append(LostEvent(array.leading.identity, array.leading.time_s))
         self._arrays.remove(array)
 
-    def _tell_losses(self) -> None:
-        """Tell losses that wait for packets: the same array may be found again before these are decoded."""
-        for loss in [one for one in self._coming if isinstance(one, LostEvent)]:
-            self._coming.remove(loss)
+    def _emit_losses(self) -> None:
+        """Report losses that wait for packets: the same array may be detected again before these are decoded."""
+        for loss in [event for event in self._pending if isinstance(event, LostEvent)]:
+            self._pending.remove(loss)
             self._observe(loss)

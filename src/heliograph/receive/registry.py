@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from heliograph.base.registry import Registry
 
 GROUPS = ("calibration", "detect", "track", "decode")
-"""Groups of settings that are not one receiver's alone."""
+"""Groups of settings that several receivers read."""
 
 
 class ReceiverPart(NamedTuple):
@@ -15,11 +15,11 @@ class ReceiverPart(NamedTuple):
     Attributes
     ----------
     make
-        Makes it of the light's signal, the receiver's settings and an observer.
+        Function of the light's signal, the receiver's settings and an observer that returns the receiver.
     settings
-        Class of its own settings, a frozen dataclass; None where it has none.
+        Frozen dataclass of the settings in ``receive.own``; None without settings.
     reads
-        Groups of ``receive`` that it reads as well as ``receive.own``, of `GROUPS`.
+        Other groups of ``receive`` that the receiver reads, of `GROUPS`.
     """
 
     make: Callable[..., Any]
@@ -36,11 +36,11 @@ RECEIVERS: Registry[Any] = Registry(
         "screen": "heliograph.receive.screen.receiver:screen_receiver",
     },
 )
-"""Receivers by the name of the setting ``receive.receiver``; a `ReceiverPart`, or what makes one."""
+"""Receivers by the setting ``receive.receiver``: a `ReceiverPart`, or a function that makes the receiver."""
 
 
 def part_of(name: str) -> ReceiverPart:
-    """Receiver of a name.
+    """Receiver by name.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def part_of(name: str) -> ReceiverPart:
     Raises
     ------
     SettingsError
-        There is none of that name.
+        The name is unknown.
     """
-    found = RECEIVERS[name]
-    return found if isinstance(found, ReceiverPart) else ReceiverPart(found)
+    entry = RECEIVERS[name]
+    return entry if isinstance(entry, ReceiverPart) else ReceiverPart(entry)

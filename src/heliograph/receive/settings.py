@@ -1,4 +1,4 @@
-"""Settings of the receiver: what it knows of the light and the camera, and what a user may tune."""
+"""Settings of the receivers: calibration of camera and array, and tuning."""
 
 from collections.abc import Mapping
 from dataclasses import field, fields, is_dataclass, replace
@@ -8,38 +8,38 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM, clear_errors, from_mapping
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.registry import GROUPS, RECEIVERS, part_of
 
 Equaliser = Literal["none", "inverse"]
 """How the plain receiver reads the LEDs of a pair; see `PlainSettings`."""
 
 Feedback = Literal["none", "decoded", "soft", "propagation"]
-"""What the soft receiver's equaliser gets back from the decoder; see `SoftSettings`."""
+"""Feedback from the soft receiver's decoder to the equaliser; see `SoftSettings`."""
 
 PlaceInPx = Annotated[float, Field(ge=-1e5, le=1e5)]
-"""A coordinate in px, no farther off than any sensor is wide."""
+"""Coordinate in px, within the width of any sensor."""
 
 Corners = tuple[PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx]
 """x and y in px of four corners in turn."""
 
 Start = Annotated[int, Field(ge=-(10**5), le=10**5)]
-"""First column or row of a region, no farther off than any sensor is wide."""
+"""First column or row of a region, within the width of any sensor."""
 
 Length = Annotated[int, Field(ge=8, le=10**5)]
-"""Columns or rows of a region: a search needs some."""
+"""Columns or rows of a region."""
 
 Region = tuple[Start, Start, Length, Length]
 """x, y, columns and rows in px."""
 
 SMALLEST_SIDE_PX = {"plain": 8.0, "soft": 4.0}
-"""Smallest array looked for by default. One half a step of sizes smaller is found too (`acquire.coarse.size_limits`):
-123 m and 247 m away in the reference link."""
+"""Default minimum size of an array: 123 m and 247 m away in the reference link."""
 
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class CalibrationSettings:
-    """What is known of lens and array beforehand; it turns the pitch in the image into a distance.
+    """Calibration of lens and array, by which the pitch in the image gives a distance.
 
     Attributes
     ----------
@@ -50,10 +50,10 @@ class CalibrationSettings:
     pitch_m
         Pitch of the LEDs in m, 1e-4 to 10.
     blur_px
-        First guess of the blur's standard deviation in px, 0.2 to 5; it is estimated from then on.
+        First guess of the blur's standard deviation in px, 0.2 to 5; the receiver refines it.
     exposure_s
-        Exposure of the camera in s, 1e-9 to 10, for the receiver "soft". If it is left out the receiver estimates it,
-        and takes the frame period where headers and brightness do not decide.
+        Exposure of the camera in s, 1e-9 to 10, for the receiver "soft". If left out, the receiver estimates the
+        exposure, or assumes the frame period if headers and brightness do not decide.
     """
 
     focal_m: FocalM = 0.035
@@ -62,43 +62,54 @@ class CalibrationSettings:
     blur_px: Annotated[float, Field(ge=0.2, le=5)] = 0.55
     exposure_s: Annotated[float, Field(ge=1e-9, le=10)] | None = None
 
+    def distance_m(self, pose: Pose) -> float:
+        """Distance of an array in metres by the pitch in the image.
 
-LIVE_BUSY_PART = 0.3
-"""Part of a core that searching for arrays takes at most, of a live camera: following one takes half of it."""
+        Parameters
+        ----------
+        pose
+            Pose of the array on the sensor.
+        """
+        # pinhole: pitch_px = f p / (Z pixel)
+        return self.focal_m * self.pitch_m / (pose.frontal_pitch * self.pixel_m)
+
+
+LIVE_CPU_SHARE = 0.3
+"""Share of a core for the search with a live camera: tracking an array takes half a core."""
 
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class DetectSettings:
-    """When something is taken for an array.
+    """Detection of arrays.
 
     Attributes
     ----------
     min_side_px
-        Smallest array looked for in px, at least 3; arrays down to 0.945 of it are found too. If it is left out, 8 for
-        "plain" and 4 for "soft". Smaller reads farther, takes longer and finds more clutter.
+        Minimum side of an array in px, at least 3; arrays down to 0.945 of the minimum are detected too. If left out, 8
+        for "plain" and 4 for "soft". A smaller value reads farther, takes longer and detects more clutter.
     max_side_px
-        Largest array looked for in px, 6 to 4096; what is larger than 64 px is looked for in reduced frames.
+        Maximum side of an array in px, 6 to 4096; arrays above 64 px are searched in reduced frames.
     min_contrast
-        Least luminance of a lit cell of the header, as a fraction of full scale. Lower finds dimmer arrays and more
-        clutter.
+        Minimum luminance of a lit cell of the header, as a fraction of full scale. A lower value detects dimmer arrays
+        and more clutter.
     score
-        Least correlation with the header's image of a detection. Lower lets clutter through.
+        Minimum correlation of a detection with the header's image. A lower value lets clutter through.
     candidates
-        Most candidates examined per search, 1 to 64. More finds arrays among more clutter, and more of many arrays that
-        come into sight at once, and takes longer.
+        Maximum number of candidates per search, 1 to 64. A larger number detects arrays among more clutter, and more
+        arrays that appear at once, and takes longer.
     cpu_share
-        Share of one core, in the camera's time, that the search for arrays takes on average where much alternates, 0.01
-        to 1000. If it is left out, 2 for films and 0.3 for live cameras. The search counts work, not time, so every
-        machine reads a film alike. Skipped work is reported. Where corners or a region say where an array is, the
-        search has no bound.
+        Average share of a CPU core for detection, in the camera's time, 0.01 to 1000. If left out, 2 for films and 0.3
+        for live cameras. The search counts work, not time, so every machine reads a film alike. Skipped work is
+        reported. With corners or a region the search has no bound.
     corners
-        Where somebody sees an array in the film: x and y in px of the four corners of its LED area, one after the other
-        around it, in the frames as they are read; empty for none. Arrays are then looked for about it alone, turned and
-        tilted as it is, down to a tenth of min_contrast.
+        Corners of an array in the film: x and y in px of the four corners of the LED area, in order around the area, in
+        the frames as read; empty for none. The search is then restricted to this area, turned and tilted like the
+        corners, down to a tenth of min_contrast.
     region
-        Part of the frames in which arrays are looked for alone, down to a tenth of min_contrast: x, y, columns and rows
-        in px; empty for all of it, or for what lies about the corners. An array that is found is followed beyond it.
+        Region of the frames to which the search is restricted, down to a tenth of min_contrast: x, y, columns and rows
+        in px; empty for the complete frame, or the surroundings of the corners. Detected arrays are tracked beyond the
+        region.
     """
 
     min_side_px: Annotated[float, Field(ge=3)] | None = None
@@ -123,15 +134,15 @@ class DetectSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class TrackSettings:
-    """How an array is followed.
+    """Tracking of arrays.
 
     Attributes
     ----------
     acceleration_px
-        Standard deviation of the image's acceleration by shake, in px per pattern squared, 1e-6 to 1000. Larger follows
-        rougher roads, smaller smooths more.
+        Standard deviation of the image's acceleration by shake, in px per pattern squared, 1e-6 to 1000. A larger value
+        follows rougher roads, a smaller value smooths more.
     coast_patterns
-        Patterns without the array in sight after which it is given up and looked for again, above 0 and at most 1e6.
+        Patterns without a visible array after which the track is lost and the search resumes, above 0 and at most 1e6.
     """
 
     acceleration_px: Annotated[float, Field(ge=1e-6, le=1000)] = 0.1
@@ -141,19 +152,19 @@ class TrackSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class DecodeSettings:
-    """The decoder of the channel code.
+    """Decoder of the channel code.
 
     Attributes
     ----------
     algorithm
         Algorithm of the turbo code: "max-log" with scaled extrinsic values, or "log-map", which loses fewer blocks and
-        takes longer. If it is left out, "max-log" for "plain" and "log-map" for "soft".
+        takes longer. If left out, "max-log" for "plain" and "log-map" for "soft".
     iterations
-        Most iterations, 1 to 64; a codeword is finished as soon as its CRC is right.
+        Maximum number of iterations, 1 to 64; decoding of a codeword stops as soon as the CRC is right.
     in_background
-        Whether packets are decoded in a process of their own, while the next frames are searched and followed on
-        another core. The packets are the same; a receiver hands each out with the first frame after it is decoded. If
-        it is left out, the command ``receive`` does so for live cameras and long films, and nothing else does.
+        True to decode packets in a second process, while the next frames are searched and tracked on another core. The
+        packets are the same; a receiver returns each with the first frame after decoding. If left out, true for live
+        cameras and long films in the command ``receive``, else false.
     """
 
     algorithm: Literal["max-log", "log-map"] | None = None
@@ -164,7 +175,7 @@ class DecodeSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class PlainSettings:
-    """Settings of the receiver "plain" alone.
+    """Settings of the receiver "plain".
 
     Attributes
     ----------
@@ -179,19 +190,19 @@ class PlainSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class SoftSettings:
-    """Settings of the receiver "soft" alone.
+    """Settings of the receiver "soft".
 
     Attributes
     ----------
     feedback
-        What the equaliser gets back from the decoder: "none"; the "decoded" codewords, whose light is subtracted;
-        "soft" values of the others too; or these with expectation "propagation", which reads farthest.
+        Feedback from the decoder to the equaliser: "none"; the "decoded" codewords, to subtract the light;
+        "soft" values of the others too; or soft values with expectation "propagation", which reads farthest.
     combining
-        Whether codewords of a carousel that are sent again are added to what was seen of them.
+        True to combine repeated codewords of a carousel with earlier receptions.
     led_by_led
-        Whether a packet is first read by the light at each LED's position, as "plain" does, and then square by square,
-        out of step too: what that decodes is not equalised. It saves time. False compares equalisers alone, as the
-        feedback "none" does.
+        True to decode samples at each LED first, as "plain" does, and then by squares of 2 x 2 LEDs, out of step too;
+        codewords decoded by samples are not equalised, which saves time. False to compare equalisers, as with the
+        feedback "none".
     """
 
     feedback: Feedback = "propagation"
@@ -202,17 +213,16 @@ class SoftSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class ScreenSettings:
-    """Settings of the receiver "screen" alone.
+    """Settings of the receiver "screen".
 
     Attributes
     ----------
     gamma
-        Exponent of light by gray level that is undone, 0.2 to 5: 1 for a linear camera, about 2.2 for a phone's films.
+        Exponent of light by gray level, 0.2 to 5: 1 for a linear camera, about 2.2 for films of a phone.
     row_time_s
-        Time from the exposure of a row of pixels to that of the next in s, at least 0; left out: it is found from the
-        film.
+        Time between the exposures of successive rows of pixels in s, at least 0. If left out, estimated from the film.
     find_rate
-        Whether other pattern rates than that of ``signal.pattern_period_s`` are tried where it does not fit.
+        True to try other pattern rates if that of ``signal.pattern_period_s`` does not fit.
     """
 
     gamma: Annotated[float, Field(ge=0.2, le=5)] = 2.2
@@ -223,27 +233,27 @@ class ScreenSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class ReceiveSettings:
-    """The receiver.
+    """Receiver and settings of reception.
 
     Attributes
     ----------
     receiver
-        Receiver: "plain" is the paper's own, "soft" reads as far as the channel allows, "screen" reads a screen that a
-        phone films; others may be registered.
+        Receiver: "plain" is the paper's, "soft" reads as far as the channel allows, "screen" reads a screen filmed by a
+        phone; others may be registered.
     calibration
-        What is known of lens and array.
+        Calibration of lens and array.
     detect
-        When something is taken for an array.
+        Detection of arrays.
     track
-        How an array is followed.
+        Tracking of arrays.
     decode
-        The decoder of the channel code.
+        Decoder of the channel code.
     plain
-        Settings of the receiver "plain" alone.
+        Settings of the receiver "plain".
     soft
-        Settings of the receiver "soft" alone.
+        Settings of the receiver "soft".
     screen
-        Settings of the receiver "screen" alone.
+        Settings of the receiver "screen".
     own
         Settings of a registered receiver, by name.
     """
@@ -260,16 +270,16 @@ class ReceiveSettings:
 
     @property
     def smallest_side_px(self) -> float:
-        """Smallest array looked for, in px."""
+        """Minimum side of an array in px, by the settings or the receiver."""
         if self.detect.min_side_px is not None:
             return self.detect.min_side_px
         return SMALLEST_SIDE_PX.get(self.receiver, min(SMALLEST_SIDE_PX.values()))
 
     def with_live_limits(self) -> "ReceiveSettings":
-        """The same for a live camera, which does not wait: with the bound of a live search."""
+        """Return the settings with the CPU share of a live camera, which does not wait."""
         if self.detect.cpu_share is not None or not RECEIVERS.is_built_in(self.receiver):
             return self
-        return replace(self, detect=replace(self.detect, cpu_share=LIVE_BUSY_PART))
+        return replace(self, detect=replace(self.detect, cpu_share=LIVE_CPU_SHARE))
 
     @model_validator(mode="after")
     def _consistent(self) -> "ReceiveSettings":
@@ -287,7 +297,7 @@ class ReceiveSettings:
 
 
 def _is_around(corners: Corners) -> bool:
-    """Whether four corners go around an area one after the other, without a dent."""
+    """Return True if four corners are in order around a convex area."""
     x, y = corners[0::2], corners[1::2]
     sides = [(x[(k + 1) % 4] - x[k], y[(k + 1) % 4] - y[k]) for k in range(4)]
     turns = [a * d - b * c for (a, b), (c, d) in zip(sides, sides[1:] + sides[:1], strict=True)]
@@ -295,25 +305,24 @@ def _is_around(corners: Corners) -> bool:
 
 
 def _without_effect(settings: ReceiveSettings) -> list[str]:
-    """Dotted keys that were set although the receiver does not ask for them."""
-    name, found = settings.receiver, []
-    rooms = (("plain", PlainSettings()), ("soft", SoftSettings()), ("screen", ScreenSettings()))
-    for room, default in rooms:
-        if room != name:
-            found += _changed(getattr(settings, room), default, f"{room}.")
+    """Dotted keys that were set although the receiver does not read them."""
+    name, keys = settings.receiver, list[str]()
+    for group, default in (("plain", PlainSettings()), ("soft", SoftSettings()), ("screen", ScreenSettings())):
+        if group != name:
+            keys += _changed(getattr(settings, group), default, f"{group}.")
     if name != "soft" and RECEIVERS.is_built_in(name) and settings.calibration.exposure_s is not None:
-        found.append("calibration.exposure_s")
+        keys.append("calibration.exposure_s")
     if RECEIVERS.is_built_in(name):
-        return found + [f"own.{key}" for key in settings.own]
+        return keys + [f"own.{key}" for key in settings.own]
     part = part_of(name) if (changed := _changed_groups(settings)) or settings.own else None
-    if part is None:  # nothing is asked of it, so it need not be loaded yet
-        return found
-    found += [key for key in changed if key.partition(".")[0] not in part.reads]
-    return found + [f"own.{key}" for key in settings.own if part.settings is None]
+    if part is None:  # without such settings the receiver is not loaded yet
+        return keys
+    keys += [key for key in changed if key.partition(".")[0] not in part.reads]
+    return keys + [f"own.{key}" for key in settings.own if part.settings is None]
 
 
 def _reader_of(key: str, name: str) -> str:
-    """Who a setting without effect is for."""
+    """Name the reader of a setting without effect."""
     group = key.partition(".")[0]
     if group in GROUPS and not RECEIVERS.is_built_in(name):
         return f"a receiver that reads it (this one is registered without reads=['{group}'])"
@@ -321,12 +330,12 @@ def _reader_of(key: str, name: str) -> str:
 
 
 def _changed_groups(settings: ReceiveSettings) -> list[str]:
-    """Dotted keys of the groups that are not one receiver's alone, as far as they were changed."""
-    rooms = [(group, getattr(settings, group)) for group in GROUPS]
-    return [key for group, room in rooms for key in _changed(room, type(room)(), f"{group}.")]
+    """Dotted keys of the groups of several receivers that were changed."""
+    groups = {group: getattr(settings, group) for group in GROUPS}
+    return [key for group, value in groups.items() for key in _changed(value, type(value)(), f"{group}.")]
 
 
 def _changed(settings: Any, default: Any, prefix: str) -> list[str]:
     assert is_dataclass(settings)
-    names = [one.name for one in fields(settings)]
+    names = [entry.name for entry in fields(settings)]
     return [f"{prefix}{name}" for name in names if getattr(settings, name) != getattr(default, name)]

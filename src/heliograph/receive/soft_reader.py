@@ -1,18 +1,18 @@
-"""The soft receiver's reader: a packet's frames are kept until its end, equalised and decoded together."""
+"""The soft receiver's reader: collects the cut-outs of a packet for joint decoding."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.threads import one_thread
 from heliograph.receive.decode.observations import PacketBuffer
-from heliograph.receive.decode.packet_decoder import Lesson, Light, PacketObservations, SoftReading, with_brightness
-from heliograph.receive.decode.worker import ReadHeader
+from heliograph.receive.decode.soft_packet import Light, PacketObservations, SoftDecoding, with_brightness
+from heliograph.receive.decode.worker import ArrayState
 from heliograph.receive.detect.header_bank import header_score, header_weights
 from heliograph.receive.detect.header_format import FormatReader
 from heliograph.receive.equalise.led_gains import LearntGains, LedGains
-from heliograph.receive.equalise.single_mode import DecisionDirectedTracker, HeaderPair
+from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
@@ -23,104 +23,86 @@ from heliograph.signal.formats import AGREED, Format, known_format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
-RELEARN = 3
-"""Most times a header pair is fitted, once more whenever it shows that an LED has failed or come back.
-
-Chosen: it bounds the time where the gain of an LED changes from fit to fit. With 2 and 6 none of 192 codewords is lost.
-"""
-
-
-@dataclass(frozen=True, slots=True)
-class SoftParts:
-    """What the readers of an array's packets share."""
-
-    # The agreed format of packets
-    form: PacketFormat
-    # Follows the array from pair to pair
-    tracker: Tracker
-    # How its packets are decoded
-    reading: SoftReading
-    # Gets an `ExtractEvent` each pair
-    observe: Observer
-
-
-@dataclass(frozen=True, slots=True)
-class _Header:
-    """What a packet's header has shown."""
-
-    # (n, n) gains of the LEDs in its last pair, 0 where something hides them
-    shining: Floats
-    # Its pairs, and the array's poses in them
-    pairs: tuple[HeaderPair, ...] = ()
-    # Format that it signals, as far as it was seen
-    format: Format = AGREED
-    # The header out of step, its frames combined to one pair; None in step
-    even: Cutout | None = None
+MAX_HEADER_FITS = 3
+"""Maximum fits of a header pair: each change of an LED's gain asks for another fit, and the gain may alternate."""
 
 
 class SoftReader:
     """Reads a packet at the limit of the channel; see `array.PacketReader`."""
 
-    def __init__(self, identity: int, parts: SoftParts, led_gains: LedGains | None = None, proven: bool = False):
-        self._identity, self._parts, self._side = identity, parts, parts.form.settings.side
-        _, data = light_centroids(parts.form.settings.slot_order)
+    def __init__(
+        self,
+        identity: int,
+        form: PacketFormat,
+        tracker: Tracker,
+        decoding: SoftDecoding,
+        observe: Observer,
+        led_gains: LedGains | None = None,
+        confirmed: bool = False,
+    ):
+        self._identity, self._agreed, self._tracker, self._decoding = identity, form, tracker, decoding
+        self._observe, self._led_gains, self._confirmed = observe, led_gains, confirmed
+        self._settings, self._side = form.settings, form.settings.side
+        _, data = light_centroids(self._settings.slot_order)
         # the data's light was in the middle of the exposure, or about it
-        self._late_s = (data - 0.5) * parts.form.settings.pattern_period_s
-        self._led_gains, self._proven = led_gains, proven
-        self._format_reader = FormatReader(identity, self._side, parts.form.settings.data_pairs)
+        self._late_s = (data - 0.5) * self._settings.pattern_period_s
+        self._format_reader = FormatReader(identity, self._side, self._settings.data_pairs)
+        self._format = AGREED
+        # (n, n) gains of the LEDs in the header's last pair, 0 if hidden
+        self._shining = np.ones((self._side, self._side))
+        self._headers = list[tuple[FramePair, tuple[Pose, Pose]]]()
+        # the header out of step, its frames combined to one pair
+        self._even: Cutout | None = None
         self._decisions: DecisionDirectedTracker | None = None
-        self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), Light(), PacketBuffer()
+        self._light, self._data = Light(), PacketBuffer()
 
     @property
     def format(self) -> Format:
-        """The packet's format, as far as its header has shown it."""
-        return self._header.format
+        """Format of the packet, as far as the header has shown."""
+        return self._format
 
-    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
-        """Read the format, refine the pose and learn the LEDs' gains; see `PacketReader`."""
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> tuple[Track, float]:
+        """Read the format, refine the pose and update the LED gains; see `PacketReader`."""
         track = tracked.track
         if tracked.seen:
-            # cells may be known to be hidden since the detection
+            # cells may be hidden since the detection
             self._led_gains = self._led_gains or LedGains.in_sight(track.led_gains)
             track = replace(track, led_gains=self._led_gains.values)
             state = track.state  # as the pairs before have refined it
             poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
             self._format_reader.add_pair(number, pair, poses, track.shining)
             self._light = replace(self._light, gain=track.data_gain)
-            self._header = replace(
-                self._header,
-                shining=track.shining,
-                pairs=(*self._header.pairs, (pair, poses)),
-                format=self._shown_format(track.data_gain),
-            )
-        # the later pairs are dimmed where a format is signalled
+            self._shining = track.shining
+            self._headers.append((pair, poses))
+            self._read_format()
+        # later pairs are dimmed if they signal a format
         signalled = self.format.number if number else 0
         weights = header_weights(self._identity, signalled, self._side, pair.combination)
         score = header_score(pair, tracked.state.pose, weights * track.shining, track.gain)
         if tracked.seen:
             track, self._led_gains = self._learn(pair, weights, tracked.before, track, self._gains())
-        return ReadHeader(track, score)
+        return track, score
 
     def end_header(self, header: MeasuredHeader) -> None:
-        """Take a header out of step: its even sum for the noise, its frames for the format; see `PacketReader`."""
+        """Read noise and format from a header out of step; see `PacketReader`."""
         if header.pair is None or header.frames is None:
             return
         pose = header.frames.pose
-        self._header = replace(self._header, even=take_cutout(header.pair, (pose, pose), self._side))
-        if self._header.pairs:
-            self._format_reader.add_frames(header.frames, self._header.shining)
-            self._header = replace(self._header, format=self._shown_format(self._light.gain))
+        self._even = take_cutout(header.pair, (pose, pose), self._side)
+        if self._headers:
+            self._format_reader.add_frames(header.frames, self._shining)
+            self._read_format()
 
     def follow(self, pair: FramePair, track: Track) -> TrackedPair:
-        """Find the array by the sum, or where there are no inverses by decisions; see `PacketReader`."""
+        """Track the array by the sum, or by decisions in the single mode; see `PacketReader`."""
         if self.format.mode != "single":
-            return self._parts.tracker.follow(track, pair)
+            return self._tracker.follow(track, pair)
         if self._decisions is None:
             self._decisions = self._begin_decisions(pair.late_s, track)
         return self._decisions.follow(track, pair)
 
-    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
-        """Keep a pair; see `PacketReader`."""
+    def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+        """Add the cut-outs of a pair; see `PacketReader`."""
         track = tracked.track
         sum_gain = self._light.sum_gain
         if tracked.cutouts:
@@ -131,71 +113,69 @@ class SoftReader:
             sum_gain = track.gain if in_step else sum_gain
         self._light = Light(track.data_gain, pair.pattern.full_scale, sum_gain)
         poses = tuple(pose for cutout in cutouts for pose in cutout.poses)
-        self._parts.observe(ExtractEvent(self._identity, (pair.pattern, pair.inverted), poses))
+        self._observe(ExtractEvent(self._identity, (pair.pattern, pair.inverted), poses))
 
     def add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
-        """Keep the frame that is left of a pair; see `PacketReader`."""
+        """Add the remaining frame of a pair; see `PacketReader`."""
         self._data = self._data.with_lone(place, lone)
 
-    def taken(self) -> PacketObservations:
-        """The cut-outs of all pairs, and what is known of the array; see `PacketReader`."""
+    def observations(self) -> PacketObservations:
+        """Return the cut-outs of all pairs, with the light and LED gains of the array; see `PacketReader`."""
         return PacketObservations(
             self._identity,
-            self._form,
-            self._parts.reading,
+            PacketFormat(self._settings, self._format),
+            self._decoding,
             self._format_reader.decide_format(self._light.gain),
-            self._data.to_decode,
+            self._data.trimmed,
             self._light,
             None if self._led_gains is None else self._led_gains.without_evidence,
             self._late_s,
-            self._header.even,
+            self._even,
             None if self._decisions is None else self._decisions.noise.lit,
         )
 
-    def learn(self, lesson: Lesson | None) -> None:
-        """Know the LEDs as the packet has shown them; see `PacketReader`."""
-        if lesson is None:
-            return
-        before, after = self._led_gains, lesson.led_gains
-        # what headers have shown stays here; with other LEDs in sight than they said, it was mistaken
-        if before is not None and after is not None and np.array_equal(after.sight, before.sight):
-            after = replace(after, header_statistics=before.header_statistics)
-        self._led_gains, self._proven = after, lesson.proven
+    def next(self, state: ArrayState | None, confirmed: bool) -> "SoftReader":
+        """Make the reader of the next packet with the LED gains; see `PacketReader`."""
+        led_gains = self._led_gains
+        if state is not None:
+            led_gains, confirmed = state.led_gains, confirmed or state.confirmed
+            # the evidence of headers stays valid for the same visible LEDs
+            if self._led_gains and led_gains and np.array_equal(led_gains.sight, self._led_gains.sight):
+                led_gains = replace(led_gains, header_statistics=self._led_gains.header_statistics)
+        else:
+            confirmed = confirmed or self._confirmed
+        led_gains = led_gains and led_gains.faded()
+        shared = self._agreed, self._tracker, self._decoding, self._observe
+        return SoftReader(self._identity, *shared, led_gains, confirmed)
 
-    def next(self, beyond_doubt: bool) -> "SoftReader":
-        """The reader of the next packet; it knows the LEDs; see `PacketReader`."""
-        led_gains = None if self._led_gains is None else self._led_gains.faded()
-        return SoftReader(self._identity, self._parts, led_gains, self._proven or beyond_doubt)
-
-    def catch_up(self, lesson: Lesson | None) -> None:
-        """Take over the LEDs' brightness; what is in sight, this packet's own header shows; see `PacketReader`."""
-        if lesson is not None:
-            self._led_gains, self._proven = with_brightness(self._led_gains, lesson.led_gains), lesson.proven
+    def update(self, state: ArrayState) -> None:
+        """Use the LED brightness; the packet's header shows the visible LEDs; see `PacketReader`."""
+        self._led_gains, self._confirmed = with_brightness(self._led_gains, state.led_gains), state.confirmed
 
     def _learn(
         self, pair: FramePair, weights: Floats, before: Track, track: Track, led_gains: LedGains
     ) -> tuple[Track, LedGains]:
-        """Refine the pose by a header pair, and learn the LEDs' gains; again while these change the pose."""
-        for _ in range(RELEARN):
-            track = self._parts.tracker.refine(track, pair, weights)
+        """Refine the pose by a header pair and update the LED gains; again while they change the pose."""
+        for _ in range(MAX_HEADER_FITS):
+            track = self._tracker.refine(track, pair, weights)
             if pair.combination is not None or np.any(np.abs(weights) != 1):
-                # combined frames do not show it; dimmed cells are another pattern than those that are summed up
+                # combined frames do not show gains; dimmed cells are another pattern than the headers before
                 break
             cutout = self._cutout(pair, track, led_gains).steady
             if cutout.apart:
-                # light smears within an exposure: LEDs would seem dim, the pose be found without them, and more seem so
+                # light smears within an exposure: LEDs would seem dim and bias the pose, and more LEDs seem dim
                 break
             learnt = self._learn_gains(cutout, weights, track, led_gains)
-            # of LEDs that packets showed, what lies together is hidden, not dead: data will show when it is seen again
-            gone = (learnt.led_gains.sight == 0) & (led_gains.sight > 0) & self._proven
+            # LEDs that packets showed and that vanish together are hidden, not dead: data will show when they come back
+            gone = (learnt.led_gains.sight == 0) & (led_gains.sight > 0) & self._confirmed
             hidden = dark_zone(gone, track.state.pose)
             led_gains = learnt.led_gains.with_visibility(np.where(hidden, led_gains.sight, learnt.led_gains.sight))
             change = np.where(hidden, 0.0, track.change)
             track = replace(track, data_gain=learnt.gain, led_gains=led_gains.values, change=change)
             if not learnt.changed:
                 break
-            before_it = replace(track, state=before.state, change=np.where(hidden, 0.0, before.change))
-            track = self._parts.tracker.follow(before_it, pair, weights).track
+            unrefined = replace(track, state=before.state, change=np.where(hidden, 0.0, before.change))
+            track = self._tracker.follow(unrefined, pair, weights).track
         return track, led_gains
 
     @one_thread()
@@ -204,33 +184,29 @@ class SoftReader:
 
     @one_thread()
     def _begin_decisions(self, late_s: float, track: Track) -> DecisionDirectedTracker:
-        times, headers = (late_s, self._late_s), list(self._header.pairs)
-        return DecisionDirectedTracker(self._parts.tracker, times, headers, track.data_gain, track.shining)
+        times, headers = (late_s, self._late_s), list(self._headers)
+        return DecisionDirectedTracker(self._tracker, times, headers, track.data_gain, track.shining)
 
     def _cutout(self, pair: FramePair, track: Track, led_gains: LedGains) -> Cutout:
-        """Cut-out of a pair where the data's light was; the background's motion is not compensated yet."""
+        """Cut-out of a pair at the poses of the data's light, the background's motion not compensated."""
         late_s, combination = (self._late_s, self._late_s), pair.combination
         if combination is not None:
-            period_s = self._parts.form.settings.pattern_period_s
+            period_s = self._settings.pattern_period_s
             first, second = ((time - combination.sum_time) * period_s for time in combination.data_times)
             late_s = first, second
         poses = _poses_at(track, pair, late_s)
         cutout = take_cutout(pair, poses, self._side, (track.gain, led_gains.values))
         return cutout if track.all_visible else mask_occluded(cutout, track.visible)
 
-    def _shown_format(self, gain: float) -> Format:
-        """The format that the header shows so far, by the light of data in gray levels."""
-        return known_format(self._format_reader.decide_format(gain), self._parts.form.settings.data_pairs)
+    def _read_format(self) -> None:
+        """Read the format that the header has shown so far, by the light of data."""
+        self._format = known_format(self._format_reader.decide_format(self._light.gain), self._settings.data_pairs)
 
     def _gains(self) -> LedGains:
         return self._led_gains or LedGains.sound(self._side)
 
-    @property
-    def _form(self) -> PacketFormat:
-        return PacketFormat(self._parts.form.settings, self.format)
-
 
 def _poses_at(track: Track, pair: FramePair, late_s: tuple[float, float]) -> tuple[Pose, Pose]:
-    """Poses at times after the starts of a pair's two frames."""
+    """Poses at times after the starts of the two frames of a pair."""
     state = track.state
     return state.pose_at(pair.pattern.time_s + late_s[0]), state.pose_at(pair.inverted.time_s + late_s[1])

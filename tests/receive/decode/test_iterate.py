@@ -31,7 +31,7 @@ from heliograph.base.threads import one_thread
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import ERASED, Decoding, hard
-from heliograph.receive.decode.combining import SharedBuffer
+from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.events import EqualiseEvent
@@ -124,12 +124,12 @@ def test_a_packet_never_seen_is_not_right() -> None:
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_the_gain_is_estimated_along_with_the_symbols(factor: float) -> None:
-    blocks, events, buffer = random_blocks(0), list[EqualiseEvent](), SharedBuffer()
+    blocks, events, buffer = random_blocks(0), list[EqualiseEvent](), [SoftBuffer()]
     packet = KnownPoses(statistics_of(blocks, 120))
     words = decoded(packet, channel=GainAndNoise(factor * GAIN, NOISE), buffer=buffer, observe=events.append)
     # the low layer is not read, so the packet is kept, in units of its gain
     assert right(words, blocks) == [True, True, True, False]
-    kept = buffer.content.same_packet(FORM.format, [llr for layer in events[0].llr.values() for llr in layer])
+    kept = buffer[-1].same_packet(FORM.format, [llr for layer in events[0].llr.values() for llr in layer])
     assert kept is not None
     # with each layer that is known it comes nearer
     errors = [abs(gain / GAIN - 1) for gain in (*(channel.gain for channel in packet.channels), kept.gain)]

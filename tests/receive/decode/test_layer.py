@@ -42,7 +42,7 @@ def test_decoding_leaves_its_argument_as_it_was(wrong: float, status: str) -> No
     assert not same(after, before)
     # what is fed back of codewords that failed is all that is dropped, and again in another layer
     kept = deepcopy(after)
-    bare = after.without_guesses()
+    bare = after.without_feedback()
     assert same(after, kept)
     assert same(bare, after) == (status == "ok")
 
@@ -67,12 +67,12 @@ def test_a_codeword_that_only_earlier_packets_support_is_doubted() -> None:
         OPTIONS,
         feedback=True,
     )
-    doubted = layer.doubted()
+    rejected = layer.reject_inconsistent()
     assert [word.status for word in layer.words] == ["ok"] * LAYER.codewords
-    assert [(word.status, word.block) for word in doubted.words] == [("crc_fail", None)] * LAYER.codewords
+    assert [(word.status, word.block) for word in rejected.words] == [("crc_fail", None)] * LAYER.codewords
     # and nothing of it is known any more
-    assert not doubted.soft.any()
-    assert (doubted.variance == 1).all()
+    assert not rejected.soft.any()
+    assert (rejected.variance == 1).all()
 
 
 def test_a_codeword_that_another_reading_of_the_packet_decoded_is_not_doubted() -> None:
@@ -82,4 +82,4 @@ def test_a_codeword_that_another_reading_of_the_packet_decoded_is_not_doubted() 
         Layer.unknown(LAYER).equalised(sent_llrs(blocks, 3.0)), NAME, IDENTITY, OPTIONS, feedback=True
     ).words
     layer = Layer.unknown(LAYER).with_known(words).with_own()
-    assert same(layer.doubted(), layer)
+    assert same(layer.reject_inconsistent(), layer)

@@ -12,9 +12,9 @@ from scenes import drawn_film, link
 
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, Pose, receive_frames
-from heliograph.receive.decode import packet_decoder as taken_pairs
+from heliograph.receive.decode import soft_packet as taken_pairs
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.per_led import read_led_by_led
+from heliograph.receive.decode.per_led import decode_per_led
 from heliograph.receive.decode.turbo_equaliser import decode_iteratively
 from heliograph.receive.equalise.led_gains import Brightness, DecodedPair
 from heliograph.receive.events import DecodeEvent, EqualiseEvent
@@ -91,9 +91,9 @@ def test_only_pairs_in_step_are_read() -> None:
     cutout = Cutout(np.zeros((9, 9)), np.zeros((9, 9)), (0, 0), (Pose(4.0, 4.0, 1.0, 0.0, 0.5),))
     pairs = form.settings.data_pairs
     single = PacketFormat(form.settings, Format(mode="single"))
-    assert read_led_by_led([None] * pairs, form, 0, Decoding()) is None
-    assert read_led_by_led([cutout] * pairs, single, 0, Decoding()) is None
-    words = read_led_by_led([cutout] * pairs, form, 0, Decoding())
+    assert decode_per_led([None] * pairs, form, 0, Decoding()) is None
+    assert decode_per_led([cutout] * pairs, single, 0, Decoding()) is None
+    words = decode_per_led([cutout] * pairs, form, 0, Decoding())
     assert words is not None
     assert {word.status for by in words.values() for word in by} == {"crc_fail"}
 
@@ -104,6 +104,6 @@ def test_what_is_read_depends_on_the_pose(misplaced: float) -> None:
     (event,) = recorder.of(DecodeEvent)
     error = np.array([misplaced, 0.0, 0.0, 0.0])
     cutouts = [None if one is None else one.moved(error) for one in event.cutouts or ()]
-    words = read_led_by_led(cutouts, PacketFormat(settings.signal), event.identity, Decoding())
+    words = decode_per_led(cutouts, PacketFormat(settings.signal), event.identity, Decoding())
     assert words is not None
     assert all(word.status == ("crc_fail" if misplaced else "ok") for by in words.values() for word in by)

@@ -67,7 +67,7 @@ def test_open_symbols_follow_from_the_light_of_leds(phase: float) -> None:
     b, shown = rng.normal(size=(200, SIDE**2)) / 8, pairs.expected(symbols)
     for k in range(PAIRS):
         d = gain * b @ (shown.mean[k] + shown.leak[k]) + rng.normal(0, noise**0.5, 200)
-        llr, moments = lines.equalised(k, by_matrices(b, d, np.zeros(200), np.ones(200)), GainAndNoise(gain, noise))
+        llr, moments = lines.equalise(k, by_matrices(b, d, np.zeros(200), np.ones(200)), GainAndNoise(gain, noise))
         there = np.zeros(SIDE**2, bool)
         there[open_[k]] = True
         assert not llr[~there].any()

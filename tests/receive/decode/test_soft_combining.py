@@ -7,14 +7,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.threads import one_thread
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.combining import (
-    BUFFERS_KEPT,
-    BufferedPacket,
-    SharedBuffer,
-    SharedBuffers,
-    SoftBuffer,
-    consistent,
-)
+from heliograph.receive.decode.combining import BufferedPacket, SoftBuffer, is_consistent
 from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
 from heliograph.receive.equalise.lmmse import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
@@ -48,7 +41,7 @@ def statuses(words: Words) -> list[str]:
 @pytest.mark.parametrize("number", range(3))
 @pytest.mark.slow
 def test_a_packet_that_comes_again_is_read(number: int) -> None:
-    blocks, buffer = random_blocks(number), SharedBuffer()
+    blocks, buffer = random_blocks(number), [SoftBuffer()]
     first, second, third = (statistics_of(blocks, FAR, 10 * number + k) for k in range(3))
     assert right(decoded(first, buffer=buffer), blocks) == [True, False, False, False]
     assert right(decoded(second, buffer=buffer), blocks)[:3] == [True, True, True]
@@ -93,7 +86,7 @@ def test_a_packet_that_leds_tell_in_part_is_combined_too() -> None:
 @pytest.mark.slow
 def test_pairs_seen_only_once_are_taken_from_that_sighting(number: int) -> None:
     """At 105 m the low layer needs more pairs than either sighting has."""
-    blocks, buffer = random_blocks(number), SharedBuffer()
+    blocks, buffer = random_blocks(number), [SoftBuffer()]
     first, second = (statistics_of(blocks, 105, 10 * number + k) for k in range(2))
     early, late = [*first[:14], *[None] * 10], [*[None] * 10, *second[10:]]
     assert not all(right(decoded(early, buffer=buffer), blocks))
@@ -104,7 +97,7 @@ def test_pairs_seen_only_once_are_taken_from_that_sighting(number: int) -> None:
 @pytest.mark.parametrize("number", range(2))
 @pytest.mark.slow
 def test_another_packet_is_not_taken_for_it(number: int) -> None:
-    buffer = SharedBuffer()
+    buffer = [SoftBuffer()]
     decoded(statistics_of(random_blocks(2 * number), FAR, 1), buffer=buffer)
     blocks = random_blocks(2 * number + 1)
     packet = statistics_of(blocks, 140, number)
@@ -115,11 +108,11 @@ def test_another_packet_is_not_taken_for_it(number: int) -> None:
 
 @pytest.mark.slow
 def test_a_codeword_in_other_company_is_added_to() -> None:
-    rng, buffer, blocks = np.random.default_rng(6), SharedBuffer(), random_blocks(0)
+    rng, buffer, blocks = np.random.default_rng(6), [SoftBuffer()], random_blocks(0)
     kind, others = ("middle", FORM.layers["middle"].code), list[Floats]()
     for _ in range(CODEWORDS - 2):
         others.append(rng.choice([-3.0, 3.0], FORM.layers["middle"].code.length))
-        buffer.keep(buffer.content.with_codeword(kind, others[-1], np.zeros_like(others[-1])))
+        buffer.append(buffer[-1].with_codeword(kind, others[-1], np.zeros_like(others[-1])))
     sent = blocks
     words: Words = {}
     for seed in range(1, 4):
@@ -127,7 +120,7 @@ def test_a_codeword_in_other_company_is_added_to() -> None:
         words = decoded(statistics_of(sent, FAR - 3, seed), buffer=buffer)
     assert right(words, sent)[1:3] == [True, True]
     # of each of the two one sum is kept, so there is room for all others
-    assert all(np.array_equal(buffer.content.same_codeword(kind, other), other) for other in others)
+    assert all(np.array_equal(buffer[-1].same_codeword(kind, other), other) for other in others)
 
 
 def test_only_packets_of_one_format_are_joined() -> None:
@@ -155,7 +148,7 @@ def test_packets_that_share_a_codeword_are_told_apart() -> None:
     count = 0
     for distance_m, pairs in ((150, 3), (180, 5), (180, 24), (240, 10)):
         first = random_blocks(50)
-        second, buffer = {**random_blocks(51), "high": first["high"]}, SharedBuffer()
+        second, buffer = {**random_blocks(51), "high": first["high"]}, [SoftBuffer()]
         for seed in (1, 2):
             assert right(decoded(statistics_of(first, FAR, seed), buffer=buffer), first)[0]
         packet = [*statistics_of(second, distance_m, 3)[:pairs], *[None] * (PAIRS - pairs)]
@@ -171,7 +164,7 @@ def test_packets_that_share_a_codeword_are_told_apart() -> None:
 @pytest.mark.slow
 def test_blocks_that_are_much_alike_are_told_apart() -> None:
     """Texts that differ in a digit: each sighting gives what it gives without a buffer, and nothing of another."""
-    buffer, alone, together = SharedBuffer(), 0, 0
+    buffer, alone, together = [SoftBuffer()], 0, 0
     for number in range(6):
         text = [b"%05d km/h, %8.3f m" % (line, number) for line in range(2)]
         blocks = {
@@ -199,7 +192,7 @@ def of_gain(statistics: list[PairStatistics | None], gain: float) -> list[PairSt
 @pytest.mark.slow
 def test_sightings_of_other_gain_and_noise_are_weighed_as_such(gain: float, noise: float) -> None:
     """A noisy sighting adds little, and one of dimmer light is scaled: neither takes away."""
-    blocks, buffer = random_blocks(0), SharedBuffer()
+    blocks, buffer = random_blocks(0), [SoftBuffer()]
     first = of_gain(statistics_of(blocks, FAR, 1, noise=noise * (GAIN / gain) ** 2), gain / GAIN)
     decoded(first, channel=GainAndNoise(gain, noise), buffer=buffer)
     second = statistics_of(blocks, FAR - 3, 2)
@@ -243,15 +236,14 @@ def test_what_is_decoded_is_not_added_to_and_nothing_is_not_kept() -> None:
             full = full.with_codeword(kind, llr, np.zeros_like(llr))
     for llrs in packets:
         full = full.with_packet(BufferedPacket(Format(high=0.5), tuple(llrs), (None,) * PAIRS))
-    buffer = SharedBuffer()
-    buffer.keep(full)
+    buffer = [full]
     for seed in range(3):
         assert all(right(decoded(statistics_of(blocks, 60, seed), buffer=buffer), blocks))
     decoded([None] * PAIRS, buffer=buffer)
     # nothing came in the place of what the full buffer holds
     for kind, kept in codewords.items():
-        assert all(np.array_equal(buffer.content.same_codeword(kind, llr), llr) for llr in kept)
-    assert all(buffer.content.same_packet(Format(high=0.5), llrs) is not None for llrs in packets)
+        assert all(np.array_equal(buffer[-1].same_codeword(kind, llr), llr) for llr in kept)
+    assert all(buffer[-1].same_packet(Format(high=0.5), llrs) is not None for llrs in packets)
 
 
 def test_what_is_kept_is_in_the_new_buffer_alone() -> None:
@@ -286,12 +278,12 @@ def test_a_packet_must_support_what_others_helped_to_read() -> None:
     signs = rng.choice([-1.0, 1.0], 1000)
     # LLRs of a bit sent over Gaussian noise are N(2 / s^2, 4 / s^2)
     llr = 0.5 * signs + rng.normal(0, 1, 1000)
-    assert consistent(llr, signs)
-    assert not consistent(llr, rng.choice([-1.0, 1.0], 1000))
-    assert not consistent(np.where(np.arange(1000) < 20, llr, 0.0), signs)
+    assert is_consistent(llr, signs)
+    assert not is_consistent(llr, rng.choice([-1.0, 1.0], 1000))
+    assert not is_consistent(np.where(np.arange(1000) < 20, llr, 0.0), signs)
     some = np.where(rng.uniform(size=1000) < 0.25, -1, 1) * signs
-    assert not consistent(3 * llr, some)
-    assert not consistent(np.zeros(1000), signs)
+    assert not is_consistent(3 * llr, some)
+    assert not is_consistent(np.zeros(1000), signs)
 
 
 def test_the_number_of_codewords_is_bounded() -> None:
@@ -316,13 +308,3 @@ def test_without_a_buffer_nothing_is_combined() -> None:
     blocks = random_blocks(0)
     for seed in range(2):
         assert right(decoded(statistics_of(blocks, FAR, seed)), blocks) == [True, False, False, False]
-
-
-def test_only_arrays_seen_of_late_keep_their_buffers() -> None:
-    buffers = SharedBuffers()
-    first, second = buffers.of(0), buffers.of(1)
-    for array in range(2, BUFFERS_KEPT + 1):
-        assert buffers.of(0) is first
-        buffers.of(array)
-    assert buffers.of(0) is first
-    assert buffers.of(1) is not second

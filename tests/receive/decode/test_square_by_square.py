@@ -10,8 +10,8 @@ from scenes import film, link
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose, receive_frames
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.per_led import read_led_by_led
-from heliograph.receive.decode.per_quad import read_square_by_square
+from heliograph.receive.decode.per_led import decode_per_led
+from heliograph.receive.decode.per_quad import decode_per_quad
 from heliograph.receive.events import DecodeEvent, EqualiseEvent
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
@@ -63,7 +63,7 @@ def test_what_is_read_depends_on_the_pose_and_hardly_on_the_gain(misplaced: floa
     cutouts = [None if one is None else one.moved(error) for one in event.cutouts or ()]
     assert any(one is not None and one.combination is not None for one in cutouts)
     for gain in (140.0, 200.0, 280.0):
-        words = read_square_by_square(cutouts, gain, PacketFormat(settings.signal), event.identity, Decoding())
+        words = decode_per_quad(cutouts, gain, PacketFormat(settings.signal), event.identity, Decoding())
         assert words is not None
         assert all(word.status == ("crc_fail" if misplaced else "ok") for by in words.values() for word in by)
 
@@ -73,10 +73,10 @@ def test_far_layers_are_read_once_the_light_of_those_before_is_known() -> None:
     list(receive_frames(film(settings, 105), settings.signal, settings.receive, recorder))
     (event,) = recorder.of(DecodeEvent)
     place = PacketFormat(settings.signal), event.identity, Decoding(algorithm="max-log")
-    alone = read_led_by_led(event.cutouts or (), *place)
+    alone = decode_per_led(event.cutouts or (), *place)
     assert decoded(alone, "high") == [True]
     assert decoded(alone, "middle") == [False, False]
-    words = read_square_by_square(event.cutouts or (), 190.0, *place, alone)
+    words = decode_per_quad(event.cutouts or (), 190.0, *place, alone)
     assert decoded(words, "high") == [True]
     assert decoded(words, "middle") == [True, True]
     assert words is not None
@@ -87,7 +87,7 @@ def test_far_layers_are_read_once_the_light_of_those_before_is_known() -> None:
 def test_a_pair_that_is_missing_says_nothing() -> None:
     form = PacketFormat(link("signal.data_pairs=24").signal)
     cutout = Cutout(np.zeros((9, 9)), np.zeros((9, 9)), (0, 0), (Pose(4.0, 4.0, 1.0, 0.0, 0.5),))
-    words = read_square_by_square([cutout, *[None] * 23], 100.0, form, 0, Decoding())
+    words = decode_per_quad([cutout, *[None] * 23], 100.0, form, 0, Decoding())
     assert words is not None
     assert {word.status for by in words.values() for word in by} == {"crc_fail"}
 
@@ -97,6 +97,6 @@ def test_only_the_hierarchical_code_with_inverses_is_read() -> None:
     cutout = Cutout(np.zeros((9, 9)), np.zeros((9, 9)), (0, 0), (Pose(4.0, 4.0, 1.0, 0.0, 0.5),))
     pairs = form.settings.data_pairs
     single = PacketFormat(form.settings, Format(mode="single"))
-    assert read_square_by_square([cutout] * pairs, 100.0, single, 0, Decoding()) is None
+    assert decode_per_quad([cutout] * pairs, 100.0, single, 0, Decoding()) is None
     ook = PacketFormat(link("signal.modulation=ook").signal)
-    assert read_square_by_square([cutout] * pairs, 100.0, ook, 0, Decoding()) is None
+    assert decode_per_quad([cutout] * pairs, 100.0, ook, 0, Decoding()) is None

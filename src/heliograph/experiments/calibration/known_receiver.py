@@ -13,16 +13,16 @@ from heliograph.base.threads import one_thread
 from heliograph.channel import ArrayTruth
 from heliograph.experiments.links import true_pose
 from heliograph.link.settings import LinkSettings
-from heliograph.receive import Packet, Receiver
+from heliograph.receive import Receiver
 from heliograph.receive.array import PacketReader
 from heliograph.receive.build import soft_parts, soft_reader
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
-from heliograph.receive.decode.worker import Decoded, ReadHeader
+from heliograph.receive.decode.worker import ArrayState, Decoded
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
-from heliograph.receive.events import DecodeEvent, Observer, ignore
+from heliograph.receive.events import Observer, ignore
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics
@@ -61,7 +61,7 @@ class KnownReader:
         """The packet's format, as its header signals it."""
         return self._blind.format
 
-    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> tuple[Track, float]:
         """Read a header pair blind; see `PacketReader`.
 
         Parameters
@@ -96,7 +96,7 @@ class KnownReader:
         """
         return self._blind.follow(pair, track)
 
-    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:  # noqa: ARG002 - the truth is known
+    def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:  # noqa: ARG002 - the truth is known
         """Keep a pair with its true poses.
 
         Parameters
@@ -124,42 +124,35 @@ class KnownReader:
             The frame that is there; ignored.
         """
 
-    def taken(self) -> "KnownPairs":
+    def observations(self) -> "KnownPairs":
         """The cut-outs of all pairs, with the gain; see `PacketReader`."""
         return KnownPairs(self._link, self._form, tuple(self._cutouts), self._gain)
 
-    def learn(self, lesson: None) -> None:
-        """Nothing is learnt of a packet: all is known.
+    def next(self, state: ArrayState | None, confirmed: bool) -> "KnownReader":
+        """Make the reader of the next packet; see `PacketReader`.
 
         Parameters
         ----------
-        lesson
-            What decoding it has taught, which is nothing.
+        state
+            State of the array after this packet.
+        confirmed
+            True if the array is certain to be where it is tracked.
         """
+        return KnownReader(self._link, self._truths, self._blind.next(state, confirmed))
 
-    def next(self, beyond_doubt: bool) -> "KnownReader":
-        """Give the reader of the next packet.
-
-        Parameters
-        ----------
-        beyond_doubt
-            Whether the array is there beyond doubt.
-        """
-        return KnownReader(self._link, self._truths, self._blind.next(beyond_doubt))
-
-    def catch_up(self, lesson: None) -> None:
-        """Nothing is learnt of a packet: all is known.
+    def update(self, state: ArrayState) -> None:
+        """Ignore the array's state: all is known; see `PacketReader`.
 
         Parameters
         ----------
-        lesson
-            What decoding the packet before has taught, which is nothing.
+        state
+            State of the array after the packet before; ignored.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class KnownPairs:
-    """What was taken of a packet whose channel is known; see `reader_protocol.UndecodedPacket`.
+    """What was taken of a packet whose channel is known; see `worker.Observations`.
 
     Attributes
     ----------
@@ -178,27 +171,12 @@ class KnownPairs:
     cutouts: tuple[Cutout | None, ...]
     gain: float
 
-    @property
-    def format(self) -> Format:
-        """The packet's format."""
-        return self.form.format
-
-    def taught(self, lesson: None) -> "KnownPairs":  # noqa: ARG002 - all is known
-        """The same: nothing is learnt; see `UndecodedPacket`.
-
-        Parameters
-        ----------
-        lesson
-            What the packets before have taught, which is nothing.
-        """
-        return self
-
-    def glance(self) -> bool:
-        """Nothing is faster than to decode it; see `UndecodedPacket`."""
+    def has_codeword(self) -> bool:
+        """Return False: no check is faster than decoding; see `Observations`."""
         return False
 
     def renumbered(self, place: int) -> "KnownPairs":  # noqa: ARG002 - no frame is lost
-        """The same: no frame is lost of which the truth is known; see `UndecodedPacket`.
+        """The same: no frame is lost of which the truth is known; see `Observations`.
 
         Parameters
         ----------
@@ -208,11 +186,13 @@ class KnownPairs:
         return self
 
     @one_thread()
-    def decode(self, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
+    def decode(self, state: ArrayState, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
         """Codewords by layer.
 
         Parameters
         ----------
+        state
+            State of the array; ignored.
         observe
             Gets nothing: no event tells of this decoding.
         """
@@ -221,18 +201,6 @@ class KnownPairs:
         channel, decoding = GainAndNoise(self.gain, noise.lit), Decoding("log-map", receive.decode.iterations)
         identity = self.link.transmit.identities[0]
         return Decoded(decode_iteratively(_FixedPoses(observed), channel, self.form, identity, decoding, None).words)
-
-    def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:  # noqa: ARG002 - the protocol's
-        """The packet with the cut-outs of its pairs.
-
-        Parameters
-        ----------
-        packet
-            The packet that was just decoded.
-        decoded
-            What decoding made of it; ignored.
-        """
-        return DecodeEvent(packet.identity, packet, cutouts=self.cutouts)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,1 +1,1 @@
-"""From soft values to codewords: one decoding a layer, or iterations between equaliser and decoder."""
+"""Decoding of packets: samples at the LEDs, or iterations between equaliser and decoder."""

@@ -1,17 +1,14 @@
-"""One decoding of soft data: LLRs, channel decoder, CRC.
-
-A layer's codewords while their packet is decoded: what is known of their bits, and what the decoder adds.
-"""
+"""Codewords: LLRs to bits by channel decoder and CRC, once for a packet or iteratively for a layer."""
 
 from collections import defaultdict
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.decode.combining import consistent
+from heliograph.receive.decode.combining import is_consistent
 from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, LARGEST_LLR, information
 from heliograph.receive.packet import Codeword
 from heliograph.signal.block import check, unpack
@@ -19,32 +16,25 @@ from heliograph.signal.code import Algorithm, Code
 from heliograph.signal.packet import LayerFormat, PacketFormat
 
 ERASED = 255
-"""Stands for a raw bit of which nothing was received."""
+"""Raw bit that was not received."""
 
-LEAST_POWER, MOST_POWER = 1e-4, 0.999
-"""Bounds of the amplitude's part of the power of soft values: moments of few of them may fall outside."""
+HOPELESS = 0.3
+"""Information in LLRs, as a fraction of a code's rate, below which a codeword is not expected to decode.
+
+It only saves iterations: a code of rate 1/3 needs 1.3 times the rate.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Decoding:
-    """How codewords are decoded."""
+    """Parameters of the channel decoder."""
 
-    # Of the turbo code: "max-log" with scaled extrinsic values, or "log-map"
+    # Algorithm of the turbo code: "max-log" with scaled extrinsic values, or "log-map"
     algorithm: Algorithm = "max-log"
-    # Most iterations, 1 or more
+    # Maximum number of iterations, 1 or more
     iterations: int = 8
-
-
-@dataclass(frozen=True, slots=True)
-class DecodedBlock:
-    """A block as the decoder left it."""
-
-    # (K,) uint8 decisions on the information bits
-    bits: NDArray[np.uint8]
-    # Iterations that the decoder used
-    iterations: int
-    # Mean magnitude of the LLRs of the information bits
-    margin: float
+    # Factor on the extrinsic LLRs of failed codewords that are fed back: decoding errors stem from the same noise
+    feedback_scale: float = 0.85
 
 
 def decode_packet(
@@ -53,49 +43,54 @@ def decode_packet(
     """Decode all layers of a packet."""
     options = options or Decoding()
     soft = form.split(form.soft_data(luminances))
-    llrs = {name: soft_to_llr(values, seen) for name, values in soft.items()}
-    received = {name: form.layers[name].deinterleave(values) for name, values in llrs.items()}
-    decoded = _decode_alike(received, form, options)
-    return {
-        name: tuple(codeword_of(decoded[name, i], llr, identity, name) for i, llr in enumerate(rows))
-        for name, rows in received.items()
-    }
+    received = {name: form.layers[name].deinterleave(soft_to_llr(values, seen)) for name, values in soft.items()}
+    # codewords of equal codes are decoded together
+    groups: dict[Code, list[tuple[str, int]]] = defaultdict(list)
+    for name, rows in received.items():
+        groups[form.layers[name].code] += [(name, i) for i in range(len(rows))]
+    words: dict[tuple[str, int], Codeword] = {}
+    for code, keys in groups.items():
+        llrs = np.stack([received[name][i] for name, i in keys])
+        result = code.decode(llrs, algorithm=options.algorithm, iterations=options.iterations, check=check)
+        for (name, i), *decoded in zip(keys, llrs, result.bits, result.iterations, result.llr, strict=True):
+            words[name, i] = _codeword(*decoded, identity=identity, layer=name)
+    return {name: tuple(words[name, i] for i in range(len(rows))) for name, rows in received.items()}
 
 
 def unread(form: PacketFormat, identity: int) -> dict[str, tuple[Codeword, ...]]:
-    """Codewords by layer of a packet of which nothing was received."""
+    """Codewords by layer of a packet that was not received."""
     pairs, side = form.layers["high"].pairs, form.settings.side
     return decode_packet(np.zeros((pairs, side, side)), np.zeros(pairs, bool), form, identity, Decoding(iterations=1))
 
 
 def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
-    """LLR = ln P(b=0)/P(b=1) of soft values +-a with Gaussian noise, by the values' own moments."""
+    """LLR = ln P(b=0)/P(b=1) of soft values +-a in Gaussian noise, by the moments of the values."""
     known = soft[seen]
     if not known.size:
         return np.zeros_like(soft)
     # with m2 = a^2 + s^2 and m4 = a^4 + 6 a^2 s^2 + 3 s^4: a^4 = (3 m2^2 - m4) / 2
     squared = known * known
     m2, m4 = float(squared.mean()), float((squared * squared).mean())
-    a2 = min(np.sqrt(max((3 * m2**2 - m4) / 2, LEAST_POWER * m2**2)), MOST_POWER * m2)
+    # moments of few values may fall outside the bounds
+    a2 = min(np.sqrt(max((3 * m2**2 - m4) / 2, 1e-4 * m2**2)), 0.999 * m2)
     # LLR = 2 a y / s^2
     llr = 2 * np.sqrt(a2) / max(m2 - a2, TINY) * soft
     return np.clip(np.where(seen[:, None], llr, 0.0), -LARGEST_LLR, LARGEST_LLR)
 
 
-def codeword_of(decoded: DecodedBlock, llr: Floats, identity: int, layer: str) -> Codeword:
-    """Return the codeword of an array and layer."""
-    block, status = unpack(decoded.bits), "crc_fail"
-    if block is not None:
-        status = "ok" if (block.identity, block.layer) == (identity, layer) else "mismatch"
-    return Codeword(
-        status,  # type: ignore[arg-type]
-        block if status == "ok" else None,
-        decoded.bits,
-        hard(llr),
-        decoded.iterations,
-        decoded.margin,
-        information=float(information(llr)),
-    )
+def _codeword(
+    llr: Floats, bits: NDArray[np.uint8], iterations: int, decoded_llr: Floats, *, identity: int, layer: str
+) -> Codeword:
+    """Codeword by its received LLRs, decided bits and decoded LLRs."""
+    block = unpack(bits)
+    if block is None:
+        status: Literal["ok", "crc_fail", "mismatch"] = "crc_fail"
+    elif (block.identity, block.layer) != (identity, layer):
+        status, block = "mismatch", None
+    else:
+        status = "ok"
+    margin = float(np.abs(decoded_llr).mean())
+    return Codeword(status, block, bits, hard(llr), int(iterations), margin, information=float(information(llr)))
 
 
 def hard(llr: Floats) -> NDArray[np.uint8]:
@@ -103,164 +98,126 @@ def hard(llr: Floats) -> NDArray[np.uint8]:
     return np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)
 
 
-def _decode_alike(
-    received: Mapping[str, Floats], form: PacketFormat, options: Decoding
-) -> dict[tuple[str, int], DecodedBlock]:
-    """Decode codewords of equal codes in one call: {(layer, number): block}."""
-    groups: dict[Code, list[tuple[str, int]]] = defaultdict(list)
-    for name, rows in received.items():
-        groups[form.layers[name].code] += [(name, i) for i in range(len(rows))]
-    return {
-        key: block
-        for code, keys in groups.items()
-        for key, block in zip(keys, _decode_group(code, keys, received, options), strict=True)
-    }
-
-
-def _decode_group(
-    code: Code, keys: list[tuple[str, int]], received: Mapping[str, Floats], options: Decoding
-) -> list[DecodedBlock]:
-    llrs = np.stack([received[name][i] for name, i in keys])
-    result = code.decode(llrs, algorithm=options.algorithm, iterations=options.iterations, check=check)
-    margins = np.abs(result.llr).mean(-1)
-    return [DecodedBlock(result.bits[i], int(result.iterations[i]), float(margins[i])) for i in range(len(keys))]
-
-
-TRUST = 0.85
-"""Factor on a failed codeword's extrinsic LLRs that are fed back: the decoder's errors come from the same noise.
-
-At 150 m 16 of 120 codewords of the middle layer were lost with 0.85 or 0.9, 18 with 0.8, 22 with 1 and 40 with 0.65.
-"""
-
-HOPELESS = 0.3
-"""Information in LLRs, as a fraction of a code's rate, below which a codeword cannot be decoded in this iteration.
-
-The turbo code of rate 1/3 and 1000 bits needs 0.43 bit per bit, 1.3 times its rate: four times this threshold. It saves
-time and decides nothing: where all open codewords are below it, the decoder runs once instead of to its end, and a
-packet of which such an iteration decodes nothing is given up. A codeword that begins below it is often decoded later,
-when other layers are known (105 of 685 that began below it, at rest from 105 to 240 m). Of the 772 codewords of these
-350 packets the threshold lost none, nor would 0.6 have; it saved 73 of 1639 iterations.
-"""
-
-
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """What is known of a layer's codewords."""
+    """Codewords of a layer between iterations."""
 
-    # How the layer fills its packet: code, codewords and interleaver
+    # Code, codewords and interleaver
     form: LayerFormat
     # (codewords, E) LLRs by the last equalisation, whitening undone
     llr: Floats
     # (codewords, E) mean of each coded bit, 1 for 0 and -1 for 1
     soft: Floats
-    # (codewords, E) variance of each
+    # (codewords, E) variance of each coded bit
     variance: Floats
-    # (codewords, E) LLRs of this packet alone that tell one codeword from another: 0 but for distinguishing bits
+    # (codewords, E) LLRs of this packet for comparison with earlier packets: 0 except for distinguishing bits
     own: Floats
     # (codewords, E) LLRs of earlier packets with the same codeword
     earlier_llr: Floats
     # The codewords as last decoded; empty before the first decoding
     words: tuple[Codeword, ...]
-    # (codewords,) True for codewords that another reading of this packet alone has decoded
-    alone: NDArray[np.bool_]
+    # (codewords,) True for codewords known from the start
+    known: NDArray[np.bool_]
     # (codewords, E) uint8 coded bits as decided by the first equalisation; None before it
     raw: NDArray[np.uint8] | None = None
 
     @classmethod
     def unknown(cls, form: LayerFormat) -> "Layer":
-        """A layer of which nothing is known."""
-        shape = form.codewords, form.code.length
-        none = np.zeros(form.codewords, bool)
-        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape), (), none)
+        """Layer before the first equalisation."""
+        zeros, variance = np.zeros((form.codewords, form.code.length)), np.ones((form.codewords, form.code.length))
+        return cls(form, zeros, zeros, variance, zeros, zeros, (), np.zeros(form.codewords, bool))
 
     def with_known(self, words: tuple[Codeword, ...]) -> "Layer":
-        """The layer with codewords that another reading gave; those that it could not decode stay unknown."""
+        """Return the layer with codewords of another attempt; failed codewords stay unknown."""
         soft, variance = self.soft.copy(), self.variance.copy()
-        alone = np.array([word.status != "crc_fail" for word in words])
-        for i in np.flatnonzero(alone):
+        known = np.array([word.status != "crc_fail" for word in words])
+        for i in np.flatnonzero(known):
             soft[i], variance[i] = coded_signs(self.form.code, words[i]), 0.0
         raw = np.stack([word.raw for word in words])
-        return replace(self, soft=soft, variance=variance, words=words, alone=alone, raw=raw)
+        return replace(self, soft=soft, variance=variance, words=words, known=known, raw=raw)
 
     @property
     def open(self) -> list[int]:
-        """Numbers of the codewords that are not decoded."""
+        """Numbers of the undecoded codewords."""
         return [i for i in range(len(self.llr)) if not self.words or self.words[i].status == "crc_fail"]
 
     @property
     def information(self) -> Floats:
-        """(codewords,) bit per coded bit in the LLRs of the last equalisation, those of earlier packets included."""
+        """(codewords,) bit per coded bit in the LLRs of this packet and earlier packets."""
         return information(self.llr + self.earlier_llr)
 
     @property
     def hopeless(self) -> bool:
-        """Whether all codewords that are not decoded have too little information to be decoded."""
+        """True if all undecoded codewords have too little information to decode."""
         return bool((self.information[self.open] < HOPELESS * self.form.code.k / self.form.code.length).all())
 
     def equalised(self, sent: Floats) -> "Layer":
-        """The layer with the LLRs of a new equalisation."""
+        """Return the layer with the LLRs of a new equalisation."""
         llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
         return replace(self, llr=llr, raw=hard(llr) if self.raw is None else self.raw)
 
     def with_earlier(self, earlier: Floats) -> "Layer":
-        """The layer with the LLRs of earlier packets of the same codewords."""
+        """Return the layer with the LLRs of earlier packets of the same codewords."""
         return replace(self, earlier_llr=earlier)
 
     def with_own(self) -> "Layer":
-        """The layer whose present LLRs, those of the first equalisation, tell its codewords from others."""
+        """Return the layer with the LLRs of the first equalisation as the LLRs of this packet."""
         return replace(self, own=np.where(self.form.code.distinguishing, self.llr, 0.0))
 
-    def doubted(self) -> "Layer":
-        """Reject codewords that disagree with this packet's own LLRs; their bits are unknown again."""
+    def reject_inconsistent(self) -> "Layer":
+        """Reject codewords that disagree with the LLRs of this packet; the bits are unknown again."""
         words, soft, variance = list(self.words), self.soft.copy(), self.variance.copy()
-        for i, (word, own, alone) in enumerate(zip(self.words, self.own, self.alone, strict=True)):
-            if word.status != "crc_fail" and not alone and not consistent(own, coded_signs(self.form.code, word)):
+        for i, (word, own, known) in enumerate(zip(self.words, self.own, self.known, strict=True)):
+            if word.status != "crc_fail" and not known and not is_consistent(own, coded_signs(self.form.code, word)):
                 words[i], soft[i], variance[i] = replace(word, status="crc_fail", block=None), 0.0, 1.0
         return replace(self, words=tuple(words), soft=soft, variance=variance)
 
-    def unsure(self, number: int) -> bool:
-        """Whether a codeword is not decoded, or only with the help of earlier packets."""
+    def needed_earlier(self, number: int) -> bool:
+        """Return True if a codeword failed, or needed the LLRs of earlier packets."""
         return self.words[number].status == "crc_fail" or bool(self.earlier_llr[number].any())
 
     def known_llrs(self) -> list[Floats]:
-        """LLRs (E,) of each codeword; those of a decoded one are the largest there are."""
+        """LLRs (E,) of each codeword; the largest possible if it is decoded."""
         known = self.variance.max(1) == 0
-        return [LARGEST_LLR * soft if sure else llr for llr, soft, sure in zip(self.llr, self.soft, known, strict=True)]
+        return [
+            LARGEST_LLR * soft if is_known else llr
+            for llr, soft, is_known in zip(self.llr, self.soft, known, strict=True)
+        ]
 
-    def without_guesses(self) -> "Layer":
-        """The layer without what is fed back of the codewords that are not decoded."""
+    def without_feedback(self) -> "Layer":
+        """Drop the feedback of failed codewords."""
         failed = [i for i, word in enumerate(self.words) if word.status == "crc_fail"]
         soft, variance = self.soft.copy(), self.variance.copy()
         soft[failed], variance[failed] = 0.0, 1.0
         return replace(self, soft=soft, variance=variance)
 
     def mean(self) -> Floats:
-        """(pairs, symbols) mean of each bit as it was sent."""
+        """(pairs, symbols) mean of each bit as sent."""
         return self.form.interleave(self.soft * (1.0 - 2.0 * self.form.chips))
 
     def variances(self) -> Floats:
-        """(pairs, symbols) variance of each bit."""
+        """(pairs, symbols) variance of each bit as sent."""
         return self.form.interleave(self.variance)
 
 
 def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feedback: bool) -> Layer:
-    """Decode the codewords still open."""
+    """Decode the open codewords."""
     code, words = layer.form.code, dict(enumerate(layer.words))
     soft, variance, earlier = layer.soft.copy(), layer.variance.copy(), layer.earlier_llr.copy()
     assert layer.raw is not None  # it is equalised
-    for i, attempt in _attempts(layer, name, identity, options).items():
-        words[i] = replace(attempt.word, raw=layer.raw[i], final_raw=hard(layer.llr[i]))
-        if attempt.alone:
+    for i, (word, extrinsic, used_earlier) in _attempts(layer, name, identity, options).items():
+        words[i] = replace(word, raw=layer.raw[i], final_raw=hard(layer.llr[i]))
+        if not used_earlier:
             earlier[i] = 0.0
         if words[i].status != "crc_fail":
             soft[i], variance[i] = coded_signs(code, words[i]), 0.0
         elif not feedback:
             soft[i], variance[i] = 0.0, 1.0
         else:
-            soft[i] = np.tanh(0.5 * TRUST * attempt.extrinsic)
+            soft[i] = np.tanh(0.5 * options.feedback_scale * extrinsic)
             variance[i] = np.maximum(1 - soft[i] ** 2, 2 * KNOWN_VARIANCE)
-    known = tuple(words[i] for i in range(len(layer.llr)))
-    return replace(layer, soft=soft, variance=variance, earlier_llr=earlier, words=known)
+    decoded = tuple(words[i] for i in range(len(layer.llr)))
+    return replace(layer, soft=soft, variance=variance, earlier_llr=earlier, words=decoded)
 
 
 def coded_signs(code: Code, word: Codeword) -> Floats:
@@ -268,59 +225,42 @@ def coded_signs(code: Code, word: Codeword) -> Floats:
     return np.asarray(1.0 - 2.0 * code.encode(word.bits))
 
 
-@dataclass(frozen=True, slots=True)
-class _Attempt:
-    """What the decoder made of a codeword."""
-
-    # The codeword
-    word: Codeword
-    # (E,) extrinsic LLRs of its coded bits
-    extrinsic: Floats
-    # Whether LLRs of earlier packets were left out that there were
-    alone: bool = False
-
-
-def _attempts(layer: Layer, name: str, identity: int, options: Decoding) -> dict[int, _Attempt]:
-    """Attempts at the open codewords, by number."""
-    code, open_ = layer.form.code, layer.open
-    tried = _decode(code, (layer.llr + layer.earlier_llr)[open_], identity, name, options)
-    found = dict(zip(open_, tried, strict=True))
-    doubtful = [i for i, one in found.items() if _doubtful(layer, i, one.word)]
-    for i, one in zip(doubtful, _decode(code, layer.llr[doubtful], identity, name, options), strict=True):
-        # the earlier packets' codeword may be another one than this
-        if found[i].word.status != "crc_fail" or one.word.status != "crc_fail":
-            found[i] = replace(one, alone=True)
-    return found
+def _attempts(layer: Layer, name: str, identity: int, options: Decoding) -> dict[int, tuple[Codeword, Floats, bool]]:
+    """Decode open codewords: {number: (codeword, extrinsic LLRs (E,), True if LLRs of earlier packets were used)}."""
+    code, numbers = layer.form.code, layer.open
+    decoded = _decode(code, (layer.llr + layer.earlier_llr)[numbers], identity, name, options)
+    attempts = {i: (*attempt, True) for i, attempt in zip(numbers, decoded, strict=True)}
+    doubtful = [i for i, (word, _, _) in attempts.items() if _is_doubtful(layer, i, word)]
+    for i, attempt in zip(doubtful, _decode(code, layer.llr[doubtful], identity, name, options), strict=True):
+        # the earlier packets' codeword may differ
+        if attempts[i][0].status != "crc_fail" or attempt[0].status != "crc_fail":
+            attempts[i] = *attempt, False
+    return attempts
 
 
-def _doubtful(layer: Layer, number: int, word: Codeword) -> bool:
-    """Whether earlier packets' LLRs were added, and did not help or decide alone."""
+def _is_doubtful(layer: Layer, number: int, word: Codeword) -> bool:
+    """Return True if LLRs of earlier packets were added, but did not help, or contradict this packet."""
     if not layer.earlier_llr[number].any():
         return False
-    return word.status == "crc_fail" or not consistent(layer.own[number], coded_signs(layer.form.code, word))
+    return word.status == "crc_fail" or not is_consistent(layer.own[number], coded_signs(layer.form.code, word))
 
 
-def _decode(code: Code, llr: Floats, identity: int, name: str, options: Decoding) -> list[_Attempt]:
-    """Attempts at codewords of LLRs (codewords, E).
-
-    They are decoded together, which takes no longer than one of them; where all are hopeless, one iteration must do.
-    """
+def _decode(code: Code, llr: Floats, identity: int, name: str, options: Decoding) -> list[tuple[Codeword, Floats]]:
+    """Decode LLRs (codewords, E) together; only one iteration if all are hopeless. Returns extrinsic LLRs as well."""
     if not len(llr):
         return []
-    few = (information(llr) < HOPELESS * code.k / code.length).all()
+    hopeless = (information(llr) < HOPELESS * code.k / code.length).all()
     result = code.decode(
         llr,
         algorithm=options.algorithm,
-        iterations=1 if few else options.iterations,
+        iterations=1 if hopeless else options.iterations,
         check=check,
         coded_output=True,
     )
-    assert result.coded_extrinsic is not None  # it was asked for
+    assert result.coded_extrinsic is not None  # by coded_output
     extrinsic = np.clip(result.coded_extrinsic.astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
-    margins = np.abs(result.llr).mean(-1)
-    decoded = zip(result.bits, result.iterations, margins, strict=True)
     words = [
-        codeword_of(DecodedBlock(bits, int(count), float(margin)), one, identity, name)
-        for (bits, count, margin), one in zip(decoded, llr, strict=True)
+        _codeword(*decoded, identity=identity, layer=name)
+        for decoded in zip(llr, result.bits, result.iterations, result.llr, strict=True)
     ]
-    return [_Attempt(word, one) for word, one in zip(words, extrinsic, strict=True)]
+    return list(zip(words, extrinsic, strict=True))

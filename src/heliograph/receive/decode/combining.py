@@ -1,186 +1,147 @@
-"""Soft combining: what could not be decoded is kept, and added to when it is sent again.
+"""Soft combining: a buffer of failed packets and codewords, to be added to repetitions.
 
-A whole packet that is sent again, as the only one of a carousel is, is kept as the statistics of its pairs; their sum
-is one better observation, equalised as a whole. Of a codeword that is sent again beside others its LLRs are kept.
-LLRs of one and the same packet would not add: the light of its other layers disturbs them alike each time.
+The single packet of a carousel repeats as a packet: the statistics of the pairs are summed, and equalised together. A
+codeword that repeats among other codewords is kept as LLRs. LLRs of a repeated packet would not add up: the light of
+the other layers disturbs every repetition in the same way.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.base.shared import Shared
 from heliograph.receive.equalise.lmmse import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.signal.code import Code
 from heliograph.signal.formats import Format
 
 Kind = tuple[str, Code]
-"""Layer and code: only codewords of one kind can be the same."""
+"""Layer and code, equal for equal codewords."""
 
-CODEWORDS_KEPT = 32
-"""Codewords kept of each kind: 0.8 MB of 3072 LLRs; a carousel of more goes round before one comes again."""
 
-BUFFERS_KEPT = 8
-"""Buffers of arrays that are kept, those asked for last. Chosen: more arrays than are in view at a crossing."""
+@dataclass(frozen=True, slots=True)
+class CombiningParameters:
+    """Capacities of a buffer, and thresholds of agreement between LLRs."""
 
-PACKETS_KEPT = 4
-"""Packets whose statistics are kept: 13 MB each of 48 pairs of 16 x 16 LEDs, twice that without inverses."""
+    # Codewords kept of each kind, 0.8 MB of 3072 LLRs: a longer carousel never combines
+    max_codewords: int = 32
+    # Packets kept, 13 MB each of 48 pairs of 16 x 16 LEDs
+    max_packets: int = 4
+    # Standard deviations of agreement from which two codewords are the same: 2e-8 by chance
+    same_threshold: float = 5.5
+    # Agreement from which two packets may be the same (1), not different (0)
+    packet_threshold: float = 0.5
+    # Standard deviations below the threshold at which a codeword rules out the same packet
+    packet_spreads: float = 2.0
+    # Ratio of measured to expected agreement of LLRs and codeword: 0.6 if a fifth of the bits differ
+    consistent_ratio: float = 0.6
+    # Standard deviations below this ratio that are still consistent: 0.13 % of sent codewords are further off
+    consistent_spreads: float = 3.0
+    # Minimum agreement of LLRs and codeword in standard deviations: 3e-5 by chance
+    min_support: float = 4.0
 
-SAME = 5.5
-"""Standard deviations of agreement from which two codewords are taken for the same.
 
-By chance 2e-8 of different codewords agree as far, in coded bits that differ by chance.
-"""
-
-ALIKE = 0.5
-"""Agreement of two packets from which on they may be the same, as a fraction of what is expected if they are.
-
-The mean is 1 for the same packet and 0 for another one; this is the middle.
-"""
-
-CONTRADICTION = 2.0
-"""Standard deviations by which the agreement of a codeword must fall below `ALIKE` of what is expected, to contradict.
-
-The same codeword falls by 2 below all of what is expected in 2 % of cases, and more rarely below half of it.
-"""
-
-CONSISTENT = 0.6
-"""Least agreement of LLRs with their codeword, as a fraction of the agreement expected, less `CONSISTENT_SPREADS`.
-
-The mean is 1 for the codeword that was sent, and 0.6 for one that differs from it in a fifth of the bits.
-"""
-
-CONSISTENT_SPREADS = 3.0
-"""Standard deviations by which LLRs may agree less with their codeword than `CONSISTENT` asks.
-
-The codeword that was sent falls by 3 below all of what is expected in 0.13 % of cases, and more rarely below 0.6 of it.
-"""
-
-SUPPORT = 4.0
-"""Least agreement of LLRs with their codeword in standard deviations of another codeword's: 3e-5 by chance."""
+PARAMETERS = CombiningParameters()
 
 
 @dataclass(frozen=True, slots=True)
 class BufferedPacket:
-    """A packet that was not decoded as a whole, or not by itself."""
+    """Packet that failed in part, or decoded only with earlier packets."""
 
-    # Its mode and code rates
+    # Mode and code rates
     format: Format
-    # (E,) of each codeword, layer by layer; those of decoded ones are the largest there are
+    # LLRs (E,) of each codeword, layer by layer; the largest possible if decoded
     llrs: tuple[Floats, ...]
-    # Of each pair, over all times it was seen; None for a pair never seen
+    # Sum of the statistics of each pair over all repetitions; None for an unseen pair
     statistics: tuple[PairStatistics | None, ...]
-    # Gray levels of the array with all LEDs on, in whose unit the statistics are
+    # Gray levels of the array with all LEDs on, the unit of the statistics
     gain: float = 1.0
-    # Variance of a pixel of a difference in squared gray levels, likewise
+    # Variance of a pixel of a difference in squared gray levels, a unit of the statistics as well
     noise: float = 1.0
 
     def joined(
         self, statistics: Sequence[PairStatistics | None], gain: float, noise: float
     ) -> list[PairStatistics | None]:
-        """Add the statistics of the packet seen again."""
+        """Add the statistics of a repetition."""
         # B g_0 = (B g_0 / g) g, and weights are in units of the noise
         weight, dimmer = noise / self.noise, self.gain / gain
-        kept = (None if one is None else one.scaled(weight, dimmer) for one in self.statistics)
+        kept = (None if pair is None else pair.scaled(weight, dimmer) for pair in self.statistics)
         return [a.plus(b) if a and b else a or b for a, b in zip(statistics, kept, strict=True)]
 
     def likeness(self, llrs: Sequence[Floats]) -> float:
-        """Agreement in standard deviations with the codewords of another packet; 0 where they contradict."""
-        found, expected = np.array([agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]).T
+        """Agreement in standard deviations with the codewords of another packet; 0 if any contradicts."""
+        measured, expected = np.array([agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]).T
         # packets of a carousel may share a codeword that is decoded: then the others must agree
         open_ = np.array([bool((np.abs(llr) < LARGEST_LLR).any()) for llr in self.llrs])
-        least = ALIKE * float(np.linalg.norm(expected[open_]))
-        if (found < ALIKE * expected - CONTRADICTION).any() or _along(found[open_], expected[open_]) < least:
+        ratio = PARAMETERS.packet_threshold
+        threshold = ratio * float(np.linalg.norm(expected[open_]))
+        contradicts = (measured < ratio * expected - PARAMETERS.packet_spreads).any()
+        if contradicts or _total(measured[open_], expected[open_]) < threshold:
             return 0.0
-        return _along(found, expected)
+        return _total(measured, expected)
 
 
 @dataclass(frozen=True, slots=True)
 class SoftBuffer:
-    """Codewords and packets of one array that were seen but not decoded."""
+    """Undecoded codewords and packets of an array."""
 
-    # Packets not decoded as a whole, the oldest first; their statistics are summed over all times they were seen
+    # Packets, the oldest first, each summed over all repetitions
     packets: tuple[BufferedPacket, ...] = ()
-    # LLRs (E,) of codewords by layer and code, the oldest first; each is summed over all times it was seen
+    # LLRs (E,) of codewords by layer and code, the oldest first, each summed over all repetitions
     codewords: Mapping[Kind, tuple[Floats, ...]] = field(default_factory=dict)
 
     def same_packet(self, form: Format, llrs: Sequence[Floats]) -> BufferedPacket | None:
-        """Find the packet that is seen again."""
+        """Find the packet that a new packet repeats."""
         alike = [(packet.likeness(llrs), packet) for packet in self.packets if packet.format == form]
-        best, found = max(alike, key=lambda one: one[0], default=(0.0, None))
-        return None if best < SAME else found
+        best, packet = max(alike, key=lambda entry: entry[0], default=(0.0, None))
+        return None if best < PARAMETERS.same_threshold else packet
 
     def same_codeword(self, kind: Kind, llr: Floats) -> Floats:
-        """Sum of the LLRs (E,) of earlier times a codeword was seen; zeros where there are none."""
+        """Sum of the LLRs (E,) of earlier repetitions of a codeword; zeros if new."""
         kept = self.codewords.get(kind, ())
         agreements = [agreement(llr, other)[0] for other in kept]
         best = int(np.argmax(agreements)) if agreements else -1
-        if best < 0 or agreements[best] < SAME:
+        if best < 0 or agreements[best] < PARAMETERS.same_threshold:
             return np.zeros_like(llr)
         return kept[best]
 
     def without(self, packet: BufferedPacket) -> "SoftBuffer":
-        """The buffer less a packet."""
+        """Return the buffer less a packet."""
         return replace(self, packets=tuple(other for other in self.packets if other is not packet))
 
     def with_packet(self, packet: BufferedPacket) -> "SoftBuffer":
-        """The buffer and a packet, which takes the place of the oldest where there is no room."""
-        return replace(self, packets=(*self.packets, packet)[-PACKETS_KEPT:])
+        """Return the buffer with a packet, in place of the oldest if full."""
+        return replace(self, packets=(*self.packets, packet)[-PARAMETERS.max_packets :])
 
     def with_codeword(self, kind: Kind, llr: Floats, earlier: Floats) -> "SoftBuffer":
-        """Add a codeword that this packet did not give, in place of the oldest where there is no room."""
+        """Return the buffer with an undecoded codeword, in place of the oldest if full."""
         rest = (other for other in self.codewords.get(kind, ()) if not np.array_equal(other, earlier))
-        kept = (*rest, llr + earlier)[-CODEWORDS_KEPT:]
+        kept = (*rest, llr + earlier)[-PARAMETERS.max_codewords :]
         return replace(self, codewords={**self.codewords, kind: kept})
 
 
-class SharedBuffers:
-    """The buffers of the arrays seen of late: clutter that is taken for one array after another fills no memory."""
-
-    def __init__(self) -> None:
-        self._buffers: dict[Hashable, SharedBuffer] = {}
-
-    def of(self, array: Hashable) -> "SharedBuffer":
-        """The buffer of an array, empty where it is new or was not asked for of late."""
-        found = self._buffers.pop(array) if array in self._buffers else SharedBuffer()
-        self._buffers[array] = found  # the last one asked for stands last
-        while len(self._buffers) > BUFFERS_KEPT:
-            del self._buffers[next(iter(self._buffers))]
-        return found
-
-
-class SharedBuffer(Shared[SoftBuffer]):
-    """Hands a buffer on from packet to packet of an array, also to those of the array lost and found again."""
-
-    kept = BUFFERS_KEPT
-
-    def __init__(self, name: str | None = None) -> None:
-        super().__init__(SoftBuffer(), name)
-
-
 def agreement(a: Floats, b: Floats) -> tuple[float, float]:
-    """Agreement of two sets of LLRs."""
-    # sum of E[bit | a] E[bit | b]; its mean is 0 for bits that have nothing to do with each other
+    """Agreement of two sets of LLRs in standard deviations, and that expected of the same codeword."""
+    # sum of E[bit | a] E[bit | b], with the mean 0 for independent bits
     product = np.tanh(a / 2) * np.tanh(b / 2)
     spread = float(np.sqrt((product**2).sum()))
     return float(product.sum()) / max(spread, TINY), spread
 
 
-def consistent(llr: Floats, signs: Floats) -> bool:
-    """Whether LLRs agree with a codeword as far as their own codeword would.
+def is_consistent(llr: Floats, signs: Floats) -> bool:
+    """Return True if LLRs agree with a codeword as if sent.
 
-    A codeword decoded with the help of earlier packets might be theirs alone, and this packet's differ in some bits.
+    A codeword decoded with LLRs of earlier packets may differ from this packet's in some bits.
     """
     soft = np.tanh(llr / 2)
-    # E[soft * sign] = soft^2 where the LLRs are calibrated, and 0 of another codeword, with the variance sum soft^2
+    # E[soft * sign] = soft^2 for the codeword that was sent; 0 for another one, with the variance sum soft^2
     expected = float((soft**2).sum())
     spread = float(np.sqrt((soft**2 * (1 - soft**2)).sum()))
-    return float(soft @ signs) > max(CONSISTENT * expected - CONSISTENT_SPREADS * spread, SUPPORT * expected**0.5)
+    ratio, spreads = PARAMETERS.consistent_ratio, PARAMETERS.consistent_spreads
+    return float(soft @ signs) > max(ratio * expected - spreads * spread, PARAMETERS.min_support * expected**0.5)
 
 
-def _along(found: Floats, expected: Floats) -> float:
-    """Agreement of codewords together, weighted by what is expected of each."""
-    return float(found @ expected / np.sqrt(max(float(expected @ expected), TINY)))
+def _total(measured: Floats, expected: Floats) -> float:
+    """Agreement of codewords together, weighted by the expected agreement of each."""
+    return float(measured @ expected / np.sqrt(max(float(expected @ expected), TINY)))

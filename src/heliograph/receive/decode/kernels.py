@@ -1,4 +1,4 @@
-"""Hot loops of the plain receiver; `reference.py` holds the same in plain NumPy, and a test holds the two together."""
+"""Compiled loops of sampling at the LEDs."""
 
 import math
 
@@ -17,7 +17,7 @@ def sample_cubic(image, points, out):
 
 @compiled()
 def cubic_at_leds(image, x, y, axes, out):
-    """An image at LEDs' places, as `sample_cubic` has it."""
+    """Image at the LEDs by cubic convolution, as in `sample_cubic`."""
     side = out.shape[0]
     wx, wy = np.empty(4), np.empty(4)
     for u in range(side):

@@ -1,4 +1,4 @@
-"""What a reader keeps of a packet's data until its end."""
+"""Observations of a packet's data, kept until its end."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,17 +15,17 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class PacketBuffer:
-    """What was kept of a packet's data, by number of the pair."""
+    """Observed data of a packet, by number of the pair."""
 
     # Cut-outs of pairs, in the single mode by number of the pattern
     cutouts: Mapping[int, Cutout] = field(default_factory=dict)
-    # Pairs in step of which both frames are there
+    # Complete pairs in step
     seen: Mapping[int, CompletePair] = field(default_factory=dict)
-    # What is left of the others
+    # Remaining frames of incomplete pairs
     lone: Mapping[int, UnpairedFrame] = field(default_factory=dict)
 
     def with_pair(self, place: int, cutout: Cutout, track: Track, in_step: bool) -> "PacketBuffer":
-        """A further pair, and of the pairs before it the cut-outs without LEDs that were hidden already."""
+        """Add a pair; mask LEDs in the pairs before that were hidden already."""
         cutouts = {**self.cutouts, place: cutout}
         if not track.all_visible:
             cutouts |= mask_occluded_retroactively(cutouts, place, track.visible)
@@ -33,40 +33,36 @@ class PacketBuffer:
         return PacketBuffer(cutouts, seen, self.lone)
 
     def with_patterns(self, place: int, cutouts: Sequence[Cutout]) -> "PacketBuffer":
-        """A further pair in the single mode, where both frames are patterns and neither is an inverse."""
+        """Add the two patterns of a pair in the single mode, which has no inverses."""
         patterns = dict(enumerate(cutouts, len(cutouts) * place))
         return replace(self, cutouts={**self.cutouts, **patterns})
 
     def with_lone(self, place: int, lone: UnpairedFrame) -> "PacketBuffer":
-        """A further pair, of which a frame is lost."""
+        """Add the remaining frame of a pair."""
         return replace(self, lone={**self.lone, place: lone})
 
     def renumbered(self, place: int, pairs: int) -> "PacketBuffer":
-        """The same with the pairs from one on moved to the next number."""
+        """Return the data with a lost pair: it and later pairs move to the next number."""
         cutouts, seen = renumbered(self.cutouts, place, pairs), renumbered(self.seen, place, pairs)
         return PacketBuffer(cutouts, seen, renumbered(self.lone, place, pairs))
 
-    def rather(self, cutouts: Sequence[Cutout | None]) -> "PacketBuffer":
-        """The same with other cut-outs."""
-        return replace(self, cutouts={k: one for k, one in enumerate(cutouts) if one is not None})
-
     @property
-    def to_decode(self) -> "PacketBuffer":
-        """What decoding asks for: where the array was, only where a frame's other half is lost."""
+    def trimmed(self) -> "PacketBuffer":
+        """The data less complete pairs if no frame is unpaired: the decoder does not use them."""
         return self if self.lone else replace(self, seen={})
 
     def in_order(self, count: int) -> list[Cutout | None]:
-        """The cut-outs of all pairs, in the single mode of all patterns; None where the array was not seen."""
+        """Cut-outs of all pairs, in the single mode of all patterns; None for missing pairs."""
         return [self.cutouts.get(k) for k in range(count)]
 
     def lone_cutouts(self, late_s: float, gain: float, led_gains: Floats) -> dict[int, Cutout | None]:
-        """What the frames whose other half is lost show, by number of the pair; None where that is nothing."""
+        """Cut-outs estimated from unpaired frames, by number of the pair; None if impossible."""
         return {
             place: unpaired_cutout(lone, place, self.seen, late_s, gain, led_gains) for place, lone in self.lone.items()
         }
 
 
 def renumbered(items: Mapping[int, T], place: int, pairs: int) -> dict[int, T]:
-    """What is kept by number of the pair, those from one on moved to the next number."""
+    """Move the items from a place on to the next number."""
     moved = {number + (number >= place): item for number, item in items.items()}
     return {number: item for number, item in moved.items() if number < pairs}

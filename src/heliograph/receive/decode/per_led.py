@@ -1,12 +1,8 @@
-"""Inverse of the channel: the LEDs' luminances by least squares on all pixels, the blur of all LEDs known.
+"""Luminances at the LEDs: samples of a pair, pattern minus inverse, or least squares with the blur of all LEDs known.
 
-Every LED shines on its neighbours' pixels too. With the pose and the blur known, the blur matrix A is known, and the
-difference of pattern and inverse is A (2 x - 1). Each LED's image is a product of a function of x and one of y,
-whatever the roll, so A^T A is the product of two small Gram matrices, element by element, and A itself is never made.
-
-Extraction: the luminance at each LED's image position, pattern minus inverse, or the blur undone.
-
-Cut-outs read as the plain receiver reads frames: where LEDs are resolved, this is all it takes.
+With the pose and the blur known, the difference of pattern and inverse is A (2 x - 1), A being the blur matrix. The
+image of an LED is a product of a function of x and a function of y, so A^T A is the elementwise product of two small
+Gram matrices, and A is never made.
 """
 
 from collections.abc import Sequence
@@ -27,15 +23,7 @@ from heliograph.receive.settings import Equaliser
 from heliograph.signal.packet import PacketFormat
 
 ZERO_FORCING_LOADING = 1e-4
-"""lambda: loading of the diagonal of A^T A, in units in which a wide array with all LEDs on has the image 1.
-
-Zero-forcing is meant, so lambda is no more than the noise is worth: (noise / light)^2 = 2 (0.006 / 0.8)^2 = 1e-4 for
-LEDs of +-1 in the difference of two frames of the reference link. To 55 m it changes nothing. From 60 m on there are
-combinations of LEDs that hardly any pixel sees, and lambda keeps their noise out of all others.
-"""
-
-INVERSE_MARGIN_PX = 2.5
-"""Pixels beyond the array that are used: LEDs of its rim shine there."""
+"""lambda: loading of the diagonal of A^T A, the image of a wide array with all LEDs on being 1; about noise / light."""
 
 
 def unblurred(
@@ -45,18 +33,18 @@ def unblurred(
     side: int,
     loading: float = ZERO_FORCING_LOADING,
 ) -> Floats:
-    """Normalised luminances x' = level - 2 of a pair, the blur undone.
+    """Normalised luminances x' = level - 2 of a pair, deblurred.
 
     With A_1 and A_2 at the poses of the two frames, the background equal in both and s = 2 x - 1:
 
         d = (r - r_inverted) / gain = A_1 x - A_2 (1 - x) = M s + (A_1 - A_2) 1 / 2,  M = (A_1 + A_2) / 2
         s = (M^T M + lambda I)^-1 M^T (d - (A_1 - A_2) 1 / 2)
 
-    M is taken as A at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2.
+    M is A at the middle pose, the blur wider by the motion: sigma^2 + (half the motion)^2.
     """
     middle = Pose.midway(*poses)
     motion = 0.5 * (poses[1].x - poses[0].x), 0.5 * (poses[1].y - poses[0].y)
-    window = window_around(middle, side, INVERSE_MARGIN_PX + max(abs(motion[0]), abs(motion[1])))
+    window = window_around(middle, side, 2.5 + max(abs(motion[0]), abs(motion[1])))  # px that LEDs at the rim light
     corner, shape = (window[0], window[1]), (window[3], window[2])
     change = (cut_out(frames[0], window) - cut_out(frames[1], window)) / max(gain, TINY)
     ones = np.ones((side, side))
@@ -85,7 +73,7 @@ def pair_luminances(
 
 
 def normalised(change: NDArray[np.float64], gain: float) -> NDArray[np.float64]:
-    """Normalised luminances x' = level - 2 by what LEDs show of a pattern less its inverse."""
+    """Normalised luminances x' = level - 2 by samples of a pattern less the inverse."""
     # r - r_inverted = gain (x - (1 - x)) = gain (2 x - 1) = gain x' / 2
     return 2 * change / max(gain, TINY)
 
@@ -104,15 +92,12 @@ def at_leds(pixels: NDArray[Any], corner: tuple[int, int], pose: Pose, side: int
     return out
 
 
-def read_led_by_led(
+def decode_per_led(
     cutouts: Sequence[Cutout | None], form: PacketFormat, identity: int, options: Decoding
 ) -> Words | None:
-    """Codewords by the luminance at each LED's position alone, as the paper reads them.
-
-    It knows of no blur, no neighbours and no LED that is hidden, so nothing of that can mislead it.
-    """
-    shown = [cutout for cutout in cutouts if cutout is not None]
-    if form.single or not shown or any(cutout.combination is not None for cutout in shown):
+    """Decode samples at the LEDs, as the paper does: no blur, neighbour or hidden LED need be known."""
+    present = [cutout for cutout in cutouts if cutout is not None]
+    if form.single or not present or any(cutout.combination is not None for cutout in present):
         return None
     side = form.settings.side
     luminances = np.zeros((len(cutouts), side, side))

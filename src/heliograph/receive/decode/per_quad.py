@@ -1,13 +1,13 @@
-"""Cut-outs read at the LEDs' positions, round by round: what is decoded tells what it leaves of its light elsewhere.
+"""Successive cancellation per quad of 2 x 2 LEDs, from samples at the LEDs.
 
-The Haar transform of the light at a square's LEDs is, for each of its four observed symbols,
+The Haar transform of the light at the LEDs of a quad is, for each of the four observed symbols,
 
     y = a (z + l) + sum_j b_j x_j + n.
 
-z is a function of the square's own symbols, in step the symbol itself, and l light of the pairs before and after. The
-blur leaves less of a fine symbol than of a coarse one: a and the variance of n are those of a kind of symbol, by
-expectation and maximisation. x_j is the light of the square's other symbols and of the eight squares around, as far as
-these are decoded; the b_j follow by least squares. No pose, no blur and no gain need be known for it.
+z is a function of the quad's symbols, in step the symbol itself, and l light of the pairs before and after. Blur
+weakens fine symbols more than coarse symbols: expectation and maximisation estimate a and the variance of n for each
+kind. x_j is the light of the quad's other symbols and of the eight quads around, as far as decoded; the b_j follow by
+least squares. Neither pose, blur nor gain is needed.
 """
 
 from collections.abc import Sequence
@@ -27,80 +27,32 @@ from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
 
-ROUNDS, IDLE_ROUNDS = 8, 3
-"""Most readings of a packet, each with what the one before has decoded; and how many may decode nothing new in a row.
-
-Chosen: the first bounds the time. A round that decodes nothing new still knows its symbols better than the one before,
-unless all that is open is hopeless.
-"""
-
-FIRST_NOISE = 0.1
-"""Variance of n at first, where the symbols are +-1. Chosen: expectation and maximisation go on from it."""
-
-EM_STEPS, EM_STRIDE = 2, 4
-"""Steps of expectation and maximisation in each round, and pairs of which one is asked.
-
-Chosen: twelve pairs have 768 squares, which tell an amplitude to a few percent.
-"""
-
-LEAST_SYMBOL_AMPLITUDE, LEAST_SYMBOL_VARIANCE = 1e-3, 1e-4
-"""Least a and least variance of n, the light of all LEDs being 1.
-
-Tolerances: the first keeps quotients finite where blur leaves nothing of a symbol; without the second symbols that fit
-by chance would be certain.
-"""
-
-
-RIDGE = 1e-3
-"""Weight of the squares of the b_j in least squares, the light of a symbol being 1: what is not known has none.
-
-A tolerance: light of a variance of 1 is taken for less by a thousandth.
-"""
-
-AROUND = 1
-"""Squares around one whose light is looked for in it, each way. Chosen: with 2 no more was read."""
-
 
 @dataclass(frozen=True, slots=True)
-class _Scale:
-    """Amplitude and noise of each kind of symbol."""
+class QuadParameters:
+    """Parameters of successive cancellation."""
 
-    # amplitude, noise: a and the variance of n, (symbols,), alike in all squares
-    amplitude: Floats
-    noise: Floats
-
-    @classmethod
-    def fitted(
-        cls,
-        symbols: Floats,
-        packet: UnsynchronisedPacket,
-        expected: ObservedSymbols,
-        mean: Floats,
-        asked: NDArray[np.intp],
-    ) -> "_Scale":
-        """Amplitude and noise by some pairs' observed symbols y, (pairs, symbols) as all others."""
-        y, prior = symbols[asked], mean[asked]
-        leak, leak_variance = expected.leak[asked], expected.leak_variance[asked]
-        scale = cls(np.ones(y.shape[1]), np.full(y.shape[1], FIRST_NOISE))
-        for _ in range(EM_STEPS):
-            a, found, error = scale.amplitude, y / scale.amplitude - leak, scale.relative_noise + leak_variance
-            first, second = packet.posterior_moments(asked, found, error, prior)
-            # of z + l
-            first, second = first + leak, second + (2 * first + leak) * leak
-            # a = <y, z + l> / E|z + l|^2, var n = E|y - a (z + l)|^2 - a^2 var l
-            weight = 1 / (a**2 * error)
-            a = _alike(weight * y * first) / np.maximum(_alike(weight * second), TINY)
-            noise = _alike(y**2 - 2 * a * y * first + a**2 * (second - leak_variance))
-            scale = cls(np.maximum(a, LEAST_SYMBOL_AMPLITUDE), np.maximum(noise, LEAST_SYMBOL_VARIANCE))
-        return scale
-
-    @property
-    def relative_noise(self) -> Floats:
-        """Variance of n / a, (symbols,)."""
-        return self.noise / self.amplitude**2
+    # Maximum number of rounds
+    max_rounds: int = 8
+    # Maximum number of successive rounds that decode no codeword: each still improves the symbols
+    max_idle_rounds: int = 3
+    # First variance of n, the symbols being +-1
+    first_noise: float = 0.1
+    # Steps of expectation and maximisation in each round
+    em_steps: int = 2
+    # Stride of the pairs for these steps: twelve pairs show an amplitude to a few percent
+    em_stride: int = 4
+    # Bounds of a and the variance of n, the light of all LEDs being 1: keep quotients and LLRs finite
+    min_amplitude: float = 1e-3
+    min_noise: float = 1e-4
+    # Weight of the squares of the b_j in least squares
+    ridge: float = 1e-3
 
 
-def read_square_by_square(
+PARAMETERS = QuadParameters()
+
+
+def decode_per_quad(
     cutouts: Sequence[Cutout | None],
     gain: float,
     form: PacketFormat,
@@ -108,9 +60,9 @@ def read_square_by_square(
     options: Decoding,
     known: Words | None = None,
     soft: bool = True,
-    glance: bool = False,
+    quick: bool = False,
 ) -> Words | None:
-    """Codewords by the light at each LED's position alone, of frames in step or out of it."""
+    """Decode samples at the LEDs, in step or out of step; None if the format has no quads."""
     if form.single or form.settings.modulation != "haar":
         return None
     header = form.header_pattern(identity) > SLOTS // 2
@@ -121,14 +73,15 @@ def read_square_by_square(
     if known is not None:
         layers = {name: layer.with_known(known[name]) for name, layer in layers.items()}
     idle = 0
-    for _ in range(ROUNDS):
+    for _ in range(PARAMETERS.max_rounds):
         before = [layer.open for layer in layers.values()]
         means = [layer.mean() for layer in layers.values()]
         mean, _ = mapper.expected(means, [layer.variances() for layer in layers.values()])
         expected = packet.expected(mean)
-        alone = _without_others(symbols, np.where(seen[:, None], expected.mean + expected.leak, 0.0))
-        scale = _Scale.fitted(alone, packet, expected, mean, np.flatnonzero(seen)[::EM_STRIDE])
-        llrs = packet.llrs(alone / scale.amplitude, scale.relative_noise, expected, mean)
+        cleaned = _cancel_neighbours(symbols, np.where(seen[:, None], expected.mean + expected.leak, 0.0))
+        pairs = np.flatnonzero(seen)[:: PARAMETERS.em_stride]
+        amplitude, noise = _estimate_scale(cleaned, packet, expected, mean, pairs)
+        llrs = packet.llrs(cleaned / amplitude, noise / amplitude**2, expected, mean)
         parts = mapper.bits(np.where(seen[:, None], llrs, 0.0), means)
         layers = {
             name: decode_layer(layer.equalised(part), name, identity, options, soft)
@@ -136,45 +89,64 @@ def read_square_by_square(
         }
         after = [layer.open for layer in layers.values()]
         idle = idle + 1 if after == before else 0
-        if glance and not idle:
-            break
-        if not any(after) or idle == IDLE_ROUNDS or (idle and all(layer.hopeless for layer in layers.values())):
+        hopeless = idle and all(layer.hopeless for layer in layers.values())
+        if (quick and not idle) or not any(after) or idle == PARAMETERS.max_idle_rounds or hopeless:
             break
     return {name: layer.words for name, layer in layers.items()}
 
 
 def _observed_symbols(cutouts: Sequence[Cutout | None], gain: float, form: PacketFormat) -> Floats:
-    """Haar transform of the light at the LEDs of each cut-out about its mean, (pairs, symbols); 0 of None."""
+    """Haar transform of the light at the LEDs of each cut-out about the mean, (pairs, symbols); 0 for None."""
     side = form.settings.side
     light = np.zeros((len(cutouts), side, side))
     for place, cutout in enumerate(cutouts):
         if cutout is None:
             continue
         pattern, inverse = (0.5, 0.5) if cutout.combination is None else cutout.combination.levels
-        shown = at_leds(cutout.difference, cutout.corner, cutout.middle, side)
-        light[place] = normalised(shown - gain * (pattern - inverse), gain)
+        sampled = at_leds(cutout.difference, cutout.corner, cutout.middle, side)
+        light[place] = normalised(sampled - gain * (pattern - inverse), gain)
     return np.concatenate([*form.split(haar.decode(light)).values()], axis=1)
 
 
-def _without_others(symbols: Floats, light: Floats) -> Floats:
-    """Observed symbols y, (pairs, symbols), less what the light x of others leaves in them, as far as it is known."""
+def _estimate_scale(
+    symbols: Floats, packet: UnsynchronisedPacket, expected: ObservedSymbols, mean: Floats, pairs: NDArray[np.intp]
+) -> tuple[Floats, Floats]:
+    """Amplitude a and variance of n by symbol, (symbols,), estimated from observed symbols y of some pairs."""
+    y, prior = symbols[pairs], mean[pairs]
+    leak, leak_variance = expected.leak[pairs], expected.leak_variance[pairs]
+    a, noise = np.ones(y.shape[1]), np.full(y.shape[1], PARAMETERS.first_noise)
+    for _ in range(PARAMETERS.em_steps):
+        error = noise / a**2 + leak_variance
+        first, second = packet.posterior_moments(pairs, y / a - leak, error, prior)
+        # of z + l
+        first, second = first + leak, second + (2 * first + leak) * leak
+        # a = <y, z + l> / E|z + l|^2, var n = E|y - a (z + l)|^2 - a^2 var l
+        weight = 1 / (a**2 * error)
+        a = _mean_by_kind(weight * y * first) / np.maximum(_mean_by_kind(weight * second), TINY)
+        noise = _mean_by_kind(y**2 - 2 * a * y * first + a**2 * (second - leak_variance))
+        a, noise = np.maximum(a, PARAMETERS.min_amplitude), np.maximum(noise, PARAMETERS.min_noise)
+    return a, noise
+
+
+def _cancel_neighbours(symbols: Floats, light: Floats) -> Floats:
+    """Subtract the light x of other symbols, as far as it is known, from observed symbols y (pairs, symbols)."""
     if not light.any():
         return symbols
     side = round((symbols.shape[1] // 4) ** 0.5)
-    rim = np.pad(light.reshape(-1, 4, side, side), ((0, 0), (0, 0), (AROUND, AROUND), (AROUND, AROUND)))
-    places = range(2 * AROUND + 1)
-    # (kinds x places, squares of all pairs): the light of each kind of symbol at each place around
-    x = np.stack([rim[:, k, i : i + side, j : j + side].ravel() for k in range(4) for i in places for j in places])
+    padded = np.pad(light.reshape(-1, 4, side, side), ((0, 0), (0, 0), (1, 1), (1, 1)))
+    # (kinds x 9, quads of all pairs): the light of each kind of symbol in the 3 x 3 quads around
+    x = np.stack(
+        [padded[:, k, i : i + side, j : j + side].ravel() for k in range(4) for i in range(3) for j in range(3)]
+    )
     y = symbols.reshape(len(symbols), 4, -1).transpose(1, 0, 2).reshape(4, -1)
     # b = (x x^T + lambda)^-1 x y^T
-    b = np.linalg.solve(x @ x.T + RIDGE * x.shape[1] * np.eye(len(x)), x @ y.T)
-    middle = np.arange(4) * len(places) ** 2 + len(places) ** 2 // 2
-    b[middle, np.arange(4)] = 0.0  # a symbol's own light stays
-    left = (y - b.T @ x).reshape(4, len(symbols), -1)
-    return np.asarray(left.transpose(1, 0, 2).reshape(symbols.shape))
+    b = np.linalg.solve(x @ x.T + PARAMETERS.ridge * x.shape[1] * np.eye(len(x)), x @ y.T)
+    b[9 * np.arange(4) + 4, np.arange(4)] = 0.0  # the symbol itself stays
+    cleaned = (y - b.T @ x).reshape(4, len(symbols), -1)
+    return np.asarray(cleaned.transpose(1, 0, 2).reshape(symbols.shape))
 
 
-def _alike(values: Floats) -> Floats:
-    """Mean over the squares of all pairs (pairs, symbols), given to each square, (symbols,)."""
+def _mean_by_kind(values: Floats) -> Floats:
+    """Mean over the quads of all pairs (pairs, symbols), for each quad, (symbols,)."""
     kinds = values.reshape(len(values), 4, -1).mean((0, 2))
     return np.repeat(kinds, values.shape[1] // 4)

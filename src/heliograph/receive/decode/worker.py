@@ -1,423 +1,344 @@
-"""Packets of which a whole pair is lost without a gap: which one it was, is found by decoding.
-
-All sums after a lost pair are even, so nothing shows it until the next header comes in the place of the last pair. The
-pairs from the lost one on have then the number of the one before. A code stands some wrong numbers: the packet is
-decoded as if the pair were lost at each of a few places.
-
-Packets that are decoded, at once or in a process beside the frames that follow.
-"""
+"""Decoding of packets, inline or in a worker process, with the state learnt of each array."""
 
 import contextlib
 import logging
-from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import import_module
 from typing import Any, NamedTuple, Protocol, TypeVar
+from uuid import uuid4
 
 import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
 from heliograph.base.registry import registered
-from heliograph.base.shared import Shared
 from heliograph.base.workers import worker_environment, worker_processes
 from heliograph.receive.decode.codeword import unread
+from heliograph.receive.decode.combining import SoftBuffer
+from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.events import DecodeEvent, Event, Observer
+from heliograph.receive.geometry.pose import Orientation
 from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.packet import Packet, Status, Words
-from heliograph.receive.track.track import Track
-from heliograph.signal.formats import Format, UnreadableModeError
+from heliograph.receive.packet import Packet, Words, packet_status
+from heliograph.signal.formats import UnreadableModeError
 from heliograph.signal.packet import PacketFormat
-from heliograph.signal.settings import SignalSettings
+
+LOG = logging.getLogger(__name__)
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
-class ReadHeader:
-    """A header pair as it was read.
+class ArrayState:
+    """State of an array, learnt from decoded packets.
 
     Attributes
     ----------
-    track
-        The array, its pose refined by the header.
-    score
-        Amplitude of the header as a fraction of the array's light.
+    led_gains
+        Gains of the LEDs; None before a packet showed any.
+    confirmed
+        True if the equaliser has decoded a codeword of the array: the pose is right.
+    misled
+        True if samples at the LEDs decode better than the equaliser: the pose is wrong.
+    buffer
+        Undecoded codewords of the array, for repetitions; None without combining.
     """
 
-    track: Track
-    score: float
-
-
-class Lesson(Protocol):
-    """What a packet teaches of its array: all of it stays where packets are decoded."""
+    led_gains: LedGains | None = None
+    confirmed: bool = False
+    misled: bool = False
+    buffer: SoftBuffer | None = None
 
     @property
-    def misled(self) -> bool:
-        """Whether the array is not quite as it is followed."""
-
-    @property
-    def told(self) -> "Lesson":
-        """The part of it that readers need, which another process may have to hand over."""
+    def for_tracking(self) -> "ArrayState":
+        """State for tracking, less evidence and buffer."""
+        led_gains = None if self.led_gains is None else self.led_gains.without_evidence
+        return replace(self, led_gains=led_gains, buffer=None)
 
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What decoding made of what was taken of a packet.
+    """Result of decoding a packet.
 
     Attributes
     ----------
     words
         Codewords by layer, decoded or not.
-    study
-        Gives what they teach of the array, which nobody need wait for; None where that is nothing.
+    learn
+        Computes the array's state after this packet; None for no change.
+    buffer
+        Undecoded codewords of the array after this packet; None if unchanged.
     cutouts
-        Cut-outs of its pairs where others were decoded than those taken; None else.
+        Decoded cut-outs of the pairs if they differ from the observed cut-outs; else None.
     luminances
-        (pairs, n, n) that were decoded; None of a reader that does not read LED by LED.
+        (pairs, n, n) decoded luminances; None if cut-outs were decoded.
+    events
+        Events of decoding, in order.
+    failure
+        Reason of a failure to decode the packet; else None.
     """
 
     words: Words
-    study: Callable[[], Lesson | None] | None = None
+    learn: Callable[[], ArrayState] | None = None
+    buffer: SoftBuffer | None = None
     cutouts: tuple[Cutout | None, ...] | None = None
     luminances: Floats | None = None
+    events: tuple[Event, ...] = ()
+    failure: Exception | None = None
 
 
-class UndecodedPacket(Protocol):
-    """All that was taken of a packet: a value, which another process may decode."""
+class Observations(Protocol):
+    """Observations of a packet as a value, which another process can decode."""
 
     @property
-    def format(self) -> Format:
-        """The packet's format, as far as its header has shown it."""
+    def form(self) -> PacketFormat:
+        """Format of the packet, as far as the header has shown."""
 
-    def taught(self, lesson: Any) -> "UndecodedPacket":
-        """Give the same packet with what is known of the array by the packets before.
+    @property
+    def cutouts(self) -> Sequence[Cutout | None]:
+        """Cut-outs of the pairs, None for missing pairs; empty if luminances are decoded."""
 
-        They are decoded by then, where the reader may have known only of those before the last.
+    def has_codeword(self) -> bool:
+        """Return True if a check, faster than `decode`, decodes a codeword."""
 
-        Parameters
-        ----------
-        lesson
-            What `Decoded.study` of the last packet that taught anything has given; None before the first.
-        """
-
-    def glance(self) -> bool:
-        """Whether a codeword is right by what can be read at once, in less time than an equaliser takes."""
-
-    def renumbered(self, place: int) -> "UndecodedPacket":
-        """Give the same packet as it is if a pair is lost that the numbers do not tell of.
-
-        What it teaches is not kept for later packets.
+    def renumbered(self, place: int) -> "Observations":
+        """Return the packet with a lost pair: it and later pairs move to the next number.
 
         Parameters
         ----------
         place
-            Number of the lost pair; what was taken from there on is that of the pairs after it.
+            Number of the lost pair.
         """
 
-    def decode(self, observe: Observer, /) -> Decoded:
-        """Decode it.
+    def decode(self, state: ArrayState, observe: Observer, /) -> Decoded:
+        """Decode the packet.
 
         Parameters
         ----------
+        state
+            State of the array after the packets before.
         observe
             Gets the events of decoding.
         """
 
-    def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
-        """What an observer of the packet gets.
 
-        Parameters
-        ----------
-        packet
-            The packet as it will be handed out.
-        decoded
-            What decoding made of it.
-        """
+class ArrayKey(NamedTuple):
+    """Name of an array for the decoder of a receiver."""
+
+    identity: int
+    orientation: Orientation
+    number: int  # distinguishes arrays of equal identity, as after a loss and a new detection
 
 
-PLACES = 6
-"""Places at which a pair is taken for lost.
+MAX_ARRAYS = 64
+"""Array states in a decoder, more than are in view: 1 MB each with 16 x 16 LEDs."""
 
-Of 48 pairs of data, four at most have then a wrong number, and half of their bits are right all the same: 4 % are
-wrong. A code of rate 1/3 corrects about 17 %.
-"""
+MAX_BUFFERS = 32
+"""Soft buffers in a decoder, by identity and orientation: more than identities exist."""
+
+MAX_DECODERS = 4
+"""Decoders in the worker process, a decoder for each receiver."""
 
 
-def decode_with_missing_pair(taken: UndecodedPacket, pairs: int, observe: Observer) -> tuple[UndecodedPacket, Decoded]:
-    """Decode a packet that lacks a pair nobody knows of."""
-    best: tuple[UndecodedPacket, Decoded] | None = None
+class PacketDecoder:
+    """Decodes the packets of a receiver's arrays and owns the array states.
+
+    A pickled decoder becomes the decoder of the same name in the other process, where the state stays between packets.
+    """
+
+    def __init__(self, name: str | None = None):
+        self._name = name or uuid4().hex
+        self._states: dict[ArrayKey, ArrayState] = {}
+        # by identity, not by array: after a loss and a new detection the carousel goes on
+        self._buffers: dict[tuple[int, Orientation], SoftBuffer] = {}
+        self._learn: Callable[[], ArrayState] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _local_decoder, (self._name,)
+
+    def has_codeword(self, packet: Observations) -> bool:
+        """Return True if a quick check decodes a codeword of a packet."""
+        return packet.has_codeword()
+
+    def decode(self, packet: Observations, array: ArrayKey, lacks_pair: bool) -> Decoded:
+        """Decode a packet of an array; `learn` updates the state of the array afterwards."""
+        events, self._learn = list[Event](), None
+        state = self._states.get(array, ArrayState())
+        try:
+            if lacks_pair:
+                decoded = decode_with_missing_pair(packet, state, events.append)
+            else:
+                buffer = self._buffers.get(array[:2], SoftBuffer())
+                decoded = packet.decode(replace(state, buffer=buffer), events.append)
+        except (np.linalg.LinAlgError, UnreadableModeError) as error:
+            return Decoded(unread(packet.form, array.identity), events=tuple(events), failure=error)
+        self._keep(array, decoded.buffer)
+        self._learn = decoded.learn
+        return replace(decoded, learn=None, buffer=None, events=tuple(events))
+
+    def learn(self, array: ArrayKey) -> ArrayState | None:
+        """Update the state of an array from the last packet; return None if unchanged."""
+        learn, self._learn = self._learn, None
+        if learn is None:
+            return None
+        try:
+            state = learn()
+        except np.linalg.LinAlgError:
+            return None
+        self._keep(array, state.buffer)
+        _remember(self._states, array, replace(state, buffer=None), MAX_ARRAYS)
+        return state.for_tracking
+
+    def _keep(self, array: ArrayKey, buffer: SoftBuffer | None) -> None:
+        if buffer is not None:
+            _remember(self._buffers, array[:2], buffer, MAX_BUFFERS)
+
+
+_DECODERS: dict[str, PacketDecoder] = {}
+"""Decoders of other processes, by name."""
+
+
+def _local_decoder(name: str) -> PacketDecoder:
+    """Decoder in this process for a pickled decoder."""
+    return _remember(_DECODERS, name, _DECODERS.get(name) or PacketDecoder(name), MAX_DECODERS)
+
+
+def _remember(recent: dict[Key, Value], key: Key, value: Value, count: int) -> Value:
+    """Add a value to a dictionary that keeps the values added last."""
+    recent.pop(key, None)
+    recent[key] = value
+    while len(recent) > count:
+        del recent[next(iter(recent))]
+    return value
+
+
+def decode_with_missing_pair(packet: Observations, state: ArrayState, observe: Observer, places: int = 6) -> Decoded:
+    """Decode a packet that lacks a pair of unknown number: try a few numbers.
+
+    The sums after a lost pair stay even; only the next header, a pair early, shows the loss. Of 48 pairs at most four
+    then have a wrong number, which the code corrects. Such a packet is not combined with repetitions.
+    """
+    best: Decoded | None = None
+    pairs = packet.form.settings.data_pairs
     # each in the middle of a part of the packet
-    for place in np.unique((np.arange(PLACES) + 0.5) * pairs / PLACES).astype(int).tolist():
-        one = taken.renumbered(place)
-        decoded = one.decode(observe)
-        if best is None or _right(decoded.words) > _right(best[1].words):
-            best = one, decoded
-        if _right(decoded.words) == sum(map(len, decoded.words.values())):
+    for place in np.unique((np.arange(places) + 0.5) * pairs / places).astype(int).tolist():
+        renumbered = packet.renumbered(place)
+        decoded = renumbered.decode(replace(state, buffer=None), observe)
+        if best is None or _count_decoded(decoded.words) > _count_decoded(best.words):
+            best = replace(decoded, cutouts=decoded.cutouts or tuple(renumbered.cutouts))
+        if _count_decoded(decoded.words) == sum(map(len, decoded.words.values())):
             break
-    assert best is not None  # PLACES is at least one
+    assert best is not None  # places is positive
     return best
 
 
-def _right(words: Words) -> int:
+def _count_decoded(words: Words) -> int:
     return sum(word.status == "ok" for layer in words.values() for word in layer)
 
 
-LOG = logging.getLogger(__name__)
+class InlineExecutor(Executor):
+    """Runs each call at once."""
 
-Result = TypeVar("Result")
-
-HEADER_SEEN = 0.5
-"""Least header score of a packet whose header was seen: half of the array's light must alternate."""
-
-ENOUGH_SEEN = 0.5
-"""Least fraction of a packet's data that must have been seen.
-
-Below it a packet that the film's end cuts off is not given out, and one without a right codeword is "no_array". Of
-data half of which is erased no code of a rate above 1/2 can be read. Half of it loses none of 192 codewords; twice of
-it, all of the data, loses 20, all of cameras out of step.
-"""
-
-LESSONS_KEPT = 32
-"""Arrays whose lessons the process that decodes keeps, those asked for last: more than are in view.
-
-An array of 16 x 16 LEDs takes 1 MB. One that is left out is learnt anew.
-"""
-
-
-class Teaching(NamedTuple):
-    """What the packets of an array have taught."""
-
-    # What the last one taught that was studied; None before
-    lesson: Lesson | None = None
-    # Gives what the packet taught that was decoded last; None where it is studied, or teaches nothing
-    study: Callable[[], Lesson | None] | None = None
-
-
-class SharedLesson(Shared[Teaching]):
-    """Hands what was learnt of an array on from packet to packet, where these are decoded."""
-
-    kept = LESSONS_KEPT
-
-    def __init__(self, name: str | None = None) -> None:
-        super().__init__(Teaching(), name)
-
-
-@dataclass(frozen=True, slots=True)
-class DecodedPacket:
-    """A packet once it is decoded."""
-
-    # What decoding made of it
-    decoded: Decoded
-    # What observers are told of decoding, in its order
-    events: tuple[Event, ...] = ()
-    # Why nothing was read; None where it was decoded
-    failure: Exception | None = None
-    # The packet with its pairs renumbered, where that is how it was decoded; None else
-    renumbered: UndecodedPacket | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Work:
-    """A packet to be decoded; another process may do it."""
-
-    # All that was taken of the packet
-    taken: UndecodedPacket
-    # Number of the array, 0 to 29
-    identity: int
-    # Settings of the light's signal
-    signal: SignalSettings
-    # Whether a pair of it is lost, nobody knows which
-    lacks_pair: bool
-    # What the array's packets before have taught
-    taught: SharedLesson
-
-    def __call__(self) -> DecodedPacket:
-        """Decode it."""
-        events, renumbered, lesson = list[Event](), None, self.taught.content.lesson
-        taken = self.taken.taught(lesson)
-        try:
-            if self.lacks_pair:
-                renumbered, decoded = decode_with_missing_pair(taken, self.signal.data_pairs, events.append)
-            else:
-                decoded = taken.decode(events.append)
-        except (np.linalg.LinAlgError, UnreadableModeError) as error:
-            words = unread(PacketFormat(self.signal, self.taken.format), self.identity)
-            return DecodedPacket(Decoded(words), tuple(events), error)
-        self.taught.keep(Teaching(lesson, decoded.study))
-        # what it teaches is worked out later, and here
-        return DecodedPacket(replace(decoded, study=None), tuple(events), None, renumbered)
-
-
-@dataclass(frozen=True, slots=True)
-class QuickCheck:
-    """A look at a packet before it is decoded."""
-
-    # All that was taken of the packet
-    taken: UndecodedPacket
-
-    def __call__(self) -> bool:
-        """Whether a codeword of it is right."""
-        return self.taken.glance()
-
-
-def glanced(decoders: "Decoders", taken: UndecodedPacket) -> bool:
-    """Whether a look at a packet shows a right codeword; waits for it."""
-    return _result(decoders.submit(QuickCheck(taken)))
-
-
-@dataclass(frozen=True, slots=True)
-class Study:
-    """Works out what a packet teaches, after it was decoded and handed out."""
-
-    # What the array's packets have taught
-    taught: SharedLesson
-
-    def __call__(self) -> Lesson | None:
-        """What readers are told of what the packet that was decoded last has taught; None for nothing."""
-        before, study = self.taught.content
-        if study is None:
-            return None
-        self.taught.keep(Teaching(before))
-        try:
-            lesson = study()
-        except np.linalg.LinAlgError:
-            return None
-        self.taught.keep(Teaching(lesson))
-        return None if lesson is None else lesson.told
-
-
-class Decoders(Protocol):
-    """Decodes packets, one after the other."""
-
-    def submit(self, work: Callable[[], Result], /) -> Future[Result]:
-        """Decode or study a packet, now or later, after all that was submitted before."""
-
-
-class InlineExecutor:
-    """Decodes a packet when it is handed in."""
-
-    def submit(self, work: Callable[[], Result], /) -> Future[Result]:
-        """Do it; see `Decoders`."""
+    def submit(self, call: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Run a call; see `Executor`."""
         done = Future[Result]()
-        done.set_result(work())
+        done.set_result(call(*args, **kwargs))
         return done
 
 
-class ProcessExecutor:
-    """Decodes packets in another process, the same one for all receivers of this process.
+class ProcessExecutor(Executor):
+    """Runs calls in order in a second process, shared by all receivers of this process.
 
-    A thread would do no good: following and decoding are half Python, of which one thread runs at a time.
+    A thread would gain little: tracking and decoding are half Python, which runs in a single thread at a time.
     """
 
-    def submit(self, work: Callable[[], Result], /) -> Future[Result]:
-        """Hand it to the process; see `Decoders`."""
-        return _submitted(work)
-
-
-def decoders(beside: bool) -> Decoders:
-    """What decodes packets."""
-    if not beside:
-        return InlineExecutor()
-    _submitted(_loaded)
-    return ProcessExecutor()
-
-
-def _submitted(work: Callable[[], Result]) -> Future[Result]:
-    """Hand work to the process, or to another one where that has ended."""
-    with worker_environment():
-        try:
-            return _process(registered()).submit(work)
-        except BrokenProcessPool:
-            _process.cache_clear()
-            return _process(registered()).submit(work)
+    def submit(self, call: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Hand a call to the process, restarted if it has ended; see `Executor`."""
+        with worker_environment():
+            try:
+                return _process(registered()).submit(call, *args, **kwargs)
+            except BrokenProcessPool:
+                _process.cache_clear()
+                return _process(registered()).submit(call, *args, **kwargs)
 
 
 @lru_cache(maxsize=1)
 def _process(_parts: tuple[str, ...]) -> ProcessPoolExecutor:
-    """The process that decodes, which knows some registered parts."""
-    # one process: what packets show of an array and its codewords is kept there, in the packets' order
+    """Worker process with the registered parts."""
     return worker_processes(1)
 
 
-def _loaded() -> None:
-    """Have all that decoding needs before the first packet comes."""
-    import_module("heliograph.receive.build")
-
-
 class PendingPacket:
-    """A packet that was seen, and is decoded or being decoded."""
+    """Observed packet during and after decoding."""
 
     def __init__(
         self,
-        seen: Packet,
-        taken: UndecodedPacket,
-        work: Future[DecodedPacket],
-        lesson: Future[Lesson | None],
+        packet: Packet,
+        observations: Observations,
+        decoded: Future[Decoded],
+        state: Future[ArrayState | None],
         observe: Observer,
         exposure_range: tuple[float, float] | None,
     ):
-        self._seen, self._taken, self._work, self._lesson, self._observe = seen, taken, work, lesson, observe
-        self._exposure_range = exposure_range
+        self._undecoded, self._observations, self._decoded, self._state = packet, observations, decoded, state
+        self._observe, self._exposure_range = observe, exposure_range
         self._packet: Packet | None = None
 
     @property
     def done(self) -> bool:
-        """Whether it is decoded."""
-        return self._work.done()
+        """True if the packet is decoded."""
+        return self._decoded.done()
 
     @property
-    def lesson(self) -> Lesson | None:
-        """What readers are told of what it teaches, None for nothing; waits until that is known."""
-        return _result(self._lesson)
+    def state(self) -> ArrayState | None:
+        """State of the array after the packet, None if unchanged; waits for the decoder."""
+        return wait_for(self._state)
 
     def settle(self) -> None:
-        """Wait until nothing more comes of it: neither the packet nor, whatever comes of that, what it teaches."""
+        """Wait until the decoder has finished with the packet or failed."""
         with contextlib.suppress(Exception):
-            self._lesson.result()
+            self._state.result()
 
     def packet(self) -> Packet:
-        """The packet; waits until it is decoded."""
+        """Packet with codewords; waits for the decoder."""
         if self._packet is None:
-            result, seen = _result(self._work), self._seen
-            taken, words = result.renumbered or self._taken, result.decoded.words
-            self._packet = replace(
-                seen,
-                status=_status(words, seen.header_score, seen.pairs_seen),
-                layers=words,
-                format=taken.format,
-                reason=self._reason(result.failure),
+            decoded, packet = wait_for(self._decoded), self._undecoded
+            self._packet = packet = replace(
+                packet,
+                status=packet_status(decoded.words, packet.header_score, packet.pairs_seen),
+                layers=decoded.words,
+                format=self._observations.form.format,
+                reason=self._log_failure(decoded.failure),
             )
-            for event in result.events:
+            for event in decoded.events:
                 self._observe(event)
-            self._observe(replace(taken.shown(self._packet, result.decoded), exposure_range=self._exposure_range))
+            cutouts = tuple(self._observations.cutouts) if decoded.cutouts is None else decoded.cutouts
+            self._observe(
+                DecodeEvent(packet.identity, packet, decoded.luminances, cutouts, exposure_range=self._exposure_range)
+            )
         return self._packet
 
-    def _reason(self, failure: Exception | None) -> str:
+    def _log_failure(self, failure: Exception | None) -> str:
         if failure is None:
             return ""
-        # of a header that something hides, any mode may be read
+        # an occluded header may show any mode
         level = logging.INFO if isinstance(failure, UnreadableModeError) else logging.WARNING
-        place = self._seen.identity, self._seen.first_frame
-        LOG.log(level, "array %d, packet at frame %d is not read: %s", *place, failure)
+        packet = self._undecoded
+        LOG.log(level, "array %d, packet at frame %d is not read: %s", packet.identity, packet.first_frame, failure)
         return str(failure)
 
 
-def _result(work: Future[Result]) -> Result:
+def wait_for(future: Future[Result]) -> Result:
+    """Wait for the result of a decoder's call; report the end of the worker process."""
     try:
-        return work.result()
+        return future.result()
     except BrokenProcessPool:
         raise HeliographError(
             "the process that decodes packets has ended: was there too little memory? "
             "receive.decode.in_background = false decodes them in this process"
         ) from None
-
-
-def _status(layers: Words, header: float, seen: float) -> Status:
-    good = [word.status == "ok" for words in layers.values() for word in words]
-    if any(good):
-        return "ok" if all(good) else "partial"
-    if seen < ENOUGH_SEEN:
-        return "no_array"
-    return "crc_fail" if header >= HEADER_SEEN else "no_header"

@@ -8,9 +8,8 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.errors import SettingsError
 from heliograph.receive.decode.codeword import Decoding, decode_packet
-from heliograph.receive.decode.worker import ENOUGH_SEEN
 from heliograph.receive.geometry.pose import ORIENTATIONS, Orientation
-from heliograph.receive.packet import Words
+from heliograph.receive.packet import MIN_PAIRS_SEEN, Words
 from heliograph.receive.screen.cells import Sample, SearchBudget
 from heliograph.receive.screen.clock import (
     PARAMETERS as CLOCK,
@@ -321,7 +320,7 @@ class PacketAssembler:
             end_s = self._next_s + 2 * pairs * clock.period_s
             if now_s < end_s + late_s and not final:
                 return
-            if now_s - self._next_s < ENOUGH_SEEN * (end_s - self._next_s):
+            if now_s - self._next_s < MIN_PAIRS_SEEN * (end_s - self._next_s):
                 return
             yield from self._decode_next(clock, self._next_s, end_s)
             if final and now_s < end_s + late_s:

@@ -10,7 +10,6 @@ from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame, check_next, check_order
 from heliograph.base.threads import in_one_thread
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.worker import ENOUGH_SEEN, HEADER_SEEN
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import (
     DecodeEvent,
@@ -24,7 +23,7 @@ from heliograph.receive.events import (
 from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import window_around
-from heliograph.receive.packet import Packet, Status
+from heliograph.receive.packet import Packet, packet_status
 from heliograph.receive.screen.cells import CellTracker, Place, Sample, SearchBudget
 from heliograph.receive.screen.locate import ArraySearch
 from heliograph.receive.screen.packets import CurrentPacket, PacketAssembler, ScreenHeader, ScreenPacket
@@ -287,13 +286,12 @@ class ScreenReceiver:
         pose = pose_of(first.fit.place, self._signal.side)
         packet = Packet(
             identity=decoded.header.identity,
-            status=_status(decoded),
+            status=packet_status(decoded.words, decoded.header.score, float(np.mean(decoded.seen))),
             start_time_s=decoded.start_s,
             first_frame=first.index,
             last_frame=samples[-1].index,
             pose=pose,
-            # pinhole: pitch_px = f p / (Z pixel)
-            distance_m=calibration.focal_m * calibration.pitch_m / (pose.frontal_pitch * calibration.pixel_m),
+            distance_m=calibration.distance_m(pose),
             header_score=decoded.header.score,
             track_score=float(np.clip(1 - first.fit.misfit**2, 0, 1)),
             pairs_seen=float(np.mean(decoded.seen)),
@@ -304,13 +302,3 @@ class ScreenReceiver:
         )
         self._observe(DecodeEvent(packet.identity, packet, luminances=decoded.change))
         return packet
-
-
-def _status(packet: ScreenPacket) -> Status:
-    """Return the status of a decoded packet."""
-    n_words = sum(len(words) for words in packet.words.values())
-    if packet.n_ok:
-        return "ok" if packet.n_ok == n_words else "partial"
-    if np.mean(packet.seen) < ENOUGH_SEEN:
-        return "no_array"
-    return "crc_fail" if packet.header.score >= HEADER_SEEN else "no_header"

@@ -140,8 +140,7 @@ class Seen:
         reach = self.signal.side / 2
         ends = np.array([(-reach, -reach), (reach, -reach), (reach, reach), (-reach, reach)])
         corners = ends @ pose.axes.T + np.array([pose.x, pose.y])
-        # pinhole: pitch_px = f p / (Z pixel)
-        distance_m = known.focal_m * known.pitch_m / (pose.frontal_pitch * known.pixel_m)
+        distance_m = known.distance_m(pose)
         return {
             **self._named(identity), "seen": tracked.seen, "distance_m": round(distance_m, 2),
             "corners": [[round(float(x), 2), round(float(y), 2)] for x, y in corners],
