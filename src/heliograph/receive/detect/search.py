@@ -112,7 +112,7 @@ class PyramidSearch:
             return []
         skipped = alternating & ~busy
         known, detections = list(tracked), list[Detection]()
-        coarsest = self._coarsest_level(slots, busy)
+        coarsest = self._coarsest_level(slots, busy, int(np.count_nonzero(busy | skipped)))
         for k, (view, detector) in reversed(list(enumerate(self._levels[: coarsest + 1]))):
             reduced, poses = self._reduced_window(slots, k), [view.pose_in(pose) for pose in known]
             level_means = (detector.block_means(reduced) if k else means) if reduced else None
@@ -128,12 +128,12 @@ class PyramidSearch:
                 detections.append(replace(found, fit=view.fit_out(found.fit), drift=view.motion_out(found.drift)))
         return detections
 
-    def _coarsest_level(self, slots: FrameWindow, busy: Blocks) -> int:
+    def _coarsest_level(self, slots: FrameWindow, busy: Blocks, alternating: int) -> int:
         """Find the coarsest level on which an area as large as an array there may alternate.
 
-        The alternation is reduced instead of the frames, and only about busy blocks.
+        The alternation is reduced instead of the frames, and only about the chosen blocks of those that alternate.
         """
-        area = np.count_nonzero(busy) * BLOCK_PX**2
+        area = alternating * BLOCK_PX**2
         max_level = sum(area >= self._pyramid.min_alternating * side**2 for side in self._smallest_px)
         if not max_level:
             return 0
