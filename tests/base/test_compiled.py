@@ -132,7 +132,7 @@ def test_a_terminal_shows_once_that_it_compiles(package: Path) -> None:
 
 
 def test_garbage_collection_resumes_after_compiling() -> None:
-    from heliograph.receive.image.median import median
+    from heliograph.receive.geometry.kernels import median
 
     assert gc.isenabled()
     assert median(np.array([3.0, 1.0, 2.0])) == 2.0
