@@ -7,8 +7,7 @@ afford all blocks takes the blocks of greatest novelty: their alternation over t
 """
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
-from operator import add, sub
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -166,11 +165,16 @@ class SearchLoad:
 
     def __add__(self, other: "SearchLoad") -> "SearchLoad":
         """Add two loads."""
-        return SearchLoad(*map(add, astuple(self), astuple(other)))
+        return SearchLoad(
+            self.fitted + other.fitted,
+            self.dropped + other.dropped,
+            self.blocks + other.blocks,
+            self.work + other.work,
+        )
 
     def __sub__(self, other: "SearchLoad") -> "SearchLoad":
         """Return the load since an earlier load."""
-        return SearchLoad(*map(sub, astuple(self), astuple(other)))
+        return self + SearchLoad(-other.fitted, -other.dropped, -other.blocks, -other.work)
 
 
 class TokenBucket:
