@@ -70,7 +70,7 @@ class _Locator(InTreeCacheLocator):
 
 
 class _Files(CompileResultCacheImpl):
-    _locator_classes: list[type[object]] = [_Locator]  # noqa: RUF012
+    _locator_classes: list[type[object]] = [_Locator]  # noqa: RUF012 - Numba's own attribute, not annotated there
 
 
 class _Cache(FunctionCache):
@@ -81,7 +81,7 @@ class _Cache(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         # Numba numbers the files of a function, so two processes could write machine code under the same name
-        self._cache_file._data_name = self._name_file  # type: ignore[method-assign]
+        self._cache_file._data_name = self._name_file  # type: ignore[method-assign]  # the index has no setting for it
 
     def _name_file(self, _: int) -> str:
         return f"{self._impl.filename_base}.{uuid.uuid4().hex}.nbc"

@@ -209,7 +209,7 @@ def _key(frame: Frame) -> tuple[object, ...]:
 
 def _with_rim(frame: Frame, rim: int) -> Frame:
     """Add a black rim to a frame."""
-    pixels: Pixels = cv2.copyMakeBorder(  # type: ignore[assignment]
+    pixels: Pixels = cv2.copyMakeBorder(  # type: ignore[assignment]  # OpenCV keeps the dtype
         frame.pixels, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=0
     )
     x, y = frame.origin

@@ -121,7 +121,7 @@ def halved(frame: Frame) -> Frame:
     """Reduce a frame to the next level of the pyramid."""
     x, y = frame.origin
     pixels = frame.pixels[y % 2 :, x % 2 :]
-    reduced: Pixels = cv2.pyrDown(np.ascontiguousarray(pixels))  # type: ignore[assignment]
+    reduced: Pixels = cv2.pyrDown(np.ascontiguousarray(pixels))  # type: ignore[assignment]  # OpenCV keeps the dtype
     return replace(frame, pixels=reduced, origin=((x + 1) // 2, (y + 1) // 2))
 
 
