@@ -25,8 +25,8 @@ def test_a_part_of_the_package_is_imported_when_asked_for() -> None:
 
 
 def test_a_registered_part_is_found_and_can_be_replaced() -> None:
-    COLOURS.register("blue", "first")
-    COLOURS.register("blue", "second")
+    COLOURS.register("blue", "first", str)
+    COLOURS.register("blue", "second", str)
     assert COLOURS["blue"] == "second"
     assert COLOURS.names() == ["red", "blue"]
     assert not COLOURS.is_built_in("blue")
@@ -43,7 +43,7 @@ def test_a_registered_part_is_found_and_can_be_replaced() -> None:
 )
 def test_names_that_are_refused(name: str, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
-        COLOURS.register(name, "x")
+        COLOURS.register(name, "x", str)
 
 
 def test_an_unknown_name_is_an_error_that_names_the_nearest() -> None:

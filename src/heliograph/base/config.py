@@ -1,7 +1,7 @@
 """Settings as frozen, checked dataclasses.
 
 A settings class is a ``pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config=CONFIG)`` under
-`clear_errors`. This module merges mappings, and turns an error of pydantic into one line that names the rule, the wrong
+`clear_errors`. This module merges mappings, and turns an error of pydantic into a line with the rule, the wrong
 value and the nearest known key. `toml_text` reads and writes the text.
 """
 
@@ -42,7 +42,7 @@ _MAX_KEY = 100
 """Characters of an unknown key up to which a known key is proposed."""
 
 _RENAMED = {"beside": "in_background", "busy_part": "cpu_share"}
-"""New names of settings by their old ones."""
+"""New names of settings by old name."""
 
 T = TypeVar("T")
 
@@ -63,24 +63,9 @@ def clear_errors(cls: type[T]) -> type[T]:
 
 
 def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
-    """Make settings from nested mappings.
+    """Make settings of a class from nested mappings; missing keys keep the defaults.
 
-    Parameters
-    ----------
-    cls
-        Settings class, or a plain dataclass.
-    mapping
-        Values by field name, a mapping for each settings class within; missing keys keep the defaults.
-
-    Returns
-    -------
-    T
-        Settings of class `cls`.
-
-    Raises
-    ------
-    SettingsError
-        A key is unknown, or a value has the wrong type or is out of range.
+    Raise a SettingsError if a key is unknown, or a value has the wrong type or is out of range.
     """
     if is_dataclass(cls) and not hasattr(cls, "__pydantic_config__") and isinstance(mapping, Mapping):
         # a plain dataclass would ignore unknown keys

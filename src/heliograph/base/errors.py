@@ -1,4 +1,4 @@
-"""Errors for the user: one line with the problem and the remedy."""
+"""Errors for the user: a line with the problem and the remedy."""
 
 import unicodedata
 from collections.abc import Callable

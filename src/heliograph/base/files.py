@@ -51,7 +51,7 @@ def path_beside(path: Path, ending: str) -> Path:
 
 
 def shown_name(path: str | os.PathLike[str]) -> str:
-    """Return the name of a file without folders, as text that pages and reports can show."""
+    """Return the last part of a path as printable text."""
     return printable(Path(path).name or str(path))
 
 
@@ -62,8 +62,8 @@ def write_whole(path: Path, data: bytes) -> None:
 
 
 def read_bounded(path: Path, most: int, cure: str = "is it the right file?") -> bytes:
-    """Read a file or a pipe; raise an OSError if it has more than `most` bytes or is a pipe without a writer."""
-    # opening a pipe without a writer would block
+    """Read a file or a pipe; raise an OSError for more than `most` bytes or for a pipe that has no writer."""
+    # opening a pipe that has no writer would block
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with open(descriptor, "rb") as file:
         if hasattr(os, "set_blocking"):

@@ -39,7 +39,7 @@ class Frame:
     bits
         Bits of a gray level, 8 to 16; full scale is ``2**bits - 1``.
     origin
-        (x, y) on the sensor of ``pixels[0, 0]`` in pixels; (0, 0) for a whole frame, else the window's corner.
+        (x, y) on the sensor of ``pixels[0, 0]`` in pixels; (0, 0) for a full frame, else the window's corner.
 
     Raises
     ------
@@ -78,17 +78,17 @@ class Frame:
         return (1 << self.bits) - 1
 
     def at_time(self, time_s: float) -> "Frame":
-        """Return the frame with another start of the exposure, in seconds and without a check."""
+        """Return the frame with another start of the exposure in seconds, unchecked."""
         return _unchecked(self.index, time_s, self)
 
     def copied(self) -> "Frame":
-        """Return the frame with a copy of the pixels, row after row in memory and without a check."""
+        """Return the frame with a C-contiguous copy of the pixels, unchecked."""
         frame = _unchecked(self.index, self.time_s, self)
         object.__setattr__(frame, "pixels", np.array(self.pixels, order="C"))
         return frame
 
     def numbered(self, index: int) -> "Frame":
-        """Return the frame with another number, without a check."""
+        """Return the frame with another number, unchecked."""
         return _unchecked(index, self.time_s, self)
 
 

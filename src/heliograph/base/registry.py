@@ -32,17 +32,7 @@ _failures: list[str] | None = None
 
 
 class Registry(Generic[T]):
-    """Parts of a kind by name.
-
-    Parameters
-    ----------
-    kind
-        Word for a part in messages, such as "receiver".
-    group
-        Entry-point group by which installed packages offer parts, such as "heliograph.receivers".
-    built_in
-        Parts of the package as "module:attribute", imported at the first use.
-    """
+    """Parts of a kind by name: an entry-point group of installed packages, and built-in parts as "module:attribute"."""
 
     def __init__(self, kind: str, group: str, built_in: Mapping[str, str]):
         self._kind, self._group, self._built_in = kind, group, dict(built_in)
@@ -51,35 +41,19 @@ class Registry(Generic[T]):
         """Module in which the maker of each registered part is defined."""
         _REGISTRIES[group] = self
 
-    def register(self, name: str, part: T, make: Any = None) -> None:
-        """Add a part, or replace an earlier registered part.
+    def register(self, name: str, part: T, make: Any) -> None:
+        """Add a part made by a function or class, or replace a registered part.
 
-        Parameters
-        ----------
-        name
-            Name of letters, digits, "-", "_" and ".".
-        part
-            Value of ``registry[name]``.
-        make
-            Function or class that makes the part, if it is not the part.
-
-        Raises
-        ------
-        SettingsError
-            The name belongs to the package or is not valid.
+        Raise a SettingsError if the name belongs to the package or is not valid, or if `make` cannot be called.
         """
+        if not callable(make):
+            raise SettingsError(f"a {self._kind} is made by a function or a class, not by {shown(make)}")
         if not (isinstance(name, str) and re.fullmatch(r"[\w.-]+", name)):
             raise SettingsError(f"a {self._kind}'s name has letters, digits, '-', '_' and '.', not {shown(name)}")
         if name in self._built_in:
             raise SettingsError(f"the {self._kind} '{name}' is one of the package; choose another name")
         self._registered[name] = part
-        self.origins[name] = str(getattr(make or part, "__module__", ""))
-
-    def register_maker(self, name: str, make: Any, part: T) -> None:
-        """Add a part as `register` does; raise a SettingsError unless `make` is a function or a class."""
-        if not callable(make):
-            raise SettingsError(f"a {self._kind} is made by a function or a class, not by {shown(make)}")
-        self.register(name, part, make)
+        self.origins[name] = str(getattr(make, "__module__", ""))
 
     def __getitem__(self, name: str) -> T:
         """Return the part of a name; raise a SettingsError if it is unknown or cannot be loaded."""

@@ -22,8 +22,8 @@ _NO_KEY = re.compile(
     r"|#[^\n]*",
     re.DOTALL,
 )
-"""Quoted text and comments of TOML, whose dots separate no keys. Text without an end reaches to the end of the line or
-of the document, so that the search never goes back."""
+"""Quoted text and comments of TOML, whose dots separate no keys. Unterminated text ends with the line or the document,
+so the search never backtracks."""
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def _has_deep_key(text: str) -> bool:
 
 
 def _check_bounds(tree: Any) -> None:
-    """Raise a SettingsError if a tree is deeper, or a whole number larger, than settings can be."""
+    """Raise a SettingsError if a tree is deeper, or an integer larger, than settings allow."""
     layer, depth = [tree], 0
     while layer:
         if depth > MAX_DEPTH:

@@ -64,7 +64,7 @@ def register_motion(name: str, make: Callable[..., Any]) -> None:
     SettingsError
         The name is that of a part of the package, or is no name; or `make` is no function.
     """
-    MOTIONS.register_maker(name, make, make)
+    MOTIONS.register(name, make, make)
 
 
 def register_background(name: str, make: Callable[..., Any]) -> None:
@@ -82,7 +82,7 @@ def register_background(name: str, make: Callable[..., Any]) -> None:
     SettingsError
         The name is that of a part of the package, or is no name; or `make` is no function.
     """
-    BACKGROUNDS.register_maker(name, make, make)
+    BACKGROUNDS.register(name, make, make)
 
 
 def register_point_spread(name: str, make: Callable[..., Any]) -> None:
@@ -100,4 +100,4 @@ def register_point_spread(name: str, make: Callable[..., Any]) -> None:
     SettingsError
         The name is that of a part of the package, or is no name; or `make` is no function.
     """
-    POINT_SPREADS.register_maker(name, make, make)
+    POINT_SPREADS.register(name, make, make)

@@ -47,7 +47,7 @@ def register_receiver(name: str, make: MakeReceiver, settings: type | None = Non
     groups = tuple(reads)
     if unknown := [group for group in groups if group not in GROUPS]:
         raise SettingsError(f"a receiver reads groups of {', '.join(GROUPS)}, not {', '.join(unknown)}")
-    RECEIVERS.register_maker(name, make, ReceiverPart(make, settings, groups))
+    RECEIVERS.register(name, ReceiverPart(make, settings, groups), make)
 
 
 def own_settings(settings: ReceiveSettings) -> Any:

@@ -6,7 +6,7 @@ A block of a message:
     byte 1      identity of the array
     byte 2      stream: number of the message in its layer
     bytes 3-4   sequence: which segment of the message
-    bytes 5-7   length of the whole message in bytes
+    bytes 5-7   length of the message in bytes
     ...         payload, filled with zeros in the last segment
     last 4      CRC-32 (IEEE 802.3) of all bytes before
 
@@ -19,8 +19,8 @@ A block of a file has 4 added to its layer, and other fields (section 7.1):
     bytes 11-14   CRC-32 of the file
     ...           as many symbols as find room, then zeros
 
-Where blocks are small, those of a file have a shorter head (section 7.2): 8 added to the layer for one symbol, 12 for
-what the file is:
+Small blocks of a file have a shorter header (section 7.2): the layer plus 8 for a symbol, plus 12 for the description
+of the file:
 
     byte 2        tag: the first byte of the check      bytes 2-4   bytes of the file
     bytes 3-4     number of the symbol                  bytes 5-8   CRC-32 of the file
@@ -48,7 +48,7 @@ CRC_BYTES = 4
 """Bytes of the CRC-32 (section 7)."""
 
 MIN_BITS = 8 * (HEADER_BYTES + CRC_BYTES + 1)
-"""Fewest information bits of a block: they hold one byte of payload."""
+"""Minimum information bits of a block: a single byte of payload."""
 
 FILE_HEADER_BYTES = 15
 """Bytes before the symbols of a file (section 7.1)."""
@@ -67,7 +67,7 @@ NOTICE_BYTES = 9
 """Bytes that tell what a file is (section 7.2)."""
 
 SYMBOL_LAYERS, NOTICE_LAYERS = 8, 12
-"""Added to the layer's number in a small block and in one that tells what a file is (section 7.2)."""
+"""Added to the layer's number in a small block with a symbol and with the description of a file (section 7.2)."""
 
 MAX_MESSAGE = (1 << 24) - 1
 """Longest message in bytes: the field for the length has three bytes."""
@@ -76,12 +76,12 @@ MAX_SEGMENTS = 1 << 16
 """Most segments of a message: the field for the sequence has two bytes."""
 
 _MAX_BYTE = 255
-"""Largest value of a field of one byte."""
+"""Largest value of a byte."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One segment of a message, as one codeword carries it.
+    """Segment of a message in a codeword.
 
     Attributes
     ----------
@@ -94,9 +94,9 @@ class Block:
     sequence
         Number of the segment in the message, 0 to 65535.
     length
-        Bytes of the whole message, 0 to 2**24 - 1; 0 for an idle block.
+        Bytes of the message, 0 to 2**24 - 1; 0 for an idle block.
     payload
-        Bytes of the segment, without the zeros that fill the block; at most `payload_bytes`.
+        Bytes of the segment, padding excluded; at most `payload_bytes`.
     """
 
     layer: str
@@ -109,7 +109,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class FileBlock:
-    """Symbols of a file, as one codeword carries them (section 7.1).
+    """Symbols of a file in a codeword (section 7.1).
 
     Attributes
     ----------
@@ -122,13 +122,13 @@ class FileBlock:
     number
         Number of the first symbol, 0 to 2**24 - 1.
     length
-        Bytes of the whole file with its name, 1 to 2**24 - 1.
+        Bytes of the file and its name, 1 to 2**24 - 1.
     size
         Bytes of a symbol, 1 to 65535.
     check
-        CRC-32 of the whole file with its name.
+        CRC-32 of the file and its name.
     payload
-        The symbols one after the other: a multiple of `size` bytes, at least one.
+        Consecutive symbols: a positive multiple of `size` bytes.
     """
 
     layer: str
@@ -182,9 +182,9 @@ class FileNotice:
     identity
         Number of the array, 0 to 255 (a transmitter uses 0 to 29).
     length
-        Bytes of the whole file with its name, 1 to 2**24 - 1.
+        Bytes of the file and its name, 1 to 2**24 - 1.
     check
-        CRC-32 of the whole file with its name.
+        CRC-32 of the file and its name.
     """
 
     layer: str

@@ -1,7 +1,7 @@
-"""Channel codes: what a code must offer, and codes by name.
+"""Channel codes: the interface of a code, and codes by name.
 
-The air interface has one code, the turbo code "turbo". For research beside it other codes may be registered under names
-of their own; both ends then set ``signal.code``.
+The code of the air interface is "turbo". Research may register further codes; transmitter and receiver then set
+``signal.code``.
 """
 
 from collections.abc import Callable
@@ -132,4 +132,4 @@ def register_code(name: str, family: CodeFamily) -> None:
     SettingsError
         The name is taken by a code of the package, or is no name; or `family` is no function.
     """
-    CODES.register_maker(name, family, family)
+    CODES.register(name, family, family)

@@ -29,7 +29,7 @@ SHORT_PAIRS = 13
 second. Half as many would hold no block of 8 x 8 LEDs below the rate 9/10; twice would take 5.6 s."""
 
 ALL_MODES = 4
-"""Modes that a header can name, the reserved ones included."""
+"""Modes in a header, including reserved modes."""
 
 RATE_BITS = 3
 """Bits of a layer's rate number: eight numbers."""
@@ -38,11 +38,11 @@ BITS = 11
 """Bits of a format's number: two of the mode, three each of the high, middle and low layer's rate. RM(2, 4) has 11."""
 
 WORD_BITS = 16
-"""Bits of a format's word: one for each of the 4 x 4 cells of the header, the length of RM(2, 4)."""
+"""Bits of a format's word: the 4 x 4 cells of the header, the length of RM(2, 4)."""
 
 DIMMED = 0.5
-"""Contrast of a cell whose bit of the word is 1 (section 4.1): the only one between 0 and 1 whose levels, 3 and 1, are
-whole. At 0 the cell would be flat, and detection by the header would lose it."""
+"""Contrast of a cell whose bit of the word is 1 (section 4.1): only this contrast between 0 and 1 has integer levels,
+3 and 1. A flat cell of contrast 0 would be lost to detection by the header."""
 
 
 def _signalled(rate: float) -> float:
@@ -154,7 +154,7 @@ def check_mode(number: int, data_pairs: int) -> None:
     Raises
     ------
     UnreadableModeError
-        The mode is 3; or it is the short one, and another number of pairs is expected.
+        The mode is 3, or the mode is short and another number of pairs is expected.
     """
     if mode_number(number) >= len(MODES):
         raise UnreadableModeError(f"its mode, {mode_number(number)}, is not known to this version")
@@ -166,7 +166,7 @@ def check_mode(number: int, data_pairs: int) -> None:
 
 
 def known_format(number: int, data_pairs: int) -> Format:
-    """Return the format of a number; the agreed one for a mode that cannot be read, see `check_mode`.
+    """Return the format of a number; the agreed format for an unreadable mode, see `check_mode`.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def words(modes: int = len(MODES)) -> NDArray[np.uint8]:
     Parameters
     ----------
     modes
-        How many modes' formats: the 3 known ones, or all 4.
+        Number of modes: 3 known modes, or all 4.
 
     Returns
     -------

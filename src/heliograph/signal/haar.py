@@ -1,8 +1,8 @@
 """Hierarchical code: the 2D fast Haar wavelet transform of Nagura et al. 2010, equations (8) to (10).
 
 The data matrix D holds -1 and +1. Its quarter D11 becomes the lowest spatial frequencies of the pattern (high
-priority), D12 and D21 the middle ones, D22 the highest (low priority). Blur weakens the high frequencies first. The
-same code stands in section 6.1.
+priority), D12 and D21 the middle frequencies, D22 the highest (low priority). Blur weakens the high frequencies first.
+Section 6.1 defines the code.
 """
 
 from typing import Any
@@ -72,7 +72,7 @@ def decode(x: ArrayLike) -> NDArray[np.float64]:
 
     Returns
     -------
-    (..., n, n) float64: without noise the data matrices times that gain. Positive means d = +1, that is bit 0.
+    (..., n, n) float64: data matrices times that gain, plus noise. Positive means d = +1, i.e. bit 0.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """The packet header: an M-sequence on 4 x 4 cells, large enough to outlast the blur of a great distance (section 4).
 
 15 chips fill the cells along a boustrophedon (left to right, then right to left, ...); the 16th cell is dark.
-8 of the 15 chips are one, so half of the array is lit, and pattern and inverse have the same mean. On this path a shift
-by one cell is not the next phase of the sequence, which keeps identities apart where the position is unknown.
+8 of the 15 chips are 1, so half of the array is lit, and pattern and inverse have the same mean. On this path a shift
+by a cell is not the next phase of the sequence, which keeps identities apart if the position is unknown.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ IDENTITIES = CHIPS * len(HEADER_POLYNOMIALS)
 
 PATH = np.arange(CELLS * CELLS).reshape(CELLS, CELLS)
 PATH[1::2] = PATH[1::2, ::-1]
-"""(4, 4) number of the chip in each cell, left to right in even rows and right to left in odd ones; 15 is dark."""
+"""(4, 4) number of the chip in each cell, left to right in even rows and right to left in odd rows; 15 is dark."""
 
 DEFAULT_SIDE = 16
 """LEDs in a row and in a column of the paper's array."""
@@ -96,7 +96,7 @@ def header_levels(number: int, side: int = DEFAULT_SIDE) -> NDArray[np.uint8]:
 
     Returns
     -------
-    (side, side) uint8 levels: 4 in lit cells, 0 in dark ones.
+    (side, side) uint8 levels: 4 in lit cells, 0 in dark cells.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def dimmed_leds(form: int, side: int = DEFAULT_SIDE) -> NDArray[np.bool_]:
 
 
 def all_on_levels(side: int = DEFAULT_SIDE) -> NDArray[np.uint8]:
-    """Return the header pattern without an identity, for comparison: (side, side) uint8, every LED at level 4.
+    """Return the header pattern of the mode "all on", for comparison: (side, side) uint8, every LED at level 4.
 
     Parameters
     ----------

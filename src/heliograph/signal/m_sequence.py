@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 HEADER_POLYNOMIALS = (0b11001, 0b10011)
-"""x^4 + x^3 + 1 (Nagura et al. 2010, section IV.A) and its reciprocal x^4 + x + 1: all primitive ones of degree 4."""
+"""All primitive polynomials of degree 4: x^4 + x^3 + 1 (Nagura et al. 2010, section IV.A) and its reciprocal."""
 
 MAX_DEGREE = 24
 """Largest degree of a polynomial. Chosen: one period then takes 16 MB and some seconds; the air interface needs 15."""

@@ -9,12 +9,12 @@ from operator import itemgetter
 from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS, AnyBlock, Block
 
 MAX_MESSAGES = 256
-"""Messages of a layer: the field for the stream has one byte (section 7)."""
+"""Messages of a layer: the stream field is a byte (section 7)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A whole message.
+    """A complete message.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Message:
 
 
 def segments(message: Message, room: int) -> list[Block]:
-    """Cut a message into blocks; an empty message gives one idle block.
+    """Cut a message into blocks; an empty message gives an idle block.
 
     Parameters
     ----------
@@ -64,13 +64,13 @@ def segments(message: Message, room: int) -> list[Block]:
 
 @dataclass(frozen=True, slots=True)
 class Updates:
-    """A message whose content changes while it is sent, each content under a stream number of its own.
+    """A message whose content changes during the transmission; each content has a stream number.
 
     Attributes
     ----------
     contents
-        Time from which on each content is sent, in s from the start of the transmission, and its bytes; in the order
-        of time, at least one. The first is sent from the start, whatever its time.
+        Start time of each content in s from the start of the transmission, and its bytes; sorted by time, not empty.
+        The first content is sent from the start, whatever its time.
     """
 
     contents: tuple[tuple[float, bytes], ...]
@@ -103,7 +103,7 @@ class Carousel:
     Raises
     ------
     ValueError
-        There are more than 256 messages, or one is too long for `segments`.
+        There are more than 256 messages, or a message is too long for `segments`.
     """
 
     def __init__(self, identity: int, layer: str, messages: Sequence[bytes | Updates], room: int):
@@ -182,24 +182,24 @@ class _Done:
 class Reassembler:
     """Put messages together from blocks in any order, with repeats and gaps; each message is returned once (section 8).
 
-    Memory is bounded: for each array, layer and size of blocks one unfinished message for each of the 256 streams. A
-    transmitter that changes a message must change its stream number; a block of another length or content under the
-    same number starts the message again.
+    Memory is bounded by an incomplete message per array, layer, block size and stream (0 to 255). A transmitter that
+    changes a message must change its stream number; a block of another length or content under the same number starts
+    the message again.
     """
 
     _open: dict[_Key, _Assembly] = field(default_factory=dict)
     _done: dict[tuple[int, str, int], _Done] = field(default_factory=dict)
 
     def add(self, block: AnyBlock, room: int = 0) -> Message | None:
-        """Take a block; return the message that it completes, or None where it completes none or a known one.
+        """Add a block; return the message that it completes, or None if no new message is complete.
 
         Parameters
         ----------
         block
-            A block whose CRC was right; one of a file is passed over.
+            A block whose CRC is right; blocks of files are ignored.
         room
-            Bytes of payload in a block of its codeword. Where packets differ in their rates, a message is cut for
-            each size, and segments of one size do not fit those of another.
+            Bytes of payload in a block of its codeword. If packets differ in their rates, the transmitter cuts a
+            message for each size, and segments of different sizes do not fit together.
         """
         if not isinstance(block, Block):
             return None

@@ -30,7 +30,7 @@ def encode(d: ArrayLike) -> NDArray[np.uint8]:
 
 
 def decode(x: ArrayLike) -> NDArray[np.float64]:
-    """Turn received luminances into soft data x' / 2: -1 or +1 without noise.
+    """Turn received luminances into soft data x' / 2: -1 or +1 in the absence of noise.
 
     A gain on the luminances is a gain on the result. Positive means d = +1, that is bit 0.
 

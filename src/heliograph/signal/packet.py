@@ -21,12 +21,12 @@ from heliograph.signal.whitening import whitening
 Value = TypeVar("Value", bound=np.generic)
 
 SYMBOL_STEP = 23
-"""Symbols by which the interleaver turns from pair to pair (section 11), so that no part of the array holds one part of
-a codeword.
+"""Symbols by which the interleaver turns from pair to pair (section 11), which spreads each part of a codeword over the
+array.
 
-Chosen, a prime that divides the symbols of no layer but one. Of each third of a codeword of the default high layer,
-a symbol of D11 then carries 0.94 to 1.12 times the mean number of bits; with 11 or 46 in its place 0.88 to 1.12,
-without a turn 0 to 3."""
+Chosen, a prime that divides the number of symbols of a single layer. A D11 symbol then carries 0.94 to 1.12 times the
+mean number of bits of each third of a codeword in the default high layer; with 11 or 46 it is 0.88 to 1.12, with 0 it
+is 0 to 3."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class LayerFormat:
     codewords
         Codewords in a packet, W of section 9.1, at least 1.
     code
-        Their turbo code: K information bits to E sent ones.
+        Their turbo code: K information bits to E coded bits.
     pairs
         Data pairs of a packet, in the single mode its data patterns.
     symbols
@@ -165,12 +165,12 @@ class PacketFormat:
         return self.format.mode == "single"
 
     def data_patterns(self, blocks: Mapping[str, Sequence[AnyBlock]], ahead: int = 0) -> NDArray[np.uint8]:
-        """Return the data patterns of a packet without the inverted ones.
+        """Return the data patterns of a packet, inverses excluded.
 
         Parameters
         ----------
         blocks
-            For each layer one block per codeword.
+            A block per codeword for each layer.
         ahead
             Sum of all D11 sent before, for the balance of the single mode; ignored otherwise.
 
@@ -193,7 +193,7 @@ class PacketFormat:
         identity
             Number of the array, 0 to 29.
         blocks
-            For each layer one block per codeword.
+            A block per codeword for each layer.
         ahead
             Sum of all D11 sent before, for the balance of the single mode; ignored otherwise.
 

@@ -38,7 +38,7 @@ def balance(data: Signs, ahead: int = 0) -> Signs:
             sign = -1 if ahead * int(sums[row]) > 0 else 1
             pattern[1 + row] *= np.int8(sign)
             ahead += sign * int(sums[row])
-        # the running sum is odd by now: the free symbol takes it to an even one, mostly 0
+        # the running sum is odd by now: the free symbol makes it even, mostly 0
         pattern[0, 0] = -1 if ahead > 0 else 1
         ahead += int(pattern[0, 0])
     return out

@@ -54,7 +54,7 @@ def lit_slots(levels: ArrayLike, order: Sequence[int] = SLOT_ORDER) -> NDArray[n
 
 
 def waveform(levels: ArrayLike, order: Sequence[int] = SLOT_ORDER) -> NDArray[np.float64]:
-    """Return the luminous flux of the whole array by slot; 1 is the flux of all LEDs on.
+    """Return the luminous flux of the array by slot; 1 is the flux of all LEDs on.
 
     Parameters
     ----------

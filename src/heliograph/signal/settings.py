@@ -72,8 +72,8 @@ class SignalSettings:
         LEDs in a row and in a column, 4 to 64, a multiple of 4 because the header has 4 x 4 cells. A larger array
         carries more data per pattern and, at the same pitch of its LEDs, is found from further away.
     pattern_period_s
-        Time T_b for which a pattern is shown, in s, 1e-6 to 1. A shorter one carries more data per second and needs a
-        camera with as many frames a second; each frame then collects less light.
+        Duration T_b of a pattern in s, 1e-6 to 1. A shorter duration carries more data per second and needs a camera
+        with as many frames per second; each frame then collects less light.
     slot_order
         Order in which the four PWM slots of T_b, numbered 0 to 3 in time, are lit as the level rises: a permutation of
         0, 1, 2, 3.
@@ -116,7 +116,7 @@ class SignalSettings:
 
     @property
     def packet_patterns(self) -> int:
-        """Patterns of a packet, with the inverted ones."""
+        """Patterns of a packet, inverses included."""
         return 2 * (self.header_pairs + self.data_pairs)
 
     @property

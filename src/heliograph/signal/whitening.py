@@ -1,4 +1,4 @@
-"""Whitening of codewords (section 10): without it, runs of equal bytes would give patterns unlike random ones."""
+"""Whitening of codewords (section 10), which makes the patterns of runs of equal bytes look random."""
 
 from functools import lru_cache
 
@@ -17,11 +17,11 @@ WHITENER_START = (1 << 15) - 1
 LAYER_CHIPS = 8192
 """Chips between the starts of two layers' whitening (section 10): a quarter of the period, so that first
 codewords of up to 8192 bits in the three layers have no chips in common. Twice the value
-would start the low layer one chip after the high one."""
+would start the low layer a chip after the high layer."""
 
 CODEWORD_CHIPS = 509
 """Chips between the starts of two codewords' whitening in a layer (section 10). Chosen, a prime: any shift but 0 gives
-chips that agree with the unshifted ones in 16383 of 32767 places, so half or twice the value would do as well."""
+chips that agree with the unshifted chips in 16383 of 32767 places, so half or twice the value would do as well."""
 
 
 @lru_cache(maxsize=1)
@@ -34,8 +34,7 @@ def _period() -> NDArray[np.uint8]:
 def whitening(e: int, layer: str, codeword: int = 0) -> NDArray[np.uint8]:
     """Return the chips that whiten a codeword by addition modulo 2 (section 10).
 
-    They are the M-sequence of x^15 + x^14 + 1 from the state of all ones. Without whitening, idle blocks and runs of
-    equal bytes would give patterns unlike random ones.
+    The chips are the M-sequence of x^15 + x^14 + 1 from the all-ones state.
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ def test_a_false_symbol_with_a_right_crc_is_noticed_and_the_file_gathered_anew()
     files = FileGatherer()
     last = gathered([false, *blocks[1:186]], files)
     assert last is not None
-    assert "gathered anew" in last.reason
+    assert "collected again" in last.reason
     again = gathered(blocks[186:], files)
     assert again is not None
     assert again.whole is not None

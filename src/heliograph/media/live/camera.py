@@ -177,7 +177,7 @@ def register_camera(
     SettingsError
         The name is that of a kind of the package, or is no name; or `make` is no function.
     """
-    CAMERAS.register_maker(name, make, CameraKind(make, find))
+    CAMERAS.register(name, CameraKind(make, find), make)
 
 
 def camera_kind(name: str) -> tuple[CameraKind, str]:

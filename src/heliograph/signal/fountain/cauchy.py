@@ -24,9 +24,9 @@ class CauchyEncoder:
     Parameters
     ----------
     data
-        The file's bytes, at least one.
+        The file's bytes, not empty.
     size
-        Bytes of a symbol, even; the last one of the file is filled with zeros.
+        Bytes of a symbol, even; zeros fill the last symbol of the file.
     """
 
     def __init__(self, data: bytes, size: int):
@@ -51,7 +51,7 @@ class CauchyEncoder:
 
 
 def decode(symbols: Mapping[int, bytes], count: int) -> bytes:
-    """Return the file's symbols one after the other, from any `count` different ones.
+    """Return the consecutive symbols of a file from any `count` different symbols.
 
     Parameters
     ----------

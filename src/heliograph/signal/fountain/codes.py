@@ -17,7 +17,7 @@ class Encoder(Protocol):
 
     @property
     def count(self) -> int:
-        """Symbols that the file has itself: so many different ones give it back, or a few more."""
+        """Number of source symbols: about as many different symbols reconstruct the file."""
 
     def symbol(self, number: int) -> bytes:
         """Return a symbol's bytes.

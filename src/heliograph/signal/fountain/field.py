@@ -51,7 +51,7 @@ def log(elements: NDArray[np.integer]) -> Logs:
 
 
 def power(exponents: NDArray[np.integer]) -> Words:
-    """Return powers of x; 0 where one of two logarithms added was that of 0.
+    """Return powers of x; 0 if a logarithm in the sum is that of 0.
 
     Parameters
     ----------

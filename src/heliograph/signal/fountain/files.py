@@ -19,24 +19,24 @@ from heliograph.signal.block import (
 from heliograph.signal.fountain.codes import BY_NUMBER, CODES, CodeName, Encoder
 
 LONGEST_NAME = 255
-"""Most bytes of a file's name: its length has one byte (section 8.1)."""
+"""Maximum bytes of a file name: the length field is a byte (section 8.1)."""
 
 MOST_OPEN = 8
-"""Most files that are gathered at once; of more, the one is forgotten that had no symbol for longest. Chosen."""
+"""Maximum number of incomplete files; a further file replaces the file whose last symbol is oldest. Chosen."""
 
 MOST_KNOWN = 256
-"""Most files whose symbols are passed over because they are whole. Chosen."""
+"""Maximum number of complete files whose symbols are ignored. Chosen."""
 
 NOTICE_TURNS = 8
-"""Turns of a file in its layer of which one tells what it is, where blocks are small (section 8.1). Chosen: it takes an
-eighth of the light, and three layers tell it in every second packet of 8 x 8 LEDs."""
+"""Turns of a file per description of the file, if blocks are small (section 8.1). Chosen: descriptions take an eighth
+of the light, and three layers send a description in every second packet of 8 x 8 LEDs."""
 
 NOTICE_TURN = {"high": 0, "middle": 4, "low": 4}
-"""Which of these turns it is. Chosen: layers that send the same file tell it at different times."""
+"""Turn of the description. Chosen: layers with the same file send the description at different times."""
 
 MOST_UNKNOWN = 1024
-"""Most symbols that are kept of files of which it is not known what they are; of more, the oldest go. Chosen: of 8 x 8
-LEDs 256 packets."""
+"""Maximum number of stored symbols of files without a description; the oldest are dropped. Chosen: 256 packets of
+8 x 8 LEDs."""
 
 MOST_EXTRA = 64
 """Most symbols beyond those of the file itself that are kept. Chosen: of RaptorQ 3 are too few once in 2^32 files."""
@@ -69,7 +69,7 @@ class SentFile:
 
 @dataclass(frozen=True, slots=True, order=True)
 class FileKey:
-    """What tells files apart: blocks that agree in it belong to one file, whichever array or layer they came from.
+    """Key of a file: blocks with equal keys belong to the same file, from any array or layer.
 
     Attributes
     ----------
@@ -99,14 +99,14 @@ class FileKey:
 
 @dataclass(frozen=True, slots=True)
 class WholeFile:
-    """A file that was received whole.
+    """A complete received file.
 
     Attributes
     ----------
     name
-        Its name as it was sent: any text at all, not to be taken for a path.
+        Transmitted name: any text, not a safe path.
     data
-        Its content; the CRC-32 of both was right.
+        Content; the CRC-32 of name and content is right.
     """
 
     name: str
@@ -115,18 +115,18 @@ class WholeFile:
 
 @dataclass(frozen=True, slots=True)
 class FileProgress:
-    """What is there of a file.
+    """Progress of a file.
 
     Attributes
     ----------
     key
-        Which file it is.
+        Key of the file.
     had
         Number of different symbols received.
     whole
-        The file where these were enough; else None.
+        Complete file, or None.
     reason
-        Why it is not whole though they should be enough, in a line; else empty.
+        Reason for a file that is incomplete in spite of sufficient symbols, in a line; else empty.
     """
 
     key: FileKey
@@ -136,7 +136,7 @@ class FileProgress:
 
 
 class FileCarousel:
-    """The symbols of a layer's files, file after file in turn, without end.
+    """Endless sequence of symbols of a layer's files, file after file in turn.
 
     Parameters
     ----------
@@ -145,17 +145,16 @@ class FileCarousel:
     layer
         "high", "middle" or "low".
     files
-        Files to be sent, at least one.
+        Files to send, a non-empty sequence.
     bits
-        Information bits of each size of blocks that the layer has. Where there is one size, and it is small, blocks
-        are small ones (section 7.2).
+        Information bits of each block size of the layer. A single small size gives small blocks (section 7.2).
     first
-        Number of the symbol that the layer begins with, so that layers which send the same file send different ones.
+        Number of the layer's first symbol, so that layers with the same file send different symbols.
 
     Raises
     ------
     ValueError
-        A name is too long, a file has too many symbols, or a block has no room for one.
+        A name is too long, a file has too many symbols, or a block is too small for a symbol.
     HeliographError
         A code's package is not installed.
     """
@@ -221,9 +220,9 @@ def _numbers_of(key: FileKey, encoder: Encoder) -> int:
 class FileGatherer:
     """Put files together from symbols in any order, of any arrays, layers and passages.
 
-    Memory is bounded: `MOST_OPEN` files are gathered at once, each with no more symbols than it has itself, of RaptorQ
-    a few more, and `MOST_UNKNOWN` symbols of files of which it is not known what they are. A file whose CRC-32 is wrong
-    at the end had a false symbol: it is gathered anew.
+    Memory is bounded by `MOST_OPEN` incomplete files, each with about as many symbols as the file has, and by
+    `MOST_UNKNOWN` symbols of files without a description. A file whose CRC-32 is wrong at the end had a false symbol;
+    the gatherer then drops all symbols of the file.
     """
 
     _open: OrderedDict[FileKey, dict[int, bytes]] = field(default_factory=OrderedDict)
@@ -299,7 +298,7 @@ class FileGatherer:
             yield FileProgress(key, len(symbols))
 
     def symbols_of(self, key: FileKey) -> Mapping[int, bytes]:
-        """Return the symbols by number that are there of a file which is not whole; none of another one.
+        """Return the received symbols of an incomplete file by number; for another file an empty mapping.
 
         Parameters
         ----------
@@ -321,7 +320,7 @@ class FileGatherer:
         del self._open[key]
         if zlib.crc32(packed) != key.check or len(packed) <= packed[0]:
             return FileProgress(
-                key, had, reason="its check value is wrong: a symbol was false, and it is gathered anew"
+                key, had, reason="the check value is wrong: a symbol was false, so the symbols are collected again"
             )
         self._known[key] = None
         if len(self._known) > MOST_KNOWN:

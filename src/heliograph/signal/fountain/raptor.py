@@ -36,7 +36,7 @@ class RaptorEncoder:
     Parameters
     ----------
     data
-        The file's bytes, at least one and at most `MOST_BYTES`.
+        The file's bytes, 1 to `MOST_BYTES`.
     size
         Bytes of a symbol, a multiple of 8, at least 64.
 
@@ -58,7 +58,7 @@ class RaptorEncoder:
         Parameters
         ----------
         number
-            Number of the symbol, 0 to one less than (1 + `REPAIR`) times `count`.
+            Number of the symbol, 0 to (1 + `REPAIR`) `count` - 1.
         """
         return self._symbols[number]
 

@@ -141,7 +141,7 @@ class TurboCode:
         check : callable, optional
             For ``stop="crc"``: takes decisions, uint8 (n, k), returns bool (n,), True if a block is right.
         coded_output : bool
-            True to compute `coded_llr` and `coded_extrinsic`; costs one more iteration.
+            True to compute `coded_llr` and `coded_extrinsic`, which costs an iteration.
 
         Returns
         -------

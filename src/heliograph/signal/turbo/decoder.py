@@ -166,7 +166,7 @@ def decode_blocks(
 
 
 def _accumulate(llr: NDArray[np.float32], positions: NDArray[np.int64], length: int) -> NDArray[np.float32]:
-    """Add received LLRs at the positions in the mother codeword: punctured bits keep 0, repeated ones add up."""
+    """Add received LLRs at the positions in the mother codeword: punctured bits keep 0, repeated bits add up."""
     mother = np.zeros((len(llr), length), np.float32)
     for start in range(0, len(positions), length):
         mother[:, positions[start : start + length]] += llr[:, start : start + length]

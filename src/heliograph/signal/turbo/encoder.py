@@ -88,7 +88,7 @@ def encode_constituent(bits: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDAr
 
 
 def _divide_by_feedback(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the register's input a = c / g0(D), without a loop over the steps."""
+    """Return the register's input a = c / g0(D) by vector operations."""
     # 1 + D^7 = g0 (1 + D)(1 + D + D^3), hence 1 / g0 = (1 + D^2 + D^3 + D^4) / (1 + D^7):
     # four taps, then a running sum modulo 2 over every seventh bit
     taps = bits ^ _delay(bits, 2) ^ _delay(bits, 3) ^ _delay(bits, 4)

@@ -81,6 +81,6 @@ def _read_01(size: int) -> NDArray[np.int64]:
 
 
 def _read_2(size: int) -> NDArray[np.int64]:
-    """Stream 2: the same reading, one bit later."""
+    """Stream 2: the same reading, a bit later."""
     # pi(k) = (P(floor(k / R)) + C (k mod R) + 1) mod Kpi
     return (_read_01(size) + 1) % size
