@@ -66,7 +66,7 @@ def test_a_search_that_broke_off_goes_on_with_the_next_frames(monkeypatch: pytes
     fitter = CellFitter(8, 1.0, np.linspace(0, 1, 256, dtype=np.float32), budget)
     place = Place.of(np.array([[20, 20], [100, 20], [100, 100], [20, 100]], float), 8)
 
-    def placed(_corners: Floats, _changes: object) -> Candidate:
+    def placed(_corners: Floats) -> Candidate:
         budget.spend(2 * LIMITS.first_s * SAMPLES_PER_S)
         return np.inf, place, fitter
 
@@ -75,7 +75,6 @@ def test_a_search_that_broke_off_goes_on_with_the_next_frames(monkeypatch: pytes
         return None
 
     monkeypatch.setattr(search, "_fit_candidate", placed)
-    monkeypatch.setattr(search, "_mean_change", lambda _count: None)
     monkeypatch.setattr("heliograph.receive.screen.locate.mean_change", changing)
     monkeypatch.setattr("heliograph.receive.screen.locate.find_quadrilaterals", lambda *_: [None])
     rng = np.random.default_rng(1)

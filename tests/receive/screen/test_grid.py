@@ -6,8 +6,9 @@ import pytest
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame, Pixels
+from heliograph.probe.cells import sharpen_corners
 from heliograph.receive.screen.cells import CellFitter, Place, SearchBudget
-from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame, sharpen_corners
+from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame
 
 SIDE = 16
 LINEAR = (np.arange(256) / 255).astype(np.float32)
@@ -60,10 +61,8 @@ def test_where_nothing_changes_there_is_no_array() -> None:
     assert find_quadrilaterals(mean_change([still, still, still]), 1) == []
 
 
-def test_places_are_moved_and_scaled() -> None:
+def test_places_are_moved() -> None:
     place = Place.of(CORNERS, SIDE)
     assert place.moved(np.array([3.0, 4.0])).corners(SIDE) == pytest.approx(CORNERS + np.array([3, 4]), abs=1e-3)
-    middle = np.array([SIDE / 2, SIDE / 2])
-    assert place.scaled(0.9, 0.8, SIDE).at(middle) == pytest.approx(place.at(middle))
     assert place.shifted(1, 0).at(np.zeros(2)) == pytest.approx(place.at(np.array([1.0, 0.0])))
     assert place.cell_px(SIDE) == pytest.approx(163.8 / 16, abs=0.1)

@@ -8,7 +8,7 @@ from screen_light import shown
 import heliograph
 from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
-from heliograph.receive.screen.cells import PARAMETERS, CellFitter, CellTracker, Place, SearchBudget
+from heliograph.receive.screen.cells import PARAMETERS, CellFitter, Place, SearchBudget
 from heliograph.receive.screen.locate import ArraySearch
 from heliograph.web.sending import sending_of
 
@@ -41,8 +41,6 @@ def test_what_is_doubtful_is_no_array_before_many_frames_are_there(monkeypatch: 
     place = Place.of(np.array([[20, 20], [100, 20], [100, 100], [20, 100]], float), 8)
     search = ArraySearch(8, 2.2, budget)
     monkeypatch.setattr(search, "_fit_candidate", lambda *_: (0.5, place, fitter))
-    monkeypatch.setattr(search, "_search_around", lambda *candidate: candidate)
-    monkeypatch.setattr(CellTracker, "_correct_slip", lambda *args: args[-1])
     rng = np.random.default_rng(1)
     taken = []
     for k in range(PARAMETERS.kept_frames):

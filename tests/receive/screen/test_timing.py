@@ -61,7 +61,7 @@ def test_a_clock_is_found_among_rates() -> None:
 
 
 def test_pairs_are_solved() -> None:
-    got = solve_pairs(seen(TRUE, 48), TRUE)
+    got, _ = solve_pairs(seen(TRUE, 48), TRUE)
     data = change(1, 40)
     for k, pair in enumerate(got.pairs):
         if TRUE.start_of(pair) > 0.55 and TRUE.start_of(pair + 1) < 1.95:

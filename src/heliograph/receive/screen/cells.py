@@ -70,8 +70,6 @@ class ScreenParameters:
     max_misfit: float = 0.6
     # Ratio of the misfit to the usual misfit above which slips are tried; headers and smear have up to 1.5
     max_misfit_ratio: float = 1.8
-    # Maximum rms change of a side of the ring, relative to the light; a slip by a cell changes 0.5 to 1
-    max_ring_change: float = 0.3
 
     # Location: minimum mean change in thousandths of full scale; 2 patterns/s at 30 frames/s change by 20
     min_change: float = 4.0
@@ -87,20 +85,11 @@ class ScreenParameters:
     blurs_px: tuple[float, ...] = (1.0, 0.6, 1.6, 2.4)
     # Misfit plus change of the ring above which a candidate is doubtful; 0.06 to 0.25 for the right place
     min_doubt: float = 0.3
-    # Frames of a trial, and maximum steps of a fit
+    # Frames of a trial
     trial_frames: int = 8
-    max_steps: int = 10
 
     # Clock: groups of cells by sensor row that share a time, 4 ms of readout at most
     row_bins: int = 8
-    # Phases of a pair per rate, and for the comparison of many rates
-    phases: int = 16
-    rough_phases: int = 8
-    # Exposures to try in frame periods, and the exposure for the comparison of many rates
-    exposures: tuple[float, ...] = (0.3, 0.9)
-    rough_exposure: float = 0.6
-    # Readout times of all rows in seconds to try: phones take 5 to 30 ms
-    readouts_s: tuple[float, ...] = (0.0, 0.008, 0.016, 0.024)
     # Closely compared rates, and refined clocks per rate
     best_rates: int = 4
     best_clocks: int = 2
@@ -119,9 +108,6 @@ class ScreenParameters:
 
     # Seconds of a lost array before a new search
     max_lost_s: float = 1.0
-    # Seconds and patterns without a clock after which no screen is visible, if both have passed
-    unseen_s: float = 5.0
-    unseen_patterns: int = 15
 
 
 PARAMETERS = ScreenParameters()
@@ -154,13 +140,6 @@ class Place:
         """Return the place shifted in the frame."""
         return Place(np.array([[1, 0, by[0]], [0, 1, by[1]], [0, 0, 1]]) @ self.homography)
 
-    def scaled(self, across: float, down: float, side: int) -> "Place":
-        """Return the place of an array of another size about the same middle."""
-        m = side / 2
-        return Place(
-            self.homography @ np.array([[across, 0, m * (1 - across)], [0, down, m * (1 - down)], [0, 0, 1.0]])
-        )
-
     def shifted(self, right: float, down: float) -> "Place":
         """Return the place shifted by cells."""
         return Place(self.homography @ np.array([[1, 0, right], [0, 1, down], [0, 0, 1.0]]))
@@ -169,6 +148,13 @@ class Place:
         """Return the mean side of a cell in px."""
         c = self.corners(side)
         return float(np.linalg.norm(np.roll(c, -1, axis=0) - c, axis=1).mean() / side)
+
+    def is_inside(self, side: int, shape: tuple[int, ...]) -> bool:
+        """Return True if the array lies completely in a frame."""
+        corners = self.corners(side)
+        w = np.array([[0, 0, 1], [side, 0, 1], [side, side, 1], [0, side, 1.0]]) @ self.homography[2]
+        is_within = (corners > -1).all() and (corners < shape[::-1]).all()
+        return bool(np.isfinite(corners).all() and (w > 0).all() and is_within)
 
     def pose(self, side: int) -> Pose:
         """Return the affine pose at the middle of an array."""
@@ -261,14 +247,6 @@ def light_of(pixels: Pixels, light: NDArray[np.float32]) -> NDArray[np.float32]:
     return light[pixels]
 
 
-def is_inside(place: Place, side: int, shape: tuple[int, ...]) -> bool:
-    """Return True if an array lies completely in a frame."""
-    corners = place.corners(side)
-    w = np.array([[0, 0, 1], [side, 0, 1], [side, side, 1], [0, side, 1.0]]) @ place.homography[2]
-    size = np.array(shape[::-1])
-    return bool(np.isfinite(corners).all() and (w > 0).all() and (corners > -1).all() and (corners < size).all())
-
-
 class CellFitter:
     """Fits the cells and the place of an array in frames."""
 
@@ -349,56 +327,35 @@ class CellTracker:
     """Tracks an array from frame to frame."""
 
     def __init__(self, fitter: CellFitter, place: Place, corrects_slips: bool = True):
-        self._fitter, self.place, self._corrects_slips = fitter, place, corrects_slips
+        self._fitter, self._place, self._corrects_slips = fitter, place, corrects_slips
         self._middle = np.array([fitter.side / 2] * 2)
         self._motion = np.zeros(2)
+        # ring, misfit and place of the last good fits
         self._ring: Floats | None = None
-        self._usual_misfit = PARAMETERS.max_misfit / PARAMETERS.max_misfit_ratio
-        self._last_good = place
+        self._usual_misfit, self._last_good = PARAMETERS.max_misfit / PARAMETERS.max_misfit_ratio, place
         self._max_light = 0.0
         self.lost_since: float | None = None
 
     def track(self, frame: Frame) -> Sample | None:
         """Find the array in the next frame; None for an invisible array."""
         # sway goes on, tremor turns back
-        expected = self.place.moved(0.5 * self._motion)
+        expected = self._place.moved(0.5 * self._motion)
         fit = self._fit(frame, expected)
         if fit is not None and fit.mean_light < 0.15 * self._max_light:
             return None  # the backlight was off
         if self._corrects_slips and (fit is None or self._doubt(fit) > 1) and self._fitter.budget.is_left:
-            fit = self._correct_slip(frame, expected, fit)
+            # a fit corrects half a cell: try places around, with the shape of the last good fit
+            shaped = self._last_good.moved(expected.at(self._middle) - self._last_good.at(self._middle))
+            offsets = product((0, -0.6, 0.6, -1.2, 1.2), repeat=2) if self._ring is not None else ()
+            fits = [fit, *(self._fit(frame, shaped.shifted(*offset)) for offset in offsets)]
+            fit = min((candidate for candidate in fits if candidate is not None), key=self._doubt, default=None)
         if fit is None:
             self._motion = np.zeros(2)
             if self.lost_since is None:
                 self.lost_since = frame.time_s
             return None
         self.lost_since = None
-        self._motion = fit.place.at(self._middle) - self.place.at(self._middle)
-        self.place = fit.place
-        self._update(fit)
-        return fit
-
-    def _correct_slip(self, frame: Frame, place: Place, fit: Sample | None) -> Sample | None:
-        """Return the best fit around a place, with the shape of the last good fit."""
-        if self._ring is None:
-            return fit
-        shaped = self._last_good.moved(place.at(self._middle) - self._last_good.at(self._middle))
-        # a fit corrects half a cell
-        offsets = product((0, -0.6, 0.6, -1.2, 1.2), repeat=2)
-        fits = [fit, *(self._fit(frame, shaped.shifted(*offset)) for offset in offsets)]
-        return min((candidate for candidate in fits if candidate is not None), key=self._doubt, default=None)
-
-    def _doubt(self, fit: Sample) -> float:
-        """Return the doubt about a fit; above 1 the fit may be a slip."""
-        misfit = fit.misfit / (PARAMETERS.max_misfit_ratio * self._usual_misfit)
-        if self._ring is None:
-            return misfit
-        # a slip changes two sides, the largest change counts
-        sides = np.sqrt(np.mean((fit.ring - self._ring) ** 2, axis=1))
-        return max(misfit, float(sides.max() / max(fit.mean_light, TINY)) / PARAMETERS.max_ring_change)
-
-    def _update(self, fit: Sample) -> None:
-        """Update the usual ring, light and misfit by a fit."""
+        self._motion, self._place = fit.place.at(self._middle) - self._place.at(self._middle), fit.place
         if self._ring is None:
             self._ring, self._usual_misfit = fit.ring, fit.misfit
         if self._doubt(fit) < 1:
@@ -407,11 +364,20 @@ class CellTracker:
         # at most 3 % per frame: cameras lose focus slowly
         self._max_light = max(fit.mean_light, self._max_light / 1.03)
         self._usual_misfit = float(np.clip(fit.misfit, self._usual_misfit / 1.03, self._usual_misfit * 1.03))
+        return fit
+
+    def _doubt(self, fit: Sample) -> float:
+        """Return the doubt about a fit; above 1 the fit may be a slip."""
+        misfit = fit.misfit / (PARAMETERS.max_misfit_ratio * self._usual_misfit)
+        if self._ring is None:
+            return misfit
+        # a slip changes two sides by 0.5 to 1 of the light, the largest change counts
+        sides = np.sqrt(np.mean((fit.ring - self._ring) ** 2, axis=1))
+        return max(misfit, float(sides.max()) / (0.3 * max(fit.mean_light, TINY)))
 
     def _fit(self, frame: Frame, place: Place) -> Sample | None:
         """Fit the cells from a place on; None for a bad fit."""
         side, shape = self._fitter.side, frame.pixels.shape
-        if not is_inside(place, side, shape):
-            return None
-        fit = self._fitter(frame, place)
-        return fit if fit.misfit < PARAMETERS.max_misfit and is_inside(fit.place, side, shape) else None
+        fit = self._fitter(frame, place) if place.is_inside(side, shape) else None
+        is_good = fit is not None and fit.misfit < PARAMETERS.max_misfit and fit.place.is_inside(side, shape)
+        return fit if is_good else None

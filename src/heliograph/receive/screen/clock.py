@@ -19,20 +19,11 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.screen.cells import PARAMETERS, Sample, SearchBudget
 
-MAX_RESPONSE_S = 0.03
-"""Maximum time constant of a display in seconds."""
-
 RATES = (10.0, 15.0, 30.0, 60.0, 5.0, 20.0, 12.0, 7.5, 6.0, 4.0, 3.0, 2.0, 24.0, 1.0)
 """Patterns per second to try first: divisors of 60 Hz, and common frame rates of films."""
 
-DISPLAY_RATES = (12.5, 16.7, 25.0, 50.0, 14.4, 18.0, 36.0, 72.0, 18.75, 37.5, 75.0, 10.3, 20.6, 27.5, 33.0, 22.5, 28.8)
-"""Patterns per second of displays of 50, 72, 75, 90, 144 and 165 Hz."""
-
-RATE_STEP = 0.03
-"""Relative distance of neighbouring rates: ten patterns are then off by a sixth of a pattern at the ends."""
-
-ANY_RATES = tuple(np.exp(np.arange(0.0, np.log(60.0), RATE_STEP)).tolist())
-"""Patterns per second, 1 to 60, to try last."""
+ANY_RATES = tuple(np.exp(np.arange(0.0, np.log(60.0), 0.03)).tolist())
+"""Patterns per second, 1 to 60, to try last: ten patterns are then off by a sixth of a pattern at the ends."""
 
 
 @dataclass(frozen=True)
@@ -134,20 +125,20 @@ class ClockFitter:
     def search(self, periods: Iterable[float]) -> list[RatedClock]:
         """Search clocks of some pattern periods, the best first."""
         frame_s, length = self._frame_s, float(self._times_s[-1] - self._times_s[0])
-        # a readout takes at most a frame period
-        readouts = [r for r in PARAMETERS.readouts_s if r <= 1.01 * frame_s]
+        # phones take 5 to 30 ms for all rows, and at most a frame period
+        readouts = [readout_s for readout_s in (0.0, 0.008, 0.016, 0.024) if readout_s <= 1.01 * frame_s]
         rows = [r / self._height for r in readouts] if self._row_s is None else [self._row_s]
         # below 1.7 frame periods some rows never show a single pattern
         tried = [period for period in periods if period >= 1.7 * frame_s and length >= 4 * period]
         if len(tried) > PARAMETERS.best_rates:
-            rough = [rows[len(rows) // 2]], [PARAMETERS.rough_exposure * frame_s], PARAMETERS.rough_phases
-            best = sorted((self._rough_clocks(period, *rough)[0] for period in tried), key=lambda clock: clock[0])
+            rough = [rows[len(rows) // 2]], [0.6 * frame_s]
+            best = sorted((self._rough_clocks(period, *rough, 8)[0] for period in tried), key=lambda clock: clock[0])
             tried = [clock.period_s for left, clock in best if left < PARAMETERS.max_rough_unexplained]
-        exposures = [exposure * frame_s for exposure in PARAMETERS.exposures]
+        exposures = [0.3 * frame_s, 0.9 * frame_s]
         clocks = [
             clock
             for period in tried[: PARAMETERS.best_rates]
-            for clock in self._rough_clocks(period, rows, exposures, PARAMETERS.phases)[: PARAMETERS.best_clocks]
+            for clock in self._rough_clocks(period, rows, exposures, 16)[: PARAMETERS.best_clocks]
             # a wrong rate needs no refinement
             if clock[0] < PARAMETERS.max_rough_unexplained
         ]
@@ -195,7 +186,7 @@ class ClockFitter:
         row_scale = 3e-3 / height if row_s is None else 0.0
         scale = np.array([0.1 * clock.period_s, row_scale, 0.25 * frame_s, 3e-3, 1e-3 * clock.period_s])
         # of row time, exposure and response
-        low, high = np.array([0.0, 0.03 * frame_s, 0.0]), np.array([frame_s / height, frame_s, MAX_RESPONSE_S])
+        low, high = np.array([0.0, 0.03 * frame_s, 0.0]), np.array([frame_s / height, frame_s, 0.03])
 
         def bounded(values: Floats) -> Clock:
             row, exposure, response = np.clip(values[1:4], low, high).tolist()
@@ -230,10 +221,9 @@ class SampleBuffer:
         # readout direction of upright frames: axis (0 for columns, 1 for rows), and True if the last is read first
         self._readout = 1, False
         self._samples: deque[Sample] = deque()
-        usual = [1 / rate for rate in (*RATES, *DISPLAY_RATES) if abs(rate * period_s - 1) > RATE_STEP / 2]
+        usual = [1 / rate for rate in RATES if abs(rate * period_s - 1) > 0.015]
         self._periods = [[period_s], *([usual, [1 / rate for rate in ANY_RATES]] if find_rate else ())]
         self._next_s = -np.inf
-        self._group = 0  # group of rates at which the next search starts
 
     @property
     def first(self) -> Sample:
@@ -269,20 +259,15 @@ class SampleBuffer:
         """Return the samples between two times."""
         return [sample for sample in self._samples if start_s <= sample.time_s <= end_s]
 
-    def light_between(self, start_s: float, end_s: float, clock: Clock | None = None) -> Samples:
-        """Return the light between two times without the camera gain, which with a clock is constant over a pair."""
+    def light_between(self, start_s: float, end_s: float) -> Samples:
+        """Return the light between two times without the camera gain."""
         samples = self.between(start_s, end_s)
-        light, times_s = np.stack([sample.light for sample in samples]), np.array([s.time_s for s in samples])
-        gain = mean = np.maximum(light.mean((1, 2)), TINY)
-        if clock is not None:
-            reach = self._frame_s / clock.period_s
-            near = np.clip(1 + 0.5 * reach - np.abs(times_s[:, None] - times_s) / clock.period_s, 0, reach)
-            gain = (near @ mean) / near.sum(1)
-            # a switched backlight changes single frames
-            gain = np.where(np.abs(mean / gain - 1) > 0.15, mean, gain)
+        light = np.stack([sample.light for sample in samples])
+        gain = np.maximum(light.mean((1, 2)), TINY)
         # a small gain amplifies noise
         weights = np.clip(gain / np.median(gain), 0, 1) ** 2 + TINY
         rows = np.stack([self.rows(sample) for sample in samples])
+        times_s = np.array([sample.time_s for sample in samples])
         return Samples(times_s, rows, light / gain[:, None, None], weights)
 
     def fitter(self, samples: Samples, budget: SearchBudget | None = None) -> ClockFitter:
@@ -304,19 +289,12 @@ class SampleBuffer:
         # other rates explain a part of a slow light: the nominal rate comes first
         waits = length < PARAMETERS.min_patterns * self._period_s and not final
         best: tuple[float, Clock, float] | None = None
-        groups = [0] if waits else [*range(self._group, len(self._periods)), *range(self._group)]
-        for group in groups:
-            periods, self._group = self._periods[group], group
-            if group != groups[0] and not self._budget.is_left:
-                break
-            fitting = [period for period in periods if length >= PARAMETERS.min_patterns * period]
-            candidate = self._search_rates(fitting) if fitting else None
+        for periods in self._periods[: 1 if waits else None]:
+            candidate = self._search_rates(periods)
             if candidate is not None and (best is None or candidate[0] < best[0]):
                 best = candidate
-            if best is not None and best[0] < PARAMETERS.certain_unexplained:
+            if (best is not None and best[0] < PARAMETERS.certain_unexplained) or not self._budget.is_left:
                 break
-        else:
-            self._group = 0
         if best is None:
             self.drop_before(now_s - 12.0)
             return None
@@ -325,6 +303,9 @@ class SampleBuffer:
     def _search_rates(self, periods: list[float]) -> tuple[float, Clock, float] | None:
         """Return unexplained part, clock and start of the samples in seconds for the best of some rates."""
         now_s = self.last.time_s
+        periods = [period for period in periods if now_s - self.first.time_s >= PARAMETERS.min_patterns * period]
+        if not periods:
+            return None
         start_s = now_s - max(2 * min(periods), max(periods)) * PARAMETERS.min_patterns * 1.2
         clocks = self.fitter(self.light_between(start_s, now_s), self._budget).search(periods)
         return (*clocks[0], start_s) if clocks and clocks[0][0] < PARAMETERS.max_unexplained else None

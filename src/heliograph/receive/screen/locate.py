@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -13,14 +13,12 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.screen.cells import (
     PARAMETERS,
-    PIXEL_SAMPLES,
     RIM_CELLS,
     CellFitter,
     CellTracker,
     Place,
     Sample,
     SearchBudget,
-    is_inside,
     light_of,
 )
 
@@ -103,64 +101,6 @@ def _ordered(corners: Floats) -> Floats:
     return np.roll(corners, -int(np.argmin(corners.sum(axis=1))), axis=0)
 
 
-def sharpen_corners(changes: Pixels32, corners: Floats, factor: int) -> Floats:
-    """Refine corners by the edges of the changes at full resolution."""
-    reach = 2.5 * factor + 1
-    for _ in range(3):
-        lines = [_edge(changes, corners[k], corners[(k + 1) % 4], corners.mean(0), reach) for k in range(4)]
-        moved = np.array([_crossing(lines[k - 1], lines[k]) for k in range(4)])
-        if not np.isfinite(moved).all() or np.abs(moved - corners).max() > 2 * reach:
-            return corners
-        is_done = np.abs(moved - corners).max() < 0.1
-        corners = moved
-        if is_done:
-            break
-    return corners
-
-
-def _edge(changes: Pixels32, start: Floats, end: Floats, middle: Floats, reach: float) -> tuple[Floats, Floats]:
-    """Fit the edge near a side; return a point and the direction."""
-    length = float(np.linalg.norm(end - start))
-    along = (end - start) / max(length, TINY)
-    out = np.array([along[1], -along[0]])
-    if (start - middle) @ out < 0:
-        out = -out
-    across = np.linspace(-reach, reach, 2 * int(4 * reach) + 1)
-    places = np.linspace(0.06, 0.94, 32) * length
-    points = start + places[:, None, None] * along + across[:, None] * out
-    x, y = (np.asarray(points[..., k], np.float32) for k in (0, 1))
-    profiles = np.asarray(cv2.remap(changes, x, y, cv2.INTER_LINEAR), np.float64)
-    inside = np.median(profiles[:, : len(across) // 3], axis=1)
-    outside = np.median(profiles[:, -len(across) // 4 :], axis=1)
-    strong = inside - outside > 0.4 * np.median(inside)
-    if strong.sum() < 8:
-        return start, along
-    # a blurred edge is at half the height
-    over = profiles > ((inside + outside) / 2)[:, None]
-    last = len(across) - 1 - np.argmax(over[:, ::-1], axis=1)
-    offsets = across[last] + (across[1] - across[0]) / 2
-    weight = strong.astype(float)
-    fit = np.array([np.median(offsets[strong]), 0.0])
-    columns = np.column_stack([np.ones(len(places)), places / length - 0.5])
-    for _ in range(8):
-        far = np.abs(offsets - columns @ fit)
-        # an edge 2 px off counts a quarter
-        w = weight / (1 + (far / 2) ** 2) ** 2
-        fit = np.linalg.lstsq(columns * w[:, None], offsets * w, rcond=None)[0]
-    a, b = (start + s * length * along + (fit[0] + fit[1] * (s - 0.5)) * out for s in (0.0, 1.0))
-    return a, b - a
-
-
-def _crossing(first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> Floats:
-    """Intersect two lines, each a point and a direction."""
-    (p, d), (q, e) = first, second
-    across = d[0] * e[1] - d[1] * e[0]
-    if abs(across) < TINY:
-        return np.full(2, np.nan)
-    t = ((q[0] - p[0]) * e[1] - (q[1] - p[1]) * e[0]) / across
-    return p + t * d
-
-
 class ArraySearch:
     """Search for an array in recent frames."""
 
@@ -197,12 +137,9 @@ class ArraySearch:
             if not self._budget.is_left:
                 return None
             corners = find_quadrilaterals(mean_change(list(self._small)[-count:]), self._factor)
-            changes = self._mean_change(count) if corners else np.empty((0, 0), np.float32)
             # the strongest change comes first
-            candidates = [self._fit_candidate(four, changes) for four in corners if self._budget.is_left]
+            candidates = [self._fit_candidate(four) for four in corners if self._budget.is_left]
             candidates.sort(key=lambda candidate: candidate[0])
-            if candidates and PARAMETERS.min_doubt < candidates[0][0] < np.inf and self._budget.is_left:
-                candidates.insert(0, self._search_around(*candidates[0]))
             # a doubtful candidate may be noise before the first change of a slow light
             max_score = np.inf if len(self._frames) >= PARAMETERS.max_doubtful else PARAMETERS.min_doubt
             for score, place, fitter in candidates:
@@ -219,38 +156,15 @@ class ArraySearch:
             self._light = (levels**self._gamma).astype(np.float32)
         return light_of(frame.pixels, self._light)
 
-    def _mean_change(self, count: int) -> Pixels32:
-        """Return the mean change of each pixel in recent frames, subsampled to about 16."""
-        latest = list(self._frames)[-count:]
-        linear = [self._linear(frame) for frame in latest[:: max(1, len(latest) // 16)]]
-        self._budget.spend(PIXEL_SAMPLES * len(linear) * linear[0].size)
-        return mean_change(linear)
-
-    def _fit_candidate(self, corners: Floats, changes: Pixels32) -> Candidate:
+    def _fit_candidate(self, corners: Floats) -> Candidate:
         """Fit place and blur of a candidate with given corners."""
         assert self._light is not None
         fitters = [CellFitter(self._side, blur, self._light, self._budget) for blur in PARAMETERS.blurs_px]
-        starts = [Place.of(four, self._side) for four in (sharpen_corners(changes, corners, self._factor), corners)]
-        best = min((self._trial(fitters[0], start) for start in starts), key=lambda trial: trial[0])
+        best = self._trial(fitters[0], Place.of(corners, self._side))
         # a blur of at most 0.45 cells
         max_blur_px = 0.45 * best[1].cell_px(self._side)
         tried = [self._trial(fitter, best[1]) for fitter in fitters if fitter.blur_px < max_blur_px]
         return min(tried, key=lambda candidate: candidate[0], default=best)
-
-    def _search_around(self, score: float, place: Place, fitter: CellFitter) -> Candidate:
-        """Return the best of many places around a candidate, as sway enlarges the changing area by up to 14 px."""
-        n, frame = self._side, self._trial_frames[0]
-        size = max(place.cell_px(n) * n, 1.0)
-        scales = np.arange(1.0, max(1 - (14 + self._factor) / size, 0.75), -0.9 / n)
-        places: list[tuple[float, Place]] = []
-        for x, y, right, down in product(scales, scales, (0.0, 0.5), (0.0, 0.5)):
-            start = place.scaled(x, y, n).shifted(right, down)
-            if is_inside(start, n, frame.pixels.shape) and self._budget.is_left:
-                fit = fitter(frame, start, PARAMETERS.max_steps)
-                places.append((fit.misfit, fit.place))
-        places.sort(key=lambda scored: scored[0])
-        tried = [self._trial(fitter, start) for _, start in places[:8]]
-        return min(((score, place, fitter), *tried), key=lambda scored: scored[0])
 
     @property
     def _trial_frames(self) -> list[Frame]:
@@ -261,7 +175,7 @@ class ArraySearch:
         """Track cells through the trial frames from a place on."""
         frames = self._trial_frames
         try:
-            start = fitter(frames[0], place, PARAMETERS.max_steps).place
+            start = fitter(frames[0], place, max_steps=10).place
         except np.linalg.LinAlgError:
             return np.inf, place, fitter
         tracker = CellTracker(fitter, start, corrects_slips=False)
@@ -278,31 +192,12 @@ class ArraySearch:
     def _track_all(
         self, start: Place, fitter: CellFitter
     ) -> tuple[CellTracker, list[tuple[Frame, Sample | None]]] | None:
-        """Track an array through all frames; shift the array by a cell if a rim is static."""
+        """Track an array through all frames; None for an array that is lost in half of the frames."""
         frames = list(self._frames)
         first = max(len(frames) - PARAMETERS.trial_frames, 0)
-        for _ in range(3):
-            backward, forward = CellTracker(fitter, start), CellTracker(fitter, start)
-            before = [backward.track(frame) for frame in frames[first::-1]]
-            tracked = list(zip(frames, [*before[::-1], *map(forward.track, frames[first + 1 :])], strict=True))
-            samples = [sample for _, sample in tracked if sample is not None]
-            if len(samples) < len(frames) // 2:
-                return None
-            shift = rim_shift(np.stack([sample.cells for sample in samples]))
-            if not any(shift):
-                return forward, tracked
-            start = start.shifted(*shift)
-        return None
-
-
-def rim_shift(cells: Floats) -> tuple[int, int]:
-    """Return the offset of an array in cells, right and down, by static rims and changing rings."""
-    change = cells.std(axis=0)
-    typical = float(np.median(change[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS]))
-    inner = slice(RIM_CELLS, -RIM_CELLS)
-    shifts = []
-    for rows in (change[inner].T, change[:, inner]):
-        ring = [float(np.median(rows[k])) > typical / 2 for k in (0, -1)]
-        is_static = [float(np.median(rows[k])) < typical / 4 for k in (1, -2)]
-        shifts.append(int(ring[1] and is_static[0]) - int(ring[0] and is_static[1]))
-    return shifts[0], shifts[1]
+        backward, forward = CellTracker(fitter, start), CellTracker(fitter, start)
+        before = [backward.track(frame) for frame in frames[first::-1]]
+        samples = [*before[::-1], *map(forward.track, frames[first + 1 :])]
+        if sum(sample is not None for sample in samples) < len(frames) // 2:
+            return None
+        return forward, list(zip(frames, samples, strict=True))

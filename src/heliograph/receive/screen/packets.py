@@ -31,12 +31,10 @@ class PairSolution:
     variance: Floats
     # (n, n) mean light c of each cell
     light: Floats
-    # (frames, n, n) residual
-    residual: Floats
 
 
-def solve_pairs(samples: Samples, clock: Clock, weights: Floats | None = None) -> PairSolution:
-    """Solve the pairs of all cells by least squares."""
+def solve_pairs(samples: Samples, clock: Clock, weights: Floats | None = None) -> tuple[PairSolution, Floats]:
+    """Solve the pairs of all cells by least squares; return also the residual, (frames, n, n)."""
     frames, n = len(samples.times_s), samples.light.shape[-1]
     pairs = clock.pairs(samples.times_s, samples.rows)
     w = samples.weights / samples.weights.mean() * (1.0 if weights is None else weights)
@@ -57,32 +55,28 @@ def solve_pairs(samples: Samples, clock: Clock, weights: Floats | None = None) -
         variance[:, group] = np.diag(inverse)[1:, None]
         residual[:, group] = y[group].T - m @ x
     change, variance, residual = (values.reshape(-1, n, n) for values in (change, variance, residual))
-    return PairSolution(pairs, change, variance, light.reshape(n, n), residual)
+    return PairSolution(pairs, change, variance, light.reshape(n, n)), residual
 
 
 def solve_with_gains(samples: Samples, clock: Clock) -> PairSolution:
     """Solve the pairs with the gain of each row, and reduced weights of outlier frames."""
-    solution = solve_pairs(samples, clock)
+    solution, residual = solve_pairs(samples, clock)
     # each step removes three quarters of the remaining bands
     for _ in range(3):
-        fitted = samples.light - solution.residual
-        light = samples.light / _contrast_gains(samples.light, fitted)[:, None, None]
+        fitted = samples.light - residual
+        # gain of a frame by the contrast, as data change the mean, with a weight of a gain of 1
+        observed, known = (values - values.mean((1, 2), keepdims=True) for values in (samples.light, fitted))
+        power = (known**2).sum((1, 2), keepdims=True)
+        held = 0.3 * max(float(np.median(power)), TINY)
+        contrast = ((observed * known).sum((1, 2), keepdims=True) + held) / (power + held)
+        light = samples.light / np.clip(contrast, 0.5, 2.0)
         gain = (light * fitted).sum(2, keepdims=True) / np.maximum((fitted**2).sum(2, keepdims=True), TINY)
         samples = replace(samples, light=light / np.clip(gain, 0.5, 2.0))
-        rms = np.sqrt((solution.residual**2).mean((1, 2)))
+        rms = np.sqrt((residual**2).mean((1, 2)))
         # a frame of four times the median counts half
         weights = 1 / (1 + (rms / (4 * max(float(np.median(rms)), TINY))) ** 4)
-        solution = solve_pairs(samples, clock, weights)
+        solution, residual = solve_pairs(samples, clock, weights)
     return solution
-
-
-def _contrast_gains(light: Floats, fitted: Floats) -> Floats:
-    """Estimate the gain of each frame by the contrast, as data change the mean."""
-    observed, known = (values - values.mean((1, 2), keepdims=True) for values in (light, fitted))
-    power = (known**2).sum((1, 2))
-    # weight of a gain of 1
-    held = 0.3 * max(float(np.median(power)), TINY)
-    return np.clip(((observed * known).sum((1, 2)) + held) / (power + held), 0.5, 2.0)
 
 
 @dataclass(frozen=True)
@@ -214,7 +208,7 @@ class PacketAssembler:
         if now_s - first_s < 3 * step:
             return False
         self._searched_s = now_s
-        samples = self._samples(first_s, now_s + step, clock)
+        samples = self._samples(first_s, now_s + step)
         if samples is None:
             return False
         left, clock = self._buffer.fitter(samples, self._budget).refine(clock)
@@ -223,7 +217,7 @@ class PacketAssembler:
             self.clock = None
             self._buffer.restart_search()
             return False
-        solution = solve_pairs(samples, clock)
+        solution, _ = solve_pairs(samples, clock)
         # a small part of the first pair may be cut off
         starts = np.array([clock.start_of(pair) for pair in solution.pairs])
         complete = np.flatnonzero((starts >= first_s - 0.45 * step) & (starts + step <= now_s))
@@ -239,10 +233,10 @@ class PacketAssembler:
         self._set_header(best, solution.change[complete])
         return True
 
-    def _samples(self, start_s: float, end_s: float, clock: Clock) -> Samples | None:
+    def _samples(self, start_s: float, end_s: float) -> Samples | None:
         """Return the light between two times; None for too few samples."""
         is_enough = len(self._buffer.between(start_s, end_s)) >= PARAMETERS.min_frames // 2
-        return self._buffer.light_between(start_s, end_s, clock) if is_enough else None
+        return self._buffer.light_between(start_s, end_s) if is_enough else None
 
     def _set_header(self, header: ScreenHeader, change: Floats) -> None:
         """Set the header of the packet in progress, with the format."""
@@ -252,7 +246,7 @@ class PacketAssembler:
     def _decode_next(self, clock: Clock, start_s: float, end_s: float) -> Iterator[tuple[Packet, Floats]]:
         """Decode the packet between two times."""
         around_s, self.start_s = 2 * clock.period_s, None
-        samples = self._samples(start_s - around_s, end_s + around_s, clock)
+        samples = self._samples(start_s - around_s, end_s + around_s)
         if samples is None:
             return
         _, clock = self._buffer.fitter(samples).refine(clock)
@@ -290,7 +284,8 @@ class PacketAssembler:
         first = header.place + self._signal.header_pairs
         visible = solution.change[first : first + pairs] / np.maximum(solution.light, 0.05)
         change, seen = np.zeros((pairs, n, n)), np.zeros(pairs, bool)
-        change[: len(visible)] = [header.orientation.upright(pair) for pair in visible]
+        for k, pair in enumerate(visible):
+            change[k] = header.orientation.upright(pair)
         # a pair without frames has a large variance
         variance = solution.variance[first : first + pairs].mean((1, 2))
         seen[: len(visible)] = variance < 10 * float(np.median(solution.variance))

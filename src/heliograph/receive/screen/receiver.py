@@ -181,8 +181,7 @@ class ScreenReceiver:
             yield from self._track(frame, *self._array)
         if self._array is None and (acquired := self._search.push(frame)) is not None:
             yield from self._start_array(*acquired)
-        patterns_s = PARAMETERS.unseen_patterns * self._signal.pattern_period_s
-        self._emit_unseen(frame.time_s, max(PARAMETERS.unseen_s, patterns_s))
+        self._emit_unseen(frame.time_s, max(5.0, 15 * self._signal.pattern_period_s))
 
     def _emit_unseen(self, time_s: float, min_s: float) -> None:
         """Emit once the absence of a screen since the start of the film."""

@@ -159,7 +159,8 @@ class LightClock:
 
     def starts(self, frames: Sequence[Frame]) -> Floats:
         """Return the starts of exposures in patterns since the start of the detected header."""
-        return np.array([self.pattern_at(frame.time_s) for frame in frames])
+        times_s = np.array([frame.time_s for frame in frames])
+        return self._pattern + (times_s - self.start_s) / self.period_s
 
     def predict_header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
         """Predict header amplitude and mean light of frames, for a fraction of dimmed cells."""
@@ -169,7 +170,11 @@ class LightClock:
 
     def measure(self, amplitudes: HeaderAmplitudes, pattern: int, again: bool = False) -> bool:
         """Correct the clock by a header; return False for a rejected header."""
-        self._predict(pattern)
+        steps = pattern - self._pattern
+        move = np.array([[1.0, steps * self._signal.pattern_period_s], [0.0, 1.0]])
+        self.start_s, self._pattern = self.time_s(pattern), pattern
+        # random walk of the rate: 2e-6 in a second at 1000 patterns/s
+        self._covariance = move @ self._covariance @ move.T + np.diag([0.0, 6.3e-8**2 * steps])
         spread, gain = self.deviation, self.gain
         # a pattern and a quarter at first, for frames half a pattern late
         reach = min(max(6 * spread, 0.1), 0.5) if self._measured else 1.25
@@ -212,15 +217,6 @@ class LightClock:
             late = float((times_s[0] - self.start_s) / self.period_s)
             odds[np.argmin(np.abs(offset - (late - round(late))))] = np.log(len(offset))
         return odds
-
-    def _predict(self, pattern: int) -> None:
-        """Predict the start of a pattern."""
-        steps = pattern - self._pattern
-        nominal = steps * self._signal.pattern_period_s
-        self.start_s, self._pattern = self.time_s(pattern), pattern
-        move = np.array([[1.0, nominal], [0.0, 1.0]])
-        # random walk of the rate: 2e-6 in a second at 1000 patterns/s
-        self._covariance = move @ self._covariance @ move.T + np.diag([0.0, 6.3e-8**2 * steps])
 
     def _update(self, error_s: float, variance: float) -> None:
         """Correct start and rate by the error of the predicted start and the posterior variance."""

@@ -12,7 +12,7 @@ A lost pair leaves all pairs even, but the next header comes two patterns early.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from math import hypot
+from math import hypot, isnan, nan
 
 import numpy as np
 
@@ -118,7 +118,7 @@ class SlipWatch:
         # nine frames decide on a slip: four pairs with the first frame, and four without
         if (first.number + self.lost) % 2 or len(self._pending) >= 9:
             return len(self._pending) > 1 or not self._follows_gap(first)
-        return len(self._pending) > 1 and (self._gap(0) > 1 or not self._is_uneven(0))
+        return len(self._pending) > 1 and (self._gap(0) > 1 or not self._epsilon(0) >= MAX_EVEN)
 
     def _release(self) -> Iterator[Frame]:
         """Yield the first frame or pair, or drop the first frame after a slip."""
@@ -126,17 +126,17 @@ class SlipWatch:
         if len(self._pending) == 1:
             yield self._pop()
         elif (first.number + self.lost) % 2:
-            if self._follows_gap(first) and self._gap(0) == 1 and self._is_even(0, MAX_EVEN / 2):
+            if self._follows_gap(first) and self._gap(0) == 1 and self._epsilon(0) < MAX_EVEN / 2:
                 # the gap was a repeated frame that the clock dropped
                 self.lost -= 1
             else:
                 yield self._pop()
         elif self._gap(0) > 1:
-            is_copy = self._gap(0) == 2 and self._is_even(0, MAX_EVEN / 2)
+            is_copy = self._gap(0) == 2 and self._epsilon(0) < MAX_EVEN / 2
             yield self._pop()
             self.lost -= is_copy
-        elif not (self._is_uneven(0) and self._has_slipped()):
-            self._even_before = self._mean is None or self._is_even(0)
+        elif not (self._epsilon(0) >= MAX_EVEN and self._has_slipped()):
+            self._even_before = self._mean is None or self._epsilon(0) < MAX_EVEN
             mean = 0.5 * (first.light + self._pending[1].light)
             self._mean = mean if self._mean is None else self._mean + 0.1 * (mean - self._mean)
             yield self._pop()
@@ -183,23 +183,13 @@ class SlipWatch:
         number = first.number + self.lost
         return number % 2 == 1 and first.number > self._number + 1 and is_data(number // 2, self._signal)
 
-    def _epsilon(self, place: int) -> float | None:
-        """Return epsilon of a pending frame and the next, at most 1; None for frames of no pattern."""
+    def _epsilon(self, place: int) -> float:
+        """Return epsilon of a pending frame and the next, at most 1; NaN, neither even nor uneven, without patterns."""
         u, v = (frame.contrast for frame in self._pending[place : place + 2])
         if u is None or v is None:
-            return None
+            return nan
         p, q = float(u @ u), float(v @ v)
-        return min(1 + 2 * float(u @ v) / max(p + q, TINY), 1.0) if min(p, q) >= 0.25 * max(p, q) else None
-
-    def _is_even(self, place: int, limit: float = MAX_EVEN) -> bool:
-        """Return True if a pending frame and the next are certainly a pair."""
-        e = self._epsilon(place)
-        return e is not None and e < limit
-
-    def _is_uneven(self, place: int) -> bool:
-        """Return True if a pending frame and the next are certainly no pair."""
-        e = self._epsilon(place)
-        return e is not None and e >= MAX_EVEN
+        return min(1 + 2 * float(u @ v) / max(p + q, TINY), 1.0) if min(p, q) >= 0.25 * max(p, q) else nan
 
     def _has_slipped(self) -> bool:
         """Return True if the frames after the first form even pairs, at a lower cost than with the first frame.
@@ -221,15 +211,14 @@ class SlipWatch:
             if (self._pending[place].number + lost) % 2 or self._gap(place) > 1:
                 return [pair(place + 1, lost)]
             e, (cost, epsilons, slips) = self._epsilon(place), pair(place + 2, lost)
-            regular = (cost, epsilons, slips) if e is None else (e + cost, (e, *epsilons), slips)
+            regular = (cost, epsilons, slips) if isnan(e) else (e + cost, (e, *epsilons), slips)
             cost, epsilons, slips = pair(place + 1, lost + 1)
             # two slips must cost less than an uneven pair
             return [regular, (0.45 + cost, epsilons, slips + 1)]
 
         (regular_cost, _, _), (cost, epsilons, slips) = options(0, self.lost)
-        if not self._even_before and not all(
-            self._is_even(k + 1) and self._is_uneven(k) for k in range(0, last - 1, 2)
-        ):
+        improves = (self._epsilon(k + 1) < MAX_EVEN <= self._epsilon(k) for k in range(0, last - 1, 2))
+        if not (self._even_before or all(improves)):
             return False
         # one more slip at most
         return cost < regular_cost and len(epsilons) >= 2 and max(epsilons) < MAX_EVEN and slips <= 2
