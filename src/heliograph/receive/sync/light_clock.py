@@ -109,7 +109,7 @@ class LightClock:
         self, start_s: float, period_s: float, signal: SignalSettings, identity: int, exposure_s: float | None = None
     ):
         self._signal = signal
-        # per word: fraction of dimmed cells, and fraction of lit less fraction of dark dimmed cells
+        # per word of a format: fraction of dimmed cells, and fraction of lit less fraction of dark dimmed cells
         cells = words() / words().shape[1]
         self._dimmed = np.unique(np.stack([cells.sum(1), cells @ header_cells(identity).ravel()], axis=1), axis=0)
         self.start_s = start_s
@@ -164,8 +164,9 @@ class LightClock:
 
     def predict_header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
         """Predict header amplitude and mean light of frames, for a fraction of dimmed cells."""
-        edges, wave, bright = self._header_wave(dimmed)
-        amplitude, light = _mean_over(starts, self.exposure, edges, np.stack([wave, bright]))
+        edges, waves, brights = self._header_terms
+        terms = np.stack([waves[0] + dimmed * waves[1], brights[0] + dimmed * brights[1]])
+        amplitude, light = _mean_over(starts, self.exposure, edges, terms)
         return amplitude, 0.5 + light
 
     def measure(self, amplitudes: HeaderAmplitudes, pattern: int, again: bool = False) -> bool:
@@ -235,7 +236,10 @@ class LightClock:
     def _cost(self, amplitudes: HeaderAmplitudes, offset: Floats) -> Floats:
         """Return negative log likelihoods (exposures, offsets) of starts relative to the predicted start."""
         place = (amplitudes.times_s - self.start_s) / self.period_s
-        wave, light = self._model(place - offset[:, None])
+        edges, waves, brights = self._header_terms
+        starts, exposures = (place - offset[:, None])[None], self._exposures[:, None, None]
+        # twice the alternation and the brightness of a header of gain 1, (3, exposures, offsets, frames) each
+        wave, light = np.split(_mean_over(starts, exposures, edges, np.concatenate([waves, brights])), 2)
         alternation, brighter = 2 * amplitudes.alternation, amplitudes.brightness - amplitudes.brightness.mean()
         # gain g: alternation g wave / 2, brightness g light plus a constant, both linear in the dimmed fractions
         energy, count = float(alternation @ alternation), len(place)
@@ -260,46 +264,26 @@ class LightClock:
         variance = max((0.03 * self.gain) ** 2, float(left[best]) / freedom, TINY)
         return np.asarray(0.5 * left / variance)
 
-    def _model(self, starts: Floats) -> tuple[Floats, Floats]:
-        """Return twice the alternation and the brightness of a header of gain 1, with the terms of `_dimming_terms`.
-
-        `starts` is (offsets, frames), the result (3, exposures, offsets, frames) each.
-        """
-        edges, waves, brights = self._dimming_terms
-        means = _mean_over(starts[None], self._exposures[:, None, None], edges, np.concatenate([waves, brights]))
-        return means[: len(waves)], means[len(waves) :]
-
     @cached_property
-    def _dimming_terms(self) -> tuple[Floats, Floats, Floats]:
-        """Edges of `_header_wave`, and waves and brightnesses (3, slots).
+    def _header_terms(self) -> tuple[Floats, Floats, Floats]:
+        """Slot edges in patterns, the header less the inverse, and the mean light less 1/2, (3, slots) each.
 
-        Terms: without dimmed cells, added by dimmed cells, and added by an excess of lit dimmed cells.
+        Terms: without dimmed cells, added by dimmed cells, and added by an excess of lit dimmed cells. The first pair
+        has no dimmed cells.
         """
-        (edges, *first), *others = (self._header_wave(*terms) for terms in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
-        waves, brights = map(np.stack, zip(first, *(terms for _, *terms in others), strict=True))
-        # means over exposures are linear in the terms
-        waves[1:] -= waves[0]
-        brights[1:] -= brights[0]
-        return edges, waves, brights
-
-    def _header_wave(self, part: float, lit: float = 0.0) -> tuple[Floats, Floats, Floats]:
-        """Return slot edges in patterns, the header less the inverse, and the mean light less 1/2.
-
-        `part` of the cells is dimmed in all pairs but the first; `lit` is the fraction of lit less dark dimmed cells.
-        """
-        count = 2 * self._signal.header_pairs
+        count, order = 2 * self._signal.header_pairs, self._signal.slot_order
         first, patterns = -PATTERNS_AROUND - 2, count + 2 * PATTERNS_AROUND + 4
         edges = first + np.arange(patterns * SLOTS + 1) / SLOTS
         number = np.floor(edges[:-1] + TINY).astype(int)
         inside, later = (number >= 0) & (number < count), (number >= 2) & (number < count)
-        contrast, light = (np.tile(values, patterns) for values in dimmed_light(self._signal.slot_order))
-        _, mean_light = slot_light(self._signal.slot_order)
-        wave = np.where(inside, np.where(number % 2, -1.0, 1.0), 0.0)
+        contrast, light, mean = (
+            np.tile(values[:SLOTS], patterns) for values in (*dimmed_light(order), slot_light(order)[1])
+        )
+        sign = np.where(number % 2, -1.0, 1.0)
         # an excess of lit dimmed cells changes the light like the header
-        wave = np.where(later, (1 - part + part * contrast) * wave + 2 * lit * (light - 0.5), wave)
-        bright = np.where(inside, 0.0, np.tile(mean_light[:SLOTS] - 0.5, patterns))
-        missing = 0.5 * lit * (1 - contrast) * np.where(number % 2, -1.0, 1.0)
-        return edges, wave, np.where(later, part * (light - 0.5) - missing, bright)
+        waves = np.stack([inside * sign, later * (contrast - 1) * sign, later * (2 * light - 1)])
+        brights = np.stack([~inside * (mean - 0.5), later * (light - 0.5), later * 0.5 * (contrast - 1) * sign])
+        return edges, waves, brights
 
 
 def _mean_over(starts: Floats, exposure: Floats | float, edges: Floats, values: Floats) -> Floats:
