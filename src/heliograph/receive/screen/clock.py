@@ -13,6 +13,7 @@ needed.
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -96,7 +97,7 @@ class ClockFitter:
         order = np.argsort(samples.rows.mean(0).ravel(), kind="stable")
         groups = np.array_split(order, min(PARAMETERS.row_bins, n))
         flat, rows = (values.reshape(len(samples.times_s), -1) for values in (samples.light, samples.rows))
-        self._times_s, self._middle_s = samples.times_s, float(samples.times_s.mean())
+        self._times_s = samples.times_s
         self._rows = np.stack([rows[:, g].mean(1) for g in groups])  # (bins, frames)
         self._share = samples.weights[:, None] / samples.weights.sum()
         self._root = np.sqrt(self._share * len(samples.weights))
@@ -143,37 +144,17 @@ class ClockFitter:
             if clock[0] < PARAMETERS.max_rough_unexplained
         ]
         clocks = sorted(clocks, key=lambda clock: clock[0])[: 2 * PARAMETERS.best_clocks]
-        clocks = sorted((self.refine(clock) for _, clock in clocks), key=lambda clock: clock[0])
-        return [self._search_nearby(clocks[0]), *clocks[1:]] if clocks else []
-
-    def _search_nearby(self, first: RatedClock) -> RatedClock:
-        """Search a better clock of a nearby rate, as a refinement hardly changes the rate."""
-        left, clock = first
-        middle_s = clock.start_of(round(clock.pair_at(self._middle_s)))
-        for _ in range(3):
-            periods = [clock.period_s * factor for factor in (0.985, 0.995, 1.005, 1.015)]
-            less, best = self._rated([replace(clock, start_s=middle_s, period_s=period) for period in periods])[0]
-            if less >= left:
-                break
-            left, clock = self.refine(best)
-        return (left, clock) if left < 0.7 * first[0] else first
+        return sorted((self.refine(clock) for _, clock in clocks), key=lambda clock: clock[0])
 
     def _rough_clocks(
         self, period_s: float, rows_s: list[float], exposures_s: list[float], phases: int
     ) -> list[RatedClock]:
         """Try phases, row times and exposures of a rate; return the clocks, the best first."""
-        starts_s = float(self._times_s[0]) + 2 * period_s * np.arange(phases) / phases
-        return self._rated(
-            [
-                Clock(start_s, period_s, row, min(exposure, period_s))
-                for start_s in starts_s.tolist()
-                for row in rows_s
-                for exposure in exposures_s
-            ]
-        )
-
-    def _rated(self, clocks: list[Clock]) -> list[RatedClock]:
-        """Rate clocks; return the best first."""
+        starts_s = (float(self._times_s[0]) + 2 * period_s * np.arange(phases) / phases).tolist()
+        clocks = [
+            Clock(start_s, period_s, row, min(exposure, period_s))
+            for start_s, row, exposure in product(starts_s, rows_s, exposures_s)
+        ]
         return sorted(((self.unexplained(clock), clock) for clock in clocks), key=lambda clock: clock[0])
 
     def refine(self, clock: Clock) -> RatedClock:
@@ -181,7 +162,7 @@ class ClockFitter:
         from scipy.optimize import minimize
 
         frame_s, height, row_s = self._frame_s, self._height, self._row_s
-        anchor = clock.start_of(round(clock.pair_at(self._middle_s)))
+        anchor = clock.start_of(round(clock.pair_at(float(self._times_s.mean()))))
         start = np.array([anchor, clock.row_s, clock.exposure_s, clock.response_s, clock.period_s])
         row_scale = 3e-3 / height if row_s is None else 0.0
         scale = np.array([0.1 * clock.period_s, row_scale, 0.25 * frame_s, 3e-3, 1e-3 * clock.period_s])
