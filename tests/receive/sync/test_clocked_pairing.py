@@ -77,7 +77,7 @@ def test_each_pair_comes_once_in_order_with_frames_of_its_time(rate: tuple[float
     if pairing.lost:
         assert not got
         return
-    # without a frame of the first header the clock is not sure of the phase, and takes frames to be in step
+    # without a frame of the first header the clock is not sure of the phase
     near = 3.5e-4 if dropped & set(range(20)) else 1.5e-4
     for number, pair in got:
         first = start_s + 2 * number * 1e-3

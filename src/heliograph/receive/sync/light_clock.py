@@ -25,7 +25,6 @@ from heliograph.base.frames import Frame
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import HALF_LIT, cut_out, window_around
 from heliograph.receive.sync.combine import dimmed_light, slot_light
-from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_cells
 from heliograph.signal.pwm import SLOTS
@@ -33,7 +32,6 @@ from heliograph.signal.settings import SignalSettings
 
 PATTERNS_AROUND = 2
 """Patterns to measure before and after a header: both ends of the header show the start."""
-
 
 MIN_EXPLAINED = 0.7
 """Minimum part of the power of the amplitudes that a header explains; of white noise about a quarter is explained."""
@@ -191,8 +189,6 @@ class LightClock:
             self._evidence, self._measured = self._prior, False
         if self._measured:
             cost = cost + 0.5 * (offset / max(spread, MIN_DEVIATION)) ** 2
-        else:
-            cost = cost - self._synchronous_odds(amplitudes.times_s, offset)
         by_exposure = -cost.min(1) + np.log(np.exp(cost.min(1)[:, None] - cost).sum(1))
         self._evidence = self._evidence + by_exposure - by_exposure.max()
         self.exposure = self._mean_exposure()
@@ -206,18 +202,6 @@ class LightClock:
     def _mean_exposure(self) -> float:
         chance = np.exp(self._evidence - self._evidence.max())
         return float(chance @ self._exposures / chance.sum())
-
-    def _synchronous_odds(self, times_s: Floats, offset: Floats) -> Floats:
-        """Return prior log odds of the starts for a first header with missing frames.
-
-        A synchronous camera is as likely as all other starts together.
-        """
-        steps = np.diff(times_s) / self.period_s
-        odds = np.zeros(len(offset))
-        if np.abs(steps - np.round(steps)).max() < STEP_TOLERANCE and steps.max() > 1.5:
-            late = float((times_s[0] - self.start_s) / self.period_s)
-            odds[np.argmin(np.abs(offset - (late - round(late))))] = np.log(len(offset))
-        return odds
 
     def _update(self, error_s: float, variance: float) -> None:
         """Correct start and rate by the error of the predicted start and the posterior variance."""

@@ -156,8 +156,9 @@ class SynchronousPairing:
         if first is not None and second is not None:
             return number, FramePair(first, second, self._late_s if data else 0.0)
         left = second if first is None else first
-        is_unpaired = data and not single and left is not None
-        return number, UnpairedFrame(left, first is None, self._late_s) if is_unpaired and left is not None else None
+        if left is None or single or not data:
+            return number, None
+        return number, UnpairedFrame(left, first is None, self._late_s)
 
 
 class AsynchronousPairing:
