@@ -10,6 +10,9 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive import receive_frames
 from heliograph.receive.array import ArrayReceiver
+from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, UnpairedFrame
+
+ReadPair = FramePair | UnpairedFrame | MeasuredHeader | None
 
 
 class PairCount:
@@ -18,10 +21,10 @@ class PairCount:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
         self.count, take = 0, ArrayReceiver._take
 
-        def counted(array: ArrayReceiver, number: int) -> Iterator[object]:
+        def counted(array: ArrayReceiver, number: int, pair: ReadPair) -> Iterator[object]:
             self.count += 1
             assert self.count <= most, "pairs of a gap are gone through one by one"
-            return take(array, number)
+            return take(array, number, pair)
 
         monkeypatch.setattr(ArrayReceiver, "_take", counted)
 

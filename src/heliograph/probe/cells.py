@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.screen.locate import find_quadrilaterals, reduce_frame, sharpen_corners
+from heliograph.receive.screen.locate import find_quadrilaterals, reduce_frame
 
 SIDES = range(8, 33, 4)
 """Cells of a side that are told apart."""
@@ -68,3 +68,63 @@ def _like(lines: Floats, side: int) -> float:
     inner = slice(AREA_PX // 16, -AREA_PX // 16)
     a, b = lines[inner] - lines[inner].mean(), drawn[inner] - drawn[inner].mean()
     return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), TINY))
+
+
+def sharpen_corners(changes: NDArray[np.float32], corners: Floats, factor: int) -> Floats:
+    """Refine corners by the edges of the changes at full resolution."""
+    reach = 2.5 * factor + 1
+    for _ in range(3):
+        lines = [_edge(changes, corners[k], corners[(k + 1) % 4], corners.mean(0), reach) for k in range(4)]
+        moved = np.array([_crossing(lines[k - 1], lines[k]) for k in range(4)])
+        if not np.isfinite(moved).all() or np.abs(moved - corners).max() > 2 * reach:
+            return corners
+        is_done = np.abs(moved - corners).max() < 0.1
+        corners = moved
+        if is_done:
+            break
+    return corners
+
+
+def _edge(
+    changes: NDArray[np.float32], start: Floats, end: Floats, middle: Floats, reach: float
+) -> tuple[Floats, Floats]:
+    """Fit the edge near a side; return a point and the direction."""
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / max(length, TINY)
+    out = np.array([along[1], -along[0]])
+    if (start - middle) @ out < 0:
+        out = -out
+    across = np.linspace(-reach, reach, 2 * int(4 * reach) + 1)
+    places = np.linspace(0.06, 0.94, 32) * length
+    points = start + places[:, None, None] * along + across[:, None] * out
+    x, y = (np.asarray(points[..., k], np.float32) for k in (0, 1))
+    profiles = np.asarray(cv2.remap(changes, x, y, cv2.INTER_LINEAR), np.float64)
+    inside = np.median(profiles[:, : len(across) // 3], axis=1)
+    outside = np.median(profiles[:, -len(across) // 4 :], axis=1)
+    strong = inside - outside > 0.4 * np.median(inside)
+    if strong.sum() < 8:
+        return start, along
+    # a blurred edge is at half the height
+    over = profiles > ((inside + outside) / 2)[:, None]
+    last = len(across) - 1 - np.argmax(over[:, ::-1], axis=1)
+    offsets = across[last] + (across[1] - across[0]) / 2
+    weight = strong.astype(float)
+    fit = np.array([np.median(offsets[strong]), 0.0])
+    columns = np.column_stack([np.ones(len(places)), places / length - 0.5])
+    for _ in range(8):
+        far = np.abs(offsets - columns @ fit)
+        # an edge 2 px off counts a quarter
+        w = weight / (1 + (far / 2) ** 2) ** 2
+        fit = np.linalg.lstsq(columns * w[:, None], offsets * w, rcond=None)[0]
+    a, b = (start + s * length * along + (fit[0] + fit[1] * (s - 0.5)) * out for s in (0.0, 1.0))
+    return a, b - a
+
+
+def _crossing(first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> Floats:
+    """Intersect two lines, each a point and a direction."""
+    (p, d), (q, e) = first, second
+    across = d[0] * e[1] - d[1] * e[0]
+    if abs(across) < TINY:
+        return np.full(2, np.nan)
+    t = ((q[0] - p[0]) * e[1] - (q[1] - p[1]) * e[0]) / across
+    return p + t * d

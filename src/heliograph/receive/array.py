@@ -26,8 +26,7 @@ from heliograph.receive.geometry.pose import Orientation, Pose, rim_distance
 from heliograph.receive.geometry.view import CAMERA, View
 from heliograph.receive.packet import MIN_HEADER_SCORE, MIN_PAIRS_SEEN, Packet
 from heliograph.receive.settings import CalibrationSettings
-from heliograph.receive.sync.light_clock import PATTERNS_AROUND
-from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, Pairing, PoseAt, UnpairedFrame
+from heliograph.receive.sync.pairing import DuePair, FramePair, MeasuredHeader, Pairing, UnpairedFrame
 from heliograph.receive.sync.slips import SlipWatch
 from heliograph.receive.track.track import Track, TrackedPair, check_pose
 from heliograph.receive.track.tracker import Tracker
@@ -234,7 +233,6 @@ class ArrayReceiver:
         self._header = header_levels(detection.identity, signal.side) / 2.0 - 1.0
         self._slips = SlipWatch(detection.identity, signal)
         self._start_lost = 0
-        self._poses: dict[int, PoseAt] = {}
         # True if the last packet was decoded; None before the first
         self._decoded: bool | None = None
         self._has_codeword = self._misled = self._failed = self._outgrown = self._over = False
@@ -325,35 +323,45 @@ class ArrayReceiver:
             return
         paired = self._reader.format.mode != "single"
         viewed = frame if self._as_camera else self._view.frame(frame, self.pose, self._signal.side)
-        for kept in self._slips.push(viewed, self._pairing.origin_s, self._pose_at, paired):
-            yield from self._read_pairs(self._pairing.push(kept))
+        for kept in self._slips.push(viewed, self._pairing.origin_s, self._track.state.pose_at, paired):
+            self._pairing.push(kept)
+            yield from self._read_pairs()
 
     def flush(self, over: bool = False) -> Iterator[PendingPacket]:
         """Yield the packet in progress."""
         for frame in self._slips.flush():
-            yield from self._read_pairs(self._pairing.push(frame))
-        yield from self._read_pairs(self._pairing.flush())
+            self._pairing.push(frame)
+            yield from self._read_pairs()
+        self._pairing.flush()
+        yield from self._read_pairs()
         if self._record.poses if over else self._record.seen.mean() >= MIN_PAIRS_SEEN:
             yield self._finish()
-
-    def _pose_at(self, time_s: float) -> Pose:
-        return self._track.state.pose_at(time_s)
 
     @property
     def _pairs(self) -> int:
         return self._signal.packet_patterns // 2
 
-    def _read_pairs(self, numbers: Iterator[int]) -> Iterator[PendingPacket]:
+    def _read_pairs(self) -> Iterator[PendingPacket]:
         """Read pairs; end the track if the equations have no solution: the next header starts another."""
         try:
-            for number in () if self._failed else numbers:
-                yield from self._take(number)
+            while not self._failed and (due := self._next_pair()) is not None:
+                yield from self._take(*due)
         except np.linalg.LinAlgError as error:
             self._failed = True
             LOG.warning("array %d is given up at %.4f s: %s", self.identity, self._pairing.now_s, error)
 
-    def _take(self, number: int) -> Iterator[PendingPacket]:
+    def _next_pair(self) -> DuePair | None:
+        single = self._reader.format.mode == "single"
+        return self._pairing.next_pair(self._track.state.pose_at, self._track.shining, single)
+
+    def _take(self, number: int, pair: FramePair | UnpairedFrame | MeasuredHeader | None) -> Iterator[PendingPacket]:
         """Read a pair; yield the packet it completes."""
+        if isinstance(pair, MeasuredHeader):
+            self._record.clocked = True
+            # in a sum the light of the panel adds to the array's
+            self._track = replace(self._track, gain=pair.gain)
+            self._reader.end_header(pair)
+            return
         self._number, in_packet = number, number % self._pairs
         place = in_packet - self._signal.header_pairs
         first_gain = self._pairing.first_gain
@@ -361,10 +369,6 @@ class ArrayReceiver:
             self._start_lost = self._slips.lost
         if number == 0 and first_gain is not None:
             self._track = replace(self._track, gain=first_gain, data_gain=first_gain)
-        if place == 0:
-            self._end_header()
-        single = place >= 0 and self._reader.format.mode == "single"
-        pair = self._pairing.get_pair(number, self._track.state.pose_at, single)
         if isinstance(pair, UnpairedFrame):
             self._add_unpaired(place, pair)
         elif pair is not None:
@@ -372,28 +376,11 @@ class ArrayReceiver:
                 self._read_header(in_packet, pair)
             else:
                 self._read_data(place, pair)
-            self._poses[number] = self._track.state.pose_at
-        # the light's clock uses the poses around a header
-        oldest = number + 1 - self._signal.header_pairs - PATTERNS_AROUND
-        # pairs come in order
-        while self._poses and (first := next(iter(self._poses))) < oldest:
-            del self._poses[first]
         if in_packet == self._pairs - 1 and self._record.poses:
             yield self._finish()
         elif in_packet == self._pairs - 1 and self._record.frames:
             # unpaired frames only, which show no pose
             self._record, self._reader = self._new_record(), self._reader.next(None, confirmed=False)
-
-    def _end_header(self) -> None:
-        """Correct the clock by the last header; out of step the reader gets the complete header."""
-        pose_at, led_gains = self._track.state.pose_at, self._track.shining
-        header = self._pairing.measure_header(self._number, self._poses, pose_at, led_gains)
-        if header is None:
-            return
-        self._record.clocked = True
-        # in a sum the light of the panel adds to the array's
-        self._track = replace(self._track, gain=header.gain)
-        self._reader.end_header(header)
 
     def _read_header(self, number: int, pair: FramePair) -> None:
         tracked = self._tracker.follow(self._track, pair, self._header)

@@ -37,7 +37,7 @@ from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.events import EqualiseEvent
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import Words
-from heliograph.receive.sync.combine import SlotLight, combine_pair
+from heliograph.receive.sync.combine import combine_pair
 
 Floats = NDArray[np.float64]
 
@@ -154,7 +154,7 @@ def against_its_symbols(symbols: Floats, rng: np.random.Generator) -> PairStatis
 @pytest.mark.slow
 def test_pairs_of_combined_frames_are_read(late: float, distance_m: float) -> None:
     """Each contains products of its symbols, and light of the pairs or the header beside it."""
-    combination = combine_pair(late + np.arange(-2.0, 5.0), 1.0, SlotLight((0, 1, 2, 3)))
+    combination = combine_pair(late + np.arange(-2.0, 5.0), 1.0, (0, 1, 2, 3))
     assert combination is not None
     blocks = random_blocks(2)
     assert right(decoded(combined_statistics_of(blocks, distance_m, combination)), blocks) == [True] * 4

@@ -6,7 +6,7 @@ from known_packets import by_matrices
 from numpy.typing import NDArray
 
 from heliograph.receive.decode.turbo_equaliser import GainAndNoise, Lines
-from heliograph.receive.sync.combine import SlotLight, UnsynchronisedPacket, combine_pair
+from heliograph.receive.sync.combine import UnsynchronisedPacket, combine_pair
 
 Floats = NDArray[np.float64]
 SIDE, PAIRS = 8, 4
@@ -17,7 +17,7 @@ PHASES = (0.1, 0.37, 0.5, 0.6)
 def packet(phase: float) -> tuple[UnsynchronisedPacket, Floats, NDArray[np.intp]]:
     """Pairs so far out of step, in T_b; their symbols; and an open one of each square, (pairs, squares)."""
     rng = np.random.default_rng(3)
-    combination = combine_pair(np.arange(-3.0, 5.0) + phase, 1.0, SlotLight((0, 1, 2, 3)))
+    combination = combine_pair(np.arange(-3.0, 5.0) + phase, 1.0, (0, 1, 2, 3))
     pairs = UnsynchronisedPacket.of([combination] * PAIRS, rng.random((SIDE, SIDE)) > 0.5)
     open_ = rng.integers(0, 4, (PAIRS, SQUARES)) * SQUARES + np.arange(SQUARES)
     return pairs, rng.choice([-1.0, 1.0], (PAIRS, SIDE**2)), open_

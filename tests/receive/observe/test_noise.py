@@ -10,7 +10,7 @@ from whole_pairs import GAIN, SYMBOLS, T, moving, pair_of
 
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.observe.noise import measure_noise, noise_beside
-from heliograph.receive.sync.combine import SlotLight, combine_pair
+from heliograph.receive.sync.combine import combine_pair
 from heliograph.receive.sync.pairing import FramePair
 
 Floats = NDArray[np.float64]
@@ -62,7 +62,7 @@ def test_background_noise_of_single_frames() -> None:
 def test_noise_of_combined_frames_is_in_units_of_two() -> None:
     """Sum and difference of combined frames have different variances, and the array's sum is even."""
     rng, sigma, poses = np.random.default_rng(9), 1.5, moving(80, 0.02, (0.0, 0.0))
-    combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, SlotLight((0, 1, 2, 3)))
+    combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, (0, 1, 2, 3))
     assert combination is not None
     assert abs(combination.noise - 1) > 0.2
     even, cutouts = take_cutout(pair_of(poses, np.full((SIDE, SIDE), 0.5)), poses, SIDE), []

@@ -12,7 +12,7 @@ from whole_pairs import CUT, GAIN, MOTIONS, ROLLS, SYMBOLS, WholePair, moving, p
 from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics, whiten
-from heliograph.receive.sync.combine import SlotLight, combine_pair
+from heliograph.receive.sync.combine import combine_pair
 
 Floats = NDArray[np.float64]
 
@@ -171,7 +171,7 @@ def test_combined_frames_have_other_noise_and_levels() -> None:
     """Weights are in units of a difference of two frames; the mean light of pattern and inverse need not be a half."""
     poses, noise = moving(80, 0.02, (0.12, -0.2)), Noise(4.0, 4.0)
     cutout = WholePair(poses, pair_of(poses, random_levels()[1]), noise).cutout
-    combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, SlotLight((0, 1, 2, 3)))
+    combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, (0, 1, 2, 3))
     assert combination is not None
     assert abs(combination.noise - 1) > 0.2
     got = whiten(replace(cutout, combination=combination), noise, SIDE).statistics()

@@ -10,8 +10,8 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
 from heliograph.receive import make_receiver
 from heliograph.receive.events import Event, UnseenEvent
-from heliograph.receive.screen.cells import SAMPLES_PER_S, CellFitter, Place, SearchBudget
-from heliograph.receive.screen.locate import PARAMETERS, ArraySearch, CandidateArray
+from heliograph.receive.screen.cells import PARAMETERS, SAMPLES_PER_S, CellFitter, Place, SearchBudget
+from heliograph.receive.screen.locate import ArraySearch, Candidate
 
 LIMITS = SearchBudget()
 
@@ -63,19 +63,18 @@ def test_work_is_earned_by_the_films_time_and_no_more_is_kept_than_at_first() ->
 def test_a_search_that_broke_off_goes_on_with_the_next_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     budget, counts = SearchBudget(), list[int]()
     search = ArraySearch(8, 2.2, budget)
-    fitter = CellFitter(8, 1.0, np.linspace(0, 1, 256, dtype=np.float32))
+    fitter = CellFitter(8, 1.0, np.linspace(0, 1, 256, dtype=np.float32), budget)
     place = Place.of(np.array([[20, 20], [100, 20], [100, 100], [20, 100]], float), 8)
 
-    def placed(_corners: Floats, _changes: object) -> CandidateArray:
+    def placed(_corners: Floats) -> Candidate:
         budget.spend(2 * LIMITS.first_s * SAMPLES_PER_S)
-        return CandidateArray(np.inf, place, fitter)
+        return np.inf, place, fitter
 
     def changing(frames: Sequence[object]) -> object:
         counts.append(len(frames))
         return None
 
     monkeypatch.setattr(search, "_fit_candidate", placed)
-    monkeypatch.setattr(search, "_mean_change", lambda _count: None)
     monkeypatch.setattr("heliograph.receive.screen.locate.mean_change", changing)
     monkeypatch.setattr("heliograph.receive.screen.locate.find_quadrilaterals", lambda *_: [None])
     rng = np.random.default_rng(1)

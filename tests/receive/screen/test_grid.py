@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 
 from heliograph.base.arrays import Floats
-from heliograph.base.frames import Pixels
-from heliograph.receive.screen.cells import CellFitter, Place
-from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame, sharpen_corners
+from heliograph.base.frames import Frame, Pixels
+from heliograph.probe.cells import sharpen_corners
+from heliograph.receive.screen.cells import CellFitter, Place, SearchBudget
+from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame
 
 SIDE = 16
 LINEAR = (np.arange(256) / 255).astype(np.float32)
+FITTER = CellFitter(SIDE, 1.0, LINEAR, SearchBudget())
 CORNERS = np.array([[60.0, 41.0], [225.0, 50.0], [216.0, 212.0], [52.0, 203.0]])
 
 
@@ -34,16 +36,14 @@ def drawn(cells: Floats, corners: Floats = CORNERS, blur: float = 1.0) -> Pixels
 
 def test_cells_are_seen_at_their_place() -> None:
     cells = levels(1)
-    seen = CellFitter(SIDE, 1.0, LINEAR)(drawn(cells), Place.of(CORNERS, SIDE), 0)
+    seen = FITTER(Frame(0, 0.0, drawn(cells)), Place.of(CORNERS, SIDE), 0)
     assert seen.light == pytest.approx(0.05 + 0.2 * cells, abs=0.04)
     assert seen.misfit < 0.15
-    assert seen.saturated == 0
 
 
 @pytest.mark.parametrize("off", [(0.0, 0.0), (3.0, -2.0), (-4.0, 4.0)])
 def test_a_place_is_found_from_half_a_cell_away(off: tuple[float, float]) -> None:
-    fitter = CellFitter(SIDE, 1.0, LINEAR)
-    seen = fitter(drawn(levels(2)), Place.of(CORNERS + off, SIDE), 10)
+    seen = FITTER(Frame(0, 0.0, drawn(levels(2))), Place.of(CORNERS + off, SIDE), 10)
     assert np.abs(seen.place.corners(SIDE) - CORNERS).max() < 0.5
 
 
@@ -61,10 +61,8 @@ def test_where_nothing_changes_there_is_no_array() -> None:
     assert find_quadrilaterals(mean_change([still, still, still]), 1) == []
 
 
-def test_places_are_moved_and_scaled() -> None:
+def test_places_are_moved() -> None:
     place = Place.of(CORNERS, SIDE)
     assert place.moved(np.array([3.0, 4.0])).corners(SIDE) == pytest.approx(CORNERS + np.array([3, 4]), abs=1e-3)
-    middle = np.array([SIDE / 2, SIDE / 2])
-    assert place.scaled(0.9, 0.8, SIDE).at(middle) == pytest.approx(place.at(middle))
     assert place.shifted(1, 0).at(np.zeros(2)) == pytest.approx(place.at(np.array([1.0, 0.0])))
     assert place.cell_px(SIDE) == pytest.approx(163.8 / 16, abs=0.1)

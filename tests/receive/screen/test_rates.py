@@ -8,8 +8,8 @@ from screen_light import shown
 import heliograph
 from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
-from heliograph.receive.screen.cells import CellFitter, CellTracker, Place
-from heliograph.receive.screen.locate import PARAMETERS, ArraySearch, CandidateArray
+from heliograph.receive.screen.cells import PARAMETERS, CellFitter, Place, SearchBudget
+from heliograph.receive.screen.locate import ArraySearch
 from heliograph.web.sending import sending_of
 
 
@@ -36,12 +36,11 @@ def test_any_rate_is_found_also_where_refreshes_are_skipped(display_hz: float, l
 
 def test_what_is_doubtful_is_no_array_before_many_frames_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """Between two patterns of a slow light only noise changes, which looks like a bad array."""
-    fitter = CellFitter(8, 1.0, np.linspace(0, 1, 256, dtype=np.float32))
+    budget = SearchBudget()
+    fitter = CellFitter(8, 1.0, np.linspace(0, 1, 256, dtype=np.float32), budget)
     place = Place.of(np.array([[20, 20], [100, 20], [100, 100], [20, 100]], float), 8)
-    search = ArraySearch(8, 2.2)
-    monkeypatch.setattr(search, "_fit_candidate", lambda *_: CandidateArray(0.5, place, fitter))
-    monkeypatch.setattr(search, "_search_around", lambda candidate: candidate)
-    monkeypatch.setattr(CellTracker, "_correct_slip", lambda *args: args[-1])
+    search = ArraySearch(8, 2.2, budget)
+    monkeypatch.setattr(search, "_fit_candidate", lambda *_: (0.5, place, fitter))
     rng = np.random.default_rng(1)
     taken = []
     for k in range(PARAMETERS.kept_frames):

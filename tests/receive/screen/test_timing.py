@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.screen.clock import Clock, Samples, search_clocks
+from heliograph.receive.screen.cells import SearchBudget
+from heliograph.receive.screen.clock import Clock, ClockFitter, RatedClock, Samples
 from heliograph.receive.screen.packets import solve_pairs
 
 HEIGHT, FRAME_S, SIDE = 720, 1 / 30, 8
@@ -41,9 +42,14 @@ def seen(clock: Clock, frames: int, noise: float = 0.02) -> Samples:
     return Samples(times, rows, out, np.ones(frames))
 
 
+def search_clocks(samples: Samples, periods: list[float], row_s: float | None) -> list[RatedClock]:
+    """Clocks of some pattern periods, the best first."""
+    return ClockFitter(samples, FRAME_S, HEIGHT, row_s, SearchBudget()).search(periods)
+
+
 def test_a_clock_is_found_among_rates() -> None:
     samples = seen(TRUE, 48)
-    found = search_clocks(samples, [0.1, 1 / 15, 0.2], FRAME_S, HEIGHT, None)
+    found = search_clocks(samples, [0.1, 1 / 15, 0.2], None)
     left, clock = found[0]
     assert left < 0.02
     assert clock.period_s == pytest.approx(0.1, rel=3e-3)
@@ -55,7 +61,7 @@ def test_a_clock_is_found_among_rates() -> None:
 
 
 def test_pairs_are_solved() -> None:
-    got = solve_pairs(seen(TRUE, 48), TRUE)
+    got, _ = solve_pairs(seen(TRUE, 48), TRUE)
     data = change(1, 40)
     for k, pair in enumerate(got.pairs):
         if TRUE.start_of(pair) > 0.55 and TRUE.start_of(pair + 1) < 1.95:
@@ -63,11 +69,11 @@ def test_pairs_are_solved() -> None:
 
 
 def test_a_known_row_time_is_kept() -> None:
-    found = search_clocks(seen(TRUE, 48), [0.1], FRAME_S, HEIGHT, TRUE.row_s)
+    found = search_clocks(seen(TRUE, 48), [0.1], TRUE.row_s)
     assert found[0][1].row_s == TRUE.row_s
     assert found[0][0] < 0.02
 
 
 def test_too_few_frames_tell_nothing() -> None:
-    assert search_clocks(seen(TRUE, 10), [0.1], FRAME_S, HEIGHT, None) == []
-    assert search_clocks(seen(TRUE, 48), [0.02], FRAME_S, HEIGHT, None) == []
+    assert search_clocks(seen(TRUE, 10), [0.1], None) == []
+    assert search_clocks(seen(TRUE, 48), [0.02], None) == []

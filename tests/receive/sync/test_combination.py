@@ -9,7 +9,7 @@ from properties import examples
 from slot_light import COVARIANCE, SLOPES, observed, symbols_of, values_of
 
 from heliograph.receive.sync import combine as partial_exposure
-from heliograph.receive.sync.combine import SlotLight, combine_header, combine_pair
+from heliograph.receive.sync.combine import combine_header, combine_pair, dimmed_light, slot_light
 from heliograph.signal import haar, pwm
 
 Floats = NDArray[np.float64]
@@ -46,7 +46,7 @@ def test_a_combination_holds_what_it_says(order: tuple[int, ...], exposure: floa
     starts = phase + np.arange(-10, 10) / rate
     starts = starts[(starts >= -1) & (starts + exposure <= 4)]
     starts, exposure = np.round(starts * FINE) / FINE, round(exposure * FINE) / FINE
-    combination = combine_pair(starts, exposure, SlotLight(order))
+    combination = combine_pair(starts, exposure, order)
     assert combination is not None
     first = np.round((starts[combination.frames] + 2) * FINE).astype(int)
     exposures = np.stack([light[k : k + round(exposure * FINE)].mean(0) for k in first])
@@ -76,15 +76,15 @@ def merit(weights: Floats, slope: Floats, spread: Floats) -> float:
 @given(rate=st.floats(1.0, 3.0), part=st.floats(0.2, 1.0), phase=st.floats(0, 1))
 def test_no_difference_shows_the_levels_better(rate: float, part: float, phase: float) -> None:
     """Among noise and light of other pairs; frames of little weight may be left out."""
-    light, exposure = SlotLight((0, 1, 2, 3)), part / rate
+    order, exposure = (0, 1, 2, 3), part / rate
     starts = (phase + np.arange(-8.0, 16.0)) / rate
     starts = starts[(starts > -1) & (starts < 2)]
-    combination = combine_pair(starts, exposure, light)
+    combination = combine_pair(starts, exposure, order)
     # overlaps with the slots of three pairs, the first of which begins at -2
     slots = np.arange(-8, 16) / 4
     ends = np.minimum(starts[:, None] + exposure, slots + 0.25)
     overlap = np.maximum(ends - np.maximum(starts[:, None], slots), 0) / exposure
-    shown = np.einsum("fj,jqr->fqr", overlap, light.shows)
+    shown = np.einsum("fj,jqr->fqr", overlap, slot_light(order)[0])
     slope = shown[:, 1] @ SLOPES
     # a frame has the noise variance 0.05, and each slot's light that of random data
     spread = 0.05 * np.eye(len(starts)) - np.outer(slope, slope)
@@ -108,7 +108,7 @@ def test_the_sum_is_the_array_all_on_at_its_mean_time(order: tuple[int, ...], ph
     """Over many data the sum is even and as bright as all LEDs on, its light about `sum_time` on average."""
     starts = np.round((phase + np.arange(-2, 6) / 1.5) * FINE) / FINE
     starts, exposure = starts[(starts >= -1) & (starts + 0.5 <= 4)], 0.5
-    combination = combine_pair(starts, exposure, SlotLight(order))
+    combination = combine_pair(starts, exposure, order)
     assert combination is not None
     sums, times = [], []
     for seed in range(60):
@@ -125,7 +125,7 @@ def test_the_sum_is_the_array_all_on_at_its_mean_time(order: tuple[int, ...], ph
 
 
 def test_in_step_a_combination_is_two_frames() -> None:
-    combination = combine_pair(np.arange(-1.0, 4.0), 1.0, SlotLight((0, 1, 2, 3)))
+    combination = combine_pair(np.arange(-1.0, 4.0), 1.0, (0, 1, 2, 3))
     assert combination is not None
     assert combination.departure < EXACT
     assert list(combination.frames) == [1, 2]
@@ -143,7 +143,7 @@ def test_in_step_a_combination_is_two_frames() -> None:
 @pytest.mark.parametrize("late", [0.0, 0.02, 0.1, -0.25])
 def test_the_departure_is_half_of_the_light_that_is_misplaced(late: float) -> None:
     """Late frames miss a pattern's start, show its inverse's start too early, and miss that in the second frame."""
-    combination = combine_pair(late + np.arange(-1.0, 4.0), 1.0, SlotLight((0, 1, 2, 3)))
+    combination = combine_pair(late + np.arange(-1.0, 4.0), 1.0, (0, 1, 2, 3))
     assert combination is not None
     if len(combination.difference) == 2:
         assert combination.departure == pytest.approx(1.5 * abs(late), abs=1e-9)
@@ -152,7 +152,7 @@ def test_the_departure_is_half_of_the_light_that_is_misplaced(late: float) -> No
 
 
 def test_half_a_pattern_late_only_neighbours_differ() -> None:
-    combination = combine_pair(np.arange(-1.5, 4.0), 1.0, SlotLight((0, 1, 2, 3)))
+    combination = combine_pair(np.arange(-1.5, 4.0), 1.0, (0, 1, 2, 3))
     assert combination is not None
     assert combination.departure > EXACT
     # the frame within the pair is half lit whatever is sent: it serves the sum alone
@@ -166,11 +166,11 @@ def test_half_a_pattern_late_only_neighbours_differ() -> None:
 
 
 def test_a_pair_that_is_not_filmed_gives_no_combination() -> None:
-    light = SlotLight((0, 1, 2, 3))
-    assert combine_pair(np.array([]), 1.0, light) is None
-    assert combine_pair(np.array([0.0]), 1.0, light) is None
+    order = (0, 1, 2, 3)
+    assert combine_pair(np.array([]), 1.0, order) is None
+    assert combine_pair(np.array([0.0]), 1.0, order) is None
     # twice the pattern, never the inverse
-    assert combine_pair(np.array([0.0, 0.5]), 0.5, light) is None
+    assert combine_pair(np.array([0.0, 0.5]), 0.5, order) is None
 
 
 def test_the_sum_of_a_header_is_free_of_it() -> None:
@@ -193,13 +193,13 @@ def test_the_sum_of_a_header_is_free_of_it() -> None:
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0, 3, 1)])
 @pytest.mark.slow
 def test_slots_show_the_light_that_is_lit_in_them(order: tuple[int, ...]) -> None:
-    light = SlotLight(order)
+    _, mean = slot_light(order)
     # dimmed cells have the levels 3 and 1
     high, low = (pwm.lit_slots(np.full((1, 1), level), order)[:, 0, 0] for level in (3, 1))
-    assert [part.tolist() for part in light.dimmed] == [
+    assert [part.tolist() for part in dimmed_light(order)] == [
         (high.astype(float) - low).tolist(),
         ((high.astype(float) + low) / 2).tolist(),
     ]
     drawn = light_of(random_data(1, 400), order).reshape(400, 2 * FINE, -1).mean((0, 2))
-    assert light.mean[:8] == pytest.approx(drawn[FINE // 8 :: FINE // 4], abs=0.02)
-    assert light.mean.tolist() == np.tile(light.mean[:8], 3).tolist()
+    assert mean[:8] == pytest.approx(drawn[FINE // 8 :: FINE // 4], abs=0.02)
+    assert mean.tolist() == np.tile(mean[:8], 3).tolist()

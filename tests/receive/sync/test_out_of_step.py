@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from slot_light import light_about_mean, observed, symbols_of
 
 from heliograph.receive.sync import combine as partial_exposure
-from heliograph.receive.sync.combine import Combination, SlotLight, UnsynchronisedPacket, combine_pair
+from heliograph.receive.sync.combine import Combination, UnsynchronisedPacket, combine_pair
 from heliograph.signal import haar
 
 Floats = NDArray[np.float64]
@@ -18,7 +18,7 @@ PHASES = (0.1, 0.37, 0.5, 0.6)
 
 def combination_at(phase: float) -> Combination:
     """How frames combine that are so far out of step, in T_b, each exposed for all of a pattern."""
-    found = combine_pair(np.arange(-3.0, 5.0) + phase, 1.0, SlotLight((0, 1, 2, 3)))
+    found = combine_pair(np.arange(-3.0, 5.0) + phase, 1.0, (0, 1, 2, 3))
     assert found is not None
     return found
 

@@ -8,7 +8,7 @@ from properties import examples
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.sync.pairing import FramePair, SynchronousPairing, UnpairedFrame, is_data
+from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, SynchronousPairing, UnpairedFrame, is_data
 from heliograph.signal.settings import SignalSettings
 
 SIGNAL = SignalSettings(data_pairs=3)
@@ -22,8 +22,15 @@ def frame(number: int, start_s: float = 0.0) -> Frame:
 
 
 def paired(pairing: SynchronousPairing, frames: list[Frame]) -> list[tuple[int, FramePair | UnpairedFrame | None]]:
-    """Numbers of pairs with their frames, as a receiver asks for them."""
-    return [(number, pairing.get_pair(number, lambda _: POSE, False)) for one in frames for number in pairing.push(one)]
+    """Numbers of pairs with their frames, as a receiver takes them, frame by frame."""
+    got: list[tuple[int, FramePair | UnpairedFrame | None]] = []
+    for one in frames:
+        pairing.push(one)
+        while (due := pairing.next_pair(lambda _: POSE, np.ones((8, 8)), False)) is not None:
+            number, pair = due
+            assert not isinstance(pair, MeasuredHeader)
+            got.append((number, pair))
+    return got
 
 
 @examples(150)
@@ -71,9 +78,10 @@ def test_the_light_of_data_comes_early_that_of_headers_does_not() -> None:
 def test_times_of_the_pairing() -> None:
     pairing = SynchronousPairing(0.1, 0.1015, SIGNAL)
     assert (pairing.origin_s, pairing.now_s) == (0.1, 0.1015)
-    list(pairing.push(frame(0, 0.1)))
+    paired(pairing, [frame(0, 0.1)])
     assert pairing.now_s == 0.1015
-    list(pairing.push(frame(7, 0.1)))
+    assert len(paired(pairing, [frame(7, 0.1)])) == 4
     assert pairing.now_s == pytest.approx(0.107)
     assert (pairing.lost, pairing.first_gain) == (False, None)
-    assert list(pairing.flush()) == []
+    pairing.flush()
+    assert pairing.next_pair(lambda _: POSE, np.ones((8, 8)), False) is None

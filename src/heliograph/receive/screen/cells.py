@@ -6,7 +6,7 @@ projected on the derivatives of B X B^T, corrects the place.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import product
 
 import cv2
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame, Pixels
+from heliograph.receive.geometry.pose import Pose
 
 SAMPLES_PER_S = 14e6
 """Samples that a core resamples and fits per second, on the machine of `docs/performance.md`."""
@@ -27,12 +28,6 @@ class SearchBudget:
         # work per second of the film, initial and maximum work, and debt to give up an array that shows no header
         self.share, self.first_s, self.debt_s = share, first_s, debt_s
         self.fill()
-
-    @classmethod
-    def for_light(cls, period_s: float) -> "SearchBudget":
-        """Return the budget for a pattern period; headers below 10 patterns/s take longer."""
-        budget, slower = cls(), max(1.0, 10 * period_s)
-        return cls(budget.share, slower * budget.first_s, slower * budget.debt_s)
 
     @property
     def is_left(self) -> bool:
@@ -68,49 +63,54 @@ PIXEL_SAMPLES = 0.05
 
 
 @dataclass(frozen=True)
-class CellParameters:
-    """Parameters of the fit of cells and of the tracking from frame to frame."""
+class ScreenParameters:
+    """Parameters of the receiver "screen"."""
 
-    # Loading of the least squares, relative to the weight of a cell: cells may be smaller than the blur
-    loading: float = 1e-3
-    # Cell size in px above which frames are reduced
-    max_cell_px: float = 10.0
-    # Minimum step in cells to continue the fit, and maximum of a step
-    min_step: float = 0.01
-    max_step: float = 0.7
-    # Standard deviation in px of a pixel and of bilinear interpolation: sqrt(1/12 + 1/12)
-    pixel_px: float = 0.4
-    # The same of a sample, in samples
-    sample_width: float = 0.35
-    # Minimum blur in cells: sharper edges fall between samples
-    min_blur: float = 0.05
-    # Work of a step in addition to the samples
-    step_samples: int = 3000
-    # Light in full scales of a saturated sample, within the error of a codec
-    saturated: float = 0.985
-    # Rms of random data about the mean, relative to the mean
-    data_contrast: float = 0.5
-    # Weights of the shape of the array in the last frame, relative to the weight of the image
-    stiffness: tuple[float, ...] = (0.0, 0.03, 0.03, 0.0, 0.03, 0.03, 0.2, 0.2)
-    # Maximum misfit: 0.06 to 0.3 for the right place, 0.6 to 0.9 half a cell off
+    # Fit: maximum misfit, 0.06 to 0.3 for the right place, 0.6 to 0.9 half a cell off
     max_misfit: float = 0.6
-    # Predicted fraction of the last motion: sway goes on, tremor turns back
-    motion_share: float = 0.5
-    # Maximum rms change of a side of the ring, relative to the light; a slip by a cell changes 0.5 to 1
-    max_ring_change: float = 0.3
-    # Minimum light, relative to the brightest frames
-    min_light: float = 0.15
-    # Maximum factor of the usual misfit per frame, and decay of the brightest light
-    growth: float = 1.03
-    # Weight of a frame in the usual ring
-    ring_rate: float = 0.05
-    # Offsets in cells, right and down, to try after a slip: a fit corrects half a cell
-    slip_cells: tuple[float, ...] = (0, -0.6, 0.6, -1.2, 1.2)
     # Ratio of the misfit to the usual misfit above which slips are tried; headers and smear have up to 1.5
     max_misfit_ratio: float = 1.8
 
+    # Location: minimum mean change in thousandths of full scale; 2 patterns/s at 30 frames/s change by 20
+    min_change: float = 4.0
+    # Minimum side of an array in reduced px
+    min_side: int = 9
+    # Kept frames: 16 patterns of 60 patterns/s at 240 frames/s
+    kept_frames: int = 64
+    # Frames after which a doubtful array is accepted
+    max_doubtful: int = 48
+    # Numbers of recent frames for the changes: few for shaken cameras, many for slow patterns
+    windows: tuple[int, ...] = (8, 16, 64)
+    # Blurs in px to try
+    blurs_px: tuple[float, ...] = (1.0, 0.6, 1.6, 2.4)
+    # Misfit plus change of the ring above which a candidate is doubtful; 0.06 to 0.25 for the right place
+    min_doubt: float = 0.3
+    # Frames of a trial
+    trial_frames: int = 8
 
-_PARAMETERS = CellParameters()
+    # Clock: groups of cells by sensor row that share a time, 4 ms of readout at most
+    row_bins: int = 8
+    # Closely compared rates, and refined clocks per rate
+    best_rates: int = 4
+    best_clocks: int = 2
+    # Maximum unexplained part for a refinement; without a light 0.9 to 1.1 is unexplained
+    max_rough_unexplained: float = 0.85
+    # Maximum unexplained part of a clock: 0.003 to 0.1 for the right clock, 0.4 to 1 for others
+    max_unexplained: float = 0.3
+    # Unexplained part below which no other rates are tried
+    certain_unexplained: float = 0.12
+    # Minimum number of patterns and of frames for a clock
+    min_patterns: int = 10
+    min_frames: int = 16
+
+    # Packets: minimum correlation of a pair with a header, six standard deviations of random data of 8 x 8 cells
+    min_correlation: float = 0.75
+
+    # Seconds of a lost array before a new search
+    max_lost_s: float = 1.0
+
+
+PARAMETERS = ScreenParameters()
 
 
 @dataclass(frozen=True)
@@ -140,13 +140,6 @@ class Place:
         """Return the place shifted in the frame."""
         return Place(np.array([[1, 0, by[0]], [0, 1, by[1]], [0, 0, 1]]) @ self.homography)
 
-    def scaled(self, across: float, down: float, side: int) -> "Place":
-        """Return the place of an array of another size about the same middle."""
-        m = side / 2
-        return Place(
-            self.homography @ np.array([[across, 0, m * (1 - across)], [0, down, m * (1 - down)], [0, 0, 1.0]])
-        )
-
     def shifted(self, right: float, down: float) -> "Place":
         """Return the place shifted by cells."""
         return Place(self.homography @ np.array([[1, 0, right], [0, 1, down], [0, 0, 1.0]]))
@@ -156,32 +149,60 @@ class Place:
         c = self.corners(side)
         return float(np.linalg.norm(np.roll(c, -1, axis=0) - c, axis=1).mean() / side)
 
+    def is_inside(self, side: int, shape: tuple[int, ...]) -> bool:
+        """Return True if the array lies completely in a frame."""
+        corners = self.corners(side)
+        w = np.array([[0, 0, 1], [side, 0, 1], [side, side, 1], [0, side, 1.0]]) @ self.homography[2]
+        is_within = (corners > -1).all() and (corners < shape[::-1]).all()
+        return bool(np.isfinite(corners).all() and (w > 0).all() and is_within)
+
+    def pose(self, side: int) -> Pose:
+        """Return the affine pose at the middle of an array."""
+        middle = np.array([side / 2, side / 2])
+        x, y = self.at(middle).tolist()
+        u, sizes, vt = np.linalg.svd(
+            np.column_stack([self.at(middle + d) - self.at(middle - d) for d in np.eye(2) / 2])
+        )
+        turn, stretch, pitch = u @ vt, vt.T @ np.diag(sizes / sizes.mean()) @ vt, float(sizes.mean())
+        return Pose(x, y, pitch, float(np.arctan2(turn[1, 0], turn[0, 0])), 0.6, *(stretch[0] - (1, 0)).tolist())
+
 
 @dataclass(frozen=True)
-class CellFit:
+class Sample:
     """Cells of an array in a frame."""
 
+    # Number of the frame
+    index: int
+    # Start of the exposure of the first row in camera time
+    time_s: float
     # Fitted place
     place: Place
     # (n + 2, n + 2) light of the cells and of the ring in full scales
     cells: Floats
     # Rms of the residual, relative to the contrast of the picture or of data
     misfit: float
-    # Saturated fraction of the array
-    saturated: float
 
     @property
     def ring(self) -> Floats:
-        """(4 n,) light of the ring without the corners."""
+        """(4, n) light of the sides of the ring without the corners."""
         inner = slice(RIM_CELLS, -RIM_CELLS)
-        return np.concatenate(
-            [self.cells[0, inner], self.cells[-1, inner], self.cells[inner, 0], self.cells[inner, -1]]
-        )
+        return np.stack([self.cells[0, inner], self.cells[-1, inner], self.cells[inner, 0], self.cells[inner, -1]])
 
     @property
     def light(self) -> Floats:
         """(n, n) light of the cells in full scales."""
         return self.cells[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS]
+
+    @property
+    def mean_light(self) -> float:
+        """Mean light of the cells in full scales."""
+        return float(self.light.mean())
+
+    @cached_property
+    def centres(self) -> Floats:
+        """(n, n, 2) x and y of each cell in px."""
+        middles = np.arange(len(self.light)) + 0.5
+        return self.place.at(np.stack(np.meshgrid(middles, middles), axis=-1))
 
 
 @lru_cache(maxsize=64)
@@ -200,8 +221,9 @@ def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     b[:, -1] += ndtr(z[:, -1])
     slope = bell[:, :-1] - bell[:, 1:]
     slope[:, 0], slope[:, -1] = -bell[:, 1], bell[:, -2]
+    # loading: cells may be smaller than the blur
     gram = b.T @ b
-    weights = np.linalg.solve(gram + _PARAMETERS.loading * S * np.eye(cells), b.T)
+    weights = np.linalg.solve(gram + 1e-3 * S * np.eye(cells), b.T)
     return b, slope, weights
 
 
@@ -225,30 +247,20 @@ def light_of(pixels: Pixels, light: NDArray[np.float32]) -> NDArray[np.float32]:
     return light[pixels]
 
 
-def is_inside(place: Place, side: int, shape: tuple[int, ...]) -> bool:
-    """Return True if an array lies completely in a frame."""
-    corners = place.corners(side)
-    w = np.array([[0, 0, 1], [side, 0, 1], [side, side, 1], [0, side, 1.0]]) @ place.homography[2]
-    size = np.array(shape[::-1])
-    return bool(np.isfinite(corners).all() and (w > 0).all() and (corners > -1).all() and (corners < size).all())
-
-
 class CellFitter:
     """Fits the cells and the place of an array in frames."""
 
-    def __init__(self, side: int, blur_px: float, light: NDArray[np.float32], budget: SearchBudget | None = None):
-        self.side, self.blur_px, self.light = side, blur_px, light
-        self.budget = budget or SearchBudget()
+    def __init__(self, side: int, blur_px: float, light: NDArray[np.float32], budget: SearchBudget):
+        self.side, self.blur_px, self.light, self.budget = side, blur_px, light, budget
 
-    def __call__(self, pixels: Pixels, place: Place, max_steps: int = 4) -> CellFit:
+    def __call__(self, frame: Frame, place: Place, max_steps: int = 4) -> Sample:
         """Fit the cells and the place in a frame."""
         side = self.side
-        part, part_place = self._cut_out(pixels, place)
-        # blur of pixel, interpolation and lens
-        width = float(
-            np.hypot(np.hypot(self.blur_px, _PARAMETERS.pixel_px) / place.cell_px(side), _PARAMETERS.sample_width / S)
-        )
-        b, slope, weights = _spread(side, round(max(width, _PARAMETERS.min_blur), 2))
+        part, part_place = self._cut_out(frame.pixels, place)
+        # blur of the lens, and of pixel and bilinear interpolation in px: sqrt(1/12 + 1/12)
+        width = float(np.hypot(np.hypot(self.blur_px, 0.4) / place.cell_px(side), 0.35 / S))
+        # sharper edges than 0.05 cells fall between samples
+        b, slope, weights = _spread(side, round(max(width, 0.05), 2))
         start = place
         for step in range(max_steps + 1):
             homography = part_place.homography @ np.linalg.solve(start.homography, place.homography)
@@ -259,24 +271,25 @@ class CellFitter:
                 break
             delta = _step(residual, b, slope, x, side)
             place = Place(place.homography @ delta)
-            if np.abs(delta - np.eye(3))[:2].max() < _PARAMETERS.min_step:
+            if np.abs(delta - np.eye(3))[:2].max() < 0.01:
                 break
-        self.budget.spend((step + 1) * (samples.size + _PARAMETERS.step_samples) + PIXEL_SAMPLES * part.size)
+        # a step costs 3000 samples more
+        self.budget.spend((step + 1) * (samples.size + 3000) + PIXEL_SAMPLES * part.size)
         core = slice(RIM_CELLS * S, -RIM_CELLS * S)
         inner = samples[core, core]
-        # between a pattern and the inverse all cells are alike
-        contrast = max(float(inner.std()), _PARAMETERS.data_contrast * float(inner.mean()), TINY)
+        # between a pattern and the inverse all cells are alike: data have half the mean as rms
+        contrast = max(float(inner.std()), 0.5 * float(inner.mean()), TINY)
         misfit = float(np.sqrt(np.mean(residual[core, core] ** 2))) / contrast
-        return CellFit(place, x, misfit, float(np.mean(inner > _PARAMETERS.saturated)))
+        return Sample(frame.index, frame.time_s, place, x, misfit)
 
     def _cut_out(self, pixels: Pixels, place: Place) -> tuple[NDArray[np.float32], Place]:
-        """Cut out the light around an array, reduced for large cells, with the place in the part."""
+        """Cut out the light around an array, reduced to cells of 10 to 20 px, with the place in the part."""
         corners, cell = place.corners(self.side), place.cell_px(self.side)
         rim = 2 * cell + 2
         low = np.maximum(np.floor(corners.min(0) - rim), 0).astype(int)
         high = np.minimum(np.ceil(corners.max(0) + rim).astype(int) + 1, pixels.shape[::-1])
         part = light_of(pixels[low[1] : high[1], low[0] : high[0]], self.light)
-        factor = max(1, int(cell / _PARAMETERS.max_cell_px))
+        factor = max(1, int(cell / 10))
         if factor > 1:
             size = (part.shape[1] // factor, part.shape[0] // factor)
             part = part[: size[1] * factor, : size[0] * factor]
@@ -298,10 +311,11 @@ def _step(residual: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> F
     terms = [across, across * u, across * v, down, down * u, down * v, tilt * u, tilt * v]
     rows = np.stack(terms).reshape(8, -1)
     gram = rows @ rows.T
-    hold = np.array(_PARAMETERS.stiffness) * (gram[0, 0] + gram[3, 3]) / 2
+    # weights of the shape of the array in the last frame
+    hold = np.array([0, 0.03, 0.03, 0, 0.03, 0.03, 0.2, 0.2]) * (gram[0, 0] + gram[3, 3]) / 2
     # the image moves opposite to the place
     p = np.linalg.solve(gram + np.diag(hold) + 1e-12 * np.eye(8), -(rows @ residual[core, core].ravel()))
-    p = p / max(1.0, float(np.abs(p).max()) / _PARAMETERS.max_step)
+    p = p / max(1.0, float(np.abs(p).max()) / 0.7)
     n = side
     a, bb, c, d, e, f, g, h = p
     centred = np.array([[1 + bb / n, c / n, a], [e / n, 1 + f / n, d], [-g / n**2, -h / n**2, 1]])
@@ -309,93 +323,61 @@ def _step(residual: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> F
     return move @ centred @ np.linalg.inv(move)
 
 
-@dataclass(frozen=True)
-class Sample:
-    """An array in a frame."""
-
-    # Number of the frame
-    index: int
-    # Start of the exposure of the first row in camera time
-    time_s: float
-    # (n, n, 2) x and y of each cell in px
-    at: Floats
-    # Cells and place
-    fit: CellFit
-
-
 class CellTracker:
     """Tracks an array from frame to frame."""
 
     def __init__(self, fitter: CellFitter, place: Place, corrects_slips: bool = True):
-        self._fitter, self.place, self._corrects_slips = fitter, place, corrects_slips
-        n = fitter.side
-        self._middle = np.array([n / 2] * 2)
-        self._cell_centres = np.stack(np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5), axis=-1)
+        self._fitter, self._place, self._corrects_slips = fitter, place, corrects_slips
+        self._middle = np.array([fitter.side / 2] * 2)
         self._motion = np.zeros(2)
+        # ring, misfit and place of the last good fits
         self._ring: Floats | None = None
-        self._usual_misfit = _PARAMETERS.max_misfit / _PARAMETERS.max_misfit_ratio
-        self._last_good = place
+        self._usual_misfit, self._last_good = PARAMETERS.max_misfit / PARAMETERS.max_misfit_ratio, place
         self._max_light = 0.0
         self.lost_since: float | None = None
 
-    @property
-    def blur_px(self) -> float:
-        """Standard deviation of the blur in px."""
-        return self._fitter.blur_px
-
-    def track(self, frame: Frame, max_steps: int = 4) -> Sample | None:
+    def track(self, frame: Frame) -> Sample | None:
         """Find the array in the next frame; None for an invisible array."""
-        expected = self.place.moved(_PARAMETERS.motion_share * self._motion)
-        fit = self._fit(frame, expected, max_steps)
-        if fit is not None and float(fit.light.mean()) < _PARAMETERS.min_light * self._max_light:
+        # sway goes on, tremor turns back
+        expected = self._place.moved(0.5 * self._motion)
+        fit = self._fit(frame, expected)
+        if fit is not None and fit.mean_light < 0.15 * self._max_light:
             return None  # the backlight was off
         if self._corrects_slips and (fit is None or self._doubt(fit) > 1) and self._fitter.budget.is_left:
-            fit = self._correct_slip(frame, expected, max_steps, fit)
+            # a fit corrects half a cell: try places around, with the shape of the last good fit
+            shaped = self._last_good.moved(expected.at(self._middle) - self._last_good.at(self._middle))
+            offsets = product((0, -0.6, 0.6, -1.2, 1.2), repeat=2) if self._ring is not None else ()
+            fits = [fit, *(self._fit(frame, shaped.shifted(*offset)) for offset in offsets)]
+            fit = min((candidate for candidate in fits if candidate is not None), key=self._doubt, default=None)
         if fit is None:
             self._motion = np.zeros(2)
             if self.lost_since is None:
                 self.lost_since = frame.time_s
             return None
         self.lost_since = None
-        self._motion = fit.place.at(self._middle) - self.place.at(self._middle)
-        self.place = fit.place
-        self._update(fit)
-        return Sample(frame.index, frame.time_s, self.place.at(self._cell_centres), fit)
-
-    def _correct_slip(self, frame: Frame, place: Place, max_steps: int, fit: CellFit | None) -> CellFit | None:
-        """Return the best fit around a place, with the shape of the last good fit."""
-        if self._ring is None:
-            return fit
-        shaped = self._last_good.moved(place.at(self._middle) - self._last_good.at(self._middle))
-        offsets = product(_PARAMETERS.slip_cells, _PARAMETERS.slip_cells)
-        fits = [fit, *(self._fit(frame, shaped.shifted(*offset), max_steps) for offset in offsets)]
-        return min((candidate for candidate in fits if candidate is not None), key=self._doubt, default=None)
-
-    def _doubt(self, fit: CellFit) -> float:
-        """Return the doubt about a fit; above 1 the fit may be a slip."""
-        misfit = fit.misfit / (_PARAMETERS.max_misfit_ratio * self._usual_misfit)
-        if self._ring is None:
-            return max(misfit, 0.0)
-        # a slip changes two sides, the largest change counts
-        sides = np.sqrt(np.mean((fit.ring - self._ring).reshape(4, -1) ** 2, axis=1))
-        return max(misfit, float(sides.max() / max(float(fit.light.mean()), TINY)) / _PARAMETERS.max_ring_change)
-
-    def _update(self, fit: CellFit) -> None:
-        """Update the usual ring, light and misfit by a fit."""
+        self._motion, self._place = fit.place.at(self._middle) - self._place.at(self._middle), fit.place
         if self._ring is None:
             self._ring, self._usual_misfit = fit.ring, fit.misfit
         if self._doubt(fit) < 1:
-            self._ring = (1 - _PARAMETERS.ring_rate) * self._ring + _PARAMETERS.ring_rate * fit.ring
+            self._ring = 0.95 * self._ring + 0.05 * fit.ring
             self._last_good = fit.place
-        growth = _PARAMETERS.growth
-        self._max_light = max(float(fit.light.mean()), self._max_light / growth)
-        # the usual misfit follows slowly, for cameras that lose focus
-        self._usual_misfit = float(np.clip(fit.misfit, self._usual_misfit / growth, self._usual_misfit * growth))
+        # at most 3 % per frame: cameras lose focus slowly
+        self._max_light = max(fit.mean_light, self._max_light / 1.03)
+        self._usual_misfit = float(np.clip(fit.misfit, self._usual_misfit / 1.03, self._usual_misfit * 1.03))
+        return fit
 
-    def _fit(self, frame: Frame, place: Place, max_steps: int) -> CellFit | None:
+    def _doubt(self, fit: Sample) -> float:
+        """Return the doubt about a fit; above 1 the fit may be a slip."""
+        misfit = fit.misfit / (PARAMETERS.max_misfit_ratio * self._usual_misfit)
+        if self._ring is None:
+            return misfit
+        # a slip changes two sides by 0.5 to 1 of the light, the largest change counts
+        sides = np.sqrt(np.mean((fit.ring - self._ring) ** 2, axis=1))
+        return max(misfit, float(sides.max()) / (0.3 * max(fit.mean_light, TINY)))
+
+    def _fit(self, frame: Frame, place: Place) -> Sample | None:
         """Fit the cells from a place on; None for a bad fit."""
-        if not is_inside(place, self._fitter.side, frame.pixels.shape):
-            return None
-        fit = self._fitter(frame.pixels, place, max_steps)
-        is_good = fit.misfit < _PARAMETERS.max_misfit and is_inside(fit.place, self._fitter.side, frame.pixels.shape)
+        side, shape = self._fitter.side, frame.pixels.shape
+        fit = self._fitter(frame, place) if place.is_inside(side, shape) else None
+        is_good = fit is not None and fit.misfit < PARAMETERS.max_misfit and fit.place.is_inside(side, shape)
         return fit if is_good else None

@@ -13,9 +13,9 @@ The level is the sum of all four on_j and linear in the symbols. Any other sum o
 the four symbols of a square of 2 x 2 LEDs. These symbols have 16 values, so that a table lists the *response* to each.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,7 @@ VALUES = np.array([[1 - 2 * (k >> i & 1) for i in range(4)] for k in range(16)],
 _SPLIT = np.stack([VALUES.T > 0, VALUES.T < 0]).astype(np.float64)
 
 # level = 4 x = 2 + 1/2 H^T d H
-_LEVELS = 2 + VALUES @ SIGNS / 2
-_LIT = (_LEVELS[..., None] > np.arange(SLOTS)).astype(np.float64)
+_LIT = (2 + (VALUES @ SIGNS / 2)[..., None] > np.arange(SLOTS)).astype(np.float64)
 
 MEAN_LIT = _LIT.mean((0, 1))
 """(4,) E on_j of random data: 15, 11, 5 and 1 sixteenths."""
@@ -150,29 +149,8 @@ def _probabilities(mean: Floats) -> Floats:
     return probability
 
 
-@dataclass(frozen=True)
-class CombinationParameters:
-    """Weights and limits of the combination of frames."""
-
-    # Noise variance of a frame for the difference, for an LED of light 1: near the limit of decoding, 1/16
-    frame_noise: float = 0.05
-    # The same for the sum; smaller, since unevenness counts for more in a sum
-    sum_noise: float = 1e-3
-    # Minimum weight of a frame, as a fraction of the largest
-    min_weight: float = 0.05
-    # Minimum slope over the levels, as a fraction of the synchronous slope (20 dB down)
-    min_slope: float = 0.1
-    # Minimum part of an exposure within the pair
-    min_overlap: float = 0.02
-    # Minimum root of the sum of squared header amplitudes about the mean; 2 for two synchronous pairs (26 dB down)
-    min_header: float = 0.1
-    # Weight of a slot of another pair up to which the leak is ignored; slots of the pair weigh 1/2
-    max_ignored_leak: float = 1e-3
-
-
-_PARAMETERS = CombinationParameters()
 PAIR = 2 * SLOTS
-_EDGES = np.arange(-PAIR, 2 * PAIR + 1) / SLOTS
+"""Slots of a pair."""
 
 
 @dataclass(frozen=True)
@@ -223,76 +201,61 @@ class Combination:
     def leaks(self) -> tuple[Floats | None, Floats | None]:
         """(16, 4) responses to the symbols of the previous and the next pair; None without such light."""
         before, after = (
-            response(slots) if np.abs(slots).max() > _PARAMETERS.max_ignored_leak else None
+            # slots of the pair weigh 1/2
+            response(slots) if np.abs(slots).max() > 1e-3 else None
             for slots in self.slots[[0, 2]]
         )
         return before, after
 
 
-@dataclass(frozen=True)
-class SlotLight:
-    """Light in each PWM slot of a pattern, in the order of time."""
+@lru_cache
+def slot_light(order: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """Return the light in the PWM slots of three pairs, for the order in which slots are lit as the level rises.
 
-    # Order in which the slots of a pattern are lit as the level rises
-    order: tuple[int, ...]
-
-    @cached_property
-    def rank(self) -> NDArray[np.intp]:
-        """(4,) place of each slot in the order of lighting."""
-        return np.argsort(np.asarray(self.order))
-
-    @cached_property
-    def shows(self) -> Floats:
-        """(24, 3, 4) factor of each on_j in the slots of three pairs: 1 in patterns, -1 in inverses."""
-        out = np.zeros((3 * PAIR, 3, SLOTS))
-        for j in range(3 * PAIR):
-            q, s = divmod(j, PAIR)
-            if s < SLOTS:
-                out[j, q, self.rank[s]] = 1.0
-            else:
-                out[j, q, SLOTS - 1 - self.rank[s - SLOTS]] = -1.0
-        return out
-
-    @cached_property
-    def mean(self) -> Floats:
-        """(24,) mean light of each slot for random data, 0 to 1."""
-        constant = (self.shows.sum((1, 2)) < 0).astype(np.float64)
-        return np.asarray(self.shows.sum(1) @ MEAN_LIT + constant)
-
-    @cached_property
-    def dimmed(self) -> tuple[Floats, Floats]:
-        """Contrast and mean light of dimmed header cells in each slot, (4,) each; 1 and 1/2 for other cells."""
-        high, low = (np.where(self.rank < SLOTS * (0.5 + sign * DIMMED / 2), 1.0, 0.0) for sign in (1, -1))
-        return high - low, 0.5 * (high + low)
+    Factor of each on_j, (24, 3, 4): 1 in patterns, -1 in inverses; and mean light for random data, (24,), 0 to 1.
+    """
+    rank, shows = np.argsort(order), np.zeros((3 * PAIR, 3, SLOTS))
+    for q in range(3):
+        slots = PAIR * q + np.arange(SLOTS)
+        shows[slots, q, rank] = 1.0
+        shows[slots + SLOTS, q, SLOTS - 1 - rank] = -1.0
+    factors = shows.sum(1)
+    return shows, factors @ MEAN_LIT + (factors.sum(1) < 0)
 
 
-def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combination | None:
+def dimmed_light(order: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """Return contrast and mean light of dimmed header cells in each slot, (4,) each; 1 and 1/2 for other cells."""
+    rank = np.argsort(order)
+    high, low = (np.where(rank < SLOTS * (0.5 + sign * DIMMED / 2), 1.0, 0.0) for sign in (1, -1))
+    return high - low, 0.5 * (high + low)
+
+
+def combine_pair(starts: Floats, exposure: float, order: tuple[int, ...]) -> Combination | None:
     """Combine frames to a data pair; None if the frames do not show the pair."""
     overlap, middle = _overlaps(starts, exposure)
-    slot_light = np.einsum("fj,jqr->fqr", overlap, light.shows)
-    slope = slot_light[:, 1] @ SLOPES
-    near = np.flatnonzero(overlap[:, PAIR : 2 * PAIR].sum(1) > _PARAMETERS.min_overlap)
-    difference = _difference(slot_light[near], slope[near])
-    # a synchronous pair has the slope 1/2: 1/4 from the pattern, 1/4 from the inverse
-    if difference @ slope[near] < _PARAMETERS.min_slope / 2:
+    shows, mean = slot_light(order)
+    seen = np.einsum("fj,jqr->fqr", overlap, shows)
+    slope = seen[:, 1] @ SLOPES
+    near = np.flatnonzero(overlap[:, PAIR : 2 * PAIR].sum(1) > 0.02)
+    difference = _difference(seen[near], slope[near])
+    # a synchronous pair has the slope 1/2: 1/4 from the pattern, 1/4 from the inverse; 20 dB down at least
+    if difference @ slope[near] < 0.05:
         return None
-    total = _total(slot_light[near], (overlap @ light.mean)[near])
+    total = _total(seen[near], (overlap @ mean)[near])
     used = np.abs(difference) + total > 0
     near, difference, total = near[used], difference[used], total[used]
-    overlap, middle, slot_light = overlap[near], middle[near], slot_light[near]
+    overlap, middle = overlap[near], middle[near]
     parts = np.maximum(difference, 0), np.maximum(-difference, 0)
-    data = overlap[:, PAIR : 2 * PAIR] * np.abs(light.shows[PAIR : 2 * PAIR, 1] @ SLOPES)
+    data = overlap * np.abs(shows[:, 1] @ SLOPES)
+    first, second = (float((part @ overlap) @ mean) for part in parts)
     return Combination(
         frames=near,
         difference=difference,
         total=total,
-        slots=np.einsum("f,fqr->qr", difference, slot_light),
-        levels=(float((parts[0] @ overlap) @ light.mean), float((parts[1] @ overlap) @ light.mean)),
-        sum_time=_centroid(total, overlap * light.mean, middle),
-        data_times=(
-            _centroid(parts[0], data, middle[:, PAIR : 2 * PAIR]),
-            _centroid(parts[1], data, middle[:, PAIR : 2 * PAIR]),
-        ),
+        slots=np.einsum("f,fqr->qr", difference, seen[near]),
+        levels=(first, second),
+        sum_time=_centroid(total, overlap * mean, middle),
+        data_times=(_centroid(parts[0], data, middle), _centroid(parts[1], data, middle)),
     )
 
 
@@ -302,7 +265,8 @@ def combine_header(
     """Combine frames of a header: the sum is free of the header, the difference shows it as in a synchronous pair."""
     about = amplitudes - amplitudes.mean() if len(amplitudes) else amplitudes
     energy = float(about @ about)
-    if energy < _PARAMETERS.min_header**2:
+    # 20 dB below the energy 4 of two synchronous pairs
+    if energy < 0.04:
         return None
     # least squares: sum beta = 2 with sum beta s = 0; sum w = 0 with sum w s = 2
     total, difference = 2 / len(amplitudes) - 2 * amplitudes.mean() / energy * about, 2 / energy * about
@@ -315,45 +279,48 @@ def combine_header(
 
 def _overlaps(starts: Floats, exposure: float) -> tuple[Floats, Floats]:
     """Return the part of each exposure in each slot of three pairs, and the mean time in the slot, (frames, 24)."""
-    begin = np.maximum(starts[:, None], _EDGES[:-1])
-    end = np.minimum(starts[:, None] + exposure, _EDGES[1:])
+    edges = np.arange(-PAIR, 2 * PAIR + 1) / SLOTS
+    begin = np.maximum(starts[:, None], edges[:-1])
+    end = np.minimum(starts[:, None] + exposure, edges[1:])
     return np.maximum(end - begin, 0.0) / exposure, (begin + end) / 2
 
 
 def _difference(slot_light: Floats, slope: Floats) -> Floats:
     """Return alpha = Q^-1 (theta - mu 1), which maximises (alpha theta)^2 / (alpha Q alpha) for sum alpha = 0."""
-    weights, used = np.zeros_like(slope), np.arange(len(slope))
-    # nonlinear light and light of other pairs count as noise
-    rest = COVARIANCE - np.outer(SLOPES, SLOPES)
-    matrix = _PARAMETERS.frame_noise * np.eye(len(slope)) + slot_light[:, 1] @ rest @ slot_light[:, 1].T
-    for q in (0, 2):
-        matrix += slot_light[:, q] @ COVARIANCE @ slot_light[:, q].T
-    while len(used) >= 2:
-        h, ones = slope[used], np.ones(len(used))
+    # noise of a frame near the limit of decoding, 1/16; nonlinear light and light of other pairs count as noise
+    matrix = 0.05 * np.eye(len(slope)) - np.outer(slope, slope)
+    matrix += np.einsum("fqr,rs,gqs->fg", slot_light, COVARIANCE, slot_light)
+
+    def solve(used: NDArray[np.intp]) -> Floats:
         # mu = (1 Q^-1 theta) / (1 Q^-1 1)
-        a, b = np.linalg.solve(matrix[np.ix_(used, used)], np.stack([h, ones], axis=1)).T
-        alpha = a - b * (a.sum() / b.sum())
-        strong = np.abs(alpha) >= _PARAMETERS.min_weight * np.abs(alpha).max()
-        if strong.all():
-            weights[used] = alpha / max(alpha[alpha > 0].sum(), TINY)
-            break
-        used = used[strong]
-    return weights
+        sides = np.stack([slope[used], np.ones(len(used))], axis=1)
+        a, b = np.linalg.solve(matrix[np.ix_(used, used)], sides).T
+        return a - b * (a.sum() / b.sum())
+
+    alpha = _prune(solve, len(slope))
+    return alpha / max(alpha[alpha > 0].sum(), TINY)
 
 
 def _total(slot_light: Floats, light: Floats) -> Floats:
     """Return nonnegative weights of the sum with the least noise and unevenness for the light of all LEDs on."""
-    matrix = _PARAMETERS.sum_noise * np.eye(len(light))
-    for q in range(3):
-        matrix += slot_light[:, q] @ COVARIANCE @ slot_light[:, q].T
-    weights, used = np.zeros_like(light), np.arange(len(light))
-    while True:
-        beta = np.linalg.solve(matrix[np.ix_(used, used)], light[used])
-        strong = beta >= _PARAMETERS.min_weight * beta.max()
+    # less noise than in a difference: unevenness counts for more in a sum
+    matrix = 1e-3 * np.eye(len(light)) + np.einsum("fqr,rs,gqs->fg", slot_light, COVARIANCE, slot_light)
+    beta = _prune(lambda used: np.linalg.solve(matrix[np.ix_(used, used)], light[used]), len(light), signed=True)
+    return beta / (beta @ light)
+
+
+def _prune(solve: Callable[[NDArray[np.intp]], Floats], count: int, signed: bool = False) -> Floats:
+    """Solve the weights of frames, without frames of less than a twentieth of the largest weight."""
+    weights, used = np.zeros(count), np.arange(count)
+    while len(used):
+        solved = solve(used)
+        size = solved if signed else np.abs(solved)
+        strong = size >= 0.05 * size.max()
         if strong.all():
-            weights[used] = beta / (beta @ light[used])
-            return weights
+            weights[used] = solved
+            break
         used = used[strong]
+    return weights
 
 
 def _centroid(weights: Floats, light: Floats, middle: Floats) -> float:

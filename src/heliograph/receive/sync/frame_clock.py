@@ -1,7 +1,6 @@
 """Camera clocks: frame times despite jitter of the time stamps, missing frames and repeated frames."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,33 +12,15 @@ from heliograph.base.frames import Frame, check_order
 STEP_TOLERANCE = 0.02
 """Maximum relative deviation of the frame rate from the pattern rate of a synchronous camera."""
 
-
-@dataclass(frozen=True)
-class FrameClockParameters:
-    """Parameters of the camera clocks; times in frame periods."""
-
-    # Frames for the first estimate of the frame rate: 0.3 % at a jitter of 5 %
-    first_frames: int = 16
-    # Expected rms error of a time stamp
-    jitter: float = 0.05
-    # Random walk of the period per frame, as a fraction: the filter remembers some hundred frames
-    wander: float = 1e-5
-    # Delay of a stamp from which a frame is missing: 15 times the jitter
-    min_missing: float = 0.75
-    # Steps above which a gap is a pause of the camera
-    max_steps: int = 16
-    # Deviation from a number of periods above which a shorter gap is a pause: five times the jitter
-    max_step_error: float = 0.25
-    # Variance of the phase after a pause, which is uniform
-    pause_variance: float = 1 / 12
+FIRST_FRAMES = 16
+"""Frames for the first estimate of the frame rate: 0.3 % at a jitter of 5 %."""
 
 
 class SynchronousClock:
     """Clock of a synchronous camera: checks the frame rate and drops repeated frames."""
 
-    def __init__(self, pattern_period_s: float, parameters: FrameClockParameters = FrameClockParameters()):
+    def __init__(self, pattern_period_s: float):
         self.period_s = pattern_period_s
-        self._parameters = parameters
         self._last: Frame | None = None
         self._gaps: list[tuple[float, int]] = []
 
@@ -50,7 +31,7 @@ class SynchronousClock:
                 return
             check_order(frame, self._last, by_index=True)
             self._gaps.append((frame.time_s - self._last.time_s, frame.index - self._last.index))
-            if len(self._gaps) == self._parameters.first_frames:
+            if len(self._gaps) == FIRST_FRAMES:
                 self._check_rate()
         self._last = frame
         yield frame
@@ -89,9 +70,10 @@ class CameraClock:
     A step covers the missing frames as well. Repeated frames are dropped.
     """
 
-    def __init__(self, parameters: FrameClockParameters = FrameClockParameters()) -> None:
+    def __init__(self) -> None:
         self.period_s = 0.0
-        self._parameters = parameters
+        # of a time stamp in frame periods: an rms error of 5 %
+        self._variance = 0.05**2
         self._time_s = 0.0
         # covariance of time and period, in frame periods: P_00, P_01, P_11
         self._covariance = 0.0, 0.0, 0.0
@@ -109,7 +91,7 @@ class CameraClock:
             yield self._timed(frame)
             return
         self._held.append(frame)
-        if len(self._held) == self._parameters.first_frames:
+        if len(self._held) == FIRST_FRAMES:
             yield from self.flush()
 
     def flush(self) -> Iterator[Frame]:
@@ -123,10 +105,7 @@ class CameraClock:
         periods = gaps / frame_period(gaps)
         steps = np.maximum(np.round(periods), 1)
         number = np.append(0.0, np.cumsum(steps))
-        pause = (steps > self._parameters.max_steps) | (
-            (steps > 1) & (np.abs(periods - steps) > self._parameters.max_step_error)
-        )
-        run = np.append(0, np.cumsum(pause))
+        run = np.append(0, np.cumsum([_is_pause(*step) for step in zip(steps, periods - steps, strict=True)]))
         # least squares of time = time_0 + number * period, with a time_0 for each run between two pauses
         count = np.bincount(run)
         number_0, time_0 = (np.bincount(run, of) / count for of in (number, times))
@@ -134,24 +113,24 @@ class CameraClock:
         slope = float(centred @ times / max(float(centred @ centred), TINY))
         self.period_s = slope if slope > 0 else frame_period(gaps)
         self._time_s = float(time_0[0] + (number[0] - number_0[0] - 1) * self.period_s)
-        self._covariance = self._parameters.jitter**2, 0.0, 12 / len(held) ** 2 * self._parameters.jitter**2
+        self._covariance = self._variance, 0.0, 12 / len(held) ** 2 * self._variance
         for frame in held:
             yield self._timed(frame)
 
     def _timed(self, frame: Frame) -> Frame:
         """Replace the time stamp of a frame by the clock time, and correct the clock by the stamp."""
         late = (frame.time_s - self._time_s) / self.period_s - 1
-        steps = 1 + (round(late) if abs(late) >= self._parameters.min_missing else 0)
+        # from 15 times the jitter on, frames are missing
+        steps = 1 + (round(late) if abs(late) >= 0.75 else 0)
         # P = F P F^T + Q, F = ((1, steps), (0, 1)); two numbers need no arrays
         p00, p01, p11 = self._covariance
         p00, p01 = p00 + 2 * steps * p01 + steps**2 * p11, p01 + steps * p11
-        p11 += self._parameters.wander**2 * max(steps, 0)
-        if steps > self._parameters.max_steps or (
-            steps > 1 and abs(late + 1 - steps) > self._parameters.max_step_error
-        ):
-            p00 += self._parameters.pause_variance
+        # random walk of the period: the filter remembers some hundred frames
+        p11 += 1e-10 * max(steps, 0)
+        if _is_pause(steps, late + 1 - steps):
+            p00 += 1 / 12  # uniform phase
         # K = P H^T / (H P H^T + R), P = (1 - K H) P
-        k0, k1 = p00 / (p00 + self._parameters.jitter**2), p01 / (p00 + self._parameters.jitter**2)
+        k0, k1 = p00 / (p00 + self._variance), p01 / (p00 + self._variance)
         error = (late + 1 - steps) * self.period_s
         self._time_s += steps * self.period_s + k0 * error
         self.period_s += k1 * error
@@ -169,6 +148,11 @@ def frame_period(gaps: NDArray[np.float64]) -> float:
     # the median may be two periods; a jitter of 20 % leaves the lower quartile of single periods at 0.81 of the median
     short = gaps[gaps < 0.7 * median]
     return float(np.median(short)) if len(short) >= len(gaps) / 4 else median
+
+
+def _is_pause(steps: float, error: float) -> bool:
+    """Return True if the camera paused: after a long gap, or a gap off a number of periods by five times the jitter."""
+    return steps > 16 or (steps > 1 and abs(error) > 0.25)
 
 
 def _is_copy(last: Frame, frame: Frame) -> bool:

@@ -6,17 +6,6 @@ from heliograph.base.compiled import compiled
 
 
 @compiled()
-def subtract_mean(light, mean, contrast):
-    """Subtract the mean frame; return power and mean of the contrast."""
-    power, total = 0.0, 0.0
-    for k in range(light.shape[0]):
-        contrast[k] = light[k] - mean[k]
-        power += contrast[k] * contrast[k]
-        total += contrast[k]
-    return power, total / light.shape[0]
-
-
-@compiled()
 def means_at_leds(image, x, y, axes, width, rim, side):
     """Average an image over squares around LEDs, with linear interpolation between pixels."""
     inner, reach = side - 2 * rim, (width - 1) // 2

@@ -24,8 +24,7 @@ from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import HALF_LIT, cut_out, window_around
-from heliograph.receive.sync.combine import SlotLight
-from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
+from heliograph.receive.sync.combine import dimmed_light, slot_light
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_cells
 from heliograph.signal.pwm import SLOTS
@@ -34,47 +33,11 @@ from heliograph.signal.settings import SignalSettings
 PATTERNS_AROUND = 2
 """Patterns to measure before and after a header: both ends of the header show the start."""
 
+MIN_EXPLAINED = 0.7
+"""Minimum part of the power of the amplitudes that a header explains; of white noise about a quarter is explained."""
 
-@dataclass(frozen=True)
-class LightClockParameters:
-    """Parameters of the light clock; times in pattern periods T_b."""
-
-    # Fraction of clipped array pixels above which the brightness is ignored
-    max_clipped: float = 0.02
-    # Motion in px per frame at which the weight of the brightness is 1 / sqrt(2): the background moves too
-    moving_px: float = 0.5
-    # Width in px of the surroundings for the brightness: five times the blur of the reference link
-    surroundings_px: float = 3.0
-    # Standard deviation of random data in a header or in the brightness, as a fraction of the light: 1/2 / 16
-    deviation: float = 0.03
-    # Exposures of the grid, up to the frame period
-    exposures: int = 20
-    # Prior log odds of the longest exposure, rising linearly: equal evidence favours long exposures
-    long_exposure_odds: float = 20.0
-    # Additional prior log odds of an exposure of the entire frame period
-    full_exposure_odds: float = 3.0
-    # Drop in log likelihood of the 95 % interval of the exposure (chi-square)
-    interval_drop: float = 1.92
-    # Log odds against an exposure above which the grid drops the exposure
-    max_odds_against: float = 40.0
-    # Maximum number of starts of the grid
-    starts: int = 121
-    # Reach of the first grid: a pattern and a quarter, for frames half a pattern late
-    first_reach: float = 1.25
-    # Reach of later grids in standard deviations, with the limits in patterns
-    reach_deviations: float = 6.0
-    min_reach: float = 0.1
-    max_reach: float = 0.5
-    # Prior standard deviation of the relative rate: two quartz clocks of 200 ppm
-    rate: float = 2.5e-4
-    # Random walk of the rate per square root of a pattern: 2e-6 in a second at 1000 patterns/s
-    rate_walk: float = 6.3e-8
-    # Minimum part of the power of the amplitudes that a header explains; of white noise about a quarter is explained
-    min_explained: float = 0.7
-    # Model error: minimum standard deviation of a measured start, and step of later grids
-    min_deviation: float = 0.004
-    # Time between two frames above which a frame is missing
-    max_gap: float = 1.5
+MIN_DEVIATION = 0.004
+"""Model error in patterns: minimum standard deviation of a measured start, and step of later grids."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +56,10 @@ class HeaderAmplitudes:
     trust: float = 1.0
 
 
-def measure_amplitudes(
-    frames: list[Frame], poses: list[Pose], lit: Floats, parameters: LightClockParameters = LightClockParameters()
-) -> HeaderAmplitudes:
+def measure_amplitudes(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderAmplitudes:
     """Measure the amplitudes of a header in the frames around the header."""
-    projections = [
-        _project(frame, pose, lit, parameters.surroundings_px) for frame, pose in zip(frames, poses, strict=True)
-    ]
-    gram, matched = (np.array([projection[k] for projection in projections]) for k in (0, 1))
+    projections = [_project(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)]
+    gram, matched, clipped = (np.array(values) for values in zip(*projections, strict=True))
     # the images are equal if only lit or only dark LEDs are visible: the pseudo-inverse decides
     header = np.einsum("fi,fi->f", np.linalg.pinv(gram, RCOND, hermitian=True)[:, 0], matched)
     # the background may move: only the part mixed in by blur counts
@@ -111,19 +70,21 @@ def measure_amplitudes(
         np.array([f.time_s for f in frames]),
         header,
         light,
-        max(clipped for *_, clipped in projections) > parameters.max_clipped,
-        1 / float(np.hypot(1, moved / parameters.moving_px)),
+        float(clipped.max()) > 0.02,
+        # the background moves too: 1 / sqrt(2) at half a pixel per frame
+        1 / float(np.hypot(1, moved / 0.5)),
     )
 
 
-def _project(frame: Frame, pose: Pose, lit: Floats, margin_px: float) -> tuple[Floats, Floats, float]:
+def _project(frame: Frame, pose: Pose, lit: Floats) -> tuple[Floats, Floats, float]:
     """Project a frame on images of the header, of the array with all LEDs on and of an even background.
 
     Returns the Gram matrix (3, 3), the inner products (3,) and the fraction of clipped array pixels.
     """
     from heliograph.receive.geometry.footprint import images_of  # Numba is slow to import
 
-    window = window_around(pose, len(lit), margin_px)
+    # five times the blur of the reference link
+    window = window_around(pose, len(lit), 3.0)
     x0, y0, width, height = window
     pixels = cut_out(frame, window).ravel()
     on, off = images_of(np.abs(lit), lit < 0, 2, pose, (x0, y0), (height, width)).reshape(2, -1)
@@ -143,34 +104,29 @@ class LightClock:
     """Clock of the light in camera time."""
 
     def __init__(
-        self,
-        start_s: float,
-        period_s: float,
-        signal: SignalSettings,
-        identity: int,
-        exposure_s: float | None = None,
-        parameters: LightClockParameters = LightClockParameters(),
+        self, start_s: float, period_s: float, signal: SignalSettings, identity: int, exposure_s: float | None = None
     ):
-        self._signal, self._parameters = signal, parameters
-        # per word: fraction of dimmed cells, and fraction of lit less fraction of dark dimmed cells
+        self._signal = signal
+        # per word of a format: fraction of dimmed cells, and fraction of lit less fraction of dark dimmed cells
         cells = words() / words().shape[1]
         self._dimmed = np.unique(np.stack([cells.sum(1), cells @ header_cells(identity).ravel()], axis=1), axis=0)
-        self._light = SlotLight(signal.slot_order)
         self.start_s = start_s
         self.rate = 0.0
         self.gain = 0.0
         self.explained = 0.0
         self._pattern = 0
-        self._covariance = np.diag([0.0, self._parameters.rate**2])
+        # of start and relative rate: two quartz clocks of 200 ppm
+        self._covariance = np.diag([0.0, 2.5e-4**2])
         self._measured = False
         self._longest = longest = min(period_s / signal.pattern_period_s, 1.0)
-        self._exposures = longest * np.linspace(1 / parameters.exposures, 1.0, parameters.exposures)
-        self._exposure_s = exposure_s
-        if exposure_s is not None:
-            self._exposures = np.array([min(exposure_s / signal.pattern_period_s, longest)])
-        self._evidence = parameters.long_exposure_odds * self._exposures / longest
-        self._evidence[-1] += parameters.full_exposure_odds
-        self._prior = self._evidence
+        count, largest = (
+            (20, longest) if exposure_s is None else (1, min(exposure_s / signal.pattern_period_s, longest))
+        )
+        self._exposures = largest * np.arange(1, count + 1) / count
+        self._half_step = 0.5 * largest / count if exposure_s is None else 0.0
+        # log odds: equal evidence favours long exposures, and that of the entire frame period
+        self._prior = self._evidence = 20.0 * self._exposures / longest
+        self._prior[-1] += 3.0
         self.exposure = self._mean_exposure()
 
     @property
@@ -186,13 +142,10 @@ class LightClock:
     @property
     def exposure_range(self) -> tuple[float, float]:
         """95 % interval of the exposure in T_b, without the prior."""
-        parameters, longest = self._parameters, self._longest
-        is_full = self._exposures > (1 - 0.5 / parameters.exposures) * longest
-        likelihood = self._evidence - parameters.long_exposure_odds * self._exposures / longest
-        likelihood -= parameters.full_exposure_odds * is_full
-        likely = self._exposures[likelihood >= likelihood.max() - parameters.interval_drop]
-        half_step = 0.5 * longest / parameters.exposures if self._exposure_s is None else 0.0
-        return float(likely[0]) - half_step, min(float(likely[-1]) + half_step, longest)
+        likelihood = self._evidence - self._prior
+        # chi-square
+        likely = self._exposures[likelihood >= likelihood.max() - 1.92]
+        return float(likely[0]) - self._half_step, min(float(likely[-1]) + self._half_step, self._longest)
 
     def time_s(self, pattern: float) -> float:
         """Return the start of a pattern in seconds of camera time."""
@@ -202,72 +155,53 @@ class LightClock:
         """Convert a time to patterns since the start of the detected header."""
         return self._pattern + (time_s - self.start_s) / self.period_s
 
-    def patterns_at(self, times_s: Sequence[float]) -> list[float]:
-        """Convert several times to patterns since the start of the detected header."""
-        pattern, start_s, period_s = self._pattern, self.start_s, self.period_s
-        return [pattern + (time_s - start_s) / period_s for time_s in times_s]
+    def starts(self, frames: Sequence[Frame]) -> Floats:
+        """Return the starts of exposures in patterns since the start of the detected header."""
+        times_s = np.array([frame.time_s for frame in frames])
+        return self._pattern + (times_s - self.start_s) / self.period_s
 
     def predict_header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
         """Predict header amplitude and mean light of frames, for a fraction of dimmed cells."""
-        edges, wave, bright = self._header_wave(dimmed)
-        amplitude, light = _mean_over(starts, self.exposure, edges, np.stack([wave, bright]))
+        edges, waves, brights = self._header_terms
+        terms = np.stack([waves[0] + dimmed * waves[1], brights[0] + dimmed * brights[1]])
+        amplitude, light = _mean_over(starts, self.exposure, edges, terms)
         return amplitude, 0.5 + light
 
     def measure(self, amplitudes: HeaderAmplitudes, pattern: int, again: bool = False) -> bool:
         """Correct the clock by a header; return False for a rejected header."""
-        self._predict(pattern)
-        parameters, spread, gain = self._parameters, self.deviation, self.gain
-        reach = parameters.first_reach
-        if self._measured:
-            reach = min(max(parameters.reach_deviations * spread, parameters.min_reach), parameters.max_reach)
-        steps = 2 * math.ceil(reach / parameters.min_deviation) + 1
-        offset = np.linspace(-reach, reach, min(steps, parameters.starts))
-        likely = self._evidence > self._evidence.max() - parameters.max_odds_against
+        steps = pattern - self._pattern
+        move = np.array([[1.0, steps * self._signal.pattern_period_s], [0.0, 1.0]])
+        self.start_s, self._pattern = self.time_s(pattern), pattern
+        # random walk of the rate: 2e-6 in a second at 1000 patterns/s
+        self._covariance = move @ self._covariance @ move.T + np.diag([0.0, 6.3e-8**2 * steps])
+        spread, gain = self.deviation, self.gain
+        # a pattern and a quarter at first, for frames half a pattern late
+        reach = min(max(6 * spread, 0.1), 0.5) if self._measured else 1.25
+        offset = np.linspace(-reach, reach, min(2 * math.ceil(reach / MIN_DEVIATION) + 1, 121))
+        likely = self._evidence > self._evidence.max() - 40.0
         self._exposures, self._evidence = self._exposures[likely], self._evidence[likely]
         self._prior = self._prior[likely]
         cost = self._cost(amplitudes, offset)
-        if self._measured and self.explained < parameters.min_explained:
+        if self._measured and self.explained < MIN_EXPLAINED:
             self.gain = gain
             return False
         if again:
             self._evidence, self._measured = self._prior, False
         if self._measured:
-            cost = cost + 0.5 * (offset / max(spread, parameters.min_deviation)) ** 2
-        else:
-            cost = cost - self._synchronous_odds(amplitudes.times_s, offset)
+            cost = cost + 0.5 * (offset / max(spread, MIN_DEVIATION)) ** 2
         by_exposure = -cost.min(1) + np.log(np.exp(cost.min(1)[:, None] - cost).sum(1))
         self._evidence = self._evidence + by_exposure - by_exposure.max()
         self.exposure = self._mean_exposure()
         chance = np.exp((self._evidence - self._evidence.max() - by_exposure)[:, None] - cost)
         chance = chance.sum(0) / chance.sum()
         mean = float(chance @ offset)
-        variance = float(chance @ (offset - mean) ** 2) + parameters.min_deviation**2
+        variance = float(chance @ (offset - mean) ** 2) + MIN_DEVIATION**2
         self._update(mean * self.period_s, variance * self.period_s**2)
         return True
 
     def _mean_exposure(self) -> float:
         chance = np.exp(self._evidence - self._evidence.max())
         return float(chance @ self._exposures / chance.sum())
-
-    def _synchronous_odds(self, times_s: Floats, offset: Floats) -> Floats:
-        """Return prior log odds of the starts for a first header with missing frames.
-
-        A synchronous camera is as likely as all other starts together.
-        """
-        steps = np.diff(times_s) / self.period_s
-        odds = np.zeros(len(offset))
-        if np.abs(steps - np.round(steps)).max() < STEP_TOLERANCE and steps.max() > self._parameters.max_gap:
-            late = float((times_s[0] - self.start_s) / self.period_s)
-            odds[np.argmin(np.abs(offset - (late - round(late))))] = np.log(len(offset))
-        return odds
-
-    def _predict(self, pattern: int) -> None:
-        """Predict the start of a pattern."""
-        steps = pattern - self._pattern
-        nominal = steps * self._signal.pattern_period_s
-        self.start_s, self._pattern = self.time_s(pattern), pattern
-        move = np.array([[1.0, nominal], [0.0, 1.0]])
-        self._covariance = move @ self._covariance @ move.T + np.diag([0.0, self._parameters.rate_walk**2 * steps])
 
     def _update(self, error_s: float, variance: float) -> None:
         """Correct start and rate by the error of the predicted start and the posterior variance."""
@@ -286,7 +220,10 @@ class LightClock:
     def _cost(self, amplitudes: HeaderAmplitudes, offset: Floats) -> Floats:
         """Return negative log likelihoods (exposures, offsets) of starts relative to the predicted start."""
         place = (amplitudes.times_s - self.start_s) / self.period_s
-        wave, light = self._model(place - offset[:, None])
+        edges, waves, brights = self._header_terms
+        starts, exposures = (place - offset[:, None])[None], self._exposures[:, None, None]
+        # twice the alternation and the brightness of a header of gain 1, (3, exposures, offsets, frames) each
+        wave, light = np.split(_mean_over(starts, exposures, edges, np.concatenate([waves, brights])), 2)
         alternation, brighter = 2 * amplitudes.alternation, amplitudes.brightness - amplitudes.brightness.mean()
         # gain g: alternation g wave / 2, brightness g light plus a constant, both linear in the dimmed fractions
         energy, count = float(alternation @ alternation), len(place)
@@ -307,48 +244,30 @@ class LightClock:
         freedom = max(count - 4, 1)
         self.gain = float(gain[best])
         self.explained = 1 - float(left[best]) / max(energy, TINY)
-        variance = max((self._parameters.deviation * self.gain) ** 2, float(left[best]) / freedom, TINY)
+        # random data deviate by 1/2 / 16 of the light
+        variance = max((0.03 * self.gain) ** 2, float(left[best]) / freedom, TINY)
         return np.asarray(0.5 * left / variance)
 
-    def _model(self, starts: Floats) -> tuple[Floats, Floats]:
-        """Return twice the alternation and the brightness of a header of gain 1, with the terms of `_dimming_terms`.
-
-        `starts` is (offsets, frames), the result (3, exposures, offsets, frames) each.
-        """
-        edges, waves, brights = self._dimming_terms
-        means = _mean_over(starts[None], self._exposures[:, None, None], edges, np.concatenate([waves, brights]))
-        return means[: len(waves)], means[len(waves) :]
-
     @cached_property
-    def _dimming_terms(self) -> tuple[Floats, Floats, Floats]:
-        """Edges of `_header_wave`, and waves and brightnesses (3, slots).
+    def _header_terms(self) -> tuple[Floats, Floats, Floats]:
+        """Slot edges in patterns, the header less the inverse, and the mean light less 1/2, (3, slots) each.
 
-        Terms: without dimmed cells, added by dimmed cells, and added by an excess of lit dimmed cells.
+        Terms: without dimmed cells, added by dimmed cells, and added by an excess of lit dimmed cells. The first pair
+        has no dimmed cells.
         """
-        (edges, *first), *others = (self._header_wave(*terms) for terms in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
-        waves, brights = map(np.stack, zip(first, *(terms for _, *terms in others), strict=True))
-        # means over exposures are linear in the terms
-        waves[1:] -= waves[0]
-        brights[1:] -= brights[0]
-        return edges, waves, brights
-
-    def _header_wave(self, part: float, lit: float = 0.0) -> tuple[Floats, Floats, Floats]:
-        """Return slot edges in patterns, the header less the inverse, and the mean light less 1/2.
-
-        `part` of the cells is dimmed in all pairs but the first; `lit` is the fraction of lit less dark dimmed cells.
-        """
-        count = 2 * self._signal.header_pairs
+        count, order = 2 * self._signal.header_pairs, self._signal.slot_order
         first, patterns = -PATTERNS_AROUND - 2, count + 2 * PATTERNS_AROUND + 4
         edges = first + np.arange(patterns * SLOTS + 1) / SLOTS
         number = np.floor(edges[:-1] + TINY).astype(int)
         inside, later = (number >= 0) & (number < count), (number >= 2) & (number < count)
-        contrast, light = (np.tile(values, patterns) for values in self._light.dimmed)
-        wave = np.where(inside, np.where(number % 2, -1.0, 1.0), 0.0)
+        contrast, light, mean = (
+            np.tile(values[:SLOTS], patterns) for values in (*dimmed_light(order), slot_light(order)[1])
+        )
+        sign = np.where(number % 2, -1.0, 1.0)
         # an excess of lit dimmed cells changes the light like the header
-        wave = np.where(later, (1 - part + part * contrast) * wave + 2 * lit * (light - 0.5), wave)
-        bright = np.where(inside, 0.0, np.tile(self._light.mean[:SLOTS] - 0.5, patterns))
-        missing = 0.5 * lit * (1 - contrast) * np.where(number % 2, -1.0, 1.0)
-        return edges, wave, np.where(later, part * (light - 0.5) - missing, bright)
+        waves = np.stack([inside * sign, later * (contrast - 1) * sign, later * (2 * light - 1)])
+        brights = np.stack([~inside * (mean - 0.5), later * (light - 0.5), later * 0.5 * (contrast - 1) * sign])
+        return edges, waves, brights
 
 
 def _mean_over(starts: Floats, exposure: Floats | float, edges: Floats, values: Floats) -> Floats:

@@ -1,29 +1,25 @@
 """Pairing of the frames of an array to patterns and inverses.
 
 A synchronous camera takes a frame per pattern. For any other camera, the light clock times the patterns, and frames
-are combined. Pairs are numbered from the header of the detection.
+are combined. Pairs are numbered from the header of the detection. Both pairings take frames by `push` and `flush`, and
+return the complete pairs by `next_pair`, for the track after the previous pair.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import window_around
-from heliograph.receive.sync.combine import Combination, SlotLight, combine_header, combine_pair
+from heliograph.receive.sync.combine import Combination, combine_header, combine_pair
 from heliograph.receive.sync.frame_clock import frame_period
-from heliograph.receive.sync.light_clock import (
-    PATTERNS_AROUND,
-    HeaderAmplitudes,
-    LightClock,
-    LightClockParameters,
-    measure_amplitudes,
-)
+from heliograph.receive.sync.light_clock import MIN_EXPLAINED, PATTERNS_AROUND, LightClock, measure_amplitudes
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import light_centroids
 from heliograph.signal.settings import SignalSettings
@@ -93,9 +89,9 @@ class HeaderFrames:
     # Pose of the array in the middle of the header
     pose: Pose
     # (2, frames) amplitude of the header less the inverse, -1 to 1: of full cells and of dimmed cells
-    alternation: NDArray[np.float64]
+    alternation: Floats
     # (2, frames) mean light of both, 0 to 1
-    light: NDArray[np.float64]
+    light: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +104,10 @@ class MeasuredHeader:
     pair: FramePair | None = None
     # The frames for the format; None as `pair`
     frames: HeaderFrames | None = None
+
+
+DuePair = tuple[int, FramePair | UnpairedFrame | MeasuredHeader | None]
+"""Number of a complete pair and the frames, None if missing; before the first data pair also the measured header."""
 
 
 def is_data(number: int, signal: SignalSettings) -> bool:
@@ -135,63 +135,34 @@ class SynchronousPairing:
         self._next = 0
         self._frames: dict[int, Frame] = {}
 
-    def push(self, frame: Frame) -> Iterator[int]:
-        """Add the next frame; yield the numbers of the complete pairs."""
+    def push(self, frame: Frame) -> None:
+        """Add the next frame."""
         self.now_s = max(self.now_s, frame.time_s)
         number = round((frame.time_s - self.origin_s) / self._signal.pattern_period_s)
-        if number < 0:
-            return
-        self._frames[number] = frame
-        while 2 * self._next + 1 <= number:
-            pair = self._next
-            self._next += 1
-            yield pair
-            self._frames = {k: f for k, f in self._frames.items() if k >= 2 * self._next}
+        if number >= 2 * self._next:
+            self._frames[number] = frame
 
-    def flush(self) -> Iterator[int]:
-        """Return an empty iterator: no pair is pending."""
-        yield from ()
+    def flush(self) -> None:
+        """Do nothing: no pair is pending."""
 
-    def measure_header(
-        self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]
-    ) -> None:
-        """Return None: a synchronous pairing has no clock to correct."""
-
-    def get_pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:  # noqa: ARG002 - as in `AsynchronousPairing`
-        """Return the frames of a pair, or the remaining frame of a data pair."""
-        first, second = self._frames.get(2 * number), self._frames.get(2 * number + 1)
+    def next_pair(self, pose_at: PoseAt, led_gains: Floats, single: bool) -> DuePair | None:  # noqa: ARG002 - as in `AsynchronousPairing`
+        """Return the next pair, or the remaining frame of a data pair; None before the pair is complete."""
+        number = self._next
+        if not self._frames or max(self._frames) < 2 * number + 1:
+            return None
+        self._next += 1
+        first, second = self._frames.pop(2 * number, None), self._frames.pop(2 * number + 1, None)
         data = is_data(number, self._signal)
         if first is not None and second is not None:
-            return FramePair(first, second, self._late_s if data else 0.0)
+            return number, FramePair(first, second, self._late_s if data else 0.0)
         left = second if first is None else first
-        return UnpairedFrame(left, first is None, self._late_s) if left is not None and data and not single else None
-
-
-@dataclass(frozen=True)
-class PairingParameters:
-    """Parameters of the asynchronous pairing; times in pattern periods T_b."""
-
-    # Time before and after a pair in which frames may overlap the pair
-    margin: float = 1.0
-    # Tolerance of time stamps: a pair may be complete that much earlier
-    tolerance: float = 0.02
-    # Part of an exposure that may exceed the header
-    overhang: float = 0.04
-    # Departure from pattern and inverse of a synchronous pair; 0.035 costs a quarter of a dB
-    max_departure: float = 0.035
-    # Standard deviations of the clock that are added to `max_departure`: 87 % of the errors are smaller
-    departure_deviations: float = 1.5
-    # Resolution of first start and exposure, so that equal pairs share a cached combination
-    tick: float = 0.002
-    # Resolution of the steps between starts
-    step_tick: float = 5e-4
-    # Margin of combined frames around the array, as a fraction of the side, and the minimum in px: room for motion
-    window_margin: float = 0.5
-    min_window_margin_px: float = 8.0
+        if left is None or single or not data:
+            return number, None
+        return number, UnpairedFrame(left, first is None, self._late_s)
 
 
 class AsynchronousPairing:
-    """Pairs of a camera of any timing, by the light clock."""
+    """Pairs of a camera of any timing, by the light clock; times in pattern periods."""
 
     def __init__(
         self,
@@ -199,25 +170,25 @@ class AsynchronousPairing:
         time_s: float,
         pose: Pose,
         identity: int,
-        led_gains: NDArray[np.float64],
+        led_gains: Floats,
         signal: SignalSettings,
         exposure_s: float | None,
         drift: tuple[float, float] = (0.0, 0.0),
-        parameters: PairingParameters = PairingParameters(),
     ):
-        self._parameters, self._clock_parameters = parameters, LightClockParameters()
         self.lost = False
         self.first_gain: float | None = None
         self._start_s, self._time_s, self._pose, self._drift = start_s, time_s, pose, drift
-        self._identity = identity
-        self._led_gains, self._signal, self._exposure_s = led_gains, signal, exposure_s
+        self._identity, self._led_gains, self._signal, self._exposure_s = identity, led_gains, signal, exposure_s
         self._late_s = sum_late_s(signal)
-        self._light = SlotLight(signal.slot_order)
         self._signs = header_levels(identity, signal.side) / 2.0 - 1.0
         self._header = 2 * signal.header_pairs
         self._frames: deque[Frame] = deque()
         self._clock: LightClock | None = None
-        self._next = 0
+        # number of the next pair, and end of the frames in patterns
+        self._next, self._end = 0, 0.0
+        # predicted poses after the last pairs but one, for the clock
+        self._poses: deque[PoseAt] = deque(maxlen=signal.header_pairs + PATTERNS_AROUND - 1)
+        self._measured = -1  # pair before which the last header was measured
 
     @property
     def now_s(self) -> float:
@@ -239,36 +210,58 @@ class AsynchronousPairing:
         """95 % interval of the exposure in T_b; None before the first header."""
         return None if self._clock is None else self._clock.exposure_range
 
-    def push(self, frame: Frame) -> Iterator[int]:
-        """Add the next frame; yield the numbers of the complete pairs."""
+    def push(self, frame: Frame) -> None:
+        """Add the next frame."""
         self._frames.append(frame)
         if self._clock is None:
             awaited = self._header + PATTERNS_AROUND + 1
             if frame.time_s < self._start_s + awaited * self._signal.pattern_period_s:
                 return
             self._clock = self._start_clock()
-        yield from self._due_pairs(self._clock, self._clock.pattern_at(frame.time_s) - self._parameters.margin)
+        self._end = self._clock.pattern_at(frame.time_s) - 1
 
-    def flush(self) -> Iterator[int]:
-        """Yield the numbers of the last pairs at the end of the film."""
+    def flush(self) -> None:
+        """End the film."""
         if self._clock is None and len(self._frames) > self._header:
             self._clock = self._start_clock()
         if self._clock is not None and self._frames:
-            end = self._clock.pattern_at(self._frames[-1].time_s) + self._clock.exposure
-            yield from self._due_pairs(self._clock, end)
+            self._end = self._clock.pattern_at(self._frames[-1].time_s) + self._clock.exposure
 
-    def measure_header(
-        self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]
+    def next_pair(self, pose_at: PoseAt, led_gains: Floats, single: bool) -> DuePair | None:
+        """Return the next pair, combined unless synchronous, or the remaining frame of a data pair.
+
+        Before the first data pair, the header corrects the clock, and an asynchronous camera gets the measured header.
+        None before the pair is complete.
+        """
+        clock, number, signal = self._clock, self._next, self._signal
+        # time stamps have a tolerance
+        if clock is None or self.lost or 2 * (number + 1) > self._end + 0.02:
+            return None
+        if number % (signal.packet_patterns // 2) == signal.header_pairs and self._measured != number:
+            self._measured = number
+            header = self._measure_header(clock, number, pose_at, led_gains)
+            if header is not None:
+                return number, header
+        oldest_s = clock.time_s(2 * (number - 1) - self._header - 2 * PATTERNS_AROUND)
+        while self._frames and self._frames[0].time_s < oldest_s:
+            self._frames.popleft()
+        self._poses.append(pose_at)
+        self._next += 1
+        return number, self._get_pair(clock, number, pose_at, single)
+
+    def _measure_header(
+        self, clock: LightClock, pair: int, pose_at: PoseAt, led_gains: Floats
     ) -> MeasuredHeader | None:
         """Correct the clock by the header before a pair; return the header of an asynchronous camera."""
-        clock, pattern = self._started_clock, 2 * pair - self._header
+        pattern, poses = 2 * pair - self._header, [*self._poses, pose_at]
         near = self._frames_between(clock, pattern - PATTERNS_AROUND, pattern + self._header + PATTERNS_AROUND)
-        if not poses or len(near) <= self._header:
+        if len(near) <= self._header:
             return None
-        known, pairs = np.array(sorted(poses)), 0.5 * (_starts(clock, near) - 0.5)
-        nearest = known[np.abs(known - pairs[:, None]).argmin(1)].tolist()
-        predicted = [poses[k](frame.time_s) for k, frame in zip(nearest, near, strict=True)]
-        is_measured = clock.measure(self._amplitudes(near, predicted, led_gains), pattern, again=pattern == 0)
+        nearest = np.rint(0.5 * (clock.starts(near) - 0.5)).astype(int) - (pair - len(poses))
+        places = np.clip(nearest, 0, len(poses) - 1).tolist()
+        predicted = [poses[k](frame.time_s) for k, frame in zip(places, near, strict=True)]
+        amplitudes = measure_amplitudes(near, predicted, self._signs * led_gains)
+        is_measured = clock.measure(amplitudes, pattern, again=pattern == 0)
         if not is_measured or self._is_synchronous(clock, self._combination(clock, near, pattern)):
             return None
         inside, combination = self._header_combination(clock, pattern, (0, self._header))
@@ -277,28 +270,30 @@ class AsynchronousPairing:
         if combination is None or window is None:
             return MeasuredHeader(clock.gain)
         combined = self._combine(clock, pattern, combination, inside, window)
-        starts = _starts(clock, inside) - pattern
-        amplitudes, lights = zip(clock.predict_header(starts, 0.0), clock.predict_header(starts, 1.0), strict=True)
-        images = _cut(inside, window)
-        frames = HeaderFrames(images, (window[0], window[1]), middle, np.stack(amplitudes), np.stack(lights))
+        starts = clock.starts(inside) - pattern
+        shown, lights = zip(clock.predict_header(starts, 0.0), clock.predict_header(starts, 1.0), strict=True)
+        frames = HeaderFrames(_cut(inside, window), window[:2], middle, np.stack(shown), np.stack(lights))
         return MeasuredHeader(clock.gain, combined, frames)
 
-    def get_pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:
+    def _get_pair(
+        self, clock: LightClock, number: int, pose_at: PoseAt, single: bool
+    ) -> FramePair | UnpairedFrame | None:
         """Return the frames of a pair, combined unless synchronous, or the remaining frame of a data pair."""
-        clock, place = self._started_clock, 2 * number
-        in_packet, data = number % (self._signal.packet_patterns // 2), is_data(number, self._signal)
+        place, data = 2 * number, is_data(number, self._signal)
         unpaired = self._unpaired(clock, place) if data and not single else None
         if unpaired is not None:
             return unpaired
-        near = self._frames_between(clock, place - self._parameters.margin, place + 2 + self._parameters.margin)
+        # frames that may overlap the pair
+        near = self._frames_between(clock, place - 1, place + 3)
         combination = self._combination(clock, near, place)
         is_synchronous = self._is_synchronous(clock, combination)
         if single and data:
             # data without inverses need two frames, combined or not
             is_synchronous |= combination is not None and bool(np.isfinite(combination.departure))
-        first = place if data else place - 2 * in_packet
+        first = place
         if not data and not is_synchronous:
-            near, combination = self._header_combination(clock, first, (2 * in_packet, 2 * in_packet + 2))
+            first -= place % self._signal.packet_patterns
+            near, combination = self._header_combination(clock, first, (place - first, place - first + 2))
         if combination is None:
             return None
         frames = [near[k] for k in combination.frames]
@@ -312,24 +307,19 @@ class AsynchronousPairing:
         inside = self._frames_between(clock, place - 0.5, place + 1.5)
         if len(inside) != 1:
             return None
-        start = self._rounded(clock.pattern_at(inside[0].time_s) - place)
+        start = _rounded(clock.pattern_at(inside[0].time_s) - place)
         inverted = start > 0.5
         # test the combination with a frame in place of the missing frame
         starts = (start - 1, start) if inverted else (start, start + 1)
-        combination = _pair_combination(starts, self._rounded_exposure(clock), self._light)
+        combination = self._rounded_combination(clock, starts)
         is_synchronous = self._is_synchronous(clock, combination)
         return UnpairedFrame(inside[0], inverted, self._late_s) if is_synchronous else None
-
-    @property
-    def _started_clock(self) -> LightClock:
-        assert self._clock is not None  # pairs are due only after the start
-        return self._clock
 
     def _start_clock(self) -> LightClock:
         """Start the clock with the header of the detection."""
         frames, light_s, start_s = list(self._frames), self._signal.pattern_period_s, self._start_s
         period = frame_period(np.diff([f.time_s for f in frames]))
-        clock = LightClock(start_s, period, self._signal, self._identity, self._exposure_s, self._clock_parameters)
+        clock = LightClock(start_s, period, self._signal, self._identity, self._exposure_s)
         end = start_s + (self._header + PATTERNS_AROUND) * light_s
         near = [f for f in frames if start_s - PATTERNS_AROUND * light_s <= f.time_s <= end]
         if len(near) < self._header:
@@ -338,56 +328,39 @@ class AsynchronousPairing:
             return clock
         delays = [frame.time_s - self._time_s for frame in near]
         poses = [self._pose.moved(dt * self._drift[0], dt * self._drift[1]) for dt in delays]
-        clock.measure(self._amplitudes(near, poses, self._led_gains), 0)
-        self.lost = clock.explained < self._clock_parameters.min_explained
+        clock.measure(measure_amplitudes(near, poses, self._signs * self._led_gains), 0)
+        self.lost = clock.explained < MIN_EXPLAINED
         if not self._is_synchronous(clock, self._combination(clock, near, 0)):
             # the detection assumed a synchronous camera and so measured too weak a header
             self.first_gain = clock.gain
         return clock
 
-    def _due_pairs(self, clock: LightClock, end: float) -> Iterator[int]:
-        """Yield the numbers of the pairs that end before a pattern."""
-        while not self.lost and 2 * (self._next + 1) <= end + self._parameters.tolerance:
-            pair = self._next
-            self._next += 1
-            yield pair
-            self._forget(clock.time_s(2 * pair - self._header - 2 * PATTERNS_AROUND))
-
     def _combination(self, clock: LightClock, frames: list[Frame], pattern: int) -> Combination | None:
         """Combine frames to the pair that begins with a pattern."""
-        starts = clock.patterns_at([f.time_s for f in frames])
-        if not starts:
+        starts = clock.starts(frames)
+        if not len(starts):
             return None
         # round the first start and the steps: starts rounded separately would differ from pair to pair
-        first, tick = self._rounded(starts[0] - pattern), self._parameters.step_tick
-        rounded = tuple(first + round((start - starts[0]) / tick) * tick for start in starts)
-        return _pair_combination(rounded, self._rounded_exposure(clock), self._light)
+        steps = np.rint((starts - starts[0]) / 5e-4) * 5e-4
+        return self._rounded_combination(clock, tuple((_rounded(starts[0] - pattern) + steps).tolist()))
 
-    def _rounded(self, patterns: float) -> float:
-        """Round a time in patterns to the nearest tick."""
-        return round(patterns / self._parameters.tick) * self._parameters.tick
-
-    def _rounded_exposure(self, clock: LightClock) -> float:
-        """Round the exposure of a clock to the nearest positive tick."""
-        return self._rounded(max(clock.exposure, self._parameters.tick))
+    def _rounded_combination(self, clock: LightClock, starts: tuple[float, ...]) -> Combination | None:
+        """Combine frames of rounded starts to a pair."""
+        return _pair_combination(starts, max(_rounded(clock.exposure), 0.002), self._signal.slot_order)
 
     def _is_synchronous(self, clock: LightClock, combination: Combination | None) -> bool:
         """Return True if two frames show pattern and inverse, within the error of the clock."""
-        limit = self._parameters.max_departure + self._parameters.departure_deviations * clock.deviation
-        return combination is not None and combination.departure < limit
-
-    def _amplitudes(self, frames: list[Frame], poses: list[Pose], led_gains: NDArray[np.float64]) -> HeaderAmplitudes:
-        """Measure the header amplitudes of frames."""
-        return measure_amplitudes(frames, poses, self._signs * led_gains, self._clock_parameters)
+        # 0.035 costs a quarter of a dB; 87 % of the errors are below 1.5 deviations
+        return combination is not None and combination.departure < 0.035 + 1.5 * clock.deviation
 
     def _header_combination(
         self, clock: LightClock, first: int, part: tuple[int, int]
     ) -> tuple[list[Frame], Combination | None]:
         """Combine the frames within a part of the header that starts with pattern `first`."""
-        overhang = self._parameters.overhang
+        overhang = 0.04  # part of an exposure that may exceed the header
         low, high = max(part[0] - 1 + overhang, -overhang), min(part[1], self._header + overhang)
         near = self._frames_between(clock, first + low, first + high)
-        starts = _starts(clock, near) - first
+        starts = clock.starts(near) - first
         within = starts + clock.exposure <= self._header + overhang
         within &= (starts + clock.exposure > part[0] + overhang) & (starts < part[1] - overhang)
         near = [f for f, is_within in zip(near, within, strict=True) if is_within]
@@ -403,9 +376,8 @@ class AsynchronousPairing:
     def _window(self, frames: list[Frame], pose: Pose) -> tuple[int, int, int, int] | None:
         """Return the part of the sensor around the array that all frames share: left, top, right, low."""
         side = self._signal.side
-        x, y, width, height = window_around(
-            pose, side, max(self._parameters.min_window_margin_px, self._parameters.window_margin * side * pose.pitch)
-        )
+        # room for motion
+        x, y, width, height = window_around(pose, side, max(8.0, 0.5 * side * pose.pitch))
         left, top = max(x, *(f.origin[0] for f in frames)), max(y, *(f.origin[1] for f in frames))
         right = min(x + width, *(f.origin[0] + f.pixels.shape[1] for f in frames))
         low = min(y + height, *(f.origin[1] + f.pixels.shape[0] for f in frames))
@@ -423,24 +395,23 @@ class AsynchronousPairing:
         weights = np.stack([combination.total + combination.difference, combination.total - combination.difference]) / 2
         first, second = np.tensordot(weights, _cut(frames, window), 1).astype(np.float32)
         # the time of a frame is half a pattern before the middle of the light
-        time_s, corner = clock.time_s(place + combination.sum_time - 0.5), (window[0], window[1])
-        full = frames[0].full_scale
+        time_s, full = clock.time_s(place + combination.sum_time - 0.5), frames[0].full_scale
         return FramePair(
-            CombinedFrame(frames[0].index, time_s, first, corner, full),
-            CombinedFrame(frames[-1].index, time_s, second, corner, full),
+            CombinedFrame(frames[0].index, time_s, first, window[:2], full),
+            CombinedFrame(frames[-1].index, time_s, second, window[:2], full),
             combination=combination,
         )
 
-    def _forget(self, time_s: float) -> None:
-        """Drop frames older than a time."""
-        while self._frames and self._frames[0].time_s < time_s:
-            self._frames.popleft()
+
+def _rounded(patterns: float) -> float:
+    """Round a time in patterns, so that equal pairs share a cached combination."""
+    return round(patterns / 0.002) * 0.002
 
 
 @lru_cache(maxsize=64)  # the pairs of a packet have few different timings
-def _pair_combination(starts: tuple[float, ...], exposure: float, light: SlotLight) -> Combination | None:
+def _pair_combination(starts: tuple[float, ...], exposure: float, order: tuple[int, ...]) -> Combination | None:
     """Call `combine_pair` with rounded starts and exposures."""
-    return combine_pair(np.array(starts), exposure, light)
+    return combine_pair(np.array(starts), exposure, order)
 
 
 def _cut(frames: list[Frame], window: tuple[int, int, int, int]) -> NDArray[np.float32]:
@@ -449,11 +420,6 @@ def _cut(frames: list[Frame], window: tuple[int, int, int, int]) -> NDArray[np.f
     return np.stack(
         [f.pixels[top - f.origin[1] : low - f.origin[1], left - f.origin[0] : right - f.origin[0]] for f in frames]
     ).astype(np.float32)
-
-
-def _starts(clock: LightClock, frames: list[Frame]) -> NDArray[np.float64]:
-    """Return the starts of exposures in patterns."""
-    return np.array(clock.patterns_at([f.time_s for f in frames]))
 
 
 Pairing = SynchronousPairing | AsynchronousPairing

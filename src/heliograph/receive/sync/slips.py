@@ -10,52 +10,28 @@ A lost pair leaves all pairs even, but the next header comes two patterns early.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from math import hypot
+from dataclasses import dataclass
+from functools import cache
+from math import hypot, isnan, nan
 
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.sync import kernels
+from heliograph.receive.sync.kernels import means_at_leds
 from heliograph.receive.sync.pairing import PoseAt, is_data
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
+MAX_EVEN = 0.4
+"""Maximum epsilon of an even pair: 4 standard deviations below epsilon of 60 independent LEDs."""
 
-@dataclass(frozen=True)
-class SlipParameters:
-    """Parameters of the slip detection."""
+MIN_CORRELATION = 0.7
+"""Minimum correlation of each frame of a header: 5 standard deviations of random data."""
 
-    # Maximum epsilon of an even pair: 4 standard deviations below epsilon of 60 independent LEDs
-    max_even: float = 0.4
-    # The same for a repeated frame that explains a gap
-    max_even_copy: float = 0.2
-    # Cost of a single frame: two slips must cost less than an uneven pair
-    slip_cost: float = 0.45
-    # Minimum number of even pairs after a slip
-    min_even_pairs: int = 2
-    # Slips among the pending frames from which on a pairing is rejected
-    max_slips: int = 2
-    # Change of the pose in pitches above which a pending frame is measured again
-    max_pose_change: float = 0.25
-    # Pending frames that decide on a slip: four pairs with the first frame, and four without
-    decision_frames: int = 9
-    # Minimum correlation of each frame of a header: 5 standard deviations of random data
-    min_header_correlation: float = 0.7
-    # Minimum ratio of the powers of two patterns, and of the variance of a pattern to the power
-    min_power_ratio: float = 0.25
-    # LEDs at each side of an array that are ignored, as a divisor of the side: bright backgrounds leak in
-    rim_divisor: int = 8
-    # Weight of a pair in the mean frame
-    mean_rate: float = 0.1
-    # Maximum deviation from a synchronous frame time in T_b: epsilon is then 0.08 or less
-    max_time_error: float = 0.2
-    # Lengths of a header during which frames are compared with the header
-    header_spans: int = 3
-    # Margin in px that motion adds to the square of an LED
-    blur_margin_px: float = 0.5
+MAX_TIME_ERROR = 0.2
+"""Maximum deviation from a synchronous frame time in T_b: epsilon is then 0.08 or less."""
 
 
 @dataclass(slots=True, eq=False)
@@ -67,31 +43,25 @@ class _PendingFrame:
     number: int
     # Pose of the array when the frame was measured
     pose: Pose
-    # Light at the LED positions, and the same less the mean frame
+    # Light at the LED positions
     light: Floats
+    # The same less the mean frame; None if not a pattern, or before the first mean
     contrast: Floats | None
-    # Power of `contrast`
-    power: float
-    # True if `contrast` may be a pattern
-    is_pattern: bool
-    # Memo: the frame of the last comparison, and epsilon of both
-    partner: "_PendingFrame | None" = None
-    epsilon: float | None = None
 
 
-# Pairing of the pending frames: cost, epsilon of each pair, and number of slips
+# Pairing of pending frames: cost, epsilon of each pair, and number of slips
 _Pairs = tuple[float, tuple[float, ...], int]
 
 
 class SlipWatch:
     """Corrects the frame times of an array for lost frames."""
 
-    def __init__(self, identity: int, signal: SignalSettings, parameters: SlipParameters = SlipParameters()):
-        self._parameters = parameters
+    def __init__(self, identity: int, signal: SignalSettings):
         self.lost = 0
         self._signal, self._period_s, self._packet_patterns = signal, signal.pattern_period_s, signal.packet_patterns
         self._header_patterns = 2 * signal.header_pairs
-        self._rim = signal.side // parameters.rim_divisor
+        # bright backgrounds leak into the outer LEDs
+        self._rim = signal.side // 8
         inner = slice(self._rim, signal.side - self._rim)
         self._signs = (header_levels(identity, signal.side) / 2.0 - 1.0)[inner, inner].ravel()
         self._pending: list[_PendingFrame] = []
@@ -107,16 +77,15 @@ class SlipWatch:
         self._last_s = frame.time_s
         place = (frame.time_s + self.lost * period_s - origin_s) / period_s
         number = round(place) - self.lost
-        is_step = last_s is None or frame.time_s - last_s > (1 - self._parameters.max_time_error) * period_s
-        if not (paired and is_step and place > -0.5 and abs(place - round(place)) < self._parameters.max_time_error):
+        is_step = last_s is None or frame.time_s - last_s > (1 - MAX_TIME_ERROR) * period_s
+        if not (paired and is_step and place > -0.5 and abs(place - round(place)) < MAX_TIME_ERROR):
             yield from self.flush()
             yield self._with_time(frame)
             return
         # newer frames may have corrected the poses
         for k, pending in enumerate(self._pending):
             pose = pose_at(pending.frame.time_s + self.lost * period_s)
-            off_px = hypot(pose.x - pending.pose.x, pose.y - pending.pose.y)
-            if off_px >= self._parameters.max_pose_change * pose.pitch:
+            if hypot(pose.x - pending.pose.x, pose.y - pending.pose.y) >= 0.25 * pose.pitch:
                 self._pending[k] = self._measure(pending.frame, pending.number, pose)
         self._pending.append(self._measure(frame, number, pose_at(frame.time_s + self.lost * period_s)))
         while self._pending and self._is_ready():
@@ -129,29 +98,27 @@ class SlipWatch:
 
     def _with_time(self, frame: Frame) -> Frame:
         """Correct the time of a frame for the lost frames."""
-        if not self.lost:
-            return frame
-        return replace(frame, time_s=frame.time_s + self.lost * self._period_s)
+        return frame.at_time(frame.time_s + self.lost * self._period_s) if self.lost else frame
 
     def _measure(self, frame: Frame, number: int, pose: Pose) -> _PendingFrame:
         """Measure the light of a frame at the LED positions of a pose."""
-        side, x, y = self._signal.side, pose.x - frame.origin[0], pose.y - frame.origin[1]
-        # average over the square of an LED: motion shifts the light
-        width = 2 * int((pose.pitch + self._parameters.blur_margin_px) / 2) + 1
-        light = kernels.means_at_leds(frame.pixels, x, y, pose.axes, width, self._rim, side)
-        if self._mean is None:
-            return _PendingFrame(frame, number, pose, light, None, 0.0, False)
-        contrast = np.empty(light.shape)
-        power, mean = kernels.subtract_mean(light, self._mean, contrast)
-        is_pattern = power - contrast.size * mean**2 > self._parameters.min_power_ratio * power
-        return _PendingFrame(frame, number, pose, light, contrast, power, is_pattern)
+        x, y = pose.x - frame.origin[0], pose.y - frame.origin[1]
+        # average over the square of an LED and half a pixel, as motion shifts the light
+        width = 2 * int((pose.pitch + 0.5) / 2) + 1
+        light = means_at_leds(frame.pixels, x, y, pose.axes, width, self._rim, self._signal.side)
+        contrast = None if self._mean is None else light - self._mean
+        # a pattern varies from LED to LED
+        if contrast is not None and contrast.var() <= 0.25 * float(contrast @ contrast) / contrast.size:
+            contrast = None
+        return _PendingFrame(frame, number, pose, light, contrast)
 
     def _is_ready(self) -> bool:
         """Return True if the pending frames suffice to release the first frame."""
         first = self._pending[0]
-        if (first.number + self.lost) % 2 or len(self._pending) >= self._parameters.decision_frames:
+        # nine frames decide on a slip: four pairs with the first frame, and four without
+        if (first.number + self.lost) % 2 or len(self._pending) >= 9:
             return len(self._pending) > 1 or not self._follows_gap(first)
-        return len(self._pending) > 1 and (self._gap(0) > 1 or not self._is_uneven(0))
+        return len(self._pending) > 1 and (self._gap(0) > 1 or not self._epsilon(0) >= MAX_EVEN)
 
     def _release(self) -> Iterator[Frame]:
         """Yield the first frame or pair, or drop the first frame after a slip."""
@@ -159,19 +126,19 @@ class SlipWatch:
         if len(self._pending) == 1:
             yield self._pop()
         elif (first.number + self.lost) % 2:
-            if self._follows_gap(first) and self._gap(0) == 1 and self._is_even(0, self._parameters.max_even_copy):
+            if self._follows_gap(first) and self._gap(0) == 1 and self._epsilon(0) < MAX_EVEN / 2:
                 # the gap was a repeated frame that the clock dropped
                 self.lost -= 1
             else:
                 yield self._pop()
         elif self._gap(0) > 1:
-            is_copy = self._gap(0) == 2 and self._is_even(0, self._parameters.max_even_copy)
+            is_copy = self._gap(0) == 2 and self._epsilon(0) < MAX_EVEN / 2
             yield self._pop()
             self.lost -= is_copy
-        elif not (self._is_uneven(0) and self._has_slipped()):
-            self._even_before = self._mean is None or self._is_even(0)
+        elif not (self._epsilon(0) >= MAX_EVEN and self._has_slipped()):
+            self._even_before = self._mean is None or self._epsilon(0) < MAX_EVEN
             mean = 0.5 * (first.light + self._pending[1].light)
-            self._mean = mean if self._mean is None else self._mean + self._parameters.mean_rate * (mean - self._mean)
+            self._mean = mean if self._mean is None else self._mean + 0.1 * (mean - self._mean)
             yield self._pop()
             yield self._pop()
         else:
@@ -184,13 +151,12 @@ class SlipWatch:
         first = self._pending.pop(0)
         self._number = first.number
         out, number = self._with_time(first.frame), first.number + self.lost
-        near = (
-            number + self._header_patterns
-        ) % self._packet_patterns < self._parameters.header_spans * self._header_patterns
-        if near and first.contrast is not None:
-            self._headers[number] = (
-                float(first.contrast @ self._signs) / max(first.power * self._signs.size, TINY) ** 0.5
-            )
+        # three lengths of a header around each header
+        if first.contrast is not None and (
+            (number + self._header_patterns) % self._packet_patterns < 3 * self._header_patterns
+        ):
+            norm = float(np.linalg.norm(first.contrast)) * self._signs.size**0.5
+            self._headers[number] = float(first.contrast @ self._signs) / max(norm, TINY)
             self._follow_header(number)
         return out
 
@@ -199,15 +165,14 @@ class SlipWatch:
         patterns, length = self._packet_patterns, self._header_patterns
         early = (length - 1 - number + patterns // 2) % patterns - patterns // 2
         last = [self._headers.get(number - k, 0.0) for k in range(length)]
-        least = self._parameters.min_header_correlation
-        if 0 < abs(early) <= length and all((-1) ** (k + 1) * h > least for k, h in enumerate(last)):
+        if 0 < abs(early) <= length and all((-1) ** (k + 1) * h > MIN_CORRELATION for k, h in enumerate(last)):
             self.lost += early
         self._headers = {k: h for k, h in self._headers.items() if k > number - length}
 
     def shows_header(self, pair: int) -> bool:
         """Return True if the frames of a data pair show a header: an earlier pair was lost."""
         up, down = (self._headers.get(2 * pair + k, 0.0) for k in range(2))
-        return min(up, -down) > self._parameters.min_header_correlation
+        return min(up, -down) > MIN_CORRELATION
 
     def _gap(self, place: int) -> int:
         """Return the number of frame periods from a pending frame to the next."""
@@ -218,26 +183,13 @@ class SlipWatch:
         number = first.number + self.lost
         return number % 2 == 1 and first.number > self._number + 1 and is_data(number // 2, self._signal)
 
-    def _epsilon(self, place: int) -> float | None:
-        """Return epsilon of a pending frame and the next, at most 1; None for frames of no pattern."""
-        first, second = self._pending[place], self._pending[place + 1]
-        if first.partner is not second:
-            first.partner, first.epsilon = second, None
-            u, v, p, q = first.contrast, second.contrast, first.power, second.power
-            is_similar = min(p, q) >= self._parameters.min_power_ratio * max(p, q)
-            if u is not None and v is not None and first.is_pattern and second.is_pattern and is_similar:
-                first.epsilon = min(1 + 2 * float(u @ v) / max(p + q, TINY), 1.0)
-        return first.epsilon
-
-    def _is_even(self, place: int, limit: float | None = None) -> bool:
-        """Return True if a pending frame and the next are certainly a pair."""
-        e = self._epsilon(place)
-        return e is not None and e < (self._parameters.max_even if limit is None else limit)
-
-    def _is_uneven(self, place: int) -> bool:
-        """Return True if a pending frame and the next are certainly no pair."""
-        e = self._epsilon(place)
-        return e is not None and e >= self._parameters.max_even
+    def _epsilon(self, place: int) -> float:
+        """Return epsilon of a pending frame and the next, at most 1; NaN, neither even nor uneven, without patterns."""
+        u, v = (frame.contrast for frame in self._pending[place : place + 2])
+        if u is None or v is None:
+            return nan
+        p, q = float(u @ u), float(v @ v)
+        return min(1 + 2 * float(u @ v) / max(p + q, TINY), 1.0) if min(p, q) >= 0.25 * max(p, q) else nan
 
     def _has_slipped(self) -> bool:
         """Return True if the frames after the first form even pairs, at a lower cost than with the first frame.
@@ -245,38 +197,28 @@ class SlipWatch:
         If the previous pair was uneven as well, poses may be wrong or the array occluded. A header is even at any
         place, so every pair must then improve.
         """
-        parameters, memo = self._parameters, dict[tuple[int, int], _Pairs]()
-        cost, _, _ = self._pair_regularly(0, self.lost, memo)
-        slip_cost, epsilons, slips = self._pair(1, self.lost + 1, memo)
-        has_even = len(epsilons) >= parameters.min_even_pairs and max(epsilons) < parameters.max_even
-        has_even &= slips < parameters.max_slips
-        if not self._even_before:
-            starts = range(0, len(self._pending) - 2, 2)
-            has_even &= all(self._is_even(k + 1) and self._is_uneven(k) for k in starts)
-        return has_even and parameters.slip_cost + slip_cost < cost
+        last = len(self._pending) - 1
 
-    def _pair(self, place: int, lost: int, memo: dict[tuple[int, int], _Pairs]) -> _Pairs:
-        """Pair the pending frames from a place on at the least cost; `memo` holds the results by place and parity."""
-        key = place, lost % 2
-        if key not in memo:
-            memo[key] = self._pair_regularly(place, lost, memo)
-            if self._begins_pair(place, lost):
-                cost, epsilons, slips = self._pair(place + 1, lost + 1, memo)
-                slipped = self._parameters.slip_cost + cost, epsilons, slips + 1
-                memo[key] = min(memo[key], slipped, key=lambda pairs: pairs[0])
-        return memo[key]
+        @cache
+        def pair(place: int, lost: int) -> _Pairs:
+            """Pair the frames from a place on at the least cost."""
+            return min(options(place, lost), key=lambda pairs: pairs[0])
 
-    def _pair_regularly(self, place: int, lost: int, memo: dict[tuple[int, int], _Pairs]) -> _Pairs:
-        """Pair the pending frames from a place on, without a slip of the first frame."""
-        if place >= len(self._pending) - 1:
-            return 0.0, (), 0
-        if not self._begins_pair(place, lost):
-            return self._pair(place + 1, lost, memo)
-        e, (cost, epsilons, slips) = self._epsilon(place), self._pair(place + 2, lost, memo)
-        return (cost, epsilons, slips) if e is None else (e + cost, (e, *epsilons), slips)
+        def options(place: int, lost: int) -> list[_Pairs]:
+            """Return the pairings with the frame at a place, and without it if it begins a pair."""
+            if place >= last:
+                return [(0.0, (), 0)]
+            if (self._pending[place].number + lost) % 2 or self._gap(place) > 1:
+                return [pair(place + 1, lost)]
+            e, (cost, epsilons, slips) = self._epsilon(place), pair(place + 2, lost)
+            regular = (cost, epsilons, slips) if isnan(e) else (e + cost, (e, *epsilons), slips)
+            cost, epsilons, slips = pair(place + 1, lost + 1)
+            # two slips must cost less than an uneven pair
+            return [regular, (0.45 + cost, epsilons, slips + 1)]
 
-    def _begins_pair(self, place: int, lost: int) -> bool:
-        """Return True if a pending frame is a pattern directly before the next frame."""
-        if place >= len(self._pending) - 1:
+        (regular_cost, _, _), (cost, epsilons, slips) = options(0, self.lost)
+        improves = (self._epsilon(k + 1) < MAX_EVEN <= self._epsilon(k) for k in range(0, last - 1, 2))
+        if not (self._even_before or all(improves)):
             return False
-        return (self._pending[place].number + lost) % 2 == 0 and self._gap(place) <= 1
+        # one more slip at most
+        return cost < regular_cost and len(epsilons) >= 2 and max(epsilons) < MAX_EVEN and slips <= 2
