@@ -52,24 +52,7 @@ def warp(
     weight: float,
     affine: NDArray[np.float64],
 ) -> None:
-    """Write a bilinearly interpolated mixture of two images into a window of the light.
-
-    Parameters
-    ----------
-    light
-        (h, w) float32 light in full scales, written.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-    first
-        (H, W) uint8 image; pixels beyond its edges repeat the edge.
-    second
-        (H, W) uint8 image of the same size.
-    weight
-        Weight of the second image, 0 to 1: the mixture is (1 - weight) first + weight second.
-    affine
-        (3, 3) float64: sensor pixel -> pixel of the images in rows 0 and 1; ``affine[2, 2]`` is the light of a gray
-        level, in full scales.
-    """
+    """Write a bilinearly interpolated mixture of two images into a window of the light."""
     height, width = light.shape
     last_x, last_y = first.shape[1] - _FAR_EDGE_PX, first.shape[0] - _FAR_EDGE_PX
     w = np.float32(weight)
@@ -118,23 +101,6 @@ def image_motion(
 
     It is the rotation K R K^-1 to first order about the optical axis, and the expansion depth / (depth - distance
     driven).
-
-    Parameters
-    ----------
-    pose
-        Poses of the camera.
-    index
-        Index of one pose in the arrays of `pose`.
-    camera
-        Sensor and focal length.
-    size
-        (height, width) of the image in pixels; its middle is on the optical axis at rest.
-    depth_m
-        Distance of the scene at time 0 in m, above 0; infinite for no expansion.
-
-    Returns
-    -------
-    (3, 3) float64: rows 0 and 1 take (x, y, 1) on the sensor to the image; row 2 is (0, 0, 1).
     """
     pitch, yaw, roll, driven = (a[index] for a in (pose.pitch_rad, pose.yaw_rad, pose.roll_rad, pose.travelled_m))
     zoom = max(1 - driven / depth_m, LEAST_ZOOM)
@@ -149,26 +115,17 @@ def image_motion(
 
 @dataclass
 class Clip:
-    """Footage at the background's size, read as far as it is needed, played forward and then backward.
+    """Footage at the background's size, read as far as it is needed, played forward and then backward."""
 
-    Attributes
-    ----------
-    footage
-        Frames and their rate.
-    size
-        (height, width) of the background in pixels.
-    held
-        Frames read so far, at most `MOST_FRAMES`.
-    source
-        Iterator over the frames, once reading has begun.
-    ended
-        Whether all frames are read, or as many as are held.
-    """
-
+    # Frames and their rate
     footage: Footage
+    # (height, width) of the background in pixels
     size: tuple[int, int]
+    # Frames read so far, at most `MOST_FRAMES`
     held: list[Gray] = field(default_factory=list)
+    # Iterator over the frames, once reading has begun
     source: Iterator[Gray] | None = None
+    # Whether all frames are read, or as many as are held
     ended: bool = False
 
     def _read_to(self, number: int) -> None:
@@ -184,18 +141,7 @@ class Clip:
             raise SettingsError("the footage has no frames")
 
     def at(self, time_s: float) -> tuple[Gray, Gray, float]:
-        """Return the frames before and after a time, and the weight of the second, 0 to 1.
-
-        Parameters
-        ----------
-        time_s
-            Time since the start of the footage in s; a negative one counts as 0.
-
-        Raises
-        ------
-        SettingsError
-            The footage has no frames, or one that is not gray uint8.
-        """
+        """Return the frames before and after a time, and the weight of the second, 0 to 1."""
         place = max(time_s, 0.0) * self.footage.rate_hz
         whole = int(place)
         self._read_to(whole + 1)
@@ -210,24 +156,7 @@ class Clip:
 
 
 def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
-    """Scale a gray frame until it covers a size, and cut out its middle.
-
-    Parameters
-    ----------
-    frame
-        (rows, columns) uint8, at least 2 x 2.
-    size
-        (height, width) of the result in pixels.
-
-    Returns
-    -------
-    (height, width) uint8, contiguous.
-
-    Raises
-    ------
-    SettingsError
-        The frame is not gray, not uint8 or smaller than 2 x 2.
-    """
+    """Scale a gray frame until it covers a size, and cut out its middle."""
     import cv2
 
     if frame.ndim != 2 or frame.dtype != np.uint8 or min(frame.shape) < 2:
@@ -269,50 +198,25 @@ class Scenery:
 
 
 def flat_background(scenery: Scenery) -> Painter:
-    """Return the painter of an even background.
-
-    Parameters
-    ----------
-    scenery
-        What the background is made for; ``settings.background.level`` is its light in full scales.
-    """
+    """Return the painter of an even background."""
     level = scenery.settings.background.level
     return lambda light, *_: light.fill(level)
 
 
 def drawn_background(scenery: Scenery) -> Painter:
-    """Return the painter of a drawn street, which moves with the camera.
-
-    Parameters
-    ----------
-    scenery
-        What the background is made for; its source of randomness draws the street, and ``settings.background.gain`` is
-        the light of white in full scales.
-    """
+    """Return the painter of a drawn street, which moves with the camera."""
     scene, settings = draw_scene(scenery.size, scenery.rng), scenery.settings
     gain = settings.background.gain / _WHITE
     return _painter(lambda _: (scene, scene, 0.0), gain, settings.camera, scenery.size, SCENE_DEPTH_M)
 
 
 def street_background(scenery: Scenery) -> Painter:
-    """Return the painter of a street by day, in perspective, which moves with the camera.
-
-    Parameters
-    ----------
-    scenery
-        What the background is made for, as of `drawn_background`.
-    """
+    """Return the painter of a street by day, in perspective, which moves with the camera."""
     return _street(scenery, night=False)
 
 
 def night_background(scenery: Scenery) -> Painter:
-    """Return the painter of a street by night, in perspective, which moves with the camera.
-
-    Parameters
-    ----------
-    scenery
-        What the background is made for, as of `drawn_background`.
-    """
+    """Return the painter of a street by night, in perspective, which moves with the camera."""
     return _street(scenery, night=True)
 
 
@@ -323,19 +227,7 @@ def _street(scenery: Scenery, night: bool) -> Painter:
 
 
 def footage_background(scenery: Scenery) -> Painter:
-    """Return the painter of recorded frames, which move with the camera's shake.
-
-    Parameters
-    ----------
-    scenery
-        What the background is made for; it has the recorded frames, and ``settings.background.gain`` is the light of
-        white in full scales.
-
-    Raises
-    ------
-    SettingsError
-        There are no recorded frames.
-    """
+    """Return the painter of recorded frames, which move with the camera's shake."""
     if scenery.footage is None:
         raise SettingsError("background.kind = footage needs recorded frames")
     clip, settings = Clip(scenery.footage, scenery.size), scenery.settings
@@ -344,22 +236,7 @@ def footage_background(scenery: Scenery) -> Painter:
 
 
 def background(settings: ChannelSettings, footage: Footage | None, rng: np.random.Generator) -> Painter:
-    """Return the painter of a film's background.
-
-    Parameters
-    ----------
-    settings
-        The channel; ``settings.background.kind`` names the background.
-    footage
-        Recorded frames, for the kind "footage"; None where there are none.
-    rng
-        Draws the scene of the kinds "synthetic", "street" and "street-night".
-
-    Raises
-    ------
-    SettingsError
-        The kind is "footage" and there is none.
-    """
+    """Return the painter of a film's background."""
     painter: Painter = BACKGROUNDS[settings.background.kind](Scenery(settings, footage, rng))
     return painter
 

@@ -18,17 +18,6 @@ def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
 
     Numbers, sizes and gray levels of all of them are chosen by eye; a change would change every film with this
     background.
-
-    Parameters
-    ----------
-    size
-        (height, width) in pixels.
-    rng
-        Draws places, sizes and gray levels.
-
-    Returns
-    -------
-    (height, width) uint8.
     """
     import cv2
 

@@ -9,23 +9,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Footage:
-    """Gray frames that can be read from the start any number of times.
+    """Gray frames that can be read from the start any number of times."""
 
-    Attributes
-    ----------
-    frames
-        Returns a new iterator over (rows, columns) uint8 frames, all of one size; gray levels are taken as linear
-        light.
-    rate_hz
-        Frames a second, above 0.
-
-    Raises
-    ------
-    ValueError
-        The rate is not above 0.
-    """
-
+    # Returns a new iterator over (rows, columns) uint8 frames, all of one size; gray levels are taken as linear light
     frames: Callable[[], Iterator[NDArray[np.uint8]]]
+    # Frames a second, above 0
     rate_hz: float
 
     def __post_init__(self) -> None:

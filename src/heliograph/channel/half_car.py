@@ -16,48 +16,29 @@ class HalfCar:
 
     Masses, springs and dampers are sums over both sides. The defaults are chosen as common textbook values: the body's
     modes lie at 1.01 and 1.27 Hz, wheel hop at 10.4 and 10.9 Hz.
-
-    Attributes
-    ----------
-    body_kg
-        Mass of the body in kg.
-    inertia_kg_m2
-        Its moment of inertia about the pitch axis in kg m^2.
-    front_m
-        Front axle before the centre of mass in m.
-    rear_m
-        Rear axle behind the centre of mass in m.
-    axle_kg
-        Masses of the front and the rear axle in kg.
-    spring_n_m
-        Stiffness of the front and the rear springs in N/m.
-    damper_n_s_m
-        Damping of the front and the rear dampers in N s/m.
-    tyre_n_m
-        Stiffness of the front and the rear tyres in N/m.
-    camera_m
-        Camera before the centre of mass in m: near the windscreen.
     """
 
+    # Mass of the body in kg
     body_kg: float = 1380.0
+    # Its moment of inertia about the pitch axis in kg m^2
     inertia_kg_m2: float = 2440.0
+    # Front axle before the centre of mass in m
     front_m: float = 1.25
+    # Rear axle behind the centre of mass in m
     rear_m: float = 1.51
+    # Masses of the front and the rear axle in kg
     axle_kg: tuple[float, float] = (81.0, 91.0)
+    # Stiffness of the front and the rear springs in N/m
     spring_n_m: tuple[float, float] = (34e3, 44e3)
+    # Damping of the front and the rear dampers in N s/m
     damper_n_s_m: tuple[float, float] = (3e3, 3e3)
+    # Stiffness of the front and the rear tyres in N/m
     tyre_n_m: tuple[float, float] = (384e3, 384e3)
+    # Camera before the centre of mass in m: near the windscreen
     camera_m: float = 0.5
 
     def matrices(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the matrices of the equation of motion M q" + C q' + K q = B r.
-
-        Returns
-        -------
-        tuple of float64
-            M, C and K of shape (4, 4), and B of shape (4, 2), for q = heave, pitch, height of the front and of the rear
-            axle, and r = height of the road at the axles; in kg, m, s and rad.
-        """
+        """Return the matrices of the equation of motion M q" + C q' + K q = B r."""
         travel = np.array([[1, self.front_m, -1, 0], [1, -self.rear_m, 0, -1]])  # of the springs
         tyres = np.array([[0, 0], [0, 0], [self.tyre_n_m[0], 0], [0, self.tyre_n_m[1]]])
         mass = np.diag([self.body_kg, self.inertia_kg_m2, *self.axle_kg])
@@ -66,20 +47,7 @@ class HalfCar:
         return mass, damping, stiffness, tyres
 
     def ride(self, road_m: Floats, step_s: float) -> Floats:
-        """Return the car's displacements on a road, from rest at the first heights.
-
-        Parameters
-        ----------
-        road_m
-            (samples, 2) height of the road in m at the front and the rear axle. A height holds from its sample to the
-            next: take it in the middle of the step.
-        step_s
-            Time between samples in s, above 0.
-
-        Returns
-        -------
-        (samples, 4) float64: heave in m, pitch in rad, heights of the front and the rear axle in m.
-        """
+        """Return the car's displacements on a road, from rest at the first heights."""
         advance, enter = _discretise(self.matrices(), step_s)
         drive = road_m @ enter.T
         state = np.zeros((len(road_m) + 1, 8))

@@ -20,14 +20,7 @@ WAVES = 24
 
 
 def hand_motion(drive: Drive) -> Shake | None:
-    """Return the shake of a hand: pitch, yaw and roll as sums of sines.
-
-    Parameters
-    ----------
-    drive
-        What the motion is made for; ``settings.hand_deg`` is the rms of the sway, its source of randomness draws
-        frequencies and phases.
-    """
+    """Return the shake of a hand: pitch, yaw and roll as sums of sines."""
     rms, rng = np.deg2rad(drive.settings.hand_deg), drive.rng
     if not rms:
         return None

@@ -53,19 +53,6 @@ def disc_cubature(resolution: float) -> tuple[Floats, float]:
     The largest error of a pixel, relative to an LED's brightest pixel, is 0.03 % up to a resolution of 0.4, 0.05 % up
     to 0.65, 0.2 % up to 1.6, 0.5 % up to 4. The reference lens at 60, 25 and 10 m has the resolutions 0.24, 0.58 and
     1.46.
-
-    Parameters
-    ----------
-    resolution
-        Radius of the disc in standard deviations of the optical blur, above 0; a caller rounds it up, so that few
-        cubatures are made.
-
-    Returns
-    -------
-    points
-        (k, 2) float64 centres in radii of the disc.
-    rest
-        Variance of each Gaussian along an axis in squared radii, so that the variance of all is 1/4, the disc's own.
     """
     # the disc has kappa_4 = -R^4 / 16; a ring of radius q has -3 q^4 / 8: equal at q = R / 6^(1/4);
     # a square of corners (+-q, +-q) has -2 q^4: equal at q = R / 32^(1/4) along the axes
@@ -187,34 +174,7 @@ def add_leds(
     rest: float,
     table: Floats,
 ) -> None:
-    """Add the light of an array's LEDs to a window of the image, in place.
-
-    Parameters
-    ----------
-    light
-        (h, w) float32 light in full scales, changed.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-    homography
-        (3, 3) of `scene.homography` at one time.
-    drift
-        (3, 3) change of the homography a second.
-    eye
-        (3,) position of the camera in the array's axes in m, of `scene.homography` at that time.
-    moments
-        Three (n, n) float64: light of each LED times the fraction of the exposure for which it is lit, in full scales;
-        the centroid of its lit time in s, from the time of the homography; the variance of its lit time in s^2.
-    emitter
-        Pitch in m, radius in m, Lambertian order.
-    lens
-        Focal length in px, blur in px.
-    points
-        (k, 2) centres of the Gaussians of `disc_cubature`, in radii of the emitter's disc.
-    rest
-        Variance of each of these Gaussians along an axis, in squared radii of the disc.
-    table
-        Samples of the normal distribution function, as `normal_table` returns them.
-    """
+    """Add the light of an array's LEDs to a window of the image, in place."""
     level, late, spread = moments
     n = level.shape[0]
     scratch = np.empty((2, max(light.shape) + 1))
@@ -282,27 +242,7 @@ def draw_images(
     rest: float,
     table: Floats,
 ) -> None:
-    """Add the light of each LED of an array at rest to an image of its own, in place.
-
-    Parameters
-    ----------
-    images
-        (n, n, s, s) float32 light in full scales, changed; all LEDs have the level 1.
-    corners
-        (n, n, 2) x, y on the sensor of each image's first pixel.
-    homography
-        (3, 3) of `scene.homography`.
-    eye
-        (3,) position of the camera in the array's axes in m.
-    emitter
-        Pitch in m, radius in m, Lambertian order.
-    lens
-        Focal length in px, blur in px.
-    points, rest
-        (k, 2) centres of the Gaussians of `disc_cubature`, and their variance, in radii and squared radii of the disc.
-    table
-        Samples of the normal distribution function, as `normal_table` returns them.
-    """
+    """Add the light of each LED of an array at rest to an image of its own, in place."""
     n, still = images.shape[0], np.zeros((3, 3))
     scratch = np.empty((2, images.shape[2] + 1))
     for u in range(n):
@@ -322,20 +262,7 @@ def add_images(
     images: NDArray[np.float32],
     corners: NDArray[np.int64],
 ) -> None:
-    """Add the light of LEDs to a window of the image by their own images, in place.
-
-    Parameters
-    ----------
-    light
-        (h, w) float32 light in full scales, changed.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-    level
-        (n, n) float32 light of each LED, as the first moment of `add_leds`.
-    images, corners
-        (n, n, rows, columns) images of LEDs with the level 1, and their first pixels, as `draw_images` gives them; rows
-        and columns that are dark in all of them may be left out.
-    """
+    """Add the light of LEDs to a window of the image by their own images, in place."""
     height, width = light.shape
     # images are cut to what is lit: they may be higher than wide
     rows, cols = images.shape[2], images.shape[3]
@@ -363,25 +290,7 @@ def cover(
     level: float,
     table: Floats,
 ) -> None:
-    """Lay an opaque square panel over a window of the image, in place.
-
-    Parameters
-    ----------
-    light
-        (h, w) float32 light in full scales, changed.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-    inverse
-        (3, 3): pixels -> the array's plane, right and down of its centre in standard deviations of the blur there.
-    half
-        Half the panel's width and height in the same unit.
-    box
-        First x, first y, last x, last y of the pixels that it can reach, on the sensor.
-    level
-        Light of the panel in full scales.
-    table
-        Samples of the normal distribution function, as `normal_table` returns them.
-    """
+    """Lay an opaque square panel over a window of the image, in place."""
     height, width = light.shape
     for y in range(max(box[1], corner[1]), min(box[3], corner[1] + height - 1) + 1):
         for x in range(max(box[0], corner[0]), min(box[2], corner[0] + width - 1) + 1):

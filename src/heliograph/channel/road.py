@@ -29,58 +29,25 @@ _WHOLE = 1e-9
 
 @dataclass(frozen=True)
 class RoadProfile:
-    """Height of a road, periodic.
+    """Height of a road, periodic."""
 
-    Attributes
-    ----------
-    height_m
-        (samples,) float64 heights in m, upward, every `STEP_M`.
-    """
-
+    # (samples,) float64 heights in m, upward, every `STEP_M`
     height_m: NDArray[np.float64]
 
     def at(self, distance_m: ArrayLike) -> NDArray[np.float64]:
-        """Return the height in m along the road, by straight lines between the samples.
-
-        Parameters
-        ----------
-        distance_m
-            (...) distances along the road in m, of any shape and sign; the profile repeats beyond its ends.
-        """
+        """Return the height in m along the road, by straight lines between the samples."""
         place = np.asarray(distance_m) / STEP_M
         return np.interp(place, np.arange(self.height_m.size), self.height_m, period=self.height_m.size)
 
 
 def roughness(road_class: str, per_m: ArrayLike) -> NDArray[np.float64]:
-    """Return the displacement power spectral density of a road (ISO 8608).
-
-    Parameters
-    ----------
-    road_class
-        Class of the road by ISO 8608, "A" (smooth) to "D" (rough).
-    per_m
-        Spatial frequencies in cycle/m, above 0, of any shape.
-
-    Returns
-    -------
-    float64 in m^3, of the shape of `per_m`.
-    """
+    """Return the displacement power spectral density of a road (ISO 8608)."""
     # ISO 8608: G_d(n) = G_d(n0) (n / n0)^-2
     return ROUGHNESS_M3[road_class] * (np.asarray(per_m) / REFERENCE_PER_M) ** -2.0
 
 
 def road_profile(road_class: str, length_m: float, rng: np.random.Generator) -> RoadProfile:
-    """Draw a random road: a sum of sine waves of random phase with the spectrum of ISO 8608.
-
-    Parameters
-    ----------
-    road_class
-        Class of the road by ISO 8608, "A" (smooth) to "D" (rough).
-    length_m
-        Length in m after which the profile may repeat.
-    rng
-        Draws the phase of each wave.
-    """
+    """Draw a random road: a sum of sine waves of random phase with the spectrum of ISO 8608."""
     samples = 1 << int(np.ceil(np.log2(max(length_m, SHORTEST_M) / STEP_M - _WHOLE)))
     per_m = np.fft.rfftfreq(samples, STEP_M)
     band = (per_m >= BAND_PER_M[0]) & (per_m <= BAND_PER_M[1])

@@ -19,13 +19,7 @@ _STEPS_PER_OCTAVE = 8
 
 
 def shape_of(settings: ChannelSettings) -> tuple[float, float, float]:
-    """Return pitch in m, radius in m and Lambertian order of a channel's LEDs.
-
-    Parameters
-    ----------
-    settings
-        The channel, of which the emitter is used.
-    """
+    """Return pitch in m, radius in m and Lambertian order of a channel's LEDs."""
     emitter = settings.emitter
     return emitter.pitch_m, emitter.diameter_m / 2, emitter.lobe_order
 
@@ -54,15 +48,7 @@ class Spot(NamedTuple):
 
 
 def spots(settings: ChannelSettings, one: Floats) -> list[Spot]:
-    """Return the Gaussians of the point-spread function for an array's LEDs at a pose.
-
-    Parameters
-    ----------
-    settings
-        The channel, of which emitter and camera are used.
-    one
-        (3, 3) homography, as for `optics.add_leds`.
-    """
+    """Return the Gaussians of the point-spread function for an array's LEDs at a pose."""
     camera, parts = settings.camera, list[Spot]()
     for fraction, shift, sigma in _gaussians(POINT_SPREADS[camera.psf], camera):
         resolution = settings.emitter.diameter_m / 2 * camera.focal_px / one[2, 2] / sigma

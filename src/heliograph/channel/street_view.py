@@ -61,21 +61,7 @@ class _Canvas:
 
 
 def draw_street(size: tuple[int, int], rng: np.random.Generator, night: bool = False) -> Gray:
-    """Draw a straight street: sky, houses, trees, lamps, parked cars, markings.
-
-    Parameters
-    ----------
-    size
-        (height, width) in pixels.
-    rng
-        Draws the houses, what stands before them, and which windows are lit.
-    night
-        Whether it is night: what is not lit is nearly black.
-
-    Returns
-    -------
-    (height, width) uint8.
-    """
+    """Draw a straight street: sky, houses, trees, lamps, parked cars, markings. Returns (height, width) uint8."""
     import cv2
 
     canvas, light = _Canvas(size), 0.16 if night else 1.0

@@ -48,19 +48,7 @@ class LiveOptions:
 
 
 class Watch:
-    """A film that is being received: passes a recording on as it is, and looks after a live camera.
-
-    Parameters
-    ----------
-    source
-        The film.
-    live
-        The camera behind it; None of a recording.
-    recorder
-        Keeps the last seconds where something fails; None where nobody asked for that.
-    aloud
-        Whether messages are shown as they come.
-    """
+    """A film that is being received: passes a recording on as it is, and looks after a live camera."""
 
     def __init__(self, source: "FilmReader", live: "LiveReader | None", recorder: "Recorder | None", aloud: bool):
         self.path, self.frame_count = source.path, source.frame_count

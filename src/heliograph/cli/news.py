@@ -21,13 +21,7 @@ class Told:
 
 
 class News:
-    """Hands rows to all who asked for them; an outlet that fails is told once and left out, the others go on.
-
-    Parameters
-    ----------
-    told
-        Who asked.
-    """
+    """Hands rows to all who asked for them; an outlet that fails is told once and left out, the others go on."""
 
     def __init__(self, told: Told):
         self._told = told
@@ -50,13 +44,7 @@ class News:
         self._open.close()
 
     def tell(self, row: Mapping[str, Any]) -> None:
-        """Hand a row on.
-
-        Parameters
-        ----------
-        row
-            What happened, of `measure.journal`; at the end "end" with the report.
-        """
+        """Hand a row on."""
         if self._told.follow:
             console.say_json(row)
         if self._told.verbose and row["event"] != "end":

@@ -211,11 +211,6 @@ class Folder:
     """The folder results go to, or nowhere: files appear whole, the packet log when all is read.
 
     It holds the results of one film: messages of an earlier one are removed when this one was received to its end.
-
-    Parameters
-    ----------
-    path
-        The folder, made if it does not exist; None writes nothing.
     """
 
     def __init__(self, path: Path | None):

@@ -74,20 +74,7 @@ def write_dataset(
 
 
 def done(plan: DatasetPlan, folder: Path) -> list[int]:
-    """Numbers of the films that a folder has already.
-
-    Parameters
-    ----------
-    plan
-        The data set, with all of its films.
-    folder
-        Where it goes, which need not exist.
-
-    Raises
-    ------
-    MediaError
-        The folder holds another data set, or something else.
-    """
+    """Numbers of the films that a folder has already."""
     try:
         known = _read_plan(folder / PLAN)
         strange = known is None and folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
@@ -105,22 +92,7 @@ def done(plan: DatasetPlan, folder: Path) -> list[int]:
 
 
 def write(plan: DatasetPlan, folder: Path, progress: Callable[[float], None] = lambda _: None) -> None:
-    """Write the films that are missing, then the table and the datasheet.
-
-    Parameters
-    ----------
-    plan
-        The data set, with all of its films.
-    folder
-        Where it goes; made if it does not exist.
-    progress
-        Called with the number of films written, parts included.
-
-    Raises
-    ------
-    MediaError
-        The folder holds another data set, there is no room, or a file cannot be written.
-    """
+    """Write the films that are missing, then the table and the datasheet."""
     kept = frozenset(done(plan, folder))
     there = next(one for one in (folder, *folder.absolute().parents) if one.is_dir())
     room_for(there / folder.name, sum(film.bytes for film in plan.films if film.number not in kept))

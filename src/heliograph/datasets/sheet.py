@@ -99,19 +99,7 @@ SCENES = {
 
 
 def datasheet(plan: DatasetPlan, sources: Sequence[str]) -> str:
-    """The datasheet.
-
-    Parameters
-    ----------
-    plan
-        The data set, with all of its films.
-    sources
-        Names of the recordings used; empty for none.
-
-    Returns
-    -------
-    A page in Markdown.
-    """
+    """The datasheet."""
     by_split = {name: [film for film in plan.films if film.split == name] for name in SPLITS}
     splits = [(name, len(by), sum(film.frames for film in by), _seeds(by)) for name, by in by_split.items() if by]
     kinds = sorted({one.settings.channel.background.kind for one in plan.points})
@@ -137,13 +125,7 @@ def datasheet(plan: DatasetPlan, sources: Sequence[str]) -> str:
 
 
 def film_table(plan: DatasetPlan) -> str:
-    """A line for each film, as CSV: number, file, split, seed, frames, and what varies.
-
-    Parameters
-    ----------
-    plan
-        The data set, with all of its films.
-    """
+    """A line for each film, as CSV: number, file, split, seed, frames, and what varies."""
     out = io.StringIO()
     keys = list(plan.points[0].choice)
     rows = csv.writer(out, lineterminator="\n")

@@ -35,13 +35,7 @@ FEWEST_LISTED = 3
 
 
 class Report:
-    """Collects parts of a page.
-
-    Parameters
-    ----------
-    title
-        Heading of the page.
-    """
+    """Collects parts of a page."""
 
     def __init__(self, title: str):
         self._title = title
@@ -49,115 +43,49 @@ class Report:
         self._headings: list[str] = []
 
     def heading(self, text: str) -> None:
-        """Begin a section.
-
-        Parameters
-        ----------
-        text
-            Plain text of the section's heading.
-        """
+        """Begin a section."""
         self._headings.append(text)
         self._parts.append(f"<h2 id=part-{len(self._headings)}>{escape(text)}</h2>")
 
     def text(self, text: str, note: bool = False) -> None:
-        """Add a paragraph.
-
-        Parameters
-        ----------
-        text
-            Plain text of the paragraph.
-        note
-            Whether it is set small and gray.
-        """
+        """Add a paragraph."""
         self._parts.append(f"<p{' class=note' if note else ''}>{escape(text)}</p>")
 
     def verdict(self, verdict: str, text: str) -> None:
-        """Add a paragraph that begins with a verdict in colour.
-
-        Parameters
-        ----------
-        verdict
-            A word, one of `BADGES`.
-        text
-            Plain text after it.
-        """
+        """Add a paragraph that begins with a verdict in colour."""
         self._parts.append(f"<p>{_badge(verdict)} {escape(text)}</p>")
 
     def badges(self, shown: Iterable[tuple[str, str]]) -> None:
-        """Add a line of words in colour.
-
-        Parameters
-        ----------
-        shown
-            For each a verdict, one of `BADGES`, which gives the colour, and its plain text.
-        """
+        """Add a line of words in colour."""
         parts = (f"<span class=count>{_badge(word, text)}</span>" for word, text in shown)
         self._parts.append(f"<p>{' '.join(parts)}</p>")
 
     def code(self, text: str) -> None:
-        """Add text in a fixed-width font, with its line breaks.
-
-        Parameters
-        ----------
-        text
-            Plain text of one or more lines.
-        """
+        """Add text in a fixed-width font, with its line breaks."""
         self._parts.append(f"<pre>{escape(text)}</pre>")
 
     def figure(self, figure: "Figure", caption: str) -> None:
-        """Add a plot.
-
-        Parameters
-        ----------
-        figure
-            Plot, stored as a PNG of 130 dots per inch.
-        caption
-            Plain text below it.
-        """
+        """Add a plot."""
         out = io.BytesIO()
         figure.savefig(out, format="png", dpi=130, bbox_inches="tight")
         self.picture(out.getvalue(), caption)
 
     def picture(self, png: bytes, caption: str) -> None:
-        """Add a picture.
-
-        Parameters
-        ----------
-        png
-            Content of a PNG or WebP file; WebP may move.
-        caption
-            Plain text below it.
-        """
+        """Add a picture."""
         kind = "webp" if png.startswith(b"RIFF") else "png"
         data = base64.b64encode(png).decode()
         image = f'<img alt="{escape(caption)}" src="data:image/{kind};base64,{data}">'
         self._parts.append(f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>")
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], prose: bool = False) -> None:
-        """Add a table.
-
-        Parameters
-        ----------
-        head
-            Plain text above each column.
-        rows
-            Plain text of the cells, row by row; a word of `BADGES` is set in colour.
-        prose
-            Whether the cells are text, whose lines may be broken.
-        """
+        """Add a table."""
         top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
         body = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in rows)
         kind = " class=prose" if prose else ""
         self._parts.append(f"<div class=wide><table{kind}><tr>{top}</tr>{body}</table></div>")
 
     def write(self, path: Path) -> None:
-        """Write the page, whole or not at all.
-
-        Parameters
-        ----------
-        path
-            HTML file to write; an older one is replaced.
-        """
+        """Write the page, whole or not at all."""
         head = (
             f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{escape(self._title)}</title>"
         )

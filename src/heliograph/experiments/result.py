@@ -16,42 +16,27 @@ Verdict = Literal["holds", "differs", "shown"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A claim and the measurement beside it.
+    """A claim and the measurement beside it."""
 
-    Attributes
-    ----------
-    claim
-        The paper's claim, or a question of our own.
-    ours
-        The measurement, with counts and interval.
-    verdict
-        Whether the claim "holds" or "differs", or is only "shown"; see `Verdict`.
-    why
-        The reason where they differ; empty where there is none to give.
-    """
-
+    # The paper's claim, or a question of our own
     claim: str
+    # The measurement, with counts and interval
     ours: str
+    # Whether the claim "holds" or "differs", or is only "shown"; see `Verdict`
     verdict: Verdict
+    # The reason where they differ; empty where there is none to give
     why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table.
+    """A table."""
 
-    Attributes
-    ----------
-    title
-        Heading above the table.
-    head
-        Heads of the columns.
-    rows
-        Cells, row by row; each row has a cell for each column.
-    """
-
+    # Heading above the table
     title: str
+    # Heads of the columns
     head: Sequence[str]
+    # Cells, row by row; each row has a cell for each column
     rows: Sequence[Sequence[str]]
 
     def markdown(self) -> str:
@@ -62,71 +47,44 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentResult:
-    """The result of an experiment.
+    """The result of an experiment."""
 
-    Attributes
-    ----------
-    key, title
-        Name on the command line, such as "fig13", and heading.
-    text
-        Describes the experiment for a reader of the report.
-    findings
-        Claims, each with the measurement beside it.
-    pictures
-        Plots, each with a caption.
-    tables
-        Tables of the measurements, each with its heading.
-    data
-        The numbers of pictures and tables as plain values, for JSON.
-    drawn
-        PNG files of plots that an earlier run drew, each with a caption.
-    """
-
+    # key, title: name on the command line, such as "fig13", and heading
     key: str
     title: str
+    # Describes the experiment for a reader of the report
     text: str
+    # Claims, each with the measurement beside it
     findings: Sequence[Finding] = ()
+    # Plots, each with a caption
     pictures: Sequence[tuple["Figure", str]] = ()
+    # Tables of the measurements, each with its heading
     tables: Sequence[Table] = ()
+    # The numbers of pictures and tables as plain values, for JSON
     data: Mapping[str, Any] = field(default_factory=dict)
+    # PNG files of plots that an earlier run drew, each with a caption
     drawn: Sequence[tuple[bytes, str]] = ()
 
 
 def quiet(title: str, done: float, /) -> None:
-    """Report no progress.
-
-    Parameters
-    ----------
-    title, done
-        Title of what is being done, and the fraction done, 0 to 1. Both are ignored.
-    """
+    """Report no progress."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Context:
-    """Effort, seed, recordings and workers of an experiment.
+    """Effort, seed, recordings and workers of an experiment."""
 
-    Attributes
-    ----------
-    quick
-        Few trials: minutes in place of tens of minutes, with wide intervals.
-    seed
-        Seed of all randomness, 0 or more.
-    clips
-        Files of real footage by name; empty: a drawn scene takes their place.
-    imu
-        File of recorded car motion; None: a road takes its place.
-    workers
-        Processes to use, 1 or more.
-    progress
-        Called with a title and the fraction done, 0 to 1.
-    """
-
+    # Few trials: minutes in place of tens of minutes, with wide intervals
     quick: bool = True
+    # Seed of all randomness, 0 or more
     seed: int = 0
+    # Files of real footage by name; empty: a drawn scene takes their place
     clips: Mapping[str, Path] = field(default_factory=dict)
+    # File of recorded car motion; None: a road takes its place
     imu: Path | None = None
+    # Processes to use, 1 or more
     workers: int = 1
+    # Called with a title and the fraction done, 0 to 1
     progress: Callable[[str, float], None] = quiet
 
     def each(
@@ -136,23 +94,6 @@ class Context:
         works: Iterable[Work],
         span: tuple[float, float] = (0.0, 1.0),
     ) -> list[Result]:
-        """Results of a job for each of some works, computed by the workers; see `executors.each`.
-
-        Parameters
-        ----------
-        title
-            What is being done, as the progress names it.
-        job
-            A function of a module, so that a worker process can find it.
-        works
-            Arguments of the job, one for each call.
-        span
-            Fractions of the experiment done before and after, each 0 to 1.
-
-        Raises
-        ------
-        HeliographError
-            A worker process was lost.
-        """
+        """Results of a job for each of some works, computed by the workers; see `executors.each`."""
         start, end = span
         return each(self.workers, job, works, lambda done: self.progress(title, start + (end - start) * done))

@@ -21,29 +21,12 @@ RATE_TOLERANCE = 1e-3
 
 
 def signal_note(signal: SignalSettings) -> dict[str, str]:
-    """Return what a film notes of its signal, as metadata.
-
-    Parameters
-    ----------
-    signal
-        Signal of the arrays in the film.
-    """
+    """Return what a film notes of its signal, as metadata."""
     return {SIGNAL_TAG: json.dumps(to_mapping(signal))}
 
 
 def noted_signal(film: FilmReader) -> dict[str, Any]:
-    """Signal settings that a film notes, as nested mappings; empty where it notes none.
-
-    Parameters
-    ----------
-    film
-        An open film, of which the metadata are read.
-
-    Raises
-    ------
-    MediaError
-        The note is unreadable.
-    """
+    """Signal settings that a film notes, as nested mappings; empty where it notes none."""
     text = film.metadata.get(SIGNAL_TAG)
     if text is None:
         return {}
@@ -60,26 +43,7 @@ def noted_signal(film: FilmReader) -> dict[str, Any]:
 def signal_of(
     film: FilmReader, preset: SignalSettings, changes: Sequence[Mapping[str, Any]] = ()
 ) -> tuple[SignalSettings, str]:
-    """Signal of a film: the preset's, changed by the film's note and then by the changes.
-
-    Parameters
-    ----------
-    film
-        Its note wins over the preset. A note that is unreadable is ignored if there are changes.
-    preset
-        Gives the settings that the film does not note.
-    changes
-        Nested mappings of signal settings, laid over the note key by key.
-
-    Returns
-    -------
-    The signal, and a line that lists where the changes differ from the note; empty where they do not.
-
-    Raises
-    ------
-    MediaError
-        The film's note is unreadable.
-    """
+    """Signal of a film: the preset's, changed by the film's note and then by the changes."""
     try:
         note = noted_signal(film)
     except MediaError:
@@ -97,15 +61,7 @@ def signal_of(
 
 
 def departures(film: object, signal: SignalSettings) -> list[tuple[str, Any, Any]]:
-    """Return the settings in which a signal differs from what a film notes: dotted key, value, noted value.
-
-    Parameters
-    ----------
-    film
-        An open film; frames without metadata note nothing.
-    signal
-        The signal the film is read with.
-    """
+    """Return the settings in which a signal differs from what a film notes: dotted key, value, noted value."""
     try:
         note = json.loads(getattr(film, "metadata", {}).get(SIGNAL_TAG, "{}"))
         return _differences(signal, from_mapping(SignalSettings, merge(to_mapping(signal), note)))
@@ -130,22 +86,7 @@ def _shown(value: Any) -> Any:
 
 
 def check_truth(film: FilmReader, truth: TruthFile, signal: SignalSettings) -> None:
-    """Check that errors can be counted: the truth is that of the film, and the signal is the one that was sent.
-
-    Parameters
-    ----------
-    film
-        The film to be received.
-    truth
-        The truth to count against.
-    signal
-        The signal the film is read with.
-
-    Raises
-    ------
-    MediaError
-        The truth belongs to another film, or another signal was sent.
-    """
+    """Check that errors can be counted: the truth is that of the film, and the signal is the one that was sent."""
     camera, own = truth.settings.channel.camera, film.metadata.get(TRUTH_TAG)
     size, rate = (camera.width, camera.height), camera.fps
     if own and truth.film_id and own != truth.film_id:

@@ -21,18 +21,7 @@ IMU_COLUMNS = ("t_s", "gyro_fwd_rad_s", "gyro_right", "gyro_down", "speed_m_s")
 
 
 def load_footage(path: Path) -> Footage:
-    """Footage from any video file; it is read again from the start whenever the channel needs it.
-
-    Parameters
-    ----------
-    path
-        The video; it must stay where it is as long as the footage is used.
-
-    Raises
-    ------
-    MediaError
-        The file is missing, damaged or no video.
-    """
+    """Footage from any video file; it is read again from the start whenever the channel needs it."""
     with open_film(path, expand_range=True) as film:
         rate = film.rate_hz
         next(iter(film))
@@ -46,18 +35,7 @@ def load_footage(path: Path) -> Footage:
 
 
 def load_imu(path: Path) -> ImuTrace:
-    """Motion of a car from a CSV file.
-
-    Parameters
-    ----------
-    path
-        The file, whose first line names its columns: those of `IMU_COLUMNS`, others are ignored.
-
-    Raises
-    ------
-    MediaError
-        The file is missing, lacks a column, or holds what is no number.
-    """
+    """Motion of a car from a CSV file."""
     table = _table(path)
     lacking = [name for name in IMU_COLUMNS if name not in (table.dtype.names or ())]
     if lacking:

@@ -18,28 +18,16 @@ Messages = Mapping[str, Sequence[Content]]
 
 @dataclass(frozen=True, kw_only=True)
 class Recordings:
-    """Real recordings a simulation may use.
+    """Real recordings a simulation may use."""
 
-    Attributes
-    ----------
-    footage
-        Background, for channel.background.kind = "footage"; None where there is none.
-    imu
-        Motion of a car, for channel.shake = "imu"; None where there is none.
-    """
-
+    # Background, for channel.background.kind = "footage"; None where there is none
     footage: Footage | None = None
+    # Motion of a car, for channel.shake = "imu"; None where there is none
     imu: ImuTrace | None = None
 
 
 def default_messages(settings: LinkSettings) -> list[Messages]:
-    """A text by layer for each array, which names the array and the layer.
-
-    Parameters
-    ----------
-    settings
-        The link, of which ``transmit.identities`` is used.
-    """
+    """A text by layer for each array, which names the array and the layer."""
     rules = {
         "high": "Signal ahead: red for 12 s. Prepare to stop.",
         "middle": "Junction 7: right lane closed, detour by Harbour Road, 4 minutes of delay.",
@@ -52,21 +40,7 @@ def default_messages(settings: LinkSettings) -> list[Messages]:
 
 
 def transmitters(settings: LinkSettings, messages: Sequence[Messages]) -> list[Transmitter]:
-    """A transmitter for each array.
-
-    Parameters
-    ----------
-    settings
-        The link; its `signal` and `transmit` parts are used.
-    messages
-        What each array sends, in the order of the arrays.
-
-    Raises
-    ------
-    SettingsError
-        There is not one entry for each array, a message is too long, there are too many, or a packet is too small for
-        a codeword.
-    """
+    """A transmitter for each array."""
     identities = settings.transmit.identities
     if isinstance(messages, Mapping) or not isinstance(messages, Sequence) or len(messages) != len(identities):
         raise SettingsError(

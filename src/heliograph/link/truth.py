@@ -63,44 +63,17 @@ NOISE_LEVEL = 0.5
 
 
 def row_type(arrays: int) -> np.dtype[Any]:
-    """Type of a frame's row.
-
-    Parameters
-    ----------
-    arrays
-        Number of arrays in the film, 1 or more.
-    """
+    """Type of a frame's row."""
     return np.dtype([("index", "i8"), ("time_s", "f8"), ("arrays", ARRAY_FIELDS, (arrays,))])
 
 
 def truth_path(film: Path) -> Path:
-    """Return the name of a film's truth file: FILM.truth.npz, cut where file systems allow no such length.
-
-    Parameters
-    ----------
-    film
-        Name of the film, which need not exist.
-    """
+    """Return the name of a film's truth file: FILM.truth.npz, cut where file systems allow no such length."""
     return path_beside(film, ".truth.npz")
 
 
 class TruthWriter:
-    """Writes the truth of a film frame by frame; the file appears whole when finished.
-
-    Parameters
-    ----------
-    path
-        The .npz file, in a folder that exists; a file of that name is replaced.
-    settings, messages, seed
-        What is simulated: the link, what each array sends in the order of the arrays, and the seed.
-    film_id
-        Id that the film has as well, so that film and truth are known to belong together.
-
-    Raises
-    ------
-    MediaError
-        The path is a folder's.
-    """
+    """Writes the truth of a film frame by frame; the file appears whole when finished."""
 
     def __init__(self, path: Path, settings: LinkSettings, messages: Sequence[Messages], seed: int, film_id: str = ""):
         self._path, self._settings, self._messages = path, settings, messages
@@ -113,13 +86,7 @@ class TruthWriter:
         self._count = 0
 
     def add(self, truth: Truth) -> None:
-        """Append a frame.
-
-        Parameters
-        ----------
-        truth
-            Truth of the frame, with one entry for each array of the settings.
-        """
+        """Append a frame."""
         row = np.zeros(1, self._type)
         row["index"], row["time_s"] = truth.index, truth.time_s
         row["arrays"][0] = [
@@ -174,44 +141,30 @@ class TruthWriter:
 
 @dataclass(frozen=True, slots=True)
 class FrameTruth:
-    """The part of a frame's truth that errors are counted with.
+    """The part of a frame's truth that errors are counted with."""
 
-    Attributes
-    ----------
-    index
-        Number of the frame.
-    time_s
-        True time of the start of its exposure in s.
-    distances_m
-        Distance of each array in m, in the order of the settings, rounded to single precision as in a file.
-    visible
-        Whether all LEDs of each array are in view.
-    """
-
+    # Number of the frame
     index: int
+    # True time of the start of its exposure in s
     time_s: float
+    # Distance of each array in m, in the order of the settings, rounded to single precision as in a file
     distances_m: Sequence[float]
+    # Whether all LEDs of each array are in view
     visible: Sequence[bool]
 
 
 @dataclass(frozen=True)
 class TruthFile:
-    """A truth file opened for reading.
+    """A truth file opened for reading."""
 
-    Attributes
-    ----------
-    path
-        The .npz file, from which rows are read when they are asked for.
-    settings, messages, seed
-        What was simulated: the link, what each array sent in the order of the arrays, and the seed.
-    film_id
-        Id the film has as well; empty where unknown.
-    """
-
+    # The .npz file, from which rows are read when they are asked for
     path: Path
+    # settings, messages, seed: what was simulated: the link, what each array sent in the order of the arrays, and the
+    # seed
     settings: LinkSettings
     messages: Sequence[Messages]
     seed: int
+    # Id the film has as well; empty where unknown
     film_id: str = ""
 
     def frames(self) -> Iterator[FrameTruth]:
@@ -223,13 +176,7 @@ class TruthFile:
             )
 
     def rows(self) -> Iterator[NDArray[Any]]:
-        """Rows of `row_type`, one per frame, in the order of time.
-
-        Raises
-        ------
-        MediaError
-            The file is damaged.
-        """
+        """Rows of `row_type`, one per frame, in the order of time."""
         kind = row_type(len(self.settings.channel.arrays))
         with _broken_is_clear(self.path), zipfile.ZipFile(self.path) as archive, archive.open("frames.npy") as file:
             left = count = _count(file, kind)
@@ -245,18 +192,7 @@ class TruthFile:
 
 
 def open_truth(path: Path) -> TruthFile:
-    """Open a truth file.
-
-    Parameters
-    ----------
-    path
-        The .npz file that was written beside a film.
-
-    Raises
-    ------
-    MediaError
-        It is missing, damaged, or no truth file; or it has no frames.
-    """
+    """Open a truth file."""
     if not path.is_file():
         raise MediaError(f"there is no truth file {path}; 'heliograph simulate' writes it beside the film")
     with _broken_is_clear(path), zipfile.ZipFile(path) as archive:

@@ -16,16 +16,6 @@ def read_ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
 
     The thread begins with the first frame that is asked for. It ends with the frames, or where no more are asked for:
     by an error, by Ctrl-C, or when the iterator is closed. It is then waited for, so that the film's file is closed.
-
-    Parameters
-    ----------
-    frames
-        The frames, a generator; it is closed by the thread.
-
-    Yields
-    ------
-    Frame
-        Each frame, and after the last one the error that ended them, if there was one.
     """
     waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(FRAMES_AHEAD)
     wanted = threading.Event()

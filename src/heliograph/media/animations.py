@@ -35,20 +35,7 @@ _BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, IndexError,
 
 
 class AnimationReader(FilmReader):
-    """An animated picture; see `FilmReader`. Times are the sums of the times for which the pictures are shown.
-
-    Parameters
-    ----------
-    path
-        A GIF, PNG or WebP file.
-    reading
-        Options for reading the film.
-
-    Raises
-    ------
-    MediaError
-        Its first picture cannot be read.
-    """
+    """An animated picture; see `FilmReader`. Times are the sums of the times for which the pictures are shown."""
 
     _decodes = True
     faster = ("HDF5",)
@@ -90,15 +77,7 @@ class AnimationReader(FilmReader):
 
 
 def is_animation(path: Path, head: bytes) -> bool:
-    """Return True if a file is a GIF, or a PNG or WebP file of several pictures.
-
-    Parameters
-    ----------
-    path
-        An existing file.
-    head
-        The first bytes of the file, 8 or more where it has them.
-    """
+    """Return True if a file is a GIF, or a PNG or WebP file of several pictures."""
     if not head.startswith(SIGNATURES) or (head.startswith(b"RIFF") and path.suffix.lower() != ".webp"):
         return False
     try:

@@ -17,52 +17,28 @@ _MATRIX = struct.Struct("<9i")
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
-    """How pictures are put upright: rows and columns changed about first, then turned back to front.
+    """How pictures are put upright: rows and columns changed about first, then turned back to front."""
 
-    Attributes
-    ----------
-    transposed
-        Whether rows become columns.
-    rows_back, columns_back
-        Whether rows, and columns, then run the other way.
-    """
-
+    # Whether rows become columns
     transposed: bool = False
+    # rows_back, columns_back: whether rows, and columns, then run the other way
     rows_back: bool = False
     columns_back: bool = False
 
     def upright(self, pixels: Pixels) -> Pixels:
-        """Return a picture the right way up.
-
-        Parameters
-        ----------
-        pixels
-            (rows, columns) gray levels as the file has them.
-        """
+        """Return a picture the right way up."""
         turned: Any = pixels.T if self.transposed else pixels
         turned = turned[:: -1 if self.rows_back else 1, :: -1 if self.columns_back else 1]
         upright: Pixels = np.ascontiguousarray(turned)
         return upright
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Return columns and rows of an upright picture.
-
-        Parameters
-        ----------
-        width, height
-            Columns and rows as the file has them.
-        """
+        """Return columns and rows of an upright picture."""
         return (height, width) if self.transposed else (width, height)
 
 
 def orientation(picture: "av.VideoFrame") -> Orientation:
-    """Return how a picture is put upright; turns by other angles than quarters are left as they are.
-
-    Parameters
-    ----------
-    picture
-        Decoded picture, with the notes of its file.
-    """
+    """Return how a picture is put upright; turns by other angles than quarters are left as they are."""
     from av.sidedata.sidedata import Type
 
     held: Any = picture.side_data

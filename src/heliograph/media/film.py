@@ -275,18 +275,7 @@ def create_film(
 
 
 def checked_path(path: object) -> Path:
-    """A film's path as one.
-
-    Parameters
-    ----------
-    path
-        What is given for it.
-
-    Raises
-    ------
-    MediaError
-        It is neither text nor a path.
-    """
+    """A film's path as one."""
     if not isinstance(path, (str, os.PathLike)):
         raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(path)}")
     return film_path(path)

@@ -74,20 +74,7 @@ _TIMES_AT_ONCE = 4096
 
 
 class Hdf5Reader(TimedReader):
-    """An HDF5 film; see `FilmReader`.
-
-    Parameters
-    ----------
-    path
-        HDF5 film to read.
-    reading
-        How the film is to be read; its levels are gray, so the channel has no effect.
-
-    Raises
-    ------
-    MediaError
-        The file is no readable film.
-    """
+    """An HDF5 film; see `FilmReader`."""
 
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading.rate_hz)
@@ -122,13 +109,7 @@ class Hdf5Reader(TimedReader):
 
 
 def is_hdf5(path: Path) -> bool:
-    """Return whether a file is HDF5, which may begin behind a block of the user's, as MATLAB's files do.
-
-    Parameters
-    ----------
-    path
-        An existing file.
-    """
+    """Return whether a file is HDF5, which may begin behind a block of the user's, as MATLAB's files do."""
     size, place = path.stat().st_size, 0
     with path.open("rb") as file:
         while place < size:

@@ -18,18 +18,7 @@ written at the same speed within the noise of a shared machine, 30 %."""
 
 
 class PatientFile:
-    """A file that hides a failed write from HDF5, which would crash the process at exit; its user reads ``error``.
-
-    Parameters
-    ----------
-    path
-        File that is written anew.
-
-    Attributes
-    ----------
-    error
-        The first write that failed; None as long as all went well.
-    """
+    """A file that hides a failed write from HDF5, which would crash the process at exit; its user reads ``error``."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("w+b", buffering=0)
@@ -48,32 +37,12 @@ class PatientFile:
         return 0 if self._file.closed else self._file.tell()
 
     def readinto(self, buffer: memoryview) -> int:
-        """Read.
-
-        Parameters
-        ----------
-        buffer
-            Where the bytes go.
-
-        Returns
-        -------
-        How many bytes that were; all of them, once a write has failed.
-        """
+        """Read."""
         got = 0 if self._file.closed else self._file.readinto(buffer)
         return len(buffer) if self.error else got  # what was never written may be asked for again
 
     def write(self, data: memoryview) -> int:
-        """Write, or note why that failed.
-
-        Parameters
-        ----------
-        data
-            Bytes that are to be written at the place reached.
-
-        Returns
-        -------
-        How many bytes these are, whatever was written of them.
-        """
+        """Write, or note why that failed."""
         left = memoryview(data).cast("B")
         while (
             self.error is None and len(left) and not self._file.closed
@@ -82,13 +51,7 @@ class PatientFile:
         return len(data)
 
     def truncate(self, size: int) -> int:
-        """Cut the file, or note why that failed.
-
-        Parameters
-        ----------
-        size
-            Its new length in bytes.
-        """
+        """Cut the file, or note why that failed."""
         self._tried(self._file.truncate, size)
         return size
 
@@ -101,22 +64,7 @@ class PatientFile:
 
 
 class Hdf5Sink:
-    """An HDF5 film being written; a `Sink`.
-
-    Parameters
-    ----------
-    partial
-        Hidden file beside the target, which is written to.
-    target
-        Final name of the film, for error messages.
-    spec
-        Form of the film: its size, rate, bits and metadata.
-
-    Raises
-    ------
-    MediaError
-        The file cannot be created.
-    """
+    """An HDF5 film being written; a `Sink`."""
 
     def __init__(self, partial: Path, target: Path, spec: FilmSpec) -> None:
         import h5py
@@ -133,13 +81,7 @@ class Hdf5Sink:
             _write_attributes(self._file.attrs, spec)
 
     def put(self, frame: Frame) -> None:
-        """Append a frame; see `Sink`.
-
-        Raises
-        ------
-        MediaError
-            The file cannot be written.
-        """
+        """Append a frame; see `Sink`."""
         with self._clear_errors():
             if self._count == self._times.shape[0]:
                 self._resize(self._count + _STEP_FRAMES)
@@ -149,13 +91,7 @@ class Hdf5Sink:
             self._count += 1
 
     def close(self) -> None:
-        """Cut the datasets to the frames written and close the file.
-
-        Raises
-        ------
-        MediaError
-            The file cannot be written.
-        """
+        """Cut the datasets to the frames written and close the file."""
         with self._clear_errors():
             self._resize(self._count)
             self._file.close()

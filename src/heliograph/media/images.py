@@ -66,21 +66,7 @@ Numbered = list[tuple[int, str]]
 
 
 class ImagesReader(NumberedReader):
-    """A film of a picture for each frame; see `FilmReader`. It has no clock, so the rate is needed.
-
-    Parameters
-    ----------
-    path
-        A folder, whose pictures are taken in the order of their names, numbers in them as numbers; a pattern, by which
-        a missing number is a lost frame; or a single picture.
-    reading
-        How the film is to be read.
-
-    Raises
-    ------
-    MediaError
-        There is no picture, the folder has several kinds, no rate was given, or the first picture cannot be read.
-    """
+    """A film of a picture for each frame; see `FilmReader`. It has no clock, so the rate is needed."""
 
     _decodes = True
     faster = ("HDF5",)
@@ -128,28 +114,14 @@ class ImagesReader(NumberedReader):
 
 
 def is_picture(path: Path, head: bytes) -> bool:
-    """Return True if a file is a single picture, which FFmpeg would take for a pattern or a stream.
-
-    Parameters
-    ----------
-    path
-        An existing file, whose suffix tells pictures from streams of JPEG and from films in the form RIFF.
-    head
-        The first bytes of the file, 8 or more where it has them.
-    """
+    """Return True if a file is a single picture, which FFmpeg would take for a pattern or a stream."""
     if head.startswith(b"RIFF") and head[8:12] != b"WEBP":  # such as AVI
         return False
     return head.startswith(_PNG) or (head.startswith(_STILLS) and path.suffix.lower() in PICTURE_SUFFIXES)
 
 
 def is_pattern(path: Path) -> bool:
-    """Return whether a path names pictures by a number, such as img%04d.png, and is no file itself.
-
-    Parameters
-    ----------
-    path
-        What was given for a film.
-    """
+    """Return whether a path names pictures by a number, such as img%04d.png, and is no file itself."""
     return _PATTERN.fullmatch(path.name) is not None and not path.exists()
 
 

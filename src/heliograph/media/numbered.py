@@ -27,22 +27,7 @@ class NumberedReader(FilmReader):
 
 
 def camera_rate(path: Path, rate_hz: float | None, said_hz: float | None = None) -> float:
-    """Return the frames per second that a file says, else those that were asked for.
-
-    Parameters
-    ----------
-    path
-        The recording, for the error.
-    rate_hz
-        Frames per second that were given where the film was opened; None for none.
-    said_hz
-        Frames per second as the file says; None or 0 where it has no clock.
-
-    Raises
-    ------
-    MediaError
-        Neither is known.
-    """
+    """Return the frames per second that a file says, else those that were asked for."""
     rate = said_hz or rate_hz
     if not rate:
         raise MediaError(
@@ -53,37 +38,12 @@ def camera_rate(path: Path, rate_hz: float | None, said_hz: float | None = None)
 
 
 def expected_frames(path: Path, claimed: int, frame_bytes: int) -> int:
-    """Return how many frames are to be expected of a file: those it claims, but no more than it has room for.
-
-    Parameters
-    ----------
-    path
-        The file of the frames' levels.
-    claimed
-        Frames that it has as its header says.
-    frame_bytes
-        Bytes of a frame, at least 1.
-    """
+    """Return how many frames are to be expected of a file: those it claims, but no more than it has room for."""
     return min(claimed, path.stat().st_size // frame_bytes)
 
 
 def blocks(path: Path, places: Iterable[int], size: int) -> Iterator[bytearray]:
-    """Yield a file's blocks of bytes, one for each frame; loops are not compiled again for frames that are read-only.
-
-    Parameters
-    ----------
-    path
-        The file, which stays open meanwhile.
-    places
-        First byte of each block.
-    size
-        Bytes of a block, at least 1.
-
-    Raises
-    ------
-    MediaError
-        The file ends within a block, after those before are delivered; or it cannot be read.
-    """
+    """Yield the bytes of each frame of a file in a writable array, for which the kernels are compiled."""
     try:
         with path.open("rb") as file:
             length = path.stat().st_size

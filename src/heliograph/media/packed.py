@@ -8,19 +8,7 @@ _GROUPS = {10: (4, 5), 12: (2, 3)}
 
 
 def unpack(data: bytes | bytearray, bits: int) -> NDArray[np.uint16]:
-    """Return gray levels as numbers of their own.
-
-    Parameters
-    ----------
-    data
-        Whole groups of bytes: 5 bytes hold four levels of 10 bits, 3 bytes two of 12.
-    bits
-        Bits of a gray level, 10 or 12.
-
-    Returns
-    -------
-    (levels,) gray levels in the order of the file.
-    """
+    """Return gray levels as numbers of their own. Returns (levels,) gray levels in the order of the file."""
     held, size = _GROUPS[bits]
     levels = np.empty((len(data) // size, held), np.uint16)
     for place in range(held):
@@ -31,33 +19,13 @@ def unpack(data: bytes | bytearray, bits: int) -> NDArray[np.uint16]:
 
 
 def packed_size(levels: int, bits: int) -> int:
-    """Return the bytes that hold so many levels; their last group is filled up.
-
-    Parameters
-    ----------
-    levels
-        Number of gray levels, 0 or more.
-    bits
-        Bits of a gray level, 10 or 12.
-    """
+    """Return the bytes that hold so many levels; their last group is filled up."""
     held, size = _GROUPS[bits]
     return -(-levels // held) * size
 
 
 def unpack_low_first(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
-    """Return gray levels packed without gaps, the lower bits first, as cameras' formats that end in "p" have them.
-
-    Parameters
-    ----------
-    data
-        (bytes,) whole groups: 5 bytes hold four levels of 10 bits, 3 bytes two of 12 (PFNC 2.4, section 6.2).
-    bits
-        Bits of a gray level, 10 or 12.
-
-    Returns
-    -------
-    (levels,) gray levels in their order.
-    """
+    """Return gray levels packed without gaps, the lower bits first, as cameras' formats that end in "p" have them."""
     held, size = _GROUPS[bits]
     groups = data[: len(data) // size * size].reshape(-1, size).astype(np.uint16)
     levels = np.empty((len(groups), held), np.uint16)
@@ -68,19 +36,7 @@ def unpack_low_first(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
 
 
 def unpack_pairs(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
-    """Return gray levels of GigE Vision 1's packing: two upper bytes about one that holds the lower bits of both.
-
-    Parameters
-    ----------
-    data
-        (bytes,) groups of 3 bytes, two levels each (GigE Vision 1.2, section 26, "Mono10Packed" and "Mono12Packed").
-    bits
-        Bits of a gray level, 10 or 12.
-
-    Returns
-    -------
-    (levels,) gray levels in their order.
-    """
+    """Return gray levels of GigE Vision 1's packing: two upper bytes about one that holds the lower bits of both."""
     groups = data[: len(data) // 3 * 3].reshape(-1, 3).astype(np.uint16)
     lower = bits - 8
     levels = np.empty((len(groups), 2), np.uint16)

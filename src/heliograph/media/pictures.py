@@ -43,20 +43,7 @@ def decode(data: bytes) -> NDArray[np.generic] | None:
 
 
 def checked_form(path: Path, picture: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a picture if it is one of gray levels or of three colours.
-
-    Parameters
-    ----------
-    path
-        Its file, for the error.
-    picture
-        (rows, columns) or (rows, columns, 3), of any type.
-
-    Raises
-    ------
-    MediaError
-        Its numbers are not of 8 or 16 bits.
-    """
+    """Return a picture if it is one of gray levels or of three colours."""
     if picture.dtype not in BITS or picture.shape[2:] not in ((), (3,)):
         kind = f"{picture.dtype} in {(*picture.shape, 1)[2]} channels"
         raise MediaError(f"{path} has pixels of {kind}: save gray or RGB of 8 or 16 bits")
@@ -64,19 +51,7 @@ def checked_form(path: Path, picture: NDArray[np.generic]) -> NDArray[np.generic
 
 
 def to_gray(picture: NDArray[np.generic], channel: str) -> Pixels:
-    """Return the gray levels of a picture.
-
-    Parameters
-    ----------
-    picture
-        (rows, columns) gray levels, or (rows, columns, 3) blue, green and red; uint8 or uint16.
-    channel
-        "luma" (Rec. 601), "red", "green" or "blue"; gray levels stay as they are.
-
-    Returns
-    -------
-    (rows, columns) gray levels of the same type.
-    """
+    """Return the gray levels of a picture. Returns (rows, columns) gray levels of the same type."""
     pixels: Pixels
     if picture.ndim == 2:
         pixels = np.ascontiguousarray(picture)

@@ -16,41 +16,13 @@ MOST_PIXELS = 1 << 27
 
 
 def checked_size(path: Path, width: int, height: int) -> None:
-    """Check the size of a film's frames.
-
-    Parameters
-    ----------
-    path
-        The film, for the error.
-    width, height
-        Columns and rows in pixels as the file says.
-
-    Raises
-    ------
-    MediaError
-        There are no pixels, or more than any camera has.
-    """
+    """Check the size of a film's frames."""
     if not 0 < width * height <= MOST_PIXELS:
         raise MediaError(f"{path} has frames of {width}x{height} pixels: it is no film, or damaged; copy it again")
 
 
 def checked_time(path: Path, time_s: float, count: int) -> float:
-    """Return the time of a frame if it is one.
-
-    Parameters
-    ----------
-    path
-        The film, for the error.
-    time_s
-        Time in s as the file says.
-    count
-        Number of whole frames before it, which the error tells.
-
-    Raises
-    ------
-    MediaError
-        It is not finite, or of another unit than seconds.
-    """
+    """Return the time of a frame if it is one."""
     if not abs(time_s) <= LATEST_S:
         raise MediaError(
             f"{path} has a frame at {time_s:g} s after {count} whole frames: times are in seconds, at most "
@@ -60,24 +32,7 @@ def checked_time(path: Path, time_s: float, count: int) -> float:
 
 
 def check_levels(path: Path, pixels: Pixels, bits: int, count: int) -> None:
-    """Check that gray levels have no more bits than the file says.
-
-    Parameters
-    ----------
-    path
-        The recording, for the error.
-    pixels
-        (rows, columns) gray levels, uint8 or uint16.
-    bits
-        Bits of a gray level as the file says, 8 to 16.
-    count
-        Number of whole frames before, which the error tells.
-
-    Raises
-    ------
-    MediaError
-        A level is above full scale.
-    """
+    """Check that gray levels have no more bits than the file says."""
     if bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
         raise MediaError(
             f"{path} has a gray level of {int(pixels.max())} after {count} whole frames, and its header says {bits} "
@@ -89,35 +44,6 @@ class FilmReader(ABC):
     """A film opened for reading: iterate it for its frames, one at a time; each iteration starts at the first frame.
 
     Memory does not grow with the film. Use it as a context manager, or call `close`.
-
-    Parameters
-    ----------
-    path
-        File of the film to read.
-    rate_hz
-        Frames per second of the camera, above 0, if the file claims another rate; None uses the times of the file.
-
-    Attributes
-    ----------
-    path
-        The film's file, which the errors name.
-    width
-        Columns of a frame in pixels.
-    height
-        Rows of a frame in pixels.
-    bits
-        Bits of a gray level, 8 to 16.
-    claimed_hz
-        Frames per second as the file says, above 0.
-    frame_count
-        Frames to expect, for a progress display: exact for HDF5, else the smaller of the container's count and the
-        duration times the rate, which counts dropped frames too; None where unknown.
-    metadata
-        Text kept with the film by its writer; of films from elsewhere the container's own tags.
-    faster
-        Kinds of films that are read faster, the fastest first; none where the kind is among these itself.
-    read_s
-        Seconds that its frames were waited for so far; what was decoded ahead of its use does not count.
     """
 
     _decodes: ClassVar[bool] = False
@@ -147,20 +73,7 @@ class FilmReader(ABC):
         return self._true_hz or self.claimed_hz
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames in order of time.
-
-        Yields
-        ------
-        Frame
-            Pixels of shape (height, width), uint8 for 8 bit, else uint16; ``time_s`` the start of the exposure in
-            seconds; ``index`` is ``round(time_s * rate_hz)``, so that a dropped frame leaves a gap.
-
-        Raises
-        ------
-        MediaError
-            The film is closed, holds no frames, is damaged, or ends in the middle; every whole frame before the
-            damage is delivered first.
-        """
+        """Yield the frames in order of time."""
         if self._closed:
             raise MediaError(f"{self.path} is closed: iterate it inside its 'with' block")
         frames = self._checked()

@@ -12,25 +12,13 @@ CHANNELS = ("luma", "red", "green", "blue")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """How a film is to be read.
+    """How a film is to be read."""
 
-    Attributes
-    ----------
-    rate_hz
-        Frames per second that the camera took, 1e-6 to 1e6; None believes the file.
-    expand_range
-        Whether to stretch limited-range video (black at 16, white at 235) to the full scale.
-    channel
-        One of `CHANNELS`; of gray films all of them are the gray levels.
-
-    Raises
-    ------
-    MediaError
-        The rate is none of a camera, or there is no such channel.
-    """
-
+    # Frames per second that the camera took, 1e-6 to 1e6; None believes the file
     rate_hz: float | None = None
+    # Whether to stretch limited-range video (black at 16, white at 235) to the full scale
     expand_range: bool = False
+    # One of `CHANNELS`; of gray films all of them are the gray levels
     channel: str = "luma"
 
     def __post_init__(self) -> None:

@@ -18,23 +18,15 @@ Slot = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Layout:
-    """How the LEDs of a slot lie in the bytes of a file.
+    """How the LEDs of a slot lie in the bytes of a file."""
 
-    Attributes
-    ----------
-    signature
-        First 8 bytes of such a file; the last but one is the layout's version.
-    size
-        Bytes of a slot by the LEDs of a side.
-    pack
-        Bytes of a slot.
-    unpack
-        The slot of such bytes and the LEDs of a side; a ValueError where no slot has them.
-    """
-
+    # First 8 bytes of such a file; the last but one is the layout's version
     signature: bytes
+    # Bytes of a slot by the LEDs of a side
     size: Callable[[int], int]
+    # Bytes of a slot
     pack: Callable[[Slot], bytes]
+    # The slot of such bytes and the LEDs of a side; a ValueError where no slot has them
     unpack: Callable[[bytes, int], Slot]
 
 

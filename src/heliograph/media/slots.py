@@ -90,15 +90,7 @@ class SlotForm:
 
 
 def file_size(path: Path, form: SlotForm) -> int:
-    """Return the length of a file of slots in bytes.
-
-    Parameters
-    ----------
-    path
-        Its name, whose suffix tells its kind.
-    form
-        What it holds: size, timing and number of its slots.
-    """
+    """Return the length of a file of slots in bytes."""
     kind = path.suffix.lower()
     size = _layout(kind).size(form.side)
     if kind == C_HEADER:
@@ -107,22 +99,7 @@ def file_size(path: Path, form: SlotForm) -> int:
 
 
 def write_slots(path: Path, slots: Iterable[NDArray[np.uint8]], form: SlotForm) -> None:
-    """Write a file of slots, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        Target; its suffix, one of `SUFFIXES`, chooses the kind.
-    slots
-        (n, n) uint8 LEDs of each slot, 1 on and 0 off, in the order of time.
-    form
-        What is written: size, timing and number of the slots.
-
-    Raises
-    ------
-    MediaError
-        The file cannot be written, or there are other slots than `form` says.
-    """
+    """Write a file of slots, whole or not at all."""
     kind = path.suffix.lower()
     layout = _layout(kind)
     size, written = layout.size(form.side), 0

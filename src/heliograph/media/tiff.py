@@ -37,13 +37,7 @@ class _PagesEndError(Exception):
 
 
 def is_stack(path: Path) -> bool:
-    """Return True if a TIFF file has more than one frame, and so is a film of its own; False if it is damaged.
-
-    Parameters
-    ----------
-    path
-        An existing file. No gray levels are read.
-    """
+    """Return True if a TIFF file has more than one frame, and so is a film of its own; False if it is damaged."""
     try:
         with _Stack(path) as stack:
             return stack.has_several()
@@ -52,20 +46,7 @@ def is_stack(path: Path) -> bool:
 
 
 class TiffReader(NumberedReader):
-    """A TIFF stack; see `FilmReader`. It has no clock, so the rate is needed.
-
-    Parameters
-    ----------
-    path
-        The stack, a TIFF file.
-    reading
-        Options for reading the film.
-
-    Raises
-    ------
-    MediaError
-        The file is no TIFF, its first page cannot be read, it has several channels, or no rate was given.
-    """
+    """A TIFF stack; see `FilmReader`. It has no clock, so the rate is needed."""
 
     _decodes = True
     faster = ("HDF5",)
@@ -100,20 +81,7 @@ class TiffReader(NumberedReader):
 
 
 def single_picture(path: Path, channel: str) -> tuple[Pixels, int]:
-    """Return the gray levels of a TIFF file that is one picture, and their bits.
-
-    Parameters
-    ----------
-    path
-        The TIFF file to read.
-    channel
-        "luma", "red", "green" or "blue": the part of a colour to read.
-
-    Raises
-    ------
-    MediaError
-        It has several pages, or none; or is no TIFF, is damaged, or of a kind that is not read.
-    """
+    """Return the gray levels of a TIFF file that is one picture, and their bits."""
     with _Stack(path) as stack:
         try:
             several = stack.has_several()
@@ -131,13 +99,7 @@ def _cut(path: Path, error: _PagesEndError, count: int) -> MediaError:
 
 
 class _Stack:
-    """A TIFF file that is open.
-
-    Raises
-    ------
-    MediaError
-        It is no TIFF.
-    """
+    """A TIFF file that is open."""
 
     def __init__(self, path: Path) -> None:
         import tifffile
@@ -164,13 +126,7 @@ class _Stack:
         self._tif.close()
 
     def frames(self) -> Iterator[tuple["TiffPage", int]]:
-        """Yield each frame as its page and its number in the page's data, without reduced copies of other pages.
-
-        Raises
-        ------
-        _PagesEndError
-            The file ends within a page, or its pages form a circle; the frames before are delivered.
-        """
+        """Yield each frame as its page and its number in the page's data, without reduced copies of other pages."""
         pages, ending = self._pages(), None
         page = next(pages, None)
         while page is not None:

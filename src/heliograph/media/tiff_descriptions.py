@@ -31,23 +31,15 @@ _MAX_CHANNELS = 7
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """Description of a stack.
+    """Description of a stack."""
 
-    Attributes
-    ----------
-    axes
-        Lengths above 1 of the axes beside rows and columns, under the description's own names.
-    frames
-        Number of pictures; 1 if the description states none.
-    in_one_page
-        True if the program writes stacks as one page with all pictures as its data.
-    bits
-        Bits of a gray level; None if the description states none.
-    """
-
+    # Lengths above 1 of the axes beside rows and columns, under the description's own names
     axes: Mapping[str, int] = field(default_factory=dict)
+    # Number of pictures; 1 if the description states none
     frames: int = 1
+    # True if the program writes stacks as one page with all pictures as its data
     in_one_page: bool = True
+    # Bits of a gray level; None if the description states none
     bits: int | None = None
 
     @property
@@ -57,13 +49,7 @@ class Description:
 
 
 def read_description(page: "TiffPage") -> Description:
-    """Return the axes and bits that a page's description states.
-
-    Parameters
-    ----------
-    page
-        The first page of a stack.
-    """
+    """Return the axes and bits that a page's description states."""
     text = page.description
     if text.startswith("ImageJ="):
         said = {name: int(length) for name, length in _IMAGEJ.findall(text)}

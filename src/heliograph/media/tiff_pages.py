@@ -39,20 +39,7 @@ _MEANING, _ORIENTATION = 262, 274
 
 
 def check_kind(path: Path, page: "TiffPage") -> None:
-    """Refuse a page whose samples are neither gray nor red, green and blue.
-
-    Parameters
-    ----------
-    path
-        The file, for the error.
-    page
-        The page to check.
-
-    Raises
-    ------
-    MediaError
-        Names the kind, or the number of channels.
-    """
+    """Refuse a page whose samples are neither gray nor red, green and blue."""
     wanted = _SAMPLES.get(_meaning(page))
     if wanted is None or page.samplesperpixel < wanted:
         kind = getattr(page.photometric, "name", page.photometric)
@@ -83,20 +70,7 @@ def plane_bytes(page: "TiffPage") -> int:
 
 
 def end(page: "TiffPage", plane: int) -> int:
-    """Return the place behind the last byte of a frame.
-
-    Parameters
-    ----------
-    page
-        The page of the frame.
-    plane
-        Number of the frame in the data of the page.
-
-    Raises
-    ------
-    ValueError
-        A strip or tile is missing.
-    """
+    """Return the place behind the last byte of a frame."""
     if not page.dataoffsets or not all(page.dataoffsets) or not all(page.databytecounts):
         raise ValueError("a strip or tile is missing")
     if is_plain(page):
@@ -105,44 +79,13 @@ def end(page: "TiffPage", plane: int) -> int:
 
 
 def read_levels(path: Path, page: "TiffPage", plane: int, channel: str) -> Pixels:
-    """Return the gray levels of a frame, upright as the page says.
-
-    Parameters
-    ----------
-    path
-        The file, for errors.
-    page
-        The page of the frame.
-    plane
-        Number of the frame in the data of the page.
-    channel
-        "luma", "red", "green" or "blue": the part of a colour to read.
-
-    Returns
-    -------
-    (rows, columns) uint8 or uint16.
-
-    Raises
-    ------
-    MediaError
-        Its numbers are not of 8 or 16 bits.
-    """
+    """Return the gray levels of a frame, upright as the page says. Returns (rows, columns) uint8 or uint16."""
     picture = pictures.checked_form(path, _colours(page, _stored(page, plane)))
     return _upright(pictures.to_gray(picture, channel), int(page.tags.valueof(_ORIENTATION, default=1)))
 
 
 def depth(page: "TiffPage", levels: Pixels, stated: int | None) -> int:
-    """Return the bits of a gray level, 8 to 16.
-
-    Parameters
-    ----------
-    page
-        The page of the levels.
-    levels
-        Its gray levels.
-    stated
-        Bits that the description of the stack states; None for none.
-    """
+    """Return the bits of a gray level, 8 to 16."""
     least, most = BITS[levels.dtype]
     bits = page.bitspersample if page.bitspersample < most else stated or most
     return bits if least <= bits <= most and _meaning(page) != _PALETTE else most

@@ -54,20 +54,7 @@ _REORDERED = 16
 
 
 class VideoReader(TimedReader):
-    """A video file; see `FilmReader`.
-
-    Parameters
-    ----------
-    path
-        Video of any kind that FFmpeg reads.
-    reading
-        How the film is to be read.
-
-    Raises
-    ------
-    MediaError
-        The file is no readable video.
-    """
+    """A video file; see `FilmReader`."""
 
     _decodes = True
 

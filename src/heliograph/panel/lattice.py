@@ -51,14 +51,9 @@ SLOPES = 9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """What is known of a panel.
+    """What is known of a panel."""
 
-    Attributes
-    ----------
-    rows, columns
-        LEDs along a column and along a row.
-    """
-
+    # rows, columns: lEDs along a column and along a row
     rows: int
     columns: int
 
@@ -68,70 +63,30 @@ class Shape:
         return grid(self.rows, self.columns)
 
     def pitch(self, corners: Floats) -> float:
-        """Shorter of the mean distances of neighbouring LEDs, in px.
-
-        Parameters
-        ----------
-        corners
-            (4, 2) corners in px.
-        """
+        """Shorter of the mean distances of neighbouring LEDs, in px."""
         return min(pitches(corners, self.rows, self.columns))
 
     def mask(self, corners: Floats, size: tuple[int, int]) -> Levels:
-        """Pixels that count: 1 within the LED area and a little about it, 0 beyond.
-
-        Parameters
-        ----------
-        corners
-            (4, 2) corners in px of the picture.
-        size
-            Rows and columns of the picture in px.
-
-        Returns
-        -------
-        (rows, columns).
-        """
+        """Pixels that count: 1 within the LED area and a little about it, 0 beyond. Returns (rows, columns)."""
         return mask_of(grown(corners, MARGIN * self.pitch(corners)), size)
 
 
 class Fitted(NamedTuple):
-    """A panel's place as fitted.
+    """A panel's place as fitted."""
 
-    Attributes
-    ----------
-    corners
-        (4, 2) corners in px of the picture.
-    blur
-        Standard deviation of an LED's image in px, without the pixel's width.
-    score
-        Correlation of the pixels with the fitted image, -1 to 1.
-    hessian
-        (9, 9) power of the picture's change by corners and ln blur, for LEDs of the mean squared light 1; None where
-        none was needed.
-    """
-
+    # (4, 2) corners in px of the picture
     corners: Floats
+    # Standard deviation of an LED's image in px, without the pixel's width
     blur: float
+    # Correlation of the pixels with the fitted image, -1 to 1
     score: float
+    # (9, 9) power of the picture's change by corners and ln blur, for LEDs of the mean squared light 1; None where none
+    # was needed
     hessian: Floats | None = None
 
 
 class Lattice:
-    """The LEDs of a panel at a place on a picture.
-
-    Parameters
-    ----------
-    shape
-        Rows and columns of the panel.
-    corners
-        (4, 2) corners of the LED area in px of the picture.
-    blur
-        Standard deviation of an LED's image in px, above 0.
-    mask
-        (rows, columns) 1 for pixels of the picture that count, 0 for others.
-    factor
-        (overlapping, n) factor of a lattice much like this one, which is not computed again; None where there is none.
-    """
+    """The LEDs of a panel at a place on a picture."""
 
     def __init__(self, shape: Shape, corners: Floats, blur: float, mask: Levels, factor: Floats | None = None):
         self.shape, self.corners = shape, corners
@@ -147,17 +102,7 @@ class Lattice:
         self._rest, self._shared = power - self._on_leds.T @ solved, solved
 
     def gathered(self, images: Levels) -> Floats:
-        """Inner products of images with each LED's image and its derivatives; see `kernels.gathered`.
-
-        Parameters
-        ----------
-        images
-            (k, rows, columns) float32.
-
-        Returns
-        -------
-        (k, n, 4).
-        """
+        """Inner products of images with each LED's image and its derivatives; see `kernels.gathered`."""
         from heliograph.panel import kernels  # Numba is slow to import
 
         out = np.empty((len(images), len(self.points), 4))
@@ -166,17 +111,7 @@ class Lattice:
         return out
 
     def drawn(self, amounts: Floats) -> Levels:
-        """Image of LEDs within the mask; see `kernels.drawn`.
-
-        Parameters
-        ----------
-        amounts
-            (n, 4) how much of an LED's image and of its derivatives.
-
-        Returns
-        -------
-        (rows, columns).
-        """
+        """Image of LEDs within the mask; see `kernels.drawn`. Returns (rows, columns)."""
         from heliograph.panel import kernels
 
         out = np.zeros(self.mask.shape, np.float32)
@@ -184,20 +119,7 @@ class Lattice:
         return np.asarray(out * self.mask)
 
     def light(self, images: Levels) -> tuple[Floats, Floats]:
-        """Light of the LEDs and the background by least squares.
-
-        Parameters
-        ----------
-        images
-            (k, rows, columns) float32, 0 outside of the mask.
-
-        Returns
-        -------
-        light
-            (n, k), in gray levels times squared px.
-        background
-            (3, k) of `plane`.
-        """
+        """Light of the LEDs and the background by least squares."""
         matched = self.gathered(images)[..., 0].T
         solved = self._solved(matched)
         onto = self._plane.reshape(3, -1) @ images.reshape(len(images), -1).T
@@ -206,28 +128,14 @@ class Lattice:
         return np.asarray(solved - self._shared @ background), np.asarray(background)
 
     def image(self, light: Floats, background: Floats) -> Levels:
-        """Image of LEDs before a background, within the mask.
-
-        Parameters
-        ----------
-        light
-            (n,) of the LEDs, of `light`.
-        background
-            (3,) of the plane, of `light`.
-        """
+        """Image of LEDs before a background, within the mask."""
         amounts = np.zeros((len(light), 4))
         amounts[:, 0] = light
         flat = np.tensordot(background.astype(np.float32), self._plane, 1)
         return np.asarray(self.drawn(amounts) + flat)
 
     def hessian(self, light: Floats) -> Floats:
-        """Power of the image's change by corners and ln blur that no other light explains, (9, 9).
-
-        Parameters
-        ----------
-        light
-            (n,) of the LEDs.
-        """
+        """Power of the image's change by corners and ln blur that no other light explains, (9, 9)."""
         moves = slopes(self.corners, self.shape.grid)
         amounts = np.zeros((SLOPES, len(light), 4))
         amounts[:-1, :, 1:3] = light[:, None] * moves
@@ -241,15 +149,7 @@ class Lattice:
         )
 
     def gradient(self, rest: Levels, light: Floats) -> Floats:
-        """Inner products (9,) of what is left of a picture with its change by corners and ln blur.
-
-        Parameters
-        ----------
-        rest
-            (rows, columns) gray levels that the LEDs do not explain, 0 outside of the mask.
-        light
-            (n,) of the LEDs.
-        """
+        """Inner products (9,) of what is left of a picture with its change by corners and ln blur."""
         seen = self.gathered(rest[None])[0]
         moves = slopes(self.corners, self.shape.grid)
         return np.append(np.einsum("n,knc,nc->k", light, moves, seen[:, 1:3]), light @ seen[:, 3])
@@ -293,36 +193,14 @@ class Lattice:
 
 
 def mask_of(corners: Floats, size: tuple[int, int]) -> Levels:
-    """1 within a quadrilateral, 0 beyond it.
-
-    Parameters
-    ----------
-    corners
-        (4, 2) corners in px.
-    size
-        Rows and columns of the picture in px.
-
-    Returns
-    -------
-    (rows, columns).
-    """
+    """1 within a quadrilateral, 0 beyond it. Returns (rows, columns)."""
     mask = np.zeros(size, np.uint8)
     cv2.fillConvexPoly(mask, np.rint(corners * 16).astype(np.int32), 1, shift=4)
     return mask.astype(np.float32)
 
 
 def plane(mask: Levels) -> Levels:
-    """Images whose combinations are an even background with a slope, within a mask.
-
-    Parameters
-    ----------
-    mask
-        (rows, columns) 1 for pixels that count, else 0.
-
-    Returns
-    -------
-    (3, rows, columns): a constant, and slopes in x and y from -1/2 to 1/2.
-    """
+    """Images whose combinations are an even background with a slope, within a mask."""
     rows, columns = mask.shape
     x, y = np.linspace(-0.5, 0.5, columns, dtype=np.float32), np.linspace(-0.5, 0.5, rows, dtype=np.float32)
     return np.stack([mask, mask * x, mask * y[:, None]])

@@ -31,21 +31,7 @@ A side of 100 px then changes by 1e-3 of itself, as sigma does. With the overlap
 
 
 def fitted(image: Levels, start: Fitted, shape: Shape, steps: int = STEPS, enough_px: float = ENOUGH_PX) -> Fitted:
-    """Fit a panel's corners and blur to a picture whatever its LEDs show, by Gauss-Newton.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels.
-    start
-        Where the panel is about, to a third of a pitch; its power, where it has one, is not computed again.
-    shape
-        Rows and columns of the panel.
-    steps
-        Most steps; with 0 the start is judged alone.
-    enough_px
-        Step of a corner in px that ends the fit.
-    """
+    """Fit a panel's corners and blur to a picture whatever its LEDs show, by Gauss-Newton."""
     mask = shape.mask(start.corners, (image.shape[0], image.shape[1]))
     best = _Seen(image, mask, start, shape)
     hessian = start.hessian if start.hessian is not None else best.hessian()

@@ -51,39 +51,12 @@ FOUR = 4
 
 
 def evidence(images: Sequence[Levels]) -> Levels:
-    """What tells a panel from its surroundings: how much several images change, or how bright one is.
-
-    Parameters
-    ----------
-    images
-        Gray images (rows, columns) of one size, one at least.
-
-    Returns
-    -------
-    (rows, columns) gray levels.
-    """
+    """What tells a panel from its surroundings: how much several images change, or how bright one is."""
     return images[0] if len(images) == 1 else np.asarray(np.stack(images).std(axis=0))
 
 
 def quadrilateral(image: Levels, region: Region | None) -> Floats:
-    """Find the largest bright quadrilateral of an image.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels, of `evidence`, of the part that is searched.
-    region
-        That part, for the error; None where it is all of a frame.
-
-    Returns
-    -------
-    (4, 2) corners in px, the upper left first, clockwise; off by some px.
-
-    Raises
-    ------
-    HeliographError
-        There is none.
-    """
+    """Find the largest bright quadrilateral of an image."""
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), SPREAD * min(image.shape), borderType=cv2.BORDER_REPLICATE))
     low, high = float(smooth.min()), float(smooth.max())
     if high - low < LEAST_CHANGE:
@@ -130,21 +103,7 @@ def ordered(corners: Floats) -> Floats:
 
 
 def outlined(image: Levels, corners: Floats, widths: Sequence[float]) -> Floats:
-    """Fit the corners of an even bright area to an image, smoothed less and less.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels, of `evidence`.
-    corners
-        (4, 2) corners in px to start from, off by the first width at most.
-    widths
-        Standard deviations in px of the smoothing, falling.
-
-    Returns
-    -------
-    (4, 2) corners in px.
-    """
+    """Fit the corners of an even bright area to an image, smoothed less and less."""
     for width in widths:
         corners = _fitted(image, corners, width)
     return corners

@@ -46,18 +46,7 @@ class Picture:
 
 
 def picture_of(frame: object) -> Picture:
-    """Take a frame.
-
-    Parameters
-    ----------
-    frame
-        `heliograph.Frame`, or an array (rows, columns) of gray levels, or (rows, columns, 3) of colours.
-
-    Raises
-    ------
-    HeliographError
-        It is none of these, or has levels that are no numbers or are masked.
-    """
+    """Take a frame."""
     if isinstance(frame, Frame):
         return Picture(_finite(frame.pixels[None]), frame.origin)
     if not isinstance(frame, np.ndarray):

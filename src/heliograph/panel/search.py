@@ -19,52 +19,35 @@ from heliograph.panel.place import UNIT, homographies, is_possible, mapped, pitc
 
 @dataclass(frozen=True, slots=True)
 class SearchTuning:
-    """How a panel is searched and judged. Chosen by `python -m benchmarks.panel_places`.
+    """How a panel is searched and judged. Chosen by `python -m benchmarks.panel_places`."""
 
-    Attributes
-    ----------
-    spreads
-        Standard deviations of the smoothing before thresholds, as fractions of the image's shorter side.
-    thresholds
-        Levels between the lowest and highest from which an image counts as lit, beside Otsu's.
-    gaps
-        Gaps that are closed, as fractions of the image's shorter side.
-    min_area
-        Smallest area of a quadrilateral as a fraction of the image's.
-    max_pitch_ratio
-        Largest ratio of the pitches along rows and columns.
-    n_refined
-        Quadrilaterals that are refined, the best first.
-    n_frames
-        Frames whose lit LEDs count together.
-    max_hand
-        Largest error in pitches of corners by hand.
-    max_hand_cost
-        Square of the distance in pitches from corners by hand from which on lit LEDs alone decide.
-    sure
-        Score from which on no other start is tried.
-    max_peaks
-        Lit LEDs of a line that count for the choice among whole pitches.
-    phases
-        Log odds of a place up to whole pitches: a constant, and the factors of both `Agreement.phases` and of ln
-        `Agreement.leverage`.
-    shift
-        Log odds of a place against a shift by a pitch: a constant, the weight of a lit LED in an outer line, and the
-        weight of the squared distance from corners by hand, and of the growth beside them.
-    """
-
+    # Standard deviations of the smoothing before thresholds, as fractions of the image's shorter side
     spreads: tuple[float, ...] = (0.012, 0.035)
+    # Levels between the lowest and highest from which an image counts as lit, beside Otsu's
     thresholds: tuple[float, ...] = (0.5,)
+    # Gaps that are closed, as fractions of the image's shorter side
     gaps: tuple[float, ...] = (0.0, 0.06)
+    # Smallest area of a quadrilateral as a fraction of the image's
     min_area: float = 0.005
+    # Largest ratio of the pitches along rows and columns
     max_pitch_ratio: float = 2.2
+    # Quadrilaterals that are refined, the best first
     n_refined: int = 8
+    # Frames whose lit LEDs count together
     n_frames: int = 8
+    # Largest error in pitches of corners by hand
     max_hand: float = 3.0
+    # Square of the distance in pitches from corners by hand from which on lit LEDs alone decide
     max_hand_cost: float = 2.0
+    # Score from which on no other start is tried
     sure: float = 0.9
+    # Lit LEDs of a line that count for the choice among whole pitches
     max_peaks: float = 6.0
+    # Log odds of a place up to whole pitches: a constant, and the factors of both `Agreement.phases` and of ln
+    # `Agreement.leverage`
     phases: tuple[float, float, float, float] = (-15.4, 10.7, 9.8, -2.2)
+    # Log odds of a place against a shift by a pitch: a constant, the weight of a lit LED in an outer line, and the
+    # weight of the squared distance from corners by hand, and of the growth beside them
     shift: tuple[float, float, float] = (0.8, 1.0, 2.0)
 
 
@@ -72,39 +55,20 @@ SEARCH = SearchTuning()
 
 
 class Candidate(NamedTuple):
-    """A place that may be the panel's.
+    """A place that may be the panel's."""
 
-    Attributes
-    ----------
-    corners
-        (4, 2) corners in px of the picture.
-    agreement
-        Agreement of the picture with the grid there.
-    score
-        Probability that the place is right, 0 to 1.
-    """
-
+    # (4, 2) corners in px of the picture
     corners: Floats
+    # Agreement of the picture with the grid there
     agreement: Agreement
+    # Probability that the place is right, 0 to 1
     score: float
 
 
 def quadrilaterals(
     images: Sequence[Levels], colour: Levels, shape: Shape, region: Region | None = None
 ) -> list[Floats]:
-    """Quadrilaterals (4, 2) in px that may be a panel's outline, those whose grid shows best first.
-
-    Parameters
-    ----------
-    images
-        Gray images (rows, columns) of one size; the panel's place in the first is searched.
-    colour
-        (rows, columns) difference of the strongest and the weakest channel of the first.
-    shape
-        Rows and columns of the panel.
-    region
-        Part of the frame that the images show, for the error; None for all of it.
-    """
+    """Quadrilaterals (4, 2) in px that may be a panel's outline, those whose grid shows best first."""
     maps = [one for one in (images[0], colour, evidence(images)) if float(np.ptp(one)) >= LEAST_CHANGE]
     if not maps:
         raise nothing_shows(region)
@@ -127,19 +91,7 @@ def quadrilaterals(
 def best_candidate(
     images: Sequence[Levels], starts: Sequence[Floats], shape: Shape, hand: Floats | None = None
 ) -> Candidate:
-    """The candidate with the highest score near any start.
-
-    Parameters
-    ----------
-    images
-        Gray images (rows, columns) of one size; the place is that in the first.
-    starts
-        (4, 2) corners in px to start from.
-    shape
-        Rows and columns of the panel.
-    hand
-        (4, 2) corners in px as given by hand; None where none were given.
-    """
+    """The candidate with the highest score near any start."""
     best = Candidate(UNIT, Agreement(np.zeros(2), 0.0, np.zeros(0), np.zeros(0)), -1.0) if hand is None else settled(
         images[:1], hand, shape, hand, shift=False)  # fmt: skip
     for start in starts:
@@ -202,21 +154,7 @@ def _hull_corners(lit: NDArray[np.uint8]) -> Iterator[Floats]:
 def settled(
     images: Sequence[Levels], corners: Floats, shape: Shape, hand: Floats | None = None, shift: bool = True
 ) -> Candidate:
-    """The place near corners that agrees best with pictures, whole pitches chosen by the lit LEDs and the hand.
-
-    Parameters
-    ----------
-    images
-        Gray images (rows, columns) of one size; the place is that in the first.
-    corners
-        (4, 2) corners in px whose grid fits, whole pitches left aside.
-    shape
-        Rows and columns of the panel.
-    hand
-        (4, 2) corners in px as given by hand; None where none were given.
-    shift
-        True if the place may be shifted by whole pitches.
-    """
+    """The place near corners that agrees best with pictures, whole pitches chosen by the lit LEDs and the hand."""
     views = [GridView(images[0], corners, shape)]
     for image in images[1:]:
         # the panel moves by less than half a pitch

@@ -101,26 +101,14 @@ class ArrayWatch:
         self._places: deque[_Place] = deque(maxlen=MOST_PLACES)
 
     def found(self, detection: Detection) -> None:
-        """Take what the receiver takes for an array.
-
-        Parameters
-        ----------
-        detection
-            The array by its header, whatever that may mean.
-        """
+        """Take what the receiver takes for an array."""
         for one in detection.hypotheses:
             best = self._headers.get(one.identity)
             if best is None or detection.score > best.score:
                 self._headers[one.identity] = detection
 
     def add(self, packet: Packet) -> None:
-        """Take a packet.
-
-        Parameters
-        ----------
-        packet
-            What the receiver hands out, after those before it; it is left out where it is no packet.
-        """
+        """Take a packet."""
         if not is_packet(packet):
             return
         new = ArrayTally(packet.first_frame, packet.distance_m)
@@ -130,25 +118,11 @@ class ArrayWatch:
             self._places.append((packet.identity, packet.first_frame, packet.last_frame, packet.pose.x, packet.pose.y))
 
     def arrays(self, full_scale: int) -> list[ArraySeen]:
-        """Arrays of which codewords were right, by their identity.
-
-        Parameters
-        ----------
-        full_scale
-            Largest gray level of the film.
-        """
+        """Arrays of which codewords were right, by their identity."""
         return [self._array(identity, full_scale) for identity in sorted(self._last)]
 
     def at(self, region: Region, frames: Sequence[Frame]) -> int | None:
-        """Identity of the array that a region is; None where it is none that was read.
-
-        Parameters
-        ----------
-        region
-            A region in which something blinks.
-        frames
-            The frames in which it was found, in the order of time.
-        """
+        """Identity of the array that a region is; None where it is none that was read."""
         begin, end = frames[0].index, frames[-1].index
         reach = 0.5 * max(region.width, region.height)
         for identity, first, last, x, y in self._places:
@@ -182,17 +156,7 @@ class ArrayWatch:
 
 
 def looked_into(array: ArraySeen, frames: Sequence[Frame], asked: Asked) -> ArraySeen:
-    """An array with its clock, its noise and what follows, by some frames in which it is read.
-
-    Parameters
-    ----------
-    array
-        The array, as it was read.
-    frames
-        Its part of frames, in the order of time, with right times.
-    asked
-        What it was read with.
-    """
+    """An array with its clock, its noise and what follows, by some frames in which it is read."""
     if asked.signal.modulation != "haar" or asked.signal.header != "m_sequence":
         return array
     size = array.pitch_px * asked.signal.side

@@ -22,28 +22,16 @@ DOTS_APART = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Blocks that belong together.
+    """Blocks that belong together."""
 
-    Attributes
-    ----------
-    blocks
-        (blocks down, blocks across), which they are.
-    spots
-        Spots they are made of: more than 1 where LEDs lie far apart.
-    """
-
+    # (blocks down, blocks across), which they are
     blocks: NDArray[np.bool_]
+    # Spots they are made of: more than 1 where LEDs lie far apart
     spots: int
 
 
 def groups_of(busy: NDArray[np.bool_]) -> list[Group]:
-    """Busy blocks that touch each other; many spots near each other are one.
-
-    Parameters
-    ----------
-    busy
-        (blocks down, blocks across), where something blinks or moves.
-    """
+    """Busy blocks that touch each other; many spots near each other are one."""
     closed = cv2.morphologyEx(busy.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     if count <= 1:

@@ -68,26 +68,17 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class ArrayLike:
-    """A region as the array that it would be.
+    """A region as the array that it would be."""
 
-    Attributes
-    ----------
-    pitch_px
-        Pixels from LED to LED.
-    blur_px
-        Blur of an LED, as a standard deviation in px.
-    contrast
-        Light with all LEDs on, over full scale.
-    clock
-        The light's clock in the camera's; None where no packet was read.
-    reach
-        How far layers are expected to be read, by receiver; none where levels are lost, or the model holds no more.
-    """
-
+    # Pixels from LED to LED
     pitch_px: float
+    # Blur of an LED, as a standard deviation in px
     blur_px: float
+    # Light with all LEDs on, over full scale
     contrast: float
+    # The light's clock in the camera's; None where no packet was read
     clock: Clock | None
+    # How far layers are expected to be read, by receiver; none where levels are lost, or the model holds no more
     reach: tuple[Reach, ...]
 
 
@@ -149,21 +140,7 @@ class RegionSeen:
 def film_causes(
     times: FrameTimes, levels: Levels, asked: Asked, error: str, rate: LightRate | None
 ) -> tuple[Cause, ...]:
-    """What is the matter with a film as a whole.
-
-    Parameters
-    ----------
-    times
-        How its frames are stamped.
-    levels
-        Gray levels of some of its frames.
-    asked
-        What it was to be read with.
-    error
-        Why the receiver ended early; empty where it did not.
-    rate
-        Frames that a pattern lasts by the light itself; None where it does not tell.
-    """
+    """What is the matter with a film as a whole."""
     out = list[Cause]()
     light_hz, most = 1 / asked.signal.pattern_period_s, max(times.count + times.lost, 1)
     # stamps are wrong where frames show each pattern
@@ -221,13 +198,7 @@ def film_causes(
 
 
 def still(asked: Asked) -> Cause:
-    """That nothing blinks in a film.
-
-    Parameters
-    ----------
-    asked
-        What it was to be read with.
-    """
+    """That nothing blinks in a film."""
     light_hz = 1 / asked.signal.pattern_period_s
     return Cause(
         "still", "nothing blinks: no part of the frames changes more than noise does",
@@ -237,13 +208,7 @@ def still(asked: Asked) -> Cause:
 
 
 def other_settings(differing: Sequence[tuple[str, Any, Any]]) -> Cause:
-    """Return the cause that a film notes another signal than the one it is read with.
-
-    Parameters
-    ----------
-    differing
-        Dotted key, value and noted value of each setting in question, 1 or more.
-    """
+    """Return the cause that a film notes another signal than the one it is read with."""
     why = ", ".join(f"{key} is {ours}, and the film's note says {noted}" for key, ours, noted in differing)
     advice = tuple(f"leave {key} out, or write --set '{key}={json.dumps(noted)}'" for key, _, noted in differing)
     return Cause("other settings", why, advice)

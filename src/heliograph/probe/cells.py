@@ -28,13 +28,7 @@ LEAST_LIKE, LEAST_LIKE_8 = 0.3, 0.45
 
 
 def cells_of_a_side(frames: Sequence[Frame]) -> int | None:
-    """Return how many cells a side has of the array that some frames show; None where the lines do not tell.
-
-    Parameters
-    ----------
-    frames
-        Frames of 8 bits in the order of time, some dozens, of an array that hardly moves in a second.
-    """
+    """Return how many cells a side has of the array that some frames show; None where the lines do not tell."""
     some = frames[-4 * LOOKED_AT :][:: max(1, min(len(frames) // LOOKED_AT, 4))]
     pixels = np.stack([frame.pixels for frame in some]).astype(np.float32)
     changes = np.asarray(pixels.std(axis=0), np.float64)

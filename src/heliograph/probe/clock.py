@@ -22,20 +22,13 @@ OUT_OF_STEP = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """The light's clock in the camera's.
+    """The light's clock in the camera's."""
 
-    Attributes
-    ----------
-    phase
-        When patterns begin after frames do, in patterns: -0.5 to 0.5, 0 in step.
-    rate_ppm
-        By how many millionths a pattern lasts longer than the settings say; None where it is not told.
-    rate_error_ppm
-        Its standard error; None where it is not told.
-    """
-
+    # When patterns begin after frames do, in patterns: -0.5 to 0.5, 0 in step
     phase: float
+    # By how many millionths a pattern lasts longer than the settings say; None where it is not told
     rate_ppm: float | None
+    # Its standard error; None where it is not told
     rate_error_ppm: float | None
 
     @property
@@ -45,17 +38,7 @@ class Clock:
 
 
 def clock_of(packets: Sequence[Packet], frames: Sequence[Frame], signal: SignalSettings) -> Clock:
-    """The light's clock in the camera's, by the starts of packets.
-
-    Parameters
-    ----------
-    packets
-        Packets of an array in the order of time, one at least; their starts as the soft receiver has them.
-    frames
-        Frames that it was read from, two at least.
-    signal
-        The light's signal, with pattern period and length of a packet.
-    """
+    """The light's clock in the camera's, by the starts of packets."""
     starts: Floats = np.array([one.start_time_s for one in packets])
     steps = np.diff([one.time_s for one in frames])
     period_s = float(np.median(steps))

@@ -32,13 +32,7 @@ CEILING = 255
 
 
 def patterns_per_s(frames: Sequence[Frame]) -> float | None:
-    """Return how many patterns a second some frames show; None where nothing blinks as patterns do.
-
-    Parameters
-    ----------
-    frames
-        Frames of 8 bits in the order of time, some dozens.
-    """
+    """Return how many patterns a second some frames show; None where nothing blinks as patterns do."""
     told = [one for step in THINNED for one in _told(frames[::step])]
     return usual(max(told)[1]) if told else None
 
@@ -57,13 +51,7 @@ def _told(frames: Sequence[Frame]) -> Iterator[tuple[float, float]]:
 
 
 def usual(rate_hz: float) -> float:
-    """Return the usual rate near a measured one, or the measured one where none is.
-
-    Parameters
-    ----------
-    rate_hz
-        Patterns a second as measured.
-    """
+    """Return the usual rate near a measured one, or the measured one where none is."""
     for known, near in ((USUAL_HZ[: len(OFFERED_HZ)], NEAR / 2), (USUAL_HZ, NEAR)):
         nearest = min(known, key=lambda one: abs(one / rate_hz - 1))
         if abs(nearest / rate_hz - 1) < near:

@@ -13,20 +13,7 @@ from heliograph.signal.settings import LAYERS
 
 
 def write_page(path: Path, found: Findings) -> None:
-    """Write the page, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        Name of the HTML file to write.
-    found
-        What a film tells.
-
-    Raises
-    ------
-    MediaError
-        The file cannot be written.
-    """
+    """Write the page, whole or not at all."""
     page = Report(f"Probe of {shown_name(found.path)}")
     page.text(_verdict(found))
     if found.advice:

@@ -38,13 +38,7 @@ MOST_SHOWN_PX = 1600
 
 
 def colour_of(seen: RegionSeen) -> str:
-    """Colour that marks a region: green where it is read, orange where it could be, red for an array that is not.
-
-    Parameters
-    ----------
-    seen
-        A region, and all that is known of it.
-    """
+    """Colour that marks a region: green where it is read, orange where it could be, red for an array that is not."""
     if seen.array is not None:
         return GREEN
     if seen.found is not None:
@@ -53,15 +47,7 @@ def colour_of(seen: RegionSeen) -> str:
 
 
 def frame_with_regions(stretch: Stretch, regions: Sequence[RegionSeen]) -> Figure:
-    """The middle frame of the stretch that was looked into, its regions marked and numbered.
-
-    Parameters
-    ----------
-    stretch
-        Frames in which the regions were found.
-    regions
-        Regions in them, the first numbered 1.
-    """
+    """The middle frame of the stretch that was looked into, its regions marked and numbered."""
     frame = stretch.frames[len(stretch.frames) // 2]
     rows, cols = frame.pixels.shape
     step = max(1, -(-max(rows, cols) // MOST_SHOWN_PX))
@@ -103,15 +89,7 @@ def _mark(axes: Axes, seen: RegionSeen, number: int, frames: int, whole: Window)
 
 
 def region_picture(stretch: Stretch, seen: RegionSeen) -> Figure:
-    """A region: two frames, what alternates in them, and their sum; and its brightness over the stretch.
-
-    Parameters
-    ----------
-    stretch
-        Frames in which the region was found.
-    seen
-        A region of them.
-    """
+    """A region: two frames, what alternates in them, and their sum; and its brightness over the stretch."""
     frames, region = stretch.frames, seen.region
     k = _liveliest(frames, region)
     four = frames[k : k + 4]
@@ -155,13 +133,7 @@ def _timeline(axes: Axes, frames: Sequence[Frame], seen: RegionSeen, k: int) -> 
 
 
 def noise_picture(noise: NoiseFound) -> Figure:
-    """Variance of pixels that stand still by their gray level, and the line through it.
-
-    Parameters
-    ----------
-    noise
-        Noise of a film, with points of one group of blocks at least.
-    """
+    """Variance of pixels that stand still by their gray level, and the line through it."""
     figure = Figure(figsize=(5.6, 3.4))
     axes = figure.add_subplot()
     points = np.array(noise.points)

@@ -21,20 +21,13 @@ SLACK = 0.85
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What the film is to be read with.
+    """What the film is to be read with."""
 
-    Attributes
-    ----------
-    signal
-        The light's signal, as the receiver takes it.
-    settings
-        Settings of the receiver, which they name.
-    rate_hz
-        Frames per second as they are stamped.
-    """
-
+    # The light's signal, as the receiver takes it
     signal: SignalSettings
+    # Settings of the receiver, which they name
     settings: ReceiveSettings
+    # Frames per second as they are stamped
     rate_hz: float
 
     @property
@@ -43,13 +36,7 @@ class Asked:
         return self.signal.pattern_period_s * self.rate_hz
 
     def changed(self, changes: Mapping[str, Any]) -> "Asked":
-        """The same with some settings changed.
-
-        Parameters
-        ----------
-        changes
-            Nested mapping with "signal" and "receive", as of the link's settings.
-        """
+        """The same with some settings changed."""
         receive = merge(to_mapping(self.settings), changes.get("receive", {}))
         # what is another receiver's has no effect, and may not be set
         name = receive["receiver"]
@@ -63,33 +50,22 @@ class Asked:
 
 @dataclass(frozen=True)
 class Reading:
-    """What a receiver made of frames.
+    """What a receiver made of frames."""
 
-    Attributes
-    ----------
-    signal, settings
-        Signal and receiver that were asked for.
-    detections
-        What it took for arrays.
-    packets
-        What is a packet of what it handed out.
-    cutouts
-        Pairs from which the soft receiver decoded.
-    gains
-        Gray levels of the array with all LEDs on, by identity, as pairs of patterns were followed.
-    error
-        Why it ended early; empty where it did not.
-    exposures
-        Exposures in T_b between which the light puts it, by identity.
-    """
-
+    # signal, settings: signal and receiver that were asked for
     signal: SignalSettings
     settings: ReceiveSettings
+    # What it took for arrays
     detections: tuple[Detection, ...]
+    # What is a packet of what it handed out
     packets: tuple[Packet, ...]
+    # Pairs from which the soft receiver decoded
     cutouts: tuple[Cutout, ...] = ()
+    # Gray levels of the array with all LEDs on, by identity, as pairs of patterns were followed
     gains: Mapping[int, Sequence[float]] = field(default_factory=dict)
+    # Why it ended early; empty where it did not
     error: str = ""
+    # Exposures in T_b between which the light puts it, by identity
     exposures: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -99,17 +75,7 @@ class Reading:
 
 
 def read(frames: Sequence[Frame], signal: SignalSettings, settings: ReceiveSettings) -> Reading:
-    """Let a receiver read frames.
-
-    Parameters
-    ----------
-    frames
-        Frames or windows of them, in the order of time.
-    signal
-        The light's signal, as the receiver is to take it.
-    settings
-        Settings of the receiver, which they name.
-    """
+    """Let a receiver read frames."""
     detections, packets, cutouts, error = list[Detection](), list[Packet](), list[Cutout](), ""
     gains: dict[int, list[float]] = defaultdict(list)
     exposures = dict[int, tuple[float, float]]()
@@ -136,12 +102,6 @@ def read(frames: Sequence[Frame], signal: SignalSettings, settings: ReceiveSetti
 
 
 def narrowed(size_px: float) -> dict[str, Any]:
-    """Settings of a search about a size that is known: it takes less time, and takes nothing else for the array.
-
-    Parameters
-    ----------
-    size_px
-        Side of the array in px.
-    """
+    """Settings of a search about a size that is known: it takes less time, and takes nothing else for the array."""
     smallest = max(SLACK * size_px, 3.0)
     return {"min_side_px": smallest, "max_side_px": max(size_px / SLACK, 2 * smallest, 6.0), "candidates": 2}

@@ -32,17 +32,7 @@ NO_CHANGE = "nothing to change, if it is no array"
 
 
 def region_causes(seen: RegionSeen, asked: Asked, full_scale: int) -> tuple[Cause, ...]:
-    """What is the matter with a region, the first of the causes first.
-
-    Parameters
-    ----------
-    seen
-        What is known of it.
-    asked
-        What the film was to be read with.
-    full_scale
-        Largest gray level of the film.
-    """
+    """What is the matter with a region, the first of the causes first."""
     if seen.array is not None:
         return (Cause("array", f"array {seen.array.identity}, {seen.array.orientation}", proven=True),)
     if seen.found is not None:

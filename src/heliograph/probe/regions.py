@@ -149,19 +149,7 @@ class Region:
 
 
 def regions_of(stretch: Stretch, ceiling: int) -> tuple[list[Region], int]:
-    """Regions of a stretch in which something blinks, the strongest first.
-
-    Parameters
-    ----------
-    stretch
-        Frames that follow each other, and what changes in them.
-    ceiling
-        Level at which the sensor is cut off.
-
-    Returns
-    -------
-    The strongest `MOST_REGIONS` at most, and how many there are in all.
-    """
+    """Regions of a stretch in which something blinks, the strongest first."""
     groups = groups_of(stretch.busy)
     strength = np.maximum(stretch.alternation.mean(0) - ALTERNATION_NOISE * stretch.noise, 0.0)
     groups.sort(key=lambda group: -float(strength[group.blocks].sum()))
@@ -295,21 +283,7 @@ def _spread(count: int, pixels: int) -> list[int]:
 
 
 def thinned(frame: Frame, window: Window, step: int) -> Floats:
-    """Every so many pixels of a window; what lies beyond the frame repeats its border.
-
-    Parameters
-    ----------
-    frame
-        A frame of one pixel at least.
-    window
-        Corner (x, y) on the sensor, columns and rows; it may lie anywhere.
-    step
-        Rows and columns from one pixel that is taken to the next, at least 1.
-
-    Returns
-    -------
-    (rows, columns) float64 in gray levels.
-    """
+    """Every so many pixels of a window; what lies beyond the frame repeats its border."""
     if step == 1:
         return cut_out(frame, window)
     x, y, width, height = window

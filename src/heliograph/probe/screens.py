@@ -157,48 +157,24 @@ class _Shown:
 
 @dataclass(frozen=True, slots=True)
 class ScreenLook:
-    """A screen in a film that is not read: where most of it changes as patterns do, and why it is not read.
+    """A screen in a film that is not read: where most of it changes as patterns do, and why it is not read."""
 
-    Attributes
-    ----------
-    stretch
-        The liveliest frames of the film; None where it has too few.
-    corners
-        (4, 2) corners in px, clockwise; None where nothing changes as patterns do.
-    asked
-        What it was to be read with.
-    levels
-        Gray levels of some frames.
-    """
-
+    # The liveliest frames of the film; None where it has too few
     stretch: Stretch | None
+    # (4, 2) corners in px, clockwise; None where nothing changes as patterns do
     corners: Floats | None
+    # What it was to be read with
     asked: Asked
+    # Gray levels of some frames
     levels: Levels
 
     @classmethod
     def of(cls, stretch: Stretch | None, asked: Asked, levels: Levels) -> "ScreenLook":
-        """Look where the screen is.
-
-        Parameters
-        ----------
-        stretch
-            The liveliest frames of the film; None where it has too few.
-        asked
-            What it was to be read with.
-        levels
-            Gray levels of some frames.
-        """
+        """Look where the screen is."""
         return cls(stretch, None if stretch is None else area_of(stretch.frames), asked, levels)
 
     def regions(self, regions: Sequence[Region]) -> tuple[list[Region], int]:
-        """Return the region of the screen, one at most, and how many there are.
-
-        Parameters
-        ----------
-        regions
-            All that blink in the film, the strongest first.
-        """
+        """Return the region of the screen, one at most, and how many there are."""
         if self.corners is None:
             return [], 0
         x, y = self.corners.mean(axis=0)
@@ -213,13 +189,7 @@ class ScreenLook:
         return found, len(found)
 
     def causes(self, seen: RegionSeen) -> tuple[Cause, ...]:
-        """Tell why a screen is not read, the gravest cause first; one of the kind "unread" where all looks well.
-
-        Parameters
-        ----------
-        seen
-            What its region shows.
-        """
+        """Tell why a screen is not read, the gravest cause first; one of the kind "unread" where all looks well."""
         assert self.stretch is not None
         assert self.corners is not None
         frames, corners, region = self.stretch.frames, self.corners, seen.region
@@ -237,19 +207,7 @@ class ScreenLook:
 
 
 def screen_cause(frames: Sequence[Frame], rate_hz: float) -> Cause | None:
-    """Recognise a film of a screen that was to be read as one of an LED array.
-
-    Parameters
-    ----------
-    frames
-        The liveliest frames of the film.
-    rate_hz
-        Frames a second as they are stamped.
-
-    Returns
-    -------
-    The receiver and preset that read it; None if it shows no screen, or does not tell.
-    """
+    """Recognise a film of a screen that was to be read as one of an LED array."""
     if not PHONES_HZ[0] <= rate_hz <= PHONES_HZ[1] or frames[0].bits != 8 or (area := area_of(frames)) is None:
         return None
     cells = cells_of_a_side(frames)
@@ -270,13 +228,7 @@ def screen_cause(frames: Sequence[Frame], rate_hz: float) -> Cause | None:
 
 
 def films_causes(causes: Sequence[Cause]) -> tuple[Cause, ...]:
-    """Of what is the matter with a film that which is told of a screen's, too.
-
-    Parameters
-    ----------
-    causes
-        What is the matter with the film as a whole.
-    """
+    """Of what is the matter with a film that which is told of a screen's, too."""
     return tuple(one for one in causes if one.kind in FILM_KINDS)
 
 
@@ -285,13 +237,7 @@ def _side_px(corners: Floats) -> float:
 
 
 def area_of(frames: Sequence[Frame]) -> Floats | None:
-    """Return where most changes as patterns do: (4, 2) corners in px, clockwise; None where nothing does.
-
-    Parameters
-    ----------
-    frames
-        Frames in the order of time, two or more.
-    """
+    """Return where most changes as patterns do: (4, 2) corners in px, clockwise; None where nothing does."""
     some = frames[:: max(1, len(frames) // LOOKED_AT)]
     if len(some) < 2:
         return None

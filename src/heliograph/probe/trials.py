@@ -60,50 +60,22 @@ AROUND = 8
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What reads a region.
+    """What reads a region."""
 
-    Attributes
-    ----------
-    reading
-        The reading in which a codeword is right.
-    changes
-        What was changed for it, a nested mapping with "signal" and "receive"; empty where nothing was.
-    retimed
-        Whether frames were given the times by which a pattern lasts what the settings say.
-    clock
-        The light's clock in the camera's.
-    """
-
+    # The reading in which a codeword is right
     reading: Reading
+    # What was changed for it, a nested mapping with "signal" and "receive"; empty where nothing was
     changes: Mapping[str, Any]
+    # Whether frames were given the times by which a pattern lasts what the settings say
     retimed: bool
+    # The light's clock in the camera's
     clock: Clock
 
 
 def what_reads(
     frames: Sequence[Frame], asked: Asked, rate: LightRate | None, header: HeaderSeen, noise: Noise, whole: bool
 ) -> Found | None:
-    """Look for settings with which a region is read.
-
-    Parameters
-    ----------
-    frames
-        The region's part of frames, in the order of time.
-    asked
-        What the film is to be read with.
-    rate
-        Frames that a pattern lasts as the light shows it; None where it does not.
-    header
-        What of a header the region shows.
-    noise
-        Variances of a difference of two frames in squared gray levels, as far as they are known.
-    whole
-        Whether arrays of other sides may be tried: not where the region is cut, saturated, blurred or smeared.
-
-    Returns
-    -------
-    The first reading in which a codeword is right, and what it takes; None where there is none.
-    """
+    """Look for settings with which a region is read."""
     if header.score < LEAST_SCORE or asked.signal.header != "m_sequence":
         return None
     other = rate is not None and abs(rate.frames / asked.frames_a_pattern - 1) > STEP_TOLERANCE
@@ -134,13 +106,7 @@ def what_reads(
 
 
 def is_blurred(pose: Pose) -> bool:
-    """Whether a lens is out of focus.
-
-    Parameters
-    ----------
-    pose
-        That of a header, or of an array.
-    """
+    """Whether a lens is out of focus."""
     return pose.blur > max(BLURRED * pose.pitch, BLURRED_PX)
 
 
@@ -153,17 +119,7 @@ def _places(frames: Sequence[Frame], asked: ReceiveSettings) -> list[dict[str, A
 
 
 def retimed(frames: Sequence[Frame], rate: LightRate, signal: SignalSettings) -> list[Frame]:
-    """Frames with the times that they have if a pattern lasts what the signal says.
-
-    Parameters
-    ----------
-    frames
-        Frames in the order of time; a gap in their numbers stays one.
-    rate
-        Frames that a pattern lasts.
-    signal
-        The light's signal, with the pattern period.
-    """
+    """Frames with the times that they have if a pattern lasts what the signal says."""
     every = max(1, min((b.index - a.index for a, b in itertools.pairwise(frames)), default=1))
     in_step = abs(rate.frames - 1) < STEP_TOLERANCE
     step_s = signal.pattern_period_s / (1.0 if in_step else rate.frames)
@@ -188,17 +144,7 @@ def _hopeless(header: HeaderSeen, receiver: str, noise: Noise, signal: SignalSet
 
 
 def other_packets(header: HeaderSeen, signal: SignalSettings, frames_a_pattern: float) -> dict[str, int]:
-    """Pairs of header and data that headers show, where they are others than the settings'; else nothing.
-
-    Parameters
-    ----------
-    header
-        What of a header a region shows: its pairs, and when it comes again.
-    signal
-        The light's signal, of which the packet's shape counts.
-    frames_a_pattern
-        Frames that a pattern lasts.
-    """
+    """Pairs of header and data that headers show, where they are others than the settings'; else nothing."""
     patterns = round(header.period / frames_a_pattern)
     right = header.pairs == signal.header_pairs and patterns in (0, signal.packet_patterns)
     if right or not 1 <= header.pairs <= MOST_HEADER_PAIRS or patterns % 2 or patterns <= 2 * header.pairs:
@@ -209,19 +155,7 @@ def other_packets(header: HeaderSeen, signal: SignalSettings, frames_a_pattern: 
 def one_packet(
     frames: Sequence[Frame], header: HeaderSeen, frames_a_pattern: float, signal: SignalSettings
 ) -> Sequence[Frame]:
-    """Frames of the first packet that is whole, and some about it; all where no header's start is seen.
-
-    Parameters
-    ----------
-    frames
-        Frames in the order of time.
-    header
-        What of a header they show: numbers of the patterns with which it begins.
-    frames_a_pattern
-        Frames that a pattern lasts.
-    signal
-        The light's signal, with the patterns of a packet.
-    """
+    """Frames of the first packet that is whole, and some about it; all where no header's start is seen."""
     around = round(AROUND * frames_a_pattern)
     length = round(signal.packet_patterns * frames_a_pattern) + around
     for start in header.starts:
@@ -234,21 +168,7 @@ def one_packet(
 def needed(
     asked: ReceiveSettings, receiver: str, header: HeaderSeen, size_px: float, full_scale: int
 ) -> dict[str, Any]:
-    """Settings of a receiver that a region asks for by its size, contrast and blur, as a nested mapping.
-
-    Parameters
-    ----------
-    asked
-        Settings that were asked for.
-    receiver
-        Which one is to read it, "plain" or "soft".
-    header
-        What of a header the region shows.
-    size_px
-        Side of the array in px by it.
-    full_scale
-        Largest gray level of the film.
-    """
+    """Settings of a receiver that a region asks for by its size, contrast and blur, as a nested mapping."""
     out: dict[str, Any] = {} if asked.receiver == receiver else {"receiver": receiver}
     detect = dict[str, float]()
     smallest = asked.detect.min_side_px or SMALLEST_SIDE_PX[receiver]
@@ -267,27 +187,13 @@ def needed(
 
 
 def receivers_tried(asked: ReceiveSettings, frames_a_pattern: float) -> list[str]:
-    """Receivers that are tried: the plain one reads one frame a pattern alone.
-
-    Parameters
-    ----------
-    asked
-        Settings that were asked for.
-    frames_a_pattern
-        Frames that a pattern lasts.
-    """
+    """Receivers that are tried: the plain one reads one frame a pattern alone."""
     stepped = abs(frames_a_pattern - 1) < STEP_TOLERANCE and asked.receiver != "soft"
     return ["plain", "soft"] if stepped else ["soft"]
 
 
 def options(changes: Mapping[str, Any]) -> tuple[str, ...]:
-    """Options of the command that make changes, the receiver first.
-
-    Parameters
-    ----------
-    changes
-        Nested mapping with "signal" and "receive".
-    """
+    """Options of the command that make changes, the receiver first."""
     receive = dict(changes.get("receive", {}))
     receiver = receive.pop("receiver", None)
     flat = [*_flat("signal", changes.get("signal", {})), *_flat("receive", receive)]

@@ -30,20 +30,7 @@ Corners = tuple[float, ...]
 
 
 def outline(frames: Sequence[Frame], centre: tuple[float, float]) -> tuple[Corners, float, float] | None:
-    """Find the rectangle that holds what changes about a place.
-
-    Parameters
-    ----------
-    frames
-        A region's part of frames, in the order of time.
-    centre
-        Its centre (x, y) on the sensor in px.
-
-    Returns
-    -------
-    Corners on the sensor in tenths of a pixel, its turn in degrees, -45 to 45, and the ratio of its sides, 1 or more;
-    None where nothing has an outline.
-    """
+    """Find the rectangle that holds what changes about a place."""
     step = max(1, (len(frames) - 1) // MOST_TIMES)
     pairs = [(frames[k].pixels, frames[k + 1].pixels) for k in range(0, len(frames) - 1, step)]
     power = np.mean([(b.astype(np.float32) - a) ** 2 for a, b in pairs], axis=0)
@@ -69,25 +56,7 @@ def outline(frames: Sequence[Frame], centre: tuple[float, float]) -> tuple[Corne
 def what_reads_turned(
     frames: Sequence[Frame], asked: Asked, rate: LightRate, centre: tuple[float, float], form: Mapping[str, Any]
 ) -> Found | None:
-    """Read a region by the corners that its light shows.
-
-    Parameters
-    ----------
-    frames
-        The region's part of frames, in the order of time.
-    asked
-        What the film is to be read with; a place that was given does not count.
-    rate
-        Frames that a pattern lasts as the light shows it.
-    centre
-        The region's centre (x, y) on the sensor in px.
-    form
-        Settings of the signal that headers show, where they are others than those asked for.
-
-    Returns
-    -------
-    The first reading in which a codeword is right; None where there is none, or the outline is upright.
-    """
+    """Read a region by the corners that its light shows."""
     found = outline(frames, centre)
     if found is None or asked.signal.header != "m_sequence":
         return None

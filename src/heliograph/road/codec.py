@@ -33,13 +33,7 @@ class UnreadableError(ValueError):
 
 
 def kind_of(data: bytes) -> str | None:
-    """Return "SPATEM" or "MAPEM" by a message's header; None of another one.
-
-    Parameters
-    ----------
-    data
-        The message, of any length and content.
-    """
+    """Return "SPATEM" or "MAPEM" by a message's header; None of another one."""
     if len(data) <= HEADER_BYTES or data[0] not in VERSIONS:
         return None
     return NAMES.get(data[1])
@@ -55,22 +49,7 @@ def is_there() -> bool:
 
 
 def packed(message: int, station: int, content: Mapping[str, Any]) -> bytes:
-    """Return a message as UPER.
-
-    Parameters
-    ----------
-    message
-        Its number, `SPATEM` or `MAPEM`.
-    station
-        Number of the sending station.
-    content
-        What it says, as the package takes it.
-
-    Raises
-    ------
-    SettingsError
-        The package is not installed.
-    """
+    """Return a message as UPER."""
     header = {"protocolVersion": VERSION, "messageID": message, "stationID": station}
     with _LOCK:
         kind = _type(message)
@@ -79,18 +58,7 @@ def packed(message: int, station: int, content: Mapping[str, Any]) -> bytes:
 
 
 def unpacked(data: bytes) -> tuple[str, int, dict[str, Any]]:
-    """Return a message's kind, the number of its station, and what it says, as the package has it.
-
-    Parameters
-    ----------
-    data
-        The message, as it came from the air.
-
-    Raises
-    ------
-    UnreadableError
-        It is none of the two, or not as the standard has it; or the package is not installed.
-    """
+    """Return a message's kind, the number of its station, and what it says, as the package has it."""
     kind = kind_of(data)
     if kind is None:
         raise UnreadableError("it is no SPATEM or MAPEM")

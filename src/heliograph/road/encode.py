@@ -28,20 +28,7 @@ NODES = (("node-XY1", 9), ("node-XY2", 10), ("node-XY3", 11), ("node-XY4", 12), 
 
 
 def spatem(junction: Junction, time_s: float) -> bytes:
-    """Return what the lights show, with the time of the message, as UPER.
-
-    Parameters
-    ----------
-    junction
-        The junction and the plan of its lights.
-    time_s
-        Time from the start of the transmission in s, at which the message is right.
-
-    Raises
-    ------
-    SettingsError
-        The package `pycrate` is not installed.
-    """
+    """Return what the lights show, with the time of the message, as UPER."""
     now = junction.begins + timedelta(seconds=time_s)
     minute = now.replace(second=0, microsecond=0)
     state = {
@@ -56,18 +43,7 @@ def spatem(junction: Junction, time_s: float) -> bytes:
 
 
 def mapem(junction: Junction) -> bytes:
-    """Return the junction's lanes as UPER.
-
-    Parameters
-    ----------
-    junction
-        The junction with its lanes, at least one.
-
-    Raises
-    ------
-    SettingsError
-        It has no lanes, two points lie too far apart, or the package `pycrate` is not installed.
-    """
+    """Return the junction's lanes as UPER."""
     if not junction.lanes:
         raise SettingsError(f"junction {junction.id} has no lanes: a map needs [[lanes]] with lane and points_m")
     geometry = {
@@ -82,15 +58,7 @@ def mapem(junction: Junction) -> bytes:
 
 
 def updates(junction: Junction, duration_s: float) -> tuple[tuple[float, bytes], ...]:
-    """Return the SPATEMs of a transmission, each with the time in s from which on it is sent.
-
-    Parameters
-    ----------
-    junction
-        The junction and the plan of its lights.
-    duration_s
-        How long the transmission lasts in s; afterwards the last one stays.
-    """
+    """Return the SPATEMs of a transmission, each with the time in s from which on it is sent."""
     count = max(1, math.ceil(duration_s / junction.update_s))
     return tuple((k * junction.update_s, spatem(junction, k * junction.update_s)) for k in range(count))
 

@@ -31,22 +31,7 @@ NO_PLACE = (900000001, 1800000001)
 
 
 def road_values(data: bytes) -> Values | None:
-    """Return what a message of the road says; None of any other message.
-
-    Parameters
-    ----------
-    data
-        A message, as it came from the air.
-
-    Returns
-    -------
-    A SPATEM has `kind`, `station` and `junctions`; each of these `id`, `stamp_s` (when it was made, in s of the hour of
-    UTC; None where that is not said) and `groups` with `group`, `phase`, `left_s` (to the earliest end, None where that
-    is not said), `end_s` (the same in s of the hour) and `then`, the phases that follow with `phase` and `end_s`.
-    A MAPEM's junctions have `id`, `name`, `latitude`, `longitude`, `lane_width_m` and `lanes` with `lane`, `kind`,
-    `towards`, `away`, `points_m` (east and north of the junction's middle), `groups` and `to`.
-    What cannot be read has `kind`, no junctions, and `reason`, a line.
-    """
+    """Return what a message of the road says; None of any other message."""
     kind = kind_of(data)
     if kind is None:
         return None
@@ -59,24 +44,12 @@ def road_values(data: bytes) -> Values | None:
 
 
 def left_s(end_s: float, now_s: float) -> float:
-    """Return the seconds from now to an end, both in s of the hour; an end of up to half an hour ago is below 0.
-
-    Parameters
-    ----------
-    end_s, now_s
-        Times in s of the hour, 0 to 3600.
-    """
+    """Return the seconds from now to an end, both in s of the hour; an end of up to half an hour ago is below 0."""
     return (end_s - now_s + HOUR_S / 2) % HOUR_S - HOUR_S / 2
 
 
 def road_words(values: Values) -> str:
-    """Return what a message of the road says in a line.
-
-    Parameters
-    ----------
-    values
-        What it says, of `road_values`.
-    """
+    """Return what a message of the road says in a line."""
     if "reason" in values:
         return str(values["reason"])
     parts = [
@@ -89,13 +62,7 @@ def road_words(values: Values) -> str:
 
 
 def group_words(group: Values) -> str:
-    """Return what the lights of a group show, and for how long.
-
-    Parameters
-    ----------
-    group
-        A group of a SPATEM's values.
-    """
+    """Return what the lights of a group show, and for how long."""
     left = group["left_s"]
     return f"group {group['group']} {group['phase']}" + ("" if left is None else f", {max(left, 0.0):.1f} s left")
 

@@ -21,20 +21,7 @@ def on_a_terminal() -> bool:
 
 @contextlib.contextmanager
 def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
-    """A bar on standard error, with the points done and the time left.
-
-    Parameters
-    ----------
-    points
-        Number of points of the sweep.
-    shown
-        Whether there is a bar; None: on a terminal only.
-
-    Yields
-    ------
-    PointProgress
-        To be called with the tallies after each block.
-    """
+    """A bar on standard error, with the points done and the time left."""
     if not (on_a_terminal() if shown is None else shown):
         yield silent
         return

@@ -23,26 +23,7 @@ def plan(
     background: Path | None = None,
     imu: Path | None = None,
 ) -> list[Point]:
-    """Points of a sweep, all of them checked.
-
-    Parameters
-    ----------
-    vary
-        Values by dotted key; "receiver" is short for "receive.receiver", and "preset" may vary too.
-    preset, over
-        What does not vary: a preset and nested settings laid on it.
-    seed
-        Of all that is random, 0 to 2^63 - 1, which the store can hold.
-    background, imu
-        Files of footage and of motion, which points use unless a setting says otherwise; None where there are none.
-
-    Raises
-    ------
-    SettingsError
-        A key is unknown, a value wrong, the seed out of range, or a recording lacks.
-    MediaError
-        A recording cannot be read.
-    """
+    """Points of a sweep, all of them checked."""
     if not isinstance(seed, Integral) or not 0 <= seed < 2**63:
         raise SettingsError(f"the seed is a whole number from 0 to 2^63 - 1, not {shown(seed)}")
     recordings = _recordings(background, imu)
@@ -53,18 +34,7 @@ def plan(
 
 
 def laid_over(changes: Mapping[str, Any] | Sequence[str]) -> Mapping[str, Any]:
-    """Changes of settings as one nested mapping.
-
-    Parameters
-    ----------
-    changes
-        Values by dotted key, or texts such as "channel.distance_m=60"; a later one wins.
-
-    Raises
-    ------
-    SettingsError
-        They are neither, or a text assigns nothing.
-    """
+    """Changes of settings as one nested mapping."""
     if isinstance(changes, str):
         changes = [changes]
     if isinstance(changes, Mapping):

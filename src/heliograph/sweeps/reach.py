@@ -12,13 +12,7 @@ NAMED = 3
 
 
 def not_looked_for(points: Sequence[Point]) -> str:
-    """A line about the points whose arrays no receiver looks for; empty where there are none.
-
-    Parameters
-    ----------
-    points
-        Points of a sweep, checked.
-    """
+    """A line about the points whose arrays no receiver looks for; empty where there are none."""
     found = [(point, text) for point in points if (text := _outside(point.settings))]
     if not found:
         return ""
@@ -31,13 +25,7 @@ def not_looked_for(points: Sequence[Point]) -> str:
 
 
 def sides_px(settings: LinkSettings) -> list[tuple[float, float]]:
-    """Smallest and largest side of the arrays' images in px, over the way from the first distance to the last.
-
-    Parameters
-    ----------
-    settings
-        The link; arrays are taken to face the camera, and those that come or go by themselves are left out.
-    """
+    """Smallest and largest side of the arrays' images in px, over the way from the first distance to the last."""
     channel = settings.channel
     length = settings.signal.side * channel.emitter.pitch_m * channel.camera.focal_px
     ways = (channel.distance_m, channel.stop_m) if channel.moves else (channel.distance_m,)

@@ -18,54 +18,18 @@ PointProgress = Callable[[Sequence[PointTally]], None]
 
 
 def silent(tallies: Sequence[PointTally], /) -> None:
-    """Report no progress.
-
-    Parameters
-    ----------
-    tallies
-        Counts of all points; they are not looked at.
-    """
+    """Report no progress."""
 
 
 def recall_all(tallies: Sequence[PointTally], store: Store) -> None:
-    """Count what the store holds of each point, and keep the points' settings in it.
-
-    Parameters
-    ----------
-    tallies
-        One a point; the blocks are counted in them.
-    store
-        The file of results, whose blocks of these points are read.
-
-    Raises
-    ------
-    MediaError
-        The store cannot be read or written, or is damaged.
-    """
+    """Count what the store holds of each point, and keep the points' settings in it."""
     for tally in tallies:
         store.note(tally.point)
         _recall(tally, store)
 
 
 def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress: PointProgress = silent) -> None:
-    """Count until all points have enough; the tallies hold the results so far at any time.
-
-    Parameters
-    ----------
-    tallies
-        One a point; the blocks are counted in them.
-    store
-        Blocks in it are not computed again, and all that are computed go there.
-    workers
-        Compute the blocks that the store lacks.
-    progress
-        Called with the tallies after each block.
-
-    Raises
-    ------
-    HeliographError
-        A block cannot be computed, or workers are lost again and again.
-    """
+    """Count until all points have enough; the tallies hold the results so far at any time."""
     progress(tallies)
     flying: dict[Future[dict[str, Any]], tuple[PointTally, int]] = {}
     losses = 0

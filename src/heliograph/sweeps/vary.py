@@ -27,18 +27,7 @@ _RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})(?:\s*:\s*({_NUMBER}))?\s
 
 
 def parse_vary(text: str) -> tuple[str, list[Any]]:
-    """Turn ``key=value,value,...`` into key and values.
-
-    Parameters
-    ----------
-    text
-        A dotted key and its values, such as "channel.distance_m=10,25:120:5"; a value may be a range first:last:step.
-
-    Raises
-    ------
-    SettingsError
-        There is no key or no value, a range has no end, or there are too many values.
-    """
+    """Turn ``key=value,value,...`` into key and values."""
     key, sign, values = text.partition("=")
     if not sign or not key.strip() or not values.strip():
         raise SettingsError(f"'{brief(text)}' varies nothing; write key=value,value or key=first:last:step")
@@ -46,18 +35,7 @@ def parse_vary(text: str) -> tuple[str, list[Any]]:
 
 
 def grid(vary: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
-    """All combinations of the values of each key, the last key fastest; one empty one where nothing varies.
-
-    Parameters
-    ----------
-    vary
-        Values by dotted key, each once, at least one a key; "receiver" is short for "receive.receiver".
-
-    Raises
-    ------
-    SettingsError
-        A key has no values or one twice or is given twice, or there are too many combinations.
-    """
+    """All combinations of the values of each key, the last key fastest; one empty one where nothing varies."""
     plain = listed(vary)
     if math.prod(map(len, plain.values())) > MOST:
         raise SettingsError(f"a sweep has at most {MOST} points; take a larger step or fewer keys")
@@ -65,18 +43,7 @@ def grid(vary: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
 
 
 def listed(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
-    """Values of each key as a list, those of NumPy as Python's, which settings and JSON accept.
-
-    Parameters
-    ----------
-    vary
-        Values by dotted key, each once, at least one a key; "receiver" is short for "receive.receiver".
-
-    Raises
-    ------
-    SettingsError
-        A key has no values, too many or one twice, or is given twice; or these are no lists by key.
-    """
+    """Values of each key as a list, those of NumPy as Python's, which settings and JSON accept."""
     if not isinstance(vary, Mapping):
         raise SettingsError(f'a sweep varies lists, such as {{"channel.distance_m": [40, 60]}}, not {shown(vary)}')
     for key in vary:
@@ -88,22 +55,7 @@ def listed(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
 
 
 def varied(preset: str, over: Mapping[str, Any], choice: Mapping[str, Any]) -> LinkSettings:
-    """Settings of a point.
-
-    Parameters
-    ----------
-    preset
-        Preset to start from, if `choice` names none.
-    over
-        Nested settings laid over it.
-    choice
-        Values by dotted key, laid over that.
-
-    Raises
-    ------
-    SettingsError
-        A preset or key is unknown, a value wrong or out of range.
-    """
+    """Settings of a point."""
     name = choice.get("preset", preset)
     for key, value in choice.items():
         if key != "preset":
@@ -112,20 +64,7 @@ def varied(preset: str, over: Mapping[str, Any], choice: Mapping[str, Any]) -> L
 
 
 def nested(key: str, value: Any) -> Any:
-    """A value under a dotted key as nested mappings.
-
-    Parameters
-    ----------
-    key
-        Dotted key of a setting, such as "channel.distance_m".
-    value
-        What the setting is to be, of any type.
-
-    Raises
-    ------
-    SettingsError
-        It is no key.
-    """
+    """A value under a dotted key as nested mappings."""
     _check_key(key)
     parse_assignment(f"{key}=0")  # names what is wrong with a key
     for part in reversed(key.split(".")):

@@ -25,21 +25,7 @@ def create_app(
     limits: Limits | None = None,
     camera: Sequence[str] = (),
 ) -> FastAPI:
-    """Make the application that `heliograph serve` runs.
-
-    Parameters
-    ----------
-    settings
-        The link that pages begin with; None for the preset `paper`.
-    films
-        Films and cameras that page *Watch* offers by name.
-    door
-        Who may come in; None for this machine alone.
-    limits
-        Sizes, times and numbers; None for the usual ones.
-    camera
-        Settings of live cameras, such as "exposure_us=500".
-    """
+    """Make the application that `heliograph serve` runs."""
     limits = limits or Limits()
     shared = Shared(settings or load_settings("paper"), tuple(films), limits, Uploads(limits), tuple(camera))
 

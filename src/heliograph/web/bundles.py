@@ -23,13 +23,7 @@ class Bundles:
         self._lock = threading.Lock()
 
     def add(self, path: Path) -> str:
-        """Keep a film, and return the name by which a page asks for it.
-
-        Parameters
-        ----------
-        path
-            The film, in the server's own folder; it is removed with what is kept of it here.
-        """
+        """Keep a film, and return the name by which a page asks for it."""
         name = secrets.token_hex(16)
         with self._lock:
             self._known[name] = path
@@ -39,38 +33,20 @@ class Bundles:
         return name
 
     def drop(self, name: str) -> None:
-        """Remove a film; any other name is passed over.
-
-        Parameters
-        ----------
-        name
-            What `add` returned.
-        """
+        """Remove a film; any other name is passed over."""
         with self._lock:
             path = self._known.pop(name, None)
         if path is not None:
             path.unlink(missing_ok=True)
 
     def of(self, name: str) -> Path | None:
-        """Path of a film; None where there is none of that name.
-
-        Parameters
-        ----------
-        name
-            What `add` returned; it is looked up, and never part of a path.
-        """
+        """Path of a film; None where there is none of that name."""
         with self._lock:
             return self._known.get(name)
 
 
 def bundles_of(connection: HTTPConnection) -> Bundles:
-    """What is kept of what failed.
-
-    Parameters
-    ----------
-    connection
-        The request or WebSocket.
-    """
+    """What is kept of what failed."""
     kept: Bundles = connection.app.state.shared.bundles
     return kept
 
@@ -80,15 +56,7 @@ router = APIRouter(prefix="/api/bundles")
 
 @router.get("/{name}")
 async def bundle(name: str, kept: Annotated[Bundles, Depends(bundles_of)]) -> FileResponse:
-    """Give a film of what failed.
-
-    Parameters
-    ----------
-    name
-        What the server called it.
-    kept
-        The films there are.
-    """
+    """Give a film of what failed."""
     path = kept.of(name)
     if path is None or not path.is_file():
         raise HTTPException(404, "that film is not here any more: save it again")

@@ -9,11 +9,6 @@ def patient_for(seconds: float) -> type[H11Protocol]:
     """Return what speaks HTTP with a client, and lets it go where it does not ask whole.
 
     uvicorn itself waits for ever for the first request of a connection, and for the rest of one that has begun.
-
-    Parameters
-    ----------
-    seconds
-        Time in s within which a request must be there, with all of its head.
     """
 
     class Patient(H11Protocol):

@@ -27,47 +27,22 @@ its end. Chosen."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Form:
-    """Form of the frames that are kept, and what their film notes.
+    """Form of the frames that are kept, and what their film notes."""
 
-    Attributes
-    ----------
-    width, height, bits
-        Of its frames.
-    rate_hz
-        Frames a second; None where their times tell.
-    signal
-        The light's signal, as it is received.
-    metadata
-        Text that is kept with it.
-    """
-
+    # width, height, bits: of its frames
     width: int
     height: int
     bits: int
+    # Frames a second; None where their times tell
     rate_hz: float | None
+    # The light's signal, as it is received
     signal: SignalSettings
+    # Text that is kept with it
     metadata: dict[str, str] = field(default_factory=dict)
 
 
 class Failures:
-    """Holds the last frames, and writes those about packets that failed; frames of one thread, saving in any.
-
-    Parameters
-    ----------
-    folder
-        Where the films go, under names of their own.
-    form
-        Of what is received.
-    most
-        Most bytes of frames in a film of what failed.
-
-    Attributes
-    ----------
-    packets
-        How many packets failed whose frames are in the film.
-    full
-        Whether the film takes no more.
-    """
+    """Holds the last frames, and writes those about packets that failed; frames of one thread, saving in any."""
 
     def __init__(self, folder: Path, form: Form, most: int = MOST_WRITTEN):
         self._folder, self._form, self._lock = folder, form, threading.Lock()
@@ -80,13 +55,7 @@ class Failures:
         self.packets, self.full = 0, False
 
     def saw(self, frame: Frame) -> None:
-        """Take a frame; nobody writes to its pixels any more.
-
-        Parameters
-        ----------
-        frame
-            The next frame.
-        """
+        """Take a frame; nobody writes to its pixels any more."""
         kept_s = (1 + BEFORE + AFTER) * self._form.signal.packet_s
         with self._lock:
             held = self._frames
@@ -97,24 +66,12 @@ class Failures:
                 self._write(frame)
 
     def expect(self, signal: SignalSettings) -> None:
-        """Take another signal for that of the light from now on.
-
-        Parameters
-        ----------
-        signal
-            What the receiver looks for.
-        """
+        """Take another signal for that of the light from now on."""
         with self._lock:
             self._form = replace(self._form, signal=signal)
 
     def failed(self, packet: Packet) -> None:
-        """Keep the frames of a packet.
-
-        Parameters
-        ----------
-        packet
-            One of which not all was read.
-        """
+        """Keep the frames of a packet."""
         packet_s = self._form.signal.packet_s
         first_s = packet.start_time_s - BEFORE * packet_s
         with self._lock:
@@ -127,17 +84,7 @@ class Failures:
                     self._write(frame)
 
     def save(self) -> Path | None:
-        """Finish the film of what failed, or of the last frames where nothing did; a new one begins with what follows.
-
-        Returns
-        -------
-        The film; None where there are no frames.
-
-        Raises
-        ------
-        MediaError
-            It cannot be written.
-        """
+        """Finish the film of the failure, or else of the last frames, and begin a new film."""
         with self._lock:
             if self._film is None:
                 for frame in self._frames:

@@ -64,24 +64,7 @@ class Frames:
 
 
 def read_upload(path: Path, asked: Asked, tell: Tell, saver: Saver) -> None:
-    """Read a film, and tell all of it.
-
-    Parameters
-    ----------
-    path
-        The film.
-    asked
-        Size and rate, as far as they are known.
-    tell
-        Gets the rows of the journal, and "light", "progress", "why", "bundle" and "end".
-    saver
-        Keeps what fails.
-
-    Raises
-    ------
-    MediaError
-        It is no film, or breaks off at once.
-    """
+    """Read a film, and tell all of it."""
     doubted, reception = set[int](), Reception()
     for binning, again in product(_binnings(path), (False, True)):
         # headers of all sizes look alike: where none was found, another size is of no use
@@ -106,19 +89,7 @@ def read_upload(path: Path, asked: Asked, tell: Tell, saver: Saver) -> None:
 
 
 def read_camera(camera: CameraFrames, asked: Asked, tell: Tell, saver: Saver) -> None:
-    """Read a camera until it ends, and tell all that is read.
-
-    Parameters
-    ----------
-    camera
-        Its frames.
-    asked
-        Size and rate, as far as they are known.
-    tell
-        Gets the rows of the journal, and "light", "progress", "took", "left", "why", "bundle" and "end".
-    saver
-        Keeps what fails.
-    """
+    """Read a camera until it ends, and tell all that is read."""
     reception, doubted = Reception(), set[int]()
     saver.begin(asked.usual.signal)
     frames = _kept(_told_of(camera, tell), saver)

@@ -31,19 +31,7 @@ router = APIRouter(prefix="/api/receive")
 
 
 class Wish(BaseModel):
-    """The first message of a page.
-
-    Attributes
-    ----------
-    kind
-        "film" for an upload, "camera" for frames that follow.
-    film
-        Name of the upload.
-    side
-        Cells of a side; None where they are to be found.
-    rate_hz
-        Patterns a second; None where they are to be found.
-    """
+    """The first message of a page."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 

@@ -15,15 +15,7 @@ MOST_WRITTEN = 256 << 20
 
 
 class Saver:
-    """Keeps frames while they are read; of the reader's thread, but `save` of any.
-
-    Parameters
-    ----------
-    folder
-        Where films go, under names of their own.
-    bundles
-        Where pages fetch them.
-    """
+    """Keeps frames while they are read; of the reader's thread, but `save` of any."""
 
     def __init__(self, folder: Path, bundles: Bundles):
         self._folder, self._bundles = folder, bundles
@@ -31,36 +23,18 @@ class Saver:
         self._signal: SignalSettings | None = None
 
     def begin(self, signal: SignalSettings) -> None:
-        """Begin anew; what was kept goes.
-
-        Parameters
-        ----------
-        signal
-            What the receiver looks for.
-        """
+        """Begin anew; what was kept goes."""
         self.close()
         self._signal = signal
 
     def expect(self, signal: SignalSettings) -> None:
-        """Take another signal for that of the light; what is kept stays.
-
-        Parameters
-        ----------
-        signal
-            What the receiver looks for from now on.
-        """
+        """Take another signal for that of the light; what is kept stays."""
         self._signal = signal
         if self._failures is not None:
             self._failures.expect(signal)
 
     def saw(self, frame: Frame) -> None:
-        """Take a frame; nobody writes to its pixels any more.
-
-        Parameters
-        ----------
-        frame
-            The next frame.
-        """
+        """Take a frame; nobody writes to its pixels any more."""
         if self._failures is None:
             assert self._signal is not None
             rows, columns = frame.pixels.shape
@@ -69,24 +43,12 @@ class Saver:
         self._failures.saw(frame)
 
     def read(self, packet: Packet) -> None:
-        """Keep the frames of a packet of which not all was read.
-
-        Parameters
-        ----------
-        packet
-            A packet, read or not.
-        """
+        """Keep the frames of a packet of which not all was read."""
         if packet.status != "ok" and self._failures is not None:
             self._failures.failed(packet)
 
     def save(self) -> dict[str, Any]:
-        """Finish the film, and return by which name a page fetches it, and its bytes.
-
-        Raises
-        ------
-        MediaError
-            There are no frames, or no room.
-        """
+        """Finish the film, and return by which name a page fetches it, and its bytes."""
         path = None if self._failures is None else self._failures.save()
         if path is None:
             raise MediaError("no frames were taken yet: start the camera")

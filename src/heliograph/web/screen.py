@@ -17,20 +17,7 @@ the cells' noise is small."""
 
 
 def screen_settings(side: int, rate_hz: float) -> LinkSettings:
-    """Return the settings of a screen's light, and of the receiver of its films.
-
-    Parameters
-    ----------
-    side
-        Cells in a row and in a column, one of `probe.cells.SIDES`.
-    rate_hz
-        Patterns a second, `LEAST_RATE_HZ` to `MOST_RATE_HZ`.
-
-    Raises
-    ------
-    SettingsError
-        They are out of range.
-    """
+    """Return the settings of a screen's light, and of the receiver of its films."""
     signal: dict[str, Any] = {"side": side, "pattern_period_s": 1 / rate_hz}
     over: dict[str, Mapping[str, Any]] = {"signal": signal}
     if side == SMALL_SIDE:

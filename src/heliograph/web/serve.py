@@ -22,18 +22,12 @@ LAST_WORDS_S = 2
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a server waits.
+    """Where a server waits."""
 
-    Attributes
-    ----------
-    host, port
-        As they were asked for; port 0 takes a free one.
-    certificate, key
-        Files of a certificate and its key in PEM, for HTTPS; None for HTTP.
-    """
-
+    # host, port: as they were asked for; port 0 takes a free one
     host: str = "127.0.0.1"
     port: int = 8000
+    # certificate, key: files of a certificate and its key in PEM, for HTTPS; None for HTTP
     certificate: Path | None = None
     key: Path | None = None
 
@@ -55,33 +49,14 @@ class Address:
         return Door(LOOPBACK | names, addresses=True, token=secrets.token_urlsafe(16))
 
     def url(self, port: int, token: str | None) -> str:
-        """Return what is opened in a browser; the token stands behind #, which browsers keep to themselves.
-
-        Parameters
-        ----------
-        port
-            The port that was opened.
-        token
-            The token that is asked for; None where none is.
-        """
+        """Return what is opened in a browser; the token stands behind #, which browsers keep to themselves."""
         host = _own_address() if self.host in EVERYWHERE else self.host
         host = f"[{host}]" if ":" in host else host
         return f"{'https' if self.is_secure else 'http'}://{host}:{port}/" + (f"#token={token}" if token else "")
 
 
 def opened(address: Address) -> socket.socket:
-    """Open the port.
-
-    Parameters
-    ----------
-    address
-        Where the server is to wait.
-
-    Raises
-    ------
-    SettingsError
-        It is taken, or the host is none of this machine's.
-    """
+    """Open the port."""
     family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
     waiting = socket.socket(family, socket.SOCK_STREAM)
     waiting.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -98,26 +73,7 @@ def opened(address: Address) -> socket.socket:
 
 
 def run(app: FastAPI, waiting: socket.socket, address: Address, limits: Limits) -> None:
-    """Serve until Ctrl-C.
-
-    Parameters
-    ----------
-    app
-        The application.
-    waiting
-        The opened port.
-    address
-        Where it is; its certificate is used.
-    limits
-        Numbers and sizes.
-
-    Raises
-    ------
-    SettingsError
-        The certificate and key cannot be used.
-    KeyboardInterrupt
-        Ctrl-C, once all is put away.
-    """
+    """Serve until Ctrl-C."""
     config = configured(app, address, limits)
     try:
         config.load()
@@ -130,13 +86,7 @@ def run(app: FastAPI, waiting: socket.socket, address: Address, limits: Limits) 
 
 
 def configured(app: FastAPI, address: Address, limits: Limits) -> uvicorn.Config:
-    """How the server runs.
-
-    Parameters
-    ----------
-    app, address, limits
-        As of `run`.
-    """
+    """How the server runs."""
     return uvicorn.Config(
         app,
         log_level="critical",  # of a connection that does not end in time nothing need be said

@@ -40,28 +40,16 @@ TEXT = (
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Predictions and distances of all packets.
+    """Predictions and distances of all packets."""
 
-    Attributes
-    ----------
-    reliability
-        Bits by `FIRST` and `LAST`.
-    distances
-        Rows of `CalibrationRecord.distances` by case.
-    """
-
+    # Bits by `FIRST` and `LAST`
     reliability: dict[str, ReliabilityCounts]
+    # Rows of `CalibrationRecord.distances` by case
     distances: dict[str, Floats]
 
     @classmethod
     def of(cls, records: Iterable[CalibrationRecord]) -> "Calibration":
-        """All records together.
-
-        Parameters
-        ----------
-        records
-            Records of films; those of a case are put together.
-        """
+        """All records together."""
         reliability = {name: ReliabilityCounts() for name in (FIRST, LAST)}
         rows: dict[str, list[Floats]] = {}
         for one in records:
@@ -79,13 +67,7 @@ class Calibration:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Receive packets by distance; compare predictions and distances with the truth.
-
-    Parameters
-    ----------
-    context
-        Says whether few packets or many are received; gives seed, workers and progress.
-    """
+    """Receive packets by distance; compare predictions and distances with the truth."""
     measured = Calibration.of(context.each("the soft receiver", record, films(context)))
     bins = {name: counts.bins() for name, counts in measured.reliability.items()}
     errors = by_distance(measured.distances)
@@ -105,13 +87,7 @@ def run(context: Context) -> ExperimentResult:
 
 
 def films(context: Context) -> list[CalibrationFilm]:
-    """Films to be received; far ones, which take longest, first.
-
-    Parameters
-    ----------
-    context
-        Its `quick` says how many distances and films, its `seed` where the films' seeds begin.
-    """
+    """Films to be received; far ones, which take longest, first."""
     out = []
     for z in sorted(QUICK_M if context.quick else FULL_M, reverse=True):
         for case, preset, packets, count in ((STATIC, "static", 1, 24), (DRIVING, "paper", 3, 8)):

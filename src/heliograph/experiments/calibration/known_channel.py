@@ -27,23 +27,15 @@ TEXT = (
 
 @dataclass(frozen=True, slots=True)
 class KnownChannelTask:
-    """Packets at one brightness.
+    """Packets at one brightness."""
 
-    Attributes
-    ----------
-    link
-        The link as simulated, with one array at rest.
-    layer
-        The layer that is counted.
-    seeds
-        Seeds of messages, place and noise, one for each packet.
-    known
-        Whether the receiver gets the true channel.
-    """
-
+    # The link as simulated, with one array at rest
     link: LinkSettings
+    # The layer that is counted
     layer: str
+    # Seeds of messages, place and noise, one for each packet
     seeds: range
+    # Whether the receiver gets the true channel
     known: bool
 
     @property
@@ -53,19 +45,7 @@ class KnownChannelTask:
 
 
 def tasks(distance_m: float, layer: str, brightness: Sequence[float], packets: int) -> list[KnownChannelTask]:
-    """Packets blind and with the channel known, for each brightness.
-
-    Parameters
-    ----------
-    distance_m
-        Distance of the array in m, above 0.
-    layer
-        The layer that is counted.
-    brightness
-        Brightnesses of the array, 1 for that of the reference link.
-    packets
-        Packets of each task; their seeds count from 0.
-    """
+    """Packets blind and with the channel known, for each brightness."""
     out = []
     for one in brightness:
         changes = (f"channel.distance_m={distance_m}", f"channel.arrays.0.brightness={one}")
@@ -75,13 +55,7 @@ def tasks(distance_m: float, layer: str, brightness: Sequence[float], packets: i
 
 
 def measure(task: KnownChannelTask) -> Count:
-    """Codewords wrong of all packets.
-
-    Parameters
-    ----------
-    task
-        The link, the layer that is counted, the seeds, and whether the channel is known.
-    """
+    """Codewords wrong of all packets."""
     total = Count()
     for seed in task.seeds:
         total.include(count_packet(task.link, seed, task.known)[task.layer])
@@ -89,17 +63,7 @@ def measure(task: KnownChannelTask) -> Count:
 
 
 def count_packet(link: LinkSettings, seed: int, known: bool) -> dict[str, Count]:
-    """Codewords wrong of one packet at rest, by layer; a packet missed counts as wrong.
-
-    Parameters
-    ----------
-    link
-        The link, with one array.
-    seed
-        Of messages, place and noise.
-    known
-        Whether the receiver gets the true channel.
-    """
+    """Codewords wrong of one packet at rest, by layer; a packet missed counts as wrong."""
     signal = link.signal
     link = dithered(lasting(link, signal.packet_s), seed)
     messages = random_messages(link, seed)
@@ -123,13 +87,7 @@ def _wrong(name: str, packets: Sequence[Packet], blocks: Sequence[AnyBlock]) -> 
 
 
 def run(context: Context) -> ExperimentResult:
-    """Count codewords blind and with the channel known.
-
-    Parameters
-    ----------
-    context
-        Says whether few packets or many are counted; gives workers and progress. Its seed is not used.
-    """
+    """Count codewords blind and with the channel known."""
     brightness = QUICK_BRIGHTNESS if context.quick else FULL_BRIGHTNESS
     todo = tasks(DISTANCE_M, LAYER, brightness, QUICK_PACKETS if context.quick else FULL_PACKETS)
     counts = context.each("known channel", measure, todo)

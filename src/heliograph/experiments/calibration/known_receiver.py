@@ -38,17 +38,7 @@ Truths = dict[int, ArrayTruth]
 
 
 class KnownReader:
-    """The soft receiver's reader with the true channel in place of the estimated one; see `array.PacketReader`.
-
-    Parameters
-    ----------
-    link
-        The link as simulated, with one array at rest in step.
-    truths
-        Truth of each frame taken so far.
-    blind
-        Reads headers and follows the array.
-    """
+    """The soft receiver's reader with the true channel in place of the estimated one; see `array.PacketReader`."""
 
     def __init__(self, link: LinkSettings, truths: Truths, blind: PacketReader):
         self._link, self._truths, self._blind = link, truths, blind
@@ -62,27 +52,11 @@ class KnownReader:
         return self._blind.format
 
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> tuple[Track, float]:
-        """Read a header pair blind; see `PacketReader`.
-
-        Parameters
-        ----------
-        number
-            Number of the pair in the header, from 0.
-        pair
-            Camera frames of the header and its inverse.
-        tracked
-            The array in them, as the tracker followed it.
-        """
+        """Read a header pair blind; see `PacketReader`."""
         return self._blind.read_header(number, pair, tracked)
 
     def end_header(self, header: MeasuredHeader) -> None:
-        """Nothing: the camera is in step.
-
-        Parameters
-        ----------
-        header
-            Header as a camera out of step saw it; ignored.
-        """
+        """Nothing: the camera is in step."""
 
     def follow(self, pair: FramePair, track: Track) -> TrackedPair:
         """Follow the array blind; see `PacketReader`.
@@ -97,78 +71,38 @@ class KnownReader:
         return self._blind.follow(pair, track)
 
     def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:  # noqa: ARG002 - the truth is known
-        """Keep a pair with its true poses.
-
-        Parameters
-        ----------
-        place
-            Number of the pair in its packet's data, from 0.
-        pair
-            Camera frames of the pair; their numbers name the truths.
-        tracked
-            The array in them, as it was followed; ignored, for the truth is known.
-        """
+        """Keep a pair with its true poses."""
         first, second = (self._truths[frame.index] for frame in (pair.pattern, pair.inverted))
         poses = true_pose(first, self._link), true_pose(second, self._link)
         self._cutouts[place] = take_cutout(pair, poses, self._link.signal.side)
         self._gain = true_gain(first, self._link)
 
     def add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
-        """Leave a pair out of which one frame is lost; see `PacketReader`.
-
-        Parameters
-        ----------
-        place
-            Number of the pair in its packet's data, from 0.
-        lone
-            The frame that is there; ignored.
-        """
+        """Leave a pair out of which one frame is lost; see `PacketReader`."""
 
     def observations(self) -> "KnownPairs":
         """The cut-outs of all pairs, with the gain; see `PacketReader`."""
         return KnownPairs(self._link, self._form, tuple(self._cutouts), self._gain)
 
     def next(self, state: ArrayState | None, confirmed: bool) -> "KnownReader":
-        """Make the reader of the next packet; see `PacketReader`.
-
-        Parameters
-        ----------
-        state
-            State of the array after this packet.
-        confirmed
-            True if the array is certain to be where it is tracked.
-        """
+        """Make the reader of the next packet; see `PacketReader`."""
         return KnownReader(self._link, self._truths, self._blind.next(state, confirmed))
 
     def update(self, state: ArrayState) -> None:
-        """Ignore the array's state: all is known; see `PacketReader`.
-
-        Parameters
-        ----------
-        state
-            State of the array after the packet before; ignored.
-        """
+        """Ignore the array's state: all is known; see `PacketReader`."""
 
 
 @dataclass(frozen=True, slots=True)
 class KnownPairs:
-    """What was taken of a packet whose channel is known; see `worker.Observations`.
+    """What was taken of a packet whose channel is known; see `worker.Observations`."""
 
-    Attributes
-    ----------
-    link
-        The link as simulated, with one array at rest in step.
-    form
-        Format of the packet.
-    cutouts
-        Cut-outs of its pairs at their true poses; None for pairs not seen.
-    gain
-        Gray levels of the array with all LEDs on.
-    """
-
+    # The link as simulated, with one array at rest in step
     link: LinkSettings
+    # Format of the packet
     form: PacketFormat
+    # Cut-outs of its pairs at their true poses; None for pairs not seen
     cutouts: tuple[Cutout | None, ...]
+    # Gray levels of the array with all LEDs on
     gain: float
 
     def has_codeword(self) -> bool:
@@ -176,13 +110,7 @@ class KnownPairs:
         return False
 
     def renumbered(self, place: int) -> "KnownPairs":  # noqa: ARG002 - no frame is lost
-        """The same: no frame is lost of which the truth is known; see `Observations`.
-
-        Parameters
-        ----------
-        place
-            Number of a lost pair; ignored.
-        """
+        """The same: no frame is lost of which the truth is known; see `Observations`."""
         return self
 
     @one_thread()
@@ -221,15 +149,7 @@ class _FixedPoses:
 
 
 def known_receiver(link: LinkSettings, truths: Truths) -> Receiver:
-    """The soft receiver with the true channel.
-
-    Parameters
-    ----------
-    link
-        The link as simulated.
-    truths
-        Truth of each frame, which must be there before the frame is pushed.
-    """
+    """The soft receiver with the true channel."""
     blind = soft_reader(link.signal, link.receive, ignore)
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
@@ -239,15 +159,7 @@ def known_receiver(link: LinkSettings, truths: Truths) -> Receiver:
 
 
 def true_gain(truth: ArrayTruth, link: LinkSettings) -> float:
-    """Gray levels of a wide array with all LEDs on, by the Lambertian lobe of LEDs off the axis.
-
-    Parameters
-    ----------
-    truth
-        Truth of the array in a frame; only its distance is used.
-    link
-        The link as simulated, with one array.
-    """
+    """Gray levels of a wide array with all LEDs on, by the Lambertian lobe of LEDs off the axis."""
     place, emitter, sensor = link.channel.arrays[0], link.channel.emitter, link.channel.sensor
     z = truth.distance_m
     cosine = z / np.sqrt(z**2 + place.x_m**2 + place.y_m**2)
@@ -255,15 +167,7 @@ def true_gain(truth: ArrayTruth, link: LinkSettings) -> float:
 
 
 def true_noise(gain: float, link: LinkSettings) -> Noise:
-    """Noise of a difference of two frames by EMVA 1288: 2 (K^2 sigma_d^2 + 1 / 12) and K times the light of both.
-
-    Parameters
-    ----------
-    gain
-        Gray levels of a wide array with all LEDs on, as `true_gain` gives them.
-    link
-        The link as simulated.
-    """
+    """Noise of a difference of two frames by EMVA 1288: 2 (K^2 sigma_d^2 + 1 / 12) and K times the light of both."""
     sensor, channel = link.channel.sensor, link.channel
     k = sensor.gain_dn_per_e
     # 2 (K^2 sigma_d^2 + 1 / 12)

@@ -13,13 +13,7 @@ from heliograph.experiments.calibration.verdicts import GOOD_M, TOLERANCE, judge
 
 
 def reliability_diagram(bins: Mapping[str, Sequence[ReliabilityBin]]) -> Figure:
-    """Observed over predicted error probability of the bins that are judged, with 95 % intervals.
-
-    Parameters
-    ----------
-    bins
-        Bits by bin of the predicted error probability, by name of the LLRs: two names, such as `FIRST` and `LAST`.
-    """
+    """Observed over predicted error probability of the bins that are judged, with 95 % intervals."""
     figure = Figure(figsize=(8, 4))
     axes = figure.subplots()
     for (name, part), colour in zip(bins.items(), (plots.BLUE, plots.ORANGE), strict=True):
@@ -36,13 +30,7 @@ def reliability_diagram(bins: Mapping[str, Sequence[ReliabilityBin]]) -> Figure:
 
 
 def distance_errors(distances: Mapping[str, Floats]) -> Figure:
-    """Error of each packet's distance.
-
-    Parameters
-    ----------
-    distances
-        (packets, 3) rows of `CalibrationRecord.distances` by case; the first three cases are drawn.
-    """
+    """Error of each packet's distance."""
     figure = Figure(figsize=(8, 4))
     axes = figure.subplots()
     for (case, rows), colour in zip(distances.items(), (plots.BLUE, plots.ORANGE, plots.GREEN), strict=False):

@@ -25,45 +25,24 @@ DISTANCE_BINS = (22.5, 32.5, 50.0, 65.0, 75.0, 82.5, 95.0, 110.0, 140.0, 165.0, 
 
 @dataclass(frozen=True, slots=True)
 class DistanceErrors:
-    """Errors of distance of packets in a bin of distance.
+    """Errors of distance of packets in a bin of distance."""
 
-    Attributes
-    ----------
-    case
-        The films' case, and whether it is the first packet of a film or a later one.
-    from_m, to_m
-        Edges of the bin in m.
-    errors_m
-        (packets,) errors in m.
-    """
-
+    # The films' case, and whether it is the first packet of a film or a later one
     case: str
+    # from_m, to_m: edges of the bin in m
     from_m: float
     to_m: float
+    # (packets,) errors in m
     errors_m: Floats
 
 
 def judged(bins: Sequence[ReliabilityBin]) -> list[ReliabilityBin]:
-    """The bins with enough errors to be judged.
-
-    Parameters
-    ----------
-    bins
-        Bits by bin; from `ENOUGH` errors on, expected or observed, a bin is judged.
-    """
+    """The bins with enough errors to be judged."""
     return [one for one in bins if max(one.count.errors, one.expected) >= ENOUGH]
 
 
 def calibrated(name: str, bins: Sequence[ReliabilityBin]) -> Finding:
-    """Whether observed and predicted error probabilities agree.
-
-    Parameters
-    ----------
-    name
-        Name of the LLRs.
-    bins
-        Their bits by bin.
-    """
+    """Whether observed and predicted error probabilities agree."""
     here = judged(bins)
     off = [one for one in here if one.ratio()[1] > 1 + TOLERANCE or one.ratio()[2] < 1 - TOLERANCE]
     near = [one for one in here if abs(one.ratio()[0] - 1) <= TOLERANCE]
@@ -79,13 +58,7 @@ def calibrated(name: str, bins: Sequence[ReliabilityBin]) -> Finding:
 
 
 def by_distance(distances: Mapping[str, Floats]) -> list[DistanceErrors]:
-    """Errors by case and distance, first packets apart.
-
-    Parameters
-    ----------
-    distances
-        (packets, 3) rows of `CalibrationRecord.distances` by case; packets without a distance (NaN) are left out.
-    """
+    """Errors by case and distance, first packets apart."""
     out = []
     for case, rows in distances.items():
         for name, chosen in (("first packet", rows[:, 2] == 0), ("later packets", rows[:, 2] > 0)):
@@ -97,13 +70,7 @@ def by_distance(distances: Mapping[str, Floats]) -> list[DistanceErrors]:
 
 
 def rms_m(errors_m: Floats) -> tuple[float, float, float]:
-    """Rms of errors in m, and the ends of its 95 % interval.
-
-    Parameters
-    ----------
-    errors_m
-        (n,) errors in m, n above 0; they are taken as independent and normal, with mean 0.
-    """
+    """Rms of errors in m, and the ends of its 95 % interval."""
     from scipy.special import chdtri
 
     total, n = float((errors_m**2).sum()), len(errors_m)
@@ -112,14 +79,7 @@ def rms_m(errors_m: Floats) -> tuple[float, float, float]:
 
 
 def accurate(errors: Sequence[DistanceErrors]) -> Finding:
-    """Whether distances are as accurate as asked.
-
-    Parameters
-    ----------
-    errors
-        Errors by case and bin of distance; bins that end at `GOOD_TO_M` + 2.5 m or nearer are judged, and there must be
-        one.
-    """
+    """Whether distances are as accurate as asked."""
     near = [one for one in errors if one.to_m <= GOOD_TO_M + 2.5]
     worst = max(near, key=lambda one: rms_m(one.errors_m)[0])
     rms, low, high = rms_m(worst.errors_m)

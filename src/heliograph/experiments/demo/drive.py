@@ -51,13 +51,7 @@ Bar = Callable[[str, int | None], AbstractContextManager[Callable[[int], None]]]
 
 
 def demo_messages(settings: LinkSettings) -> list[Messages]:
-    """What the light shows and a warning, the map and a description, a picture that grows: by priority.
-
-    Parameters
-    ----------
-    settings
-        The link; each of its arrays sends the same messages.
-    """
+    """What the light shows and a warning, the map and a description, a picture that grows: by priority."""
     road = _road(settings)
     warning = "Signal ahead: red for 12 s. Prepare to stop."
     details = (
@@ -88,51 +82,24 @@ def pictures() -> list[bytes]:
 
 
 def film_bytes(settings: LinkSettings) -> int:
-    """About how large the film of the demonstration becomes, in bytes.
-
-    Parameters
-    ----------
-    settings
-        The link, whose camera and length of film count.
-    """
+    """About how large the film of the demonstration becomes, in bytes."""
     camera = settings.channel.camera
     return round(frames_of(settings) * camera.width * camera.height * FILM_BYTES_PER_PIXEL)
 
 
 @dataclass(frozen=True)
 class Demonstration:
-    """Result of the demonstration.
+    """Result of the demonstration."""
 
-    Attributes
-    ----------
-    counts
-        All counts as plain values, see `Reception.report`.
-    ending
-        The error or interruption that broke the reception off; None: it came to its end. The page shows the results
-        so far.
-    """
-
+    # All counts as plain values, see `Reception.report`
     counts: dict[str, Any]
+    # The error or interruption that broke the reception off; None: it came to its end. The page shows the results so
+    # far
     ending: BaseException | None = None
 
 
 def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings, bar: Bar) -> Demonstration:
-    """Simulate, receive and report.
-
-    Parameters
-    ----------
-    folder
-        Gets drive.mp4, its truth, the messages, drive.webp, which moves, and report.html.
-    settings, seed, recordings
-        The link, the seed of road, scene and noise, and the real background and motion; see `simulate`.
-    bar
-        Makes the progress bars, one of the simulation and one of the reception.
-
-    Raises
-    ------
-    MediaError
-        A file cannot be written.
-    """
+    """Simulate, receive and report."""
     film = folder / "drive.mp4"
     with bar("simulating", frames_of(settings)) as advance:
         count = write_film(film, settings, demo_messages(settings), seed, recordings, advance, crf=FILM_CRF)
@@ -162,13 +129,7 @@ def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings,
 
 
 def message_name(message: Message) -> str:
-    """File name of a message, by its array, layer, stream and kind.
-
-    Parameters
-    ----------
-    message
-        A whole message; by its data it is a picture (.png, .webp), of the road (.spatem, .mapem) or a text (.txt).
-    """
+    """File name of a message, by its array, layer, stream and kind."""
     suffix = kind_of(message.data)
     if suffix is None:
         suffix = "txt" if not is_picture(message.data) else "png" if message.data.startswith(b"\x89PNG") else "webp"

@@ -20,15 +20,7 @@ POINTS_A_METRE = 3.2
 
 
 def junction_picture(junction: Values, groups: Mapping[int, Mapping[str, Any]]) -> Figure:
-    """Draw a junction.
-
-    Parameters
-    ----------
-    junction
-        A junction of a MAPEM, of `road_values`.
-    groups
-        Signal groups of a SPATEM by number; lanes of others stay gray.
-    """
+    """Draw a junction."""
     figure = Figure(figsize=(7.5, 6.2))
     axes = figure.subplots()
     width = POINTS_A_METRE * (junction["lane_width_m"] or 3.0)

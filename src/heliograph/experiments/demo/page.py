@@ -33,28 +33,7 @@ def write_page(
     counts: Mapping[str, Any],
     messages: Sequence[Message],
 ) -> None:
-    """Write the page, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        Name of the HTML file to write.
-    truth
-        Truth of the film, with its settings.
-    shown
-        The track of the first array; the animation as WebP, empty for none.
-    reception
-        Counts of the reception.
-    counts
-        Its report, see `Reception.report`.
-    messages
-        Messages received whole, in the order of their arrival.
-
-    Raises
-    ------
-    MediaError
-        The file cannot be written.
-    """
+    """Write the page, whole or not at all."""
     settings, (recorder, moving) = truth.settings, shown
     page = Report("Heliograph: a drive past an LED array")
     channel = settings.channel

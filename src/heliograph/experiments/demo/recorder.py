@@ -9,33 +9,19 @@ from heliograph.receive.events import DetectEvent, Event, ExtractEvent, TrackEve
 
 @dataclass(slots=True)
 class TrackRecorder:
-    """Observer that keeps the track and some pairs of frames of the array that was found first.
+    """Observer that keeps the track and some pairs of frames of the array that was found first."""
 
-    Attributes
-    ----------
-    moments
-        Numbers of the frames from which on the next pair is kept; those done are taken out.
-    track
-        Time in s, number of the first frame and pose of each pair.
-    cuts
-        Number of the first frame, pose and both frames of the pairs kept.
-    identity
-        Number of that array, 0 to 29; None before it is found.
-    """
-
+    # Numbers of the frames from which on the next pair is kept; those done are taken out
     moments: list[int]
+    # Time in s, number of the first frame and pose of each pair
     track: list[tuple[float, int, Pose]] = field(default_factory=list)
+    # Number of the first frame, pose and both frames of the pairs kept
     cuts: list[tuple[int, Pose, Frame, Frame]] = field(default_factory=list)
+    # Number of that array, 0 to 29; None before it is found
     identity: int | None = None
 
     def __call__(self, event: Event) -> None:
-        """Take an event.
-
-        Parameters
-        ----------
-        event
-            Any event of the receiver; detections, tracked pairs and pairs of data count, others are ignored.
-        """
+        """Take an event."""
         if isinstance(event, DetectEvent) and self.identity is None:
             self.identity = event.detection.identity
         if isinstance(event, TrackEvent) and event.identity == self.identity:

@@ -42,20 +42,13 @@ MOST_PAIRS = 32
 
 @dataclass(frozen=True, slots=True)
 class ClutterFilm:
-    """A short film.
+    """A short film."""
 
-    Attributes
-    ----------
-    frames
-        Frames in the order of time, from before the header on.
-    first
-        Number of the frame in which the first array's header begins, or would begin.
-    truths
-        Pose of each array in the frame after that in which its header begins.
-    """
-
+    # Frames in the order of time, from before the header on
     frames: list[Frame]
+    # Number of the frame in which the first array's header begins, or would begin
     first: int
+    # Pose of each array in the frame after that in which its header begins
     truths: tuple[Pose, ...]
 
     @property
@@ -65,42 +58,22 @@ class ClutterFilm:
 
 
 def backdrops(clips: Mapping[str, Path], reach: int) -> dict[str, Backdrop]:
-    """All scenes by name: each clip, a drawn street at rest, and one full of changing lamps.
-
-    Parameters
-    ----------
-    clips
-        Files of real footage by name.
-    reach
-        Frames of each clip that are used.
-    """
+    """All scenes by name: each clip, a drawn street at rest, and one full of changing lamps."""
     scenes: dict[str, Backdrop] = {name: ClipBackdrop(path, reach) for name, path in clips.items()}
     return {**scenes, "drawn scene": drawn_backdrop, "lamps": lamp_backdrop}
 
 
 @dataclass(frozen=True, slots=True)
 class ClipBackdrop:
-    """Moments between two successive frames of a clip; the channel fades one into the other.
+    """Moments between two successive frames of a clip; the channel fades one into the other."""
 
-    Attributes
-    ----------
-    path
-        File of the clip.
-    reach
-        Frames of it that are used, from the first on.
-    """
-
+    # File of the clip
     path: Path
+    # Frames of it that are used, from the first on
     reach: int
 
     def __call__(self, rng: np.random.Generator) -> Moment:
-        """Draw a moment.
-
-        Parameters
-        ----------
-        rng
-            Draws the two frames, and when between them the film begins.
-        """
+        """Draw a moment."""
         rate_hz, pairs = _clip_pairs(ClipVersion.of(self.path), self.reach)
         one, other = pairs[int(rng.integers(len(pairs)))]
         room = max(1 / rate_hz - FRAMES / RATE_HZ, 0.0)
@@ -109,34 +82,17 @@ class ClipBackdrop:
 
 @dataclass(frozen=True, slots=True)
 class ClipVersion:
-    """A clip as it is in its file now: a cache of its frames must not outlive a change of the file.
+    """A clip as it is in its file now: a cache of its frames must not outlive a change of the file."""
 
-    Attributes
-    ----------
-    path
-        File of the clip.
-    changed_ns, size_bytes
-        When it was last changed, in ns since 1970, and its size in bytes.
-    """
-
+    # File of the clip
     path: Path
+    # changed_ns, size_bytes: when it was last changed, in ns since 1970, and its size in bytes
     changed_ns: int
     size_bytes: int
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """Return the clip in a file.
-
-        Parameters
-        ----------
-        path
-            File of the clip.
-
-        Raises
-        ------
-        MediaError
-            There is none.
-        """
+        """Return the clip in a file."""
         try:
             found = path.stat()
         except OSError as error:
@@ -167,25 +123,7 @@ def film_moment(
     identities: Sequence[int] = (0,),
     over: ChannelSettings | None = None,
 ) -> ClutterFilm:
-    """Film a moment of a scene in the reference link.
-
-    Parameters
-    ----------
-    moment
-        The scene and when the film begins.
-    rng
-        Draws shake, noise, data, when each array's header begins and, unless `over` places it, where the array stands.
-    imu
-        Recorded motion; None: a road of class C.
-    distance_m
-        Distance in m of the arrays, which show the end of a packet, a header, and data again; None: no array.
-    header
-        Kind of the arrays' headers: M-sequences, or the lit array.
-    identities
-        Identity of each array, 0 to 29; at least one, also where there is no array.
-    over
-        Channel in place of the reference link's, with a place for each array.
-    """
+    """Film a moment of a scene in the reference link."""
     base = over or load_settings("paper").channel
     start = moment.start_s
     camera = replace(base.camera, start_s=start)

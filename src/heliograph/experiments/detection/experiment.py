@@ -52,15 +52,7 @@ QUICK, FULL = DetectionEffort(6, 3, 16, 1), DetectionEffort(75, 20, 220, 10)
 
 
 def run(context: Context, effort: DetectionEffort | None = None) -> ExperimentResult:
-    """Film, search, compare.
-
-    Parameters
-    ----------
-    context
-        Seed, recordings, workers and progress.
-    effort
-        How many films; None: as the context says.
-    """
+    """Film, search, compare."""
     effort = effort or (QUICK if context.quick else FULL)
     imu = load_imu(context.imu) if context.imu else None
     scenes = backdrops(context.clips, effort.reach)

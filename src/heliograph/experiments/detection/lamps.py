@@ -23,17 +23,11 @@ SUBSTEPS = (np.arange(8) + 0.5) / 8 / RATE_HZ
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A moment of a scene.
+    """A moment of a scene."""
 
-    Attributes
-    ----------
-    footage
-        The scene over time.
-    start_s
-        When the camera starts in it, in s.
-    """
-
+    # The scene over time
     footage: Footage
+    # When the camera starts in it, in s
     start_s: float
 
 
@@ -42,13 +36,7 @@ Backdrop = Callable[[np.random.Generator], Moment]
 
 
 def drawn_backdrop(rng: np.random.Generator) -> Moment:
-    """A drawn street; only the camera moves.
-
-    Parameters
-    ----------
-    rng
-        Draws what stands in the street.
-    """
+    """A drawn street; only the camera moves."""
     from heliograph.channel.drawn_street import draw_scene
 
     street = draw_scene(SIZE, rng)
@@ -57,38 +45,23 @@ def drawn_backdrop(rng: np.random.Generator) -> Moment:
 
 @dataclass(frozen=True, slots=True)
 class Lamp:
-    """A lamp.
+    """A lamp."""
 
-    Attributes
-    ----------
-    at, half
-        Its centre and half its sizes (x, y) in px.
-    round
-        Whether it is a disc; else a rectangle.
-    speed
-        (x, y) in px/s.
-    light
-        Takes times in s, gives the light at each, 0 to 1; of a matrix sign (rows, times).
-    picture
-        Picture of a matrix sign, (rows, columns) of 0 and 1; None for a plain lamp.
-    """
-
+    # at, half: its centre and half its sizes (x, y) in px
     at: tuple[float, float]
     half: tuple[float, float]
+    # Whether it is a disc; else a rectangle
     round: bool
+    # (x, y) in px/s
     speed: tuple[float, float]
+    # Takes times in s, gives the light at each, 0 to 1; of a matrix sign (rows, times)
     light: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    # Picture of a matrix sign, (rows, columns) of 0 and 1; None for a plain lamp
     picture: Gray | None = None
 
 
 def lamp_backdrop(rng: np.random.Generator) -> Moment:
-    """A drawn street with lamps that move, flicker, blink and turn.
-
-    Parameters
-    ----------
-    rng
-        Draws the street, and kind, place, size, speed and light of each lamp.
-    """
+    """A drawn street with lamps that move, flicker, blink and turn."""
     import cv2
 
     street = next(iter(drawn_backdrop(rng).footage.frames()))

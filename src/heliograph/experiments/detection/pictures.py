@@ -24,15 +24,7 @@ WIDTHS = (8.0, 5.5, 3.2, 1.4)
 def pictures(
     measured: DetectionTrials, alone: Mapping[float, Confusion], beside: Mapping[float, Confusion]
 ) -> list[tuple[Figure, str]]:
-    """All pictures, each with its caption.
-
-    Parameters
-    ----------
-    measured
-        Scores of the variants, counts of the receiver, and the worst false alarm, if any.
-    alone, beside
-        Confusion of identities by distance in m, of arrays alone and of two in one view.
-    """
+    """All pictures, each with its caption."""
     shown = [
         (_roc(measured), "Arrays found against false alarms as the threshold falls, all scenes together; left: none."),
         (_matrices(alone), "Identity shown (down) and found (across; last column: missed), one array in view."),

@@ -23,13 +23,7 @@ FAR_M = 150.0
 
 
 def compared(measured: DetectionTrials) -> list[Finding]:
-    """The paper's two claims about false detections at the receiver's own threshold, each by kind of scene.
-
-    Parameters
-    ----------
-    measured
-        Best scores of the variants by scene.
-    """
+    """The paper's two claims about false detections at the receiver's own threshold, each by kind of scene."""
     groups = kinds(measured)
     return [
         *(_taken(measured, kind, scenes) for kind, scenes in groups.items()),
@@ -38,13 +32,7 @@ def compared(measured: DetectionTrials) -> list[Finding]:
 
 
 def kinds(measured: DetectionTrials) -> dict[str, list[str]]:
-    """Scenes by kind: those filmed or drawn at rest, and the drawn lamps, which are made to deceive.
-
-    Parameters
-    ----------
-    measured
-        Scores, from which the scenes' names are taken.
-    """
+    """Scenes by kind: those filmed or drawn at rest, and the drawn lamps, which are made to deceive."""
     names = list(measured.scores[VARIANTS[0].name].false)
     groups = {
         "footage and a street at rest": [name for name in names if name != LAMPS],
@@ -98,15 +86,7 @@ def _by_scene(scores: DetectionScores, scenes: Collection[str], threshold: float
 
 
 def identities_found(confusions: Mapping[float, Confusion], *, beside: bool = False) -> Finding:
-    """Whether arrays are found with their own identities.
-
-    Parameters
-    ----------
-    confusions
-        Confusion of identities by distance in m, `FAR_M` among them.
-    beside
-        Whether two arrays were in one view; else each alone.
-    """
+    """Whether arrays are found with their own identities."""
     near = [one for z, one in confusions.items() if z in DISTANCES]
     wrong = Count(sum(c.wrong.trials for c in near), sum(c.wrong.errors for c in near))
     right = Count(sum(c.right.trials for c in near), sum(c.right.errors for c in near))
@@ -121,13 +101,7 @@ def identities_found(confusions: Mapping[float, Confusion], *, beside: bool = Fa
 
 
 def ingredients(measured: DetectionTrials) -> Finding:
-    """The effect of the header and of the number of frames.
-
-    Parameters
-    ----------
-    measured
-        Best scores of the variants by scene.
-    """
+    """The effect of the header and of the number of frames."""
     parts = []
     for variant in VARIANTS:
         scores = measured.scores[variant.name]
@@ -140,13 +114,7 @@ def ingredients(measured: DetectionTrials) -> Finding:
 
 
 def as_set(measured: DetectionTrials) -> Finding:
-    """The receiver's detector with its own thresholds.
-
-    Parameters
-    ----------
-    measured
-        Counts of the receiver as it is set, by scene.
-    """
+    """The receiver's detector with its own thresholds."""
     parts = []
     for kind, scenes in kinds(measured).items():
         false = ", ".join(f"{scene} {counted(measured.set_false([scene]))}" for scene in scenes)
@@ -165,11 +133,5 @@ def _range(count: Count) -> str:
 
 
 def counted(count: Count) -> str:
-    """A count with its 95 % interval, as text.
-
-    Parameters
-    ----------
-    count
-        Errors, or things found, among trials.
-    """
+    """A count with its 95 % interval, as text."""
     return f"{_of(count)} ({_range(count)})"

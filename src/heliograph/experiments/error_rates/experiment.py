@@ -25,20 +25,13 @@ from heliograph.measure.statistics import Count
 
 @dataclass(frozen=True, slots=True)
 class ErrorRateEffort:
-    """How much is filmed.
+    """How much is filmed."""
 
-    Attributes
-    ----------
-    places_m
-        Distances at rest in m.
-    films
-        Films of one packet at each distance.
-    drives
-        Whole drives from 80 m to 25 m.
-    """
-
+    # Distances at rest in m
     places_m: Sequence[float]
+    # Films of one packet at each distance
     films: int
+    # Whole drives from 80 m to 25 m
     drives: int
 
 
@@ -48,38 +41,22 @@ FULL = ErrorRateEffort(tuple(float(z) for z in range(25, 85, 5)), films=16, driv
 
 @dataclass(frozen=True, slots=True)
 class ErrorRates:
-    """Counts of all films, and driving beside static.
+    """Counts of all films, and driving beside static."""
 
-    Attributes
-    ----------
-    static, driving, keyed
-        Counts at rest, driving, and of on-off keying at rest.
-    found
-        Raw error rates of driving against static, at the same distances.
-    lost
-        Packets filmed whole and those of which nothing was received, "driving" and "static".
-    false_codewords
-        Codewords accepted as right that were not sent.
-    """
-
+    # static, driving, keyed: counts at rest, driving, and of on-off keying at rest
     static: CountsByDistance
     driving: CountsByDistance
     keyed: CountsByDistance
+    # Raw error rates of driving against static, at the same distances
     found: Sequence[Comparison]
+    # Packets filmed whole and those of which nothing was received, "driving" and "static"
     lost: Mapping[str, Count]
+    # Codewords accepted as right that were not sent
     false_codewords: int
 
 
 def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentResult:
-    """Fig. 13: static points, drives, on-off keying; is driving like static?
-
-    Parameters
-    ----------
-    context
-        Seed, recordings, workers and progress.
-    effort
-        How much is filmed; None: as the context says.
-    """
+    """Fig. 13: static points, drives, on-off keying; is driving like static?"""
     effort = effort or (QUICK if context.quick else FULL)
     rates = measure(context, effort)
     counts = (rates.static, rates.driving, rates.keyed)
@@ -99,15 +76,7 @@ def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentRe
 
 
 def measure(context: Context, effort: ErrorRateEffort) -> ErrorRates:
-    """Film, receive and count all; compare each packet of the drives with a packet at rest at the same distance.
-
-    Parameters
-    ----------
-    context
-        Seed, recordings, workers and progress.
-    effort
-        How much is filmed.
-    """
+    """Film, receive and count all; compare each packet of the drives with a packet at rest at the same distance."""
     driven = context.each("drives", count_film, _drives(context, effort.drives), (0.0, 0.4))
     static = _static(context, effort, "haar", (0.4, 0.55))
     keyed = _static(context, effort, "ook", (0.55, 0.7))
@@ -130,13 +99,7 @@ def measure(context: Context, effort: ErrorRateEffort) -> ErrorRates:
 
 
 def judge(rates: ErrorRates) -> list[Finding]:
-    """All claims on error rates.
-
-    Parameters
-    ----------
-    rates
-        Counts of all films, and driving beside static.
-    """
+    """All claims on error rates."""
     return [
         alike(rates.found, rates.lost["driving"], rates.lost["static"]),
         *error_free(rates.driving),

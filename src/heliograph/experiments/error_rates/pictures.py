@@ -24,15 +24,7 @@ LEAST_SHOWN = 1e-6
 def pictures(
     static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance, found: Sequence[Comparison]
 ) -> list[tuple[Figure, str]]:
-    """Rates by distance, and driving over static; each with its caption.
-
-    Parameters
-    ----------
-    static, driving, keyed
-        Counts by distance at rest, driving, and of on-off keying at rest.
-    found
-        Driving against static, by layer and bin of distance.
-    """
+    """Rates by distance, and driving over static; each with its caption."""
     rates = (
         "Bit error rate before and after the turbo code, by layer: static (lines), driving (open squares), on-off "
         "keying before any code (gray). Both are drawn half a metre aside. 95 % intervals; an arrow is a bound (3/n), "

@@ -13,13 +13,7 @@ from heliograph.signal.settings import LAYERS
 
 
 def rates_table(static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance) -> Table:
-    """Error rates at rest, driving and of on-off keying, a row per distance.
-
-    Parameters
-    ----------
-    static, driving, keyed
-        Counts by distance at rest, driving, and of on-off keying at rest.
-    """
+    """Error rates at rest, driving and of on-off keying, a row per distance."""
     head = ["distance"]
     head += [f"{n}: {what}" for n in LAYERS for what in ("raw", "decoded", "codewords wrong")] + ["on-off keying: raw"]
     rows = [_rates_row(f"static {z:g} m", layers, keyed.places.get(z)) for z, layers in sorted(static.places.items())]
@@ -40,13 +34,7 @@ def _rates_row(name: str, layers: Layers, keyed: Layers | None) -> list[str]:
 
 
 def comparison_table(found: Sequence[Comparison]) -> Table:
-    """Driving against static, a row a comparison.
-
-    Parameters
-    ----------
-    found
-        Comparisons by layer and bin of distance, and by layer with all bins together.
-    """
+    """Driving against static, a row a comparison."""
     head = ("layer", "distance", "packets", "driving", "static", "ratio", "95 % interval", "p (Holm)", "verdict")
     rows = [
         (
@@ -68,15 +56,7 @@ def comparison_table(found: Sequence[Comparison]) -> Table:
 def plain_values(
     static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance, found: Sequence[Comparison]
 ) -> dict[str, Any]:
-    """All counts and comparisons as plain values, for JSON.
-
-    Parameters
-    ----------
-    static, driving, keyed
-        Counts by distance at rest, driving, and of on-off keying at rest.
-    found
-        Driving against static, by layer and bin of distance.
-    """
+    """All counts and comparisons as plain values, for JSON."""
 
     def plain(sums: CountsByDistance) -> list[dict[str, Any]]:
         return [{"distance_m": z, **{n: asdict(c) for n, c in by.items()}} for z, by in sorted(sums.places.items())]

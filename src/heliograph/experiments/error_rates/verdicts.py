@@ -23,15 +23,7 @@ TOO_MUCH = 0.13
 
 
 def alike(found: Sequence[Comparison], driving: Count, static: Count) -> Finding:
-    """Whether error rates and losses while driving are like those at rest.
-
-    Parameters
-    ----------
-    found
-        Comparisons by bin and of whole layers.
-    driving, static
-        Packets filmed whole, and those of which nothing was received.
-    """
+    """Whether error rates and losses while driving are like those at rest."""
     single, pooled = ([c for c in found if (c.bin_m is None) == whole] for whole in (False, True))
     count = {name: sum(c.verdict == name for c in single) for name in ("alike", "apart", "open")}
     apart = "; ".join(f"{c.layer} at {c.bin_m:g} m: {c.ratio:.2f}" for c in single if c.verdict == "apart")
@@ -76,13 +68,7 @@ def _judged(single: Sequence[Comparison], pooled: Sequence[Comparison], loss: st
 
 
 def error_free(driving: CountsByDistance) -> Iterator[Finding]:
-    """Whether the drive from 80 m to 25 m with a code of rate one-third is free of error, for each layer.
-
-    Parameters
-    ----------
-    driving
-        Counts of the drives, by the middle in m of the distance bin.
-    """
+    """Whether the drive from 80 m to 25 m with a code of rate one-third is free of error, for each layer."""
     for name in LAYERS:
         words, missed = Count(), 0
         first: tuple[float, Count] | None = None
@@ -112,13 +98,7 @@ def _reasons(wrong: int, missed: int, raw: Count) -> str:
 
 
 def keying(static: CountsByDistance, keyed: CountsByDistance) -> Finding:
-    """Raw error rate of plain on-off keying beside those of the layers.
-
-    Parameters
-    ----------
-    static, keyed
-        Counts at rest of the layers and of on-off keying.
-    """
+    """Raw error rate of plain on-off keying beside those of the layers."""
     shared = [z for z in sorted(keyed.places) if z in static.places and z >= 50]
     parts, between = [], []
     for z in shared:

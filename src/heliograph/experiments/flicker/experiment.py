@@ -29,13 +29,7 @@ TEXT = (
 
 
 def run(context: Context) -> ExperimentResult:
-    """Measure all signals.
-
-    Parameters
-    ----------
-    context
-        Its seed is that of the data; nothing else of it is used.
-    """
+    """Measure all signals."""
     slot_s = SignalSettings().pattern_period_s / pwm.SLOTS
     waves = {name: wave(name, STRETCHES * STRETCH_S, context.seed) for name in SIGNALS}
     found = {name: measured(flux, slot_s) for name, flux in waves.items()}

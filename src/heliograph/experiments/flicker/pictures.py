@@ -21,15 +21,7 @@ from heliograph.signal import pwm
 
 
 def waveforms(waves: Mapping[str, Floats], slot_s: float) -> Figure:
-    """Light of the whole array over a header, shaded, and the data after it.
-
-    Parameters
-    ----------
-    waves
-        Flux (slots,) by signal.
-    slot_s
-        Length of a slot in s.
-    """
+    """Light of the whole array over a header, shaded, and the data after it."""
     shown = (PAIRS, ALL_ON, BARE, ALL_ON_BARE)
     figure = Figure(figsize=(12, 5.2))
     for axes, name in zip(figure.subplots(len(shown), 1, sharex=True), shown, strict=True):
@@ -47,15 +39,7 @@ def waveforms(waves: Mapping[str, Floats], slot_s: float) -> Figure:
 
 
 def spectra(waves: Mapping[str, Floats], slot_s: float) -> Figure:
-    """Modulation by frequency of one stretch, and the limit of low risk.
-
-    Parameters
-    ----------
-    waves
-        Flux (slots,) by signal.
-    slot_s
-        Length of a slot in s.
-    """
+    """Modulation by frequency of one stretch, and the limit of low risk."""
     figure = Figure(figsize=(12, 4.2))
     groups = ((PAIRS, BARE), (HEADER, ALL_ON_HEADER, ALL_ON))
     for axes, names in zip(figure.subplots(1, 2, sharey=True), groups, strict=True):

@@ -32,49 +32,22 @@ STRETCHES, STRETCH_S = 10, 1.0
 
 @dataclass(frozen=True, slots=True)
 class SignalFlicker:
-    """Measures of all stretches of a signal.
+    """Measures of all stretches of a signal."""
 
-    Attributes
-    ----------
-    every
-        Measures of each stretch, in the order of time.
-    """
-
+    # Measures of each stretch, in the order of time
     every: list[Flicker]
 
     def values(self, name: str) -> Floats:
-        """A measure by stretch, (stretches,).
-
-        Parameters
-        ----------
-        name
-            Name of the measure, an attribute of `Flicker`.
-        """
+        """A measure by stretch, (stretches,)."""
         return np.array([getattr(one, name) for one in self.every])
 
     def range(self, name: str) -> tuple[float, float, float]:
-        """5 % quantile, median and 95 % quantile of a measure.
-
-        Parameters
-        ----------
-        name
-            Name of the measure, an attribute of `Flicker`.
-        """
+        """5 % quantile, median and 95 % quantile of a measure."""
         low, middle, high = np.quantile(self.values(name), (0.05, 0.5, 0.95))
         return float(low), float(middle), float(high)
 
     def text(self, name: str, form: str = ".2f", scale: float = 1.0) -> str:
-        """Median and range from 5 to 95 % of a measure.
-
-        Parameters
-        ----------
-        name
-            Name of the measure, an attribute of `Flicker`.
-        form
-            Format of a number, such as ".2f".
-        scale
-            Factor to multiply the measure by.
-        """
+        """Median and range from 5 to 95 % of a measure."""
         low, middle, high = (format(scale * v, form) for v in self.range(name))
         return middle if low == high else f"{middle} ({low}-{high})"
 
@@ -89,34 +62,12 @@ class SignalFlicker:
 
 
 def measured(flux: Floats, slot_s: float) -> SignalFlicker:
-    """Measures of each stretch of a signal.
-
-    Parameters
-    ----------
-    flux
-        (slots,) light of each slot, 0 or more, over a whole number of stretches.
-    slot_s
-        Length of a slot in s.
-    """
+    """Measures of each stretch of a signal."""
     return SignalFlicker([metrics.measure(part, slot_s) for part in flux.reshape(-1, round(STRETCH_S / slot_s))])
 
 
 def wave(name: str, seconds: float, seed: int = 0) -> Floats:
-    """Flux of a signal with random data.
-
-    Parameters
-    ----------
-    name
-        Name of the signal, one of `SIGNALS`.
-    seconds
-        Length of the signal in s, rounded to whole patterns.
-    seed
-        Seed of the random data, 0 or more.
-
-    Returns
-    -------
-    (slots,) mean light of the array in each slot, 0 to 1.
-    """
+    """Flux of a signal with random data. Returns (slots,) mean light of the array in each slot, 0 to 1."""
     header = "all_on" if name.startswith("all-on") else "m_sequence"
     order = ORDER if name == ORDERED else SignalSettings().slot_order
     # without inverses, and without headers, more packets are needed to fill the time
@@ -145,11 +96,5 @@ def wave(name: str, seconds: float, seed: int = 0) -> Floats:
 
 
 def pair_means(flux: Floats) -> Floats:
-    """Mean light of each pair of patterns, (pairs,).
-
-    Parameters
-    ----------
-    flux
-        (slots,) light of each slot, over whole pairs.
-    """
+    """Mean light of each pair of patterns, (pairs,)."""
     return np.asarray(flux.reshape(-1, 2 * pwm.SLOTS).mean(1))

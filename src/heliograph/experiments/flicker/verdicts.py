@@ -27,17 +27,7 @@ from heliograph.signal import pwm
 
 
 def findings(found: Mapping[str, SignalFlicker], waves: Mapping[str, Floats], slot_s: float) -> list[Finding]:
-    """The paper's claims, and questions of our own.
-
-    Parameters
-    ----------
-    found
-        Measures of each of `SIGNALS`, by name.
-    waves
-        Flux (slots,) by signal.
-    slot_s
-        Length of a slot in s.
-    """
+    """The paper's claims, and questions of our own."""
     ours, bare, header, all_on = (found[name] for name in (PAIRS, BARE, HEADER, ALL_ON_HEADER))
     means = pair_means(waves[PAIRS])
     same = int((np.abs(means - means[0]) < 1e-12).sum())
@@ -90,15 +80,7 @@ SLOW = {"below 90 Hz": ("slow_limit_share", 1.0), "period": ("period_s", MFTP_S)
 
 
 def kept(one: SignalFlicker, limits: Mapping[str, tuple[str, float]] = LIMITS) -> bool | None:
-    """Whether all limits are kept (by 95 % of the stretches) or one is broken (by 95 %); None: neither.
-
-    Parameters
-    ----------
-    one
-        Measures of a signal.
-    limits
-        Measures and their largest values.
-    """
+    """Whether all limits are kept (by 95 % of the stretches) or one is broken (by 95 %); None: neither."""
     ranges = [(one.range(name), largest) for name, largest in limits.values()]
     if all(high <= largest for (_, _, high), largest in ranges):
         return True
@@ -145,11 +127,5 @@ def _all(one: SignalFlicker) -> str:
 
 
 def ms_text(one: SignalFlicker) -> str:
-    """Flickering time period as text: median and range in ms.
-
-    Parameters
-    ----------
-    one
-        Measures of a signal, stretch by stretch.
-    """
+    """Flickering time period as text: median and range in ms."""
     return f"{one.text('period_s', '.3g', 1e3)} ms"

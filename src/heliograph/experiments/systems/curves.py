@@ -13,22 +13,15 @@ from heliograph.measure.statistics import Count
 
 @dataclass(frozen=True, slots=True)
 class SystemCurve:
-    """A system, and how its error rate is drawn.
+    """A system, and how its error rate is drawn."""
 
-    Attributes
-    ----------
-    name
-        Its name in tables.
-    scheme, method, part
-        How bits are sent and read, and the part of the pattern that is counted.
-    colour, dashes
-        Style of its line.
-    """
-
+    # Its name in tables
     name: str
+    # scheme, method, part: how bits are sent and read, and the part of the pattern that is counted
     scheme: str
     method: ReadMethod
     part: str
+    # colour, dashes: style of its line
     colour: str
     dashes: str
 
@@ -54,13 +47,7 @@ Points = Sequence[tuple[float, Count]]
 
 
 def error_free_m(points: Points) -> tuple[float, Count] | None:
-    """Largest distance in m with no error there and nearer, and the bits counted; None: not even the first.
-
-    Parameters
-    ----------
-    points
-        Bits and errors by distance in m, near first.
-    """
+    """Largest distance in m with no error there and nearer, and the bits counted; None: not even the first."""
     total, last = Count(), None
     for z, count in points:
         if not count.trials or count.errors:
@@ -74,13 +61,6 @@ def range_m(points: Points, rate: float) -> float | None:
     """Distance in m at which the error rate passes a rate; None: it does not within the distances measured.
 
     The logarithm of the rate is taken as linear in distance between two points.
-
-    Parameters
-    ----------
-    points
-        Bits and errors by distance in m, near first.
-    rate
-        Bit error rate, above 0 and below 1.
     """
     before: tuple[float, float] | None = None
     for z, count in points:

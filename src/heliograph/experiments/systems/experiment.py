@@ -51,45 +51,25 @@ TEXT = (
 
 @dataclass(frozen=True, slots=True)
 class SystemTask:
-    """One scheme at one distance.
+    """One scheme at one distance."""
 
-    Attributes
-    ----------
-    scheme
-        Key of the scheme in `SCHEMES`.
-    distance_m
-        Distance of the array in m, above 0.
-    target
-        Bits of each part to be counted; fewer do where `ENOUGH` errors come first.
-    seed
-        Of bits, places and noise.
-    """
-
+    # Key of the scheme in `SCHEMES`
     scheme: str
+    # Distance of the array in m, above 0
     distance_m: float
+    # Bits of each part to be counted; fewer do where `ENOUGH` errors come first
     target: int
+    # Of bits, places and noise
     seed: int
 
 
 def measure(task: SystemTask) -> BitCounts:
-    """Count the bits of a scheme at a distance.
-
-    Parameters
-    ----------
-    task
-        The scheme, the distance, the bits to be counted and the seed.
-    """
+    """Count the bits of a scheme at a distance."""
     return count_bits(SCHEMES[task.scheme], METHODS[task.scheme], task.distance_m, task.target, task.seed)
 
 
 def tasks(context: Context) -> list[SystemTask]:
-    """All schemes and distances, the longest first.
-
-    Parameters
-    ----------
-    context
-        Its `quick` says which distances and how many bits; its `seed` is that of all.
-    """
+    """All schemes and distances, the longest first."""
     bits = QUICK_BITS if context.quick else FULL_BITS
     places = QUICK_M if context.quick else FULL_M
     return [
@@ -100,13 +80,7 @@ def tasks(context: Context) -> list[SystemTask]:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Error rates before any code of all systems, by distance; their ranges.
-
-    Parameters
-    ----------
-    context
-        Says whether few bits or many are counted; gives seed, workers and progress.
-    """
+    """Error rates before any code of all systems, by distance; their ranges."""
     todo = tasks(context)
     counted = context.each("other systems", measure, todo)
     points = {curve.name: _points(curve, todo, counted) for curve in CURVES}

@@ -16,13 +16,7 @@ CAPTION = (
 
 
 def error_rates(points: Mapping[str, Points]) -> Figure:
-    """On-off keying and repetition left, the hierarchical code right.
-
-    Parameters
-    ----------
-    points
-        Bits and errors by distance, by name of the system, for each of `CURVES`.
-    """
+    """On-off keying and repetition left, the hierarchical code right."""
     figure = Figure(figsize=(12, 5))
     left, right = figure.subplots(1, 2, sharey=True)
     for curve in CURVES:

@@ -11,13 +11,7 @@ KASASHIMA_M = {"plain": 40.0, "inverse": 60.0}
 
 
 def findings(points: Mapping[str, Points]) -> list[Finding]:
-    """All claims.
-
-    Parameters
-    ----------
-    points
-        Bits and errors by distance, by name of the system, for each of `CURVES`.
-    """
+    """All claims."""
     plain, inverse, known = (points[curve.name] for curve in CURVES[:3])
     return [
         field_trial(
@@ -42,19 +36,7 @@ def findings(points: Mapping[str, Points]) -> list[Finding]:
 
 
 def field_trial(claim: str, claimed_m: float, points: Points, why: str = "") -> Finding:
-    """The field trial's distance beside ours: it holds if there is no error to there, and some within 10 m more.
-
-    Parameters
-    ----------
-    claim
-        The field trial's result.
-    claimed_m
-        Its distance in m.
-    points
-        Bits and errors by distance.
-    why
-        Reason to give where they differ.
-    """
+    """The field trial's distance beside ours: it holds if there is no error to there, and some within 10 m more."""
     here = [count for z, count in points if z <= claimed_m]
     beyond = [(z, count) for z, count in points if claimed_m < z <= claimed_m + 10]
     wrong, bits = sum(c.errors for c in here), sum(c.trials for c in here)

@@ -45,13 +45,7 @@ TEXT = (
 
 
 def run(context: Context) -> ExperimentResult:
-    """Run all trackers on all films.
-
-    Parameters
-    ----------
-    context
-        Seed, recordings, workers, progress, and whether the films are short.
-    """
+    """Run all trackers on all films."""
     runs = context.each("tracking", run_trackers, _films(context))
     table = scores(runs)
     dark = {
@@ -70,13 +64,7 @@ def run(context: Context) -> ExperimentResult:
 
 
 def night_clips(clips: Iterable[str]) -> dict[str, list[str]]:
-    """Clips filmed at night, by their names, each with those filmed by day.
-
-    Parameters
-    ----------
-    clips
-        Names of all clips; those with "night" in them, in any case, were filmed at night.
-    """
+    """Clips filmed at night, by their names, each with those filmed by day."""
     every = list(clips)
     dark = [name for name in every if "night" in name.lower()]
     return {name: [day for day in every if day not in dark] for name in dark}
@@ -115,13 +103,7 @@ def _film(
 
 
 def tables(table: ScoreTable) -> list[Table]:
-    """Errors by tracker and film, and the data rate each way of tracking leaves.
-
-    Parameters
-    ----------
-    table
-        Scores by film and tracker, of one film or more.
-    """
+    """Errors by tracker and film, and the data rate each way of tracking leaves."""
     some = next(iter(table.values()))[OURS].pairs
     return [
         _table(f"Error of the centre, rms / 99.9 % in px ({some} pairs a film)", table, _error_cell),

@@ -13,36 +13,17 @@ from heliograph.signal.header import header_levels
 
 
 class Follower(Protocol):
-    """Follows one array from pair to pair of frames.
+    """Follows one array from pair to pair of frames."""
 
-    Attributes
-    ----------
-    sized
-        Whether its poses have the array's pitch; else the pitch is that of the start.
-    """
-
+    # Whether its poses have the array's pitch; else the pitch is that of the start
     sized: bool
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Begin where the array was found.
-
-        Parameters
-        ----------
-        found
-            Detection that gives pose, identity and time of the header.
-        pattern, inverted
-            Frames of the last pair of its header.
-        """
+        """Begin where the array was found."""
         ...
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """The pose in the middle of the next pair, `pattern` and `inverted`.
-
-        Parameters
-        ----------
-        pattern, inverted
-            Frames of the next pair, in the order of time.
-        """
+        """The pose in the middle of the next pair, `pattern` and `inverted`."""
         ...
 
 
@@ -61,13 +42,7 @@ class NoTracking:
 
 
 class InvertedSignals:
-    """The paper's way, as in the receiver: the sum of a pattern and its inverse shows every LED.
-
-    Parameters
-    ----------
-    settings
-        Settings of the link; its headers refine pitch and blur, as in the receiver.
-    """
+    """The paper's way, as in the receiver: the sum of a pattern and its inverse shows every LED."""
 
     sized = True
 
@@ -95,14 +70,6 @@ class InvertedSignals:
 
 
 def in_header(settings: LinkSettings, since_s: float) -> bool:
-    """Whether the pattern shown at a time belongs to a header.
-
-    Parameters
-    ----------
-    settings
-        Settings that give pattern period, packet and header.
-    since_s
-        Time in s since the start of the first header.
-    """
+    """Whether the pattern shown at a time belongs to a header."""
     signal = settings.signal
     return round(since_s / signal.pattern_period_s) % signal.packet_patterns < 2 * signal.header_pairs

@@ -37,33 +37,13 @@ KNOWN_STEPS = 3
 
 
 def known_leds(side: int) -> NDArray[np.bool_]:
-    """Which LEDs are known, (side, side).
-
-    Parameters
-    ----------
-    side
-        LEDs in a row.
-    """
+    """Which LEDs are known, (side, side)."""
     near = (np.arange(side) < KNOWN_BLOCK_PX) | (np.arange(side) >= side - KNOWN_BLOCK_PX)
     return near[:, None] & near
 
 
 def known_light(settings: LinkSettings, identity: int, seed: int) -> Iterator[NDArray[np.uint8]]:
-    """Endless patterns: headers as in the signal, and random data without inverses, the known LEDs lit.
-
-    Parameters
-    ----------
-    settings
-        Settings that give the LEDs in a row, packet and header.
-    identity
-        Identity that the headers show, 0 to 29.
-    seed
-        Seed of the random data, 0 or more.
-
-    Yields
-    ------
-    (side, side) levels 0 to 4.
-    """
+    """Endless patterns: headers as in the signal, and random data without inverses, the known LEDs lit."""
     signal, rng = settings.signal, np.random.default_rng(seed)
     header, known = header_levels(identity, signal.side), known_leds(signal.side)
     for number in count():
@@ -80,11 +60,6 @@ class KnownPattern:
 
     Once its fit has left the frame, or has a size the array cannot have, it is lost and stays where it was: only a
     header could find the array again, and its window, as large as its array, would grow without end.
-
-    Parameters
-    ----------
-    settings
-        Settings of the link; the receiver's motion model is used as for the inverted signals.
     """
 
     sized = True

@@ -13,13 +13,7 @@ COLOURS = (plots.GRAY, plots.BLUE, plots.GREEN, plots.ORANGE, plots.PINK, plots.
 
 
 def pictures(runs: Sequence[TrackingRun]) -> list[tuple[Figure, str]]:
-    """The array cut out without and with tracking in the first film, and the errors in all; each with its caption.
-
-    Parameters
-    ----------
-    runs
-        Errors and cut-outs of each film, one film or more.
-    """
+    """The array cut out without and with tracking in the first film, and the errors in all; each with its caption."""
     shown = runs[0]
     names = [f"{time:.2f} s" for time, _ in shown.cuts]
     drawn = []

@@ -17,32 +17,22 @@ FEWEST = 10
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrackingScore:
-    """Errors of one tracker in one film.
+    """Errors of one tracker in one film."""
 
-    Attributes
-    ----------
-    pairs
-        Pairs of frames tracked.
-    rms_px, q999_px
-        Error of the array's centre in px: rms and the 99.9 % quantile over the pairs.
-    near
-        Pairs with an error of up to 0.25 px.
-    lost
-        Pairs with an error in x or y of more than half the array's side: in a cut-out twice as wide as the array a
-        part of it is missing.
-    shake_px
-        Rms error in px within a packet after its best straight line in time is taken out: the vibration left for a
-        receiver that finds the array again at each header and knows its mean motion.
-    pitch
-        Relative rms error of the pitch; None where the tracker gives none.
-    """
-
+    # Pairs of frames tracked
     pairs: int
+    # rms_px, q999_px: error of the array's centre in px: rms and the 99.9 % quantile over the pairs
     rms_px: float
     q999_px: float
+    # Pairs with an error of up to 0.25 px
     near: int
+    # Pairs with an error in x or y of more than half the array's side: in a cut-out twice as wide as the array a part
+    # of it is missing
     lost: int
+    # Rms error in px within a packet after its best straight line in time is taken out: the vibration left for a
+    # receiver that finds the array again at each header and knows its mean motion
     shake_px: float
+    # Relative rms error of the pitch; None where the tracker gives none
     pitch: float | None
 
 
@@ -51,26 +41,12 @@ ScoreTable = Mapping[str, Mapping[str, TrackingScore]]
 
 
 def scores(runs: Sequence[TrackingRun]) -> dict[str, dict[str, TrackingScore]]:
-    """Scores of all trackers, by film and tracker.
-
-    Parameters
-    ----------
-    runs
-        Errors of the trackers in each film.
-    """
+    """Scores of all trackers, by film and tracker."""
     return {run.name: {name: score(run, errors) for name, errors in run.errors.items()} for run in runs}
 
 
 def score(run: TrackingRun, errors: Floats) -> TrackingScore:
-    """Score of a tracker.
-
-    Parameters
-    ----------
-    run
-        Film that gives the pairs' times and packets, and the side of the array.
-    errors
-        (n, 3) errors of the tracker by pair, as in `TrackingRun.errors`.
-    """
+    """Score of a tracker."""
     off = np.hypot(errors[:, 0], errors[:, 1])
     widest = np.abs(errors[:, :2]).max(1)
     pitch = None if np.isnan(errors[:, 2]).any() else float(np.sqrt(np.mean(errors[:, 2] ** 2)))

@@ -21,20 +21,13 @@ SIDE, PATTERNS_S = 16, 1000
 
 @dataclass(frozen=True, slots=True)
 class TrackingRate:
-    """Data rate that a tracking method leaves.
+    """Data rate that a tracking method leaves."""
 
-    Attributes
-    ----------
-    method
-        Name of the tracking method in tables.
-    bits
-        Data bits per pattern, 0 to 256.
-    inverse
-        Whether each pattern is followed by its inverse.
-    """
-
+    # Name of the tracking method in tables
     method: str
+    # Data bits per pattern, 0 to 256
     bits: int
+    # Whether each pattern is followed by its inverse
     inverse: bool
 
     @property
@@ -49,13 +42,7 @@ class TrackingRate:
 
 
 def rates(lost: int | None = None) -> list[TrackingRate]:
-    """Data rates by method.
-
-    Parameters
-    ----------
-    lost
-        Bits per pattern that the known pattern takes, 0 to 256; None: as many as it has LEDs.
-    """
+    """Data rates by method."""
     every = SIDE * SIDE
     left = every - (int(known_leds(SIDE).sum()) if lost is None else lost)
     return [
@@ -72,18 +59,7 @@ def rates(lost: int | None = None) -> list[TrackingRate]:
 def findings(
     table: ScoreTable, dark: Mapping[str, Mapping[str, Sequence[str]]], *, whole: bool = True
 ) -> list[Finding]:
-    """All claims.
-
-    Parameters
-    ----------
-    table
-        Scores by film and tracker.
-    dark
-        Dark films by the paper's name for them, each with the films of its kind by day: a failure of the background's
-        motion in the dark counts only where it works by day.
-    whole
-        Whether the films show the whole drive: in a part of it the array may stay where it was found.
-    """
+    """All claims."""
     return [
         _without(table, whole),
         _with(table),
@@ -167,13 +143,7 @@ def _left_over(s: TrackingScore) -> str:
 
 
 def rate_finding(table: list[TrackingRate]) -> Finding:
-    """IV.B.1: the known pattern costs data rate, inverted signals improve on it.
-
-    Parameters
-    ----------
-    table
-        Data rates by method, "inverted signals" and both of "known pattern" among them.
-    """
+    """IV.B.1: the known pattern costs data rate, inverted signals improve on it."""
     by = {rate.method: rate for rate in table}
     ours, known = by["inverted signals"], by["known pattern"]
     both = by["known pattern, inverses sent all the same"]

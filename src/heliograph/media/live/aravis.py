@@ -43,14 +43,7 @@ LOOPBACK = "127."
 
 
 class AravisCamera:
-    """A camera of GigE Vision or USB3 Vision; see `Camera`.
-
-    Parameters
-    ----------
-    address
-        Its identity as ``heliograph cameras`` lists it, its serial number, or its network address; empty for the first
-        one found.
-    """
+    """A camera of GigE Vision or USB3 Vision; see `Camera`."""
 
     def __init__(self, address: str):
         self._address = address
@@ -61,13 +54,7 @@ class AravisCamera:
         self._channel = "luma"
 
     def open(self, settings: CameraSettings) -> CameraForm:
-        """Connect and set the camera; see `Camera`.
-
-        Raises
-        ------
-        MediaError
-            The library is not installed, finds no such camera, or its pixels are not read.
-        """
+        """Connect and set the camera; see `Camera`."""
         calls = self._calls = aravis()
         try:
             self._camera = calls.camera_new(self._reached(calls).encode() or None)
@@ -281,18 +268,7 @@ class AravisCamera:
 
 
 def find(_settings: CameraSettings) -> list[Found]:
-    """List the cameras that Aravis finds.
-
-    Parameters
-    ----------
-    _settings
-        Settings of a camera; they are not looked at.
-
-    Raises
-    ------
-    MediaError
-        The library is not installed.
-    """
+    """List the cameras that Aravis finds."""
     calls = aravis()
     calls.update_device_list()
 

@@ -105,18 +105,7 @@ it for 5 ms each time."""
 
 
 class AravisCalls:
-    """The library's functions, by their names without "arv_"; those that may fail raise a MediaError.
-
-    Parameters
-    ----------
-    path
-        The library, as the loader knows it.
-
-    Raises
-    ------
-    OSError
-        There is no such library.
-    """
+    """The library's functions, by their names without "arv_"; those that may fail raise a MediaError."""
 
     def __init__(self, path: str = LIBRARY):
         library, quick = ctypes.CDLL(path), ctypes.PyDLL(path)
@@ -139,15 +128,7 @@ class AravisCalls:
             raise AttributeError(name) from None
 
     def texts(self, call: str, *arguments: Any) -> list[str]:
-        """Return the texts that a call returns as an array of its own.
-
-        Parameters
-        ----------
-        call
-            Name of the call, which takes the place of their number last.
-        arguments
-            What it takes before.
-        """
+        """Return the texts that a call returns as an array of its own."""
         count = c_uint()
         held = self._calls[call](*arguments, byref(count))
         found = [text.decode(errors="replace") for text in ctypes.cast(held, POINTER(c_char_p))[: count.value]]
@@ -179,13 +160,7 @@ def _typed(library: Any, name: str, returned: Any, taken: tuple[Any, ...]) -> An
 
 @lru_cache
 def aravis() -> AravisCalls:
-    """Return the library, loaded once.
-
-    Raises
-    ------
-    MediaError
-        It is not installed, or lacks a function.
-    """
+    """Return the library, loaded once."""
     try:
         return AravisCalls()
     except (OSError, AttributeError) as error:

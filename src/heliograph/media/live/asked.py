@@ -14,15 +14,7 @@ Value = str | float | Sequence[int]
 
 
 class Asked:
-    """Settings of a camera, as asked for and as read back.
-
-    Attributes
-    ----------
-    settings
-        Values as read back, by name.
-    departures
-        A text for each that is not as it was asked for.
-    """
+    """Settings of a camera, as asked for and as read back."""
 
     def __init__(self) -> None:
         self.settings: dict[str, object] = {}
@@ -30,22 +22,7 @@ class Asked:
 
     @contextmanager
     def setting(self, name: str, value: Value, known: Callable[[], Sequence[str]] | None = None) -> Iterator[None]:
-        """Turn a camera's error, raised in the block that sets it, into one that names the setting.
-
-        Parameters
-        ----------
-        name
-            Name of the setting, as the user wrote it.
-        value
-            What was asked for.
-        known
-            Lists the values that the camera knows, for the error; None where it has no list.
-
-        Raises
-        ------
-        SettingsError
-            The block raised a MediaError.
-        """
+        """Turn a camera's error, raised in the block that sets it, into one that names the setting."""
         try:
             yield
         except MediaError as error:
@@ -53,17 +30,7 @@ class Asked:
             raise SettingsError(f"the camera does not take {name}={_written(value)}: {error}{values}") from None
 
     def got(self, name: str, asked: Value | None, value: Value) -> None:
-        """Keep a value as read back, and note where it is another one than was asked for.
-
-        Parameters
-        ----------
-        name
-            Name of the setting, as the user wrote it.
-        asked
-            What was asked for; None where nothing was.
-        value
-            What the camera says.
-        """
+        """Keep a value as read back, and note where it is another one than was asked for."""
         self.settings[name] = _written(value)
         if asked is not None and not _same(asked, value):
             self.departures.append(f"{name} is {_written(value)}, asked for {_written(asked)}")

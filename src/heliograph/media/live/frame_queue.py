@@ -11,18 +11,7 @@ run, and come in one: what is between can hold whole packets, every second frame
 
 
 class FrameQueue:
-    """Frames that wait for the receiver. Where it is full, new frames are dropped until half of it is taken.
-
-    Parameters
-    ----------
-    most
-        Frames that wait at most, at least 1.
-
-    Attributes
-    ----------
-    dropped
-        Frames that found no place.
-    """
+    """Frames that wait for the receiver. Where it is full, new frames are dropped until half of it is taken."""
 
     def __init__(self, most: int):
         self.dropped = 0
@@ -31,13 +20,7 @@ class FrameQueue:
         self._full = self._ended = False
 
     def put(self, frame: Frame) -> None:
-        """Queue a frame, or drop it.
-
-        Parameters
-        ----------
-        frame
-            Frame that nobody writes to any more.
-        """
+        """Queue a frame, or drop it."""
         with self._changed:
             waiting = len(self._frames)
             self._full = waiting >= self._most or (self._full and waiting > DRAINED * self._most)
@@ -63,13 +46,7 @@ class FrameQueue:
         return len(self._frames)
 
     def get(self, wait_s: float) -> Frame | None:
-        """Take the oldest frame; None where none comes in time.
-
-        Parameters
-        ----------
-        wait_s
-            Longest time in s to wait, at least 0.
-        """
+        """Take the oldest frame; None where none comes in time."""
         with self._changed:
             if not self._frames and not self._ended:
                 self._changed.wait(wait_s)

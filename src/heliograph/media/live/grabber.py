@@ -69,32 +69,7 @@ class CameraCounts:
 
 
 class Grabber:
-    """Takes a camera's pictures into a queue, in a thread of its own, until it is stopped or the camera ends.
-
-    Parameters
-    ----------
-    name
-        The camera's name, for messages.
-    make
-        Makes the camera anew, before it is opened.
-    camera
-        The camera, opened; it is closed at the end.
-    form
-        Form of its pictures.
-    settings
-        What it was asked for.
-    rate_hz
-        Frames a second that it is said to take, above 0.
-    queue
-        Takes the frames; it is told of their end.
-
-    Attributes
-    ----------
-    error
-        What ended it before its time; None where nothing did.
-    news
-        Lines about the camera that nobody has read yet.
-    """
+    """Takes a camera's pictures into a queue, in a thread of its own, until it is stopped or the camera ends."""
 
     def __init__(
         self,

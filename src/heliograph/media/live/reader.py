@@ -137,37 +137,19 @@ class LiveReader(FilmReader):
 
 
 def is_camera(path: Any) -> bool:
-    """Return True if a film's name is that of a live camera, and no file has that name.
-
-    Parameters
-    ----------
-    path
-        What was given for a film, as `film_path` returns it.
-    """
+    """Return True if a film's name is that of a live camera, and no file has that name."""
     return str(path).startswith(PREFIX) and not os.path.lexists(path)
 
 
 def film_path(text: str | os.PathLike[str]) -> Path:
-    """Return the path of a film or the name of a camera; ``./camera:x`` names a file although `Path` drops the folder.
-
-    Parameters
-    ----------
-    text
-        What was given for a film.
-    """
+    """Return the path of a film or the name of a camera; ``./camera:x`` is a file."""
     path = Path(text)
     named_file = str(path).startswith(PREFIX) and not os.fspath(text).startswith(PREFIX)
     return path.absolute() if named_file else path
 
 
 def live_of(film: FilmReader) -> LiveReader | None:
-    """Return the live camera behind a film, which may be seen through a crop; None of a recording.
-
-    Parameters
-    ----------
-    film
-        The film, as `open_film` returns it.
-    """
+    """Return the live camera behind a film, which may be seen through a crop; None of a recording."""
     behind = getattr(film, "film", film)
     return behind if isinstance(behind, LiveReader) else None
 

@@ -91,19 +91,7 @@ class CameraSettings:
 
 
 def camera_settings(given: Mapping[str, Any] | Iterable[str] = ()) -> CameraSettings:
-    """Return settings of a camera.
-
-    Parameters
-    ----------
-    given
-        Values by name, or texts such as "exposure_us=500". Names that begin with a capital letter are features of the
-        camera itself, such as "BlackLevel=10".
-
-    Raises
-    ------
-    SettingsError
-        A name is unknown, or a value is out of range.
-    """
+    """Return settings of a camera."""
     if isinstance(given, str) or not isinstance(given, (Mapping, Iterable)):
         raise SettingsError(f"settings of a camera are by name, such as {{'exposure_us': 500}}, not {shown(given)}")
     known: dict[str, Any] = {}
