@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
+from heliograph.channel.background import Footage
 from heliograph.channel.exposure import Faults, Lighting, PatternFeed
-from heliograph.channel.footage import Footage
 from heliograph.channel.motion import ImuTrace, Motion, film_duration, motion
 from heliograph.channel.settings import EXPOSURE_SLACK, ChannelSettings, Placement
 from heliograph.channel.transfer import Transfer

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.channel.exposure import Lit, Shown
-from heliograph.channel.optics import add_leds, cover, normal_table
+from heliograph.channel.optics import add_leds, cover, normal_table, shape_of, spots
 from heliograph.channel.parts import POINT_SPREADS
 from heliograph.channel.settings import MOST_MOTION_PX, CameraSettings, ChannelSettings
-from heliograph.channel.spots import shape_of, spots
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, PanelView, panel_view
 from heliograph.channel.white_balance import array_gain

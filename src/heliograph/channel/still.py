@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.channel.background import STILL
-from heliograph.channel.optics import REACH_SIGMA, add_images, draw_images, normal_table
+from heliograph.channel.optics import REACH_SIGMA, Spot, add_images, draw_images, normal_table, shape_of, spots
 from heliograph.channel.render import Canvas, lay_panels, level_of, truth_of
 from heliograph.channel.scene import centre_scale, project
 from heliograph.channel.settings import ChannelSettings
-from heliograph.channel.spots import Spot, shape_of, spots
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock
 

@@ -10,8 +10,7 @@ which is the light L times a gain: that of the colour, and of the time.
 
 import math
 
-from heliograph.channel.bounds import Colour
-from heliograph.channel.devices import CameraSettings
+from heliograph.channel.devices import CameraSettings, Colour
 from heliograph.channel.settings import ChannelSettings
 
 LUMA = (0.2126, 0.7152, 0.0722)

@@ -174,7 +174,7 @@ def laid_over(file: Path | None, assignments: list[str] | None) -> Any:
 
 def varied(texts: list[str] | None) -> dict[str, list[Any]]:
     """Keys that vary with their values, by what was given as key=value,value or key=first:last:step."""
-    from heliograph.sweeps.vary import parse_vary
+    from heliograph.sweeps.plan import parse_vary
 
     vary: dict[str, list[Any]] = {}
     for key, values in map(parse_vary, texts or ()):
@@ -230,7 +230,7 @@ def read_messages(settings: "LinkSettings", sent: Sent, seconds: float) -> "list
 def road_messages(sent: Sent, seconds: float) -> "Messages":
     """What the lights of a junction show, again and again in the high layer, and its map in the middle one."""
     from heliograph.base.config import from_mapping
-    from heliograph.road.encode import mapem, updates
+    from heliograph.road.codec import mapem, updates
     from heliograph.road.junction import Junction
     from heliograph.signal.message import Updates
 

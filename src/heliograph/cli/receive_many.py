@@ -210,11 +210,10 @@ def receive_one(work: FilmWork) -> dict[str, Any]:
     """Receive a film; what goes wrong with it is part of the result."""
     import cv2
 
-    from heliograph.cli.live import Watch
-    from heliograph.cli.news import News, Told
+    from heliograph.cli.live import News, Told, Watch
     from heliograph.cli.probe import why_unread
     from heliograph.cli.receive import Folder, finish_folder, read_film
-    from heliograph.link.notes import signal_of
+    from heliograph.link.truth import signal_of
     from heliograph.measure.reception import Reception
     from heliograph.media import open_film
 

@@ -17,11 +17,10 @@ from heliograph.base.files import whole_file
 from heliograph.base.frames import Frame, Pixels
 from heliograph.channel import Truth
 from heliograph.datasets.plan import PlannedFilm
-from heliograph.link.notes import SIGNAL_TAG
-from heliograph.link.recordings import load_footage, load_imu
-from heliograph.link.simulate import Recordings, simulate, transmitters
+from heliograph.link.simulate import Recordings, load_footage, load_imu, simulate, transmitters
+from heliograph.link.truth import SIGNAL_TAG
 from heliograph.measure.bench import dithered, random_messages
-from heliograph.media.hdf5_write import PatientFile
+from heliograph.media.hdf5 import PatientFile
 from heliograph.sweeps.points import Recorded
 
 STEP = 64

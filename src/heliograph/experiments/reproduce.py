@@ -13,8 +13,7 @@ from typing import Any
 from heliograph.base import registry
 from heliograph.base.errors import MediaError, SettingsError, printable
 from heliograph.base.files import write_whole
-from heliograph.experiments.report import Report
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Report, Table
 from heliograph.sweeps.points import Recorded, build
 
 EXPERIMENTS = {

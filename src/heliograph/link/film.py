@@ -12,10 +12,9 @@ from heliograph.base.files import room_for
 from heliograph.base.frames import Frame
 from heliograph.base.words import counted
 from heliograph.channel import frame_count
-from heliograph.link.notes import TRUTH_TAG, signal_note
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
-from heliograph.link.truth import TruthWriter, truth_path
+from heliograph.link.truth import TRUTH_TAG, TruthWriter, signal_note, truth_path
 from heliograph.media import create_film
 from heliograph.media.hdf5 import SUFFIXES as HDF5_SUFFIXES
 from heliograph.receive import Packet, Receiver

@@ -13,8 +13,8 @@ from heliograph.receive import Packet
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, LostEvent, MissedStartEvent
 from heliograph.receive.settings import CalibrationSettings
+from heliograph.road.codec import group_words, road_values, road_words
 from heliograph.road.countdown import Countdown
-from heliograph.road.read import group_words, road_values, road_words
 from heliograph.signal.fountain.files import FileProgress
 from heliograph.signal.message import Message
 

@@ -11,8 +11,7 @@ import numpy as np
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
 from heliograph.media.numbered import NumberedReader, blocks, camera_rate, expected_frames
-from heliograph.media.reader import checked_size
-from heliograph.media.reading import Reading
+from heliograph.media.reader import Reading, checked_size
 
 SUFFIXES = (".npy",)
 """Suffixes of arrays."""

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
-from heliograph.media import pictures
-from heliograph.media.numbered import blocks, camera_rate, expected_frames
-from heliograph.media.packed import packed_size, unpack
-from heliograph.media.reader import checked_size
-from heliograph.media.reading import Reading
+from heliograph.media import images as pictures
+from heliograph.media.numbered import blocks, camera_rate, expected_frames, packed_size, unpack
+from heliograph.media.reader import Reading, checked_size
 from heliograph.media.stamps import LIMITS, TimedReader, measure_pace
 
 SUFFIXES = (".cine",)

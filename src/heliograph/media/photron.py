@@ -14,10 +14,8 @@ import numpy as np
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.files import read_bounded
 from heliograph.base.frames import Pixels
-from heliograph.media.numbered import NumberedReader, blocks, camera_rate, expected_frames
-from heliograph.media.packed import packed_size, unpack
-from heliograph.media.reader import checked_size
-from heliograph.media.reading import Reading
+from heliograph.media.numbered import NumberedReader, blocks, camera_rate, expected_frames, packed_size, unpack
+from heliograph.media.reader import Reading, checked_size
 
 FRAMES_SUFFIX = ".mraw"
 """Suffix of the file of frames."""

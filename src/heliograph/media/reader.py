@@ -1,15 +1,99 @@
-"""The common interface for reading films."""
+"""Common interface for reading films, and frames read ahead in a thread."""
 
+import queue
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Self
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import LATEST_S, Frame, Pixels
-from heliograph.media.ahead import read_ahead
+from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ
+
+CHANNELS = ("luma", "red", "green", "blue")
+"""What is taken of a colour for a gray level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """How a film is to be read."""
+
+    # Frames per second that the camera took, 1e-6 to 1e6; None believes the file
+    rate_hz: float | None = None
+    # Whether to stretch limited-range video (black at 16, white at 235) to the full scale
+    expand_range: bool = False
+    # One of `CHANNELS`; of gray films all of them are the gray levels
+    channel: str = "luma"
+
+    def __post_init__(self) -> None:
+        if self.rate_hz is not None and not _is_rate(self.rate_hz):
+            raise MediaError(
+                f"a camera takes {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames/s, not {shown(self.rate_hz)}; give the rate "
+                "it was set to"
+            )
+        if self.channel not in CHANNELS:
+            raise MediaError(f"there is no channel {shown(self.channel)}: choose one of {', '.join(CHANNELS)}")
+
+
+def _is_rate(value: object) -> bool:
+    return isinstance(value, Real) and bool(value <= FASTEST_HZ) and not value < SLOWEST_HZ
+
+
+FRAMES_AHEAD = 8
+"""Frames that wait for their use at most; bounds memory. Chosen, as for films that are written: a receiver that stops
+for 50 ms, looking for an array, then goes on with frames of FFV1 that were decoded meanwhile."""
+
+
+def read_ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """Yield frames in their order while the next ones are read.
+
+    The thread begins with the first frame that is asked for. It ends with the frames, or where no more are asked for:
+    by an error, by Ctrl-C, or when the iterator is closed. It is then waited for, so that the film's file is closed.
+    """
+    waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(FRAMES_AHEAD)
+    wanted = threading.Event()
+    wanted.set()
+    thread = threading.Thread(target=_read, args=(frames, waiting, wanted), name="film-reader", daemon=True)
+    thread.start()
+    ended = False
+    try:
+        while True:
+            got = waiting.get()
+            if not isinstance(got, Frame):
+                ended = True
+                if got is not None:
+                    raise got
+                return
+            yield got
+    finally:
+        wanted.clear()
+        while not ended:  # the thread may wait for room
+            ended = not isinstance(waiting.get(), Frame)
+        thread.join()
+
+
+def _read(
+    frames: Iterator[Frame], waiting: "queue.Queue[Frame | BaseException | None]", wanted: threading.Event
+) -> None:  # fmt: skip
+    """Put frames in the queue while they are wanted, and last of all the error that ended them, or None."""
+    end: BaseException | None = None
+    try:
+        for frame in frames:
+            waiting.put(frame)
+            if not wanted.is_set():
+                break
+        close = getattr(frames, "close", None)
+        if close is not None:
+            close()
+    except BaseException as error:  # raised in the thread that asks for the frames, which waits for an end
+        end = error
+    waiting.put(end)
+
 
 MOST_PIXELS = 1 << 27
 """Most pixels of a frame: twice those of the largest camera of the settings. A damaged film may claim more."""

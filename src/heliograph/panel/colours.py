@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError, shown
-from heliograph.panel.picture import COLOURS
+from heliograph.panel.place import COLOURS
 
 Bits = NDArray[np.bool_]
 

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.panel.lattice import Shape
-from heliograph.panel.picture import Levels
-from heliograph.panel.place import UNIT, homographies, is_possible, mapped
+from heliograph.panel.place import UNIT, Levels, homographies, is_possible, mapped
 
 Waves = NDArray[np.complex128]
 """Amplitudes of the waves of LEDs, (rows, columns)."""

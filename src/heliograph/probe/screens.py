@@ -1,25 +1,129 @@
-"""Why a screen that is filmed is not read, for who holds the phone: sight, size, focus, light, rate."""
+"""Diagnosis of a filmed screen: number of cells, pattern rate, and causes of a failed reception."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.link.settings import PRESETS
-from heliograph.probe.activity import Stretch
+from heliograph.probe.activity import LEAST_FRAMES, Stretch, stretch_of
+from heliograph.probe.arrays import Asked
 from heliograph.probe.causes import Cause, Kind, RegionSeen
-from heliograph.probe.cells import cells_of_a_side
 from heliograph.probe.headers import HeaderSeen
 from heliograph.probe.levels import Levels
-from heliograph.probe.pace import patterns_per_s
-from heliograph.probe.reading import Asked
-from heliograph.probe.regions import Region
+from heliograph.probe.light import light_rate
+from heliograph.probe.regions import Region, regions_of
 from heliograph.receive.screen.clock import ANY_RATES
-from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame
+from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame, sharpen_corners
+from heliograph.receive.sync.frame_clock import frame_period
+from heliograph.signal.pwm import SLOT_ORDER
 from heliograph.signal.settings import SignalSettings
+
+SIDES = range(8, 33, 4)
+"""Cells of a side that are told apart."""
+
+AREA_PX = 672
+"""Side to which the array's area is stretched: a whole number of pixels for each cell of 8, 12, 16, 24, 28 and 32."""
+
+CELL_FRAMES = 24
+"""Frames that are compared, of a few seconds. Chosen: each shows other edges."""
+
+WIDTH = 0.18
+"""Standard deviation of a line in cells, which the lens' blur makes. Chosen: of 0.1 to 0.3 all tell the same."""
+
+LEAST_LIKE, LEAST_LIKE_8 = 0.3, 0.45
+"""Least correlation with evenly spaced lines. At 30 frames a second, 120 px for 16 cells and more, the right number had
+0.34 to 0.8, wrong ones up to 0.2; but 8, on whose lines those of the header lie, up to 0.31."""
+
+
+def cells_of_a_side(frames: Sequence[Frame]) -> int | None:
+    """Return how many cells a side has of the array that some frames show; None where the lines do not tell."""
+    some = frames[-4 * CELL_FRAMES :][:: max(1, min(len(frames) // CELL_FRAMES, 4))]
+    pixels = np.stack([frame.pixels for frame in some]).astype(np.float32)
+    changes = np.asarray(pixels.std(axis=0), np.float64)
+    small, factor = reduce_frame(np.asarray(changes, np.float32))
+    for corners in find_quadrilaterals(np.asarray(small, np.float64), factor):
+        lines = _lines(pixels, sharpen_corners(np.asarray(changes, np.float32), corners, factor))
+        like = {side: _like(lines, side) for side in SIDES}
+        best = max(like, key=lambda side: like[side])
+        if like[best] >= (LEAST_LIKE_8 if best == SIDES[0] else LEAST_LIKE):
+            return best
+    return None
+
+
+def _lines(pixels: NDArray[np.float32], corners: Floats) -> Floats:
+    """(AREA_PX - 1,) mean step from pixel to pixel across the array, along both directions, less its slow part."""
+    square = np.array([(0, 0), (AREA_PX, 0), (AREA_PX, AREA_PX), (0, AREA_PX)], np.float32) - np.float32(0.5)
+    warp = cv2.getPerspectiveTransform(np.asarray(corners, np.float32), square)
+    profile = np.zeros(AREA_PX - 1)
+    for one in pixels:
+        area = cv2.warpPerspective(one, warp, (AREA_PX, AREA_PX))
+        profile += np.abs(np.diff(area, axis=1)).mean(axis=0) + np.abs(np.diff(area, axis=0)).mean(axis=1)
+    slow = cv2.GaussianBlur(profile[None], (0, 0), AREA_PX / SIDES[0] / 2)[0]
+    return np.asarray(profile - slow, np.float64)
+
+
+def _like(lines: Floats, side: int) -> float:
+    """Correlation of steps with lines between so many cells, those within the outer two cells left out."""
+    cell = AREA_PX / side
+    places = np.arange(1, AREA_PX) / cell
+    drawn = np.exp(-0.5 * ((places - np.round(places)) / WIDTH) ** 2)
+    inner = slice(AREA_PX // 16, -AREA_PX // 16)
+    a, b = lines[inner] - lines[inner].mean(), drawn[inner] - drawn[inner].mean()
+    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), TINY))
+
+
+DISPLAYS_HZ = (60, 50, 72, 75, 90, 100, 120, 144, 165, 240)
+"""Refreshes a second of usual displays, the most usual one first."""
+
+OFFERED_HZ = (1, 2, 5, 10, 15, 20, 30, 60, 120)
+"""Patterns a second about which page *Transmit* offers those that divide the display's refreshes."""
+
+USUAL_HZ = [display / max(1, round(display / rate)) for display in DISPLAYS_HZ for rate in OFFERED_HZ]
+"""Patterns a second that are taken for meant where one is near."""
+
+NEAR = 0.01
+"""Departure from a usual rate, as a fraction, that is taken for the measurement's. Chosen: three times that of 7 s."""
+
+THINNED = (1, 4)
+"""Every so many frames are looked at: a pattern of 1 s lasts 30 frames, more than `light_rate` tries."""
+
+CEILING = 255
+"""Full scale of 8 bits."""
+
+
+def patterns_per_s(frames: Sequence[Frame]) -> float | None:
+    """Return how many patterns a second some frames show; None where nothing blinks as patterns do."""
+    told = [one for step in THINNED for one in _told(frames[::step])]
+    return usual(max(told)[1]) if told else None
+
+
+def _told(frames: Sequence[Frame]) -> Iterator[tuple[float, float]]:
+    """How well a rate explains what a region shows, and the rate in patterns a second, for each region that tells."""
+    if len(frames) < LEAST_FRAMES:
+        return
+    stretch = stretch_of(frames)
+    regions, _ = regions_of(stretch, CEILING)
+    period_s = frame_period(np.array([b.time_s - a.time_s for a, b in pairwise(frames)]))
+    for region in regions:
+        found = light_rate(stretch.frames, region, float(np.median(stretch.noise)), CEILING, SLOT_ORDER)
+        if found is not None:
+            yield found.explained, 1 / (found.frames * period_s)
+
+
+def usual(rate_hz: float) -> float:
+    """Return the usual rate near a measured one, or the measured one where none is."""
+    for known, near in ((USUAL_HZ[: len(OFFERED_HZ)], NEAR / 2), (USUAL_HZ, NEAR)):
+        nearest = min(known, key=lambda one: abs(one / rate_hz - 1))
+        if abs(nearest / rate_hz - 1) < near:
+            return float(nearest)
+    return rate_hz
+
 
 LOOKED_AT = 32
 """Frames whose changes show where the array is. Chosen: a second of a phone's."""

@@ -6,9 +6,8 @@ from typing import Any
 
 from heliograph.base.errors import printable
 from heliograph.base.words import counted
-from heliograph.probe.arrays import ArraySeen
+from heliograph.probe.arrays import ArraySeen, Clock
 from heliograph.probe.causes import Cause, RegionSeen
-from heliograph.probe.clock import Clock
 from heliograph.probe.film import Findings
 from heliograph.probe.noise import NoiseFound
 from heliograph.probe.reach import Reach

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from heliograph.road.read import HOUR_S, Values, left_s
+from heliograph.road.codec import HOUR_S, Values, left_s
 
 STALE_S = 10.0
 """Seconds without a message after which a light is not counted down any more. Chosen."""

@@ -16,9 +16,8 @@ from heliograph import __version__
 from heliograph.base import registry
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import MediaError
-from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Recordings
+from heliograph.link.simulate import Recordings, load_footage, load_imu
 from heliograph.measure.bench import run_block
 
 

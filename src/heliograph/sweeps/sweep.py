@@ -13,14 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.files import write_whole
-from heliograph.sweeps.bar import bar
 from heliograph.sweeps.executors import fewer_workers, open_workers
-from heliograph.sweeps.plan import laid_over, plan
-from heliograph.sweeps.reach import not_looked_for
-from heliograph.sweeps.runner import PointProgress, recall_all, run, silent
+from heliograph.sweeps.plan import laid_over, listed, not_looked_for, plan
+from heliograph.sweeps.runner import PointProgress, bar, recall_all, run, silent
 from heliograph.sweeps.store import Store
 from heliograph.sweeps.tally import PointTally, StopRule
-from heliograph.sweeps.vary import listed
 
 if TYPE_CHECKING:
     import xarray

@@ -10,7 +10,8 @@ from starlette.exceptions import HTTPException
 
 from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.web import built, bundles, receive, transmit, uploads, watch
+from heliograph.web import built, receive, transmit, uploads, watch
+from heliograph.web import failures as bundles
 from heliograph.web.crashes import CrashReports, is_crash
 from heliograph.web.limits import Limits
 from heliograph.web.security import Door, Guard

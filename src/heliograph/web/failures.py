@@ -1,18 +1,76 @@
-"""The frames of packets that failed, kept as a film that `heliograph receive` opens again."""
+"""Frames of failed packets, kept as films that pages may download."""
 
 import secrets
 import threading
-from collections import deque
+from collections import OrderedDict, deque
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated, Any
 
-from heliograph.base.errors import MediaError
+from fastapi import APIRouter, Depends
+from fastapi.responses import FileResponse
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
+
+from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.frames import Frame
-from heliograph.link.notes import signal_note
+from heliograph.link.truth import signal_note
 from heliograph.media import FilmWriter, create_film
 from heliograph.media.record import FASTEST_HZ
 from heliograph.receive import Packet
 from heliograph.signal.settings import SignalSettings
+
+MOST = 8
+"""Films that are kept: two for each page that may receive at once. Chosen."""
+
+
+class Bundles:
+    """The films there are; of any thread."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[str, Path] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def add(self, path: Path) -> str:
+        """Keep a film, and return the name by which a page asks for it."""
+        name = secrets.token_hex(16)
+        with self._lock:
+            self._known[name] = path
+            old = [self._known.popitem(last=False)[1] for _ in range(len(self._known) - MOST)]
+        for one in old:
+            one.unlink(missing_ok=True)
+        return name
+
+    def drop(self, name: str) -> None:
+        """Remove a film; any other name is passed over."""
+        with self._lock:
+            path = self._known.pop(name, None)
+        if path is not None:
+            path.unlink(missing_ok=True)
+
+    def of(self, name: str) -> Path | None:
+        """Path of a film; None where there is none of that name."""
+        with self._lock:
+            return self._known.get(name)
+
+
+def bundles_of(connection: HTTPConnection) -> Bundles:
+    """What is kept of what failed."""
+    kept: Bundles = connection.app.state.shared.bundles
+    return kept
+
+
+router = APIRouter(prefix="/api/bundles")
+
+
+@router.get("/{name}")
+async def bundle(name: str, kept: Annotated[Bundles, Depends(bundles_of)]) -> FileResponse:
+    """Give a film of what failed."""
+    path = kept.of(name)
+    if path is None or not path.is_file():
+        raise HTTPException(404, "that film is not here any more: save it again")
+    return FileResponse(path, media_type="application/x-hdf5", filename="failed.h5")
+
 
 MOST_HELD = 256 << 20
 """Most bytes of frames that are held in memory. Chosen: 0.5 s of 1024 x 512 pixels at 1000 frames/s."""
@@ -133,3 +191,62 @@ class Failures:
     def _rate_hz(self) -> float:
         first, last = self._frames[0], self._frames[-1]
         return max((last.index - first.index) / max(last.time_s - first.time_s, 1e-3), 1.0)
+
+
+MOST_SAVED = 256 << 20
+"""Most bytes of frames of a film that is saved: 40 s of 480 x 480 pixels at 30 frames a second. Chosen."""
+
+
+class Saver:
+    """Keeps frames while they are read; of the reader's thread, but `save` of any."""
+
+    def __init__(self, folder: Path, bundles: Bundles):
+        self._folder, self._bundles = folder, bundles
+        self._failures: Failures | None = None
+        self._signal: SignalSettings | None = None
+
+    def begin(self, signal: SignalSettings) -> None:
+        """Begin anew; what was kept goes."""
+        self.close()
+        self._signal = signal
+
+    def expect(self, signal: SignalSettings) -> None:
+        """Take another signal for that of the light; what is kept stays."""
+        self._signal = signal
+        if self._failures is not None:
+            self._failures.expect(signal)
+
+    def saw(self, frame: Frame) -> None:
+        """Take a frame; nobody writes to its pixels any more."""
+        if self._failures is None:
+            assert self._signal is not None
+            rows, columns = frame.pixels.shape
+            form = Form(width=columns, height=rows, bits=frame.bits, rate_hz=None, signal=self._signal)
+            self._failures = Failures(self._folder, form, MOST_SAVED)
+        self._failures.saw(frame)
+
+    def read(self, packet: Packet) -> None:
+        """Keep the frames of a packet of which not all was read."""
+        if packet.status != "ok" and self._failures is not None:
+            self._failures.failed(packet)
+
+    def save(self) -> dict[str, Any]:
+        """Finish the film, and return by which name a page fetches it, and its bytes."""
+        path = None if self._failures is None else self._failures.save()
+        if path is None:
+            raise MediaError("no frames were taken yet: start the camera")
+        size = path.stat().st_size
+        return {"bundle": self._bundles.add(path), "bytes": size}
+
+    def offered(self) -> dict[str, Any] | None:
+        """The same, where that cannot fail."""
+        try:
+            return self.save()
+        except HeliographError:
+            return None
+
+    def close(self) -> None:
+        """Throw away what was not saved."""
+        if self._failures is not None:
+            self._failures.close()
+            self._failures = None

@@ -9,11 +9,10 @@ from typing import Any
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.probe.cells import cells_of_a_side
-from heliograph.probe.pace import patterns_per_s
+from heliograph.probe.screens import cells_of_a_side, patterns_per_s
 from heliograph.receive import make_receiver
 from heliograph.receive.events import DetectEvent
-from heliograph.web.screen import screen_settings
+from heliograph.web.sending import screen_settings
 
 Tell = Callable[[Mapping[str, Any]], None]
 """Tells a page something; what it raises ends the reading."""

@@ -17,8 +17,8 @@ from heliograph.media import FilmReader, open_film
 from heliograph.probe import probe_film
 from heliograph.probe.words import in_sentences
 from heliograph.web.camera_frames import CameraFrames
+from heliograph.web.failures import Saver
 from heliograph.web.looking import Asked, Tell, link_shown, shows_light
-from heliograph.web.saver import Saver
 
 LOOK_S = 7.0
 """Seconds of a film by which rate and size are found: two packets of 3 s and a rest, so that one is whole."""

@@ -1,4 +1,4 @@
-"""What a page sends by its screen: a text or a file as packets of patterns, computed when they are asked for."""
+"""Text or a file as packets of patterns for page Transmit, and the link of a screen and a phone."""
 
 import secrets
 import threading
@@ -14,12 +14,31 @@ from numpy.typing import NDArray
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.link.file_store import safe_name
+from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.signal.block import Block, SymbolBlock
 from heliograph.signal.fountain.files import LONGEST_NAME, NOTICE_TURNS, SentFile
 from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import LAYERS
 from heliograph.transmit import Transmitter
-from heliograph.web.screen import screen_settings
+
+LEAST_RATE_HZ, MOST_RATE_HZ = 0.5, 240.0
+"""Patterns a second that the pages take: from remote desktops to the fastest displays."""
+
+PRESET = "phone"
+
+SMALL_SIDE, SMALL_RATE = 8, 3 / 4
+"""Rate of packets of 8 x 8 cells: at 1/2 a codeword holds four bytes of a file, at 3/4 ten. Chosen: of a screen nearby
+the cells' noise is small."""
+
+
+def screen_settings(side: int, rate_hz: float) -> LinkSettings:
+    """Return the settings of a screen's light, and of the receiver of its films."""
+    signal: dict[str, Any] = {"side": side, "pattern_period_s": 1 / rate_hz}
+    over: dict[str, Mapping[str, Any]] = {"signal": signal}
+    if side == SMALL_SIDE:
+        over["transmit"] = {"formats": [{"mode": "short", **dict.fromkeys(LAYERS, SMALL_RATE)}]}
+    return load_settings(PRESET, over)
+
 
 MOST_SENT = 256 << 10
 """Most bytes of a text or file: at the rates of screens it takes an hour, and its code less than 2 s to be made."""

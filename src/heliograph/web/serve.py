@@ -1,5 +1,6 @@
-"""Run the server: at a port of this machine, for this machine or, with a token, for others."""
+"""Run the server on a port of this machine, for this machine or, with a token, for others."""
 
+import asyncio
 import secrets
 import socket
 from dataclasses import dataclass
@@ -7,11 +8,35 @@ from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from heliograph.base.errors import SettingsError
-from heliograph.web.connections import patient_for
 from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Door
+
+
+def patient_for(seconds: float) -> type[H11Protocol]:
+    """Return what speaks HTTP with a client, and lets it go where it does not ask whole.
+
+    uvicorn itself waits for ever for the first request of a connection, and for the rest of one that has begun.
+    """
+
+    class Patient(H11Protocol):
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            self.loop.call_later(seconds, self._look)
+
+        def _look(self) -> None:
+            # a WebSocket has a protocol of its own
+            if self.transport.is_closing() or self.transport.get_protocol() is not self:
+                return
+            if self.cycle is None or self.cycle.response_complete:
+                self.transport.close()
+            else:
+                self.loop.call_later(seconds, self._look)
+
+    return Patient
+
 
 EVERYWHERE = ("0.0.0.0", "::")
 """Hosts that stand for all addresses of this machine."""

@@ -10,7 +10,7 @@ from starlette.requests import HTTPConnection
 
 from heliograph.base.errors import HeliographError, printable
 from heliograph.link.settings import LinkSettings
-from heliograph.web.bundles import Bundles
+from heliograph.web.failures import Bundles
 from heliograph.web.limits import Limits
 from heliograph.web.uploads import Uploads
 

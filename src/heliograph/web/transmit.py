@@ -14,8 +14,17 @@ from starlette.requests import ClientDisconnect
 from heliograph.base.errors import MediaError
 from heliograph.media import create_film
 from heliograph.web.crashes import in_thread
-from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ
-from heliograph.web.sending import LED_PX, MARGIN, MOST_PACKETS, MOST_SENT, Sending, Sendings, sending_of
+from heliograph.web.sending import (
+    LEAST_RATE_HZ,
+    LED_PX,
+    MARGIN,
+    MOST_PACKETS,
+    MOST_RATE_HZ,
+    MOST_SENT,
+    Sending,
+    Sendings,
+    sending_of,
+)
 from heliograph.web.shared import Places, shared_of
 
 MOST_FILM_S = 600.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import random_messages, window_margin_px

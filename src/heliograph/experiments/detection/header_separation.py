@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import erfc
 
 from heliograph.base.arrays import Floats
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.signal.formats import DIMMED, words
 from heliograph.signal.header import CELLS, IDENTITIES, all_header_cells
 

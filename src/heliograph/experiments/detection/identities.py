@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from heliograph.channel import ImuTrace, Placement
 from heliograph.channel.settings import ChannelSettings
 from heliograph.experiments.detection.ablation import same
-from heliograph.experiments.detection.clutter import ClutterFilm, film_moment
-from heliograph.experiments.detection.lamps import Backdrop
-from heliograph.experiments.result import Context
+from heliograph.experiments.detection.clutter import Backdrop, ClutterFilm, film_moment
+from heliograph.experiments.report import Context
 from heliograph.link.settings import load_settings
 from heliograph.measure.statistics import Count
 from heliograph.receive.build import PLAIN_REGULARITY, search_parameters

@@ -8,10 +8,9 @@ import numpy as np
 from heliograph.channel import ImuTrace
 from heliograph.experiments.detection import ablation
 from heliograph.experiments.detection.ablation import VARIANTS, DetectionScores, VariantDetector
-from heliograph.experiments.detection.clutter import ClutterFilm, film_moment
+from heliograph.experiments.detection.clutter import Backdrop, ClutterFilm, film_moment
 from heliograph.experiments.detection.identities import detections
-from heliograph.experiments.detection.lamps import Backdrop
-from heliograph.experiments.result import Context
+from heliograph.experiments.report import Context
 from heliograph.measure.statistics import Count
 from heliograph.receive import Pose
 from heliograph.receive.settings import ReceiveSettings

@@ -8,9 +8,8 @@ from typing import Literal
 import numpy as np
 
 from heliograph.experiments.links import static_link
-from heliograph.link.recordings import load_imu
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import Recordings, simulate
+from heliograph.link.simulate import Recordings, load_imu, simulate
 from heliograph.measure.bench import random_messages, window_margin_px
 from heliograph.measure.counts import LayerCounts, Layers, pooled
 from heliograph.measure.errors import BIN_M, ErrorCounter

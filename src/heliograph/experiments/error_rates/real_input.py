@@ -16,9 +16,8 @@ import numpy as np
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.film import is_packet
-from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import Recordings, default_messages, simulate
+from heliograph.link.simulate import Recordings, default_messages, load_footage, load_imu, simulate
 from heliograph.link.truth import TruthFile
 from heliograph.measure.errors import BIN_M, ErrorCounter
 from heliograph.measure.reception import Reception, receive_film

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, simulate
 from heliograph.measure.bench import window_margin_px

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from heliograph.experiments import plots
 from heliograph.experiments.patterns.received import led_points, luminance_at, static_frame
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.measure.statistics import Count
 from heliograph.signal.header import IDENTITIES, header_cells, header_levels
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence, periodic_correlation

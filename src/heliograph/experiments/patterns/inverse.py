@@ -10,7 +10,7 @@ from heliograph.channel import film
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
 from heliograph.experiments.patterns.received import led_points, luminance_at
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.signal import haar
 from heliograph.signal.packet import with_inverses
 

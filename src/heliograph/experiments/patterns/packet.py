@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from heliograph.experiments import plots
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, transmitters
 from heliograph.signal.settings import LAYERS

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
-from heliograph.experiments.tracking.verdicts import rates
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.tracking.experiment import rates
 from heliograph.link.settings import LinkSettings, load_settings
 
 TEXT = (

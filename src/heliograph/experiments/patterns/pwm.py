@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph.channel import film
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.signal import pwm
 from heliograph.signal.settings import SignalSettings
 

@@ -11,7 +11,7 @@ from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth, film
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
-from heliograph.experiments.result import Context, ExperimentResult, Finding
+from heliograph.experiments.report import Context, ExperimentResult, Finding
 from heliograph.receive import Pose
 from heliograph.signal import haar
 

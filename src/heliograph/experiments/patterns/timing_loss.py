@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.receive.sync import combine as partial_exposure
 from heliograph.receive.sync.combine import Combination, SlotLight, combine_pair
 

@@ -12,12 +12,19 @@ from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth, film
-from heliograph.experiments.tracking.follow import Follower, InvertedSignals, NoTracking, in_header
-from heliograph.experiments.tracking.image import BackgroundMotion, MultipleInstance, TemplateMatch
-from heliograph.experiments.tracking.known import KnownPattern, known_light
-from heliograph.link.recordings import load_footage, load_imu
+from heliograph.experiments.tracking.trackers import (
+    BackgroundMotion,
+    Follower,
+    InvertedSignals,
+    KnownPattern,
+    MultipleInstance,
+    NoTracking,
+    TemplateMatch,
+    in_header,
+    known_light,
+)
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Recordings, default_messages, simulate
+from heliograph.link.simulate import Recordings, default_messages, load_footage, load_imu, simulate
 from heliograph.receive import Pose
 from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.detect.detection import Detection

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from heliograph.base.errors import MediaError, brief
-from heliograph.media.live.asked import Asked, Value
 from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError, Found, Picture
 from heliograph.media.live.pixel_formats import PixelFormat, pixel_format
-from heliograph.media.live.settings import OFF, CameraSettings
+from heliograph.media.live.settings import OFF, Asked, CameraSettings, Value
 
 FOLDERS = "GENICAM_GENTL64_PATH"
 """Variable of the environment in which producers' folders are named (GenTL 1.6, section 3.3)."""

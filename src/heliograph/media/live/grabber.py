@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from heliograph.base.errors import HeliographError, MediaError, brief
 from heliograph.base.frames import Frame
 from heliograph.media.live.camera import Camera, CameraCrashError, CameraForm, CameraLostError
-from heliograph.media.live.frame_queue import FrameQueue
 from heliograph.media.live.numbering import Numbering
+from heliograph.media.live.reader import FrameQueue
 from heliograph.media.live.settings import CameraSettings
 
 WAIT_S = 0.1

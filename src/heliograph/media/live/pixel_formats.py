@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Pixels
-from heliograph.media.packed import unpack_low_first, unpack_pairs
-from heliograph.media.pictures import to_gray
+from heliograph.media.images import to_gray
+from heliograph.media.numbered import unpack_low_first, unpack_pairs
 
 READ = (
     "Mono8, Mono10, Mono12, Mono14, Mono16, the same as Bayer mosaics, with p or Packed at the end for 10 and 12 bits; "

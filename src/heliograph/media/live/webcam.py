@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.media import planes
-from heliograph.media.live.asked import Asked
 from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError, Found, Picture
-from heliograph.media.live.settings import CameraSettings
+from heliograph.media.live.settings import Asked, CameraSettings
 
 if TYPE_CHECKING:
     import av

@@ -13,9 +13,8 @@ from heliograph.base.errors import SettingsError
 from heliograph.base.files import shown_name
 from heliograph.base.toml_text import parse_assignment
 from heliograph.link.film import FrameSource, frames_of
-from heliograph.link.notes import check_truth, signal_of
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.truth import open_truth, truth_path
+from heliograph.link.truth import check_truth, open_truth, signal_of, truth_path
 from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import TruthSource
 from heliograph.media import open_film
