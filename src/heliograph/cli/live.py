@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from heliograph.link.outlets import Outlet
     from heliograph.media import FilmReader
     from heliograph.media.live.grabber import CameraCounts
-    from heliograph.media.live.reader import LiveReader, Recorder
+    from heliograph.media.live.reader import LiveReader
+    from heliograph.media.live.recorder import Recorder
     from heliograph.receive import Packet, ReceiveSettings
     from heliograph.signal.message import Message
     from heliograph.signal.settings import SignalSettings
@@ -190,7 +191,8 @@ def watched(
     """Look after a film that is received: Ctrl-C ends a live camera's like its end; a second one breaks off."""
     from heliograph.link.truth import signal_note
     from heliograph.link.warm_up import warm_up
-    from heliograph.media.live.reader import Recorder, live_of
+    from heliograph.media.live.reader import live_of
+    from heliograph.media.live.recorder import Recorder
 
     live = live_of(source)
     if live is None:

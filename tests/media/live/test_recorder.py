@@ -8,8 +8,8 @@ import pytest
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import FilmReader, create_film, open_film
-from heliograph.media.live import reader as room
-from heliograph.media.live.reader import Recorder
+from heliograph.media.live import recorder as room
+from heliograph.media.live.recorder import Recorder
 
 
 @pytest.fixture

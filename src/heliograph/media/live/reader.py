@@ -1,70 +1,18 @@
-"""Live camera as a film: a bounded queue of frames, and the recorder of the last seconds."""
+"""Live camera as a film: frames as they come."""
 
 import os
-import threading
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import HeliographError, MediaError, brief
 from heliograph.base.frames import Frame
-from heliograph.media.film import create_film
-from heliograph.media.hdf5 import SUFFIXES
 from heliograph.media.live.camera import PREFIX, Camera, CameraCrashError, CameraForm, camera_kind
-from heliograph.media.live.grabber import WAIT_S, CameraCounts, Grabber
+from heliograph.media.live.grabber import WAIT_S, CameraCounts, FrameQueue, Grabber
 from heliograph.media.live.settings import CameraSettings
 from heliograph.media.reader import FilmReader, Reading, checked_size
 from heliograph.media.record import FASTEST_HZ
-
-DRAINED = 0.5
-"""Fraction of a full queue that must be taken before frames are queued again. Chosen: frames are then dropped in one
-run, and come in one: what is between can hold whole packets, every second frame cannot."""
-
-
-class FrameQueue:
-    """Frames that wait for the receiver. Where it is full, new frames are dropped until half of it is taken."""
-
-    def __init__(self, most: int):
-        self.dropped = 0
-        self._most, self._frames = most, deque[Frame]()
-        self._changed = threading.Condition()
-        self._full = self._ended = False
-
-    def put(self, frame: Frame) -> None:
-        """Queue a frame, or drop it."""
-        with self._changed:
-            waiting = len(self._frames)
-            self._full = waiting >= self._most or (self._full and waiting > DRAINED * self._most)
-            if self._full:
-                self.dropped += 1
-                return
-            self._frames.append(frame)
-            self._changed.notify()
-
-    def end(self) -> None:
-        """Say that no frame comes any more."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify()
-
-    @property
-    def over(self) -> bool:
-        """Whether all frames are taken and none comes any more."""
-        with self._changed:
-            return self._ended and not self._frames
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def get(self, wait_s: float) -> Frame | None:
-        """Take the oldest frame; None where none comes in time."""
-        with self._changed:
-            if not self._frames and not self._ended:
-                self._changed.wait(wait_s)
-            return self._frames.popleft() if self._frames else None
-
 
 FEWEST_QUEUED = 8
 """Frames that the queue holds at least. Chosen; a slow camera's come one by one."""
@@ -217,84 +165,3 @@ def _rate(name: str, said_hz: float | None, settings: CameraSettings, form: Came
 
 def _hush(_text: str, /) -> None:
     """Say nothing."""
-
-
-MOST_KEPT = 1 << 30
-"""Most bytes of frames that are kept. Chosen: ten seconds of 256 x 400 pixels at 1000 frames/s. Where a disk is slow,
-up to three times as many are held: those being written, those that wait for that, and the last ones."""
-
-
-class Recorder:
-    """Keeps the last frames, and writes them to a film where something failed; the newest film replaces the one before.
-
-    Films do not overlap: what fails within the time of a film after it was begun is in the next one. They are written
-    in a thread, and appear whole or not at all.
-    """
-
-    def __init__(self, path: Path, seconds: float, source: FilmReader, metadata: Mapping[str, str]):
-        if path.suffix.lower() not in SUFFIXES:
-            raise MediaError(f"{path}: a camera is recorded as HDF5, so its name ends in one of {', '.join(SUFFIXES)}")
-        if not path.parent.is_dir() or path.is_dir():
-            raise MediaError(f"cannot record to {path}: name a file in a folder that exists")
-        self.written = 0
-        self.path, self._source, self._metadata = path, source, {**source.metadata, **metadata}
-        size = source.width * source.height * (1 if source.bits == 8 else 2)
-        self._most = max(2, MOST_KEPT // size)
-        self.seconds = min(seconds, self._most / source.rate_hz)
-        self._frames: deque[Frame] = deque(maxlen=self._most)
-        self._waiting: list[Frame] = []
-        self._failed = False
-        self._covered_s = float("-inf")
-        self._thread: threading.Thread | None = None
-        self._error: BaseException | None = None
-
-    def saw(self, frame: Frame) -> None:
-        """Keep a frame, and begin a film where something failed."""
-        while self._frames and self._frames[0].time_s < frame.time_s - self.seconds:
-            self._frames.popleft()
-        self._frames.append(frame)
-        if self._failed and frame.time_s >= self._covered_s + self.seconds:
-            self._covered_s, self._failed, self._waiting = frame.time_s, False, [*self._frames]
-        if self._waiting and not (self._thread is not None and self._thread.is_alive()):
-            self._finish()
-            self._thread = threading.Thread(target=self._write, args=(self._waiting,), name="recorder")
-            self._waiting = []
-            self._thread.start()
-
-    def failed(self) -> None:
-        """Take note that something failed in the frames so far."""
-        self._failed = True
-
-    def close(self) -> None:
-        """Write what is still to be written."""
-        self._finish()
-        left = [*self._frames] if self._failed else self._waiting
-        self._failed, self._waiting = False, []
-        if left:
-            self._write(left)
-            self._finish()
-
-    def _finish(self) -> None:
-        """Wait for the film that is being written, and raise its error."""
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-        if self._error is not None:
-            error, self._error = self._error, None
-            raise error
-
-    def _write(self, frames: list[Frame]) -> None:
-        try:
-            with create_film(
-                self.path,
-                width=self._source.width,
-                height=self._source.height,
-                rate_hz=min(self._source.rate_hz, FASTEST_HZ),
-                bits=self._source.bits,
-                metadata=self._metadata,
-            ) as film:
-                for frame in frames:
-                    film.write(frame)
-            self.written = len(frames)
-        except BaseException as error:  # raised by `saw` or `close`, in the receiver's thread
-            self._error = error
