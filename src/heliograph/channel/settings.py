@@ -52,51 +52,73 @@ than the sensor, 3500 px wide in the reference link; the value only keeps depths
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Placement:
-    """Position, motion and faults of an array."""
+    """Position, motion and faults of an array.
 
-    # Position of the array's centre at time 0 in m, right of the optical axis if positive, left if negative; at most 10
-    # km
+    Attributes
+    ----------
+    x_m
+        Position of the array's centre at time 0 in m, right of the optical axis if positive, left if negative; at most
+        10 km.
+    y_m
+        Position of the array's centre at time 0 in m, below the optical axis if positive, above if negative; at most
+        10 km.
+    z_offset_m
+        Distance of the array's centre beyond ``channel.distance_m`` at time 0 in m; negative for nearer, but not behind
+        the camera unless it comes from there.
+    yaw_deg
+        Tilt about the downward axis in degrees, above -90 and below 90. Away from 0 the image is narrower, and dimmer
+        as the LEDs shine to the side.
+    pitch_deg
+        Tilt about the rightward axis in degrees, above -90 and below 90. Away from 0 the image is lower and dimmer.
+    roll_deg
+        Rotation about the forward axis in degrees, -180 to 180; positive is clockwise as the camera sees it.
+    vx_m_s
+        Own velocity of the array to the right in m/s, -1000 to 1000; negative to the left.
+    vy_m_s
+        Own velocity of the array downward in m/s, -1000 to 1000; negative upward.
+    vz_m_s
+        Own velocity of the array away from the camera in m/s, -1000 to 1000; negative towards it.
+    brightness
+        Factor on the light of all its LEDs, 0 to 100; a larger value is brighter, 0 is dark.
+    dead
+        Fraction of its LEDs that never shine, 0 to 1, at random places; a larger value loses more data.
+    stuck
+        Fraction of its LEDs that shine all the time, 0 to 1, at random places; at most 1 together with ``dead``.
+    spread
+        Standard deviation of its LEDs' light about 1, 0 to 1, normal, drawn once and at least 0: LEDs differ by that
+        much, as 0.2 by 20 %. A larger value disturbs the layers of few LEDs, the low one first.
+    hidden
+        Part of the array that an obstacle right before the panel hides: left, top, right and lower edge, each 0 to 1 in
+        sides of the array from its upper left corner, such as (0, 0, 0.5, 0.5); empty for none.
+    hidden_level
+        Light of that obstacle in full scales, 0 to 4.
+    off_s
+        Times (from, to) in s for which the array is dark, stuck LEDs too; its clock runs on.
+    clock_ppm
+        Error of its clock in millionths, -10000 to 10000: its pattern period is longer by this than the nominal one,
+        shorter if negative.
+    start_s
+        Time in s at which its pattern 0 starts, -60 to 3600; it is dark before. At most 1e6 patterns come before the
+        first frame.
+    """
+
     x_m: LengthM = 1.5
-    # Position of the array's centre at time 0 in m, below the optical axis if positive, above if negative; at most 10
-    # km
     y_m: LengthM = -1.0
-    # Distance of the array's centre beyond ``channel.distance_m`` at time 0 in m; negative for nearer, but not behind
-    # the camera unless it comes from there
     z_offset_m: LengthM = 0.0
-    # Tilt about the downward axis in degrees, above -90 and below 90. Away from 0 the image is narrower, and dimmer as
-    # the LEDs shine to the side
     yaw_deg: TiltDeg = 0.0
-    # Tilt about the rightward axis in degrees, above -90 and below 90. Away from 0 the image is lower and dimmer
     pitch_deg: TiltDeg = 0.0
-    # Rotation about the forward axis in degrees, -180 to 180; positive is clockwise as the camera sees it
     roll_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
-    # Own velocity of the array to the right in m/s, -1000 to 1000; negative to the left
     vx_m_s: SpeedMS = 0.0
-    # Own velocity of the array downward in m/s, -1000 to 1000; negative upward
     vy_m_s: SpeedMS = 0.0
-    # Own velocity of the array away from the camera in m/s, -1000 to 1000; negative towards it
     vz_m_s: SpeedMS = 0.0
-    # Factor on the light of all its LEDs, 0 to 100; a larger value is brighter, 0 is dark
     brightness: Annotated[float, Field(ge=0, le=100)] = 1.0
-    # Fraction of its LEDs that never shine, 0 to 1, at random places; a larger value loses more data
     dead: Fraction = 0.0
-    # Fraction of its LEDs that shine all the time, 0 to 1, at random places; at most 1 together with ``dead``
     stuck: Fraction = 0.0
-    # Standard deviation of its LEDs' light about 1, 0 to 1, normal, drawn once and at least 0: LEDs differ by that
-    # much, as 0.2 by 20 %. A larger value disturbs the layers of few LEDs, the low one first
     spread: Fraction = 0.0
-    # Part of the array that an obstacle right before the panel hides: left, top, right and lower edge, each 0 to 1 in
-    # sides of the array from its upper left corner, such as (0, 0, 0.5, 0.5); empty for none
     hidden: tuple[Fraction, Fraction, Fraction, Fraction] | tuple[()] = ()
-    # Light of that obstacle in full scales, 0 to 4
     hidden_level: LightLevel = 0.1
-    # Times (from, to) in s for which the array is dark, stuck LEDs too; its clock runs on
     off_s: tuple[tuple[float, float], ...] = ()
-    # Error of its clock in millionths, -10000 to 10000: its pattern period is longer by this than the nominal one,
-    # shorter if negative
     clock_ppm: Ppm = 0.0
-    # Time in s at which its pattern 0 starts, -60 to 3600; it is dark before. At most 1e6 patterns come before the
-    # first frame
     start_s: TimeS = 0.0
 
     @model_validator(mode="after")

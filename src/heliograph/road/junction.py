@@ -108,27 +108,41 @@ class LaneSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Junction:
-    """A junction: where it is, its lanes, and the plan of its lights."""
+    """A junction: where it is, its lanes, and the plan of its lights.
 
-    # Number of the junction, 0 to 65535
+    Attributes
+    ----------
+    id
+        Number of the junction, 0 to 65535.
+    name
+        Its name, up to 63 characters of ASCII.
+    station
+        Number of the sending station, 0 to 4294967295.
+    latitude
+        Latitude of its middle in degrees, north is above 0.
+    longitude
+        Longitude of its middle in degrees, east is above 0.
+    lane_width_m
+        Width of its lanes in m.
+    begins
+        Date and time in UTC at which the transmission begins.
+    update_s
+        Seconds from one message about the lights to the next.
+    groups
+        Its signal groups, each with a number of its own.
+    lanes
+        Its lanes, each with a number of its own; a map needs at least one.
+    """
+
     id: Annotated[int, Field(ge=0, le=65535)]
-    # Its name, up to 63 characters of ASCII
     name: Text = "Junction"
-    # Number of the sending station, 0 to 4294967295
     station: Annotated[int, Field(ge=0, le=(1 << 32) - 1)] = 0
-    # Latitude of its middle in degrees, north is above 0
     latitude: Annotated[float, Field(ge=-90, le=90)] = 0.0
-    # Longitude of its middle in degrees, east is above 0
     longitude: Annotated[float, Field(ge=-180, le=180)] = 0.0
-    # Width of its lanes in m
     lane_width_m: Annotated[float, Field(ge=0.5, le=50)] = 3.25
-    # Date and time in UTC at which the transmission begins
     begins: datetime = datetime(2026, 6, 1, 12, 0, 0, tzinfo=UTC)
-    # Seconds from one message about the lights to the next
     update_s: Annotated[float, Field(ge=0.1, le=60)] = 1.0
-    # Its signal groups, each with a number of its own
     groups: Annotated[tuple[GroupSettings, ...], Field(min_length=1, max_length=32)]
-    # Its lanes, each with a number of its own; a map needs at least one
     lanes: Annotated[tuple[LaneSettings, ...], Field(max_length=100)] = field(default=())
 
     @model_validator(mode="after")
