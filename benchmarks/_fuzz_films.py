@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from heliograph.base.frames import Frame
-from heliograph.link.notes import noted_signal
+from heliograph.link.truth import noted_signal
 from heliograph.media import create_film, open_film
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))

@@ -31,9 +31,8 @@ from numpy.random import Generator
 from benchmarks import phone, poles
 from heliograph.base.frames import Frame
 from heliograph.channel import Truth
-from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import Messages, Recordings, default_messages, simulate
+from heliograph.link.simulate import Messages, Recordings, default_messages, load_footage, load_imu, simulate
 from heliograph.link.truth import FrameTruth
 from heliograph.measure.bench import block_settings, dithered, random_messages, window_margin_px
 from heliograph.measure.reception import Reception, receive_film

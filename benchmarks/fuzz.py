@@ -29,17 +29,16 @@ from heliograph.base.config import to_mapping
 from heliograph.base.errors import HeliographError
 from heliograph.base.toml_text import parse_assignment, parse_toml, to_toml
 from heliograph.link.film import write_film
-from heliograph.link.notes import noted_signal
-from heliograph.link.recordings import load_imu
 from heliograph.link.settings import load_settings
-from heliograph.link.truth import open_truth
+from heliograph.link.simulate import load_imu
+from heliograph.link.truth import noted_signal, open_truth
 from heliograph.media.record import FilmRecord
 from heliograph.media.slots import SUFFIXES, SlotForm, open_slots, write_slots
+from heliograph.road.codec import road_values, road_words
 from heliograph.road.countdown import Countdown
-from heliograph.road.read import road_values, road_words
 from heliograph.signal.block import Block, pack, payload_bytes, unpack
 from heliograph.signal.message import Reassembler
-from heliograph.sweeps.vary import grid, parse_vary
+from heliograph.sweeps.plan import grid, parse_vary
 
 LIMIT_S = 10.0
 """Longest time of a case: a hundred times that of a whole film of the size used."""

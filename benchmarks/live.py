@@ -20,7 +20,7 @@ from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.warm_up import warm_up
 from heliograph.media import open_film
-from heliograph.media.live.aravis_calls import aravis
+from heliograph.media.live.aravis import aravis
 from heliograph.media.live.reader import LiveReader
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.signal.settings import SignalSettings

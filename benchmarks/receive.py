@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 
 from heliograph.base.frames import Frame
-from heliograph.link.recordings import load_footage
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import Recordings, default_messages, simulate
+from heliograph.link.simulate import Recordings, default_messages, load_footage, simulate
 from heliograph.receive import Packet, Pose, ReceiveSettings
 from heliograph.receive.build import plain_parts, plain_receiver, soft_receiver
 from heliograph.receive.detect.budget import SearchLoad

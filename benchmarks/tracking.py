@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import load_settings
-from heliograph.link.simulate import Recordings, default_messages, simulate
+from heliograph.link.simulate import Recordings, default_messages, load_footage, load_imu, simulate
 from heliograph.receive import make_receiver
 from heliograph.receive.events import Event, TrackEvent
 

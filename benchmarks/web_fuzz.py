@@ -18,8 +18,8 @@ from fastapi import FastAPI
 from benchmarks._fuzz_films import RATE_HZ, film_seeds
 from benchmarks.fuzz import mutated
 from heliograph.web.app import create_app
-from heliograph.web.bundles import MOST
 from heliograph.web.camera_frames import HEAD
+from heliograph.web.failures import MOST
 from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Door
 from heliograph.web.sending import Sendings, sending_of

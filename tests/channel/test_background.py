@@ -10,8 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from heliograph.base.errors import SettingsError
 from heliograph.channel import ChannelSettings, Footage, film
-from heliograph.channel.background import Clip, cover_size, image_motion, warp
-from heliograph.channel.drawn_street import draw_scene
+from heliograph.channel.background import Clip, cover_size, draw_scene, image_motion, warp
 from heliograph.channel.scene import CameraPose, rotation
 from heliograph.channel.settings import BackgroundSettings
 

@@ -7,9 +7,8 @@ import pytest
 from scipy.signal import welch
 
 from heliograph.channel import ChannelSettings, ImuTrace, film_duration
-from heliograph.channel.half_car import HalfCar
+from heliograph.channel.half_car import ROUGHNESS_M3, STEP_M, HalfCar, RoadProfile, road_profile, roughness
 from heliograph.channel.motion import STEP_S, Travel, imu_shake, motion, road_shake
-from heliograph.channel.road import ROUGHNESS_M3, STEP_M, RoadProfile, road_profile, roughness
 
 
 @pytest.mark.parametrize("road_class", "ABCD")

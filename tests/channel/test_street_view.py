@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from heliograph.channel.street_view import draw_street
+from heliograph.channel.background import draw_street
 
 
 @pytest.mark.parametrize("size", [(20, 30), (640, 1152), (300, 200)])

@@ -20,7 +20,7 @@ from waiting import HANG_S
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.media import open_film
 from heliograph.media.live import grabber
-from heliograph.media.live.aravis_calls import aravis
+from heliograph.media.live.aravis import aravis
 from heliograph.media.live.reader import LiveReader
 
 pytestmark = pytest.mark.slow

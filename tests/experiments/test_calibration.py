@@ -6,10 +6,11 @@ import json
 import numpy as np
 import pytest
 
-from heliograph.experiments.calibration import experiment, known_channel
+from heliograph.experiments.calibration import experiment
+from heliograph.experiments.calibration import known_receiver as known_channel
+from heliograph.experiments.calibration.experiment import calibrated
 from heliograph.experiments.calibration.recorder import EDGES, FIRST, LAST, CalibrationFilm, ReliabilityCounts, record
-from heliograph.experiments.calibration.verdicts import calibrated
-from heliograph.experiments.result import Context
+from heliograph.experiments.report import Context
 from heliograph.link.settings import load_settings
 
 

@@ -13,12 +13,19 @@ from heliograph.channel import Placement
 from heliograph.experiments.detection import ablation, trials
 from heliograph.experiments.detection import experiment as detection
 from heliograph.experiments.detection.ablation import VARIANTS, DetectionScores, VariantDetector
-from heliograph.experiments.detection.clutter import ClipBackdrop, backdrops, film_moment
+from heliograph.experiments.detection.clutter import (
+    FRAMES,
+    SIZE,
+    ClipBackdrop,
+    backdrops,
+    drawn_backdrop,
+    film_moment,
+    lamp_backdrop,
+)
+from heliograph.experiments.detection.experiment import compared, ingredients
 from heliograph.experiments.detection.identities import confusion, identities_seen, small_camera
-from heliograph.experiments.detection.lamps import FRAMES, SIZE, drawn_backdrop, lamp_backdrop
 from heliograph.experiments.detection.trials import DetectionEffort, DetectionTrials
-from heliograph.experiments.detection.verdicts import compared, ingredients
-from heliograph.experiments.result import Context, ExperimentResult
+from heliograph.experiments.report import Context, ExperimentResult
 from heliograph.measure.statistics import Count
 from heliograph.media import create_film
 from heliograph.signal.header import IDENTITIES

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.experiments.error_rates import comparison, experiment, films, verdicts
-from heliograph.experiments.result import Context
+from heliograph.experiments.error_rates import comparison, experiment, films
+from heliograph.experiments.error_rates import experiment as verdicts
+from heliograph.experiments.report import Context
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import random_messages, run_block

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.experiments.flicker import experiment, metrics, signals, verdicts
+from heliograph.experiments.flicker import experiment, metrics
+from heliograph.experiments.flicker import experiment as signals
+from heliograph.experiments.flicker import experiment as verdicts
 from heliograph.experiments.flicker.metrics import Spectrum
-from heliograph.experiments.result import Context
+from heliograph.experiments.report import Context
 
 SLOT_S = 0.25e-3
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from heliograph.experiments.patterns import header, inverse, packet, parameters, pwm, received
-from heliograph.experiments.result import Context, ExperimentResult
+from heliograph.experiments.report import Context, ExperimentResult
 from heliograph.link.settings import load_settings
 
 MODULES = {"fig3": received, "fig4": pwm, "fig5": packet, "fig7": header, "fig8": inverse, "tables": parameters}

@@ -3,7 +3,7 @@
 import pytest
 
 from heliograph.experiments.error_rates.repeated_packets import film_settings, measure
-from heliograph.experiments.result import Context
+from heliograph.experiments.report import Context
 
 
 def test_the_distance_is_that_of_the_middle_of_the_film() -> None:

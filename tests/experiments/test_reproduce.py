@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.cli.main import app
 from heliograph.experiments import reproduce as book
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 
 
 def test_all_experiments_by_default_and_each_once() -> None:

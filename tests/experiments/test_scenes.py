@@ -1,7 +1,7 @@
 """Hard scenes: their settings differ, and their counts add up by scene and distance."""
 
 from heliograph.experiments.error_rates import scenes
-from heliograph.experiments.result import Context
+from heliograph.experiments.report import Context
 from heliograph.measure.counts import BlockCounts, LayerCounts
 
 

@@ -8,9 +8,10 @@ import pytest
 
 from heliograph.base.threads import one_thread
 from heliograph.experiments.links import static_link
-from heliograph.experiments.result import Context
-from heliograph.experiments.systems import experiment, schemes, verdicts
-from heliograph.experiments.systems.curves import CURVES, error_free_m, range_m
+from heliograph.experiments.report import Context
+from heliograph.experiments.systems import experiment, schemes
+from heliograph.experiments.systems import experiment as verdicts
+from heliograph.experiments.systems.experiment import CURVES, error_free_m, range_m
 from heliograph.experiments.systems.schemes import ENOUGH, SCHEMES, SIDE, BitCounts, count_bits
 from heliograph.link.settings import LinkSettings
 from heliograph.measure.statistics import Count

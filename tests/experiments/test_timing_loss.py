@@ -5,7 +5,7 @@ import json
 import pytest
 
 from heliograph.experiments.patterns.timing_loss import CASES, run, table, timing_loss
-from heliograph.experiments.result import Context
+from heliograph.experiments.report import Context
 
 
 def test_a_camera_in_step_loses_nothing() -> None:

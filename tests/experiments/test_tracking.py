@@ -7,13 +7,21 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.experiments.result import Finding
+from heliograph.experiments.report import Finding
 from heliograph.experiments.tracking import experiment as tracking
-from heliograph.experiments.tracking.known import GROWTH, KNOWN_SPREAD, KnownPattern, known_leds, known_light
-from heliograph.experiments.tracking.pictures import pictures
+from heliograph.experiments.tracking.experiment import (
+    BACKGROUND,
+    OURS,
+    TrackingScore,
+    findings,
+    pictures,
+    rate_finding,
+    rates,
+    score,
+    scores,
+)
 from heliograph.experiments.tracking.runs import KNOWN, TRACKERS, TrackingFilm, TrackingRun, run_trackers
-from heliograph.experiments.tracking.score import TrackingScore, score, scores
-from heliograph.experiments.tracking.verdicts import BACKGROUND, OURS, findings, rate_finding, rates
+from heliograph.experiments.tracking.trackers import GROWTH, KNOWN_SPREAD, KnownPattern, known_leds, known_light
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.receive import Pose
 from heliograph.receive.detect.detection import Detection

@@ -11,10 +11,9 @@ from small_links import SMALL, small
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.link import film as link_film
 from heliograph.link.film import packet_row, read_packets, write_film
-from heliograph.link.notes import signal_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, Recordings, simulate
-from heliograph.link.truth import open_truth, truth_path
+from heliograph.link.truth import open_truth, signal_of, truth_path
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import open_film
 from heliograph.receive import make_receiver

@@ -8,9 +8,8 @@ from small_links import small
 
 from heliograph.base.errors import MediaError
 from heliograph.link.film import write_film
-from heliograph.link.notes import SIGNAL_TAG, check_truth, signal_of
 from heliograph.link.simulate import simulate
-from heliograph.link.truth import open_truth
+from heliograph.link.truth import SIGNAL_TAG, check_truth, open_truth, signal_of
 from heliograph.media import create_film, open_film
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.link.recordings import IMU_COLUMNS, load_footage, load_imu
+from heliograph.link.simulate import IMU_COLUMNS, load_footage, load_imu
 from heliograph.media import create_film
 
 HEAD = ",".join(IMU_COLUMNS)

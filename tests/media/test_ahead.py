@@ -13,8 +13,7 @@ from waiting import wait_until
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import create_film, open_film
-from heliograph.media.ahead import FRAMES_AHEAD, read_ahead
-from heliograph.media.reader import FilmReader
+from heliograph.media.reader import FRAMES_AHEAD, FilmReader, read_ahead
 
 
 class Source:

@@ -277,7 +277,7 @@ def test_a_damaged_chunk_is_damage(tmp_path: Path) -> None:
 
 def test_an_hdf5_file_that_an_interrupt_left_open_says_nothing_at_exit(tmp_path: Path) -> None:
     code = (
-        "import sys, h5py; from pathlib import Path; from heliograph.media.hdf5_write import PatientFile\n"
+        "import sys, h5py; from pathlib import Path; from heliograph.media.hdf5 import PatientFile\n"
         "disk = PatientFile(Path(sys.argv[1])); file = h5py.File(disk, 'w')\n"
         "file.create_dataset('frames', (10,), 'f8')[3] = 1.0; disk.close()"
     )

@@ -14,7 +14,8 @@ from made_recordings import Levels, noise, write_imagej, write_tiff
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.media import open_film, pictures, tiff
+from heliograph.media import images as pictures
+from heliograph.media import open_film, tiff
 
 
 def refused(path: Path) -> tuple[list[Frame], str]:

@@ -12,7 +12,7 @@ from made_recordings import Y4M_FORMS, noise, write_y4m
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import convert_film, create_film, open_film, planes, whole
-from heliograph.media.display import Orientation
+from heliograph.media.video_read import Orientation
 
 
 def film(path: Path, bits: int = 8) -> Path:

@@ -8,7 +8,7 @@ import pytest
 
 from heliograph.base.frames import Frame
 from heliograph.probe import kernels
-from heliograph.probe.clock import clock_of
+from heliograph.probe.arrays import clock_of
 from heliograph.probe.light import LEAST_VARIANCE, expected_correlation, lamp_period, pair_covariance
 from heliograph.signal.settings import SignalSettings
 

@@ -6,7 +6,7 @@ import pytest
 from small_links import small
 
 from heliograph.link.film import write_film
-from heliograph.link.notes import departures, signal_of
+from heliograph.link.truth import departures, signal_of
 from heliograph.media import open_film
 from heliograph.probe import probe_film
 from heliograph.probe.words import in_sentences, in_short, lines

@@ -18,8 +18,7 @@ from heliograph.probe import Findings, probe_film
 from heliograph.probe.levels import overexposed_part
 from heliograph.receive import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
-from heliograph.web.screen import screen_settings
-from heliograph.web.sending import sending_of
+from heliograph.web.sending import screen_settings, sending_of
 
 SEEDS = range(6)
 SIDE, CELL = 16, 6

@@ -14,8 +14,7 @@ from heliograph.link.settings import load_settings
 from heliograph.probe import Findings, probe_film
 from heliograph.probe.screens import screen_cause
 from heliograph.probe.words import in_sentences, lines
-from heliograph.web.screen import screen_settings
-from heliograph.web.sending import sending_of
+from heliograph.web.sending import screen_settings, sending_of
 
 pytestmark = pytest.mark.slow
 

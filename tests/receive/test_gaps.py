@@ -15,8 +15,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, make_receiver
-from heliograph.web.screen import screen_settings
-from heliograph.web.sending import sending_of
+from heliograph.web.sending import screen_settings, sending_of
 
 ENDLESS_S = 1e6
 """A gap of eleven days, such as of a clock that was set."""

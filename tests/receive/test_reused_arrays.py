@@ -12,8 +12,7 @@ from screen_light import shown
 from heliograph.base.frames import Frame, Pixels
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.receive import make_receiver, receive_frames
-from heliograph.web.screen import screen_settings
-from heliograph.web.sending import sending_of
+from heliograph.web.sending import screen_settings, sending_of
 
 RING = 6
 """Frames in a buffer that a camera fills in turn."""

@@ -10,10 +10,9 @@ import pytest
 
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
+from heliograph.road.codec import mapem, road_values, road_words, spatem, updates
 from heliograph.road.countdown import Countdown
-from heliograph.road.encode import mapem, spatem, updates
 from heliograph.road.junction import Junction, example
-from heliograph.road.read import road_values, road_words
 
 pytest.importorskip("pycrate_asn1dir", reason="needs the extra its: pip install 'heliograph[its]'")
 

@@ -7,7 +7,7 @@ import pytest
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.workers import THREAD_LIMITS, limit_threads
-from heliograph.experiments.result import Context
+from heliograph.experiments.report import Context
 from heliograph.sweeps.executors import each
 
 

@@ -20,15 +20,16 @@ from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.signal.settings import LAYERS
-from heliograph.sweeps import bar, dataset, executors, plot, reach, runner, sweep
+from heliograph.sweeps import dataset, executors, plot, runner, sweep
+from heliograph.sweeps import plan as reach
 from heliograph.sweeps import points as points_module
+from heliograph.sweeps import runner as bar
 from heliograph.sweeps.executors import Result, Work
+from heliograph.sweeps.plan import grid, parse_vary, plan, varied
 from heliograph.sweeps.plan import laid_over as laid
-from heliograph.sweeps.plan import plan
 from heliograph.sweeps.points import Point, run_job
 from heliograph.sweeps.store import NAME, Store
 from heliograph.sweeps.tally import PointTally, StopRule
-from heliograph.sweeps.vary import grid, parse_vary, varied
 
 SMALL = {"signal": {"data_pairs": 8}, "channel": {"camera": {"width": 480, "height": 288}}}
 

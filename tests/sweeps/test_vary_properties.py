@@ -11,7 +11,7 @@ from properties import examples
 
 from heliograph.base.errors import SettingsError
 from heliograph.base.toml_text import to_toml
-from heliograph.sweeps.vary import grid, nested, parse_vary
+from heliograph.sweeps.plan import grid, nested, parse_vary
 
 DECIMALS = st.decimals(-1000, 1000, places=3)
 STEPS = st.decimals("0.001", 100, places=3)

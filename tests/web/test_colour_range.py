@@ -13,8 +13,7 @@ from fastapi.testclient import TestClient
 
 from heliograph.base.frames import Frame
 from heliograph.web.app import create_app
-from heliograph.web.failures import Failures
-from heliograph.web.saver import Saver
+from heliograph.web.failures import Failures, Saver
 
 OWN = "http://127.0.0.1:8000"
 WHITE, DARK = 0.75, 40

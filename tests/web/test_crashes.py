@@ -14,7 +14,7 @@ from fastapi.testclient import TestClient
 
 from heliograph.base.frames import Frame
 from heliograph.media import create_film
-from heliograph.media.ahead import read_ahead
+from heliograph.media.reader import read_ahead
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
 
@@ -148,8 +148,8 @@ def test_transmit_answers_any_exception_of_its_worker_in_a_line(
         "heliograph.web.reading.receive_film",
         "heliograph.web.reading.probe_film",
         "heliograph.measure.reception.make_receiver",
-        "heliograph.web.saver.Saver.saw",
-        "heliograph.web.saver.Saver.close",
+        "heliograph.web.failures.Saver.saw",
+        "heliograph.web.failures.Saver.close",
         "heliograph.web.looking.screen_settings",
     ],
 )
@@ -179,7 +179,7 @@ def test_receive_reports_a_crash_while_it_reads_a_camera(
 
 
 def test_receive_reports_a_crash_while_it_saves(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("heliograph.web.saver.Saver.save", raises(ValueError("broken")))
+    monkeypatch.setattr("heliograph.web.failures.Saver.save", raises(ValueError("broken")))
     with client.websocket_connect(RECEIVE, ["heliograph"]) as socket:
         socket.send_json({"kind": "camera"})
         socket.send_text("save")

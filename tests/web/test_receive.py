@@ -15,17 +15,15 @@ from starlette.testclient import WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
 from heliograph.base.frames import Frame
-from heliograph.link.notes import signal_of
+from heliograph.link.truth import signal_of
 from heliograph.media import open_film
-from heliograph.probe.cells import cells_of_a_side
-from heliograph.probe.pace import patterns_per_s, usual
+from heliograph.probe.screens import cells_of_a_side, patterns_per_s, usual
 from heliograph.receive import Packet
 from heliograph.receive.screen.receiver import ScreenReceiver
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD, MOST_WAITING, CameraFrames, MessageError
-from heliograph.web.screen import screen_settings
-from heliograph.web.sending import sending_of
+from heliograph.web.sending import screen_settings, sending_of
 
 OWN = "http://127.0.0.1:8000"
 SOCKET = "ws://127.0.0.1:8000/api/receive"

@@ -9,13 +9,12 @@ from fastapi.testclient import TestClient
 from heliograph.base.errors import HeliographError
 from heliograph.link.codec import decode
 from heliograph.media import open_film
-from heliograph.probe.cells import SIDES
+from heliograph.probe.screens import SIDES
 from heliograph.signal.fountain.files import FileGatherer
 from heliograph.signal.settings import LAYERS, RateSettings
 from heliograph.web import sending, transmit
 from heliograph.web.app import create_app
-from heliograph.web.screen import screen_settings
-from heliograph.web.sending import MOST_KEPT, MOST_SENT, sending_of
+from heliograph.web.sending import MOST_KEPT, MOST_SENT, screen_settings, sending_of
 
 OWN = "http://127.0.0.1:8000"
 

@@ -19,7 +19,7 @@ from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.media import create_film, open_film
 from heliograph.web.app import create_app
-from heliograph.web.bundles import MOST, Bundles
+from heliograph.web.failures import MOST, Bundles
 from heliograph.web.limits import Limits
 from heliograph.web.security import Door
 

@@ -5,8 +5,8 @@ lobe, blur, pixels) -> sensor (EMVA 1288) -> transfer (lost and repeated frames)
 2010.
 """
 
+from heliograph.channel.background import Footage
 from heliograph.channel.camera import film, frame_count
-from heliograph.channel.footage import Footage
 from heliograph.channel.motion import ImuTrace, film_duration
 from heliograph.channel.settings import ChannelSettings, Placement
 from heliograph.channel.truth import ArrayTruth, NoiseModel, Truth

@@ -1,5 +1,6 @@
-"""The background of the arrays: flat, a drawn scene or recorded footage, moved with the camera's shake."""
+"""Background of the arrays: flat, a drawn street or recorded footage, moved with the camera's shake."""
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -9,12 +10,220 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Gray
 from heliograph.base.compiled import compiled
 from heliograph.base.errors import SettingsError
-from heliograph.channel.drawn_street import draw_scene
-from heliograph.channel.footage import Footage
 from heliograph.channel.parts import BACKGROUNDS
 from heliograph.channel.scene import CameraPose
 from heliograph.channel.settings import CameraSettings, ChannelSettings
-from heliograph.channel.street_view import draw_street
+
+
+@dataclass(frozen=True)
+class Footage:
+    """Gray frames that can be read from the start any number of times."""
+
+    # Returns a new iterator over (rows, columns) uint8 frames, all of one size; gray levels are taken as linear light
+    frames: Callable[[], Iterator[NDArray[np.uint8]]]
+    # Frames a second, above 0
+    rate_hz: float
+
+    def __post_init__(self) -> None:
+        """Check the rate."""
+        if not self.rate_hz > 0:
+            raise ValueError(f"footage has a rate above 0, not {self.rate_hz:g}")
+
+
+_ROUND_LAMPS = 0.5
+"""Probability of a drawn lamp to be round. Chosen by eye."""
+
+_LIT_WINDOWS = 0.3
+"""Probability of a drawn window to be lit. Chosen by eye, as are the sizes and gray levels of the whole drawing."""
+
+
+def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
+    """Draw a street at dusk: sky, road, buildings with windows, round and rectangular lamps.
+
+    Numbers, sizes and gray levels of all of them are chosen by eye; a change would change every film with this
+    background.
+    """
+    import cv2
+
+    height, width = size
+    horizon = height // 2
+    sky = np.linspace(110, 60, horizon)
+    road = np.linspace(30, 50, height - horizon)
+    scene = np.repeat(np.concatenate([sky, road])[:, None], width, 1).astype(np.uint8)
+    for left in itertools.accumulate(rng.integers(width // 24, width // 8, 64)):
+        _draw_building(scene, int(left) - width // 8, horizon, rng)
+    for _ in range(rng.integers(12, 24)):
+        x, y = int(rng.integers(width)), int(rng.integers(height // 6, height * 5 // 6))
+        w, h, shade = int(rng.integers(2, 20)), int(rng.integers(2, 16)), int(rng.integers(160, 256))
+        if rng.random() < _ROUND_LAMPS:
+            cv2.circle(scene, (x, y), max(w // 2, 1), shade, -1, cv2.LINE_AA)
+        else:
+            cv2.rectangle(scene, (x, y), (x + w, y + h), shade, -1)
+    return np.asarray(cv2.GaussianBlur(scene, (0, 0), 0.6), np.uint8)
+
+
+def _draw_building(scene: Gray, left: int, horizon: int, rng: np.random.Generator) -> None:
+    import cv2
+
+    width, tall = int(rng.integers(30, 120)), int(rng.integers(horizon // 4, horizon))
+    shade = int(rng.integers(20, 90))
+    cv2.rectangle(scene, (left, horizon - tall), (left + width, horizon), shade, -1)
+    for x, y in itertools.product(range(left + 5, left + width - 6, 12), range(horizon - tall + 6, horizon - 8, 16)):
+        lit = int(rng.integers(120, 220)) if rng.random() < _LIT_WINDOWS else shade + 15
+        cv2.rectangle(scene, (x, y), (x + 5, y + 8), lit, -1)
+
+
+EYE_M = 1.3
+"""Height of the camera above the road."""
+
+FOCAL = 2.85
+"""Focal length in widths of the picture: that of the reference camera."""
+
+NEAR_M, FAR_M = 12.0, 320.0
+"""Distances between which the street is drawn."""
+
+KERB_M, WALL_M = 4.6, 8.0
+"""Distances from the middle of the road to the kerb and to the houses."""
+
+FINER = 3
+"""The street is drawn so many times finer than it is shown, for smooth edges."""
+
+Points = list[tuple[float, float, float]]
+"""Corners in m: to the right, up from the road, ahead."""
+
+
+class _Canvas:
+    """A picture in whose perspective polygons are filled with a gray level."""
+
+    def __init__(self, size: tuple[int, int]):
+        self.height, self.width = (FINER * one for one in size)
+        self.pixels = np.zeros((self.height, self.width), np.uint8)
+        self._focal = FOCAL * self.width
+
+    @property
+    def horizon(self) -> int:
+        return self.height // 2
+
+    def fill(self, points: Points, level: float) -> None:
+        import cv2
+
+        cv2.fillConvexPoly(self.pixels, self.placed(points), float(np.clip(level, 0, 255)), cv2.LINE_AA)
+
+    def disc(self, at: tuple[float, float, float], radius_m: float, level: float) -> None:
+        import cv2
+
+        (x, y), radius = self.placed([at])[0], max(1, round(radius_m * self._focal / at[2]))
+        cv2.circle(self.pixels, (int(x), int(y)), radius, float(level), -1, cv2.LINE_AA)
+
+    def placed(self, points: Points) -> NDArray[np.int32]:
+        """Pixels of points, kept within what the filling takes."""
+        corners = np.array(points, float)
+        scale = self._focal / corners[:, 2]
+        places = np.stack([self.width / 2 + corners[:, 0] * scale, self.horizon - (corners[:, 1] - EYE_M) * scale], 1)
+        return np.clip(places, -30_000, 30_000).round().astype(np.int32)
+
+
+def draw_street(size: tuple[int, int], rng: np.random.Generator, night: bool = False) -> Gray:
+    """Draw a straight street: sky, houses, trees, lamps, parked cars, markings. Returns (height, width) uint8."""
+    import cv2
+
+    canvas, light = _Canvas(size), 0.16 if night else 1.0
+    _draw_sky(canvas, night)
+    _draw_ground(canvas, light)
+    sides = [(side, list(_along(rng, 14.0, 30.0))) for side in (-1, 1)]
+    for side, lots in sides:
+        for far, near in reversed(lots):
+            _draw_house(canvas, side, near, far, rng, light, night)
+    for at in reversed(list(np.arange(26.0, FAR_M, 22.0))):
+        for side in (-1, 1):
+            if rng.random() < 0.55:
+                _draw_tree(canvas, side, at + 6 * rng.random(), rng, light)
+            if rng.random() < 0.5:
+                _draw_car(canvas, side, at + 8 * rng.random(), rng, light, night)
+            _draw_lamp(canvas, side, at, light, night)
+    drawn = cv2.GaussianBlur(canvas.pixels, (0, 0), 0.5 * FINER)
+    if night:
+        glow = cv2.GaussianBlur(np.where(drawn > 150, drawn, 0).astype(np.uint8), (0, 0), 7.0 * FINER)
+        drawn = cv2.add(drawn, cv2.convertScaleAbs(glow, alpha=0.8))
+    return np.asarray(cv2.resize(drawn, (size[1], size[0]), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _along(rng: np.random.Generator, least_m: float, most_m: float) -> Iterator[tuple[float, float]]:
+    """Far and near end of lots along the street, from near to far."""
+    near = NEAR_M
+    while near < FAR_M:
+        far = near + float(rng.uniform(least_m, most_m))
+        yield min(far, FAR_M), near
+        near = far
+
+
+def _draw_sky(canvas: _Canvas, night: bool) -> None:
+    top, bottom = (5, 22) if night else (150, 225)
+    rows = np.linspace(top, bottom, canvas.horizon)
+    canvas.pixels[: canvas.horizon] = rows[:, None].astype(np.uint8)
+
+
+def _draw_ground(canvas: _Canvas, light: float) -> None:
+    canvas.fill([(-60, 0, NEAR_M), (60, 0, NEAR_M), (60, 0, FAR_M), (-60, 0, FAR_M)], 120 * light)
+    canvas.pixels[canvas.horizon :] = round(120 * light)
+    canvas.fill([(-KERB_M, 0, 5), (KERB_M, 0, 5), (KERB_M, 0, FAR_M), (-KERB_M, 0, FAR_M)], 72 * light)
+    for side in (-1, 1):
+        edge, inner = side * (KERB_M - 0.35), side * (KERB_M - 0.5)
+        canvas.fill([(inner, 0, 5), (edge, 0, 5), (edge, 0, FAR_M), (inner, 0, FAR_M)], 190 * light)
+    for at in np.arange(14.0, FAR_M, 9.0):
+        canvas.fill([(-0.07, 0, at), (0.07, 0, at), (0.07, 0, at + 4), (-0.07, 0, at + 4)], 205 * light)
+    for x in np.arange(-4.0, 3.6, 1.0):
+        canvas.fill([(x, 0, 38), (x + 0.5, 0, 38), (x + 0.5, 0, 42), (x, 0, 42)], 210 * light)
+
+
+def _draw_house(
+    canvas: _Canvas, side: int, near: float, far: float, rng: np.random.Generator, light: float, night: bool
+) -> None:
+    """A front along the street, and the gable that looks towards the camera, with rows of windows."""
+    x, floors = side * (WALL_M + float(rng.uniform(0, 0.8))), int(rng.integers(2, 6))
+    top, shade = 3.1 * floors + 1.0, float(rng.uniform(70, 175))
+    haze = 0.35 * near / FAR_M
+    wall = (shade * (1 - haze) + 190 * haze) * light
+    canvas.fill([(x, 0, near), (x, top, near), (x, top, far), (x, 0, far)], wall)
+    canvas.fill([(x, 0, near), (x + side * 40, 0, near), (x + side * 40, top, near), (x, top, near)], 0.8 * wall)
+    canvas.fill([(x, top, near), (x, top + 0.35, near), (x, top + 0.35, far), (x, top, far)], 0.55 * wall)
+    for floor in range(floors):
+        low = 3.1 * floor + 1.0
+        for at in np.arange(near + 1.2, far - 1.6, 2.6):
+            lit = night and rng.random() < 0.3
+            level = float(rng.uniform(130, 230)) if lit else (0.5 if rng.random() < 0.8 else 1.35) * wall
+            canvas.fill([(x, low, at), (x, low + 1.5, at), (x, low + 1.5, at + 1.2), (x, low, at + 1.2)], level)
+
+
+def _draw_tree(canvas: _Canvas, side: int, at: float, rng: np.random.Generator, light: float) -> None:
+    x = side * (KERB_M + 1.2)
+    canvas.fill([(x - 0.12, 0, at), (x + 0.12, 0, at), (x + 0.08, 2.6, at), (x - 0.08, 2.6, at)], 45 * light)
+    for _ in range(14):
+        place = x + float(rng.normal(0, 0.7)), 3.6 + float(rng.normal(0, 0.7)), at
+        canvas.disc(place, float(rng.uniform(0.4, 0.8)), float(rng.uniform(45, 85)) * light)
+
+
+def _draw_car(canvas: _Canvas, side: int, at: float, rng: np.random.Generator, light: float, night: bool) -> None:
+    """A parked car from behind."""
+    middle, shade = side * (KERB_M - 1.15), float(rng.choice([40, 90, 140, 205])) * light
+    left, right = middle - 0.85, middle + 0.85
+    canvas.fill([(left, 0.05, at), (right, 0.05, at), (right, 0.2, at), (left, 0.2, at)], 15 * light)
+    canvas.fill([(left, 0.2, at), (right, 0.2, at), (right, 0.9, at), (left, 0.9, at)], shade)
+    canvas.fill([(left + 0.1, 0.9, at), (right - 0.1, 0.9, at), (right - 0.3, 1.45, at), (left + 0.3, 1.45, at)], shade)
+    canvas.fill([(left + 0.22, 0.95, at), (right - 0.22, 0.95, at), (right - 0.35, 1.38, at), (left + 0.35, 1.38, at)],
+                (40 if shade > 60 * light else 95) * light)  # fmt: skip
+    for x in (left + 0.18, right - 0.18):
+        canvas.disc((x, 0.75, at), 0.09, 210 if night and rng.random() < 0.4 else 110 * light)
+
+
+def _draw_lamp(canvas: _Canvas, side: int, at: float, light: float, night: bool) -> None:
+    x = side * (KERB_M + 0.5)
+    canvas.fill([(x - 0.06, 0, at), (x + 0.06, 0, at), (x + 0.05, 6.4, at), (x - 0.05, 6.4, at)], 55 * light)
+    end = x - side * 1.4
+    canvas.fill([(x, 6.35, at), (end, 6.45, at), (end, 6.55, at), (x, 6.45, at)], 55 * light)
+    canvas.fill([(end - 0.3, 6.35, at), (end + 0.3, 6.35, at), (end + 0.3, 6.5, at), (end - 0.3, 6.5, at)],
+                255 if night else 70)  # fmt: skip
+
 
 SHAKE_MARGIN_PX = 64
 """Background kept beyond each side of the frame for the shake; further out its edge pixels are repeated. Chosen: in the
@@ -52,24 +261,7 @@ def warp(
     weight: float,
     affine: NDArray[np.float64],
 ) -> None:
-    """Write a bilinearly interpolated mixture of two images into a window of the light.
-
-    Parameters
-    ----------
-    light
-        (h, w) float32 light in full scales, written.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-    first
-        (H, W) uint8 image; pixels beyond its edges repeat the edge.
-    second
-        (H, W) uint8 image of the same size.
-    weight
-        Weight of the second image, 0 to 1: the mixture is (1 - weight) first + weight second.
-    affine
-        (3, 3) float64: sensor pixel -> pixel of the images in rows 0 and 1; ``affine[2, 2]`` is the light of a gray
-        level, in full scales.
-    """
+    """Write a bilinearly interpolated mixture of two images into a window of the light."""
     height, width = light.shape
     last_x, last_y = first.shape[1] - _FAR_EDGE_PX, first.shape[0] - _FAR_EDGE_PX
     w = np.float32(weight)
@@ -118,23 +310,6 @@ def image_motion(
 
     It is the rotation K R K^-1 to first order about the optical axis, and the expansion depth / (depth - distance
     driven).
-
-    Parameters
-    ----------
-    pose
-        Poses of the camera.
-    index
-        Index of one pose in the arrays of `pose`.
-    camera
-        Sensor and focal length.
-    size
-        (height, width) of the image in pixels; its middle is on the optical axis at rest.
-    depth_m
-        Distance of the scene at time 0 in m, above 0; infinite for no expansion.
-
-    Returns
-    -------
-    (3, 3) float64: rows 0 and 1 take (x, y, 1) on the sensor to the image; row 2 is (0, 0, 1).
     """
     pitch, yaw, roll, driven = (a[index] for a in (pose.pitch_rad, pose.yaw_rad, pose.roll_rad, pose.travelled_m))
     zoom = max(1 - driven / depth_m, LEAST_ZOOM)
@@ -149,26 +324,17 @@ def image_motion(
 
 @dataclass
 class Clip:
-    """Footage at the background's size, read as far as it is needed, played forward and then backward.
+    """Footage at the background's size, read as far as it is needed, played forward and then backward."""
 
-    Attributes
-    ----------
-    footage
-        Frames and their rate.
-    size
-        (height, width) of the background in pixels.
-    held
-        Frames read so far, at most `MOST_FRAMES`.
-    source
-        Iterator over the frames, once reading has begun.
-    ended
-        Whether all frames are read, or as many as are held.
-    """
-
+    # Frames and their rate
     footage: Footage
+    # (height, width) of the background in pixels
     size: tuple[int, int]
+    # Frames read so far, at most `MOST_FRAMES`
     held: list[Gray] = field(default_factory=list)
+    # Iterator over the frames, once reading has begun
     source: Iterator[Gray] | None = None
+    # Whether all frames are read, or as many as are held
     ended: bool = False
 
     def _read_to(self, number: int) -> None:
@@ -184,18 +350,7 @@ class Clip:
             raise SettingsError("the footage has no frames")
 
     def at(self, time_s: float) -> tuple[Gray, Gray, float]:
-        """Return the frames before and after a time, and the weight of the second, 0 to 1.
-
-        Parameters
-        ----------
-        time_s
-            Time since the start of the footage in s; a negative one counts as 0.
-
-        Raises
-        ------
-        SettingsError
-            The footage has no frames, or one that is not gray uint8.
-        """
+        """Return the frames before and after a time, and the weight of the second, 0 to 1."""
         place = max(time_s, 0.0) * self.footage.rate_hz
         whole = int(place)
         self._read_to(whole + 1)
@@ -210,24 +365,7 @@ class Clip:
 
 
 def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
-    """Scale a gray frame until it covers a size, and cut out its middle.
-
-    Parameters
-    ----------
-    frame
-        (rows, columns) uint8, at least 2 x 2.
-    size
-        (height, width) of the result in pixels.
-
-    Returns
-    -------
-    (height, width) uint8, contiguous.
-
-    Raises
-    ------
-    SettingsError
-        The frame is not gray, not uint8 or smaller than 2 x 2.
-    """
+    """Scale a gray frame until it covers a size, and cut out its middle."""
     import cv2
 
     if frame.ndim != 2 or frame.dtype != np.uint8 or min(frame.shape) < 2:
@@ -269,50 +407,25 @@ class Scenery:
 
 
 def flat_background(scenery: Scenery) -> Painter:
-    """Return the painter of an even background.
-
-    Parameters
-    ----------
-    scenery
-        What the background is made for; ``settings.background.level`` is its light in full scales.
-    """
+    """Return the painter of an even background."""
     level = scenery.settings.background.level
     return lambda light, *_: light.fill(level)
 
 
 def drawn_background(scenery: Scenery) -> Painter:
-    """Return the painter of a drawn street, which moves with the camera.
-
-    Parameters
-    ----------
-    scenery
-        What the background is made for; its source of randomness draws the street, and ``settings.background.gain`` is
-        the light of white in full scales.
-    """
+    """Return the painter of a drawn street, which moves with the camera."""
     scene, settings = draw_scene(scenery.size, scenery.rng), scenery.settings
     gain = settings.background.gain / _WHITE
     return _painter(lambda _: (scene, scene, 0.0), gain, settings.camera, scenery.size, SCENE_DEPTH_M)
 
 
 def street_background(scenery: Scenery) -> Painter:
-    """Return the painter of a street by day, in perspective, which moves with the camera.
-
-    Parameters
-    ----------
-    scenery
-        What the background is made for, as of `drawn_background`.
-    """
+    """Return the painter of a street by day, in perspective, which moves with the camera."""
     return _street(scenery, night=False)
 
 
 def night_background(scenery: Scenery) -> Painter:
-    """Return the painter of a street by night, in perspective, which moves with the camera.
-
-    Parameters
-    ----------
-    scenery
-        What the background is made for, as of `drawn_background`.
-    """
+    """Return the painter of a street by night, in perspective, which moves with the camera."""
     return _street(scenery, night=True)
 
 
@@ -323,19 +436,7 @@ def _street(scenery: Scenery, night: bool) -> Painter:
 
 
 def footage_background(scenery: Scenery) -> Painter:
-    """Return the painter of recorded frames, which move with the camera's shake.
-
-    Parameters
-    ----------
-    scenery
-        What the background is made for; it has the recorded frames, and ``settings.background.gain`` is the light of
-        white in full scales.
-
-    Raises
-    ------
-    SettingsError
-        There are no recorded frames.
-    """
+    """Return the painter of recorded frames, which move with the camera's shake."""
     if scenery.footage is None:
         raise SettingsError("background.kind = footage needs recorded frames")
     clip, settings = Clip(scenery.footage, scenery.size), scenery.settings
@@ -344,22 +445,7 @@ def footage_background(scenery: Scenery) -> Painter:
 
 
 def background(settings: ChannelSettings, footage: Footage | None, rng: np.random.Generator) -> Painter:
-    """Return the painter of a film's background.
-
-    Parameters
-    ----------
-    settings
-        The channel; ``settings.background.kind`` names the background.
-    footage
-        Recorded frames, for the kind "footage"; None where there are none.
-    rng
-        Draws the scene of the kinds "synthetic", "street" and "street-night".
-
-    Raises
-    ------
-    SettingsError
-        The kind is "footage" and there is none.
-    """
+    """Return the painter of a film's background."""
     painter: Painter = BACKGROUNDS[settings.background.kind](Scenery(settings, footage, rng))
     return painter
 

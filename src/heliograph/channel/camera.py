@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
+from heliograph.channel.background import Footage
 from heliograph.channel.exposure import Faults, Lighting, PatternFeed
-from heliograph.channel.footage import Footage
 from heliograph.channel.motion import ImuTrace, Motion, film_duration, motion
 from heliograph.channel.settings import EXPOSURE_SLACK, ChannelSettings, Placement
 from heliograph.channel.transfer import Transfer
@@ -27,13 +27,7 @@ _LENGTH_SLACK = 1e-6
 
 
 def frame_count(settings: ChannelSettings) -> int:
-    """Return the number of frames whose exposure ends within the film; dropped frames count.
-
-    Parameters
-    ----------
-    settings
-        The channel, of which the camera's times and the length of the film are used (see `film_duration`).
-    """
+    """Return the number of frames whose exposure ends within the film; dropped frames count."""
     camera = settings.camera
     room = film_duration(settings) - camera.start_s - camera.exposure_s
     return max(0, math.floor(room / camera.frame_period_s + _LENGTH_SLACK) + 1)
@@ -51,46 +45,7 @@ def film(
     imu: ImuTrace | None = None,
     roi_margin_px: int | None = None,
 ) -> Iterator[tuple[Frame, Truth]]:
-    """Film arrays from a moving vehicle.
-
-    Parameters
-    ----------
-    settings
-        The whole channel: scene, vehicle, camera, emitters, sensor and background.
-    lights
-        For each array of the settings its patterns in the order of time, (n, n) uint8 levels 0 to 4, possibly
-        endless; the array is dark before the first and after the last.
-    rng
-        Seeds the road, the drawn scene (with the choice of LEDs that fail) and the noise, in this order.
-    pattern_period_s
-        T_b in s, at least the exposure.
-    slot_order
-        Order of the PWM slots, a permutation of 0 to 3, as in the signal's settings.
-    steady
-        Whether levels are steady luminances, as on a screen, in place of PWM slots.
-    footage
-        Recorded frames for ``background.kind`` = "footage"; None where there are none.
-    imu
-        Recorded trace for ``shake`` = "imu"; None where there is none.
-    roi_margin_px
-        None for whole frames. Else frames are windows about all arrays with this margin in pixels, at least 0, cut at
-        the sensor's edges; their pixels are those of the whole frame, noise included.
-
-    Yields
-    ------
-    frame
-        ``time_s`` is the camera's own clock: start_s + index / fps, plus jitter. A dropped frame leaves a gap in
-        ``index``, and in the truth, where the camera leaves ``gaps``.
-    truth
-        The truth of the frame; of a repeated frame, the truth of the exposure that it replaces.
-
-    Raises
-    ------
-    SettingsError
-        A recording is missing, the exposure is longer than T_b, or the settings do not fit the arguments.
-    ValueError
-        An array has no pattern, or one is malformed.
-    """
+    """Film arrays from a moving vehicle."""
     _check(settings, lights, pattern_period_s, slot_order, roi_margin_px)
     if settings.background.kind == "footage" and footage is None:
         raise SettingsError("background.kind = footage needs recorded frames: pass footage, or choose another kind")

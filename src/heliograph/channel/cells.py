@@ -30,39 +30,16 @@ _REACH_SIGMA = 4.0
 
 @dataclass(frozen=True)
 class CellLight:
-    """The light of all cells as each row of pixels sees it.
+    """The light of all cells as each row of pixels sees it."""
 
-    Attributes
-    ----------
-    cells
-        (rows, n, n) light of each cell in parts of the brightest.
-    patterns
-        Numbers of the patterns shown, in the order of time.
-    """
-
+    # (rows, n, n) light of each cell in parts of the brightest
     cells: Floats
+    # Numbers of the patterns shown, in the order of time
     patterns: tuple[int, ...]
 
 
 def cell_light(lighting: Lighting, emitter: EmitterSettings, starts_s: Floats, exposure_s: float) -> CellLight:
-    """Return the light of all cells as rows of pixels see it.
-
-    Parameters
-    ----------
-    lighting
-        The patterns in true time.
-    emitter
-        Response, backlight and scan of the display.
-    starts_s
-        (rows,) true start of each row's exposure in s.
-    exposure_s
-        Exposure of a row in s.
-
-    Raises
-    ------
-    ValueError
-        A pattern is malformed.
-    """
+    """Return the light of all cells as rows of pixels see it."""
     n, period = lighting.feed.side, lighting.period_s
     scan = emitter.scan_s * np.arange(n) / n if emitter.scan_s else np.zeros(1)
     reach = SETTLED * emitter.response_s + scan[-1]
@@ -128,25 +105,7 @@ def add_screen(
     pitch_m: float,
     psf: PointSpread,
 ) -> None:
-    """Add the light of a screen's cells to a window of the image, in place.
-
-    Parameters
-    ----------
-    light
-        (h, w) float32 light in full scales, changed.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-    box
-        First x, first y, last x, last y on the sensor of the pixels that the cells can reach.
-    inverses
-        (rows, 9, 3, 3) maps of pixels to the array's plane in m, for each row of the box and each sample of its pixels.
-    cells
-        (rows, n, n) light of each cell in full scales as that row sees it.
-    pitch_m
-        Side of a cell in m.
-    psf
-        Blur of the lens.
-    """
+    """Add the light of a screen's cells to a window of the image, in place."""
     margin = int(np.ceil(_REACH_SIGMA * float(psf.sigma_px.max() + np.abs(psf.shift_px).max()))) + 1
     sharp = np.zeros((box[3] - box[1] + 1 + 2 * margin, box[2] - box[0] + 1 + 2 * margin), np.float32)
     fill_cells(sharp, margin, (box[0], box[1]), inverses, cells, pitch_m)
@@ -169,19 +128,7 @@ def add_screen(
 def fill_cells(
     out: NDArray[np.float32], margin: int, corner: tuple[int, int], inverses: Floats, cells: Floats, pitch: float
 ) -> None:
-    """Write the mean light of the cells over each pixel of a box.
-
-    Parameters
-    ----------
-    out
-        (h, w) float32, the box with a margin; overwritten within the margin.
-    margin
-        Pixels of the margin on each side.
-    corner
-        (x, y) on the sensor of the box's first pixel.
-    inverses, cells, pitch
-        Maps, light and side of the cells, as of `add_screen`.
-    """
+    """Write the mean light of the cells over each pixel of a box."""
     n = cells.shape[1]
     for i in range(cells.shape[0]):
         y = corner[1] + i

@@ -7,8 +7,39 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, FocalM, PitchM, PixelM, clear_errors
-from heliograph.channel.bounds import Colour, LightLevel, Ppm, Probability, TimeS
 from heliograph.channel.parts import POINT_SPREADS
+
+
+def _lit(colour: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(colour):
+        raise ValueError("a colour has red, green or blue above 0, not (0, 0, 0)")
+    return colour
+
+
+LightLevel = Annotated[float, Field(ge=0, le=4)]
+"""Light in full scales. Chosen bound: four times saturation."""
+
+Colour = Annotated[tuple[LightLevel, LightLevel, LightLevel], AfterValidator(_lit)]
+"""Red, green and blue of a light, by those of what the camera shows as gray: (1, 1, 1) is gray."""
+
+Probability = Annotated[float, Field(ge=0, lt=1)]
+"""Probability of an accident of a frame."""
+
+Ppm = Annotated[float, Field(ge=-1e4, le=1e4)]
+"""Error of a clock's period in millionths. Chosen bound: 1 %, a hundred times what the air interface allows."""
+
+LengthM = Annotated[float, Field(ge=-1e4, le=1e4)]
+"""Place in the scene in m. Chosen bound: 10 km, from which no array is seen."""
+
+SpeedMS = Annotated[float, Field(ge=-1000, le=1000)]
+"""Velocity in m/s. Chosen bound: ten times that of a fast train."""
+
+TimeS = Annotated[float, Field(ge=-60, le=3600)]
+"""Start of a clock in s. What an array shows before the film is computed too, so that a minute is the most."""
+
+TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
+"""Angle of an array's tilt in degrees: at 90 it is seen from its edge."""
+
 
 MOST_FOCAL_PX = 1e6
 """Largest focal length in pixels: that of a lens of 1 m and pixels of 1 um. The motion of an array within an exposure

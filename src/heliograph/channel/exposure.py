@@ -28,25 +28,7 @@ _PARTS_SLACK = 1e-9
 
 
 class PatternFeed:
-    """The patterns of one array, read in step with time.
-
-    Parameters
-    ----------
-    patterns
-        Patterns in the order of time, (n, n) uint8 levels 0 to 4, possibly endless.
-    name
-        Name of the array, for error messages.
-
-    Attributes
-    ----------
-    side
-        LEDs in a row and in a column, n.
-
-    Raises
-    ------
-    ValueError
-        There is no pattern, one is not square uint8 levels 0 to 4, or their size changes.
-    """
+    """The patterns of one array, read in step with time."""
 
     def __init__(self, patterns: Iterable[NDArray[np.uint8]], name: str) -> None:
         self._source: Iterator[NDArray[np.uint8]] = iter(patterns)
@@ -59,18 +41,7 @@ class PatternFeed:
             raise ValueError(f"the lights of {name} show no pattern at all; leave the array out instead")
 
     def at(self, number: int) -> NDArray[np.uint8] | None:
-        """Return a pattern; None where there is none, or where it is `HELD_PATTERNS` or more before the newest.
-
-        Parameters
-        ----------
-        number
-            Number of the pattern in the order of time, 0 for the first; there is none below 0.
-
-        Raises
-        ------
-        ValueError
-            A pattern is malformed.
-        """
+        """Return a pattern; None where there is none, or where it is `HELD_PATTERNS` or more before the newest."""
         while self._next <= number:
             pattern = next(self._source, None)
             if pattern is None:
@@ -92,56 +63,25 @@ class PatternFeed:
 
 @dataclass(frozen=True, slots=True)
 class Lit:
-    """An exposure cut into k pieces at the PWM slots' boundaries; times without a pattern are left out.
+    """An exposure cut into k pieces at the PWM slots' boundaries; times without a pattern are left out."""
 
-    Attributes
-    ----------
-    start_s
-        (k,) true start of each piece in s.
-    end_s
-        (k,) true end of each piece in s.
-    on
-        (k, n, n) float64: light of each LED, 1 where one as bright as the others is lit, 0 where none is.
-    patterns
-        Numbers of the patterns shown, in the order of time.
-    """
-
+    # (k,) true start of each piece in s
     start_s: Floats
+    # (k,) true end of each piece in s
     end_s: Floats
+    # (k, n, n) float64: light of each LED, 1 where one as bright as the others is lit, 0 where none is
     on: Floats
+    # Numbers of the patterns shown, in the order of time
     patterns: tuple[int, ...]
 
     def moments(self, start_s: float, end_s: float) -> tuple[Floats, Floats, Floats]:
-        """Return the moments in time of each LED's light.
-
-        Parameters
-        ----------
-        start_s
-            Start of the exposure in s.
-        end_s
-            End of the exposure in s.
-
-        Returns
-        -------
-        fraction
-            (n, n) fraction of the exposure for which an LED is lit, 0 to 1.
-        late
-            (n, n) centroid of its lit time in s, from the middle of the exposure; 0 for an LED that is not lit.
-        spread
-            (n, n) variance of its lit time in s^2.
-        """
+        """Return the moments in time of each LED's light."""
         rows = _moments(self.start_s, self.end_s, (start_s + end_s) / 2)
         sums = (rows @ self.on.reshape(len(self.start_s), -1)).reshape(3, *self.on.shape[1:])
         return _central(sums, end_s - start_s)
 
     def split(self, longest_s: float) -> "Lit":
-        """Return the same exposure with each piece cut into equal parts.
-
-        Parameters
-        ----------
-        longest_s
-            Largest length of a part in s, above 0.
-        """
+        """Return the same exposure with each piece cut into equal parts."""
         count = np.maximum(np.ceil((self.end_s - self.start_s) / longest_s - _PARTS_SLACK), 1).astype(int)
         part = np.concatenate([np.arange(c) for c in count])
         length = np.repeat((self.end_s - self.start_s) / count, count)
@@ -165,41 +105,22 @@ def _central(sums: Floats, exposure_s: float) -> tuple[Floats, Floats, Floats]:
 
 @dataclass(frozen=True)
 class Faults:
-    """Faults that keep an array from showing its patterns.
+    """Faults that keep an array from showing its patterns."""
 
-    Attributes
-    ----------
-    dead
-        (n, n) bool, LEDs that never shine.
-    stuck
-        (n, n) bool, LEDs that always shine, but for `off_s`.
-    hidden
-        (n, n) bool, LEDs that an obstacle hides.
-    gains
-        (n, n) light of each LED when lit, 1 for as bright as meant, at least 0.
-    off_s
-        Times (from, to) in s for which all are dark.
-    """
-
+    # (n, n) bool, LEDs that never shine
     dead: NDArray[np.bool_]
+    # (n, n) bool, LEDs that always shine, but for `off_s`
     stuck: NDArray[np.bool_]
+    # (n, n) bool, LEDs that an obstacle hides
     hidden: NDArray[np.bool_]
+    # (n, n) light of each LED when lit, 1 for as bright as meant, at least 0
     gains: Floats
+    # Times (from, to) in s for which all are dark
     off_s: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def of(cls, place: Placement, side: int, rng: np.random.Generator) -> "Faults":
-        """Return the faults of an array; the LEDs that fail, and how much all differ, are drawn at random.
-
-        Parameters
-        ----------
-        place
-            Settings of the array: fractions dead and stuck, spread of the light, hidden part, times off.
-        side
-            LEDs in a row and in a column.
-        rng
-            Draws which LEDs are dead, which are stuck, and the light of each.
-        """
+        """Return the faults of an array; the LEDs that fail, and how much all differ, are drawn at random."""
         order = rng.permutation(side * side).reshape(side, side)
         many, more = round(place.dead * side * side), round(place.stuck * side * side)
         hidden = np.zeros((side, side), bool)
@@ -211,15 +132,7 @@ class Faults:
         return cls(order < many, (order >= many) & (order < many + more), hidden, gains, place.off_s)
 
     def visible(self, on: NDArray[np.bool_] | Floats, whole: Floats | float = 1.0) -> Floats:
-        """Return the light of each LED that reaches the camera, (k, n, n), 1 for an LED as bright as meant.
-
-        Parameters
-        ----------
-        on
-            (k, n, n) bool, LEDs that the patterns light in each of k pieces of an exposure; or float64, by how much.
-        whole
-            What `on` is of an LED that is lit all through: one number, or (k, 1, 1).
-        """
+        """Return the light of each LED that reaches the camera, (k, n, n), 1 for an LED as bright as meant."""
         lit, dark = self._light
         return dark * whole + on * (lit - dark)
 
@@ -236,20 +149,7 @@ class Faults:
         return bool((lit == 1).all() and (dark == 0).all())
 
     def cut(self, begin_s: float, end_s: float) -> Iterator[tuple[float, float]]:
-        """Yield the parts of a time for which the array is not off.
-
-        Parameters
-        ----------
-        begin_s
-            Start of the time in s.
-        end_s
-            Its end in s.
-
-        Yields
-        ------
-        tuple of float
-            Start and end of a part in s, in the order of time.
-        """
+        """Yield the parts of a time for which the array is not off."""
         for off, on in sorted(self.off_s):
             if off > begin_s:
                 yield begin_s, min(off, end_s)
@@ -261,46 +161,23 @@ class Faults:
 
 @dataclass(frozen=True)
 class Lighting:
-    """An array's patterns in true time.
+    """An array's patterns in true time."""
 
-    Attributes
-    ----------
-    feed
-        The array's patterns by number.
-    start_s
-        True time at which pattern 0 starts, in s.
-    period_s
-        True pattern period in s, with the error of the array's clock.
-    slot_order
-        Order in which slots are lit as the level rises, a permutation of 0 to 3.
-    faults
-        Faults of the array.
-    steady
-        Whether a level is a steady luminance, as on a screen, and not a number of lit slots.
-    """
-
+    # The array's patterns by number
     feed: PatternFeed
+    # True time at which pattern 0 starts, in s
     start_s: float
+    # True pattern period in s, with the error of the array's clock
     period_s: float
+    # Order in which slots are lit as the level rises, a permutation of 0 to 3
     slot_order: tuple[int, ...]
+    # Faults of the array
     faults: Faults
+    # Whether a level is a steady luminance, as on a screen, and not a number of lit slots
     steady: bool = False
 
     def shown(self, start_s: float, end_s: float) -> "Shown | None":
-        """Return what an exposure sees of the patterns; None where the array shows none.
-
-        Parameters
-        ----------
-        start_s
-            True start of the exposure in s.
-        end_s
-            Its true end in s.
-
-        Raises
-        ------
-        ValueError
-            A pattern is malformed.
-        """
+        """Return what an exposure sees of the patterns; None where the array shows none."""
         slot_s = self.period_s / SLOTS
         pieces: list[tuple[float, float, int, int]] = []
         # (1), (2): x(t) = sum_k x_k g(t - k T_b); (4), (5): the shutter is open from start to end
@@ -326,23 +203,15 @@ class Lighting:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """An exposure cut into k pieces at the PWM slots' boundaries; times without a pattern are left out.
+    """An exposure cut into k pieces at the PWM slots' boundaries; times without a pattern are left out."""
 
-    Attributes
-    ----------
-    lighting
-        The array's patterns in true time.
-    start_s
-        True start of the exposure in s.
-    end_s
-        Its true end in s.
-    pieces
-        True start and end of each piece in s, number of the pattern, and slot within it; in the order of time.
-    """
-
+    # The array's patterns in true time
     lighting: Lighting
+    # True start of the exposure in s
     start_s: float
+    # Its true end in s
     end_s: float
+    # True start and end of each piece in s, number of the pattern, and slot within it; in the order of time
     pieces: list[tuple[float, float, int, int]]
 
     @property

@@ -1,13 +1,63 @@
-"""Half-car model: what a rough road does to the car, front and rear axle.
-
-SciPy is imported where it is used, so that the package costs nothing to import.
-"""
+"""Half-car model on a road of ISO 8608 roughness: vertical motion and pitch of the car."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.arrays import Floats
+
+ROUGHNESS_M3 = {"A": 16e-6, "B": 64e-6, "C": 256e-6, "D": 1024e-6}
+"""Displacement density G_d(n0) in m^3 by road class: the geometric means of ISO 8608."""
+
+REFERENCE_PER_M = 0.1
+"""Reference spatial frequency n0 in cycle/m (ISO 8608)."""
+
+BAND_PER_M = (0.01, 4.0)
+"""Spatial frequencies of a synthetic road in cycle/m. Chosen: waves of 100 m, 0.08 Hz at 30 km/h and far below the
+body's modes, down to 0.25 m, the length of a tyre's footprint, over which a tyre averages."""
+
+STEP_M = 0.0125
+"""Distance between samples: a twentieth of the shortest wave, of which straight lines cut off 1.2 % at most; 4.9 % at
+twice the value."""
+
+SHORTEST_M = 204.8
+"""Least length of a profile in m: 2^14 samples, twice the longest wave, so that the lines of its spectrum are at most
+0.005 cycle/m apart."""
+
+_WHOLE = 1e-9
+"""Excess over a power of two that counts as a rounding error."""
+
+
+@dataclass(frozen=True)
+class RoadProfile:
+    """Height of a road, periodic."""
+
+    # (samples,) float64 heights in m, upward, every `STEP_M`
+    height_m: NDArray[np.float64]
+
+    def at(self, distance_m: ArrayLike) -> NDArray[np.float64]:
+        """Return the height in m along the road, by straight lines between the samples."""
+        place = np.asarray(distance_m) / STEP_M
+        return np.interp(place, np.arange(self.height_m.size), self.height_m, period=self.height_m.size)
+
+
+def roughness(road_class: str, per_m: ArrayLike) -> NDArray[np.float64]:
+    """Return the displacement power spectral density of a road (ISO 8608)."""
+    # ISO 8608: G_d(n) = G_d(n0) (n / n0)^-2
+    return ROUGHNESS_M3[road_class] * (np.asarray(per_m) / REFERENCE_PER_M) ** -2.0
+
+
+def road_profile(road_class: str, length_m: float, rng: np.random.Generator) -> RoadProfile:
+    """Draw a random road: a sum of sine waves of random phase with the spectrum of ISO 8608."""
+    samples = 1 << int(np.ceil(np.log2(max(length_m, SHORTEST_M) / STEP_M - _WHOLE)))
+    per_m = np.fft.rfftfreq(samples, STEP_M)
+    band = (per_m >= BAND_PER_M[0]) & (per_m <= BAND_PER_M[1])
+    # a wave of amplitude A has the power A^2 / 2 = G_d(n) dn
+    amplitude = np.sqrt(2 * roughness(road_class, per_m[band]) * per_m[1])
+    spectrum = np.zeros(per_m.size, complex)
+    spectrum[band] = amplitude / 2 * samples * np.exp(2j * np.pi * rng.random(int(band.sum())))
+    return RoadProfile(np.fft.irfft(spectrum, samples))
 
 
 @dataclass(frozen=True)
@@ -16,48 +66,29 @@ class HalfCar:
 
     Masses, springs and dampers are sums over both sides. The defaults are chosen as common textbook values: the body's
     modes lie at 1.01 and 1.27 Hz, wheel hop at 10.4 and 10.9 Hz.
-
-    Attributes
-    ----------
-    body_kg
-        Mass of the body in kg.
-    inertia_kg_m2
-        Its moment of inertia about the pitch axis in kg m^2.
-    front_m
-        Front axle before the centre of mass in m.
-    rear_m
-        Rear axle behind the centre of mass in m.
-    axle_kg
-        Masses of the front and the rear axle in kg.
-    spring_n_m
-        Stiffness of the front and the rear springs in N/m.
-    damper_n_s_m
-        Damping of the front and the rear dampers in N s/m.
-    tyre_n_m
-        Stiffness of the front and the rear tyres in N/m.
-    camera_m
-        Camera before the centre of mass in m: near the windscreen.
     """
 
+    # Mass of the body in kg
     body_kg: float = 1380.0
+    # Its moment of inertia about the pitch axis in kg m^2
     inertia_kg_m2: float = 2440.0
+    # Front axle before the centre of mass in m
     front_m: float = 1.25
+    # Rear axle behind the centre of mass in m
     rear_m: float = 1.51
+    # Masses of the front and the rear axle in kg
     axle_kg: tuple[float, float] = (81.0, 91.0)
+    # Stiffness of the front and the rear springs in N/m
     spring_n_m: tuple[float, float] = (34e3, 44e3)
+    # Damping of the front and the rear dampers in N s/m
     damper_n_s_m: tuple[float, float] = (3e3, 3e3)
+    # Stiffness of the front and the rear tyres in N/m
     tyre_n_m: tuple[float, float] = (384e3, 384e3)
+    # Camera before the centre of mass in m: near the windscreen
     camera_m: float = 0.5
 
     def matrices(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the matrices of the equation of motion M q" + C q' + K q = B r.
-
-        Returns
-        -------
-        tuple of float64
-            M, C and K of shape (4, 4), and B of shape (4, 2), for q = heave, pitch, height of the front and of the rear
-            axle, and r = height of the road at the axles; in kg, m, s and rad.
-        """
+        """Return the matrices of the equation of motion M q" + C q' + K q = B r."""
         travel = np.array([[1, self.front_m, -1, 0], [1, -self.rear_m, 0, -1]])  # of the springs
         tyres = np.array([[0, 0], [0, 0], [self.tyre_n_m[0], 0], [0, self.tyre_n_m[1]]])
         mass = np.diag([self.body_kg, self.inertia_kg_m2, *self.axle_kg])
@@ -66,20 +97,7 @@ class HalfCar:
         return mass, damping, stiffness, tyres
 
     def ride(self, road_m: Floats, step_s: float) -> Floats:
-        """Return the car's displacements on a road, from rest at the first heights.
-
-        Parameters
-        ----------
-        road_m
-            (samples, 2) height of the road in m at the front and the rear axle. A height holds from its sample to the
-            next: take it in the middle of the step.
-        step_s
-            Time between samples in s, above 0.
-
-        Returns
-        -------
-        (samples, 4) float64: heave in m, pitch in rad, heights of the front and the rear axle in m.
-        """
+        """Return the car's displacements on a road, from rest at the first heights."""
         advance, enter = _discretise(self.matrices(), step_s)
         drive = road_m @ enter.T
         state = np.zeros((len(road_m) + 1, 8))

@@ -1,7 +1,4 @@
-"""Motion of the vehicle: speed profile, half-car model on a rough road, replayed trace of an inertial sensor (IMU).
-
-SciPy is imported where it is used, so that the package costs nothing to import.
-"""
+"""Motion of the camera: speed profile, half-car model on a rough road, recorded trace, or a hand."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,9 +8,8 @@ from numpy.typing import ArrayLike
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
-from heliograph.channel.half_car import HalfCar
+from heliograph.channel.half_car import HalfCar, RoadProfile, road_profile
 from heliograph.channel.parts import MOTIONS
-from heliograph.channel.road import RoadProfile, road_profile
 from heliograph.channel.scene import CameraPose
 from heliograph.channel.settings import ChannelSettings
 
@@ -56,20 +52,13 @@ _LONGEST_S = 3600.0
 
 @dataclass(frozen=True)
 class ImuTrace:
-    """A recorded trace of a camera in a car.
+    """A recorded trace of a camera in a car."""
 
-    Attributes
-    ----------
-    t_s
-        (samples,) float64 times in s, rising.
-    gyro_rad_s
-        (samples, 3) float64 rates in rad/s about the forward, right and down axis: roll, pitch and yaw.
-    speed_m_s
-        (samples,) float64 speeds in m/s.
-    """
-
+    # (samples,) float64 times in s, rising
     t_s: Floats
+    # (samples, 3) float64 rates in rad/s about the forward, right and down axis: roll, pitch and yaw
     gyro_rad_s: Floats
+    # (samples,) float64 speeds in m/s
     speed_m_s: Floats
 
     @classmethod
@@ -81,26 +70,7 @@ class ImuTrace:
         down_rad_s: ArrayLike,
         speed_m_s: ArrayLike,
     ) -> "ImuTrace":
-        """Check columns of equal length and join them; times then count from the first.
-
-        Parameters
-        ----------
-        t_s
-            (samples,) times in s, rising, at least 32.
-        forward_rad_s
-            (samples,) roll rate in rad/s.
-        right_rad_s
-            (samples,) pitch rate in rad/s.
-        down_rad_s
-            (samples,) yaw rate in rad/s.
-        speed_m_s
-            (samples,) speed in m/s.
-
-        Raises
-        ------
-        ValueError
-            The lengths differ, there are fewer than 32 samples, a value is not finite or the times do not rise.
-        """
+        """Check columns of equal length and join them; times then count from the first."""
         columns = [np.asarray(c, float) for c in (t_s, forward_rad_s, right_rad_s, down_rad_s, speed_m_s)]
         shapes = {c.shape for c in columns}
         if len(shapes) > 1 or columns[0].ndim != 1 or columns[0].size < _LEAST_SAMPLES:
@@ -111,13 +81,7 @@ class ImuTrace:
         return cls(columns[0] - columns[0][0], np.stack(columns[1:4], -1), columns[4])
 
     def speed_profile(self, step_s: float = 0.5) -> tuple[tuple[float, float], ...]:
-        """Return the recorded speed, at least 0, as points (s, m/s) for ``channel.speed_profile``.
-
-        Parameters
-        ----------
-        step_s
-            Time from one point to the next in s, above 0.
-        """
+        """Return the recorded speed, at least 0, as points (s, m/s) for ``channel.speed_profile``."""
         times = np.arange(0, self.t_s[-1], step_s)
         speeds = np.maximum(np.interp(times, self.t_s, self.speed_m_s), 0)
         return tuple((float(t), float(v)) for t, v in zip(times, speeds, strict=True))
@@ -125,49 +89,25 @@ class ImuTrace:
 
 @dataclass(frozen=True)
 class Travel:
-    """Speed and distance along the road: straight lines between points of speed, constant speed beyond them.
+    """Speed and distance along the road: straight lines between points of speed, constant speed beyond them."""
 
-    Attributes
-    ----------
-    time_s
-        (points,) times in s, rising.
-    speed_m_s
-        (points,) speeds in m/s, at least 0.
-    """
-
+    # (points,) times in s, rising
     time_s: Floats
+    # (points,) speeds in m/s, at least 0
     speed_m_s: Floats
 
     @classmethod
     def of(cls, settings: ChannelSettings) -> "Travel":
-        """Return the travel of a channel's vehicle.
-
-        Parameters
-        ----------
-        settings
-            The channel; ``speed_profile`` is used, or ``speed_m_s`` where that is empty.
-        """
+        """Return the travel of a channel's vehicle."""
         points = settings.speed_profile or ((0.0, settings.speed_m_s),)
         return cls(*np.array(points, float).T)
 
     def speed(self, times_s: Floats) -> Floats:
-        """Return the speed in m/s at some times.
-
-        Parameters
-        ----------
-        times_s
-            (...) times in s, of any shape; the speed is constant before the first point and after the last.
-        """
+        """Return the speed in m/s at some times."""
         return np.interp(times_s, self.time_s, self.speed_m_s)
 
     def distance(self, times_s: ArrayLike) -> Floats:
-        """Return the distance in m driven since time 0; negative before time 0.
-
-        Parameters
-        ----------
-        times_s
-            (...) times in s, of any shape.
-        """
+        """Return the distance in m driven since time 0; negative before time 0."""
         return self._since_first(np.asarray(times_s, float)) - self._since_first(np.zeros(1))[0]
 
     def _since_first(self, times_s: Floats) -> Floats:
@@ -179,20 +119,7 @@ class Travel:
         return start[k] + (self.speed_m_s[k] + self.speed(times_s)) / 2 * (times_s - self.time_s[k])
 
     def time_of(self, distance_m: float, longest_s: float = _LONGEST_S) -> float:
-        """Return the time in s at which a distance has been driven.
-
-        Parameters
-        ----------
-        distance_m
-            Distance since time 0 in m, at least 0.
-        longest_s
-            Latest time in s that is searched, above 0.
-
-        Raises
-        ------
-        SettingsError
-            It is not reached within `longest_s`.
-        """
+        """Return the time in s at which a distance has been driven."""
         from scipy.optimize import brentq
 
         if float(self.distance(longest_s)) < distance_m:
@@ -202,65 +129,28 @@ class Travel:
 
 @dataclass(frozen=True)
 class Motion:
-    """The camera's pose as a smooth function of time.
+    """The camera's pose as a smooth function of time."""
 
-    Attributes
-    ----------
-    travel
-        Distance along the road.
-    shake
-        Heave, pitch, yaw and roll; None for none.
-    """
-
+    # Distance along the road
     travel: Travel
+    # Heave, pitch, yaw and roll; None for none
     shake: Shake | None
 
     def pose(self, times_s: Floats) -> CameraPose:
-        """Return the poses at some times.
-
-        Parameters
-        ----------
-        times_s
-            (...) times in s, of any shape, from the start of the film to its end.
-        """
+        """Return the poses at some times."""
         shake = np.zeros((*times_s.shape, 4)) if self.shake is None else self.shake(times_s)
         return CameraPose(self.travel.distance(times_s), *np.moveaxis(shake, -1, 0))
 
 
 def film_duration(settings: ChannelSettings) -> float:
-    """Return the length of the film in s: as set, until ``stop_m`` is reached, or 1 s at a standstill.
-
-    Parameters
-    ----------
-    settings
-        The channel, of which ``duration_s``, ``distance_m``, ``stop_m`` and the speed are used.
-
-    Raises
-    ------
-    SettingsError
-        ``stop_m`` is not reached within an hour; see `Travel.time_of`.
-    """
+    """Return the length of the film in s: as set, until ``stop_m`` is reached, or 1 s at a standstill."""
     if settings.duration_s is not None:
         return settings.duration_s
     return Travel.of(settings).time_of(settings.distance_m - settings.stop_m) if settings.moves else 1.0
 
 
 def road_shake(travel: Travel, road: RoadProfile, start_s: float, end_s: float, car: HalfCar | None = None) -> Shake:
-    """Return the camera's heave and pitch in a half-car on a road, as a cubic spline through steps of 2 ms.
-
-    Parameters
-    ----------
-    travel
-        Speed of the car and distance along the road.
-    road
-        Height of the road along it.
-    start_s
-        Start of the film in s.
-    end_s
-        End of the film in s.
-    car
-        The car; None for the default one.
-    """
+    """Return the camera's heave and pitch in a half-car on a road, as a cubic spline through steps of 2 ms."""
     from scipy.interpolate import CubicSpline
 
     car = car or HalfCar()
@@ -278,17 +168,6 @@ def imu_shake(trace: ImuTrace, trace_start_s: float, start_s: float, end_s: floa
     The rates are integrated and high-passed at 0.3 Hz without a shift of phase. A trace shorter than the film runs
     backward and forward again with its rates mirrored, so that the angle has neither a jump nor a kink. Heave is 0: a
     gyro does not measure it.
-
-    Parameters
-    ----------
-    trace
-        Recorded rates of the gyro, with times that count from 0, as `ImuTrace.from_columns` makes them.
-    trace_start_s
-        Time of the trace that is time 0 of the film, in s.
-    start_s
-        Start of the film in s.
-    end_s
-        End of the film in s.
     """
     from scipy.interpolate import CubicSpline
     from scipy.signal import butter, sosfiltfilt
@@ -333,24 +212,12 @@ class Drive:
 
 
 def no_motion(drive: Drive) -> None:  # noqa: ARG001 - all motions are made of a drive
-    """Return no shake.
-
-    Parameters
-    ----------
-    drive
-        What the motion is made for; it is not looked at.
-    """
+    """Return no shake."""
     return
 
 
 def road_motion(drive: Drive) -> Shake | None:
-    """Return the shake of a half-car on a random road.
-
-    Parameters
-    ----------
-    drive
-        What the motion is made for; its source of randomness draws a road of ``settings.road_class``.
-    """
+    """Return the shake of a half-car on a random road."""
     travel = drive.travel
     length = float(travel.distance(drive.end_s) - travel.distance(drive.start_s - RUN_IN_S)) + _MARGIN_M
     road = road_profile(drive.settings.road_class, length, drive.rng)
@@ -358,41 +225,46 @@ def road_motion(drive: Drive) -> Shake | None:
 
 
 def imu_motion(drive: Drive) -> Shake | None:
-    """Return the shake of a recorded trace.
-
-    Parameters
-    ----------
-    drive
-        What the motion is made for; it has the trace, and ``settings.imu_start_s`` is the time of it in s that is time
-        0 of the film.
-
-    Raises
-    ------
-    SettingsError
-        There is no trace.
-    """
+    """Return the shake of a recorded trace."""
     if drive.imu is None:
         raise SettingsError("shake = imu needs a recorded trace: pass imu, or choose shake = road or none")
     return imu_shake(drive.imu, drive.settings.imu_start_s, drive.start_s, drive.end_s)
 
 
 def motion(settings: ChannelSettings, imu: ImuTrace | None, rng: np.random.Generator) -> Motion:
-    """Return the vehicle's motion over the film.
-
-    Parameters
-    ----------
-    settings
-        The channel; ``settings.shake`` names the shake.
-    imu
-        Recorded trace, for ``shake`` = "imu".
-    rng
-        Draws the road, for ``shake`` = "road".
-
-    Raises
-    ------
-    SettingsError
-        ``shake`` is "imu" and there is no trace, or the film has no end (see `film_duration`).
-    """
+    """Return the vehicle's motion over the film."""
     travel = Travel.of(settings)
     drive = Drive(settings, travel, min(0.0, settings.camera.start_s), film_duration(settings), imu, rng)
     return Motion(travel, MOTIONS[settings.shake](drive))
+
+
+SWAY_HZ = (0.1, 1.5)
+"""Frequencies of the sway. Chosen: arms and breath move a phone slowly; what is slower is a user who walks."""
+
+TREMOR_HZ = (6.0, 12.0)
+"""Frequencies of the tremor: physiological tremor of a hand lies at 8 to 12 Hz, of a loaded one a little below."""
+
+TREMOR = 0.1
+"""Amplitude of the tremor by that of the sway. Chosen: at the default sway 0.5 px rms of a phone's 1000 px of focal
+length, a quarter of a cell of the smallest array that is read."""
+
+WAVES = 24
+"""Sines of each band. Chosen: the sum of 24 of random phases is normal to a few per cent."""
+
+
+def hand_motion(drive: "Drive") -> "Shake | None":
+    """Return the shake of a hand: pitch, yaw and roll as sums of sines."""
+    rms, rng = np.deg2rad(drive.settings.hand_deg), drive.rng
+    if not rms:
+        return None
+    hz = np.concatenate([rng.uniform(*band, (3, WAVES)) for band in (SWAY_HZ, TREMOR_HZ)], axis=1)
+    phase = rng.uniform(0, 2 * np.pi, hz.shape)
+    size = rms * np.sqrt(2 / WAVES) * np.repeat([1.0, TREMOR], WAVES)
+
+    def shake(times_s: Floats) -> Floats:
+        angles = [
+            (size * np.sin(2 * np.pi * f * times_s[..., None] + p)).sum(-1) for f, p in zip(hz, phase, strict=True)
+        ]
+        return np.stack([np.zeros_like(times_s), *angles], -1)
+
+    return shake

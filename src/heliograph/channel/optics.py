@@ -1,13 +1,76 @@
 """Light of LEDs and panel on the pixels: disc, lobe, Gaussian blur, integral over each pixel."""
 
 import math
-from functools import cache
+from collections.abc import Callable
+from functools import cache, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.compiled import compiled
+from heliograph.channel.parts import POINT_SPREADS
+from heliograph.channel.psf import PointSpread
+from heliograph.channel.settings import CameraSettings, ChannelSettings
+
+_STEPS_PER_OCTAVE = 8
+"""Steps of the resolution for which cubatures are made, rounded up, so that few are made and kept. Chosen: from 10 to
+80 m there are 24; the rounding makes a cubature finer than needed by at most 9 %, by 19 % at half the value."""
+
+
+def shape_of(settings: ChannelSettings) -> tuple[float, float, float]:
+    """Return pitch in m, radius in m and Lambertian order of a channel's LEDs."""
+    emitter = settings.emitter
+    return emitter.pitch_m, emitter.diameter_m / 2, emitter.lobe_order
+
+
+class Spot(NamedTuple):
+    """A Gaussian of the point-spread function, for LEDs at a pose.
+
+    Attributes
+    ----------
+    fraction
+        Part of the light that it has.
+    homography
+        (3, 3) map onto the sensor, moved by the Gaussian's shift.
+    shift
+        (3, 3) that shift; None for none.
+    lens, points, rest
+        Lens and cubature of the disc, as for `optics.add_leds`.
+    """
+
+    fraction: float
+    homography: Floats
+    shift: Floats | None
+    lens: tuple[float, float]
+    points: Floats
+    rest: float
+
+
+def spots(settings: ChannelSettings, one: Floats) -> list[Spot]:
+    """Return the Gaussians of the point-spread function for an array's LEDs at a pose."""
+    camera, parts = settings.camera, list[Spot]()
+    for fraction, shift, sigma in _gaussians(POINT_SPREADS[camera.psf], camera):
+        resolution = settings.emitter.diameter_m / 2 * camera.focal_px / one[2, 2] / sigma
+        steps = math.ceil(_STEPS_PER_OCTAVE * math.log2(resolution))
+        cubature = disc_cubature(2.0 ** (steps / _STEPS_PER_OCTAVE))
+        parts.append(Spot(fraction, one if shift is None else shift @ one, shift, (camera.focal_px, sigma), *cubature))
+    return parts
+
+
+@lru_cache(maxsize=16)  # one of a film is asked for in each frame
+def _gaussians(
+    make: Callable[[CameraSettings], PointSpread], camera: CameraSettings
+) -> tuple[tuple[float, Floats | None, float], ...]:
+    """Light, shift and width in px of the Gaussians of a point-spread function; None for no shift."""
+    psf, parts = make(camera), []
+    for fraction, (dx, dy), sigma in zip(psf.fraction.tolist(), psf.shift_px, psf.sigma_px.tolist(), strict=True):
+        # the Gaussian's place beside the point moves the image: (x + dx, y + dy, 1) Z
+        shift = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]])
+        parts.append((fraction, shift if dx or dy else None, sigma))
+    return tuple(parts)
+
 
 REACH_SIGMA = 5.0
 """An LED's image is cut this many standard deviations from its centre; 2 Phi(-5) = 6e-7 of the light is lost along an
@@ -53,19 +116,6 @@ def disc_cubature(resolution: float) -> tuple[Floats, float]:
     The largest error of a pixel, relative to an LED's brightest pixel, is 0.03 % up to a resolution of 0.4, 0.05 % up
     to 0.65, 0.2 % up to 1.6, 0.5 % up to 4. The reference lens at 60, 25 and 10 m has the resolutions 0.24, 0.58 and
     1.46.
-
-    Parameters
-    ----------
-    resolution
-        Radius of the disc in standard deviations of the optical blur, above 0; a caller rounds it up, so that few
-        cubatures are made.
-
-    Returns
-    -------
-    points
-        (k, 2) float64 centres in radii of the disc.
-    rest
-        Variance of each Gaussian along an axis in squared radii, so that the variance of all is 1/4, the disc's own.
     """
     # the disc has kappa_4 = -R^4 / 16; a ring of radius q has -3 q^4 / 8: equal at q = R / 6^(1/4);
     # a square of corners (+-q, +-q) has -2 q^4: equal at q = R / 32^(1/4) along the axes
@@ -187,34 +237,7 @@ def add_leds(
     rest: float,
     table: Floats,
 ) -> None:
-    """Add the light of an array's LEDs to a window of the image, in place.
-
-    Parameters
-    ----------
-    light
-        (h, w) float32 light in full scales, changed.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-    homography
-        (3, 3) of `scene.homography` at one time.
-    drift
-        (3, 3) change of the homography a second.
-    eye
-        (3,) position of the camera in the array's axes in m, of `scene.homography` at that time.
-    moments
-        Three (n, n) float64: light of each LED times the fraction of the exposure for which it is lit, in full scales;
-        the centroid of its lit time in s, from the time of the homography; the variance of its lit time in s^2.
-    emitter
-        Pitch in m, radius in m, Lambertian order.
-    lens
-        Focal length in px, blur in px.
-    points
-        (k, 2) centres of the Gaussians of `disc_cubature`, in radii of the emitter's disc.
-    rest
-        Variance of each of these Gaussians along an axis, in squared radii of the disc.
-    table
-        Samples of the normal distribution function, as `normal_table` returns them.
-    """
+    """Add the light of an array's LEDs to a window of the image, in place."""
     level, late, spread = moments
     n = level.shape[0]
     scratch = np.empty((2, max(light.shape) + 1))
@@ -282,27 +305,7 @@ def draw_images(
     rest: float,
     table: Floats,
 ) -> None:
-    """Add the light of each LED of an array at rest to an image of its own, in place.
-
-    Parameters
-    ----------
-    images
-        (n, n, s, s) float32 light in full scales, changed; all LEDs have the level 1.
-    corners
-        (n, n, 2) x, y on the sensor of each image's first pixel.
-    homography
-        (3, 3) of `scene.homography`.
-    eye
-        (3,) position of the camera in the array's axes in m.
-    emitter
-        Pitch in m, radius in m, Lambertian order.
-    lens
-        Focal length in px, blur in px.
-    points, rest
-        (k, 2) centres of the Gaussians of `disc_cubature`, and their variance, in radii and squared radii of the disc.
-    table
-        Samples of the normal distribution function, as `normal_table` returns them.
-    """
+    """Add the light of each LED of an array at rest to an image of its own, in place."""
     n, still = images.shape[0], np.zeros((3, 3))
     scratch = np.empty((2, images.shape[2] + 1))
     for u in range(n):
@@ -322,20 +325,7 @@ def add_images(
     images: NDArray[np.float32],
     corners: NDArray[np.int64],
 ) -> None:
-    """Add the light of LEDs to a window of the image by their own images, in place.
-
-    Parameters
-    ----------
-    light
-        (h, w) float32 light in full scales, changed.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-    level
-        (n, n) float32 light of each LED, as the first moment of `add_leds`.
-    images, corners
-        (n, n, rows, columns) images of LEDs with the level 1, and their first pixels, as `draw_images` gives them; rows
-        and columns that are dark in all of them may be left out.
-    """
+    """Add the light of LEDs to a window of the image by their own images, in place."""
     height, width = light.shape
     # images are cut to what is lit: they may be higher than wide
     rows, cols = images.shape[2], images.shape[3]
@@ -363,25 +353,7 @@ def cover(
     level: float,
     table: Floats,
 ) -> None:
-    """Lay an opaque square panel over a window of the image, in place.
-
-    Parameters
-    ----------
-    light
-        (h, w) float32 light in full scales, changed.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-    inverse
-        (3, 3): pixels -> the array's plane, right and down of its centre in standard deviations of the blur there.
-    half
-        Half the panel's width and height in the same unit.
-    box
-        First x, first y, last x, last y of the pixels that it can reach, on the sensor.
-    level
-        Light of the panel in full scales.
-    table
-        Samples of the normal distribution function, as `normal_table` returns them.
-    """
+    """Lay an opaque square panel over a window of the image, in place."""
     height, width = light.shape
     for y in range(max(box[1], corner[1]), min(box[3], corner[1] + height - 1) + 1):
         for x in range(max(box[0], corner[0]), min(box[2], corner[0] + width - 1) + 1):

@@ -17,7 +17,7 @@ MOTIONS: Registry[Callable[..., Any]] = Registry(
         "none": "heliograph.channel.motion:no_motion",
         "road": "heliograph.channel.motion:road_motion",
         "imu": "heliograph.channel.motion:imu_motion",
-        "hand": "heliograph.channel.hand:hand_motion",
+        "hand": "heliograph.channel.motion:hand_motion",
     },
 )
 """Motions by the name of the setting ``channel.shake``; each takes a `motion.Drive` and returns a `motion.Shake`."""

@@ -52,23 +52,11 @@ class PointSpread:
 
 
 def gaussian_spread(camera: CameraSettings) -> PointSpread:
-    """Point-spread function of the reference link: one Gaussian.
-
-    Parameters
-    ----------
-    camera
-        Settings of the camera; ``blur_px`` is the standard deviation of the Gaussian in px.
-    """
+    """Point-spread function of the reference link: one Gaussian."""
     return PointSpread(np.ones(1), np.zeros((1, 2)), np.array([camera.blur_px]))
 
 
 def halo_spread(camera: CameraSettings) -> PointSpread:
-    """Point-spread function of a lens behind a dirty windscreen: the lens's Gaussian, and a wide and weak one.
-
-    Parameters
-    ----------
-    camera
-        Settings of the camera; ``blur_px`` is the standard deviation of the lens's Gaussian in px.
-    """
+    """Point-spread function of a lens behind a dirty windscreen: the lens's Gaussian, and a wide and weak one."""
     fraction = np.array([1 - HALO_LIGHT, HALO_LIGHT])
     return PointSpread(fraction, np.zeros((2, 2)), camera.blur_px * np.array([1.0, HALO_WIDTH]))

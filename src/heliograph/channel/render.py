@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.channel.exposure import Lit, Shown
-from heliograph.channel.optics import add_leds, cover, normal_table
+from heliograph.channel.optics import add_leds, cover, normal_table, shape_of, spots
 from heliograph.channel.parts import POINT_SPREADS
 from heliograph.channel.settings import MOST_MOTION_PX, CameraSettings, ChannelSettings
-from heliograph.channel.spots import shape_of, spots
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, PanelView, panel_view
 from heliograph.channel.white_balance import array_gain
@@ -32,55 +31,21 @@ by less in the time of a frame."""
 
 @dataclass(frozen=True, slots=True)
 class Canvas:
-    """A window of the sensor.
+    """A window of the sensor."""
 
-    Attributes
-    ----------
-    light
-        (h, w) float32 light in full scales.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-    """
-
+    # (h, w) float32 light in full scales
     light: NDArray[np.float32]
+    # (x, y) on the sensor of ``light[0, 0]``
     corner: tuple[int, int]
 
     def meets(self, box: NDArray[np.int64]) -> bool:
-        """Return whether a box on the sensor reaches into the window.
-
-        Parameters
-        ----------
-        box
-            (4,) first x, first y, last x, last y of its pixels on the sensor.
-        """
+        """Return whether a box on the sensor reaches into the window."""
         (x, y), (height, width) = self.corner, self.light.shape
         return bool(box[0] < x + width and box[1] < y + height and box[2] >= x and box[3] >= y)
 
 
 def render(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> tuple[ArrayTruth, ...]:
-    """Render the light of one frame on a window of the sensor.
-
-    Parameters
-    ----------
-    scene
-        Everything that stays the same during the film.
-    block
-        Poses and views of frames.
-    k
-        Place of the frame in the block, from 0.
-    canvas
-        The window; its light is written.
-
-    Returns
-    -------
-    tuple of ArrayTruth
-        The truth of each array.
-
-    Raises
-    ------
-    SettingsError
-        An array moves by more than `MOST_MOTION_PX` during the exposure.
-    """
+    """Render the light of one frame on a window of the sensor."""
     start, middle, end = map(float, block.times_s[k])
     scene.paint(canvas.light, canvas.corner, middle, block.pose, (k, 1))
     cells = scene.settings.emitter.shape == "cell"
@@ -101,19 +66,7 @@ def render(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> tuple
 
 
 def lay_panels(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> None:
-    """Render the light of one frame without LEDs on a window of the sensor.
-
-    Parameters
-    ----------
-    scene
-        Everything that stays the same during the film.
-    block
-        Poses and views of frames.
-    k
-        Place of the frame in the block, from 0.
-    canvas
-        The window; its light is written.
-    """
+    """Render the light of one frame without LEDs on a window of the sensor."""
     scene.paint(canvas.light, canvas.corner, float(block.times_s[k, 1]), block.pose, (k, 1))
     for array in _in_sight(block, k, canvas):
         _lay(scene, array, block.views[array], k, canvas)
@@ -177,17 +130,7 @@ def _shine_smeared(
 
 
 def level_of(settings: ChannelSettings, array: int, time_s: float) -> float:
-    """Return the light of an array with all LEDs on, in full scales, but for what the camera does to all light.
-
-    Parameters
-    ----------
-    settings
-        The channel, of which the emitter and the arrays' brightness are used.
-    array
-        Number of the array, from 0, in the order of ``settings.arrays``.
-    time_s
-        True time in s, at which white balance is what it is.
-    """
+    """Return the light of an array with all LEDs on, in full scales, but for what the camera does to all light."""
     return settings.emitter.all_on * settings.arrays[array].brightness * array_gain(settings, time_s)
 
 
@@ -279,23 +222,7 @@ def add_array(
     moments: tuple[Floats, Floats, Floats],
     canvas: Canvas,
 ) -> None:
-    """Add the light of an array's LEDs about one pose to a window, in place.
-
-    Parameters
-    ----------
-    settings
-        The channel, of which emitter and camera are used.
-    one
-        (3, 3) homography, as for `optics.add_leds`.
-    drift
-        (3, 3) change of the homography a second.
-    eye
-        (3,) position of the camera in the array's axes in m.
-    moments
-        Three (n, n) float64, as for `optics.add_leds`: light in full scales, centroid in s, variance in s^2.
-    canvas
-        The window; its light is changed.
-    """
+    """Add the light of an array's LEDs about one pose to a window, in place."""
     light, late, spread = moments
     for spot in spots(settings, one):
         add_leds(
@@ -314,17 +241,7 @@ def add_array(
 
 
 def truth_of(view: ArrayView, k: int, shown: Shown | None) -> ArrayTruth:
-    """Return the truth of an array in a frame.
-
-    Parameters
-    ----------
-    view
-        The view of the array in a block of frames.
-    k
-        Place of the frame in the block, from 0.
-    shown
-        What its exposure sees of the patterns; None where the array shows none.
-    """
+    """Return the truth of an array in a frame."""
     x, y, pitch, roll, distance, visible = view.truths[k]
     patterns = shown.patterns if shown else ()
     return ArrayTruth(x, y, pitch, roll, view.homography[k], distance, visible, patterns)

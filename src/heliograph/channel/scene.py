@@ -17,45 +17,22 @@ TINY_M = 1e-9
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Position and direction of the camera at any number of times; all arrays have one shape.
+    """Position and direction of the camera at any number of times; all arrays have one shape."""
 
-    Attributes
-    ----------
-    travelled_m
-        Distance driven along the road since time 0, in m.
-    heave_m
-        Height above rest in m.
-    pitch_rad
-        Rotation in rad, positive with the nose up.
-    yaw_rad
-        Rotation in rad, positive to the right.
-    roll_rad
-        Rotation in rad, positive with the right side down.
-    """
-
+    # Distance driven along the road since time 0, in m
     travelled_m: Floats
+    # Height above rest in m
     heave_m: Floats
+    # Rotation in rad, positive with the nose up
     pitch_rad: Floats
+    # Rotation in rad, positive to the right
     yaw_rad: Floats
+    # Rotation in rad, positive with the right side down
     roll_rad: Floats
 
 
 def rotation(pitch_rad: ArrayLike, yaw_rad: ArrayLike, roll_rad: ArrayLike) -> Floats:
-    """Return the rotation R = R_y(yaw) R_x(pitch) R_z(roll).
-
-    Parameters
-    ----------
-    pitch_rad
-        Angle about the right axis in rad, (...).
-    yaw_rad
-        Angle about the down axis in rad, (...).
-    roll_rad
-        Angle about the forward axis in rad, (...).
-
-    Returns
-    -------
-    (..., 3, 3) float64: the turned right, down and forward axis as columns.
-    """
+    """Return the rotation R = R_y(yaw) R_x(pitch) R_z(roll)."""
     p, w, r = np.broadcast_arrays(*(np.asarray(a, float) for a in (pitch_rad, yaw_rad, roll_rad)))
     cp, sp, cw, sw, cr, sr = np.cos(p), np.sin(p), np.cos(w), np.sin(w), np.cos(r), np.sin(r)
     rows = (
@@ -69,28 +46,7 @@ def rotation(pitch_rad: ArrayLike, yaw_rad: ArrayLike, roll_rad: ArrayLike) -> F
 def homography(
     pose: CameraPose, times_s: Floats, placement: Placement, distance_m: float, camera: CameraSettings
 ) -> tuple[Floats, Floats]:
-    """Return the map of an array's plane onto the sensor, and the camera's position relative to the array.
-
-    Parameters
-    ----------
-    pose
-        Poses of the camera at `times_s`.
-    times_s
-        (...) times in s.
-    placement
-        Position, tilt and velocity of the array.
-    distance_m
-        Distance in m from the camera at time 0 to the plane of arrays with ``z_offset_m`` = 0, above 0.
-    camera
-        Settings of the camera, of which size of the sensor and focal length are used.
-
-    Returns
-    -------
-    homography
-        (..., 3, 3): (right, down, 1) in metres -> (x, y, 1) Z in px, Z the depth in metres.
-    eye
-        (..., 3): position of the camera in the array's axes (right, down, backward) in metres.
-    """
+    """Return the map of an array's plane onto the sensor, and the camera's position relative to the array."""
     tilt = rotation(*np.radians((placement.pitch_deg, placement.yaw_deg, placement.roll_deg)))
     turn = rotation(pose.pitch_rad, pose.yaw_rad, pose.roll_rad)
     gap = _gap(pose, times_s, placement, distance_m)
@@ -112,22 +68,7 @@ def _gap(pose: CameraPose, times_s: Floats, placement: Placement, distance_m: fl
 
 
 def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:
-    """Return images and depths of points of an array's plane.
-
-    Parameters
-    ----------
-    homographies
-        (..., 3, 3) maps of `homography`.
-    points_m
-        (k, 2) points in m right and down of the array's centre.
-
-    Returns
-    -------
-    image
-        (..., k, 2) points (x, y) on the sensor in px.
-    depth
-        (..., k) depths along the optical axis in m.
-    """
+    """Return images and depths of points of an array's plane."""
     ones = np.ones((len(points_m), 1))
     image = np.hstack([points_m, ones]) @ np.swapaxes(homographies, -1, -2)
     depth = np.where(np.abs(image[..., 2]) < TINY_M, TINY_M, image[..., 2])
@@ -135,24 +76,12 @@ def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:
 
 
 def centre_scale(homographies: Floats) -> Floats:
-    """Return the Jacobian of maps at the array's centre, (..., 2, 2) in px/m.
-
-    Parameters
-    ----------
-    homographies
-        (..., 3, 3) maps of `homography`.
-    """
+    """Return the Jacobian of maps at the array's centre, (..., 2, 2) in px/m."""
     depth = homographies[..., 2, 2, None, None]
     centre = homographies[..., :2, 2:] / depth
     return (homographies[..., :2, :2] - centre * homographies[..., 2:, :2]) / depth
 
 
 def square(half_m: float) -> Floats:
-    """Return the corners of a square about the array's centre, (4, 2) in m right and down of it.
-
-    Parameters
-    ----------
-    half_m
-        Half the side of the square in m, at least 0.
-    """
+    """Return the corners of a square about the array's centre, (4, 2) in m right and down of it."""
     return half_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

@@ -129,17 +129,7 @@ def fill_levels(
     frame: int,
     scales: tuple[float, float, float, float, float],
 ) -> None:
-    """Do the work of `read_out`.
-
-    Parameters
-    ----------
-    out
-        (h, w) uint8 or uint16 gray levels, overwritten.
-    light, corner, seed, frame
-        Light, corner and numbers, as of `read_out`.
-    scales
-        Full well and dark noise in electrons; gray levels an electron, of black, and of full scale.
-    """
+    """Do the work of `read_out`."""
     well, dark, gain = np.float32(scales[0]), np.float32(scales[1]), np.float32(scales[2])
     offset, top = np.float32(scales[3]), np.float32(scales[4])
     height, width = light.shape
@@ -177,28 +167,6 @@ def read_out(
     """Return the gray levels of a frame or of a window of it.
 
     EMVA 1288: mean mu_y = K mu_e + offset, variance sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2.
-
-    Parameters
-    ----------
-    light
-        (h, w) float32, mean light of each pixel in full scales; what is below 0 counts as 0.
-    sensor
-        Settings of the sensor: full well, dark noise, bits and black level.
-    seed
-        Selects the noise of the film, 0 to 2^64 - 1.
-    frame
-        Number of the frame, at least 0; selects its noise.
-    corner
-        (x, y) on the sensor of ``light[0, 0]``.
-
-    Returns
-    -------
-    (h, w) uint8 at 8 bits, uint16 above.
-
-    Raises
-    ------
-    ValueError
-        The light is not two-dimensional or not float32.
     """
     if light.ndim != 2 or light.dtype != np.float32:
         raise ValueError(f"light is (h, w) float32, not {light.shape} {light.dtype}")
@@ -217,19 +185,7 @@ steps of 20 levels."""
 def developed(
     light: NDArray[np.float32], sensor: SensorSettings, seed: int, frame: int, corner: tuple[int, int] = (0, 0)
 ) -> Pixels:
-    """Return the gray levels of a frame as a film has them: those of `read_out`, developed by the sensor's gamma.
-
-    Parameters
-    ----------
-    light, sensor
-        Light of the pixels, and settings of the sensor with its gamma, as of `read_out`.
-    seed, frame, corner
-        Numbers that select the noise, and the window's corner, as of `read_out`.
-
-    Returns
-    -------
-    (h, w) uint8 at 8 bits, uint16 above.
-    """
+    """Return the gray levels of a frame as a film has them: those of `read_out`, developed by the sensor's gamma."""
     if sensor.gamma == 1:
         return read_out(light, sensor, seed, frame, corner)
     fine = replace(sensor, bits=DEVELOPED_BITS, offset_dn=sensor.offset_dn * (1 << DEVELOPED_BITS - sensor.bits))

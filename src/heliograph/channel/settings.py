@@ -13,8 +13,19 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, Fraction, clear_errors
-from heliograph.channel.bounds import Colour, LengthM, LightLevel, Ppm, SpeedMS, TiltDeg, TimeS
-from heliograph.channel.devices import EXPOSURE_SLACK, CameraSettings, EmitterSettings, SensorSettings
+from heliograph.channel.devices import (
+    EXPOSURE_SLACK,
+    CameraSettings,
+    Colour,
+    EmitterSettings,
+    LengthM,
+    LightLevel,
+    Ppm,
+    SensorSettings,
+    SpeedMS,
+    TiltDeg,
+    TimeS,
+)
 from heliograph.channel.parts import BACKGROUNDS, MOTIONS, POINT_SPREADS
 
 __all__ = [

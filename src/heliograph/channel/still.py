@@ -11,56 +11,36 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.channel.background import STILL
-from heliograph.channel.optics import REACH_SIGMA, add_images, draw_images, normal_table
+from heliograph.channel.optics import REACH_SIGMA, Spot, add_images, draw_images, normal_table, shape_of, spots
 from heliograph.channel.render import Canvas, lay_panels, level_of, truth_of
 from heliograph.channel.scene import centre_scale, project
 from heliograph.channel.settings import ChannelSettings
-from heliograph.channel.spots import Spot, shape_of, spots
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock
 
 
 @dataclass(frozen=True, slots=True)
 class LedImages:
-    """Images of an array's LEDs.
+    """Images of an array's LEDs."""
 
-    Attributes
-    ----------
-    light
-        (n, n, s, s) float32 light of each LED with level 1, in full scales.
-    corners
-        (n, n, 2) int64 x, y on the sensor of the first pixel of each image.
-    """
-
+    # (n, n, s, s) float32 light of each LED with level 1, in full scales
     light: NDArray[np.float32]
+    # (n, n, 2) int64 x, y on the sensor of the first pixel of each image
     corners: NDArray[np.int64]
 
 
 @dataclass(slots=True)
 class StillLight:
-    """Light of frames of a film, as long as nothing in sight of them moves.
+    """Light of frames of a film, as long as nothing in sight of them moves."""
 
-    Attributes
-    ----------
-    scene
-        Everything that stays the same during the film.
-    """
-
+    # Everything that stays the same during the film
     scene: FilmScene
     _view: tuple[bytes, ...] = ()
     _base: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0), np.float32))
     _images: tuple[LedImages | None, ...] = ()
 
     def take(self, block: FrameBlock, window: NDArray[np.int64]) -> bool:
-        """Take the views of frames, and return whether nothing moves in them: `render` then does for all of them.
-
-        Parameters
-        ----------
-        block
-            Poses and views of frames.
-        window
-            (b, 4) part of the sensor to render in each frame, as `views.windows` returns it.
-        """
+        """Take the views of frames, and return whether nothing moves in them: `render` then does for all of them."""
         if not (_can_rest(self.scene) and _rests(block, window)):
             return False
         seen = _bytes_of(block, window)
@@ -73,17 +53,7 @@ class StillLight:
         return True
 
     def render(self, block: FrameBlock, k: int, canvas: Canvas) -> tuple[ArrayTruth, ...]:
-        """Render the light of one frame on its window, as `render.render` does.
-
-        Parameters
-        ----------
-        block
-            The block that was taken last.
-        k
-            Place of the frame in the block, from 0.
-        canvas
-            The window; its light is written.
-        """
+        """Render the light of one frame on its window, as `render.render` does."""
         start, middle, end = block.times_s[k].tolist()
         shown = [one.shown(start, end) for one in self.scene.lightings]
         np.copyto(canvas.light, self._base)
@@ -132,19 +102,7 @@ def _parts(block: FrameBlock, window: NDArray[np.int64]) -> list[Floats | NDArra
 
 
 def led_images(settings: ChannelSettings, one: Floats, eye: Floats, side: int) -> LedImages:
-    """Return the images of an array's LEDs at rest.
-
-    Parameters
-    ----------
-    settings
-        The channel, of which emitter and camera are used.
-    one
-        (3, 3) homography, as for `optics.add_leds`.
-    eye
-        (3,) position of the camera in the array's axes in m.
-    side
-        LEDs in a row and in a column, n.
-    """
+    """Return the images of an array's LEDs at rest."""
     at = (np.arange(side) - (side - 1) / 2) * settings.emitter.pitch_m
     b, a = np.meshgrid(at, at, indexing="ij")
     places, depths = project(one, np.stack([a.ravel(), b.ravel()], 1))

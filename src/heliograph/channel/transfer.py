@@ -15,13 +15,6 @@ class Transfer:
     """Deliver frames: a frame's accident depends on the seed and its number alone.
 
     Without gaps frames are numbered, and timed, as they are delivered.
-
-    Parameters
-    ----------
-    camera
-        Probabilities of a dropped and of a repeated frame, and the jitter of their times.
-    seed
-        Selects the accidents, at least 0.
     """
 
     def __init__(self, camera: CameraSettings, seed: int):
@@ -30,13 +23,7 @@ class Transfer:
         self._lost = 0
 
     def __call__(self, frame: Frame) -> Frame | None:
-        """Take the next frame and return it as delivered; None where it is dropped.
-
-        Parameters
-        ----------
-        frame
-            Frame as the camera made it; frames come in the order of time.
-        """
+        """Take the next frame and return it as delivered; None where it is dropped."""
         camera = self._camera
         if not (camera.dropped or camera.repeated or camera.jitter_s):
             return frame

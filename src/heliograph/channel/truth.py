@@ -10,24 +10,13 @@ from heliograph.channel.settings import SensorSettings
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Noise of a pixel by EMVA 1288.
+    """Noise of a pixel by EMVA 1288."""
 
-    Attributes
-    ----------
-    sensor
-        Settings of the sensor, of which full well, dark noise and bits are used.
-    """
-
+    # Settings of the sensor, of which full well, dark noise and bits are used
     sensor: SensorSettings
 
     def sigma(self, level: ArrayLike) -> NDArray[np.float64]:
-        """Return the rms noise in full scales, with clipping left out.
-
-        Parameters
-        ----------
-        level
-            (...) mean light in full scales, of any shape, at least 0.
-        """
+        """Return the rms noise in full scales, with clipping left out."""
         s = self.sensor
         # EMVA 1288: sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2
         electrons = np.asarray(level, float) * s.full_well_e
@@ -36,55 +25,35 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class ArrayTruth:
-    """One array in one frame, at the middle of the exposure.
+    """One array in one frame, at the middle of the exposure."""
 
-    Attributes
-    ----------
-    x
-        Image of its centre on the sensor in px, rightward.
-    y
-        Image of its centre on the sensor in px, downward.
-    pitch_px
-        Distance between LEDs in the image in px: the root of the area of a square of the LEDs' grid.
-    roll_rad
-        Direction of the LED rows in the image in rad, clockwise (from x towards y).
-    homography
-        (3, 3) float64: (right, down, 1) from the array's centre in m -> (x, y, 1) Z in px, Z the depth in m.
-    distance_m
-        Depth of its centre along the optical axis in m.
-    visible
-        Whether it lies ahead of the camera and faces it, with all LEDs on the sensor.
-    patterns
-        Numbers of the patterns shown within the exposure, in the order of time; empty where it shows none.
-    """
-
+    # Image of its centre on the sensor in px, rightward
     x: float
+    # Image of its centre on the sensor in px, downward
     y: float
+    # Distance between LEDs in the image in px: the root of the area of a square of the LEDs' grid
     pitch_px: float
+    # Direction of the LED rows in the image in rad, clockwise (from x towards y)
     roll_rad: float
+    # (3, 3) float64: (right, down, 1) from the array's centre in m -> (x, y, 1) Z in px, Z the depth in m
     homography: NDArray[np.float64]
+    # Depth of its centre along the optical axis in m
     distance_m: float
+    # Whether it lies ahead of the camera and faces it, with all LEDs on the sensor
     visible: bool
+    # Numbers of the patterns shown within the exposure, in the order of time; empty where it shows none
     patterns: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The truth of one frame.
+    """The truth of one frame."""
 
-    Attributes
-    ----------
-    index
-        Number of the frame, from 0; dropped frames count.
-    time_s
-        True start of the exposure in s (the frame itself has the time of the camera's clock).
-    arrays
-        The truth of each array, in the order of ``channel.arrays``.
-    noise
-        Noise of the sensor at any light.
-    """
-
+    # Number of the frame, from 0; dropped frames count
     index: int
+    # True start of the exposure in s (the frame itself has the time of the camera's clock)
     time_s: float
+    # The truth of each array, in the order of ``channel.arrays``
     arrays: tuple[ArrayTruth, ...]
+    # Noise of the sensor at any light
     noise: NoiseModel

@@ -27,118 +27,65 @@ _FARTHEST_PX = 2**31
 
 @dataclass(frozen=True)
 class FilmScene:
-    """Everything that stays the same during a film.
+    """Everything that stays the same during a film."""
 
-    Attributes
-    ----------
-    settings
-        The whole channel: scene, camera, emitters, sensor and background.
-    lightings
-        The patterns of each array, in the order of ``settings.arrays``.
-    drive
-        The camera's pose at any time.
-    paint
-        Writes the background into a window of the light.
-    seed
-        Selects the unevenness of the exposures, at least 0.
-    """
-
+    # The whole channel: scene, camera, emitters, sensor and background
     settings: ChannelSettings
+    # The patterns of each array, in the order of ``settings.arrays``
     lightings: list[Lighting]
+    # The camera's pose at any time
     drive: Motion
+    # Writes the background into a window of the light
     paint: Painter
+    # Selects the unevenness of the exposures, at least 0
     seed: int = 0
 
     def half_m(self, array: int) -> float:
-        """Return half the side of an array's panel, in m.
-
-        Parameters
-        ----------
-        array
-            Number of the array, from 0, in the order of ``settings.arrays``.
-        """
+        """Return half the side of an array's panel, in m."""
         emitter = self.settings.emitter
         return self.lightings[array].feed.side / 2 * emitter.pitch_m + emitter.panel_margin_m
 
     def maps(self, array: int, times_s: Floats, pose: CameraPose) -> tuple[Floats, Floats]:
-        """Return homography and eye of an array, as `scene.homography` does.
-
-        Parameters
-        ----------
-        array
-            Number of the array, from 0, in the order of ``settings.arrays``.
-        times_s
-            (...) times in s.
-        pose
-            Poses of the camera at these times.
-
-        Returns
-        -------
-        homography
-            (..., 3, 3).
-        eye
-            (..., 3) in m.
-        """
+        """Return homography and eye of an array, as `scene.homography` does."""
         s = self.settings
         return homography(pose, times_s, s.arrays[array], s.distance_m, s.camera)
 
 
 @dataclass(frozen=True)
 class PanelView:
-    """An array's panel in b frames, at the middle of the exposures.
+    """An array's panel in b frames, at the middle of the exposures."""
 
-    Attributes
-    ----------
-    inverse
-        (b, 3, 3) maps for `optics.cover`.
-    half
-        (b, 2) half its width and height in standard deviations of the blur.
-    box
-        (b, 4) first x, first y, last x, last y of the pixels that it can reach.
-    """
-
+    # (b, 3, 3) maps for `optics.cover`
     inverse: Floats
+    # (b, 2) half its width and height in standard deviations of the blur
     half: Floats
+    # (b, 4) first x, first y, last x, last y of the pixels that it can reach
     box: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class ArrayView:
-    """The view of one array in b frames.
+    """The view of one array in b frames."""
 
-    Attributes
-    ----------
-    homography
-        (b, 3, 3) at the middle of the exposures.
-    eye
-        (b, 3) at the middle of the exposures, in m.
-    drift
-        (b, 3, 3) mean change of the homography a second during the exposure.
-    panel
-        Where the array's panel is seen, at the middle of the exposures.
-    bounds
-        (b, 2, 2) least and largest (x, y) in px of the panel's image during the exposure.
-    motion_px
-        (b,) largest motion of a corner of the panel's image during the exposure, in px.
-    ahead
-        (b,) bool, whether the array lies ahead of the camera and faces it.
-    inside
-        (b,) bool, whether all LEDs lie on the sensor.
-    pitch_px
-        (b,) distance between LEDs in the image, as in `ArrayTruth`.
-    roll_rad
-        (b,) direction of the LED rows in the image, as in `ArrayTruth`.
-    """
-
+    # (b, 3, 3) at the middle of the exposures
     homography: Floats
+    # (b, 3) at the middle of the exposures, in m
     eye: Floats
+    # (b, 3, 3) mean change of the homography a second during the exposure
     drift: Floats
+    # Where the array's panel is seen, at the middle of the exposures
     panel: PanelView
+    # (b, 2, 2) least and largest (x, y) in px of the panel's image during the exposure
     bounds: Floats
+    # (b,) largest motion of a corner of the panel's image during the exposure, in px
     motion_px: Floats
+    # (b,) bool, whether the array lies ahead of the camera and faces it
     ahead: NDArray[np.bool_]
+    # (b,) bool, whether all LEDs lie on the sensor
     inside: NDArray[np.bool_]
+    # (b,) distance between LEDs in the image, as in `ArrayTruth`
     pitch_px: Floats
+    # (b,) direction of the LED rows in the image, as in `ArrayTruth`
     roll_rad: Floats
 
     @cached_property
@@ -152,39 +99,22 @@ class ArrayView:
 
 @dataclass(frozen=True)
 class FrameBlock:
-    """Poses and views of b frames, computed together.
+    """Poses and views of b frames, computed together."""
 
-    Attributes
-    ----------
-    index
-        (b,) int64 numbers of the frames.
-    times_s
-        (b, 3) true start, middle and end of the exposures in s, of a rolling shutter those of the first row.
-    late_s
-        (b,) how much later than an even one each exposure begins, in s.
-    pose
-        Poses of the camera at these times, (b, 3).
-    views
-        The view of each array, in the order of ``channel.arrays``.
-    """
-
+    # (b,) int64 numbers of the frames
     index: NDArray[np.int64]
+    # (b, 3) true start, middle and end of the exposures in s, of a rolling shutter those of the first row
     times_s: Floats
+    # (b,) how much later than an even one each exposure begins, in s
     late_s: Floats
+    # Poses of the camera at these times, (b, 3)
     pose: CameraPose
+    # The view of each array, in the order of ``channel.arrays``
     views: tuple[ArrayView, ...]
 
 
 def frame_block(scene: FilmScene, index: NDArray[np.int64]) -> FrameBlock:
-    """Compute poses and views of frames.
-
-    Parameters
-    ----------
-    scene
-        Everything that stays the same during the film.
-    index
-        (b,) int64 numbers of the frames.
-    """
+    """Compute poses and views of frames."""
     camera = scene.settings.camera
     late = _unevenness(camera, scene.seed, index)
     start = camera.start_s + index * camera.frame_period_s + late
@@ -229,21 +159,7 @@ def _array_view(scene: FilmScene, array: int, times_s: Floats, pose: CameraPose)
 def panel_view(
     half_m: float | Floats, maps: Floats, ahead: NDArray[np.bool_], bounds: Floats, blur_px: float
 ) -> PanelView:
-    """Edges of a rectangle in a block of frames, and the pixels they reach.
-
-    Parameters
-    ----------
-    half_m
-        Half of its width and height in m: one number, or (b, 2).
-    maps
-        (b, 3, 3) homographies from its plane in m to pixels.
-    ahead
-        (b,) whether it is in front of the camera; elsewhere it is not drawn.
-    bounds
-        (b, 2, 2) least and largest x and y of its corners in px.
-    blur_px
-        Standard deviation of the blur in px.
-    """
+    """Edges of a rectangle in a block of frames, and the pixels they reach."""
     maps = np.where(ahead[:, None, None], maps, np.eye(3))  # the others are not drawn
     # the pixel's box enters by its variance alone here: edges have no more contrast than the background
     sigma = math.hypot(blur_px, math.sqrt(_BOX_VARIANCE))
@@ -258,22 +174,7 @@ def panel_view(
 
 
 def windows(block: FrameBlock, camera: CameraSettings, roi: int | None) -> NDArray[np.int64]:
-    """Return the part of the sensor to render in each frame.
-
-    Parameters
-    ----------
-    block
-        Poses and views of b frames.
-    camera
-        Settings of the camera, of which the size of the sensor is used.
-    roi
-        Margin about all arrays ahead in px, at least 0; None for the whole sensor.
-
-    Returns
-    -------
-    (b, 4) int64: first x, first y, last x, last y on the sensor. Without an array ahead it is pixel (1, 0) alone: what
-    begins with pixel (0, 0) is the whole sensor, as a receiver takes it.
-    """
+    """Return the part of the sensor to render in each frame."""
     whole = np.array([0, 0, camera.width - 1, camera.height - 1])
     if roi is None:
         return np.tile(whole, (len(block.index), 1))

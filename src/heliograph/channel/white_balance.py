@@ -10,8 +10,7 @@ which is the light L times a gain: that of the colour, and of the time.
 
 import math
 
-from heliograph.channel.bounds import Colour
-from heliograph.channel.devices import CameraSettings
+from heliograph.channel.devices import CameraSettings, Colour
 from heliograph.channel.settings import ChannelSettings
 
 LUMA = (0.2126, 0.7152, 0.0722)
@@ -19,19 +18,7 @@ LUMA = (0.2126, 0.7152, 0.0722)
 
 
 def luma_gain(camera: CameraSettings, gamma: float, colour: Colour, time_s: float) -> float:
-    """Return the factor by which white balance changes the light of a colour, 1 without a swing.
-
-    Parameters
-    ----------
-    camera
-        Swing and period of the white balance.
-    gamma
-        Exponent of light by gray level, above 0.
-    colour
-        Red, green and blue of the light, by those of what the camera shows as gray; one is above 0.
-    time_s
-        True time in s.
-    """
+    """Return the factor by which white balance changes the light of a colour, 1 without a swing."""
     if not camera.white_balance_swing:
         return 1.0
     swing = camera.white_balance_swing * math.sin(2 * math.pi * time_s / camera.white_balance_period_s)
@@ -42,27 +29,11 @@ def luma_gain(camera: CameraSettings, gamma: float, colour: Colour, time_s: floa
 
 
 def surroundings_gain(settings: ChannelSettings, time_s: float) -> float:
-    """Return the factor by which white balance changes the light of background and panels.
-
-    Parameters
-    ----------
-    settings
-        The channel, of which camera, gamma and the background's colour are used.
-    time_s
-        True time in s.
-    """
+    """Return the factor by which white balance changes the light of background and panels."""
     return luma_gain(settings.camera, settings.sensor.gamma, settings.background.colour, time_s)
 
 
 def array_gain(settings: ChannelSettings, time_s: float) -> float:
-    """Return the factor by which white balance changes the light of arrays, by that of their surroundings.
-
-    Parameters
-    ----------
-    settings
-        The channel, of which camera, gamma and the colours of emitter and background are used.
-    time_s
-        True time in s.
-    """
+    """Return the factor by which white balance changes the light of arrays, by that of their surroundings."""
     own = luma_gain(settings.camera, settings.sensor.gamma, settings.emitter.colour, time_s)
     return own / surroundings_gain(settings, time_s)

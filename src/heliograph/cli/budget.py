@@ -46,7 +46,7 @@ def run_budget(
     """Print what a link has before it is built, over a grid of settings."""
     from heliograph.link.budget import Budgets
     from heliograph.link.photometry import LightSettings
-    from heliograph.sweeps.vary import grid, varied
+    from heliograph.sweeps.plan import grid, varied
 
     made = Budgets(LightSettings(**light))
     over, given = options.laid_over(file, assignments), options.varied(vary)

@@ -38,26 +38,17 @@ _KEYWORDS = {
 
 @dataclass(frozen=True, slots=True)
 class KeyDescription:
-    """Description of a settings key.
+    """Description of a settings key."""
 
-    Attributes
-    ----------
-    key
-        Dotted key; an item of a list of tables has the number 0.
-    unit
-        Unit; empty for none.
-    allowed
-        Allowed values in words.
-    default
-        Default as TOML; empty if the key may be left out.
-    meaning
-        Text of the docstring.
-    """
-
+    # Dotted key; an item of a list of tables has the number 0
     key: str
+    # Unit; empty for none
     unit: str
+    # Allowed values in words
     allowed: str
+    # Default as TOML; empty if the key may be left out
     default: str
+    # Text of the docstring
     meaning: str
 
 

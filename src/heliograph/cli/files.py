@@ -15,15 +15,7 @@ STEP = 0.1
 
 
 class Files:
-    """Says how far files have come, and writes whole ones.
-
-    Parameters
-    ----------
-    folder
-        Where they go; None writes none.
-    aloud
-        Whether progress is said as it comes.
-    """
+    """Says how far files have come, and writes whole ones."""
 
     def __init__(self, folder: Path | None, aloud: bool):
         from heliograph.link.file_store import FileStore

@@ -1,13 +1,80 @@
-"""The commands that read films and live cameras, with their options."""
+"""Commands on films and live cameras: receive, convert, cameras, probe, with their options."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from heliograph.base.errors import MediaError
-from heliograph.cli import options
+from heliograph.base.words import counted
+from heliograph.cli import console, options
 from heliograph.cli.light_commands import Codec
+from heliograph.cli.live import LiveOptions, attend, ended_by_ctrl_c, show_counts
+
+
+def run_cameras(assignments: list[str] | None, as_json: bool) -> None:
+    """List the cameras that are there, and say of each kind without any what it lacks."""
+    from heliograph.media.live.camera import PREFIX
+    from heliograph.media.live.listing import cameras_there
+    from heliograph.media.live.settings import camera_settings
+
+    found, lacking = cameras_there(camera_settings(assignments or ()))
+    if as_json:
+        console.say_json({"cameras": found, "lacking": lacking})
+        return
+    width = max((len(camera["name"]) for camera in found), default=0)
+    for camera in found:
+        console.say(f"{camera['name']:{width}}  {camera['text']}")
+    if not found:
+        console.say("no camera found")
+    for kind, why in lacking.items():
+        console.say_prose(f"{PREFIX}{kind}: {why}")
+
+
+def run_convert(
+    film: Path, output: Path, seen: options.FilmOptions, live: LiveOptions, codec: str | None, crf: float | None
+) -> None:
+    """Write a film as another kind; Ctrl-C ends that of a live camera."""
+    from heliograph.media import convert_film, open_film
+    from heliograph.media.convert import keeps_levels
+    from heliograph.media.live.reader import live_of
+
+    options.refuse_to_replace(output, (film,))
+    written, new = 0, not output.exists()
+
+    def kept() -> str:
+        """What is in the output, where it was not written to its end."""
+        if not new and camera is None:
+            return f"{output} is as it was"
+        return (
+            f"{output} holds the {counted(written, 'frame')} so far"
+            if written and output.exists()
+            else "nothing was written"
+        )
+
+    with open_film(film, **seen.keywords(), **live.keywords(film)) as source:
+        camera = live_of(source)
+        if camera is not None:
+            attend(camera)
+        try:
+            with console.progress("converting", source.frame_count) as advance, ended_by_ctrl_c(camera):
+
+                def note(frames: int) -> None:
+                    nonlocal written
+                    written = frames
+                    advance(frames)
+
+                count = convert_film(source, output, note, codec=codec, crf=crf)
+        except KeyboardInterrupt:
+            console.complain(f"interrupted; {kept()}")
+            sys.exit(console.INTERRUPTED)
+        except MediaError as error:
+            raise MediaError(f"{error}; {kept()}") if written else error from None
+    exact = "" if keeps_levels(output, codec, crf) else "; its gray levels are not quite those of the source"
+    console.say(f"{output}: {counted(count, 'frame')}{exact}")
+    show_counts(camera)
+
 
 READ = (
     "Video, .h5, .mraw, .cine, TIFF stack, .npy, folder of pictures, or their names such as img%04d.png. Or a live "
@@ -172,8 +239,7 @@ def receive(
     each; --output has a folder for each, and what is there already is not read again. The exit status is 3 where no
     array was found, of several films in none of them.
     """
-    from heliograph.cli.live import LiveOptions
-    from heliograph.cli.news import Told
+    from heliograph.cli.live import LiveOptions, Told
     from heliograph.cli.receive import run_receive
     from heliograph.cli.receive_many import is_many, run_many
 
@@ -194,8 +260,6 @@ def receive(
 
 def cameras(camera: CameraOption = None, as_json: options.Json = False) -> None:
     """List the live cameras that are there, by the names that 'receive' takes, and what is missing to see others."""
-    from heliograph.cli.cameras import run_cameras
-
     run_cameras(camera, as_json)
 
 
@@ -264,7 +328,6 @@ def convert(
 
     A live camera is recorded until Ctrl-C, or for --duration S.
     """
-    from heliograph.cli.convert import run_convert
     from heliograph.cli.live import LiveOptions
 
     seen, live = options.FilmOptions(fps, crop, binning, rotate, channel), LiveOptions(camera, duration)

@@ -1,8 +1,8 @@
-"""Reception from a live camera: messages as they come, an end by Ctrl-C, and a film of what failed."""
+"""Reception from a live camera: messages and news as they come, until Ctrl-C."""
 
 import contextlib
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType
@@ -13,6 +13,7 @@ from heliograph.cli import console
 
 if TYPE_CHECKING:
     from heliograph.base.frames import Frame
+    from heliograph.link.outlets import Outlet
     from heliograph.media import FilmReader
     from heliograph.media.live.grabber import CameraCounts
     from heliograph.media.live.reader import LiveReader
@@ -20,6 +21,56 @@ if TYPE_CHECKING:
     from heliograph.receive import Packet, ReceiveSettings
     from heliograph.signal.message import Message
     from heliograph.signal.settings import SignalSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """Where news go: options of the command, as they were given."""
+
+    follow: bool = False
+    verbose: bool = False
+    send: tuple[str, ...] = ()
+
+
+class News:
+    """Hands rows to all who asked for them; an outlet that fails is told once and left out, the others go on."""
+
+    def __init__(self, told: Told):
+        self._told = told
+        self._outlets: list[Outlet] = []
+        self._open = contextlib.ExitStack()
+
+    def __enter__(self) -> "News":
+        from heliograph.link.outlets import open_outlet
+
+        with contextlib.ExitStack() as undo:
+            for address in self._told.send:
+                outlet = open_outlet(address)
+                undo.callback(outlet.close)
+                self._outlets.append(outlet)
+                console.complain(f"news are sent to {outlet.address}")
+            self._open = undo.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+    def tell(self, row: Mapping[str, Any]) -> None:
+        """Hand a row on."""
+        if self._told.follow:
+            console.say_json(row)
+        if self._told.verbose and row["event"] != "end":
+            from heliograph.measure.journal import sentence
+
+            for line in sentence(row).splitlines():
+                console.tell(line)
+        for outlet in list(self._outlets):
+            try:
+                outlet.send(row)
+            except OSError as error:
+                self._outlets.remove(outlet)
+                console.complain(f"nothing more is sent to {outlet.address}: {error.strerror or error}")
+
 
 SHOWN = 60
 """Most characters of a message's text that are shown as it comes. Chosen."""
@@ -48,19 +99,7 @@ class LiveOptions:
 
 
 class Watch:
-    """A film that is being received: passes a recording on as it is, and looks after a live camera.
-
-    Parameters
-    ----------
-    source
-        The film.
-    live
-        The camera behind it; None of a recording.
-    recorder
-        Keeps the last seconds where something fails; None where nobody asked for that.
-    aloud
-        Whether messages are shown as they come.
-    """
+    """A film that is being received: passes a recording on as it is, and looks after a live camera."""
 
     def __init__(self, source: "FilmReader", live: "LiveReader | None", recorder: "Recorder | None", aloud: bool):
         self.path, self.frame_count = source.path, source.frame_count
@@ -105,7 +144,7 @@ class Watch:
 
     def message(self, message: "Message") -> None:
         """Show a message as it comes."""
-        from heliograph.road.read import road_values, road_words
+        from heliograph.road.codec import road_values, road_words
 
         if self._aloud:
             road = road_values(message.data)
@@ -150,7 +189,7 @@ def watched(
     source: "FilmReader", options: LiveOptions, light: "SignalSettings", receiver: "ReceiveSettings", aloud: bool
 ) -> Iterator[Watch]:
     """Look after a film that is received: Ctrl-C ends a live camera's like its end; a second one breaks off."""
-    from heliograph.link.notes import signal_note
+    from heliograph.link.truth import signal_note
     from heliograph.link.warm_up import warm_up
     from heliograph.media.live.reader import live_of
     from heliograph.media.live.recorder import Recorder

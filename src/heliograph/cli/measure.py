@@ -10,7 +10,7 @@ from heliograph.base.errors import SettingsError
 from heliograph.cli import console, options
 
 if TYPE_CHECKING:
-    from heliograph.experiments.result import Context
+    from heliograph.experiments.report import Context
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -97,7 +97,7 @@ def known_channel(
     workers: options.WorkersOption = None,
 ) -> None:
     """What the soft receiver loses by estimating pose, blur, gain and noise."""
-    from heliograph.experiments.calibration.known_channel import measure, tasks
+    from heliograph.experiments.calibration.known_receiver import measure, tasks
 
     todo = tasks(distance, _layer(layer), _numbers(brightness), packets)
     with console.progress("cases", len(todo)) as advance:
@@ -198,7 +198,7 @@ def timing_loss() -> None:
 def _context(workers: int | None, progress: Callable[[float], None] = lambda _: None) -> "Context":
     """Workers as asked for; `progress` gets the fraction done."""
     from heliograph.base.workers import limit_threads
-    from heliograph.experiments.result import Context
+    from heliograph.experiments.report import Context
     from heliograph.sweeps.executors import cores, fewer_workers
 
     if fewer := fewer_workers(workers):

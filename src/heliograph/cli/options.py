@@ -40,26 +40,14 @@ Load = Annotated[
 
 
 def begun_presets(begun: str) -> list[tuple[str, str]]:
-    """Presets with what each is for, for the shell to complete.
-
-    Parameters
-    ----------
-    begun
-        First letters of the name, any number.
-    """
+    """Presets with what each is for, for the shell to complete."""
     from heliograph.link.settings import PRESETS
 
     return [(name, text) for name, (text, _) in PRESETS.items() if name.startswith(begun)]
 
 
 def begun_receivers(begun: str) -> list[str]:
-    """Receivers for the shell to complete.
-
-    Parameters
-    ----------
-    begun
-        First letters of the name, any number.
-    """
+    """Receivers for the shell to complete."""
     from heliograph.receive.registry import RECEIVERS
 
     return [name for name in RECEIVERS.names() if name.startswith(begun)]
@@ -186,7 +174,7 @@ def laid_over(file: Path | None, assignments: list[str] | None) -> Any:
 
 def varied(texts: list[str] | None) -> dict[str, list[Any]]:
     """Keys that vary with their values, by what was given as key=value,value or key=first:last:step."""
-    from heliograph.sweeps.vary import parse_vary
+    from heliograph.sweeps.plan import parse_vary
 
     vary: dict[str, list[Any]] = {}
     for key, values in map(parse_vary, texts or ()):
@@ -198,25 +186,17 @@ def varied(texts: list[str] | None) -> dict[str, list[Any]]:
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """What is sent: options of the command, as they were given.
+    """What is sent: options of the command, as they were given."""
 
-    Attributes
-    ----------
-    high, middle, low
-        What each layer sends, as `message_of` takes it; None for nothing.
-    files
-        Files that the layers send which have nothing else.
-    code
-        Code that makes their symbols.
-    junction
-        Junction of which the high and the middle layer tell.
-    """
-
+    # high, middle, low: what each layer sends, as `message_of` takes it; None for nothing
     high: str | None = None
     middle: str | None = None
     low: str | None = None
+    # Files that the layers send which have nothing else
     files: tuple[Path, ...] = ()
+    # Code that makes their symbols
     code: str = "cauchy"
+    # Junction of which the high and the middle layer tell
     junction: Path | None = None
 
     @property
@@ -248,22 +228,9 @@ def read_messages(settings: "LinkSettings", sent: Sent, seconds: float) -> "list
 
 
 def road_messages(sent: Sent, seconds: float) -> "Messages":
-    """What the lights of a junction show, again and again in the high layer, and its map in the middle one.
-
-    Parameters
-    ----------
-    sent
-        What is sent; its junction is a TOML file.
-    seconds
-        How long it is sent.
-
-    Raises
-    ------
-    HeliographError
-        The file cannot be read or is wrong, a layer has something else to send, or `pycrate` is not installed.
-    """
+    """What the lights of a junction show, again and again in the high layer, and its map in the middle one."""
     from heliograph.base.config import from_mapping
-    from heliograph.road.encode import mapem, updates
+    from heliograph.road.codec import mapem, updates
     from heliograph.road.junction import Junction
     from heliograph.signal.message import Updates
 
@@ -279,20 +246,7 @@ def road_messages(sent: Sent, seconds: float) -> "Messages":
 
 
 def file_of(path: Path, code: str) -> "SentFile":
-    """A file to be sent by its symbols, under its own name.
-
-    Parameters
-    ----------
-    path
-        The file.
-    code
-        Code that makes its symbols.
-
-    Raises
-    ------
-    MediaError
-        It cannot be read, is longer than any that can be sent, or the code is unknown.
-    """
+    """A file to be sent by its symbols, under its own name."""
     from heliograph.signal.block import MAX_MESSAGE
     from heliograph.signal.fountain.codes import CODES
     from heliograph.signal.fountain.files import SentFile
@@ -309,20 +263,7 @@ def file_of(path: Path, code: str) -> "SentFile":
 
 
 def message_of(layer: str, given: str) -> bytes:
-    """The bytes to send by what was given: "-", "text:" and a text, the name of a file, or a text as it is.
-
-    Parameters
-    ----------
-    layer
-        The layer, for messages.
-    given
-        What was given; what looks like the name of a file is one.
-
-    Raises
-    ------
-    MediaError
-        It is a file that cannot be read, longer than any message, or empty.
-    """
+    """The bytes to send by what was given: "-", "text:" and a text, the name of a file, or a text as it is."""
     from heliograph.signal.block import MAX_MESSAGE
 
     path, source = Path(given), given
@@ -377,13 +318,7 @@ def say_version(wanted: bool) -> None:
 
 
 def refuse_to_replace(output: Path, inputs: Iterable[Path | str | None]) -> None:
-    """Check that a file to be written is none of those that are read.
-
-    Raises
-    ------
-    MediaError
-        It is one of them: it would be lost.
-    """
+    """Check that a file to be written is none of those that are read."""
     for path in (one for one in inputs if one):
         same = False
         with contextlib.suppress(OSError, ValueError):  # one of them is not there, or is a text

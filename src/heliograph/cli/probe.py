@@ -42,7 +42,7 @@ def run_probe(
     """Tell what a film shows; whatever ends it, what was found before is shown."""
     import cv2
 
-    from heliograph.link.notes import signal_of
+    from heliograph.link.truth import signal_of
     from heliograph.media import open_film
     from heliograph.media.live.reader import is_camera
     from heliograph.probe import probe_film

@@ -15,8 +15,7 @@ from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.base.words import counted
 from heliograph.cli import console, options
 from heliograph.cli.files import Files
-from heliograph.cli.live import LiveOptions, Watch, watched
-from heliograph.cli.news import News, Told
+from heliograph.cli.live import LiveOptions, News, Told, Watch, watched
 
 LONG_READING_S = 2.0
 """Seconds of reading from which on a faster container is worth a word. Chosen."""
@@ -65,8 +64,7 @@ def run_receive(
     import cv2
 
     from heliograph.cli.probe import found_array, why_unread
-    from heliograph.link.notes import check_truth, signal_of
-    from heliograph.link.truth import open_truth
+    from heliograph.link.truth import check_truth, open_truth, signal_of
     from heliograph.measure.reception import Reception
     from heliograph.media import open_film
     from heliograph.media.live.reader import is_camera
@@ -211,11 +209,6 @@ class Folder:
     """The folder results go to, or nowhere: files appear whole, the packet log when all is read.
 
     It holds the results of one film: messages of an earlier one are removed when this one was received to its end.
-
-    Parameters
-    ----------
-    path
-        The folder, made if it does not exist; None writes nothing.
     """
 
     def __init__(self, path: Path | None):

@@ -49,13 +49,7 @@ SUMMARY = "summary.json"
 
 @dataclass(frozen=True, slots=True)
 class FilmWork:
-    """A film to be received: the options of the command, as they were given; it can be pickled.
-
-    Attributes
-    ----------
-    here
-        Folder in which the command runs, for workers that run in another one; None for workers of this command.
-    """
+    """A film to be received: the options of the command, as they were given; it can be pickled."""
 
     film: str
     seen: options.FilmOptions
@@ -64,6 +58,7 @@ class FilmWork:
     assignments: tuple[str, ...]
     output: Path | None
     files: Path | None = None
+    # Folder in which the command runs, for workers that run in another one; None for workers of this command
     here: Path | None = None
 
     @property
@@ -118,28 +113,16 @@ def _files_of(film: Path) -> list[Path]:
 
 @dataclass(frozen=True, slots=True)
 class Folder:
-    """What a folder of films holds.
+    """What a folder of films holds."""
 
-    Attributes
-    ----------
-    films
-        Its films in the order of their names: files, TIFF stacks, and folders of pictures.
-    left_out
-        What is left out of it, in words; empty for nothing.
-    """
-
+    # Its films in the order of their names: files, TIFF stacks, and folders of pictures
     films: tuple[Path, ...]
+    # What is left out of it, in words; empty for nothing
     left_out: str
 
 
 def films_of(given: Sequence[Path]) -> tuple[list[Path], list[str]]:
-    """The films named, and what is left out of folders: files as they are, of a folder of films its films.
-
-    Parameters
-    ----------
-    given
-        Files, folders of pictures, patterns of pictures, and folders of films.
-    """
+    """The films named, and what is left out of folders: files as they are, of a folder of films its films."""
     films, left_out = list[Path](), list[str]()
     for path in given:
         found = _looked_into(path)
@@ -224,24 +207,13 @@ def run_many(
 
 
 def receive_one(work: FilmWork) -> dict[str, Any]:
-    """Receive a film; what goes wrong with it is part of the result.
-
-    Parameters
-    ----------
-    work
-        The film and its options.
-
-    Returns
-    -------
-    Its report as plain values, with `film`, and with `error` where it was not read to its end.
-    """
+    """Receive a film; what goes wrong with it is part of the result."""
     import cv2
 
-    from heliograph.cli.live import Watch
-    from heliograph.cli.news import News, Told
+    from heliograph.cli.live import News, Told, Watch
     from heliograph.cli.probe import why_unread
     from heliograph.cli.receive import Folder, finish_folder, read_film
-    from heliograph.link.notes import signal_of
+    from heliograph.link.truth import signal_of
     from heliograph.measure.reception import Reception
     from heliograph.media import open_film
 

@@ -11,8 +11,8 @@ def run_reproduce(
     figures: list[str], quick: bool, output: Path, data: Path | None, seed: int, workers: int | None
 ) -> None:
     """Run the paper's experiments and write their report."""
+    from heliograph.experiments.report import Context
     from heliograph.experiments.reproduce import chosen, done_before, recordings_in, reproduce
-    from heliograph.experiments.result import Context
     from heliograph.sweeps.executors import cores, fewer_workers
 
     keys = chosen(figures)

@@ -86,8 +86,7 @@ def scene_from(
     preset: str, file: Path | None, assignments: list[str] | None, background: Path | None, imu: Path | None
 ) -> "tuple[LinkSettings, Recordings]":
     """Settings and recordings of a simulation; a recording that is given is used."""
-    from heliograph.link.recordings import load_footage, load_imu
-    from heliograph.link.simulate import Recordings
+    from heliograph.link.simulate import Recordings, load_footage, load_imu
 
     changes = list(assignments or ())
     if background:

@@ -32,8 +32,7 @@ def run_sweep(
     from heliograph.sweeps.executors import fewer_workers
 
     os.environ.update(THREAD_LIMITS)  # NumPy is not imported yet
-    from heliograph.sweeps.plan import plan
-    from heliograph.sweeps.reach import not_looked_for
+    from heliograph.sweeps.plan import not_looked_for, plan
     from heliograph.sweeps.tally import PointTally, StopRule
 
     points = plan(options.varied(vary), preset, options.laid_over(file, assignments), seed, *recordings)
@@ -57,7 +56,7 @@ def _run(
     tallies: "Sequence[PointTally]", output: Path | None, crew: tuple[int | None, str | None]
 ) -> BaseException | None:
     """Count to the end, or until something ends it: that is returned."""
-    from heliograph.sweeps.bar import bar
+    from heliograph.sweeps.runner import bar
     from heliograph.sweeps.sweep import count
 
     try:

@@ -17,11 +17,10 @@ from heliograph.base.files import whole_file
 from heliograph.base.frames import Frame, Pixels
 from heliograph.channel import Truth
 from heliograph.datasets.plan import PlannedFilm
-from heliograph.link.notes import SIGNAL_TAG
-from heliograph.link.recordings import load_footage, load_imu
-from heliograph.link.simulate import Recordings, simulate, transmitters
+from heliograph.link.simulate import Recordings, load_footage, load_imu, simulate, transmitters
+from heliograph.link.truth import SIGNAL_TAG
 from heliograph.measure.bench import dithered, random_messages
-from heliograph.media.hdf5_write import PatientFile
+from heliograph.media.hdf5 import PatientFile
 from heliograph.sweeps.points import Recorded
 
 STEP = 64
@@ -35,22 +34,7 @@ NONE = -1
 
 
 def write_planned(path: Path, film: PlannedFilm, progress: Callable[[int], None]) -> None:
-    """Simulate a film into a file that appears whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The file, in a folder that exists.
-    film
-        Its settings, seed and recordings.
-    progress
-        Called with the number of frames written.
-
-    Raises
-    ------
-    MediaError
-        The file cannot be written, or a recording has changed.
-    """
+    """Simulate a film into a file that appears whole or not at all."""
     settings = dithered(film.settings, film.seed)
     messages = random_messages(settings, film.seed)
     recordings = Recordings(
@@ -146,19 +130,7 @@ def _truth_of(truth: Truth, side_m: float) -> dict[str, Any]:
 
 
 def corners(homography: Floats, side_m: float) -> Floats:
-    """Corners of an array in the image.
-
-    Parameters
-    ----------
-    homography
-        (3, 3) from metres on the array to px, of `ArrayTruth`.
-    side_m
-        Side of the LED area in m.
-
-    Returns
-    -------
-    (4, 2) px as (x, y): upper left, upper right, lower right, lower left as the array counts; NaN behind the camera.
-    """
+    """Corners of an array in the image."""
     seen = np.column_stack([side_m * CORNERS, np.ones(4)]) @ homography.T
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(seen[:, 2:] > 0, seen[:, :2] / seen[:, 2:], np.nan)
@@ -173,21 +145,7 @@ def _cutouts(frame: Frame, truth: Truth, size: int) -> dict[str, Any]:
 
 
 def cut_out(pixels: Pixels, x: float, y: float, size: int) -> tuple[Pixels, tuple[int, int]]:
-    """Pixels about a place.
-
-    Parameters
-    ----------
-    pixels
-        (rows, columns) of a frame.
-    x, y
-        The place in px; what is far beyond the frame, or no number, counts as its edge.
-    size
-        Rows and columns of what is cut out, in px.
-
-    Returns
-    -------
-    The pixels (size, size), 0 beyond the frame, and the place (x, y) of the first.
-    """
+    """Pixels about a place."""
     rows, columns = pixels.shape
     x, y = (float(np.clip(np.nan_to_num(at, nan=-size), -size, most + size)) for at, most in ((x, columns), (y, rows)))
     left, top = round(x - (size - 1) / 2), round(y - (size - 1) / 2)

@@ -39,32 +39,21 @@ LEAST_DISTANCE_M = 0.1
 
 @dataclass(frozen=True)
 class PlannedFilm:
-    """A film of a data set.
+    """A film of a data set."""
 
-    Attributes
-    ----------
-    number
-        Its number in the data set, from 0.
-    split
-        Name of its split.
-    point
-        What it is a film of: settings, what varies, and recordings.
-    seed
-        Of messages, road, scene, noise and place.
-    settings
-        The link, with the film's length.
-    frames
-        Frames that it has; dropped ones count.
-    cutout_px
-        Rows and columns of its cut-outs in px: those of the frame's larger side at most.
-    """
-
+    # Its number in the data set, from 0
     number: int
+    # Name of its split
     split: str
+    # What it is a film of: settings, what varies, and recordings
     point: Point
+    # Of messages, road, scene, noise and place
     seed: int
+    # The link, with the film's length
     settings: LinkSettings
+    # Frames that it has; dropped ones count
     frames: int
+    # Rows and columns of its cut-outs in px: those of the frame's larger side at most
     cutout_px: int
 
     @property
@@ -120,34 +109,7 @@ def planned(
     backgrounds: Sequence[Path] = (),
     imu: Path | None = None,
 ) -> DatasetPlan:
-    """Plan a data set; see `write_dataset`.
-
-    Parameters
-    ----------
-    vary
-        Values by dotted key.
-    preset, over
-        What does not vary: a preset and nested settings laid on it.
-    films
-        Films of each combination of values.
-    splits
-        Shares of the splits, three whole numbers.
-    packets
-        Length of a film in packets; None: one where nothing moves, else the whole drive.
-    seed
-        Of all that is random.
-    backgrounds
-        Files of footage, each of which serves one split.
-    imu
-        File of motion; None where there is none.
-
-    Raises
-    ------
-    SettingsError
-        A key is unknown, a value wrong or out of range, or a split would have no film or no footage of its own.
-    MediaError
-        A recording cannot be read.
-    """
+    """Plan a data set; see `write_dataset`."""
     _check_whole("seed", seed, 0, MOST_SEED - 1)
     _check_whole("number of films", films, 1, SEEDS)
     if packets is not None:

@@ -14,49 +14,21 @@ FOCAL_PX = 2917
 
 
 def static_link(distance_m: float, rng: np.random.Generator, **changes: Any) -> LinkSettings:
-    """The reference link at rest for one packet, the array anywhere within a pixel of its place.
-
-    Parameters
-    ----------
-    distance_m
-        Distance from camera to array in m, above 0.
-    rng
-        Draws the array's place within the pixel.
-    changes
-        Nested settings laid over the preset "static", by their first key.
-    """
+    """The reference link at rest for one packet, the array anywhere within a pixel of its place."""
     settings = placed_within_pixel(load_settings("static", {"channel": {"distance_m": distance_m}, **changes}), rng)
     # one frame is not yet whole at the very end
     return lasting(settings, settings.signal.packet_s + 1e-6)
 
 
 def centred_link(distance_m: float, rng: np.random.Generator, brightness: float = 1.0) -> LinkSettings:
-    """The reference link at rest, the array within a pixel of the sensor's middle.
-
-    Parameters
-    ----------
-    distance_m
-        Distance from camera to array in m, above 0.
-    rng
-        Draws the array's place within the pixel.
-    brightness
-        Brightness of the array, as a ratio to that of the reference link.
-    """
+    """The reference link at rest, the array within a pixel of the sensor's middle."""
     x, y = (float(rng.uniform(-0.5, 0.5)) * distance_m / FOCAL_PX for _ in range(2))
     over: dict[str, Any] = {"distance_m": distance_m, "arrays": [{"x_m": x, "y_m": y, "brightness": brightness}]}
     return load_settings("static", {"channel": over})
 
 
 def true_pose(truth: ArrayTruth, settings: LinkSettings) -> Pose:
-    """The true pose of an array that faces the camera, with the true blur.
-
-    Parameters
-    ----------
-    truth
-        True place, pitch, roll and distance of the array in a frame.
-    settings
-        The link: it gives the blur of the lens and of the emitter's disc, whose variance along an axis is r^2 / 4.
-    """
+    """The true pose of an array that faces the camera, with the true blur."""
     camera, emitter = settings.channel.camera, settings.channel.emitter
     radius = 0.5 * emitter.diameter_m * camera.focal_px / truth.distance_m
     return Pose(truth.x, truth.y, truth.pitch_px, truth.roll_rad, float(np.hypot(camera.blur_px, radius / 2)))

@@ -29,31 +29,13 @@ LAYER_COLOURS = {"high": BLUE, "middle": ORANGE, "low": GREEN}
 
 
 def tidy(axes: Axes) -> None:
-    """Take the upper and the right line of the frame off, and draw a pale grid.
-
-    Parameters
-    ----------
-    axes
-        Axes of a plot, which are changed in place.
-    """
+    """Take the upper and the right line of the frame off, and draw a pale grid."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.25, lw=0.6)
 
 
 def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int = 1, largest: float = 255) -> Figure:
-    """Gray images side by side, each with a title.
-
-    Parameters
-    ----------
-    images
-        Images of (height, width) each, 0 for black.
-    titles
-        Title above each image, as many as images.
-    rows
-        Rows to put them in, 1 or more.
-    largest
-        Value that is drawn white.
-    """
+    """Gray images side by side, each with a title."""
     columns = -(-len(images) // rows)
     figure = Figure(figsize=(min(2.0 * columns, 12), 2.3 * rows))
     for k, (image, title) in enumerate(zip(images, titles, strict=True)):
@@ -66,19 +48,7 @@ def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int =
 
 
 def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, title: str, largest: float = 255) -> Figure:
-    """A whole frame, the array marked, and the array enlarged beside it.
-
-    Parameters
-    ----------
-    pixels
-        (height, width) gray levels.
-    x, y, half
-        Centre and half the side of the square to mark and enlarge, in px.
-    title
-        Title of the whole frame.
-    largest
-        Gray level that is drawn white.
-    """
+    """A whole frame, the array marked, and the array enlarged beside it."""
     figure = Figure(figsize=(12, 3.6))
     whole, near = figure.subplots(1, 2, width_ratios=(2.2, 1))
     whole.imshow(pixels, cmap="gray", vmin=0, vmax=largest)
@@ -97,15 +67,7 @@ def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, titl
 
 
 def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping[str, NDArray[Any]]) -> Figure:
-    """Position and distance over time, found and true, and the errors of position.
-
-    Parameters
-    ----------
-    times
-        (n,) times of the poses in s.
-    found, truth
-        "x" and "y" in px and "distance_m", (n,) each.
-    """
+    """Position and distance over time, found and true, and the errors of position."""
     figure = Figure(figsize=(12, 6))
     axes = figure.subplots(2, 2, sharex=True)
     panels = (("x", "x (px)"), ("y", "y (px)"), ("distance_m", "distance (m)"))
@@ -126,13 +88,7 @@ def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping
 
 
 def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]]) -> Figure:
-    """Bit error rate before and after the turbo code, by layer; no error counted is an arrow at its upper bound.
-
-    Parameters
-    ----------
-    bins
-        Counts of errors by the lower edge of the distance bin in m, and by layer.
-    """
+    """Bit error rate before and after the turbo code, by layer; no error counted is an arrow at its upper bound."""
     figure = Figure(figsize=(12, 4.2))
     for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "decoded_bits"), ("before", "after"), strict=True):
         for k, name in enumerate(LAYERS):
@@ -154,19 +110,7 @@ def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]]) -> Figur
 
 
 def draw_rates(axes: Axes, counts: Sequence[tuple[float, Count]], label: str, **style: Any) -> None:
-    """Draw error rates: those measured with 95 % intervals and a line, bounds as arrows that no line joins.
-
-    Parameters
-    ----------
-    axes
-        Where to draw, with a logarithmic scale.
-    counts
-        Distances in m with errors and trials; those without trials are left out.
-    label
-        What the legend calls them.
-    style
-        Style of `matplotlib.axes.Axes.errorbar`, with a colour.
-    """
+    """Draw error rates: those measured with 95 % intervals and a line, bounds as arrows that no line joins."""
     counts = [(z, count) for z, count in counts if count.trials]
     if not counts:
         return

@@ -1,16 +1,108 @@
-"""A page of results in one file: text, tables and pictures, nothing fetched."""
+"""Results of experiments, with claims and verdicts, and their report in a single HTML file."""
 
 import base64
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 from heliograph.base.files import write_whole
+from heliograph.sweeps.executors import Result, Work, each
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+Verdict = Literal["holds", "differs", "shown"]
+"""A claim "holds" or "differs"; "shown": nothing was claimed that can be counted, or too little was counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A claim and the measurement beside it."""
+
+    # The paper's claim, or a question of our own
+    claim: str
+    # The measurement, with counts and interval
+    ours: str
+    # Whether the claim "holds" or "differs", or is only "shown"; see `Verdict`
+    verdict: Verdict
+    # The reason where they differ; empty where there is none to give
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table."""
+
+    # Heading above the table
+    title: str
+    # Heads of the columns
+    head: Sequence[str]
+    # Cells, row by row; each row has a cell for each column
+    rows: Sequence[Sequence[str]]
+
+    def markdown(self) -> str:
+        """The table in Markdown, without its heading."""
+        lines = [self.head, ["---"] * len(self.head), *self.rows]
+        return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentResult:
+    """The result of an experiment."""
+
+    # key, title: name on the command line, such as "fig13", and heading
+    key: str
+    title: str
+    # Describes the experiment for a reader of the report
+    text: str
+    # Claims, each with the measurement beside it
+    findings: Sequence[Finding] = ()
+    # Plots, each with a caption
+    pictures: Sequence[tuple["Figure", str]] = ()
+    # Tables of the measurements, each with its heading
+    tables: Sequence[Table] = ()
+    # The numbers of pictures and tables as plain values, for JSON
+    data: Mapping[str, Any] = field(default_factory=dict)
+    # PNG files of plots that an earlier run drew, each with a caption
+    drawn: Sequence[tuple[bytes, str]] = ()
+
+
+def quiet(title: str, done: float, /) -> None:
+    """Report no progress."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Context:
+    """Effort, seed, recordings and workers of an experiment."""
+
+    # Few trials: minutes in place of tens of minutes, with wide intervals
+    quick: bool = True
+    # Seed of all randomness, 0 or more
+    seed: int = 0
+    # Files of real footage by name; empty: a drawn scene takes their place
+    clips: Mapping[str, Path] = field(default_factory=dict)
+    # File of recorded car motion; None: a road takes its place
+    imu: Path | None = None
+    # Processes to use, 1 or more
+    workers: int = 1
+    # Called with a title and the fraction done, 0 to 1
+    progress: Callable[[str, float], None] = quiet
+
+    def each(
+        self,
+        title: str,
+        job: Callable[[Work], Result],
+        works: Iterable[Work],
+        span: tuple[float, float] = (0.0, 1.0),
+    ) -> list[Result]:
+        """Results of a job for each of some works, computed by the workers; see `executors.each`."""
+        start, end = span
+        return each(self.workers, job, works, lambda done: self.progress(title, start + (end - start) * done))
+
 
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1d2126; max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
@@ -35,13 +127,7 @@ FEWEST_LISTED = 3
 
 
 class Report:
-    """Collects parts of a page.
-
-    Parameters
-    ----------
-    title
-        Heading of the page.
-    """
+    """Collects parts of a page."""
 
     def __init__(self, title: str):
         self._title = title
@@ -49,115 +135,49 @@ class Report:
         self._headings: list[str] = []
 
     def heading(self, text: str) -> None:
-        """Begin a section.
-
-        Parameters
-        ----------
-        text
-            Plain text of the section's heading.
-        """
+        """Begin a section."""
         self._headings.append(text)
         self._parts.append(f"<h2 id=part-{len(self._headings)}>{escape(text)}</h2>")
 
     def text(self, text: str, note: bool = False) -> None:
-        """Add a paragraph.
-
-        Parameters
-        ----------
-        text
-            Plain text of the paragraph.
-        note
-            Whether it is set small and gray.
-        """
+        """Add a paragraph."""
         self._parts.append(f"<p{' class=note' if note else ''}>{escape(text)}</p>")
 
     def verdict(self, verdict: str, text: str) -> None:
-        """Add a paragraph that begins with a verdict in colour.
-
-        Parameters
-        ----------
-        verdict
-            A word, one of `BADGES`.
-        text
-            Plain text after it.
-        """
+        """Add a paragraph that begins with a verdict in colour."""
         self._parts.append(f"<p>{_badge(verdict)} {escape(text)}</p>")
 
     def badges(self, shown: Iterable[tuple[str, str]]) -> None:
-        """Add a line of words in colour.
-
-        Parameters
-        ----------
-        shown
-            For each a verdict, one of `BADGES`, which gives the colour, and its plain text.
-        """
+        """Add a line of words in colour."""
         parts = (f"<span class=count>{_badge(word, text)}</span>" for word, text in shown)
         self._parts.append(f"<p>{' '.join(parts)}</p>")
 
     def code(self, text: str) -> None:
-        """Add text in a fixed-width font, with its line breaks.
-
-        Parameters
-        ----------
-        text
-            Plain text of one or more lines.
-        """
+        """Add text in a fixed-width font, with its line breaks."""
         self._parts.append(f"<pre>{escape(text)}</pre>")
 
     def figure(self, figure: "Figure", caption: str) -> None:
-        """Add a plot.
-
-        Parameters
-        ----------
-        figure
-            Plot, stored as a PNG of 130 dots per inch.
-        caption
-            Plain text below it.
-        """
+        """Add a plot."""
         out = io.BytesIO()
         figure.savefig(out, format="png", dpi=130, bbox_inches="tight")
         self.picture(out.getvalue(), caption)
 
     def picture(self, png: bytes, caption: str) -> None:
-        """Add a picture.
-
-        Parameters
-        ----------
-        png
-            Content of a PNG or WebP file; WebP may move.
-        caption
-            Plain text below it.
-        """
+        """Add a picture."""
         kind = "webp" if png.startswith(b"RIFF") else "png"
         data = base64.b64encode(png).decode()
         image = f'<img alt="{escape(caption)}" src="data:image/{kind};base64,{data}">'
         self._parts.append(f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>")
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], prose: bool = False) -> None:
-        """Add a table.
-
-        Parameters
-        ----------
-        head
-            Plain text above each column.
-        rows
-            Plain text of the cells, row by row; a word of `BADGES` is set in colour.
-        prose
-            Whether the cells are text, whose lines may be broken.
-        """
+        """Add a table."""
         top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
         body = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in rows)
         kind = " class=prose" if prose else ""
         self._parts.append(f"<div class=wide><table{kind}><tr>{top}</tr>{body}</table></div>")
 
     def write(self, path: Path) -> None:
-        """Write the page, whole or not at all.
-
-        Parameters
-        ----------
-        path
-            HTML file to write; an older one is replaced.
-        """
+        """Write the page, whole or not at all."""
         head = (
             f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{escape(self._title)}</title>"
         )

@@ -13,8 +13,7 @@ from typing import Any
 from heliograph.base import registry
 from heliograph.base.errors import MediaError, SettingsError, printable
 from heliograph.base.files import write_whole
-from heliograph.experiments.report import Report
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Report, Table
 from heliograph.sweeps.points import Recorded, build
 
 EXPERIMENTS = {
@@ -51,18 +50,7 @@ IMU = Path("motion") / "car-imu.csv"
 
 
 def chosen(names: Sequence[str]) -> list[str]:
-    """Names of the experiments that are asked for, each once.
-
-    Parameters
-    ----------
-    names
-        Names or aliases, in capitals or not; where there are none, all of `EXPERIMENTS` are chosen.
-
-    Raises
-    ------
-    SettingsError
-        There is no experiment of a name; the message names the nearest.
-    """
+    """Names of the experiments that are asked for, each once."""
     keys = [ALIASES.get(name, name) for name in map(str.lower, names)]
     for key in keys:
         if key not in EXPERIMENTS and key not in FURTHER:
@@ -73,18 +61,7 @@ def chosen(names: Sequence[str]) -> list[str]:
 
 
 def recordings_in(folder: Path | None) -> dict[str, Any]:
-    """Clips and motion trace of a folder of recordings, as fields of `Context`.
-
-    Parameters
-    ----------
-    folder
-        The folder, which has clips in `CLIPS` and may have a trace at `IMU`; None: no recordings.
-
-    Raises
-    ------
-    MediaError
-        The folder has no clips.
-    """
+    """Clips and motion trace of a folder of recordings, as fields of `Context`."""
     if folder is None:
         return {}
     films = sorted(path for path in (folder / CLIPS).glob("*") if path.suffix.lower() == ".mp4")
@@ -99,22 +76,7 @@ def recordings_in(folder: Path | None) -> dict[str, Any]:
 
 
 def done_before(keys: Sequence[str], context: Context, folder: Path) -> dict[str, ExperimentResult]:
-    """Results that an earlier run left in a folder, by name: of the same effort, seed, recordings and code alone.
-
-    Parameters
-    ----------
-    keys
-        Names of `EXPERIMENTS` and `FURTHER`.
-    context
-        Effort, seed and recordings.
-    folder
-        Where `reproduce` writes; it need not exist. A file of it that is damaged counts as none.
-
-    Raises
-    ------
-    MediaError
-        A recording cannot be read.
-    """
+    """Results that an earlier run left in a folder, by name: of the same effort, seed, recordings and code alone."""
     if not folder.is_dir():
         return {}
     run = _run(context)
@@ -129,21 +91,7 @@ def reproduce(
     begin: Callable[[str, str], None],
     before: Mapping[str, ExperimentResult] | None = None,
 ) -> list[ExperimentResult]:
-    """Run experiments and write the report again after each, so that an interrupted run leaves what it had.
-
-    Parameters
-    ----------
-    keys
-        Names of `EXPERIMENTS` and `FURTHER`.
-    context
-        Effort, seed, recordings and workers.
-    folder
-        Gets report.html, its claims as report.md, pictures (NAME-1.png, ...) and data (NAME.json).
-    begin
-        Called with name and title before each that is run.
-    before
-        Results of an earlier run, which are not run again; see `done_before`.
-    """
+    """Run experiments and write the report again after each, so that an interrupted run leaves what it had."""
     run, done = _run(context), dict(before or {})
     todo = [key for key in keys if key not in done]
     if done:
@@ -173,19 +121,7 @@ def _not_run(missing: Sequence[str]) -> str:
 def write_report(
     path: Path, results: Sequence[ExperimentResult], context: Context, missing: Sequence[str] = ()
 ) -> None:
-    """Write the page of all results.
-
-    Parameters
-    ----------
-    path
-        Name of the HTML file to write.
-    results
-        Results of the experiments, in the order of the page.
-    context
-        Effort, seed and recordings with which they were run.
-    missing
-        Names of experiments that are asked for and have not been run yet; the page says so.
-    """
+    """Write the page of all results."""
     page = Report("The experiments of Nagura et al. 2010, measured")
     scene = f"footage {', '.join(context.clips)}" if context.clips else "a drawn scene"
     motion = "a recorded trace" if context.imu else "a road by ISO 8608"
@@ -206,17 +142,7 @@ def write_report(
 
 
 def markdown(results: Sequence[ExperimentResult], context: Context, missing: Sequence[str] = ()) -> str:
-    """Claims and measurements as a Markdown page, for a project's documents.
-
-    Parameters
-    ----------
-    results
-        Results of the experiments, in the order of the page.
-    context
-        Effort, seed and recordings with which they were run.
-    missing
-        Names of experiments that are asked for and have not been run yet.
-    """
+    """Claims and measurements as a Markdown page, for a project's documents."""
     run = "A quick run: few trials, wide intervals." if context.quick else "The full run."
     scene = ", ".join(context.clips) or "a drawn scene"
     lines = ["# The paper's experiments, measured", "", f"{run} Background: {scene}; seed {context.seed}.", ""]

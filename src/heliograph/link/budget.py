@@ -142,31 +142,14 @@ class Budget:
 
 
 class Budgets:
-    """Makes budgets; what is computed for one distance or mode is kept for the others of the same link.
-
-    Parameters
-    ----------
-    light
-        LEDs, lens and sensor as far as the link's settings leave them open.
-
-    Attributes
-    ----------
-    light
-        The same, as it was given.
-    """
+    """Makes budgets; what is computed for one distance or mode is kept for the others of the same link."""
 
     def __init__(self, light: LightSettings):
         self.light = light
         self._reaches: dict[LinkSettings, Reach] = {}
 
     def of(self, settings: LinkSettings) -> Budget:
-        """Return the budget of a link.
-
-        Parameters
-        ----------
-        settings
-            The link; vehicle and shake, and all arrays but the first, are left aside.
-        """
+        """Return the budget of a link."""
         channel, light, read = settings.channel, self.light, _read(settings)
         all_on = light.all_on(channel)
         spot = _spot(settings, light, all_on)

@@ -33,17 +33,7 @@ RESERVED = {"con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("com", "lpt"
 
 
 def safe_name(name: str) -> str:
-    """Return a file's name from the air as one that can do no harm: no folder, no mark, not hidden, not reserved.
-
-    Parameters
-    ----------
-    name
-        Any text at all, from the air.
-
-    Returns
-    -------
-    At most `LONGEST` letters, digits, ".", "-" and "_" of the last part of a path; "file" where nothing is left.
-    """
+    """Return a file's name from the air as one that can do no harm: no folder, no mark, not hidden, not reserved."""
     last = PureWindowsPath(name.replace("\0", "")).name  # takes both kinds of slash for one
     text = re.sub(r"[^\w.-]+", "_", last, flags=re.ASCII).strip("._")
     stem, dot, suffix = text.rpartition(".")
@@ -52,50 +42,21 @@ def safe_name(name: str) -> str:
 
 
 class FileStore:
-    """A folder that gets files from the air.
-
-    Parameters
-    ----------
-    folder
-        The folder, made when something is written. What an earlier passage left there of a file goes on.
-    """
+    """A folder that gets files from the air."""
 
     def __init__(self, folder: Path):
         self.folder = folder
         self.written: list[Path] = []
 
     def begin(self, files: FileGatherer) -> Iterator[FileProgress]:
-        """Give a gatherer the symbols of earlier passages; yield what is there of each file.
-
-        Parameters
-        ----------
-        files
-            Gathers symbols; it is changed.
-        """
+        """Give a gatherer the symbols of earlier passages; yield what is there of each file."""
         for _, key, symbols in self._parts("*"):
             progress = files.take(key, symbols)
             if progress is not None:
                 yield progress
 
     def keep(self, whole: WholeFile, key: FileKey) -> Path:
-        """Write a whole file, and remove its symbols; return where it is.
-
-        Parameters
-        ----------
-        whole
-            The file, with the name that it was sent with.
-        key
-            Which file it is.
-
-        Returns
-        -------
-        Its path: the name it was sent with where that is safe and free. A file of the same content is kept as it is.
-
-        Raises
-        ------
-        MediaError
-            It cannot be written.
-        """
+        """Write a whole file, and remove its symbols; return where it is."""
         path = self._free(safe_name(whole.name), whole.data)
         with clear_write_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -108,18 +69,7 @@ class FileStore:
         return path
 
     def finish(self, files: FileGatherer) -> None:
-        """Keep the symbols of files that are not whole for the next passage.
-
-        Parameters
-        ----------
-        files
-            Gathers symbols; it is left as it is.
-
-        Raises
-        ------
-        MediaError
-            They cannot be written.
-        """
+        """Keep the symbols of files that are not whole for the next passage."""
         for progress in files.unfinished():
             key, symbols = progress.key, files.symbols_of(progress.key)
             if not symbols:

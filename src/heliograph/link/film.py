@@ -12,10 +12,9 @@ from heliograph.base.files import room_for
 from heliograph.base.frames import Frame
 from heliograph.base.words import counted
 from heliograph.channel import frame_count
-from heliograph.link.notes import TRUTH_TAG, signal_note
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
-from heliograph.link.truth import TruthWriter, truth_path
+from heliograph.link.truth import TRUTH_TAG, TruthWriter, signal_note, truth_path
 from heliograph.media import create_film
 from heliograph.media.hdf5 import SUFFIXES as HDF5_SUFFIXES
 from heliograph.receive import Packet, Receiver
@@ -37,13 +36,7 @@ class FrameSource(Protocol):
 
 
 def silent(frames: int, /) -> None:
-    """Report no progress.
-
-    Parameters
-    ----------
-    frames
-        Number of frames done; it is not looked at.
-    """
+    """Report no progress."""
 
 
 def write_film(
@@ -55,28 +48,7 @@ def write_film(
     progress: FrameProgress = silent,
     **codec: Any,
 ) -> int:
-    """Simulate a drive into a film and its truth file.
-
-    Parameters
-    ----------
-    path
-        The film; its suffix chooses the kind. Truth goes to ``path`` + ".truth.npz".
-    settings, messages, seed, recordings
-        The link, what each array sends, the seed and real recordings, as for `simulate`.
-    progress
-        Called with the number of frames written.
-    codec
-        Options of `create_film`: codec, crf, lossless.
-
-    Returns
-    -------
-    Frames written. On Ctrl-C film and truth are closed with the frames so far and KeyboardInterrupt is raised again.
-
-    Raises
-    ------
-    MediaError
-        The film or its truth cannot be written, or has no frames; files of that name stay as they were.
-    """
+    """Simulate a drive into a film and its truth file."""
     camera, film_id = settings.channel.camera, uuid.uuid4().hex
     if path.suffix.lower() in HDF5_SUFFIXES:  # its size is known beforehand
         depth = 1 if settings.channel.sensor.bits == 8 else 2
@@ -113,24 +85,12 @@ def write_film(
 
 
 def frames_of(settings: LinkSettings) -> int:
-    """Frames a simulation will have; dropped ones count.
-
-    Parameters
-    ----------
-    settings
-        The link, of which the channel's part is used.
-    """
+    """Frames a simulation will have; dropped ones count."""
     return frame_count(settings.channel)
 
 
 def sent_s(settings: LinkSettings) -> float:
-    """How long an array sends at most until the last frame of a simulation, in s.
-
-    Parameters
-    ----------
-    settings
-        The link, of which the channel's part is used.
-    """
+    """How long an array sends at most until the last frame of a simulation, in s."""
     channel = settings.channel
     first = min((array.start_s for array in channel.arrays), default=0.0)
     return channel.camera.start_s - first + frames_of(settings) * channel.camera.frame_period_s
@@ -140,20 +100,6 @@ def read_packets(film: FrameSource, signal: SignalSettings, receiver: Receiver) 
     """Packets of a film, each as soon as it is read.
 
     What the receiver hands out without a header and without a right codeword is left out, see `is_packet`.
-
-    Parameters
-    ----------
-    film
-        Frames in the order of time, such as those of an open film.
-    signal
-        The signal that the receiver expects.
-    receiver
-        A new receiver; it is finished at the end.
-
-    Raises
-    ------
-    MediaError
-        The film breaks off or is shorter than a packet; all packets before have been given.
     """
     frames = 0
     broken: MediaError | None = None
@@ -176,25 +122,12 @@ def is_packet(packet: Packet) -> bool:
     """Whether a receiver's result is a packet: it has a header or a right codeword.
 
     Anything else is neither counted nor logged; if it was sent, it is missed.
-
-    Parameters
-    ----------
-    packet
-        What the receiver hands out, with or without a header.
     """
     return packet.status not in ("no_header", "no_array")
 
 
 def packet_row(packet: Packet, confirmed: Container[int] = ()) -> Mapping[str, Any]:
-    """A packet as plain values, for the packet log.
-
-    Parameters
-    ----------
-    packet
-        A packet as the receiver hands it out; times, places and scores of it are rounded.
-    confirmed
-        Identities of arrays of which earlier packets have a decoded codeword; that of another array is uncertain.
-    """
+    """A packet as plain values, for the packet log."""
     uncertain = not packet.has_codeword and packet.identity not in confirmed
     return {
         "id": packet.identity,

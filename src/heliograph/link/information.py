@@ -62,15 +62,7 @@ NOISE_LOOKS = 64
 
 
 def noise_share(channel: ChannelSettings, all_on: float) -> float:
-    """Return the standard deviation of a pixel's noise within the array at its mean light, in full scales.
-
-    Parameters
-    ----------
-    channel
-        The channel: sensor and panel are used.
-    all_on
-        Light of the array with every LED on, in full scales.
-    """
+    """Return the standard deviation of a pixel's noise within the array at its mean light, in full scales."""
     sensor = channel.sensor
     mean_e = sensor.full_well_e * (all_on / 2 + channel.emitter.panel_level)
     # EMVA 1288: sigma^2 = sigma_d^2 + mu_e, and 1/12 DN^2 of quantisation
@@ -79,24 +71,16 @@ def noise_share(channel: ChannelSettings, all_on: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ArrayImages:
-    """Images of the LEDs of an array, of LARGEST x LARGEST at most.
+    """Images of the LEDs of an array, of LARGEST x LARGEST at most."""
 
-    Attributes
-    ----------
-    leds
-        (rows, columns, n, n) light of each pixel with one LED on, so that the array with every LED on has the light 1
-        on its axis where it is not resolved.
-    points
-        (n * n, 2) places (x, y) of the LEDs in px of the image.
-    pitch_px
-        Distance of neighbouring LEDs in px, the root of the area that one has.
-    light
-        Light of the array with every LED on by that on its axis: below 1 where it is seen from the side.
-    """
-
+    # (rows, columns, n, n) light of each pixel with one LED on, so that the array with every LED on has the light 1 on
+    # its axis where it is not resolved
     leds: Floats
+    # (n * n, 2) places (x, y) of the LEDs in px of the image
     points: Floats
+    # Distance of neighbouring LEDs in px, the root of the area that one has
     pitch_px: float
+    # Light of the array with every LED on by that on its axis: below 1 where it is seen from the side
     light: float
 
     @property
@@ -106,19 +90,7 @@ class ArrayImages:
 
 
 def array_images(channel: ChannelSettings, side: int, distance_m: float, shift_px: tuple[float, float]) -> ArrayImages:
-    """Return the images of the first array's LEDs, as the channel renders them for a camera at rest.
-
-    Parameters
-    ----------
-    channel
-        The channel: camera, emitter and the place and tilt of ``arrays.0``.
-    side
-        LEDs in a row.
-    distance_m
-        Distance to the array's plane in m.
-    shift_px
-        Shift (x, y) of the image on the pixel grid in px.
-    """
+    """Return the images of the first array's LEDs, as the channel renders them for a camera at rest."""
     still = np.zeros(())
     count, place = min(side, LARGEST), channel.arrays[0]
     one, eye = homography(CameraPose(*5 * [still]), still, place, distance_m - place.z_offset_m, channel.camera)
@@ -148,15 +120,7 @@ def array_images(channel: ChannelSettings, side: int, distance_m: float, shift_p
 
 @cache
 def symbol_levels(side: int, modulation: str) -> Floats:
-    """Return the change of each LED's luminance, 0 to 1, by each symbol, (side, side, side * side).
-
-    Parameters
-    ----------
-    side
-        LEDs in a row, even.
-    modulation
-        "haar" or "ook", as ``signal.modulation``.
-    """
+    """Return the change of each LED's luminance, 0 to 1, by each symbol, (side, side, side * side)."""
     units = np.eye(side * side).reshape(-1, side, side)
     levels = haar.inverse_transform(units) / SLOTS if modulation == "haar" else 0.5 * units
     return np.moveaxis(levels, 0, -1)
@@ -164,48 +128,25 @@ def symbol_levels(side: int, modulation: str) -> Floats:
 
 @cache
 def symbol_layers(side: int) -> Floats:
-    """Return the layer of each symbol, (side * side,): 0 high, 1 middle, 2 low (section 5 of the air interface).
-
-    Parameters
-    ----------
-    side
-        Symbols in a row of the data matrix, even.
-    """
+    """Return the layer of each symbol, (side * side,): 0 high, 1 middle, 2 low (section 5 of the air interface)."""
     half = np.arange(side) >= side // 2
     return (half[:, None].astype(np.float64) + half[None, :]).ravel()
 
 
 @dataclass(frozen=True, slots=True)
 class Looks:
-    """What of the symbols can be told at a distance, of one unit of light and of noise.
+    """What of the symbols can be told at a distance, of one unit of light and of noise."""
 
-    Attributes
-    ----------
-    gram
-        (symbols, symbols) inner products of the symbols' images at each place on the pixel grid.
-    sampled
-        For each place (symbols, symbols) change of each sampled symbol by each sent one, and (symbols,) standard
-        deviation of the sampled ones in noise of 1.
-    layer
-        (symbols,) layer of each symbol.
-    """
-
+    # (symbols, symbols) inner products of the symbols' images at each place on the pixel grid
     gram: tuple[Floats, ...]
+    # For each place (symbols, symbols) change of each sampled symbol by each sent one, and (symbols,) standard
+    # deviation of the sampled ones in noise of 1
     sampled: tuple[tuple[Floats, Floats], ...]
+    # (symbols,) layer of each symbol
     layer: Floats
 
     def information(self, kind: Kind, layer: int, snr: float) -> float:
-        """Return the mean information of a layer's symbols in bit per coded bit.
-
-        Parameters
-        ----------
-        kind
-            "linear", "bound" or "sampled".
-        layer
-            0 high, 1 middle, 2 low.
-        snr
-            Light of the array with every LED on by the noise of a look.
-        """
+        """Return the mean information of a layer's symbols in bit per coded bit."""
         ratios = [self._ratio(kind, look, layer, snr) for look in range(len(self.gram))]
         return float(binary_information(np.concatenate(ratios)).mean())
 
@@ -226,13 +167,7 @@ class Looks:
 
 
 def binary_information(ratio: Floats) -> Floats:
-    """Return the mutual information in bit of +-1 and itself in Gaussian noise.
-
-    Parameters
-    ----------
-    ratio
-        (n,) mean squared over variance, 0 or more.
-    """
+    """Return the mutual information in bit of +-1 and itself in Gaussian noise."""
     z = np.linspace(-6, 6, 97)
     weight = np.exp(-z * z / 2)
     llr = 2 * ratio[:, None] + 2 * np.sqrt(ratio[:, None]) * z
@@ -241,17 +176,7 @@ def binary_information(ratio: Floats) -> Floats:
 
 
 def looks_at(channel: ChannelSettings, signal: SignalSettings, distance_m: float) -> Looks:
-    """Return what of the symbols can be told at a distance.
-
-    Parameters
-    ----------
-    channel
-        The channel: camera, emitter and the place and tilt of ``arrays.0``.
-    signal
-        The signal, of which side and modulation are used.
-    distance_m
-        Distance to the array's plane in m.
-    """
+    """Return what of the symbols can be told at a distance."""
     from heliograph.receive.decode.kernels import sample_cubic  # Numba is slow to import
 
     side = min(signal.side, LARGEST)
@@ -280,27 +205,13 @@ def looks_at(channel: ChannelSettings, signal: SignalSettings, distance_m: float
 
 
 def needed(rate: float) -> float:
-    """Return the information in bit per coded bit that a code needs.
-
-    Parameters
-    ----------
-    rate
-        Information bits per sent bit, 1/3 to 9/10.
-    """
+    """Return the information in bit per coded bit that a code needs."""
     rates, information = zip(*NEEDED, strict=True)
     return float(np.interp(rate, rates, information))
 
 
 class Reach:
-    """How far layers can be read: information by distance, computed where it is asked for and kept.
-
-    Parameters
-    ----------
-    settings
-        The link; the distance and all that moves are left aside.
-    all_on
-        Light of the array with every LED on, in full scales.
-    """
+    """How far layers can be read: information by distance, computed where it is asked for and kept."""
 
     def __init__(self, settings: LinkSettings, all_on: float):
         channel = settings.channel
@@ -312,19 +223,7 @@ class Reach:
         self._known: dict[tuple[Kind, Mode, str, float], float] = {}
 
     def information(self, kind: Kind, mode: Mode, layer: str, distance_m: float) -> float:
-        """Return the information in bit per coded bit.
-
-        Parameters
-        ----------
-        kind
-            "linear", "bound" or "sampled".
-        mode
-            Whether inverses follow the patterns, "paired", or not, "single".
-        layer
-            "high", "middle" or "low".
-        distance_m
-            Distance to the array's plane in m.
-        """
+        """Return the information in bit per coded bit."""
         distance_m = max(distance_m, self._nearest_m)
         asked = (kind, mode, layer, distance_m)
         if asked not in self._known:
@@ -335,21 +234,7 @@ class Reach:
         return self._known[asked]
 
     def range_m(self, kind: Kind, mode: Mode, layer: str, rate: float, farthest_m: float) -> float:
-        """Return the largest distance at which a layer can be read, in m; 0 where it cannot at all.
-
-        Parameters
-        ----------
-        kind
-            "linear", "bound" or "sampled".
-        mode
-            Whether inverses follow the patterns, "paired", or not, "single".
-        layer
-            "high", "middle" or "low".
-        rate
-            Code rate of the layer in information bits per sent bit.
-        farthest_m
-            Largest distance of interest in m, such as that to which arrays are found.
-        """
+        """Return the largest distance at which a layer can be read, in m; 0 where it cannot at all."""
         enough = needed(rate)
 
         def spare(distance_m: float) -> float:

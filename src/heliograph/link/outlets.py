@@ -42,38 +42,14 @@ class Outlet(Protocol):
         """Where the rows are, for people."""
 
     def send(self, row: Mapping[str, Any]) -> None:
-        """Hand a row on; it never waits for those who take it.
-
-        Parameters
-        ----------
-        row
-            Plain values, as JSON takes them.
-
-        Raises
-        ------
-        OSError
-            The way out is gone.
-        """
+        """Hand a row on; it never waits for those who take it."""
 
     def close(self) -> None:
         """End it; what waits is sent within `LAST_WORDS_S`."""
 
 
 def open_outlet(address: str) -> Outlet:
-    """Open a way out.
-
-    Parameters
-    ----------
-    address
-        "udp://HOST:PORT" sends a datagram a row; "ws://127.0.0.1:PORT" waits for clients on this machine.
-
-    Raises
-    ------
-    SettingsError
-        The address is of another form, or a WebSocket that other machines would reach.
-    MediaError
-        It cannot be opened, or the library `websockets` is not installed.
-    """
+    """Open a way out."""
     parts = urlsplit(address)
     try:
         port = parts.port
@@ -92,18 +68,7 @@ def open_outlet(address: str) -> Outlet:
 
 
 class Datagrams:
-    """A datagram of UDP for each row; nobody need listen.
-
-    Parameters
-    ----------
-    host, port
-        Where they go: a name or an address of any machine, and a port from 1 to 65535.
-
-    Raises
-    ------
-    OSError
-        The host is not known.
-    """
+    """A datagram of UDP for each row; nobody need listen."""
 
     def __init__(self, host: str, port: int):
         family, kind, protocol, _, there = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
@@ -125,18 +90,7 @@ class Datagrams:
 
 
 class WebSocket:
-    """A server of this machine that sends each row to all who are there; what they send is not read.
-
-    Parameters
-    ----------
-    host, port
-        Where it waits: a host of `LOOPBACK`; port 0 takes a free one.
-
-    Raises
-    ------
-    OSError
-        The port is taken.
-    """
+    """A server of this machine that sends each row to all who are there; what they send is not read."""
 
     def __init__(self, host: str, port: int):
         from websockets.sync.server import serve

@@ -159,18 +159,7 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
 
 
 def preset(name: str) -> dict[str, Any]:
-    """What a preset changes of the defaults.
-
-    Parameters
-    ----------
-    name
-        Name of the preset, one of `PRESETS`.
-
-    Raises
-    ------
-    SettingsError
-        There is no preset of that name; the message names the nearest.
-    """
+    """What a preset changes of the defaults."""
     if name not in PRESETS:
         close = get_close_matches(name, PRESETS, 1)
         hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(PRESETS)}"

@@ -1,16 +1,73 @@
 """Transmitters and channel together: messages to camera frames and their truth."""
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeGuard
+from pathlib import Path
+from typing import Any, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
-from heliograph.base.errors import SettingsError, shown
+from heliograph.base.errors import MediaError, SettingsError, shown
+from heliograph.base.files import read_bounded
 from heliograph.base.frames import Frame
 from heliograph.channel import Footage, ImuTrace, Truth, film
 from heliograph.link.settings import LinkSettings
+from heliograph.media import open_film
 from heliograph.transmit import Content, Transmitter
+
+MOST_TRACE = 1 << 28
+"""Most bytes of a motion file: an hour at 1000 samples a second takes 220 MB."""
+
+IMU_COLUMNS = ("t_s", "gyro_fwd_rad_s", "gyro_right", "gyro_down", "speed_m_s")
+"""Columns of a motion file, by name in its first line: time, rates about forward, right and down axis, car speed."""
+
+
+def load_footage(path: Path) -> Footage:
+    """Footage from any video file; it is read again from the start whenever the channel needs it."""
+    with open_film(path, expand_range=True) as film:
+        rate = film.rate_hz
+        next(iter(film))
+
+    def frames() -> Iterator[NDArray[np.uint8]]:
+        with open_film(path, expand_range=True) as film:
+            for frame in film:
+                yield (frame.pixels >> (frame.bits - 8)).astype(np.uint8)
+
+    return Footage(frames, rate)
+
+
+def load_imu(path: Path) -> ImuTrace:
+    """Motion of a car from a CSV file."""
+    table = _table(path)
+    lacking = [name for name in IMU_COLUMNS if name not in (table.dtype.names or ())]
+    if lacking:
+        raise MediaError(f"{path} lacks the column '{lacking[0]}'; a motion file has {', '.join(IMU_COLUMNS)}")
+    try:
+        return ImuTrace.from_columns(*(np.atleast_1d(table[name]) for name in IMU_COLUMNS))
+    except ValueError as error:
+        raise MediaError(f"{path}: {error}") from None
+
+
+def _table(path: Path) -> Any:
+    """A CSV file's columns by name, NaN where there is no number."""
+    try:
+        text = read_bounded(path, MOST_TRACE).decode()
+    except OSError as error:
+        raise MediaError(f"cannot read the motion file {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise MediaError(f"the motion file {path} is no text; give a CSV file") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a file without rows: its length is checked
+            return np.genfromtxt(text.splitlines(), delimiter=",", names=True, dtype=np.float64)
+    except IndexError:  # NumPy's, where all lines are blank or comments
+        raise MediaError(f"the motion file {path} is empty; a motion file has {', '.join(IMU_COLUMNS)}") from None
+    except ValueError as error:
+        reason = str(error).splitlines()[:2][-1].strip()  # the second line names the row that is short
+        raise MediaError(f"cannot read the motion file {path}: {reason}") from None
+
 
 Messages = Mapping[str, Sequence[Content]]
 """Messages by layer: bytes, `Updates` that change, a `SentFile`."""
@@ -18,28 +75,16 @@ Messages = Mapping[str, Sequence[Content]]
 
 @dataclass(frozen=True, kw_only=True)
 class Recordings:
-    """Real recordings a simulation may use.
+    """Real recordings a simulation may use."""
 
-    Attributes
-    ----------
-    footage
-        Background, for channel.background.kind = "footage"; None where there is none.
-    imu
-        Motion of a car, for channel.shake = "imu"; None where there is none.
-    """
-
+    # Background, for channel.background.kind = "footage"; None where there is none
     footage: Footage | None = None
+    # Motion of a car, for channel.shake = "imu"; None where there is none
     imu: ImuTrace | None = None
 
 
 def default_messages(settings: LinkSettings) -> list[Messages]:
-    """A text by layer for each array, which names the array and the layer.
-
-    Parameters
-    ----------
-    settings
-        The link, of which ``transmit.identities`` is used.
-    """
+    """A text by layer for each array, which names the array and the layer."""
     rules = {
         "high": "Signal ahead: red for 12 s. Prepare to stop.",
         "middle": "Junction 7: right lane closed, detour by Harbour Road, 4 minutes of delay.",
@@ -52,21 +97,7 @@ def default_messages(settings: LinkSettings) -> list[Messages]:
 
 
 def transmitters(settings: LinkSettings, messages: Sequence[Messages]) -> list[Transmitter]:
-    """A transmitter for each array.
-
-    Parameters
-    ----------
-    settings
-        The link; its `signal` and `transmit` parts are used.
-    messages
-        What each array sends, in the order of the arrays.
-
-    Raises
-    ------
-    SettingsError
-        There is not one entry for each array, a message is too long, there are too many, or a packet is too small for
-        a codeword.
-    """
+    """A transmitter for each array."""
     identities = settings.transmit.identities
     if isinstance(messages, Mapping) or not isinstance(messages, Sequence) or len(messages) != len(identities):
         raise SettingsError(

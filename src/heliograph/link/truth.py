@@ -1,7 +1,4 @@
-"""The truth of a simulated film, in a file beside it: what was sent, and where the arrays were in each frame.
-
-Only error counting and pictures read it, never a receiver.
-"""
+"""Truth of a simulated film, in a file beside it, and the check that film and truth agree."""
 
 import contextlib
 import io
@@ -13,7 +10,7 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -22,18 +19,19 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.config import from_mapping, to_mapping
+from heliograph.base.config import from_mapping, keys_of, merge, to_mapping
 from heliograph.base.errors import HeliographError, MediaError, brief
 from heliograph.base.files import clear_write_errors, path_beside, whole_file
 from heliograph.channel import NoiseModel, Truth
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
+from heliograph.media import FilmReader
 from heliograph.signal.block import MAX_MESSAGE
 from heliograph.signal.fountain.codes import CODES
 from heliograph.signal.fountain.files import SentFile
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.message import MAX_MESSAGES, Updates
-from heliograph.signal.settings import LAYERS
+from heliograph.signal.settings import LAYERS, SignalSettings
 from heliograph.transmit import Content
 
 MOST_ABOUT = 1 << 24
@@ -63,44 +61,17 @@ NOISE_LEVEL = 0.5
 
 
 def row_type(arrays: int) -> np.dtype[Any]:
-    """Type of a frame's row.
-
-    Parameters
-    ----------
-    arrays
-        Number of arrays in the film, 1 or more.
-    """
+    """Type of a frame's row."""
     return np.dtype([("index", "i8"), ("time_s", "f8"), ("arrays", ARRAY_FIELDS, (arrays,))])
 
 
 def truth_path(film: Path) -> Path:
-    """Return the name of a film's truth file: FILM.truth.npz, cut where file systems allow no such length.
-
-    Parameters
-    ----------
-    film
-        Name of the film, which need not exist.
-    """
+    """Return the name of a film's truth file: FILM.truth.npz, cut where file systems allow no such length."""
     return path_beside(film, ".truth.npz")
 
 
 class TruthWriter:
-    """Writes the truth of a film frame by frame; the file appears whole when finished.
-
-    Parameters
-    ----------
-    path
-        The .npz file, in a folder that exists; a file of that name is replaced.
-    settings, messages, seed
-        What is simulated: the link, what each array sends in the order of the arrays, and the seed.
-    film_id
-        Id that the film has as well, so that film and truth are known to belong together.
-
-    Raises
-    ------
-    MediaError
-        The path is a folder's.
-    """
+    """Writes the truth of a film frame by frame; the file appears whole when finished."""
 
     def __init__(self, path: Path, settings: LinkSettings, messages: Sequence[Messages], seed: int, film_id: str = ""):
         self._path, self._settings, self._messages = path, settings, messages
@@ -113,13 +84,7 @@ class TruthWriter:
         self._count = 0
 
     def add(self, truth: Truth) -> None:
-        """Append a frame.
-
-        Parameters
-        ----------
-        truth
-            Truth of the frame, with one entry for each array of the settings.
-        """
+        """Append a frame."""
         row = np.zeros(1, self._type)
         row["index"], row["time_s"] = truth.index, truth.time_s
         row["arrays"][0] = [
@@ -174,44 +139,30 @@ class TruthWriter:
 
 @dataclass(frozen=True, slots=True)
 class FrameTruth:
-    """The part of a frame's truth that errors are counted with.
+    """The part of a frame's truth that errors are counted with."""
 
-    Attributes
-    ----------
-    index
-        Number of the frame.
-    time_s
-        True time of the start of its exposure in s.
-    distances_m
-        Distance of each array in m, in the order of the settings, rounded to single precision as in a file.
-    visible
-        Whether all LEDs of each array are in view.
-    """
-
+    # Number of the frame
     index: int
+    # True time of the start of its exposure in s
     time_s: float
+    # Distance of each array in m, in the order of the settings, rounded to single precision as in a file
     distances_m: Sequence[float]
+    # Whether all LEDs of each array are in view
     visible: Sequence[bool]
 
 
 @dataclass(frozen=True)
 class TruthFile:
-    """A truth file opened for reading.
+    """A truth file opened for reading."""
 
-    Attributes
-    ----------
-    path
-        The .npz file, from which rows are read when they are asked for.
-    settings, messages, seed
-        What was simulated: the link, what each array sent in the order of the arrays, and the seed.
-    film_id
-        Id the film has as well; empty where unknown.
-    """
-
+    # The .npz file, from which rows are read when they are asked for
     path: Path
+    # settings, messages, seed: what was simulated: the link, what each array sent in the order of the arrays, and the
+    # seed
     settings: LinkSettings
     messages: Sequence[Messages]
     seed: int
+    # Id the film has as well; empty where unknown
     film_id: str = ""
 
     def frames(self) -> Iterator[FrameTruth]:
@@ -223,13 +174,7 @@ class TruthFile:
             )
 
     def rows(self) -> Iterator[NDArray[Any]]:
-        """Rows of `row_type`, one per frame, in the order of time.
-
-        Raises
-        ------
-        MediaError
-            The file is damaged.
-        """
+        """Rows of `row_type`, one per frame, in the order of time."""
         kind = row_type(len(self.settings.channel.arrays))
         with _broken_is_clear(self.path), zipfile.ZipFile(self.path) as archive, archive.open("frames.npy") as file:
             left = count = _count(file, kind)
@@ -245,18 +190,7 @@ class TruthFile:
 
 
 def open_truth(path: Path) -> TruthFile:
-    """Open a truth file.
-
-    Parameters
-    ----------
-    path
-        The .npz file that was written beside a film.
-
-    Raises
-    ------
-    MediaError
-        It is missing, damaged, or no truth file; or it has no frames.
-    """
+    """Open a truth file."""
     if not path.is_file():
         raise MediaError(f"there is no truth file {path}; 'heliograph simulate' writes it beside the film")
     with _broken_is_clear(path), zipfile.ZipFile(path) as archive:
@@ -390,3 +324,99 @@ def _content(archive: zipfile.ZipFile, named: Any) -> Content:
     data, ends = _read(archive, named["updates"], MOST_ABOUT), list(accumulate(map(int, named["lengths"])))
     parts = [data[start:end] for start, end in zip([0, *ends], ends, strict=False)]
     return Updates(tuple(zip(map(float, named["times_s"]), parts, strict=True)))
+
+
+SIGNAL_TAG = "heliograph_signal"
+"""Metadata of a film that holds its signal's settings; a receiver may know them."""
+
+TRUTH_TAG = "heliograph_simulation"
+"""Metadata of a simulated film that names its truth file: a random id both have."""
+
+RATE_TOLERANCE = 1e-3
+"""Relative departure of a film's rate from its truth's that a container's rounding explains."""
+
+
+def signal_note(signal: SignalSettings) -> dict[str, str]:
+    """Return what a film notes of its signal, as metadata."""
+    return {SIGNAL_TAG: json.dumps(to_mapping(signal))}
+
+
+def noted_signal(film: FilmReader) -> dict[str, Any]:
+    """Signal settings that a film notes, as nested mappings; empty where it notes none."""
+    text = film.metadata.get(SIGNAL_TAG)
+    if text is None:
+        return {}
+    try:
+        note = json.loads(text)
+        from_mapping(SignalSettings, note)
+    except (ValueError, RecursionError) as error:  # no JSON, or no settings
+        raise MediaError(
+            f"the film's note on its signal is unreadable ({brief(error)}); set signal.* yourself"
+        ) from None
+    return dict(note)
+
+
+def signal_of(
+    film: FilmReader, preset: SignalSettings, changes: Sequence[Mapping[str, Any]] = ()
+) -> tuple[SignalSettings, str]:
+    """Signal of a film: the preset's, changed by the film's note and then by the changes."""
+    try:
+        note = noted_signal(film)
+    except MediaError:
+        if not any(changes):
+            raise
+        note = {}
+    noted = merge(to_mapping(preset), note)
+    tree = noted
+    for change in changes:
+        tree = merge(tree, change)
+    signal = from_mapping(SignalSettings, tree)
+    departures = _differences(signal, from_mapping(SignalSettings, noted)) if note else []
+    listed = ", ".join(f"{key}={ours} instead of {theirs}" for key, ours, theirs in departures)
+    return signal, f"not as the film's note says: {listed}" if listed else ""
+
+
+def departures(film: object, signal: SignalSettings) -> list[tuple[str, Any, Any]]:
+    """Return the settings in which a signal differs from what a film notes: dotted key, value, noted value."""
+    try:
+        note = json.loads(getattr(film, "metadata", {}).get(SIGNAL_TAG, "{}"))
+        return _differences(signal, from_mapping(SignalSettings, merge(to_mapping(signal), note)))
+    except (ValueError, RecursionError):  # no JSON, or no settings
+        return []
+
+
+def _differences(one: SignalSettings, other: SignalSettings) -> list[tuple[str, Any, Any]]:
+    """Dotted keys in which two signals differ, with both values."""
+    pairs = [(key, _value(one, key), _value(other, key)) for key in keys_of(SignalSettings)]
+    return [(f"signal.{key}", _shown(a), _shown(b)) for key, a, b in pairs if a != b]
+
+
+def _value(settings: Any, key: str) -> Any:
+    for part in key.split("."):
+        settings = getattr(settings, part)
+    return settings
+
+
+def _shown(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def check_truth(film: FilmReader, truth: TruthFile, signal: SignalSettings) -> None:
+    """Check that errors can be counted: the truth is that of the film, and the signal is the one that was sent."""
+    camera, own = truth.settings.channel.camera, film.metadata.get(TRUTH_TAG)
+    size, rate = (camera.width, camera.height), camera.fps
+    if own and truth.film_id and own != truth.film_id:
+        differs = "they come from different simulations"
+    elif size != (film.width, film.height):
+        differs = f"it has frames of {size[0]}x{size[1]} pixels, the film of {film.width}x{film.height}"
+    elif abs(rate / film.rate_hz - 1) > RATE_TOLERANCE:
+        differs = f"it has {rate:g} frames/s, the film {film.rate_hz:g}"
+    elif departures := _differences(signal, truth.settings.signal):
+        key, ours, sent = departures[0]
+        raise MediaError(
+            f"{key} is {ours}, but {truth.path} says {sent} was sent: errors cannot be counted; "
+            f"leave signal.* as the film notes it, or give no truth"
+        )
+    else:
+        return
+    raise MediaError(f"{truth.path} is not the truth of {film.path}: {differs}; give the one written beside the film")

@@ -27,21 +27,7 @@ MOST_PAIRS = 48
 
 
 def warm_up(signal: SignalSettings, settings: ReceiveSettings, bits: int) -> bool:
-    """Receive a packet of drawn frames, so that all that a receiver loads or compiles is there.
-
-    Parameters
-    ----------
-    signal
-        Settings of the light's signal.
-    settings
-        Settings of the receiver.
-    bits
-        Bits of a gray level, 8 to 16.
-
-    Returns
-    -------
-    Whether anything was read.
-    """
+    """Receive a packet of drawn frames, so that all that a receiver loads or compiles is there."""
     receiver, read = make_receiver(signal, settings), False
     with suppress(HeliographError):  # what is wrong is said of the real frames
         for frame in _frames(signal, bits):

@@ -29,25 +29,7 @@ BENCH_MARGIN_PX = 12
 def run_block(
     settings: LinkSettings, seed: int, recordings: Recordings | None = None, max_packets: int | None = None
 ) -> BlockCounts:
-    """Send, film, receive and count one block; the result depends on settings and seed alone.
-
-    Parameters
-    ----------
-    settings
-        The link. Where nothing moves, the block is a film of one packet, whatever ``channel.duration_s``, with the
-        arrays anywhere within a pixel of their places; else the whole drive.
-    seed
-        Of messages, road, scene, noise and place, at least 0.
-    recordings
-        Real background and motion; None where there are none.
-    max_packets
-        Cut the film after so many packets; None: as above.
-
-    Raises
-    ------
-    HeliographError
-        Settings, recordings and receiver do not fit each other.
-    """
+    """Send, film, receive and count one block; the result depends on settings and seed alone."""
     settings = dithered(block_settings(settings, max_packets), seed)
     film = LiveFilm(settings, random_messages(settings, seed), seed, recordings, window_margin_px(settings))
     reception = Reception(film)
@@ -56,15 +38,7 @@ def run_block(
 
 
 def block_settings(settings: LinkSettings, max_packets: int | None = None) -> LinkSettings:
-    """The settings with the length of film that `run_block` takes.
-
-    Parameters
-    ----------
-    settings
-        The link, of which ``channel.duration_s`` is replaced unless the film is a whole drive.
-    max_packets
-        Packets of a film; None: one where nothing moves, else the whole drive.
-    """
+    """The settings with the length of film that `run_block` takes."""
     channel, signal = settings.channel, settings.signal
     if max_packets is None and not stands_still(settings):
         return settings
@@ -74,15 +48,7 @@ def block_settings(settings: LinkSettings, max_packets: int | None = None) -> Li
 
 
 def lasting(settings: LinkSettings, duration_s: float) -> LinkSettings:
-    """The settings with another length of film.
-
-    Parameters
-    ----------
-    settings
-        The link, of which ``channel.duration_s`` is replaced.
-    duration_s
-        Length of the film in s, above 0.
-    """
+    """The settings with another length of film."""
     return replace(settings, channel=replace(settings.channel, duration_s=duration_s))
 
 
@@ -90,13 +56,6 @@ def dithered(settings: LinkSettings, seed: int) -> LinkSettings:
     """The settings with arrays that do not move placed anywhere within a pixel; a drive stays as it is.
 
     Errors depend on where LEDs fall between pixels.
-
-    Parameters
-    ----------
-    settings
-        The link, of which the places of ``channel.arrays`` are replaced where nothing moves.
-    seed
-        Of the places within a pixel, at least 0.
     """
     if not stands_still(settings):
         return settings
@@ -104,15 +63,7 @@ def dithered(settings: LinkSettings, seed: int) -> LinkSettings:
 
 
 def placed_within_pixel(settings: LinkSettings, rng: np.random.Generator) -> LinkSettings:
-    """The settings with each array moved by up to half a pixel to any side.
-
-    Parameters
-    ----------
-    settings
-        The link, of which the places of ``channel.arrays`` are replaced.
-    rng
-        Draws the shift of each array, to the right and down.
-    """
+    """The settings with each array moved by up to half a pixel to any side."""
     channel = settings.channel
     places = []
     for place in channel.arrays:
@@ -123,13 +74,7 @@ def placed_within_pixel(settings: LinkSettings, rng: np.random.Generator) -> Lin
 
 
 def stands_still(settings: LinkSettings) -> bool:
-    """Whether nothing in the scene moves, so that a film may have any length.
-
-    Parameters
-    ----------
-    settings
-        The link, of which vehicle, shake and arrays of the channel are looked at.
-    """
+    """Whether nothing in the scene moves, so that a film may have any length."""
     channel = settings.channel
     return (
         not channel.moves
@@ -139,15 +84,7 @@ def stands_still(settings: LinkSettings) -> bool:
 
 
 def random_messages(settings: LinkSettings, seed: int) -> list[Mapping[str, Sequence[bytes]]]:
-    """Random bytes by array and layer, enough that no codeword of the film is sent twice.
-
-    Parameters
-    ----------
-    settings
-        The link, with the length of the film.
-    seed
-        Of the random bytes, at least 0.
-    """
+    """Random bytes by array and layer, enough that no codeword of the film is sent twice."""
     camera, named = settings.channel.camera, settings.transmit.formats or (AGREED,)
     film_s = camera.start_s + (frames_of(settings) + 1) * camera.frame_period_s
     packets = math.ceil(film_s / (settings.signal.packet_s * 0.99)) + 1  # a clock may be 1 % fast
@@ -163,13 +100,7 @@ def _enough(layer: LayerFormat, packets: int) -> int:
 
 
 def window_margin_px(settings: LinkSettings) -> int:
-    """Margin in px about the arrays: half an array's side, so that most of a window is background.
-
-    Parameters
-    ----------
-    settings
-        The link; the side is that of the image at the nearest distance, at most ``receive.detect.max_side_px``.
-    """
+    """Margin in px about the arrays: half an array's side, so that most of a window is background."""
     channel = settings.channel
     nearest = min(channel.distance_m, channel.stop_m) if channel.moves else channel.distance_m
     side = settings.signal.side * channel.emitter.pitch_m * channel.camera.focal_px / nearest

@@ -10,52 +10,34 @@ from heliograph.signal.settings import LAYERS
 
 @dataclass(frozen=True, slots=True)
 class LayerCounts:
-    """Counts of a layer; a codeword is wrong where it was not read rightly, missed ones included.
+    """Counts of a layer; a codeword is wrong where it was not read rightly, missed ones included."""
 
-    Attributes
-    ----------
-    bits, bit_errors
-        Information bits after the turbo decoder, of received packets.
-    raw_bits, raw_errors
-        Coded bits before it, by the first equalisation, of received packets.
-    codewords, codeword_errors, missed
-        Codewords sent; those that are wrong; those of packets of which nothing was received, which are wrong too.
-    packets
-        Received packets whose bits are in `bits`; one read in another format than it was sent in is not.
-    bit_squares, raw_squares
-        Sums over the packets of the squares of their `bit_errors` and `raw_errors`: they show how much errors cluster.
-    final_raw_bits, final_raw_errors, final_raw_squares
-        The same of coded bits by the last equalisation before the decoder; see `Codeword.final_raw`.
-    """
-
+    # bits, bit_errors: information bits after the turbo decoder, of received packets
     bits: int = 0
     bit_errors: int = 0
+    # raw_bits, raw_errors: coded bits before it, by the first equalisation, of received packets
     raw_bits: int = 0
     raw_errors: int = 0
+    # codewords, codeword_errors, missed: codewords sent; those that are wrong; those of packets of which nothing was
+    # received, which are wrong too
     codewords: int = 0
     codeword_errors: int = 0
     missed: int = 0
+    # Received packets whose bits are in `bits`; one read in another format than it was sent in is not
     packets: int = 0
+    # bit_squares, raw_squares: sums over the packets of the squares of their `bit_errors` and `raw_errors`: they show
+    # how much errors cluster
     bit_squares: int = 0
     raw_squares: int = 0
+    # final_raw_bits, final_raw_errors, final_raw_squares: the same of coded bits by the last equalisation before the
+    # decoder; see `Codeword.final_raw`
     final_raw_bits: int = 0
     final_raw_errors: int = 0
     final_raw_squares: int = 0
 
     @classmethod
     def of_packet(cls, bits: Count, raw: Count, words: Count, final_raw: Count | None = None) -> Self:
-        """Counts of one received packet.
-
-        Parameters
-        ----------
-        bits, raw
-            Information bits after the turbo decoder and coded bits before it; no bits where the packet was read in
-            another format than it was sent in.
-        words
-            Codewords that it was sent with, and those of them that are wrong.
-        final_raw
-            Coded bits by the last equalisation; None if that was the first.
-        """
+        """Counts of one received packet."""
         last = raw if final_raw is None else final_raw
         return cls(
             bits.trials,
@@ -74,13 +56,7 @@ class LayerCounts:
 
     @classmethod
     def of_missed(cls, codewords: int) -> Self:
-        """Counts of a packet of which nothing was received.
-
-        Parameters
-        ----------
-        codewords
-            Number of codewords of the layer that were sent, 0 or more.
-        """
+        """Counts of a packet of which nothing was received."""
         return cls(codewords=codewords, codeword_errors=codewords, missed=codewords)
 
     def __add__(self, other: "LayerCounts") -> "LayerCounts":
@@ -140,13 +116,7 @@ def no_errors() -> dict[str, LayerCounts]:
 
 
 def pooled(parts: Iterable[Layers]) -> dict[str, LayerCounts]:
-    """Sum of several counts, by layer.
-
-    Parameters
-    ----------
-    parts
-        Counts by layer, of packets, distance bins or films; none gives zeros.
-    """
+    """Sum of several counts, by layer."""
     total = no_errors()
     for layers in parts:
         for name, counts in layers.items():
@@ -156,37 +126,26 @@ def pooled(parts: Iterable[Layers]) -> dict[str, LayerCounts]:
 
 @dataclass(frozen=True, slots=True)
 class BlockCounts:
-    """Counts of a block, or the sum of several.
+    """Counts of a block, or the sum of several."""
 
-    Attributes
-    ----------
-    layers
-        Counts of bits and codewords by layer.
-    bins
-        The same by the lower edge in m of the distance bin.
-    payload_bits
-        Payload of the codewords read, in bits, by layer.
-    false_codewords
-        Codewords accepted as right that were not sent.
-    packets, detected
-        Packets filmed whole, all arrays; those of them whose header was found, or of which anything was read.
-    false_packets, duplicates
-        Packets received that were not sent, and those received again.
-    film_s
-        Length of the film in s, by its frames.
-    frames
-        Frames that the receiver took; dropped ones do not count.
-    """
-
+    # Counts of bits and codewords by layer
     layers: Layers = field(default_factory=no_errors)
+    # The same by the lower edge in m of the distance bin
     bins: Mapping[float, Layers] = field(default_factory=dict)
+    # Payload of the codewords read, in bits, by layer
     payload_bits: Mapping[str, int] = field(default_factory=lambda: dict.fromkeys(LAYERS, 0))
+    # packets, detected: packets filmed whole, all arrays; those of them whose header was found, or of which anything
+    # was read
     packets: int = 0
     detected: int = 0
+    # Codewords accepted as right that were not sent
     false_codewords: int = 0
+    # false_packets, duplicates: packets received that were not sent, and those received again
     false_packets: int = 0
     duplicates: int = 0
+    # Length of the film in s, by its frames
     film_s: float = 0.0
+    # Frames that the receiver took; dropped ones do not count
     frames: int = 0
 
     @property
@@ -215,18 +174,7 @@ class BlockCounts:
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Self:
-        """Counts from plain values: the inverse of `to_plain`.
-
-        Parameters
-        ----------
-        plain
-            Plain values of `to_plain`, as they are or read from JSON.
-
-        Raises
-        ------
-        ValueError
-            They are not what `to_plain` gives: something is missing, has another type, or cannot have been counted.
-        """
+        """Counts from plain values: the inverse of `to_plain`."""
         _check_names("a block", plain, {one.name for one in fields(cls)})
         if not isinstance(plain["bins"], Sequence):
             raise ValueError("bins are a list")

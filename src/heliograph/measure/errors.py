@@ -38,26 +38,7 @@ class _Sent:
 
 
 class ErrorCounter:
-    """Compares packets with the truth.
-
-    Parameters
-    ----------
-    settings
-        The link as it was simulated.
-    messages
-        What each array sent, in the order of the arrays.
-
-    Attributes
-    ----------
-    false_packets
-        Packets with a decoded codeword of an array that does not exist, or of a time at which the array sent nothing.
-    uncertain_packets
-        Packets of an array that does not exist, without a decoded codeword: the receiver reports them as uncertain.
-    false_codewords
-        Codewords accepted as right whose content was not sent at that time: there must be none.
-    duplicates
-        Packets received again; the one with more right codewords counts, the first of equals.
-    """
+    """Compares packets with the truth."""
 
     def __init__(self, settings: LinkSettings, messages: Sequence[Messages]):
         self._settings = settings
@@ -71,15 +52,7 @@ class ErrorCounter:
         self._seen_s: list[float] = []
 
     def saw(self, time_s: float, distances_m: Sequence[float], visible: Sequence[bool]) -> None:
-        """Take the truth of a frame; frames come in the order of time.
-
-        Parameters
-        ----------
-        time_s
-            True time of the start of its exposure in s.
-        distances_m, visible
-            Distance of each array in m, and whether all its LEDs are in view.
-        """
+        """Take the truth of a frame; frames come in the order of time."""
         lost, self._last_s = self._lost_before(time_s), time_s
         self._seen_s.append(time_s)
         for array, (distance, in_view) in enumerate(zip(distances_m, visible, strict=True)):
@@ -98,27 +71,13 @@ class ErrorCounter:
                 sent.distance_m, sent.off_middle = distance, abs(place - 0.5)
 
     def found(self, identity: int, start_time_s: float) -> None:
-        """Take a header that the receiver found; one that was not sent is not looked at.
-
-        Parameters
-        ----------
-        identity
-            Number of the array, 0 to 29.
-        start_time_s
-            Start of the header by the camera's clock in s; the truth up to its last frame must have been seen.
-        """
+        """Take a header that the receiver found; one that was not sent is not looked at."""
         sent = self._sent_at(identity, start_time_s)
         if sent is not None:
             sent[2].found = True
 
     def received(self, packet: Packet) -> None:
-        """Count a packet against the truth.
-
-        Parameters
-        ----------
-        packet
-            A packet as the receiver hands it out; the truth up to its last frame must have been seen.
-        """
+        """Count a packet against the truth."""
         place = self._sent_at(packet.identity, packet.start_time_s)
         if place is None:
             self._count_false(packet)

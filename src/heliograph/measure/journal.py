@@ -13,8 +13,8 @@ from heliograph.receive import Packet
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, LostEvent, MissedStartEvent
 from heliograph.receive.settings import CalibrationSettings
+from heliograph.road.codec import group_words, road_values, road_words
 from heliograph.road.countdown import Countdown
-from heliograph.road.read import group_words, road_values, road_words
 from heliograph.signal.fountain.files import FileProgress
 from heliograph.signal.message import Message
 
@@ -30,15 +30,7 @@ FEWEST_PACKETS = 3
 
 
 class Journal:
-    """Tells what happens in a reception, in the order in which it happens.
-
-    Parameters
-    ----------
-    calibration
-        Lens and array, by which a pitch is a distance.
-    tell
-        Called with each row as soon as it is known; what it raises ends the reception.
-    """
+    """Tells what happens in a reception, in the order in which it happens."""
 
     def __init__(self, calibration: CalibrationSettings, tell: Callable[[Row], None]):
         self._calibration, self._tell = calibration, tell
@@ -48,13 +40,7 @@ class Journal:
         self._lights: dict[int, Countdown] = defaultdict(Countdown)
 
     def observe(self, event: object) -> None:
-        """Take an event of the receiver; arrays found and lost are told.
-
-        Parameters
-        ----------
-        event
-            Any event of the receiver; those of its inner stages are passed over.
-        """
+        """Take an event of the receiver; arrays found and lost are told."""
         if isinstance(event, DetectEvent):
             self._orientations[event.detection.identity] = str(event.detection.orientation)
             self._tell(self._found(event.detection, event.frames))
@@ -68,17 +54,7 @@ class Journal:
             self._tell({**row, "orientation": seen_as, "approach_m_s": approach(way or ())})
 
     def read(self, packet: Packet, messages: Sequence[Message], files: Sequence[FileProgress] = ()) -> None:
-        """Tell a packet, the messages that it completes, and how far files have come with it.
-
-        Parameters
-        ----------
-        packet
-            A packet, all of it read or a part; packets of an array come in the order of time.
-        messages
-            The messages of which it brought the last segment, in any order; there may be none.
-        files
-            What is there of each file of which it brought symbols.
-        """
+        """Tell a packet, the messages that it completes, and how far files have come with it."""
         way = self._ways.setdefault(packet.identity, deque(maxlen=SPEED_PACKETS))
         way.append((packet.start_time_s, packet.distance_m))
         self._orientations[packet.identity] = str(packet.orientation)
@@ -120,13 +96,7 @@ class Journal:
 
 
 def approach(way: Sequence[tuple[float, float]]) -> float | None:
-    """Speed at which an array comes nearer, in m/s; None of fewer than `FEWEST_PACKETS` places.
-
-    Parameters
-    ----------
-    way
-        Times in s and distances in m, in the order of time.
-    """
+    """Speed at which an array comes nearer, in m/s; None of fewer than `FEWEST_PACKETS` places."""
     if len(way) < FEWEST_PACKETS:
         return None
     times_s, distances_m = np.array(way).T
@@ -136,13 +106,7 @@ def approach(way: Sequence[tuple[float, float]]) -> float | None:
 
 
 def message_row(message: Message) -> Row:
-    """A message as plain values: its bytes in Base64, as text where they are UTF-8, what it says of the road.
-
-    Parameters
-    ----------
-    message
-        A whole message as it was put together from its segments.
-    """
+    """A message as plain values: its bytes in Base64, as text where they are UTF-8, what it says of the road."""
     row = {
         "event": "message",
         "id": message.identity,
@@ -161,15 +125,7 @@ def message_row(message: Message) -> Row:
 
 
 def file_row(progress: FileProgress, identity: int) -> Row:
-    """What is there of a file, as plain values; its content in Base64 where it is whole.
-
-    Parameters
-    ----------
-    progress
-        What is there of it after a packet.
-    identity
-        Number of the array that sent the packet, 0 to 29.
-    """
+    """What is there of a file, as plain values; its content in Base64 where it is whole."""
     key, whole = progress.key, progress.whole
     row: dict[str, Any] = {
         "event": "file", "id": identity, "file": str(key), "bytes": key.length, "symbols": progress.had,
@@ -183,13 +139,7 @@ def file_row(progress: FileProgress, identity: int) -> Row:
 
 
 def sentence(row: Row) -> str:
-    """A row in words, for people.
-
-    Parameters
-    ----------
-    row
-        What happened, as a `Journal` tells it; the end of a film is no such row.
-    """
+    """A row in words, for people."""
     array = f"array {row['id']}"
     if row["event"] == "message":
         said = f"; {road_words(row['road'])}" if "road" in row else ""
@@ -221,25 +171,13 @@ def sentence(row: Row) -> str:
 
 
 def missed_words(row: Row) -> str:
-    """Say that the packet before the first header of an array is lost.
-
-    Parameters
-    ----------
-    row
-        A row with the `id` of the array and `time_s` of that header.
-    """
+    """Say that the packet before the first header of an array is lost."""
     first = f"before the first header found, at {row['time_s']:.3f} s"
     return f"array {row['id']}: a packet began {first}; that packet is lost"
 
 
 def file_words(row: Row) -> str:
-    """How far a file has come, in words.
-
-    Parameters
-    ----------
-    row
-        A row of `file_row`.
-    """
+    """How far a file has come, in words."""
     if row["whole"]:
         return f"file {row['file']} is whole: {row['name']!r}, {row['bytes']} bytes"
     part = f"file {row['file']}: {row['symbols']} of {row['needed']} symbols, {row['bytes']} bytes in all"

@@ -22,19 +22,6 @@ class LiveFilm:
     """Frames as they are rendered, and the truth of each frame.
 
     It is a `FrameSource` and a `TruthSource`. Frames are taken once, in the order of time.
-
-    Parameters
-    ----------
-    settings
-        The link; its `receive` part is not looked at.
-    messages
-        What each array sends, in the order of the arrays.
-    seed
-        Of road, scene and noise, at least 0.
-    recordings
-        Real background and motion; None where there are none.
-    margin_px
-        Only the arrays' surroundings are rendered, this many px wider than they are; None renders whole frames.
     """
 
     path = "the film"

@@ -39,55 +39,36 @@ class TruthSource(Protocol):
 
 @dataclass(slots=True)
 class LayerTally:
-    """Codewords of a layer.
+    """Codewords of a layer."""
 
-    Attributes
-    ----------
-    ok, failed
-        Numbers of codewords read and not read.
-    bytes
-        Payload of the read ones in bytes; repeats count.
-    """
-
+    # ok, failed: numbers of codewords read and not read
     ok: int = 0
     failed: int = 0
+    # Payload of the read ones in bytes; repeats count
     bytes: int = 0
 
 
 @dataclass(slots=True)
 class ArrayTally:
-    """Packets of an array.
+    """Packets of an array."""
 
-    Attributes
-    ----------
-    first_frame, last_frame
-        Numbers of the frame in which its first packet begins and of that in which its newest ends.
-    first_distance_m, last_distance_m
-        Distance of the array at its first and at its newest packet in m, as the receiver finds it.
-    packets
-        Number of packets counted so far.
-    layers
-        Codewords read and not read, by layer.
-    confirmed
-        True if any packet so far has a decoded codeword; the array's identity is uncertain otherwise.
-    """
-
+    # first_frame, last_frame: numbers of the frame in which its first packet begins and of that in which its newest
+    # ends
     first_frame: int
+    # first_distance_m, last_distance_m: distance of the array at its first and at its newest packet in m, as the
+    # receiver finds it
     first_distance_m: float
     last_frame: int = 0
     last_distance_m: float = 0.0
+    # Number of packets counted so far
     packets: int = 0
+    # Codewords read and not read, by layer
     layers: dict[str, LayerTally] = field(default_factory=lambda: {name: LayerTally() for name in LAYERS})
+    # True if any packet so far has a decoded codeword; the array's identity is uncertain otherwise
     confirmed: bool = False
 
     def add(self, packet: Packet) -> None:
-        """Count a packet.
-
-        Parameters
-        ----------
-        packet
-            A packet of this array, after those before it.
-        """
+        """Count a packet."""
         self.last_frame, self.last_distance_m = packet.last_frame, packet.distance_m
         self.packets += 1
         self.confirmed |= packet.has_codeword
@@ -100,36 +81,7 @@ class ArrayTally:
 
 
 class Reception:
-    """Gathers packets to messages and counts.
-
-    Parameters
-    ----------
-    truth
-        Truth of the film; None where it is not known.
-    missed_starts
-        Arrays of which a packet began before the first header found, with the time of that header, as plain values.
-    files
-        Symbols of files from passages before; None begins without any.
-
-    Attributes
-    ----------
-    arrays
-        Packets and codewords by identity.
-    frames
-        Number of frames taken so far.
-    detections
-        Times the receiver took something for an array.
-    left_out
-        What its search left out.
-    errors
-        Errors against the truth; None where it is not known.
-    files
-        Symbols of files that are not whole.
-    progress
-        What is there of each file of which the newest packet brought symbols.
-    file_rows
-        What is there of each file as plain values.
-    """
+    """Gathers packets to messages and counts."""
 
     def __init__(self, truth: TruthSource | None = None, files: FileGatherer | None = None):
         self.arrays: dict[int, ArrayTally] = {}
@@ -145,13 +97,7 @@ class Reception:
         self.file_rows: dict[FileKey, dict[str, Any]] = {}
 
     def saw(self, index: int) -> None:
-        """Take the number of a frame; the truth moves on with it.
-
-        Parameters
-        ----------
-        index
-            Number of the frame; frames come in the order of time, and dropped ones leave gaps.
-        """
+        """Take the number of a frame; the truth moves on with it."""
         self.frames += 1
         if self._truths is None or self.errors is None:
             return
@@ -161,26 +107,14 @@ class Reception:
                 break
 
     def found(self, detection: Detection) -> None:
-        """Count a detection.
-
-        Parameters
-        ----------
-        detection
-            What the receiver takes for an array, whatever it may mean.
-        """
+        """Count a detection."""
         self.detections += 1
         if self.errors is not None:
             for one in detection.hypotheses:
                 self.errors.found(one.identity, one.start_time_s)
 
     def add(self, packet: Packet) -> Iterator[Message]:
-        """Count a packet and yield the messages it completes.
-
-        Parameters
-        ----------
-        packet
-            What the receiver hands out; it is left out where it is no packet, see `is_packet`.
-        """
+        """Count a packet and yield the messages it completes."""
         self.progress = ()
         if not is_packet(packet):
             return
@@ -213,17 +147,7 @@ class Reception:
         return self._reassembler.unfinished()
 
     def report(self, seconds: float) -> dict[str, Any]:
-        """All counts as plain values, for JSON.
-
-        Parameters
-        ----------
-        seconds
-            Computing time of the frames taken in s, at least 0.
-
-        Returns
-        -------
-        Counts; ``arrays`` lists the arrays of which a codeword is decoded, ``uncertain`` what has headers alone.
-        """
+        """All counts as plain values, for JSON."""
         tallies = sorted(self.arrays.items())
         out: dict[str, Any] = {
             "frames": self.frames,
@@ -255,28 +179,7 @@ def receive_film(
     observe: AnyObserver | None = None,
     progress: FrameProgress = silent,
 ) -> Iterator[tuple[Packet, list[Message]]]:
-    """Packets of a film, each with the messages it completes, as soon as they are read; all are counted.
-
-    Parameters
-    ----------
-    film
-        Frames in the order of time, such as those of an open film.
-    signal
-        The signal that the receiver expects.
-    settings
-        The link, of which only the receiver's part is used.
-    reception
-        Counts the packets; it holds the results so far if reading breaks off.
-    observe
-        Gets the receiver's events; None where nobody does.
-    progress
-        Called with the number of frames read.
-
-    Raises
-    ------
-    MediaError
-        The film breaks off or is shorter than a packet; all packets before have been given.
-    """
+    """Packets of a film, each with the messages it completes, as soon as they are read; all are counted."""
 
     def counted(event: Any) -> None:
         if isinstance(event, DetectEvent):

@@ -6,36 +6,19 @@ from typing import Self
 
 @dataclass(slots=True)
 class Count:
-    """Errors among trials.
+    """Errors among trials."""
 
-    Attributes
-    ----------
-    trials, errors
-        Number of trials counted so far, and how many of them failed.
-    """
-
+    # trials, errors: number of trials counted so far, and how many of them failed
     trials: int = 0
     errors: int = 0
 
     def add(self, trials: int, errors: int) -> None:
-        """Count more.
-
-        Parameters
-        ----------
-        trials, errors
-            To be added to those counted so far, 0 or more.
-        """
+        """Count more."""
         self.trials += int(trials)
         self.errors += int(errors)
 
     def include(self, other: Self) -> None:
-        """Count another's trials and errors as well.
-
-        Parameters
-        ----------
-        other
-            The count that is added; it stays as it is.
-        """
+        """Count another's trials and errors as well."""
         self.trials += other.trials
         self.errors += other.errors
 
@@ -50,13 +33,7 @@ class Count:
         return 3 / max(self.trials, 3)
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Clopper-Pearson interval of the rate.
-
-        Parameters
-        ----------
-        confidence
-            Coverage of the two-sided interval, a probability, 0 to 1.
-        """
+        """Clopper-Pearson interval of the rate."""
         return clopper_pearson(self.errors, self.trials, confidence)
 
     def text(self) -> str:
@@ -68,45 +45,26 @@ class Count:
 
 @dataclass(slots=True)
 class Clustered(Count):
-    """Errors among trials that may fail together, as the bits of a packet do.
+    """Errors among trials that may fail together, as the bits of a packet do."""
 
-    Attributes
-    ----------
-    clusters
-        Packets, or other units that fail together; of about equal numbers of trials.
-    squares
-        Sum of the squares of the clusters' errors.
-    scattered
-        The bound of the rate where no error was met, as the data then do not show whether errors come together. True:
-        as if they came singly, 3 / trials, as the raw errors of single LEDs do. False: as if a cluster failed as a
-        whole, 3 / clusters, as a turbo decoder's codewords do.
-    """
-
+    # Packets, or other units that fail together; of about equal numbers of trials
     clusters: int = 0
+    # Sum of the squares of the clusters' errors
     squares: int = 0
+    # The bound of the rate where no error was met, as the data then do not show whether errors come together. True: as
+    # if they came singly, 3 / trials, as the raw errors of single LEDs do. False: as if a cluster failed as a whole, 3
+    # / clusters, as a turbo decoder's codewords do
     scattered: bool = False
 
     def add(self, trials: int, errors: int) -> None:
-        """Count a cluster; one without trials is none.
-
-        Parameters
-        ----------
-        trials, errors
-            Trials of the cluster, and how many of them failed, 0 or more.
-        """
+        """Count a cluster; one without trials is none."""
         self.trials += int(trials)
         self.errors += int(errors)
         self.clusters += trials > 0
         self.squares += int(errors) ** 2
 
     def include(self, other: Self) -> None:
-        """Count another's clusters as well.
-
-        Parameters
-        ----------
-        other
-            The count whose clusters are added; it stays as it is.
-        """
+        """Count another's clusters as well."""
         self.trials += other.trials
         self.errors += other.errors
         self.clusters += other.clusters
@@ -136,11 +94,6 @@ class Clustered(Count):
 
         That is trials / `design_effect`, and less for few clusters, from which the design effect is hardly known; never
         less than the clusters.
-
-        Parameters
-        ----------
-        confidence
-            Coverage of the two-sided interval, a probability, above 0 and below 1.
         """
         if self.scattered and not self.errors:
             return clopper_pearson(0, self.trials, confidence)
@@ -161,25 +114,7 @@ class Clustered(Count):
 
 
 def clopper_pearson(errors: float, trials: float, confidence: float = 0.95) -> tuple[float, float]:
-    """Exact confidence interval of a binomial rate (Clopper and Pearson 1934).
-
-    Parameters
-    ----------
-    errors, trials
-        Counts, 0 <= errors <= trials; effective ones need not be whole.
-    confidence
-        Coverage of the two-sided interval, 0 to 1; with no errors the whole risk lies above, so the bound is about
-        3 / n.
-
-    Returns
-    -------
-    Lower and upper end.
-
-    Raises
-    ------
-    ValueError
-        There are more errors than trials, or fewer than 0.
-    """
+    """Exact confidence interval of a binomial rate (Clopper and Pearson 1934)."""
     if not 0 <= errors <= trials:
         raise ValueError(f"errors must be 0 to {trials} (the trials), not {errors}")
     if trials == 0:

@@ -11,8 +11,7 @@ import numpy as np
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
 from heliograph.media.numbered import NumberedReader, blocks, camera_rate, expected_frames
-from heliograph.media.reader import checked_size
-from heliograph.media.reading import Reading
+from heliograph.media.reader import Reading, checked_size
 
 SUFFIXES = (".npy",)
 """Suffixes of arrays."""
@@ -25,20 +24,7 @@ _BROKEN = (ValueError, OSError, SyntaxError, TypeError, IndexError, RecursionErr
 
 
 class ArrayReader(NumberedReader):
-    """A film in an .npy file; see `FilmReader`. It has no clock, so the rate is needed.
-
-    Parameters
-    ----------
-    path
-        File of an array (frames, rows, columns) of uint8 or uint16.
-    reading
-        How the film is to be read; its levels are gray, so the channel has no effect.
-
-    Raises
-    ------
-    MediaError
-        The file is no such array, or no rate was given.
-    """
+    """A film in an .npy file; see `FilmReader`. It has no clock, so the rate is needed."""
 
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading.rate_hz)

@@ -23,13 +23,7 @@ END = "};\n\n#endif\n"
 
 
 def head(values: tuple[int, ...]) -> str:
-    """Return all that stands before the bytes.
-
-    Parameters
-    ----------
-    values
-        Values of the macros `NAMES`, in their order.
-    """
+    """Return all that stands before the bytes."""
     macros = "".join(f"#define HELIOGRAPH_{name} {value}u\n" for name, value in zip(NAMES, values, strict=True))
     return (
         "/* LED patterns, written by heliograph transmit: LEDs on (1) or off (0) in each slot, slot after slot,\n"
@@ -39,40 +33,17 @@ def head(values: tuple[int, ...]) -> str:
 
 
 def row(data: bytes) -> str:
-    """Return a slot's bytes as a line of the array.
-
-    Parameters
-    ----------
-    data
-        Bytes of the slot, one or more.
-    """
+    """Return a slot's bytes as a line of the array."""
     return "  " + "".join(f"0x{byte:02x}," for byte in data) + "\n"
 
 
 def row_size(size: int) -> int:
-    """Return the characters of a line of the array.
-
-    Parameters
-    ----------
-    size
-        Bytes of a slot, 1 or more.
-    """
+    """Return the characters of a line of the array."""
     return len("  \n") + len("0x00,") * size
 
 
 def read_head(path: Path) -> tuple[int, ...]:
-    """Return the values of the macros `NAMES`, in their order.
-
-    Parameters
-    ----------
-    path
-        A file that may be such a header.
-
-    Raises
-    ------
-    ValueError
-        It is none.
-    """
+    """Return the values of the macros `NAMES`, in their order."""
     found: dict[str, int] = {}
     with path.open(encoding="ascii") as file:
         for _ in range(MOST_LINES):
@@ -85,25 +56,7 @@ def read_head(path: Path) -> tuple[int, ...]:
 
 
 def rows(path: Path, size: int) -> Iterator[bytes]:
-    """Yield the bytes of each slot up to the end of the array.
-
-    Parameters
-    ----------
-    path
-        A header whose macros were read.
-    size
-        Bytes of a slot, 1 or more.
-
-    Yields
-    ------
-    bytes
-        Bytes of a slot.
-
-    Raises
-    ------
-    MediaError
-        The array is cut, or a line is no slot.
-    """
+    """Yield the bytes of each slot up to the end of the array."""
     with path.open(encoding="ascii") as file:
         while file.readline(MOST_LINE) != _ARRAY:
             pass

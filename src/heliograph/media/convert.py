@@ -14,17 +14,7 @@ from heliograph.media.reader import FilmReader
 
 
 def keeps_levels(target: Path, codec: str | None, crf: float | None) -> bool:
-    """Whether a film as it is written by `convert_film` has the gray levels of its source.
-
-    Parameters
-    ----------
-    target
-        The film to write.
-    codec
-        Codec that is asked for; None for the suffix's default.
-    crf
-        Quality of lossy H.264, 0 to 51; None for no loss.
-    """
+    """Whether a film as it is written by `convert_film` has the gray levels of its source."""
     return crf is None and codec != "mjpeg" and target.suffix.lower() != ".avi"
 
 

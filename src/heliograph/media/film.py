@@ -7,26 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.media import (
-    animations,
-    arrays,
-    hdf5,
-    hdf5_write,
-    images,
-    phantom,
-    photron,
-    raw_dumps,
-    tiff,
-    video_read,
-    video_write,
-)
+from heliograph.media import arrays, hdf5, images, phantom, photron, raw_dumps, tiff, video_read, video_write
+from heliograph.media import hdf5 as hdf5_write
+from heliograph.media import images as animations
 from heliograph.media.arrays import ArrayReader
 from heliograph.media.live.reader import LiveReader, film_path, is_camera
 from heliograph.media.live.settings import CameraSettings, camera_settings
 from heliograph.media.phantom import PhantomReader
 from heliograph.media.photron import PhotronReader
-from heliograph.media.reader import FilmReader
-from heliograph.media.reading import Reading
+from heliograph.media.reader import FilmReader, Reading
 from heliograph.media.record import FilmSpec
 from heliograph.media.tiff import TiffReader
 from heliograph.media.view import View, ViewReader
@@ -275,18 +264,7 @@ def create_film(
 
 
 def checked_path(path: object) -> Path:
-    """A film's path as one.
-
-    Parameters
-    ----------
-    path
-        What is given for it.
-
-    Raises
-    ------
-    MediaError
-        It is neither text nor a path.
-    """
+    """A film's path as one."""
     if not isinstance(path, (str, os.PathLike)):
         raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(path)}")
     return film_path(path)

@@ -1,19 +1,102 @@
-"""Read films that are a picture for each frame: all pictures of a folder, or those of a pattern such as img%04d.png."""
+"""Films of a picture per frame: folders, numbered patterns, and animated GIF, PNG and WebP."""
 
 import io
 import re
+import statistics
 import struct
 import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from heliograph.base.errors import MediaError
-from heliograph.base.frames import Pixels
-from heliograph.media import pictures, tiff
-from heliograph.media.animations import ANIMATED
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.errors import MediaError, brief
+from heliograph.base.frames import BITS, Frame, Pixels
+from heliograph.media import tiff
 from heliograph.media.numbered import NumberedReader, camera_rate
-from heliograph.media.reader import checked_size
-from heliograph.media.reading import Reading
+from heliograph.media.reader import FilmReader, Reading, checked_size, checked_time
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+LUMA = (0.114, 0.587, 0.299)
+"""Weights of blue, green and red in luma (Rec. ITU-R BT.601)."""
+
+SILENT = 0
+"""OpenCV's level of logging at which it says nothing, LOG_LEVEL_SILENT."""
+
+_BGR = {"blue": 0, "green": 1, "red": 2}
+"""Place of each colour in a pixel of OpenCV and of .cine files."""
+
+
+def decode(data: bytes) -> NDArray[np.generic] | None:
+    """Return a PNG, TIFF, JPEG or other picture that OpenCV reads, turned as it says; None where it is damaged.
+
+    Parameters
+    ----------
+    data
+        The whole file, of which the first page is taken.
+
+    Returns
+    -------
+    (rows, columns) for gray, (rows, columns, 3) for blue, green and red; of the file's own type.
+    """
+    import cv2
+
+    with _silence():
+        try:
+            picture: NDArray[np.generic] | None = cv2.imdecode(np.frombuffer(data, np.uint8), _as_it_is())
+        except cv2.error:
+            return None
+    return picture
+
+
+def checked_form(path: Path, picture: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return a picture if it is one of gray levels or of three colours."""
+    if picture.dtype not in BITS or picture.shape[2:] not in ((), (3,)):
+        kind = f"{picture.dtype} in {(*picture.shape, 1)[2]} channels"
+        raise MediaError(f"{path} has pixels of {kind}: save gray or RGB of 8 or 16 bits")
+    return picture
+
+
+def to_gray(picture: NDArray[np.generic], channel: str) -> Pixels:
+    """Return the gray levels of a picture. Returns (rows, columns) gray levels of the same type."""
+    pixels: Pixels
+    if picture.ndim == 2:
+        pixels = np.ascontiguousarray(picture)
+    elif channel == "luma":
+        pixels = np.rint(picture @ np.array(LUMA)).astype(picture.dtype)
+    else:
+        pixels = np.ascontiguousarray(picture[..., _BGR[channel]])
+    return pixels
+
+
+def _as_it_is() -> int:
+    """OpenCV's flags for a picture with its own bits, in gray or colour, turned as it says."""
+    import cv2
+
+    return int(cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep OpenCV from writing of damaged pictures to standard error: what is wrong is said in one line of our own."""
+    import cv2
+
+    # OpenCV 4.5 has no room of its own for it
+    log = getattr(cv2.utils, "logging", cv2)
+    before = log.getLogLevel()
+    log.setLogLevel(SILENT)
+    try:
+        yield
+    finally:
+        log.setLogLevel(before)
+
 
 _KINDS = {
     ".png": (".png",),
@@ -66,21 +149,7 @@ Numbered = list[tuple[int, str]]
 
 
 class ImagesReader(NumberedReader):
-    """A film of a picture for each frame; see `FilmReader`. It has no clock, so the rate is needed.
-
-    Parameters
-    ----------
-    path
-        A folder, whose pictures are taken in the order of their names, numbers in them as numbers; a pattern, by which
-        a missing number is a lost frame; or a single picture.
-    reading
-        How the film is to be read.
-
-    Raises
-    ------
-    MediaError
-        There is no picture, the folder has several kinds, no rate was given, or the first picture cannot be read.
-    """
+    """A film of a picture for each frame; see `FilmReader`. It has no clock, so the rate is needed."""
 
     _decodes = True
     faster = ("HDF5",)
@@ -115,11 +184,11 @@ class ImagesReader(NumberedReader):
             raise MediaError(f"cannot read {path}, after {count} frames: {error.strerror}") from error
         if data.startswith(tiff.SIGNATURES):
             return tiff.single_picture(path, self._channel)
-        picture = pictures.decode(data) if data and _is_whole(path, data) and _scans_whole(data) else None
+        picture = decode(data) if data and _is_whole(path, data) and _scans_whole(data) else None
         if picture is None:
             raise MediaError(f"{path} is damaged or no picture, after {count} frames: copy it again, or take it away")
         checked_size(path, picture.shape[1], picture.shape[0])
-        pixels = pictures.to_gray(pictures.checked_form(path, picture), self._channel)
+        pixels = to_gray(checked_form(path, picture), self._channel)
         bits = 8 * pixels.itemsize
         if (header := _NETPBM.match(data)) is not None:
             _check_single(path, header, data)
@@ -128,28 +197,14 @@ class ImagesReader(NumberedReader):
 
 
 def is_picture(path: Path, head: bytes) -> bool:
-    """Return True if a file is a single picture, which FFmpeg would take for a pattern or a stream.
-
-    Parameters
-    ----------
-    path
-        An existing file, whose suffix tells pictures from streams of JPEG and from films in the form RIFF.
-    head
-        The first bytes of the file, 8 or more where it has them.
-    """
+    """Return True if a file is a single picture, which FFmpeg would take for a pattern or a stream."""
     if head.startswith(b"RIFF") and head[8:12] != b"WEBP":  # such as AVI
         return False
     return head.startswith(_PNG) or (head.startswith(_STILLS) and path.suffix.lower() in PICTURE_SUFFIXES)
 
 
 def is_pattern(path: Path) -> bool:
-    """Return whether a path names pictures by a number, such as img%04d.png, and is no file itself.
-
-    Parameters
-    ----------
-    path
-        What was given for a film.
-    """
+    """Return whether a path names pictures by a number, such as img%04d.png, and is no file itself."""
     return _PATTERN.fullmatch(path.name) is not None and not path.exists()
 
 
@@ -270,3 +325,92 @@ def _natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
     parts = _DIGITS.split(name)  # numbers stand at odd places
     texts = [(1, 0, text) if place % 2 == 0 else (0, int(text), "") for place, text in enumerate(parts) if text]
     return texts, name
+
+
+ANIMATED = ("GIF", "PNG", "WEBP")
+"""Kinds of pictures that can be animated, under Pillow's names."""
+
+SIGNATURES = (b"GIF8", b"\x89PNG\r\n\x1a\n", b"RIFF")
+"""First bytes of such files; those that begin with RIFF may be films."""
+
+_DEFAULT_S = 0.1
+"""Time of a picture that states none, as browsers show it."""
+
+_FRAMES_TIMED = 100
+"""Pictures whose times tell the rate. Chosen: the times of later ones are read while they are decoded."""
+
+_BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, IndexError, KeyError, TypeError)
+"""Errors of Pillow on damaged files."""
+
+
+class AnimationReader(FilmReader):
+    """An animated picture; see `FilmReader`. Times are the sums of the times for which the pictures are shown."""
+
+    _decodes = True
+    faster = ("HDF5",)
+
+    def __init__(self, path: Path, reading: Reading) -> None:
+        super().__init__(path, reading.rate_hz)
+        self._channel = reading.channel
+        shown = [seconds for _, seconds in islice(self._decoded(), _FRAMES_TIMED)]
+        self.claimed_hz = 1 / statistics.median(shown)
+        with _opened(path) as image:
+            self.width, self.height = image.size
+            self.frame_count = getattr(image, "n_frames", 1)
+        first, _ = next(self._decoded())
+        self.bits = 8 * first.itemsize
+        self.metadata = {}
+
+    def _frames(self) -> Iterator[Frame]:
+        index, time_s = -1, 0.0
+        for count, (pixels, delay_s) in enumerate(self._decoded()):
+            index = max(index + 1, round(checked_time(self.path, time_s, count) * self.rate_hz))
+            yield Frame(index, time_s, pixels, self.bits)
+            time_s += 1 / self._true_hz if self._true_hz else delay_s
+
+    def _decoded(self) -> Iterator[tuple[Pixels, float]]:
+        """Yield the gray levels of each picture and the time in s for which it is shown."""
+        count = 0
+        try:
+            with _opened(self.path) as image:
+                for count in range(getattr(image, "n_frames", 1)):
+                    image.seek(count)
+                    image.load()
+                    yield _levels(image, self._channel), float(image.info.get("duration") or 0) / 1e3 or _DEFAULT_S
+        except MediaError:
+            raise
+        except _BROKEN as error:
+            raise MediaError(
+                f"{self.path} cannot be read after {count} whole frames ({brief(error)}): copy it again"
+            ) from None
+
+
+def is_animation(path: Path, head: bytes) -> bool:
+    """Return True if a file is a GIF, or a PNG or WebP file of several pictures."""
+    if not head.startswith(SIGNATURES) or (head.startswith(b"RIFF") and path.suffix.lower() != ".webp"):
+        return False
+    try:
+        with _opened(path) as image:
+            return image.format == "GIF" or getattr(image, "n_frames", 1) > 1
+    except (MediaError, *_BROKEN):
+        return False
+
+
+def _opened(path: Path) -> "Image":
+    from PIL import Image
+
+    try:
+        image = Image.open(path, formats=ANIMATED)
+    except Image.DecompressionBombError:
+        raise MediaError(f"{path} claims more pixels than any camera has: it is no film, or damaged") from None
+    except _BROKEN as error:
+        raise MediaError(f"{path} cannot be read as an animated picture ({brief(error)}): copy it again") from None
+    checked_size(path, *image.size)
+    return image
+
+
+def _levels(image: "Image", channel: str) -> Pixels:
+    if image.mode == "L" or image.mode.startswith("I;16"):
+        levels = np.array(image)
+        return to_gray(levels.astype(levels.dtype.newbyteorder("=")), channel)
+    return to_gray(np.array(image.convert("RGB"))[..., ::-1], channel)

@@ -1,12 +1,56 @@
-"""What recordings have in common whose frames have numbers, and no times of their own."""
+"""Recordings with frame numbers but no times, and their packed gray levels of 10 and 12 bits."""
 
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame, Pixels
 from heliograph.media.reader import FilmReader, checked_time
+
+_GROUPS = {10: (4, 5), 12: (2, 3)}
+"""Levels of a group and its bytes, by the bits of a level: groups begin and end with a byte."""
+
+
+def unpack(data: bytes | bytearray, bits: int) -> NDArray[np.uint16]:
+    """Return gray levels as numbers of their own. Returns (levels,) gray levels in the order of the file."""
+    held, size = _GROUPS[bits]
+    levels = np.empty((len(data) // size, held), np.uint16)
+    for place in range(held):
+        # each level lies within two neighbouring bytes, `bits - 8` bits further on than the level before
+        words = np.ndarray((len(levels),), ">u2", data, place, (size,))
+        levels[:, place] = (words >> (16 - bits - place * (bits - 8))) & ((1 << bits) - 1)
+    return levels.ravel()
+
+
+def packed_size(levels: int, bits: int) -> int:
+    """Return the bytes that hold so many levels; their last group is filled up."""
+    held, size = _GROUPS[bits]
+    return -(-levels // held) * size
+
+
+def unpack_low_first(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
+    """Return gray levels packed without gaps, the lower bits first, as cameras' formats that end in "p" have them."""
+    held, size = _GROUPS[bits]
+    groups = data[: len(data) // size * size].reshape(-1, size).astype(np.uint16)
+    levels = np.empty((len(groups), held), np.uint16)
+    for place in range(held):
+        first, shift = divmod(place * bits, 8)
+        levels[:, place] = (groups[:, first] >> shift | groups[:, first + 1] << (8 - shift)) & ((1 << bits) - 1)
+    return levels.ravel()
+
+
+def unpack_pairs(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
+    """Return gray levels of GigE Vision 1's packing: two upper bytes about one that holds the lower bits of both."""
+    groups = data[: len(data) // 3 * 3].reshape(-1, 3).astype(np.uint16)
+    lower = bits - 8
+    levels = np.empty((len(groups), 2), np.uint16)
+    levels[:, 0] = groups[:, 0] << lower | groups[:, 1] & ((1 << lower) - 1)
+    levels[:, 1] = groups[:, 2] << lower | groups[:, 1] >> 4 & ((1 << lower) - 1)
+    return levels.ravel()
 
 
 class NumberedReader(FilmReader):
@@ -27,22 +71,7 @@ class NumberedReader(FilmReader):
 
 
 def camera_rate(path: Path, rate_hz: float | None, said_hz: float | None = None) -> float:
-    """Return the frames per second that a file says, else those that were asked for.
-
-    Parameters
-    ----------
-    path
-        The recording, for the error.
-    rate_hz
-        Frames per second that were given where the film was opened; None for none.
-    said_hz
-        Frames per second as the file says; None or 0 where it has no clock.
-
-    Raises
-    ------
-    MediaError
-        Neither is known.
-    """
+    """Return the frames per second that a file says, else those that were asked for."""
     rate = said_hz or rate_hz
     if not rate:
         raise MediaError(
@@ -53,37 +82,12 @@ def camera_rate(path: Path, rate_hz: float | None, said_hz: float | None = None)
 
 
 def expected_frames(path: Path, claimed: int, frame_bytes: int) -> int:
-    """Return how many frames are to be expected of a file: those it claims, but no more than it has room for.
-
-    Parameters
-    ----------
-    path
-        The file of the frames' levels.
-    claimed
-        Frames that it has as its header says.
-    frame_bytes
-        Bytes of a frame, at least 1.
-    """
+    """Return how many frames are to be expected of a file: those it claims, but no more than it has room for."""
     return min(claimed, path.stat().st_size // frame_bytes)
 
 
 def blocks(path: Path, places: Iterable[int], size: int) -> Iterator[bytearray]:
-    """Yield a file's blocks of bytes, one for each frame; loops are not compiled again for frames that are read-only.
-
-    Parameters
-    ----------
-    path
-        The file, which stays open meanwhile.
-    places
-        First byte of each block.
-    size
-        Bytes of a block, at least 1.
-
-    Raises
-    ------
-    MediaError
-        The file ends within a block, after those before are delivered; or it cannot be read.
-    """
+    """Yield the bytes of each frame of a file in a writable array, for which the kernels are compiled."""
     try:
         with path.open("rb") as file:
             length = path.stat().st_size

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
-from heliograph.media import pictures
-from heliograph.media.numbered import blocks, camera_rate, expected_frames
-from heliograph.media.packed import packed_size, unpack
-from heliograph.media.reader import checked_size
-from heliograph.media.reading import Reading
+from heliograph.media import images as pictures
+from heliograph.media.numbered import blocks, camera_rate, expected_frames, packed_size, unpack
+from heliograph.media.reader import Reading, checked_size
 from heliograph.media.stamps import LIMITS, TimedReader, measure_pace
 
 SUFFIXES = (".cine",)
@@ -76,36 +74,24 @@ _MOST_FRAMES = 1 << 28
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CineHeader:
-    """What a recording says of itself.
+    """What a recording says of itself."""
 
-    Attributes
-    ----------
-    width, height
-        Columns and rows in pixels, at least 1.
-    upwards
-        Whether the last row stands first in the file.
-    frames
-        Number of frames in the file.
-    word
-        Bits that a pixel takes in the file: 8, 10, 12, 16; 24 and 48 for colours.
-    bits
-        Bits of a gray level, 8 to 16.
-    record_hz
-        Frames per second as set in the camera.
-    table
-        Place of the table of frames.
-    stamps
-        Place of the frames' times; None where there are none.
-    """
-
+    # width, height: columns and rows in pixels, at least 1
     width: int
     height: int
+    # Whether the last row stands first in the file
     upwards: bool
+    # Number of frames in the file
     frames: int
+    # Bits that a pixel takes in the file: 8, 10, 12, 16; 24 and 48 for colours
     word: int
+    # Bits of a gray level, 8 to 16
     bits: int
+    # Frames per second as set in the camera
     record_hz: float
+    # Place of the table of frames
     table: int
+    # Place of the frames' times; None where there are none
     stamps: int | None
 
     @property
@@ -121,18 +107,6 @@ class PhantomReader(TimedReader):
     Times are the camera's stamps, from the first frame on. Without stamps they follow from the rate. A stamp that is no
     later than the one before, or later by more than an hour, is replaced by one a period later. Levels packed in 10
     bits are on a curve, which is undone: they become 12 bits in proportion to the light.
-
-    Parameters
-    ----------
-    path
-        The recording, a .cine file.
-    reading
-        How the film is to be read.
-
-    Raises
-    ------
-    MediaError
-        It is no recording, is compressed, or says what no recording has.
     """
 
     def __init__(self, path: Path, reading: Reading) -> None:
@@ -184,18 +158,7 @@ class PhantomReader(TimedReader):
 
 
 def read_header(path: Path) -> CineHeader:
-    """Read what a .cine file says of its frames.
-
-    Parameters
-    ----------
-    path
-        The recording, a .cine file.
-
-    Raises
-    ------
-    MediaError
-        It is no recording, is cut within its headers, or has frames of a kind that is not read.
-    """
+    """Read what a .cine file says of its frames."""
     size = path.stat().st_size
     with path.open("rb") as file:
 
@@ -243,11 +206,6 @@ def linear(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
 
     Cameras pack 10 bits on the curve of Rec. ITU-R BT.709, black at 64 and white at 1014. In 12 bits black is at 64 and
     white at 4064; codes above white are full scale. The vendor's own table is met within 3 of 4095 levels.
-
-    Parameters
-    ----------
-    codes
-        Codes of 10 bits, of any shape.
     """
     return _CURVE[codes]
 

@@ -14,10 +14,8 @@ import numpy as np
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.files import read_bounded
 from heliograph.base.frames import Pixels
-from heliograph.media.numbered import NumberedReader, blocks, camera_rate, expected_frames
-from heliograph.media.packed import packed_size, unpack
-from heliograph.media.reader import checked_size
-from heliograph.media.reading import Reading
+from heliograph.media.numbered import NumberedReader, blocks, camera_rate, expected_frames, packed_size, unpack
+from heliograph.media.reader import Reading, checked_size
 
 FRAMES_SUFFIX = ".mraw"
 """Suffix of the file of frames."""
@@ -78,36 +76,24 @@ _NOTES = ("camera", "date", "time", "shutter", "comment", "rate", "step")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotronHeader:
-    """What a header says of its frames.
+    """What a header says of its frames."""
 
-    Attributes
-    ----------
-    width, height
-        Columns and rows in pixels, at least 1.
-    frames
-        Number of frames in the file.
-    record_hz
-        Frames per second that the camera took; 0 where the header does not say.
-    step
-        Each so many-th frame was saved, at least 1.
-    word
-        Bits of a level in the file: 8, 12 (packed) or 16.
-    bits
-        Bits of a gray level, 8 to 16.
-    shift
-        Bits by which a level is moved down, as some programs keep it at the upper end of its word.
-    notes
-        Camera, date and the like as text, by name.
-    """
-
+    # width, height: columns and rows in pixels, at least 1
     width: int
     height: int
+    # Number of frames in the file
     frames: int
+    # Frames per second that the camera took; 0 where the header does not say
     record_hz: float
+    # Each so many-th frame was saved, at least 1
     step: int
+    # Bits of a level in the file: 8, 12 (packed) or 16
     word: int
+    # Bits of a gray level, 8 to 16
     bits: int
+    # Bits by which a level is moved down, as some programs keep it at the upper end of its word
     shift: int
+    # Camera, date and the like as text, by name
     notes: Mapping[str, str]
 
     @property
@@ -127,18 +113,6 @@ class PhotronReader(NumberedReader):
 
     Its rate is that of the frames that were saved: the record rate over the save step. To the light a camera that takes
     10,000 frames a second and keeps each tenth is one of 1000; what it did not keep is not lost.
-
-    Parameters
-    ----------
-    path
-        The .mraw file, or the .cih or .cihx file beside it.
-    reading
-        How the film is to be read; its levels are gray, so the channel has no effect.
-
-    Raises
-    ------
-    MediaError
-        One of the two files is missing, or the header is none, or is not that of the frames.
     """
 
     def __init__(self, path: Path, reading: Reading) -> None:
@@ -159,18 +133,7 @@ class PhotronReader(NumberedReader):
 
 
 def read_header(path: Path) -> PhotronHeader:
-    """Read a .cih or .cihx file.
-
-    Parameters
-    ----------
-    path
-        The header; its content tells which of the two it is.
-
-    Raises
-    ------
-    MediaError
-        It cannot be read, lacks a value, or says what no recording of gray levels has.
-    """
+    """Read a .cih or .cihx file."""
     try:
         data = read_bounded(path, _MOST_HEADER)
     except OSError as error:

@@ -36,28 +36,12 @@ _GBR = {"green": 0, "blue": 1, "red": 2}
 
 
 def gray_format(bits: int) -> str:
-    """Return FFmpeg's name of the smallest gray pixel format that holds gray levels.
-
-    Parameters
-    ----------
-    bits
-        Bits of a gray level, 8 to 16.
-    """
+    """Return FFmpeg's name of the smallest gray pixel format that holds gray levels."""
     return _GRAY[min(b for b in _GRAY if b >= bits)]
 
 
 def to_video(pixels: Pixels, pixel_format: str, span: int = FULL) -> "av.VideoFrame":
-    """Copy gray levels into a picture; its colour planes, if any, are neutral.
-
-    Parameters
-    ----------
-    pixels
-        (rows, columns) gray levels, uint8 or uint16.
-    pixel_format
-        FFmpeg's name of a format whose first plane is luma of the same depth.
-    span
-        `FULL`, or `LIMITED` for levels of 8 bits that are squeezed into 16 to 235.
-    """
+    """Copy gray levels into a picture; its colour planes, if any, are neutral."""
     import av
 
     if span == LIMITED:
@@ -77,23 +61,6 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma")
     Luma is read as it is stored, and so are numbers whose palette is missing. Only colours are converted, by
     Rec. ITU-R BT.601. Red, green and blue of YUV follow from the matrix that the file states, Rec. 601 or 709, else
     from Rec. 601; they have the full range.
-
-    Parameters
-    ----------
-    picture
-        Decoded picture of any pixel format.
-    expand_range
-        Whether to stretch the limited range 16..235 to 0..255 (in proportion for more bits); levels outside are
-        clipped.
-    channel
-        "luma", "red", "green" or "blue"; gray pictures are the same in all of them.
-
-    Returns
-    -------
-    pixels
-        (rows, columns) uint8 for 8 bits, else uint16.
-    bits
-        Bits of a gray level.
     """
     if picture.format.name == "pal8":
         _mend_palette(picture)
@@ -113,13 +80,7 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma")
 
 
 def is_limited(picture: "av.VideoFrame") -> bool:
-    """Return whether black is at 16 and white at 235; YUV video that does not state its range counts as limited.
-
-    Parameters
-    ----------
-    picture
-        Decoded picture of any pixel format.
-    """
+    """Return whether black is at 16 and white at 235; YUV video that does not state its range counts as limited."""
     name = picture.format.name
     if picture.format.is_rgb or picture.format.has_palette or name.startswith(("mono", "yuvj")):
         return False

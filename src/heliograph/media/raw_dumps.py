@@ -16,18 +16,7 @@ _YUV = (".yuv", ".i420", ".yv12", ".nv12", ".nv21", ".yuv420p")
 
 
 def check_header(path: Path) -> None:
-    """Refuse a file whose suffix is that of raw dumps, unless FFmpeg knows its content.
-
-    Parameters
-    ----------
-    path
-        An existing file that is of no other known kind.
-
-    Raises
-    ------
-    MediaError
-        Tells how to save a dump as .npy.
-    """
+    """Refuse a file whose suffix is that of raw dumps, unless FFmpeg knows its content."""
     suffix = path.suffix.lower()
     if suffix not in (*_GRAY, *_YUV) or _is_video(path):
         return

@@ -1,56 +1,112 @@
-"""The common interface for reading films."""
+"""Common interface for reading films, and frames read ahead in a thread."""
 
+import queue
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Self
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import LATEST_S, Frame, Pixels
-from heliograph.media.ahead import read_ahead
+from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ
+
+CHANNELS = ("luma", "red", "green", "blue")
+"""What is taken of a colour for a gray level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """How a film is to be read."""
+
+    # Frames per second that the camera took, 1e-6 to 1e6; None believes the file
+    rate_hz: float | None = None
+    # Whether to stretch limited-range video (black at 16, white at 235) to the full scale
+    expand_range: bool = False
+    # One of `CHANNELS`; of gray films all of them are the gray levels
+    channel: str = "luma"
+
+    def __post_init__(self) -> None:
+        if self.rate_hz is not None and not _is_rate(self.rate_hz):
+            raise MediaError(
+                f"a camera takes {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames/s, not {shown(self.rate_hz)}; give the rate "
+                "it was set to"
+            )
+        if self.channel not in CHANNELS:
+            raise MediaError(f"there is no channel {shown(self.channel)}: choose one of {', '.join(CHANNELS)}")
+
+
+def _is_rate(value: object) -> bool:
+    return isinstance(value, Real) and bool(value <= FASTEST_HZ) and not value < SLOWEST_HZ
+
+
+FRAMES_AHEAD = 8
+"""Frames that wait for their use at most; bounds memory. Chosen, as for films that are written: a receiver that stops
+for 50 ms, looking for an array, then goes on with frames of FFV1 that were decoded meanwhile."""
+
+
+def read_ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """Yield frames in their order while the next ones are read.
+
+    The thread begins with the first frame that is asked for. It ends with the frames, or where no more are asked for:
+    by an error, by Ctrl-C, or when the iterator is closed. It is then waited for, so that the film's file is closed.
+    """
+    waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(FRAMES_AHEAD)
+    wanted = threading.Event()
+    wanted.set()
+    thread = threading.Thread(target=_read, args=(frames, waiting, wanted), name="film-reader", daemon=True)
+    thread.start()
+    ended = False
+    try:
+        while True:
+            got = waiting.get()
+            if not isinstance(got, Frame):
+                ended = True
+                if got is not None:
+                    raise got
+                return
+            yield got
+    finally:
+        wanted.clear()
+        while not ended:  # the thread may wait for room
+            ended = not isinstance(waiting.get(), Frame)
+        thread.join()
+
+
+def _read(
+    frames: Iterator[Frame], waiting: "queue.Queue[Frame | BaseException | None]", wanted: threading.Event
+) -> None:  # fmt: skip
+    """Put frames in the queue while they are wanted, and last of all the error that ended them, or None."""
+    end: BaseException | None = None
+    try:
+        for frame in frames:
+            waiting.put(frame)
+            if not wanted.is_set():
+                break
+        close = getattr(frames, "close", None)
+        if close is not None:
+            close()
+    except BaseException as error:  # raised in the thread that asks for the frames, which waits for an end
+        end = error
+    waiting.put(end)
+
 
 MOST_PIXELS = 1 << 27
 """Most pixels of a frame: twice those of the largest camera of the settings. A damaged film may claim more."""
 
 
 def checked_size(path: Path, width: int, height: int) -> None:
-    """Check the size of a film's frames.
-
-    Parameters
-    ----------
-    path
-        The film, for the error.
-    width, height
-        Columns and rows in pixels as the file says.
-
-    Raises
-    ------
-    MediaError
-        There are no pixels, or more than any camera has.
-    """
+    """Check the size of a film's frames."""
     if not 0 < width * height <= MOST_PIXELS:
         raise MediaError(f"{path} has frames of {width}x{height} pixels: it is no film, or damaged; copy it again")
 
 
 def checked_time(path: Path, time_s: float, count: int) -> float:
-    """Return the time of a frame if it is one.
-
-    Parameters
-    ----------
-    path
-        The film, for the error.
-    time_s
-        Time in s as the file says.
-    count
-        Number of whole frames before it, which the error tells.
-
-    Raises
-    ------
-    MediaError
-        It is not finite, or of another unit than seconds.
-    """
+    """Return the time of a frame if it is one."""
     if not abs(time_s) <= LATEST_S:
         raise MediaError(
             f"{path} has a frame at {time_s:g} s after {count} whole frames: times are in seconds, at most "
@@ -60,24 +116,7 @@ def checked_time(path: Path, time_s: float, count: int) -> float:
 
 
 def check_levels(path: Path, pixels: Pixels, bits: int, count: int) -> None:
-    """Check that gray levels have no more bits than the file says.
-
-    Parameters
-    ----------
-    path
-        The recording, for the error.
-    pixels
-        (rows, columns) gray levels, uint8 or uint16.
-    bits
-        Bits of a gray level as the file says, 8 to 16.
-    count
-        Number of whole frames before, which the error tells.
-
-    Raises
-    ------
-    MediaError
-        A level is above full scale.
-    """
+    """Check that gray levels have no more bits than the file says."""
     if bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
         raise MediaError(
             f"{path} has a gray level of {int(pixels.max())} after {count} whole frames, and its header says {bits} "
@@ -89,35 +128,6 @@ class FilmReader(ABC):
     """A film opened for reading: iterate it for its frames, one at a time; each iteration starts at the first frame.
 
     Memory does not grow with the film. Use it as a context manager, or call `close`.
-
-    Parameters
-    ----------
-    path
-        File of the film to read.
-    rate_hz
-        Frames per second of the camera, above 0, if the file claims another rate; None uses the times of the file.
-
-    Attributes
-    ----------
-    path
-        The film's file, which the errors name.
-    width
-        Columns of a frame in pixels.
-    height
-        Rows of a frame in pixels.
-    bits
-        Bits of a gray level, 8 to 16.
-    claimed_hz
-        Frames per second as the file says, above 0.
-    frame_count
-        Frames to expect, for a progress display: exact for HDF5, else the smaller of the container's count and the
-        duration times the rate, which counts dropped frames too; None where unknown.
-    metadata
-        Text kept with the film by its writer; of films from elsewhere the container's own tags.
-    faster
-        Kinds of films that are read faster, the fastest first; none where the kind is among these itself.
-    read_s
-        Seconds that its frames were waited for so far; what was decoded ahead of its use does not count.
     """
 
     _decodes: ClassVar[bool] = False
@@ -147,20 +157,7 @@ class FilmReader(ABC):
         return self._true_hz or self.claimed_hz
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames in order of time.
-
-        Yields
-        ------
-        Frame
-            Pixels of shape (height, width), uint8 for 8 bit, else uint16; ``time_s`` the start of the exposure in
-            seconds; ``index`` is ``round(time_s * rate_hz)``, so that a dropped frame leaves a gap.
-
-        Raises
-        ------
-        MediaError
-            The film is closed, holds no frames, is damaged, or ends in the middle; every whole frame before the
-            damage is delivered first.
-        """
+        """Yield the frames in order of time."""
         if self._closed:
             raise MediaError(f"{self.path} is closed: iterate it inside its 'with' block")
         frames = self._checked()

@@ -42,31 +42,17 @@ _ROUNDED_S = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmSpec:
-    """Form of a film.
+    """Form of a film."""
 
-    Attributes
-    ----------
-    width
-        Columns in pixels, at least 1.
-    height
-        Rows in pixels, at least 1.
-    rate_hz
-        Nominal frames per second, above 0 and at most 1e6.
-    bits
-        Bits of a gray level, 8 to 16.
-    metadata
-        Any text by any names.
-
-    Raises
-    ------
-    MediaError
-        A value is out of range, or the metadata are not text.
-    """
-
+    # Columns in pixels, at least 1
     width: int
+    # Rows in pixels, at least 1
     height: int
+    # Nominal frames per second, above 0 and at most 1e6
     rate_hz: float
+    # Bits of a gray level, 8 to 16
     bits: int = 8
+    # Any text by any names
     metadata: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -92,27 +78,18 @@ class FilmSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmRecord:
-    """Record that our own films carry in a tag of the container, as JSON.
+    """Record that our own films carry in a tag of the container, as JSON."""
 
-    Attributes
-    ----------
-    rate_hz
-        Nominal frames per second.
-    bits
-        Bits of a gray level, 8 to 16.
-    start_s
-        Time of the first frame in s: containers start films at 0.
-    metadata
-        Text kept with the film.
-    codec_crc
-        CRC-32 of the codec's private data: it distinguishes our own FFV1 stream from a later re-encoding that inherited
-        the tag.
-    """
-
+    # Nominal frames per second
     rate_hz: float
+    # Bits of a gray level, 8 to 16
     bits: int
+    # Time of the first frame in s: containers start films at 0
     start_s: float
+    # Text kept with the film
     metadata: dict[str, str]
+    # CRC-32 of the codec's private data: it distinguishes our own FFV1 stream from a later re-encoding that inherited
+    # the tag
     codec_crc: int = 0
 
     def dumps(self) -> str:
@@ -122,14 +99,7 @@ class FilmRecord:
 
     @classmethod
     def loads(cls, text: str) -> "FilmRecord | None":
-        """Return the record that a text holds, or None where it holds none.
-
-        Parameters
-        ----------
-        text
-            JSON as of `dumps`, or any other text, as films from elsewhere have. A record of values that no film has is
-            none either.
-        """
+        """Return the record that a text holds, or None where it holds none."""
         try:
             fields = json.loads(text)
             record = cls(
@@ -148,15 +118,7 @@ class FilmRecord:
 
 
 def to_tags(record: FilmRecord, suffix: str) -> dict[str, str]:
-    """Return the container tags that carry a record; NUT needs several for a long one.
-
-    Parameters
-    ----------
-    record
-        Record of the film that is written.
-    suffix
-        Suffix of the film, such as ".nut".
-    """
+    """Return the container tags that carry a record; NUT needs several for a long one."""
     text = record.dumps()
     if suffix != ".nut":
         return {AVI_TAG if suffix == ".avi" else TAG: text}
@@ -165,13 +127,7 @@ def to_tags(record: FilmRecord, suffix: str) -> dict[str, str]:
 
 
 def from_tags(tags: Mapping[str, str]) -> FilmRecord | None:
-    """Return the record that a container's tags carry, or None.
-
-    Parameters
-    ----------
-    tags
-        Texts by the names of the tags, in small or capital letters.
-    """
+    """Return the record that a container's tags carry, or None."""
     tags = {name.lower(): text for name, text in tags.items()}
     parts = [tags.get(TAG) or tags.get(AVI_TAG) or ""]
     while (part := tags.get(f"{TAG}{len(parts)}")) is not None:
@@ -180,13 +136,7 @@ def from_tags(tags: Mapping[str, str]) -> FilmRecord | None:
 
 
 def rational_rate(rate_hz: float) -> Fraction:
-    """Return a rate as a fraction of small numbers, such as 30000/1001.
-
-    Parameters
-    ----------
-    rate_hz
-        Frames per second, above 0.
-    """
+    """Return a rate as a fraction of small numbers, such as 30000/1001."""
     exact = Fraction(rate_hz)
     return exact.limit_denominator(_LARGEST_TERM) or exact.limit_denominator(FINEST_TICKS)
 
@@ -195,11 +145,6 @@ def fine_time_base(rate_hz: float) -> Fraction:
     """Return a tick in s of at most 1 us that also divides the frame period, where small numbers allow it.
 
     Ticks much finer than that would overflow the 32-bit frame durations of MP4 in a gap of a few seconds.
-
-    Parameters
-    ----------
-    rate_hz
-        Frames per second, above 0 and at most 1e6.
     """
     steps = rational_rate(rate_hz).numerator
     if steps > 2 * FINEST_TICKS:
@@ -208,32 +153,12 @@ def fine_time_base(rate_hz: float) -> Fraction:
 
 
 def on_grid(time_s: float, rate_hz: float, tolerance_s: float) -> float:
-    """Return the nearest multiple of the frame period if it is within a tolerance, else the time itself.
-
-    Parameters
-    ----------
-    time_s
-        Time in s; 0 is a multiple of the frame period.
-    rate_hz
-        Frames per second, above 0.
-    tolerance_s
-        Largest distance from the multiple in s.
-    """
+    """Return the nearest multiple of the frame period if it is within a tolerance, else the time itself."""
     nearest = round(time_s * rate_hz) / rate_hz
     return nearest if abs(nearest - time_s) <= tolerance_s else time_s
 
 
 def restored_time(record: FilmRecord, elapsed_s: float, tick_s: float) -> float:
-    """Return the time in s of a frame of our own film, free of the rounding to the container's tick.
-
-    Parameters
-    ----------
-    record
-        Record of the film, with its rate and the time of its first frame.
-    elapsed_s
-        Time since the first frame in s, by the container.
-    tick_s
-        Tick of the container in s.
-    """
+    """Return the time in s of a frame of our own film, free of the rounding to the container's tick."""
     elapsed_s = on_grid(elapsed_s, record.rate_hz, _ROUNDED_TICKS * tick_s)
     return on_grid(record.start_s + elapsed_s, record.rate_hz, _ROUNDED_S)

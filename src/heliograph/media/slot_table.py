@@ -28,21 +28,7 @@ _TIMES = {"slot_s": True, "time_s": False}
 
 
 def write_table(path: Path, patterns: Iterable[NDArray[np.uint8]], side: int, period_s: float, slots: bool) -> None:
-    """Write a table.
-
-    Parameters
-    ----------
-    path
-        File to write; one that is there is replaced.
-    patterns
-        (n, n) uint8 of each line: levels 0 to 4, or 1 and 0 of a slot.
-    side
-        LEDs in a row and in a column, n.
-    period_s
-        Time from line to line in s, above 0.
-    slots
-        Whether lines are slots.
-    """
+    """Write a table."""
     with path.open("w", encoding="ascii") as file:
         file.write(_names(side, slots) + "\n")
         for index, pattern in enumerate(patterns):
@@ -50,18 +36,7 @@ def write_table(path: Path, patterns: Iterable[NDArray[np.uint8]], side: int, pe
 
 
 def read_head(path: Path) -> tuple[int, bool, float, int]:
-    """Return what a table holds: LEDs of a side, whether lines are slots, time from line to line in s, and lines.
-
-    Parameters
-    ----------
-    path
-        A file that may be such a table; its lines are counted.
-
-    Raises
-    ------
-    ValueError
-        It is none, or has fewer than two lines, whose times tell the period.
-    """
+    """Return what a table holds: LEDs of a side, whether lines are slots, time from line to line in s, and lines."""
     with path.open(encoding="ascii") as file:
         names = file.readline(MOST_LINE)
         first, _, _ = names.partition(",")
@@ -77,24 +52,7 @@ def read_head(path: Path) -> tuple[int, bool, float, int]:
 
 
 def rows(path: Path, side: int, slots: bool, period_s: float) -> Iterator[NDArray[np.uint8]]:
-    """Yield the (n, n) uint8 of each line.
-
-    Parameters
-    ----------
-    path
-        A table whose head was read.
-    side
-        LEDs in a row, n.
-    slots
-        Whether lines are slots, which are 1 or 0, rather than levels of 0 to 4.
-    period_s
-        Time from line to line in s.
-
-    Raises
-    ------
-    MediaError
-        A line is cut, or no such line.
-    """
+    """Yield the (n, n) uint8 of each line."""
     most, count = 1 if slots else pwm.SLOTS, 0
     with path.open(encoding="ascii", errors="replace") as file:
         file.readline(MOST_LINE)

@@ -1,12 +1,8 @@
-"""LED patterns on or off by slot, in the files that LED drivers take: .bits, .hub75, .shift and C headers.
-
-A binary file begins with 32 bytes, little-endian: signature (8 bytes), LEDs of a side (2), slots of a pattern (2),
-period of a slot in ns (4), number of slots (8), bytes of a slot (4), four zeros. The slots follow without gaps.
-"""
+"""LED patterns on or off by slot, in the files of LED drivers: .bits, .hub75, .shift, .csv and C headers."""
 
 import os
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +12,82 @@ from numpy.typing import NDArray
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.files import whole_file
 from heliograph.media import c_header, slot_table
-from heliograph.media.slot_layouts import LAYOUTS, Layout, Slot
 from heliograph.signal import pwm
+
+RGB = 0b111
+"""An LED that is on is white on a panel of three colours: R, G and B. Who wants one colour masks the others out."""
+
+LOWER = 3
+"""Place of R2 in a byte of a row scan: R1, G1, B1, R2, G2, B2 are bits 0 to 5."""
+
+Slot = NDArray[np.uint8]
+"""(n, n) LEDs of a slot, 1 on and 0 off, row by row as the camera sees them."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the LEDs of a slot lie in the bytes of a file."""
+
+    # First 8 bytes of such a file; the last but one is the layout's version
+    signature: bytes
+    # Bytes of a slot by the LEDs of a side
+    size: Callable[[int], int]
+    # Bytes of a slot
+    pack: Callable[[Slot], bytes]
+    # The slot of such bytes and the LEDs of a side; a ValueError where no slot has them
+    unpack: Callable[[bytes, int], Slot]
+
+
+def _plane_size(side: int) -> int:
+    return side * side // 8
+
+
+def _plane(slot: Slot) -> bytes:
+    return np.packbits(slot).tobytes()
+
+
+def _from_plane(data: bytes, side: int) -> Slot:
+    return np.unpackbits(np.frombuffer(data, np.uint8)).reshape(side, side)
+
+
+def _chain(slot: Slot) -> bytes:
+    # what is shifted in first ends at the far end of the chain
+    return np.packbits(slot.ravel()[::-1]).tobytes()
+
+
+def _from_chain(data: bytes, side: int) -> Slot:
+    return np.unpackbits(np.frombuffer(data, np.uint8))[::-1].reshape(side, side).copy()
+
+
+def _scan_size(side: int) -> int:
+    return side // 2 * (1 + side)
+
+
+def _scan(slot: Slot) -> bytes:
+    half = len(slot) // 2
+    out = np.empty((half, 1 + len(slot)), np.uint8)
+    out[:, 0] = np.arange(half)
+    out[:, 1:] = RGB * slot[:half] | RGB * slot[half:] << LOWER
+    return out.tobytes()
+
+
+def _from_scan(data: bytes, side: int) -> Slot:
+    rows = np.frombuffer(data, np.uint8).reshape(side // 2, 1 + side)
+    if (rows[:, 0] != np.arange(side // 2)).any():
+        raise ValueError("its rows do not come in the order of their addresses")
+    lit = np.concatenate([rows[:, 1:] & RGB, rows[:, 1:] >> LOWER])
+    if not np.isin(lit, (0, RGB)).all():
+        raise ValueError("R, G and B of an LED differ")
+    return lit // RGB
+
+
+LAYOUTS = {
+    ".bits": Layout(b"HGBITS1\n", _plane_size, _plane, _from_plane),
+    ".hub75": Layout(b"HGHUBS1\n", _scan_size, _scan, _from_scan),
+    ".shift": Layout(b"HGSHFT1\n", _plane_size, _chain, _from_chain),
+}
+"""Layouts of binary files by suffix. A C header has the bytes of ".bits"."""
+
 
 C_HEADER = ".h"
 SUFFIXES = (*LAYOUTS, C_HEADER)
@@ -90,15 +160,7 @@ class SlotForm:
 
 
 def file_size(path: Path, form: SlotForm) -> int:
-    """Return the length of a file of slots in bytes.
-
-    Parameters
-    ----------
-    path
-        Its name, whose suffix tells its kind.
-    form
-        What it holds: size, timing and number of its slots.
-    """
+    """Return the length of a file of slots in bytes."""
     kind = path.suffix.lower()
     size = _layout(kind).size(form.side)
     if kind == C_HEADER:
@@ -107,22 +169,7 @@ def file_size(path: Path, form: SlotForm) -> int:
 
 
 def write_slots(path: Path, slots: Iterable[NDArray[np.uint8]], form: SlotForm) -> None:
-    """Write a file of slots, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        Target; its suffix, one of `SUFFIXES`, chooses the kind.
-    slots
-        (n, n) uint8 LEDs of each slot, 1 on and 0 off, in the order of time.
-    form
-        What is written: size, timing and number of the slots.
-
-    Raises
-    ------
-    MediaError
-        The file cannot be written, or there are other slots than `form` says.
-    """
+    """Write a file of slots, whole or not at all."""
     kind = path.suffix.lower()
     layout = _layout(kind)
     size, written = layout.size(form.side), 0

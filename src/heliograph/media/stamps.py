@@ -18,39 +18,26 @@ from heliograph.media.record import FASTEST_HZ
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StampLimits:
-    """Limits by which time stamps are judged.
+    """Limits by which time stamps are judged."""
 
-    Attributes
-    ----------
-    sample_frames
-        Frames at a film's start whose stamps are judged.
-    gap_tolerance
-        Largest distance of a gap from whole frame periods, in periods, for the gap to be even.
-    even_ratio
-        Least part of even gaps for stamps to be even.
-    rate_tolerance
-        Largest departure of a stated rate from the stamps' rate, as a fraction, for the two to agree.
-    missing_ratio
-        Largest part of frames missing from the grid of a stated rate for the rate to be that of the stamps.
-    rounding_ticks
-        Ticks by which a stamp may be off the grid of frames and still be rounded to it: half a tick, and errors.
-    min_rate_hz
-        Least frames per second of times without a stated rate. Whole milliseconds and frame numbers show less.
-    resolution_periods
-        Largest step of the numbers that hold the times, in frame periods.
-    unit_ratio
-        Least ratio between the stated rate and the stamps' rate that only another unit explains. Lost frames make gaps,
-        but not most of them.
-    """
-
+    # Frames at a film's start whose stamps are judged
     sample_frames: int = 64
+    # Largest distance of a gap from whole frame periods, in periods, for the gap to be even
     gap_tolerance: float = 0.25
+    # Least part of even gaps for stamps to be even
     even_ratio: float = 0.9
+    # Largest departure of a stated rate from the stamps' rate, as a fraction, for the two to agree
     rate_tolerance: float = 0.01
+    # Largest part of frames missing from the grid of a stated rate for the rate to be that of the stamps
     missing_ratio: float = 0.25
+    # Ticks by which a stamp may be off the grid of frames and still be rounded to it: half a tick, and errors
     rounding_ticks: float = 0.51
+    # Least frames per second of times without a stated rate. Whole milliseconds and frame numbers show less
     min_rate_hz: float = 2.0
+    # Largest step of the numbers that hold the times, in frame periods
     resolution_periods: float = 0.25
+    # Least ratio between the stated rate and the stamps' rate that only another unit explains. Lost frames make gaps,
+    # but not most of them
     unit_ratio: float = 10.0
 
 
@@ -62,17 +49,11 @@ FALLBACK_HZ = 25.0
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """Frame rate of a film by its stamps.
+    """Frame rate of a film by its stamps."""
 
-    Attributes
-    ----------
-    rate_hz
-        Frames per second.
-    is_even
-        True if the gaps between stamps are whole frame periods: a longer gap then shows missing frames.
-    """
-
+    # Frames per second
     rate_hz: float
+    # True if the gaps between stamps are whole frame periods: a longer gap then shows missing frames
     is_even: bool
 
     def steps(self, gap_s: float) -> int:
@@ -149,15 +130,6 @@ class StampClock:
     """Times of frames by stamps that a container rounds to its tick.
 
     If a stated rate explains the sample's stamps, each stamp that it explains is put back on the grid of frames.
-
-    Parameters
-    ----------
-    sample_s
-        Stamps in s at the start of the film, in order of time.
-    tick_s
-        Tick of the container in s.
-    stated_hz
-        Rates that the container states, the most credible first.
     """
 
     def __init__(
@@ -230,24 +202,7 @@ def _fit_grid(sample_s: Sequence[float], rate_hz: float, tick_s: float, limits: 
 
 
 def check_times(path: Path, times: Any, stated_hz: float, numbered: bool, limits: StampLimits = LIMITS) -> Pace | None:
-    """Frame rate by times in seconds that a file holds; times that cannot be seconds are refused.
-
-    Parameters
-    ----------
-    path
-        The film, for the error.
-    times
-        Times of its first frames, of any type of numbers.
-    stated_hz
-        Frames per second as the film states; 0 if it states none.
-    numbered
-        True if the frames are numbered by a rate that was given: times may then be in any unit.
-
-    Raises
-    ------
-    MediaError
-        The times do not rise, are in another unit than seconds, or have lost their resolution.
-    """
+    """Frame rate by times in seconds that a file holds; times that cannot be seconds are refused."""
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that no double holds become infinite
         known = np.asarray(times, np.float64)
     known = known[np.isfinite(known)]

@@ -1,23 +1,250 @@
-"""Read TIFF stacks with tifffile, one frame in memory at a time."""
+"""TIFF stacks by tifffile, one frame in memory at a time."""
 
+import json
 import logging
+import lzma
+import math
+import re
 import struct
+import zlib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, brief
-from heliograph.base.frames import Pixels
-from heliograph.media import tiff_pages
+from heliograph.base.frames import BITS, Pixels
+from heliograph.media import images as pictures
 from heliograph.media.numbered import NumberedReader, camera_rate
-from heliograph.media.reader import checked_size
-from heliograph.media.reading import Reading
-from heliograph.media.tiff_descriptions import Description, read_description
+from heliograph.media.reader import Reading, checked_size
 
 if TYPE_CHECKING:
     from tifffile import TiffPage
+
+
+_IMAGEJ = re.compile(r"^(images|channels|slices|frames)=(\d{1,9})\s*$", re.MULTILINE)
+"""Lengths in ImageJ's description: pictures in all, and the axes."""
+
+_OME_PIXELS = re.compile(r"<(?:\w+:)?Pixels\b[^>]*>")
+"""Element of OME-XML that has the lengths of a series."""
+
+_OME = re.compile(r"\b(SizeZ|SizeT|SizeC|SignificantBits)\s*=\s*[\"'](\d{1,9})[\"']")
+"""Lengths of the axes and bits of a level in it."""
+
+_SHAPE = re.compile(r"shape=\(([\d, ]+)\)")
+"""Shape in the description by old releases of tifffile."""
+
+_CHANNELS = ("channels", "SizeC", "C")
+"""Names of the axis of channels."""
+
+_MAX_CHANNELS = 7
+"""Most channels that ImageJ shows. tifffile writes any stack of pictures as ImageJ's channels if no axes are given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """Description of a stack."""
+
+    # Lengths above 1 of the axes beside rows and columns, under the description's own names
+    axes: Mapping[str, int] = field(default_factory=dict)
+    # Number of pictures; 1 if the description states none
+    frames: int = 1
+    # True if the program writes stacks as one page with all pictures as its data
+    in_one_page: bool = True
+    # Bits of a gray level; None if the description states none
+    bits: int | None = None
+
+    @property
+    def has_channels(self) -> bool:
+        """True if several pictures belong to one time."""
+        return any(name in self.axes and (len(self.axes) > 1 or self.axes[name] <= _MAX_CHANNELS) for name in _CHANNELS)
+
+
+def read_description(page: "TiffPage") -> Description:
+    """Return the axes and bits that a page's description states."""
+    text = page.description
+    if text.startswith("ImageJ="):
+        said = {name: int(length) for name, length in _IMAGEJ.findall(text)}
+        return Description(_long(said, but="images"), max(1, said.get("images", 1)))
+    if (pixels := _OME_PIXELS.search(text)) is not None:
+        said = {name: int(length) for name, length in _OME.findall(pixels[0])}
+        bits = said.pop("SignificantBits", None)
+        said["SizeC"] = said.get("SizeC", 1) // max(1, page.samplesperpixel)
+        return Description(_long(said), math.prod(said.values()), in_one_page=False, bits=bits)
+    return _shaped(page, text)
+
+
+def _long(lengths: Mapping[str, int], but: str = "") -> dict[str, int]:
+    return {name: length for name, length in lengths.items() if length > 1 and name != but}
+
+
+def _shaped(page: "TiffPage", text: str) -> Description:
+    """Description by tifffile: the shape of the whole array, and the letters of its axes."""
+    try:
+        if text.startswith("{"):
+            said = json.loads(text)
+            shape, letters = [int(length) for length in said["shape"]], str(said.get("axes", ""))
+        else:
+            found = _SHAPE.match(text)
+            shape, letters = [int(length) for length in (found[1] if found else "").split(",") if length.strip()], ""
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return Description()
+    outer, inner = shape[: -len(page.shape)], shape[-len(page.shape) :]
+    if not outer or inner != list(page.shape) or min(outer) < 1:
+        return Description()
+    names = (
+        list(letters[: len(outer)])
+        if len(letters) == len(shape)
+        else [f"axis {number}" for number in range(len(outer))]
+    )
+    return Description(_long(dict(zip(names, outer, strict=True))), math.prod(outer))
+
+
+ERRORS = (
+    ValueError, ArithmeticError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError, MemoryError,
+    ImportError, struct.error, zlib.error, lzma.LZMAError,
+)  # fmt: skip
+"""Errors of tifffile on damaged files, apart from its own and from OSError."""
+
+_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR, _MOSAIC = 0, 1, 2, 3, 6, 32803
+"""Meanings of a pixel's samples (PhotometricInterpretation)."""
+
+_SAMPLES = {_WHITE_IS_ZERO: 1, _BLACK_IS_ZERO: 1, _RGB: 3, _PALETTE: 1, _YCBCR: 3, _MOSAIC: 1}
+"""Samples of a pixel that are its gray level or colour; further ones may be its opacity."""
+
+_OPACITY = (1, 2)
+"""Values of ExtraSamples for opacity."""
+
+_PLAIN = 1
+"""Value of Compression for none."""
+
+_MEANING, _ORIENTATION = 262, 274
+"""Tags of the meaning of the samples, and of the turn and mirroring of the page."""
+
+
+def check_kind(path: Path, page: "TiffPage") -> None:
+    """Refuse a page whose samples are neither gray nor red, green and blue."""
+    wanted = _SAMPLES.get(_meaning(page))
+    if wanted is None or page.samplesperpixel < wanted:
+        kind = getattr(page.photometric, "name", page.photometric)
+        raise MediaError(f"{path} has pixels of kind {kind}: save gray or RGB of 8 or 16 bits")
+    if page.imagedepth > 1 and not is_plain(page):
+        raise MediaError(
+            f"{path} has {page.imagedepth} pictures in one page (ImageDepth) that is compressed or tiled: save a page "
+            "for each frame"
+        )
+    if page.samplesperpixel > wanted == 1 and not all(extra in _OPACITY for extra in page.extrasamples or (0,)):
+        raise MediaError(
+            f"{path} has several channels ({page.samplesperpixel} samples a pixel): save one channel as a stack of its "
+            "own, in ImageJ by Image > Color > Split Channels"
+        )
+
+
+def is_plain(page: "TiffPage") -> bool:
+    """Return True if the levels lie in the file without compression, one row after the other."""
+    return page.compression == _PLAIN and not page.is_tiled and _in_one_piece(page)
+
+
+def plane_bytes(page: "TiffPage") -> int:
+    """Return the bytes of one frame of a page without compression."""
+    rows, row, bits = page.shaped[0] * page.shaped[2], page.shaped[3] * page.shaped[4], page.bitspersample
+    words = 2 * rows * row
+    # some programs write levels of 9 to 15 bits as words of 16 and state the bits of the level
+    return words if 8 < bits < 16 and sum(page.databytecounts) == words else rows * -(-row * bits // 8)
+
+
+def end(page: "TiffPage", plane: int) -> int:
+    """Return the place behind the last byte of a frame."""
+    if not page.dataoffsets or not all(page.dataoffsets) or not all(page.databytecounts):
+        raise ValueError("a strip or tile is missing")
+    if is_plain(page):
+        return int(page.dataoffsets[0]) + plane_bytes(page) * (plane + 1)
+    return int(max(place + size for place, size in zip(page.dataoffsets, page.databytecounts, strict=True)))
+
+
+def read_levels(path: Path, page: "TiffPage", plane: int, channel: str) -> Pixels:
+    """Return the gray levels of a frame, upright as the page says. Returns (rows, columns) uint8 or uint16."""
+    picture = pictures.checked_form(path, _colours(page, _stored(page, plane)))
+    return _upright(pictures.to_gray(picture, channel), int(page.tags.valueof(_ORIENTATION, default=1)))
+
+
+def depth(page: "TiffPage", levels: Pixels, stated: int | None) -> int:
+    """Return the bits of a gray level, 8 to 16."""
+    least, most = BITS[levels.dtype]
+    bits = page.bitspersample if page.bitspersample < most else stated or most
+    return bits if least <= bits <= most and _meaning(page) != _PALETTE else most
+
+
+def _meaning(page: "TiffPage") -> int:
+    """Meaning of the samples; without a statement they are gray, or red, green and blue."""
+    if _MEANING in page.tags:
+        return int(page.photometric)
+    return _RGB if page.samplesperpixel > 1 else _BLACK_IS_ZERO
+
+
+def _in_one_piece(page: "TiffPage") -> bool:
+    places, sizes = page.dataoffsets, page.databytecounts
+    return all(place + size == following for place, size, following in zip(places, sizes, places[1:], strict=False))
+
+
+def _colours(page: "TiffPage", stored: NDArray[Any]) -> NDArray[Any]:
+    """Gray levels (rows, columns), or blue, green and red (rows, columns, 3)."""
+    meaning, full_scale = _meaning(page), (1 << page.bitspersample) - 1
+    samples = np.moveaxis(stored, 0, -1)[..., 0, :] if stored.shape[0] > 1 else stored[0]
+    if meaning == _PALETTE:
+        colours = np.asarray(page.colormap)
+        samples = (colours >> 8 if colours.max() > 255 else colours).astype(np.uint8).T[samples[..., 0]]
+    picture = samples[..., 2::-1] if _SAMPLES[meaning] == 3 or meaning == _PALETTE else samples[..., 0]
+    if meaning == _WHITE_IS_ZERO and picture.dtype in BITS:
+        picture = full_scale - picture
+    return picture * np.uint8(255 // full_scale) if full_scale < 255 and meaning != _PALETTE else picture
+
+
+def _stored(page: "TiffPage", plane: int) -> NDArray[Any]:
+    """Numbers of a frame as they lie in the file, (planar samples, rows, columns, samples)."""
+    if page.compression == _PLAIN and not page.is_tiled and page.bitspersample > 1 and page.fillorder == 1:
+        return _uncompressed(page, plane)
+    stored = page.asarray(squeeze=False, maxworkers=1)[:, 0]
+    return stored.view(np.uint8) if stored.dtype == np.bool_ else stored.astype(stored.dtype.newbyteorder("="))
+
+
+def _uncompressed(page: "TiffPage", plane: int) -> NDArray[Any]:
+    file, size, bits = page.parent.filehandle, plane_bytes(page), page.bitspersample
+    shape = (page.shaped[0], *page.shaped[2:])
+    if page.dtype is None:
+        raise ValueError(f"numbers of {bits} bits and kind {page.sampleformat}")
+    if is_plain(page):
+        data = bytearray(size)  # which may be written, so that no loop is compiled again
+        file.seek(page.dataoffsets[0] + plane * size)
+        held = file.readinto(data)
+    else:
+        data = bytearray()
+        for place, length in zip(page.dataoffsets, page.databytecounts, strict=True):
+            file.seek(place)
+            data += file.read(min(length, size - len(data)))
+        held = len(data)
+    if held < size:
+        raise ValueError(f"its strips hold {held} bytes, and its pixels take {size}")
+    if bits % 8 and size < 2 * int(np.prod(shape)):
+        from imagecodecs import packints_decode
+
+        return packints_decode(bytes(data), page.dtype, bits, runlen=shape[2] * shape[3]).reshape(shape)
+    kind = np.dtype(np.uint16) if bits % 8 else np.dtype(page.dtype)
+    return np.frombuffer(data, kind.newbyteorder(page.parent.byteorder)).reshape(shape).astype(kind, copy=False)
+
+
+def _upright(levels: Pixels, orientation: int) -> Pixels:
+    """Levels turned and mirrored by the tag Orientation (TIFF 6.0, section 8)."""
+    turned: Pixels = levels.T if orientation in (5, 6, 7, 8) else levels
+    turned = turned[:, ::-1] if orientation in (2, 3, 6, 7) else turned
+    turned = turned[::-1] if orientation in (3, 4, 7, 8) else turned
+    return turned.copy() if turned is not levels else levels
+
 
 SUFFIXES = (".tif", ".tiff")
 """Suffixes of stacks."""
@@ -37,13 +264,7 @@ class _PagesEndError(Exception):
 
 
 def is_stack(path: Path) -> bool:
-    """Return True if a TIFF file has more than one frame, and so is a film of its own; False if it is damaged.
-
-    Parameters
-    ----------
-    path
-        An existing file. No gray levels are read.
-    """
+    """Return True if a TIFF file has more than one frame, and so is a film of its own; False if it is damaged."""
     try:
         with _Stack(path) as stack:
             return stack.has_several()
@@ -52,20 +273,7 @@ def is_stack(path: Path) -> bool:
 
 
 class TiffReader(NumberedReader):
-    """A TIFF stack; see `FilmReader`. It has no clock, so the rate is needed.
-
-    Parameters
-    ----------
-    path
-        The stack, a TIFF file.
-    reading
-        Options for reading the film.
-
-    Raises
-    ------
-    MediaError
-        The file is no TIFF, its first page cannot be read, it has several channels, or no rate was given.
-    """
+    """A TIFF stack; see `FilmReader`. It has no clock, so the rate is needed."""
 
     _decodes = True
     faster = ("HDF5",)
@@ -100,20 +308,7 @@ class TiffReader(NumberedReader):
 
 
 def single_picture(path: Path, channel: str) -> tuple[Pixels, int]:
-    """Return the gray levels of a TIFF file that is one picture, and their bits.
-
-    Parameters
-    ----------
-    path
-        The TIFF file to read.
-    channel
-        "luma", "red", "green" or "blue": the part of a colour to read.
-
-    Raises
-    ------
-    MediaError
-        It has several pages, or none; or is no TIFF, is damaged, or of a kind that is not read.
-    """
+    """Return the gray levels of a TIFF file that is one picture, and their bits."""
     with _Stack(path) as stack:
         try:
             several = stack.has_several()
@@ -131,19 +326,13 @@ def _cut(path: Path, error: _PagesEndError, count: int) -> MediaError:
 
 
 class _Stack:
-    """A TIFF file that is open.
-
-    Raises
-    ------
-    MediaError
-        It is no TIFF.
-    """
+    """A TIFF file that is open."""
 
     def __init__(self, path: Path) -> None:
         import tifffile
 
         self._path = path
-        self._errors = (*tiff_pages.ERRORS, tifffile.TiffFileError)
+        self._errors = (*ERRORS, tifffile.TiffFileError)
         try:
             self._tif = tifffile.TiffFile(path, is_ome=False)  # whose series may lie in other files
         except OSError as error:
@@ -164,13 +353,7 @@ class _Stack:
         self._tif.close()
 
     def frames(self) -> Iterator[tuple["TiffPage", int]]:
-        """Yield each frame as its page and its number in the page's data, without reduced copies of other pages.
-
-        Raises
-        ------
-        _PagesEndError
-            The file ends within a page, or its pages form a circle; the frames before are delivered.
-        """
+        """Yield each frame as its page and its number in the page's data, without reduced copies of other pages."""
         pages, ending = self._pages(), None
         page = next(pages, None)
         while page is not None:
@@ -230,11 +413,11 @@ class _Stack:
         """Gray levels of a frame, and their bits; `count` whole frames came before."""
         try:
             checked_size(self._path, page.imagewidth, page.imagelength)
-            tiff_pages.check_kind(self._path, page)
-            if tiff_pages.end(page, plane) > self._file.size:
+            check_kind(self._path, page)
+            if end(page, plane) > self._file.size:
                 raise _PagesEndError("ends in the middle,")
-            pixels = tiff_pages.read_levels(self._path, page, plane, channel)
-            return pixels, tiff_pages.depth(page, pixels, self._stated().bits)
+            pixels = read_levels(self._path, page, plane, channel)
+            return pixels, depth(page, pixels, self._stated().bits)
         except MediaError:
             raise
         except (OSError, *self._errors) as error:
@@ -300,9 +483,9 @@ class _Stack:
                 series = self._tif.series[0]  # of other programs' forms, such as MetaMorph's
                 if series.dataoffset == page.dataoffsets[0] and not series.size % page.size:
                     frames = series.size // page.size
-            if frames == 1 or not tiff_pages.is_plain(page):
+            if frames == 1 or not is_plain(page):
                 return 1
-            start, size = page.dataoffsets[0], tiff_pages.plane_bytes(page)
+            start, size = page.dataoffsets[0], plane_bytes(page)
             if following is None:
                 # a picture that was taken out of a stack may keep the stack's description
                 return frames if self._file.size >= start + 2 * size or page.imagedepth > 1 else 1

@@ -1,29 +1,73 @@
-"""Read video files of any origin as gray frames through PyAV."""
+"""Video files of any origin as gray frames, by PyAV."""
 
 import heapq
 import logging
+import struct
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
 from heliograph.media import planes, whole
-from heliograph.media.display import Orientation, orientation
 from heliograph.media.numbered import camera_rate
-from heliograph.media.reader import checked_size
-from heliograph.media.reading import Reading
+from heliograph.media.reader import Reading, checked_size
 from heliograph.media.record import from_tags, restored_time
 from heliograph.media.stamps import LIMITS, Pace, StampClock, TimedReader
 
 if TYPE_CHECKING:
     import av
     from av.container import InputContainer
+
+
+_MATRIX = struct.Struct("<9i")
+"""A display matrix, FFmpeg's AV_FRAME_DATA_DISPLAYMATRIX: (x, y, 1) times it is the place on the display, y down."""
+
+
+@dataclass(frozen=True, slots=True)
+class Orientation:
+    """How pictures are put upright: rows and columns changed about first, then turned back to front."""
+
+    # Whether rows become columns
+    transposed: bool = False
+    # rows_back, columns_back: whether rows, and columns, then run the other way
+    rows_back: bool = False
+    columns_back: bool = False
+
+    def upright(self, pixels: Pixels) -> Pixels:
+        """Return a picture the right way up."""
+        turned: Any = pixels.T if self.transposed else pixels
+        turned = turned[:: -1 if self.rows_back else 1, :: -1 if self.columns_back else 1]
+        upright: Pixels = np.ascontiguousarray(turned)
+        return upright
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Return columns and rows of an upright picture."""
+        return (height, width) if self.transposed else (width, height)
+
+
+def orientation(picture: "av.VideoFrame") -> Orientation:
+    """Return how a picture is put upright; turns by other angles than quarters are left as they are."""
+    from av.sidedata.sidedata import Type
+
+    held: Any = picture.side_data
+    note = held.get(Type.DISPLAYMATRIX)
+    if note is None or len(bytes(note)) < _MATRIX.size:
+        return Orientation()
+    # x' = a x + c y, y' = b x + d y
+    a, b, _, c, d, *_ = _MATRIX.unpack_from(bytes(note))
+    if not b and not c:
+        return Orientation(rows_back=d < 0, columns_back=a < 0)
+    return Orientation(True, rows_back=b < 0, columns_back=c < 0) if not a and not d else Orientation()
+
 
 LOG = logging.getLogger(__name__)
 
@@ -54,20 +98,7 @@ _REORDERED = 16
 
 
 class VideoReader(TimedReader):
-    """A video file; see `FilmReader`.
-
-    Parameters
-    ----------
-    path
-        Video of any kind that FFmpeg reads.
-    reading
-        How the film is to be read.
-
-    Raises
-    ------
-    MediaError
-        The file is no readable video.
-    """
+    """A video file; see `FilmReader`."""
 
     _decodes = True
 

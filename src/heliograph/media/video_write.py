@@ -68,49 +68,22 @@ wrong time; rounding errors are far smaller."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoCodec:
-    """The coding of pictures.
+    """The coding of pictures."""
 
-    Attributes
-    ----------
-    name
-        "ffv1", "h264", "h265" or "mjpeg".
-    crf
-        Quality of lossy H.264, 0 (best) to 51.
-    lossless
-        Whether H.264 keeps every bit.
-    mbit_s
-        Bit rate of H.264 or H.265 in Mbit/s; None for a constant quality.
-    """
-
+    # "ffv1", "h264", "h265" or "mjpeg"
     name: str
+    # Quality of lossy H.264, 0 (best) to 51
     crf: float = DEFAULT_CRF
+    # Whether H.264 keeps every bit
     lossless: bool = False
+    # Bit rate of H.264 or H.265 in Mbit/s; None for a constant quality
     mbit_s: float | None = None
 
 
 def chosen_codec(
     suffix: str, name: str | None, crf: float | None, lossless: bool, mbit_s: float | None = None
 ) -> VideoCodec:
-    """Return the codec of a film.
-
-    Parameters
-    ----------
-    suffix
-        Suffix of the film, a key of `CODECS`.
-    name
-        "ffv1", "h264", "h265" or "mjpeg"; None for the suffix's default.
-    crf
-        Quality of lossy H.264, 0 (best) to 51; None for the default.
-    lossless
-        Whether H.264 keeps every bit.
-    mbit_s
-        Bit rate of H.264 or H.265 in Mbit/s; None for a constant quality.
-
-    Raises
-    ------
-    MediaError
-        The codec does not go into the file, or the other settings do not go with the codec.
-    """
+    """Return the codec of a film."""
     known = CODECS[suffix]
     name = name or ("h264" if mbit_s is not None and "h264" in known else known[0])
     if name not in known:
@@ -132,22 +105,7 @@ def chosen_codec(
 
 
 def check_form(spec: FilmSpec, suffix: str, codec: str) -> None:
-    """Check that container and codec can hold a film of a form.
-
-    Parameters
-    ----------
-    spec
-        Form of the film: its size, rate, bits and metadata.
-    suffix
-        Suffix of the film, a key of `CODECS`.
-    codec
-        Name of the codec: "ffv1", "h264", "h265" or "mjpeg".
-
-    Raises
-    ------
-    MediaError
-        A gray level has too many bits, or the frame rate is too high.
-    """
+    """Check that container and codec can hold a film of a form."""
     if codec == "h265" and (spec.width % 2 or spec.height % 2):
         raise MediaError(f"h265 takes an even width and height, not {spec.width}x{spec.height}: use h264 or ffv1")
     if spec.bits > MOST_BITS[codec]:
@@ -159,24 +117,7 @@ def check_form(spec: FilmSpec, suffix: str, codec: str) -> None:
 
 
 class VideoSink:
-    """A video file being written; a `Sink`. Its header holds the first frame's time, so it is written with that frame.
-
-    Parameters
-    ----------
-    partial
-        Hidden file beside the target, which is written to.
-    target
-        Final name of the film, for its suffix and for error messages.
-    spec
-        Form of the film: its size, rate, bits and metadata.
-    codec
-        Coding of its pictures.
-
-    Raises
-    ------
-    MediaError
-        The file cannot be created.
-    """
+    """Sink for a video file; the header holds the time of the first frame, so both are written together."""
 
     def __init__(self, partial: Path, target: Path, spec: FilmSpec, codec: VideoCodec) -> None:
         self._target = target
@@ -192,13 +133,7 @@ class VideoSink:
             self._stream = self._add_stream(codec, options)
 
     def put(self, frame: Frame) -> None:
-        """Encode a frame; see `Sink`.
-
-        Raises
-        ------
-        MediaError
-            Its time does not fit the container's clock, or the file cannot be written.
-        """
+        """Encode a frame; see `Sink`."""
         with self._clear_errors():
             if self._start_s is None:
                 self._start_s = frame.time_s
@@ -209,13 +144,7 @@ class VideoSink:
             self._mux(self._stream.encode(picture))
 
     def close(self) -> None:
-        """Encode the frames that the codec holds back and write the index.
-
-        Raises
-        ------
-        MediaError
-            The file cannot be written.
-        """
+        """Encode the frames that the codec holds back and write the index."""
         with self._clear_errors():
             self._mux(self._stream.encode())
             self._container.close()

@@ -20,26 +20,14 @@ MOST_BINNED = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """Part of a film's frames, its squares as single pixels, and their turn.
+    """Part of a film's frames, its squares as single pixels, and their turn."""
 
-    Attributes
-    ----------
-    crop
-        (x, y, width, height) in pixels of the film; x and y count from 0 at its upper left corner. None for all.
-    binning
-        Pixels along a side of the squares that are then replaced by their mean, 1 to `MOST_BINNED`; 1 for none. What
-        is left over at the right and at the bottom is cut off.
-    rotate
-        Degrees clockwise by which the part is then turned, one of `TURNS`.
-
-    Raises
-    ------
-    MediaError
-        The crop is no four whole numbers, or is empty; or squares or turn are none of those.
-    """
-
+    # (x, y, width, height) in pixels of the film; x and y count from 0 at its upper left corner. None for all
     crop: tuple[int, int, int, int] | None = None
+    # Pixels along a side of the squares that are then replaced by their mean, 1 to `MOST_BINNED`; 1 for none. What is
+    # left over at the right and at the bottom is cut off
     binning: int = 1
+    # Degrees clockwise by which the part is then turned, one of `TURNS`
     rotate: int = 0
 
     def __post_init__(self) -> None:
@@ -67,25 +55,7 @@ class View:
 
 
 class ViewReader(FilmReader):
-    """A film seen through a crop, in squares of pixels, and turned; see `FilmReader`.
-
-    Parameters
-    ----------
-    film
-        The film, which is closed with this one.
-    view
-        Part of its frames, their squares, and their turn.
-
-    Attributes
-    ----------
-    film
-        The film itself, with all of its frames.
-
-    Raises
-    ------
-    MediaError
-        The crop reaches beyond the film's frames, or the part is smaller than a square; the film is closed.
-    """
+    """A film seen through a crop, in squares of pixels, and turned; see `FilmReader`."""
 
     def __init__(self, film: FilmReader, view: View) -> None:
         super().__init__(film.path)

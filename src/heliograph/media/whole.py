@@ -42,13 +42,7 @@ _MIRROR = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def ends_early(path: Path) -> bool | None:
-    """Return whether a Matroska, NUT, MP4, AVI or YUV4MPEG file is cut short; None where its bytes do not show it.
-
-    Parameters
-    ----------
-    path
-        An existing file; one of another kind gives None.
-    """
+    """Return whether a Matroska, NUT, MP4, AVI or YUV4MPEG file is cut short; None where its bytes do not show it."""
     size = os.path.getsize(path)
     with path.open("rb") as file:
         head = file.read(_HEAD)
@@ -69,11 +63,6 @@ def slices_whole(packet: bytes) -> bool:
     """Return whether every slice of an FFV1 picture has a right checksum.
 
     The decoder only logs a wrong checksum and shows the last picture in place of this one.
-
-    Parameters
-    ----------
-    packet
-        Bytes of the coded picture, of FFV1 version 3 with ``slicecrc=1``, as the container holds them.
     """
     end = len(packet)
     while end > _SLICE_TAIL:

@@ -26,13 +26,7 @@ class Sink(Protocol):
     """A file of some kind that takes frames."""
 
     def put(self, frame: Frame) -> None:
-        """Store a frame; a MediaError where the file cannot be written.
-
-        Parameters
-        ----------
-        frame
-            Frame of the film's form, later than the one before. Its pixels may be overwritten after the call.
-        """
+        """Store a frame; a MediaError where the file cannot be written."""
 
     def close(self) -> None:
         """Finish the file; a MediaError where it cannot be written."""
@@ -42,13 +36,7 @@ class Sink(Protocol):
 
 
 class ThreadedSink:
-    """A sink that works in its own thread: the caller renders while the codec encodes, which holds no GIL.
-
-    Parameters
-    ----------
-    sink
-        Sink that stores the frames; its `put` is called in the thread.
-    """
+    """A sink that works in its own thread: the caller renders while the codec encodes, which holds no GIL."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
@@ -99,26 +87,6 @@ class FilmWriter:
     The file grows under a hidden name beside the target and takes the target's place when finished, so that the target
     is always whole. Leaving the ``with`` block finishes the film, leaving it by an exception removes it. To keep the
     frames written so far after Ctrl-C, catch `KeyboardInterrupt` inside the block and call `finish`.
-
-    Parameters
-    ----------
-    target
-        Final name of the film.
-    partial
-        Hidden file beside it, which the sink writes.
-    spec
-        Form of the film, which each frame must fit.
-    sink
-        File that takes the frames.
-
-    Attributes
-    ----------
-    path
-        Final name of the film.
-    spec
-        Form of the film.
-    frames_written
-        Frames written so far.
     """
 
     def __init__(self, target: Path, partial: Path, spec: FilmSpec, sink: Sink) -> None:
@@ -131,20 +99,7 @@ class FilmWriter:
         self._open = True
 
     def write(self, frame: Frame) -> None:
-        """Append a frame; its pixels are copied, so the caller may reuse the array.
-
-        Parameters
-        ----------
-        frame
-            Pixels of shape (height, width), uint8 for 8 bit, uint16 for more; ``time_s`` in seconds, later than the
-            last frame's. ``frame.index`` is not kept: it follows from the time.
-
-        Raises
-        ------
-        MediaError
-            The frame has a wrong size, type or time (the film stays open), or the file cannot be written, for example
-            on a full disk (the film is removed). Encoding lags, so the error may be that of an earlier frame.
-        """
+        """Append a frame; its pixels are copied, so the caller may reuse the array."""
         if not self._open:
             raise MediaError(f"{self.path} is already finished or aborted: no frame can be added")
         self._check(frame)
@@ -157,13 +112,7 @@ class FilmWriter:
         self.frames_written += 1
 
     def finish(self) -> None:
-        """Finish the film and put it in its place; does nothing the second time.
-
-        Raises
-        ------
-        MediaError
-            No frame was written, or the file cannot be written; no file is left.
-        """
+        """Finish the film and put it in its place; does nothing the second time."""
         if not self._open:
             return
         try:
@@ -205,20 +154,7 @@ class FilmWriter:
 
 
 def check_pixels(frame: Frame, spec: FilmSpec) -> None:
-    """Check that a frame fits a film in size, type and range of gray levels.
-
-    Parameters
-    ----------
-    frame
-        Frame that is to be written; its time is not checked.
-    spec
-        Form of the film: its size, rate, bits and metadata.
-
-    Raises
-    ------
-    MediaError
-        It does not fit.
-    """
+    """Check that a frame fits a film in size, type and range of gray levels."""
     pixels, dtype = frame.pixels, np.dtype(np.uint8 if spec.bits == 8 else np.uint16)
     if pixels.shape != (spec.height, spec.width):
         got = f"{pixels.shape[1]}x{pixels.shape[0]}"
@@ -232,18 +168,7 @@ def check_pixels(frame: Frame, spec: FilmSpec) -> None:
 
 
 def partial_path(target: Path) -> Path:
-    """Return a hidden, unique name beside the target, with its suffix, by which muxers choose the format.
-
-    Parameters
-    ----------
-    target
-        Final name of the film.
-
-    Raises
-    ------
-    MediaError
-        The target is a folder, its folder does not exist, or its name is too long.
-    """
+    """Return a hidden, unique name beside the target, with its suffix, by which muxers choose the format."""
     with clear_write_errors(target):
         if target.is_dir():
             raise MediaError(f"{target} is a folder: give the film a file name in it")
@@ -253,15 +178,7 @@ def partial_path(target: Path) -> Path:
 
 
 def write_error(error: Exception, target: Path) -> MediaError:
-    """Return a codec's or file library's error as a MediaError of one line.
-
-    Parameters
-    ----------
-    error
-        Error that was raised while the film was written.
-    target
-        The film that was to be written.
-    """
+    """Return a codec's or file library's error as a MediaError of one line."""
     code = getattr(error, "errno", None)
     if code in (errno.ENOSPC, errno.EDQUOT) or "No space left" in str(error):
         return MediaError(f"disk full while writing {target}: free some space or write elsewhere (nothing was kept)")

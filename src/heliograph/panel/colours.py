@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError, shown
-from heliograph.panel.picture import COLOURS
+from heliograph.panel.place import COLOURS
 
 Bits = NDArray[np.bool_]
 
@@ -24,29 +24,19 @@ STEPS = np.array([step for step in product((-1.0, 0.0, 1.0), repeat=COLOURS) if 
 
 @dataclass(frozen=True, slots=True)
 class UnmixingTuning:
-    """How crosstalk is estimated.
+    """How crosstalk is estimated."""
 
-    Attributes
-    ----------
-    n_starts
-        Random starts beside the regular ones.
-    n_values
-        LEDs from which the best start is chosen.
-    max_steps
-        Most alternations of decisions and least squares from a start.
-    extreme
-        Share of the LEDs that count as the darkest ones.
-    min_separation
-        Smallest step between two states in standard deviations of the residual; noise split in two has 2.7.
-    min_count
-        Fewest LEDs in which a colour is on, and is off.
-    """
-
+    # Random starts beside the regular ones
     n_starts: int = 40
+    # LEDs from which the best start is chosen
     n_values: int = 2000
+    # Most alternations of decisions and least squares from a start
     max_steps: int = 60
+    # Share of the LEDs that count as the darkest ones
     extreme: float = 0.02
+    # Smallest step between two states in standard deviations of the residual; noise split in two has 2.7
     min_separation: float = 3.3
+    # Fewest LEDs in which a colour is on, and is off
     min_count: int = 4
 
 

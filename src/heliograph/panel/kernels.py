@@ -9,22 +9,7 @@ from heliograph.base.compiled import compiled
 
 @compiled(fastmath=True)
 def gathered(image, points, sigma, reach, out):
-    """Inner products of an image with each LED's image and its derivatives.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) float32 gray levels, which stay as they are.
-    points
-        (n, 2) float64 places (x, y) of the LEDs in px.
-    sigma
-        Standard deviation of an LED's image in px.
-    reach
-        Distance in px along x and y up to which an LED's image is taken.
-    out
-        (n, 4) float64, overwritten: with the image of an LED of the light 1, its derivatives by x and y of its place,
-        and by ln sigma.
-    """
+    """Inner products of an image with each LED's image and its derivatives."""
     rows, columns = image.shape
     along = np.empty(2 * int(reach) + 3, np.float32)
     scale, norm = -0.5 / (sigma * sigma), 1.0 / (math.sqrt(2.0 * math.pi) * sigma)
@@ -62,21 +47,7 @@ def gathered(image, points, sigma, reach, out):
 
 @compiled(fastmath=True)
 def drawn(amounts, points, sigma, reach, image):
-    """Add the images of LEDs and their derivatives to an image.
-
-    Parameters
-    ----------
-    amounts
-        (n, 4) float64: how much of an LED's image, of its derivatives by x and y of its place, and by ln sigma.
-    points
-        (n, 2) float64 places (x, y) of the LEDs in px.
-    sigma
-        Standard deviation of an LED's image in px.
-    reach
-        Distance in px along x and y up to which an LED's image is drawn.
-    image
-        (rows, columns) float32, added to.
-    """
+    """Add the images of LEDs and their derivatives to an image."""
     rows, columns = image.shape
     along = np.empty(2 * int(reach) + 3, np.float32)
     scale, norm = -0.5 / (sigma * sigma), 1.0 / (math.sqrt(2.0 * math.pi) * sigma)

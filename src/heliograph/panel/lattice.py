@@ -1,9 +1,4 @@
-"""The LEDs of a panel on a picture: their light by least squares, and the panel's place by how they fit.
-
-A picture is taken for r = A a + P c + noise: an LED's image is a Gaussian of variance s^2 about its place, a is the
-light of the LEDs, P c a plane of background. A^T A is known in closed form, as two Gaussians at a distance d have the
-inner product exp(-d^2 / 4 s^2) / (4 pi s^2), and it is a band: LEDs far apart do not overlap.
-"""
+"""LEDs of a panel in a picture: their light by least squares, and the fit of corners and blur."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -12,10 +7,9 @@ import cv2
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from heliograph.base.arrays import TINY, Floats
+from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError
-from heliograph.panel.picture import Levels
-from heliograph.panel.place import grid, grown, homographies, mapped, pitches, slopes
+from heliograph.panel.place import Levels, grid, grown, homographies, is_possible, mapped, pitches, slopes
 
 PIXEL_VARIANCE_PX2 = 1 / 12
 """Variance of a pixel's own width in squared px: that of an even light over it."""
@@ -51,14 +45,9 @@ SLOPES = 9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """What is known of a panel.
+    """What is known of a panel."""
 
-    Attributes
-    ----------
-    rows, columns
-        LEDs along a column and along a row.
-    """
-
+    # rows, columns: lEDs along a column and along a row
     rows: int
     columns: int
 
@@ -68,70 +57,30 @@ class Shape:
         return grid(self.rows, self.columns)
 
     def pitch(self, corners: Floats) -> float:
-        """Shorter of the mean distances of neighbouring LEDs, in px.
-
-        Parameters
-        ----------
-        corners
-            (4, 2) corners in px.
-        """
+        """Shorter of the mean distances of neighbouring LEDs, in px."""
         return min(pitches(corners, self.rows, self.columns))
 
     def mask(self, corners: Floats, size: tuple[int, int]) -> Levels:
-        """Pixels that count: 1 within the LED area and a little about it, 0 beyond.
-
-        Parameters
-        ----------
-        corners
-            (4, 2) corners in px of the picture.
-        size
-            Rows and columns of the picture in px.
-
-        Returns
-        -------
-        (rows, columns).
-        """
+        """Pixels that count: 1 within the LED area and a little about it, 0 beyond. Returns (rows, columns)."""
         return mask_of(grown(corners, MARGIN * self.pitch(corners)), size)
 
 
 class Fitted(NamedTuple):
-    """A panel's place as fitted.
+    """A panel's place as fitted."""
 
-    Attributes
-    ----------
-    corners
-        (4, 2) corners in px of the picture.
-    blur
-        Standard deviation of an LED's image in px, without the pixel's width.
-    score
-        Correlation of the pixels with the fitted image, -1 to 1.
-    hessian
-        (9, 9) power of the picture's change by corners and ln blur, for LEDs of the mean squared light 1; None where
-        none was needed.
-    """
-
+    # (4, 2) corners in px of the picture
     corners: Floats
+    # Standard deviation of an LED's image in px, without the pixel's width
     blur: float
+    # Correlation of the pixels with the fitted image, -1 to 1
     score: float
+    # (9, 9) power of the picture's change by corners and ln blur, for LEDs of the mean squared light 1; None where none
+    # was needed
     hessian: Floats | None = None
 
 
 class Lattice:
-    """The LEDs of a panel at a place on a picture.
-
-    Parameters
-    ----------
-    shape
-        Rows and columns of the panel.
-    corners
-        (4, 2) corners of the LED area in px of the picture.
-    blur
-        Standard deviation of an LED's image in px, above 0.
-    mask
-        (rows, columns) 1 for pixels of the picture that count, 0 for others.
-    factor
-        (overlapping, n) factor of a lattice much like this one, which is not computed again; None where there is none.
-    """
+    """The LEDs of a panel at a place on a picture."""
 
     def __init__(self, shape: Shape, corners: Floats, blur: float, mask: Levels, factor: Floats | None = None):
         self.shape, self.corners = shape, corners
@@ -147,17 +96,7 @@ class Lattice:
         self._rest, self._shared = power - self._on_leds.T @ solved, solved
 
     def gathered(self, images: Levels) -> Floats:
-        """Inner products of images with each LED's image and its derivatives; see `kernels.gathered`.
-
-        Parameters
-        ----------
-        images
-            (k, rows, columns) float32.
-
-        Returns
-        -------
-        (k, n, 4).
-        """
+        """Inner products of images with each LED's image and its derivatives; see `kernels.gathered`."""
         from heliograph.panel import kernels  # Numba is slow to import
 
         out = np.empty((len(images), len(self.points), 4))
@@ -166,17 +105,7 @@ class Lattice:
         return out
 
     def drawn(self, amounts: Floats) -> Levels:
-        """Image of LEDs within the mask; see `kernels.drawn`.
-
-        Parameters
-        ----------
-        amounts
-            (n, 4) how much of an LED's image and of its derivatives.
-
-        Returns
-        -------
-        (rows, columns).
-        """
+        """Image of LEDs within the mask; see `kernels.drawn`. Returns (rows, columns)."""
         from heliograph.panel import kernels
 
         out = np.zeros(self.mask.shape, np.float32)
@@ -184,20 +113,7 @@ class Lattice:
         return np.asarray(out * self.mask)
 
     def light(self, images: Levels) -> tuple[Floats, Floats]:
-        """Light of the LEDs and the background by least squares.
-
-        Parameters
-        ----------
-        images
-            (k, rows, columns) float32, 0 outside of the mask.
-
-        Returns
-        -------
-        light
-            (n, k), in gray levels times squared px.
-        background
-            (3, k) of `plane`.
-        """
+        """Light of the LEDs and the background by least squares."""
         matched = self.gathered(images)[..., 0].T
         solved = self._solved(matched)
         onto = self._plane.reshape(3, -1) @ images.reshape(len(images), -1).T
@@ -206,28 +122,14 @@ class Lattice:
         return np.asarray(solved - self._shared @ background), np.asarray(background)
 
     def image(self, light: Floats, background: Floats) -> Levels:
-        """Image of LEDs before a background, within the mask.
-
-        Parameters
-        ----------
-        light
-            (n,) of the LEDs, of `light`.
-        background
-            (3,) of the plane, of `light`.
-        """
+        """Image of LEDs before a background, within the mask."""
         amounts = np.zeros((len(light), 4))
         amounts[:, 0] = light
         flat = np.tensordot(background.astype(np.float32), self._plane, 1)
         return np.asarray(self.drawn(amounts) + flat)
 
     def hessian(self, light: Floats) -> Floats:
-        """Power of the image's change by corners and ln blur that no other light explains, (9, 9).
-
-        Parameters
-        ----------
-        light
-            (n,) of the LEDs.
-        """
+        """Power of the image's change by corners and ln blur that no other light explains, (9, 9)."""
         moves = slopes(self.corners, self.shape.grid)
         amounts = np.zeros((SLOPES, len(light), 4))
         amounts[:-1, :, 1:3] = light[:, None] * moves
@@ -241,15 +143,7 @@ class Lattice:
         )
 
     def gradient(self, rest: Levels, light: Floats) -> Floats:
-        """Inner products (9,) of what is left of a picture with its change by corners and ln blur.
-
-        Parameters
-        ----------
-        rest
-            (rows, columns) gray levels that the LEDs do not explain, 0 outside of the mask.
-        light
-            (n,) of the LEDs.
-        """
+        """Inner products (9,) of what is left of a picture with its change by corners and ln blur."""
         seen = self.gathered(rest[None])[0]
         moves = slopes(self.corners, self.shape.grid)
         return np.append(np.einsum("n,knc,nc->k", light, moves, seen[:, 1:3]), light @ seen[:, 3])
@@ -293,36 +187,116 @@ class Lattice:
 
 
 def mask_of(corners: Floats, size: tuple[int, int]) -> Levels:
-    """1 within a quadrilateral, 0 beyond it.
-
-    Parameters
-    ----------
-    corners
-        (4, 2) corners in px.
-    size
-        Rows and columns of the picture in px.
-
-    Returns
-    -------
-    (rows, columns).
-    """
+    """1 within a quadrilateral, 0 beyond it. Returns (rows, columns)."""
     mask = np.zeros(size, np.uint8)
     cv2.fillConvexPoly(mask, np.rint(corners * 16).astype(np.int32), 1, shift=4)
     return mask.astype(np.float32)
 
 
 def plane(mask: Levels) -> Levels:
-    """Images whose combinations are an even background with a slope, within a mask.
-
-    Parameters
-    ----------
-    mask
-        (rows, columns) 1 for pixels that count, else 0.
-
-    Returns
-    -------
-    (3, rows, columns): a constant, and slopes in x and y from -1/2 to 1/2.
-    """
+    """Images whose combinations are an even background with a slope, within a mask."""
     rows, columns = mask.shape
     x, y = np.linspace(-0.5, 0.5, columns, dtype=np.float32), np.linspace(-0.5, 0.5, rows, dtype=np.float32)
     return np.stack([mask, mask * x, mask * y[:, None]])
+
+
+STEPS = 12
+"""Most steps of a fit. Chosen: it bounds the time of what does not converge."""
+
+ENOUGH_PX = 0.01
+"""Step of a corner in px that ends a fit. A tolerance: it moves an LED's peak by 1e-4 of itself."""
+
+ENOUGH_BLUR = 3e-3
+"""Step of ln blur that ends a fit. A tolerance: it changes an LED's peak by 0.6 %."""
+
+LONGEST_STEP = 0.3
+"""Longest step of a corner in pitches, and of ln blur: farther the image is not linear in it."""
+
+HOLD = 1e-3
+"""Added to each change's power, as a fraction of it: what the picture does not show stays as it is."""
+
+SAME_SIZE_PX, SAME_BLUR = 0.1, 1e-3
+"""Change of a corner in px and of ln blur within which the overlap of LEDs is not computed again.
+
+A side of 100 px then changes by 1e-3 of itself, as sigma does. With the overlap of a blur 1 % wider a fit did not end.
+"""
+
+
+def fitted(image: Levels, start: Fitted, shape: Shape, steps: int = STEPS, enough_px: float = ENOUGH_PX) -> Fitted:
+    """Fit a panel's corners and blur to a picture whatever its LEDs show, by Gauss-Newton."""
+    mask = shape.mask(start.corners, (image.shape[0], image.shape[1]))
+    best = _Seen(image, mask, start, shape)
+    hessian = start.hessian if start.hessian is not None else best.hessian()
+    fresh = start.hessian is None
+    change = _change(hessian, best.gradient, LONGEST_STEP * shape.pitch(start.corners))
+    for _ in range(steps):
+        if np.abs(change[:-1]).max() < enough_px and abs(change[-1]) < ENOUGH_BLUR:
+            break
+        # neighbours stay as far apart as they are while the blur stays
+        same = np.abs(change[:-1]).max() < SAME_SIZE_PX and abs(change[-1]) < SAME_BLUR
+        factor = best.lattice.factor if same else None
+        moved = _moved(best.fit, change, shape)
+        if not is_possible(moved.corners, shape.rows, shape.columns):
+            break
+        try:
+            tried = _Seen(image, mask, moved, shape, factor)
+        except HeliographError:  # the blur no longer tells LEDs apart
+            break
+        if tried.fit.score >= best.fit.score:
+            best = tried
+            hessian = best.hessian() if fresh else hessian
+        elif fresh:
+            change = change / 2
+            continue
+        elif np.abs(change[:-1]).max() < SAME_SIZE_PX:
+            break
+        else:  # the power of another picture led astray
+            hessian, fresh = best.hessian(), True
+        change = _change(hessian, best.gradient, LONGEST_STEP * shape.pitch(best.fit.corners))
+    return best.fit._replace(hessian=hessian)
+
+
+class _Seen:
+    """A picture seen with a panel at a place."""
+
+    def __init__(self, image: Levels, mask: Levels, at: Fitted, shape: Shape, factor: Floats | None = None):
+        self.lattice = Lattice(shape, at.corners, at.blur, mask, factor)
+        seen = image * mask
+        light, background = self.lattice.light(seen[None])
+        self._light = light[:, 0]
+        self._rest = seen - self.lattice.image(self._light, background[:, 0])
+        self._power = max(float(self._light @ self._light) / len(self._light), TINY)
+        self.fit = at._replace(score=_correlation(image, self._rest, mask))
+
+    @property
+    def gradient(self) -> Floats:
+        """Of the explained power by corners and ln sigma, (9,), for LEDs of the mean squared light 1."""
+        return self.lattice.gradient(self._rest, self._light) / self._power
+
+    def hessian(self) -> Floats:
+        """Its power, (9, 9)."""
+        return self.lattice.hessian(self._light) / self._power
+
+
+def _change(hessian: Floats, gradient: Floats, longest_px: float) -> Floats:
+    """Step (9,) of corners and ln sigma, no longer than the image is linear in it."""
+    held = np.diag(np.diag(hessian)) * HOLD
+    # what shows no light has no change either
+    change = np.linalg.lstsq(hessian + held, gradient, rcond=RCOND)[0]
+    return np.asarray(change / max(np.abs(change[:-1]).max() / longest_px, abs(change[-1]) / LONGEST_STEP, 1.0))
+
+
+def _moved(at: Fitted, change: Floats, shape: Shape) -> Fitted:
+    """A fit moved by a step; what grows is sigma, of which the pixel's width is a part."""
+    wide = (at.blur**2 + PIXEL_VARIANCE_PX2) * np.exp(2 * change[-1]) - PIXEL_VARIANCE_PX2
+    most = max(MOST_BLUR * shape.pitch(at.corners), LEAST_BLUR_PX)
+    blur = float(np.clip(np.sqrt(max(wide, 0.0)), LEAST_BLUR_PX, most))
+    return at._replace(corners=at.corners + change[:-1].reshape(4, 2), blur=blur)
+
+
+def _correlation(image: Levels, rest: Levels, mask: Levels) -> float:
+    inside = mask > 0
+    shown = image[inside].astype(np.float64)
+    total = float(((shown - shown.mean()) ** 2).sum()) if shown.size else 0.0
+    left = float((rest[inside].astype(np.float64) ** 2).sum())
+    return float(np.sqrt(max(1 - left / max(total, TINY), 0.0)))

@@ -9,12 +9,34 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.threads import in_one_thread, one_thread
-from heliograph.panel.lattice import FIRST_BLUR, MOST_BLUR, Fitted, Lattice, Shape
-from heliograph.panel.lattice_fit import fitted
-from heliograph.panel.outline import SMOOTHING, Region, evidence, outlined, quadrilateral
-from heliograph.panel.picture import COLOURS, AnyFrame, Levels, Picture, picture_of
-from heliograph.panel.place import LIMITS, Place, area, grid, grown, homographies, is_possible, mapped
-from heliograph.panel.search import Candidate, best_candidate, found_again, quadrilaterals, settled
+from heliograph.panel.lattice import FIRST_BLUR, MOST_BLUR, Fitted, Lattice, Shape, fitted
+from heliograph.panel.place import (
+    COLOURS,
+    LIMITS,
+    AnyFrame,
+    Levels,
+    Picture,
+    Place,
+    area,
+    grid,
+    grown,
+    homographies,
+    is_possible,
+    mapped,
+    picture_of,
+)
+from heliograph.panel.search import (
+    SMOOTHING,
+    Candidate,
+    Region,
+    best_candidate,
+    evidence,
+    found_again,
+    outlined,
+    quadrilateral,
+    quadrilaterals,
+    settled,
+)
 
 MOST_LEDS = 1 << 16
 """Most LEDs of a panel: with 256 x 256 undoing the blur takes 0.3 to 0.6 GB."""

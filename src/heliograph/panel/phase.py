@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.panel.lattice import Shape
-from heliograph.panel.picture import Levels
-from heliograph.panel.place import UNIT, homographies, is_possible, mapped
+from heliograph.panel.place import UNIT, Levels, homographies, is_possible, mapped
 
 Waves = NDArray[np.complex128]
 """Amplitudes of the waves of LEDs, (rows, columns)."""
@@ -24,50 +23,33 @@ Waves = NDArray[np.complex128]
 
 @dataclass(frozen=True, slots=True)
 class PhaseTuning:
-    """How waves are measured and judged. Chosen by `python -m benchmarks.panel_places`.
+    """How waves are measured and judged. Chosen by `python -m benchmarks.panel_places`."""
 
-    Attributes
-    ----------
-    per_led
-        Samples of an LED's side in the upright image; even.
-    rim
-        LEDs beyond the panel that the upright image shows too.
-    window_leds
-        Length in LEDs of the window of a wave.
-    across_leds
-        Standard deviation in LEDs of the weights across a wave.
-    clipped
-        Level, as a fraction of the highest, from which light counts as clipped.
-    dome_leds
-        Depth in LEDs at which the dome over clipped light reaches its full height.
-    dome_height
-        Height of the dome over clipped light, as a fraction of the highest level.
-    windows_leds
-        Standard deviations in LEDs of the windows within which waves are averaged, step by step.
-    patch_leds
-        Sides in LEDs of the patches whose phases are compared.
-    patch_noise
-        Evidence of each patch that counts as noise.
-    faint
-        Power of a patch, as a fraction of the mean, below which its evidence counts less.
-    max_stretch
-        Largest change of the period that the spectrum of waves corrects.
-    faint_peak
-        Peak of an LED, as a fraction of the bright ones', below which it counts as dark.
-    """
-
+    # Samples of an LED's side in the upright image; even
     per_led: int = 6
+    # LEDs beyond the panel that the upright image shows too
     rim: int = 3
+    # Length in LEDs of the window of a wave
     window_leds: int = 3
+    # Standard deviation in LEDs of the weights across a wave
     across_leds: float = 0.3
+    # Level, as a fraction of the highest, from which light counts as clipped
     clipped: float = 0.95
+    # Depth in LEDs at which the dome over clipped light reaches its full height
     dome_leds: float = 0.7
+    # Height of the dome over clipped light, as a fraction of the highest level
     dome_height: float = 2.0
+    # Standard deviations in LEDs of the windows within which waves are averaged, step by step
     windows_leds: tuple[float, ...] = (4.0, 3.0, 2.0, 2.0, 1.5)
+    # Sides in LEDs of the patches whose phases are compared
     patch_leds: tuple[float, float] = (4.0, 8.0)
+    # Evidence of each patch that counts as noise
     patch_noise: float = 2.0
+    # Power of a patch, as a fraction of the mean, below which its evidence counts less
     faint: float = 0.1
+    # Largest change of the period that the spectrum of waves corrects
     max_stretch: float = 0.25
+    # Peak of an LED, as a fraction of the bright ones', below which it counts as dark
     faint_peak: float = 0.2
 
 
@@ -75,36 +57,20 @@ TUNING = PhaseTuning()
 
 
 class Agreement(NamedTuple):
-    """Agreement of a picture with a panel's grid at a place.
+    """Agreement of a picture with a panel's grid at a place."""
 
-    Attributes
-    ----------
-    phases
-        (2,) coherent share of the waves' evidence in patches of each side of `PhaseTuning.patch_leds`, -1 to 1.
-    leverage
-        Error of a corner where lit LEDs are off by 1 each: large where no LEDs are lit near a corner.
-    rows, columns
-        Sum of the LEDs' peaks in each line of LEDs, lines beyond the panel included; 1 is the panel's bright LEDs.
-    """
-
+    # (2,) coherent share of the waves' evidence in patches of each side of `PhaseTuning.patch_leds`, -1 to 1
     phases: Floats
+    # Error of a corner where lit LEDs are off by 1 each: large where no LEDs are lit near a corner
     leverage: float
+    # rows, columns: sum of the LEDs' peaks in each line of LEDs, lines beyond the panel included; 1 is the panel's
+    # bright LEDs
     rows: Floats
     columns: Floats
 
 
 class GridView:
-    """An upright image of a panel, and the waves of its LEDs.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels.
-    corners
-        (4, 2) corners in px of the picture.
-    shape
-        Rows and columns of the panel.
-    """
+    """An upright image of a panel, and the waves of its LEDs."""
 
     def __init__(self, image: Levels, corners: Floats, shape: Shape, tuning: PhaseTuning = TUNING):
         per, rim = tuning.per_led, tuning.rim

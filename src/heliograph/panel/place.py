@@ -1,11 +1,14 @@
-"""Where a panel is in the image: a homography, by its four corners."""
+"""Place of a panel in an image, a homography of four corners, and pictures as gray levels."""
 
 from dataclasses import dataclass
 from math import nan
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame, check_unmasked
 
 UNIT = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 """Corners of the unit square in the order of a place's."""
@@ -16,20 +19,13 @@ SLOPE_STEP_PX = 0.01
 
 @dataclass(frozen=True, slots=True)
 class PanelLimits:
-    """Limits of quadrilaterals that may be panels.
+    """Limits of quadrilaterals that may be panels."""
 
-    Attributes
-    ----------
-    pitch_px
-        Smallest pitch of LEDs in px: closer ones cannot be told apart.
-    sine
-        Smallest sine of a corner's angle.
-    depth
-        Largest ratio of the distances of the farthest and nearest corner from the camera.
-    """
-
+    # Smallest pitch of LEDs in px: closer ones cannot be told apart
     pitch_px: float = 1.5
+    # Smallest sine of a corner's angle
     sine: float = 0.1
+    # Largest ratio of the distances of the farthest and nearest corner from the camera
     depth: float = 4.0
 
 
@@ -77,17 +73,7 @@ class Place:
 
 
 def homographies(corners: Floats) -> Floats:
-    """Maps of the unit square to quadrilaterals (Heckbert 1989).
-
-    Parameters
-    ----------
-    corners
-        (..., 4, 2) images of (0, 0), (1, 0), (1, 1) and (0, 1).
-
-    Returns
-    -------
-    (..., 3, 3), the last number of each 1.
-    """
+    """Maps of the unit square to quadrilaterals (Heckbert 1989)."""
     p0, p1, p2, p3 = (corners[..., k, :] for k in range(4))
     d1, d2, rest = p1 - p2, p3 - p2, p0 - p1 + p2 - p3
     area = _cross(d1, d2)
@@ -105,72 +91,26 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def mapped(homography: Floats, points: Floats) -> Floats:
-    """Points under a homography.
-
-    Parameters
-    ----------
-    homography
-        (..., 3, 3) maps.
-    points
-        (n, 2) points that are mapped.
-
-    Returns
-    -------
-    (..., n, 2).
-    """
+    """Points under a homography. Returns (..., n, 2)."""
     whole = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ np.swapaxes(homography, -1, -2)
     return np.asarray(whole[..., :2] / whole[..., 2:])
 
 
 def grid(rows: int, columns: int) -> Floats:
-    """Centres of LEDs on the unit square, row by row.
-
-    Parameters
-    ----------
-    rows, columns
-        LEDs along a column and along a row.
-
-    Returns
-    -------
-    (rows * columns, 2) as (x, y).
-    """
+    """Centres of LEDs on the unit square, row by row. Returns (rows * columns, 2) as (x, y)."""
     x, y = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
     return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
 def slopes(corners: Floats, points: Floats) -> Floats:
-    """How image points move with the corners.
-
-    Parameters
-    ----------
-    corners
-        (4, 2) corners in px.
-    points
-        (n, 2) points on the unit square.
-
-    Returns
-    -------
-    (8, n, 2) derivatives by x and y of each corner in turn.
-    """
+    """How image points move with the corners. Returns (8, n, 2) derivatives by x and y of each corner in turn."""
     steps = SLOPE_STEP_PX * np.eye(8).reshape(8, 4, 2)
     ahead, behind = (mapped(homographies(corners + sign * steps), points) for sign in (1, -1))
     return np.asarray((ahead - behind) / (2 * SLOPE_STEP_PX))
 
 
 def grown(corners: Floats, margin: float) -> Floats:
-    """Corners of the quadrilateral whose sides lie farther out.
-
-    Parameters
-    ----------
-    corners
-        (4, 2) corners in px, convex.
-    margin
-        Distance of the new sides from the old ones in px.
-
-    Returns
-    -------
-    (4, 2).
-    """
+    """Corners of the quadrilateral whose sides lie farther out. Returns (4, 2)."""
     sides = np.roll(corners, -1, axis=0) - corners
     outwards = np.stack([sides[:, 1], -sides[:, 0]], axis=1) / np.linalg.norm(sides, axis=1)[:, None]
     if area(corners) < 0:
@@ -183,24 +123,12 @@ def grown(corners: Floats, margin: float) -> Floats:
 
 
 def area(corners: Floats) -> float:
-    """Area of a quadrilateral in squared px, positive where its corners follow each other clockwise in the image.
-
-    Parameters
-    ----------
-    corners
-        (4, 2) corners in px.
-    """
+    """Area of a quadrilateral in squared px, positive where its corners follow each other clockwise in the image."""
     return float(0.5 * _cross(corners, np.roll(corners, -1, axis=0)).sum())
 
 
 def is_convex(corners: Floats) -> bool:
-    """Whether corners are those of a convex quadrilateral, clockwise in the image.
-
-    Parameters
-    ----------
-    corners
-        (4, 2) corners in px, of any value.
-    """
+    """Whether corners are those of a convex quadrilateral, clockwise in the image."""
     if not np.isfinite(corners).all():
         return False
     sides = np.roll(corners, -1, axis=0) - corners
@@ -208,15 +136,7 @@ def is_convex(corners: Floats) -> bool:
 
 
 def is_possible(corners: Floats, rows: int = 1, columns: int = 1) -> bool:
-    """True if a camera may see a panel of LEDs with such corners, and tell its LEDs apart.
-
-    Parameters
-    ----------
-    corners
-        (4, 2) corners in px, of any value.
-    rows, columns
-        LEDs along a column and along a row.
-    """
+    """True if a camera may see a panel of LEDs with such corners, and tell its LEDs apart."""
     if not is_convex(corners):
         return False
     sides = np.roll(corners, -1, axis=0) - corners
@@ -229,14 +149,70 @@ def is_possible(corners: Floats, rows: int = 1, columns: int = 1) -> bool:
 
 
 def pitches(corners: Floats, rows: int, columns: int) -> tuple[float, float]:
-    """Mean distances in px of neighbouring LEDs along a row and along a column.
-
-    Parameters
-    ----------
-    corners
-        (4, 2) corners in px.
-    rows, columns
-        LEDs along a column and along a row.
-    """
+    """Mean distances in px of neighbouring LEDs along a row and along a column."""
     top, right, low, left = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     return float(top + low) / 2 / columns, float(left + right) / 2 / rows
+
+
+Levels = NDArray[np.float32]
+"""Gray levels, (rows, columns), or (channels, rows, columns)."""
+
+AnyFrame = Frame | NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32] | Floats
+"""A frame: `heliograph.Frame`, or an array (rows, columns) or (rows, columns, 3)."""
+
+COLOURS = 3
+"""Channels of a frame in colour."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A frame as it is computed with.
+
+    Attributes
+    ----------
+    levels
+        (channels, rows, columns) gray levels; one channel, or three.
+    origin
+        (x, y) on the sensor of the first pixel.
+    """
+
+    levels: Levels
+    origin: tuple[int, int] = (0, 0)
+
+    @property
+    def gray(self) -> Levels:
+        """(rows, columns) mean of the channels."""
+        return self.levels[0] if len(self.levels) == 1 else np.asarray(self.levels.mean(axis=0))
+
+    @property
+    def corner(self) -> Floats:
+        """Place (2,) of the first pixel on the sensor."""
+        return np.array(self.origin, np.float64)
+
+
+def picture_of(frame: object) -> Picture:
+    """Take a frame."""
+    if isinstance(frame, Frame):
+        return Picture(_finite(frame.pixels[None]), frame.origin)
+    if not isinstance(frame, np.ndarray):
+        raise HeliographError(
+            f"a frame is a heliograph.Frame or an array (rows, columns) or (rows, columns, 3), not "
+            f"{type(frame).__name__}"
+        )
+    if frame.dtype.kind not in "uif" or not (frame.ndim == 2 or (frame.ndim == 3 and frame.shape[2] == COLOURS)):
+        raise HeliographError(
+            f"a frame's pixels are numbers of shape (rows, columns) or (rows, columns, 3), not {frame.dtype} of "
+            f"{frame.shape}; give several frames as a list"
+        )
+    check_unmasked(frame)
+    if not frame.size:
+        raise HeliographError(f"a frame has no pixels: its shape is {frame.shape}; leave it out")
+    return Picture(_finite(frame[None] if frame.ndim == 2 else np.moveaxis(frame, 2, 0)))
+
+
+def _finite(levels: NDArray[np.number]) -> Levels:
+    with np.errstate(over="ignore"):
+        out = np.ascontiguousarray(levels, np.float32)
+    if levels.dtype.kind == "f" and not np.isfinite(out).all():
+        raise HeliographError("a frame has levels that are not finite; set them to 0 or leave the frame out")
+    return out

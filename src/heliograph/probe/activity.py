@@ -66,26 +66,17 @@ BUSY_PART = 2.5
 
 @dataclass(frozen=True)
 class Stretch:
-    """Frames of a film that follow each other, and what changes in them.
+    """Frames of a film that follow each other, and what changes in them."""
 
-    Attributes
-    ----------
-    frames
-        The frames, whole ones, in the order of time.
-    bounds
-        Numbers of the frames with which the parts begin, and of the end, (parts + 1,).
-    alternation
-        (parts, blocks down, blocks across) mean magnitude of what alternates, in gray levels.
-    change
-        (parts, blocks down, blocks across) mean magnitude of the change from frame to frame, in gray levels.
-    noise
-        (blocks down, blocks across) standard deviation of a pixel's noise in gray levels.
-    """
-
+    # The frames, whole ones, in the order of time
     frames: Sequence[Frame]
+    # Numbers of the frames with which the parts begin, and of the end, (parts + 1,)
     bounds: tuple[int, ...]
+    # (parts, blocks down, blocks across) mean magnitude of what alternates, in gray levels
     alternation: Floats
+    # (parts, blocks down, blocks across) mean magnitude of the change from frame to frame, in gray levels
     change: Floats
+    # (blocks down, blocks across) standard deviation of a pixel's noise in gray levels
     noise: Floats
 
     @property
@@ -108,13 +99,7 @@ class Stretch:
 
 
 class Stretches:
-    """Goes through a film, and keeps the stretch in which most blinks.
-
-    Parameters
-    ----------
-    every
-        Every so many stretches one is looked at; the frames of others are left out.
-    """
+    """Goes through a film, and keeps the stretch in which most blinks."""
 
     def __init__(self, every: int = 1):
         self._every = every
@@ -124,13 +109,7 @@ class Stretches:
         self._best: Stretch | None = None
 
     def add(self, frame: Frame) -> None:
-        """Take the next frame.
-
-        Parameters
-        ----------
-        frame
-            Next frame of the film, in its order; a copy of the one before is to be left out.
-        """
+        """Take the next frame."""
         if not self._frames:
             room = MOST_BYTES // max(frame.pixels.nbytes, 1)
             self._length = max(LEAST_FRAMES, min(MOST_FRAMES, room))
@@ -159,13 +138,7 @@ class Stretches:
 
 
 def stretch_of(frames: Sequence[Frame]) -> Stretch:
-    """What changes in frames that follow each other.
-
-    Parameters
-    ----------
-    frames
-        Four frames or more of one size and place.
-    """
+    """What changes in frames that follow each other."""
     count = max(1, min(PARTS, len(frames) // 8))
     bounds = np.linspace(0, len(frames), count + 1).round().astype(int)
     parts, changes = list[Floats](), list[Floats]()
@@ -185,19 +158,7 @@ def stretch_of(frames: Sequence[Frame]) -> Stretch:
 
 
 def noise_of(detail: Floats, gray: Floats) -> Floats:
-    """Noise of blocks: by their finest detail, but no more than blocks of their gray level usually have.
-
-    Parameters
-    ----------
-    detail
-        (blocks down, blocks across) deviation of a pixel by the finest detail, in gray levels.
-    gray
-        (blocks down, blocks across) mean gray levels.
-
-    Returns
-    -------
-    (blocks down, blocks across) standard deviation of a pixel in gray levels.
-    """
+    """Noise of blocks: by their finest detail, but no more than blocks of their gray level usually have."""
     order = np.argsort(gray, axis=None)
     groups = [one for one in np.array_split(order, GROUPS) if one.size]
     levels = np.array([float(np.median(gray.ravel()[one])) for one in groups])
@@ -214,19 +175,7 @@ def noise_of(detail: Floats, gray: Floats) -> Floats:
 
 
 def finest_detail(one: Frame, other: Frame, shape: tuple[int, ...]) -> Floats:
-    """Noise by what two frames differ in from pixel to pixel along both diagonals.
-
-    Parameters
-    ----------
-    one, other
-        Successive frames of one size.
-    shape
-        Blocks down and blocks across.
-
-    Returns
-    -------
-    (blocks down, blocks across) standard deviation of a pixel in gray levels.
-    """
+    """Noise by what two frames differ in from pixel to pixel along both diagonals."""
     rows, cols = (size // 2 * 2 for size in one.pixels.shape)
     if not rows or not cols:
         return np.zeros(shape)
@@ -243,20 +192,7 @@ def finest_detail(one: Frame, other: Frame, shape: tuple[int, ...]) -> Floats:
 
 
 def blinking(alternation: Floats, change: Floats, noise: Floats) -> float:
-    """How much of what changes blinks rather than moves: root mean square of what alternates over that of the change.
-
-    Parameters
-    ----------
-    alternation, change
-        (...) mean magnitudes over blocks, in gray levels.
-    noise
-        (...) standard deviation of a pixel's noise there in gray levels.
-
-    Returns
-    -------
-    About 0.8 for light that changes with every frame, 0.6 for steps now and then, 0.2 for an edge that passes; 0 where
-    nothing changes.
-    """
+    """Return the ratio of alternation to change, as root mean squares: near 1 for blinking, small for motion."""
     blinks = np.maximum(alternation**2 - (ALTERNATION_NOISE * noise) ** 2, 0.0).sum()
     changes = np.maximum(change**2 - (CHANGE_NOISE * noise) ** 2, 0.0).sum()
     return float(np.sqrt(blinks / max(changes, TINY))) if changes > 0 else 0.0

@@ -1,24 +1,163 @@
-"""Arrays that are read: which, where, how well; their clock against the camera's, and their noise."""
+"""Frames read by a receiver with given settings, and the received arrays: identity, place, clock, noise and packets."""
 
-from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections import defaultdict, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from heliograph.base.arrays import Floats
+from heliograph.base.config import from_mapping, merge, to_mapping
+from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.film import is_packet
 from heliograph.measure.reception import ArrayTally
-from heliograph.probe.clock import Clock, clock_of
 from heliograph.probe.reach import Reach, reaches
-from heliograph.probe.reading import Asked, Reading, narrowed, read
 from heliograph.probe.regions import Region
-from heliograph.receive import Packet
+from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.receive.detect.detection import Detection
+from heliograph.receive.events import DecodeEvent, DetectEvent, TrackEvent
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
+from heliograph.signal.settings import SignalSettings
+
+START_ERROR = 0.02
+"""Standard deviation in patterns of a packet's start by the soft receiver's clock: 0.005 to 0.02."""
+
+TOLD_PPM = 200.0
+"""Standard error of a clock's rate above which it is not told: quartz clocks differ by less."""
+
+OUT_OF_STEP = 0.1
+"""Phase in patterns from which on frames show two patterns."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The light's clock in the camera's."""
+
+    # When patterns begin after frames do, in patterns: -0.5 to 0.5, 0 in step
+    phase: float
+    # By how many millionths a pattern lasts longer than the settings say; None where it is not told
+    rate_ppm: float | None
+    # Its standard error; None where it is not told
+    rate_error_ppm: float | None
+
+    @property
+    def in_step(self) -> bool:
+        """Whether frames show one pattern each, if a pattern lasts a frame."""
+        return abs(self.phase) <= OUT_OF_STEP
+
+
+def clock_of(packets: Sequence[Packet], frames: Sequence[Frame], signal: SignalSettings) -> Clock:
+    """The light's clock in the camera's, by the starts of packets."""
+    starts: Floats = np.array([one.start_time_s for one in packets])
+    steps = np.diff([one.time_s for one in frames])
+    period_s = float(np.median(steps))
+    after = (starts[0] - frames[0].time_s) / period_s
+    phase = (after - round(after)) * period_s / signal.pattern_period_s
+    numbers = np.round((starts - starts[0]) / signal.packet_s)
+    if len(starts) < 2 or numbers[-1] < 1:
+        return Clock(float(phase), None, None)
+    spread = float(np.sqrt(((numbers - numbers.mean()) ** 2).sum()))
+    error = START_ERROR * signal.pattern_period_s / (spread * signal.packet_s) * 1e6
+    slope = float(np.polyfit(numbers, starts, 1)[0])
+    told = error <= TOLD_PPM
+    return Clock(float(phase), (slope / signal.packet_s - 1) * 1e6 if told else None, error if told else None)
+
+
+SLACK = 0.85
+"""Factor on what a region shows, to ask for less than that: of contrast and size."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What the film is to be read with."""
+
+    # The light's signal, as the receiver takes it
+    signal: SignalSettings
+    # Settings of the receiver, which they name
+    settings: ReceiveSettings
+    # Frames per second as they are stamped
+    rate_hz: float
+
+    @property
+    def frames_a_pattern(self) -> float:
+        """Frames that a pattern lasts, if stamps and settings are right."""
+        return self.signal.pattern_period_s * self.rate_hz
+
+    def changed(self, changes: Mapping[str, Any]) -> "Asked":
+        """The same with some settings changed."""
+        receive = merge(to_mapping(self.settings), changes.get("receive", {}))
+        # what is another receiver's has no effect, and may not be set
+        name = receive["receiver"]
+        for room in {"plain", "soft", "own"} - {name if name in ("plain", "soft") else "own"}:
+            receive.pop(room, None)
+        if name == "plain":
+            receive["calibration"].pop("exposure_s", None)
+        signal = merge(to_mapping(self.signal), changes.get("signal", {}))
+        return Asked(from_mapping(SignalSettings, signal), from_mapping(ReceiveSettings, receive), self.rate_hz)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a receiver made of frames."""
+
+    # signal, settings: signal and receiver that were asked for
+    signal: SignalSettings
+    settings: ReceiveSettings
+    # What it took for arrays
+    detections: tuple[Detection, ...]
+    # What is a packet of what it handed out
+    packets: tuple[Packet, ...]
+    # Pairs from which the soft receiver decoded
+    cutouts: tuple[Cutout, ...] = ()
+    # Gray levels of the array with all LEDs on, by identity, as pairs of patterns were followed
+    gains: Mapping[int, Sequence[float]] = field(default_factory=dict)
+    # Why it ended early; empty where it did not
+    error: str = ""
+    # Exposures in T_b between which the light puts it, by identity
+    exposures: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def read(self) -> bool:
+        """Whether a codeword is right."""
+        return any(packet.has_codeword for packet in self.packets)
+
+
+def read(frames: Sequence[Frame], signal: SignalSettings, settings: ReceiveSettings) -> Reading:
+    """Let a receiver read frames."""
+    detections, packets, cutouts, error = list[Detection](), list[Packet](), list[Cutout](), ""
+    gains: dict[int, list[float]] = defaultdict(list)
+    exposures = dict[int, tuple[float, float]]()
+
+    def watch(event: Any) -> None:
+        if isinstance(event, DetectEvent):
+            detections.append(event.detection)
+        if isinstance(event, DecodeEvent):
+            cutouts.extend(one.steady for one in event.cutouts if one is not None)
+            if event.exposure_range is not None:
+                exposures[event.identity] = event.exposure_range
+        if isinstance(event, TrackEvent):
+            gains[event.identity].append(event.tracked.track.gain)
+
+    try:
+        receiver = make_receiver(signal, settings, watch)
+        for frame in frames:
+            packets += receiver.push(frame)
+        packets += receiver.finish()
+    except HeliographError as problem:
+        error = str(problem)
+    seen = tuple(filter(is_packet, packets))
+    return Reading(signal, settings, tuple(detections), seen, tuple(cutouts), gains, error, exposures)
+
+
+def narrowed(size_px: float) -> dict[str, Any]:
+    """Settings of a search about a size that is known: it takes less time, and takes nothing else for the array."""
+    smallest = max(SLACK * size_px, 3.0)
+    return {"min_side_px": smallest, "max_side_px": max(size_px / SLACK, 2 * smallest, 6.0), "candidates": 2}
+
 
 MOST_PLACES = 20_000
 """Most packets whose places are kept, the last ones: those of half an hour of the reference link."""
@@ -101,26 +240,14 @@ class ArrayWatch:
         self._places: deque[_Place] = deque(maxlen=MOST_PLACES)
 
     def found(self, detection: Detection) -> None:
-        """Take what the receiver takes for an array.
-
-        Parameters
-        ----------
-        detection
-            The array by its header, whatever that may mean.
-        """
+        """Take what the receiver takes for an array."""
         for one in detection.hypotheses:
             best = self._headers.get(one.identity)
             if best is None or detection.score > best.score:
                 self._headers[one.identity] = detection
 
     def add(self, packet: Packet) -> None:
-        """Take a packet.
-
-        Parameters
-        ----------
-        packet
-            What the receiver hands out, after those before it; it is left out where it is no packet.
-        """
+        """Take a packet."""
         if not is_packet(packet):
             return
         new = ArrayTally(packet.first_frame, packet.distance_m)
@@ -130,25 +257,11 @@ class ArrayWatch:
             self._places.append((packet.identity, packet.first_frame, packet.last_frame, packet.pose.x, packet.pose.y))
 
     def arrays(self, full_scale: int) -> list[ArraySeen]:
-        """Arrays of which codewords were right, by their identity.
-
-        Parameters
-        ----------
-        full_scale
-            Largest gray level of the film.
-        """
+        """Arrays of which codewords were right, by their identity."""
         return [self._array(identity, full_scale) for identity in sorted(self._last)]
 
     def at(self, region: Region, frames: Sequence[Frame]) -> int | None:
-        """Identity of the array that a region is; None where it is none that was read.
-
-        Parameters
-        ----------
-        region
-            A region in which something blinks.
-        frames
-            The frames in which it was found, in the order of time.
-        """
+        """Identity of the array that a region is; None where it is none that was read."""
         begin, end = frames[0].index, frames[-1].index
         reach = 0.5 * max(region.width, region.height)
         for identity, first, last, x, y in self._places:
@@ -182,17 +295,7 @@ class ArrayWatch:
 
 
 def looked_into(array: ArraySeen, frames: Sequence[Frame], asked: Asked) -> ArraySeen:
-    """An array with its clock, its noise and what follows, by some frames in which it is read.
-
-    Parameters
-    ----------
-    array
-        The array, as it was read.
-    frames
-        Its part of frames, in the order of time, with right times.
-    asked
-        What it was read with.
-    """
+    """An array with its clock, its noise and what follows, by some frames in which it is read."""
     if asked.signal.modulation != "haar" or asked.signal.header != "m_sequence":
         return array
     size = array.pitch_px * asked.signal.side

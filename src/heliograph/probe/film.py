@@ -11,22 +11,29 @@ import numpy as np
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.film import FrameProgress, silent
-from heliograph.link.notes import departures
+from heliograph.link.truth import departures
 from heliograph.probe.activity import Stretch, Stretches
-from heliograph.probe.arrays import ArraySeen, ArrayWatch, looked_into
-from heliograph.probe.causes import WHATEVER_SENT, ArrayLike, Cause, RegionSeen, film_causes, other_settings, still
+from heliograph.probe.arrays import ArraySeen, ArrayWatch, Asked, looked_into
+from heliograph.probe.causes import (
+    SATURATED,
+    WHATEVER_SENT,
+    ArrayLike,
+    Cause,
+    RegionSeen,
+    film_causes,
+    other_settings,
+    region_causes,
+    still,
+)
 from heliograph.probe.frames import FrameTimes, FrameWatch
 from heliograph.probe.headers import header_seen
 from heliograph.probe.levels import Levels, LevelWatch
 from heliograph.probe.light import LightRate, lamp_period, light_rate, pattern_part
 from heliograph.probe.noise import NoiseFound, NoiseWatch
 from heliograph.probe.reach import Reach, reaches
-from heliograph.probe.reading import Asked
-from heliograph.probe.region_causes import SATURATED, region_causes
 from heliograph.probe.regions import Region, regions_of
 from heliograph.probe.screens import ScreenLook, films_causes, screen_cause
-from heliograph.probe.trials import SURE_HEADER, is_blurred, other_packets, what_reads
-from heliograph.probe.turned import what_reads_turned
+from heliograph.probe.trials import SURE_HEADER, is_blurred, other_packets, what_reads, what_reads_turned
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.receive.events import DetectEvent
 from heliograph.receive.geometry.window import Window

@@ -60,13 +60,7 @@ class FrameTimes:
 
 
 class FrameWatch:
-    """Takes a film's frames one after the other, and keeps of them what their stamps say.
-
-    Parameters
-    ----------
-    claimed_hz
-        Frames per second as the film, or whoever opened it, says; above 0.
-    """
+    """Takes a film's frames one after the other, and keeps of them what their stamps say."""
 
     def __init__(self, claimed_hz: float):
         self._claimed_hz = claimed_hz
@@ -78,17 +72,7 @@ class FrameWatch:
         self._count = self._repeated = 0
 
     def add(self, frame: Frame) -> bool:
-        """Take the next frame.
-
-        Parameters
-        ----------
-        frame
-            Next frame of the film, in its order.
-
-        Returns
-        -------
-        Whether it shows what the one before did, to the last pixel.
-        """
+        """Take the next frame."""
         last, self._last = self._last, frame
         self._count += 1
         if last is None:
@@ -129,13 +113,7 @@ class FrameWatch:
 
 
 def same_pixels(one: Frame, other: Frame) -> bool:
-    """Whether two frames show the very same.
-
-    Parameters
-    ----------
-    one, other
-        Frames of one camera, whole ones or windows.
-    """
+    """Whether two frames show the very same."""
     if one.pixels.shape != other.pixels.shape:
         return False
     some = slice(None, None, SAMPLED_ROWS)

@@ -76,35 +76,23 @@ LIKE, UNLIKE = 0.55, 1.8
 
 @dataclass(frozen=True, slots=True)
 class HeaderSeen:
-    """What of a header a region shows at best.
+    """What of a header a region shows at best."""
 
-    Attributes
-    ----------
-    score
-        Correlation with the header's image, 0 to 1.
-    side
-        LEDs in a row that were assumed; the header's cells are 4 x 4 whatever they are.
-    fit
-        Pose on the sensor, and gain.
-    hypotheses
-        Identities and orientations that have this header, the most plausible first.
-    place
-        Number in the frames looked at of the one with which it begins, or of one of its later ones.
-    starts
-        Numbers in those frames of the first frames of headers that are seen with its pose.
-    pairs
-        Pairs of a header, as they are seen; 0 where none is seen whole.
-    period
-        Frames from one header to the next, as far as numbers of frames tell; 0 where fewer than two are seen.
-    """
-
+    # Correlation with the header's image, 0 to 1
     score: float
+    # LEDs in a row that were assumed; the header's cells are 4 x 4 whatever they are
     side: int
+    # Pose on the sensor, and gain
     fit: Fit
+    # Identities and orientations that have this header, the most plausible first
     hypotheses: tuple[Hypothesis, ...]
+    # Number in the frames looked at of the one with which it begins, or of one of its later ones
     place: int
+    # Numbers in those frames of the first frames of headers that are seen with its pose
     starts: tuple[int, ...] = ()
+    # Pairs of a header, as they are seen; 0 where none is seen whole
     pairs: int = 0
+    # Frames from one header to the next, as far as numbers of frames tell; 0 where fewer than two are seen
     period: int = 0
 
     @property
@@ -120,25 +108,7 @@ def header_seen(
     side: int,
     speed: tuple[float, float] = (0.0, 0.0),
 ) -> HeaderSeen | None:
-    """Look for the header that a region shows best.
-
-    Parameters
-    ----------
-    frames
-        Its part of frames, one a pattern, in the order of time.
-    centre
-        Its centre (x, y) on the sensor in px in the middle of these frames.
-    size_px
-        Side of the region in px.
-    side
-        LEDs in a row.
-    speed
-        Motion along x and y in px a frame.
-
-    Returns
-    -------
-    The best; None where nothing is like a header at all.
-    """
+    """Look for the header that a region shows best."""
     level = max(0, int(np.ceil(np.log2(max(size_px, 1.0) / LEVEL_SIDE_PX))))
     frames = frames[:MOST_TIMES]
     reduced = list(frames)

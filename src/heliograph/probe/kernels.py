@@ -29,27 +29,7 @@ def _product(one, other, covariance, pairs):
 
 @compiled()
 def expected_correlations(rates, phases, exposures, numbers, lags, covariance, least, out):
-    """How alike frames are on average, by how long a pattern lasts in frames.
-
-    Parameters
-    ----------
-    rates
-        (rates,) frames that a pattern lasts.
-    phases
-        (phases,) places of frame 0 within a pair of patterns, 0 to 2 patterns.
-    exposures
-        (exposures,) exposures as fractions of the frame period.
-    numbers
-        (frames,) numbers of the first frames.
-    lags
-        (lags,) int64, frames by which the second ones are later.
-    covariance
-        (8, 8) covariance of the light of an LED in the slots of a pattern and its inverse.
-    least
-        Least variance of a frame's light: of a whole pair's there is none.
-    out
-        (rates, phases, exposures, frames, lags), overwritten: the correlation of both frames' LEDs.
-    """
+    """How alike frames are on average, by how long a pattern lasts in frames."""
     most = 8 * int((4 * (np.max(lags) + 1) / np.min(rates)) / 8 + 4)
     one, other = np.empty(most), np.empty(most)
     for r in range(rates.shape[0]):

@@ -25,26 +25,17 @@ MOST_CEILING = 0.9
 
 @dataclass(frozen=True, slots=True)
 class PileUp:
-    """When pixels at the top of a region's gray levels count as overexposed.
+    """When pixels at the top of a region's gray levels count as overexposed."""
 
-    Attributes
-    ----------
-    width
-        Levels, over the ceiling, by which noise and a codec smear one level.
-    range_part
-        Most such levels over the range from the region's darkest level to its top: fewer than from level to level.
-    part
-        Least part of the region's pixels: of random data 1/16 of the LEDs have the highest of five levels.
-    ratio
-        Least ratio of the pixels at the top to those as many levels just below.
-    level
-        Least top level over the ceiling.
-    """
-
+    # Levels, over the ceiling, by which noise and a codec smear one level
     width: float = 0.06
+    # Most such levels over the range from the region's darkest level to its top: fewer than from level to level
     range_part: float = 0.15
+    # Least part of the region's pixels: of random data 1/16 of the LEDs have the highest of five levels
     part: float = 0.3
+    # Least ratio of the pixels at the top to those as many levels just below
     ratio: float = 3.0
+    # Least top level over the ceiling
     level: float = 0.5
 
 
@@ -52,15 +43,6 @@ def overexposed_part(counts: NDArray[np.int64], ceiling: int, rule: PileUp = Pil
     """Return the part of a region's pixels that are overexposed, whether their level is at full scale or below.
 
     Clipping, a tone curve or limited range ends the levels of a region at a level of its own, where pixels pile up.
-
-    Parameters
-    ----------
-    counts
-        (levels,) pixels of the region by gray level.
-    ceiling
-        Level at which the sensor is cut off.
-    rule
-        When pixels at the top count.
     """
     total = max(int(counts.sum()), 1)
     clipped = float(counts[ceiling:].sum()) / total
@@ -105,13 +87,7 @@ class Levels:
 
 
 class LevelWatch:
-    """Counts the gray levels of some of a film's frames.
-
-    Parameters
-    ----------
-    frames
-        Frames to expect; None where nobody knows.
-    """
+    """Counts the gray levels of some of a film's frames."""
 
     def __init__(self, frames: int | None):
         self._every = max(1, (frames or 16 * SAMPLED_FRAMES) // SAMPLED_FRAMES)
@@ -120,13 +96,7 @@ class LevelWatch:
         self._full_scale = 255
 
     def add(self, frame: Frame) -> None:
-        """Take the next frame, and count its levels if it is one of those that are sampled.
-
-        Parameters
-        ----------
-        frame
-            Next frame of the film, in its order.
-        """
+        """Take the next frame, and count its levels if it is one of those that are sampled."""
         self._seen += 1
         if (self._seen - 1) % self._every or not frame.pixels.size:
             return

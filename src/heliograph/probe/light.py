@@ -87,48 +87,22 @@ FIRST_PEAK = 0.7
 
 @dataclass(frozen=True, slots=True)
 class LightRate:
-    """How long a pattern lasts, as a region shows it.
+    """How long a pattern lasts, as a region shows it."""
 
-    Attributes
-    ----------
-    frames
-        Frames that a pattern lasts: 1 in step.
-    explained
-        Part of the correlations' variation that this explains, 0 to 1.
-    phase
-        Place of the stretch's first frame within a pair of patterns, 0 to 2 patterns.
-    exposure
-        Exposure as a fraction of the frame period, one of a few that were tried.
-    """
-
+    # Frames that a pattern lasts: 1 in step
     frames: float
+    # Part of the correlations' variation that this explains, 0 to 1
     explained: float
+    # Place of the stretch's first frame within a pair of patterns, 0 to 2 patterns
     phase: float
+    # Exposure as a fraction of the frame period, one of a few that were tried
     exposure: float
 
 
 def light_rate(
     frames: Sequence[Frame], region: Region, noise: float, ceiling: int, slot_order: Sequence[int]
 ) -> LightRate | None:
-    """How many frames a pattern lasts in a region.
-
-    Parameters
-    ----------
-    frames
-        Frames of the stretch.
-    region
-        A region of it in which something blinks.
-    noise
-        Standard deviation of a pixel's noise there in gray levels.
-    ceiling
-        Level at which the sensor is cut off.
-    slot_order
-        Order of the PWM slots, a permutation of 0 to 3.
-
-    Returns
-    -------
-    The rate; None where the light does not show patterns and their inverses.
-    """
+    """How many frames a pattern lasts in a region."""
     seen = correlations(frames, region, noise, ceiling)
     if np.isfinite(seen).any(1).sum() < SEGMENT:
         return None
@@ -144,23 +118,7 @@ def light_rate(
 
 
 def correlations(frames: Sequence[Frame], region: Region, noise: float, ceiling: int) -> Floats:
-    """How alike a region's frames are, each pixel about its mean.
-
-    Parameters
-    ----------
-    frames
-        Frames of the stretch.
-    region
-        A region of it.
-    noise
-        Standard deviation of a pixel's noise there in gray levels.
-    ceiling
-        Level at which the sensor is cut off; pixels that reach it are left out if enough others are there.
-
-    Returns
-    -------
-    (numbers, lags) correlations, about -1 to 1; NaN where a frame is missing, or shows no more than noise.
-    """
+    """How alike a region's frames are, each pixel about its mean."""
     count = len(frames)
     step = max(1, int(np.ceil((region.width * region.height / MOST_PIXELS) ** 0.5)))
     pixels = np.array([thinned(one, region.box_at(k, count), step).ravel() for k, one in enumerate(frames)])
@@ -188,21 +146,7 @@ def correlations(frames: Sequence[Frame], region: Region, noise: float, ceiling:
 
 
 def pattern_part(frames: Sequence[Frame], region: Region, noise: float) -> float:
-    """How much of what a region's pixels do they do apart from each other.
-
-    Parameters
-    ----------
-    frames
-        Frames of the stretch.
-    region
-        A region of it.
-    noise
-        Standard deviation of a pixel's noise there in gray levels.
-
-    Returns
-    -------
-    0 of a lamp, all of which goes up and down as one; 0.3 to 1 of patterns.
-    """
+    """How much of what a region's pixels do they do apart from each other."""
     count = len(frames)
     step = max(1, int(np.ceil((region.width * region.height / MOST_PIXELS) ** 0.5)))
     some = range(0, count, max(1, count // MOST_COMPARED))
@@ -215,17 +159,7 @@ def pattern_part(frames: Sequence[Frame], region: Region, noise: float) -> float
 
 
 def lamp_period(brightness: Floats) -> float | None:
-    """Frames from one flash of a lamp to the next, by the autocorrelation of its brightness.
-
-    Parameters
-    ----------
-    brightness
-        (frames,) mean gray level in each frame.
-
-    Returns
-    -------
-    The period in frames; None where it is not regular.
-    """
+    """Frames from one flash of a lamp to the next, by the autocorrelation of its brightness."""
     x = brightness - np.convolve(np.pad(brightness, 16, mode="edge"), np.full(33, 1 / 33), mode="valid")
     power = float(x @ x)
     if len(x) < 8 or power < TINY:
@@ -244,13 +178,7 @@ def lamp_period(brightness: Floats) -> float | None:
 
 
 def pair_covariance(slot_order: Sequence[int]) -> Floats:
-    """Covariance (8, 8) of the light of an LED in the slots of a random pattern and its inverse.
-
-    Parameters
-    ----------
-    slot_order
-        Order of the PWM slots, a permutation of 0 to 3.
-    """
+    """Covariance (8, 8) of the light of an LED in the slots of a random pattern and its inverse."""
     rank = np.argsort(np.asarray(slot_order))
     shown = np.zeros((2 * SLOTS, SLOTS))
     shown[np.arange(SLOTS), rank] = 1.0
@@ -262,27 +190,7 @@ def pair_covariance(slot_order: Sequence[int]) -> Floats:
 def expected_correlation(
     rate: float, phase: float, exposure: float, number: int, lag: int, slot_order: Sequence[int]
 ) -> float:
-    """How alike a frame and a later one are on average; `kernels.expected_correlations` is the same, faster.
-
-    Parameters
-    ----------
-    rate
-        Frames that a pattern lasts.
-    phase
-        Place of frame 0 within a pair of patterns, 0 to 2 patterns.
-    exposure
-        Exposure as a fraction of the frame period.
-    number
-        Number of the first frame.
-    lag
-        Frames by which the second one is later.
-    slot_order
-        Order of the PWM slots, a permutation of 0 to 3.
-
-    Returns
-    -------
-    Correlation of what random LEDs show in both, -1 to 1.
-    """
+    """How alike a frame and a later one are on average; `kernels.expected_correlations` is the same, faster."""
     covariance = pair_covariance(slot_order)
     starts = [4 * ((number + later) / rate + phase) for later in (0, lag)]
     length = 4 * exposure / rate

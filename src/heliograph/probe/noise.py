@@ -111,13 +111,7 @@ class NoiseFound:
 
 
 class NoiseWatch:
-    """Takes some pairs of a film's frames, and keeps gray level and variance of their blocks.
-
-    Parameters
-    ----------
-    frames
-        Frames to expect; None where nobody knows.
-    """
+    """Takes some pairs of a film's frames, and keeps gray level and variance of their blocks."""
 
     def __init__(self, frames: int | None):
         self._every = max(1, (frames or 16 * SAMPLED_PAIRS) // SAMPLED_PAIRS)
@@ -126,15 +120,7 @@ class NoiseWatch:
         self._kept: list[Floats] = []
 
     def add(self, frame: Frame, copied: bool) -> None:
-        """Take the next frame.
-
-        Parameters
-        ----------
-        frame
-            Next frame of the film, in its order.
-        copied
-            Whether it shows what the one before did, to the last pixel: it then has no noise of its own.
-        """
+        """Take the next frame."""
         last, self._last = self._last, frame
         self._seen += 1
         if last is None or self._seen % self._every or copied:
@@ -146,30 +132,14 @@ class NoiseWatch:
             self._kept.append(block_noise(last, frame))
 
     def noise(self, ceiling: int) -> NoiseFound:
-        """Noise by the frames so far.
-
-        Parameters
-        ----------
-        ceiling
-            Level at which the sensor is cut off; blocks that come near it are left out.
-        """
+        """Noise by the frames so far."""
         if not self._kept:
             return NoiseFound(None, None, None, None, None, "few")
         return photon_transfer(np.concatenate(self._kept), ceiling)
 
 
 def block_noise(one: Frame, other: Frame) -> Floats:
-    """Mean, variance and extremes of the blocks of two frames.
-
-    Parameters
-    ----------
-    one, other
-        Successive frames of one size, a block at least.
-
-    Returns
-    -------
-    (blocks, 5): mean gray level, variance of a pixel, least and largest level, variance by the finest detail.
-    """
+    """Mean, variance and extremes of the blocks of two frames."""
     rows, cols = (size // BLOCK_PX for size in one.pixels.shape)
     # of large frames whole rows of blocks are left out
     some = np.arange(0, rows, -(-rows * cols // SAMPLED_BLOCKS))
@@ -193,15 +163,7 @@ def block_noise(one: Frame, other: Frame) -> Floats:
 
 
 def photon_transfer(blocks: Floats, ceiling: int) -> NoiseFound:
-    """Gain and dark noise by the blocks of many pairs of frames.
-
-    Parameters
-    ----------
-    blocks
-        (blocks, 5) of `block_noise`.
-    ceiling
-        Level at which the sensor is cut off.
-    """
+    """Gain and dark noise by the blocks of many pairs of frames."""
     whole = blocks[(blocks[:, 2] > 0) & (blocks[:, 3] < ceiling)]
     if len(whole) < 2 * ENOUGH:
         return NoiseFound(None, None, None, None, None, "few")

@@ -56,21 +56,14 @@ most."""
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far a layer is expected to be read.
+    """How far a layer is expected to be read."""
 
-    Attributes
-    ----------
-    receiver
-        Whose reach it is, "plain" or "soft".
-    distance_m
-        Distance in m up to which each layer is read, by layer; 0 where it is read nowhere, infinite where the end lies
-        beyond all distances looked at.
-    found_m
-        Distance in m up to which the array is as large as what the receiver looks for.
-    """
-
+    # Whose reach it is, "plain" or "soft"
     receiver: str
+    # Distance in m up to which each layer is read, by layer; 0 where it is read nowhere, infinite where the end lies
+    # beyond all distances looked at
     distance_m: dict[str, float]
+    # Distance in m up to which the array is as large as what the receiver looks for
     found_m: float
 
 
@@ -78,27 +71,7 @@ class Reach:
 def reaches(
     pose: Pose, gain: float, noise: Noise, distance_m: float, signal: SignalSettings, smallest_px: float | None = None
 ) -> tuple[Reach, ...]:
-    """How far each layer is expected to be read by both receivers.
-
-    Parameters
-    ----------
-    pose
-        Pose of the array as it was filmed, on the sensor.
-    gain
-        Gray levels of the unresolved array with all LEDs on.
-    noise
-        Variances of a difference of two frames in squared gray levels.
-    distance_m
-        Distance in m at which it was filmed.
-    signal
-        The light's signal, with the codes' rates.
-    smallest_px
-        Least side in px of the arrays that are looked for; None for each receiver's own.
-
-    Returns
-    -------
-    One for "plain" and one for "soft"; none for arrays of more than `MOST_SIDE` LEDs in a row.
-    """
+    """How far each layer is expected to be read by both receivers."""
     if signal.side > MOST_SIDE or signal.modulation != "haar" or gain <= 0:
         return ()
     out = []
@@ -111,33 +84,13 @@ def reaches(
 
 
 def layer_information(receiver: str, pose: Pose, gain: float, noise: Noise, signal: SignalSettings) -> dict[str, float]:
-    """Information in the LLRs of each layer, in bit per sent bit.
-
-    Parameters
-    ----------
-    receiver
-        Which of both estimates symbols, "plain" or "soft".
-    pose
-        Pose of the array's image.
-    gain
-        Gray levels of the unresolved array with all LEDs on.
-    noise
-        Variances of a difference of two frames in squared gray levels.
-    signal
-        The light's signal, of which side and rates count.
-    """
+    """Information in the LLRs of each layer, in bit per sent bit."""
     read = _plain if receiver == "plain" else _soft
     return read(replace(pose, x=OFF_CENTRE, y=OFF_CENTRE, roll=pose.roll), gain, noise, signal)
 
 
 def information_of(snr: Floats) -> Floats:
-    """Information of bits sent as +-1 in white noise, in bit per bit.
-
-    Parameters
-    ----------
-    snr
-        (...,) ratio of a bit's power to its noise variance, 0 or more.
-    """
+    """Information of bits sent as +-1 in white noise, in bit per bit."""
     points, weights = _normal()
     spread = -2 * snr[..., None] - 2 * np.sqrt(snr)[..., None] * points
     return np.asarray(1 - np.logaddexp(0, spread) @ weights / np.log(2))

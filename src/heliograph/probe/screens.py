@@ -1,25 +1,189 @@
-"""Why a screen that is filmed is not read, for who holds the phone: sight, size, focus, light, rate."""
+"""Diagnosis of a filmed screen: number of cells, pattern rate, and causes of a failed reception."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.link.settings import PRESETS
-from heliograph.probe.activity import Stretch
+from heliograph.probe.activity import LEAST_FRAMES, Stretch, stretch_of
+from heliograph.probe.arrays import Asked
 from heliograph.probe.causes import Cause, Kind, RegionSeen
-from heliograph.probe.cells import cells_of_a_side
 from heliograph.probe.headers import HeaderSeen
 from heliograph.probe.levels import Levels
-from heliograph.probe.pace import patterns_per_s
-from heliograph.probe.reading import Asked
-from heliograph.probe.regions import Region
+from heliograph.probe.light import light_rate
+from heliograph.probe.regions import Region, regions_of
 from heliograph.receive.screen.clock import ANY_RATES
 from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame
+from heliograph.receive.sync.frame_clock import frame_period
+from heliograph.signal.pwm import SLOT_ORDER
 from heliograph.signal.settings import SignalSettings
+
+SIDES = range(8, 33, 4)
+"""Cells of a side that are told apart."""
+
+AREA_PX = 672
+"""Side to which the array's area is stretched: a whole number of pixels for each cell of 8, 12, 16, 24, 28 and 32."""
+
+CELL_FRAMES = 24
+"""Frames that are compared, of a few seconds. Chosen: each shows other edges."""
+
+WIDTH = 0.18
+"""Standard deviation of a line in cells, which the lens' blur makes. Chosen: of 0.1 to 0.3 all tell the same."""
+
+LEAST_LIKE, LEAST_LIKE_8 = 0.3, 0.45
+"""Least correlation with evenly spaced lines. At 30 frames a second, 120 px for 16 cells and more, the right number had
+0.34 to 0.8, wrong ones up to 0.2; but 8, on whose lines those of the header lie, up to 0.31."""
+
+
+def cells_of_a_side(frames: Sequence[Frame]) -> int | None:
+    """Return how many cells a side has of the array that some frames show; None where the lines do not tell."""
+    some = frames[-4 * CELL_FRAMES :][:: max(1, min(len(frames) // CELL_FRAMES, 4))]
+    pixels = np.stack([frame.pixels for frame in some]).astype(np.float32)
+    changes = np.asarray(pixels.std(axis=0), np.float64)
+    small, factor = reduce_frame(np.asarray(changes, np.float32))
+    for corners in find_quadrilaterals(np.asarray(small, np.float64), factor):
+        lines = _lines(pixels, sharpen_corners(np.asarray(changes, np.float32), corners, factor))
+        like = {side: _like(lines, side) for side in SIDES}
+        best = max(like, key=lambda side: like[side])
+        if like[best] >= (LEAST_LIKE_8 if best == SIDES[0] else LEAST_LIKE):
+            return best
+    return None
+
+
+def _lines(pixels: NDArray[np.float32], corners: Floats) -> Floats:
+    """(AREA_PX - 1,) mean step from pixel to pixel across the array, along both directions, less its slow part."""
+    square = np.array([(0, 0), (AREA_PX, 0), (AREA_PX, AREA_PX), (0, AREA_PX)], np.float32) - np.float32(0.5)
+    warp = cv2.getPerspectiveTransform(np.asarray(corners, np.float32), square)
+    profile = np.zeros(AREA_PX - 1)
+    for one in pixels:
+        area = cv2.warpPerspective(one, warp, (AREA_PX, AREA_PX))
+        profile += np.abs(np.diff(area, axis=1)).mean(axis=0) + np.abs(np.diff(area, axis=0)).mean(axis=1)
+    slow = cv2.GaussianBlur(profile[None], (0, 0), AREA_PX / SIDES[0] / 2)[0]
+    return np.asarray(profile - slow, np.float64)
+
+
+def _like(lines: Floats, side: int) -> float:
+    """Correlation of steps with lines between so many cells, those within the outer two cells left out."""
+    cell = AREA_PX / side
+    places = np.arange(1, AREA_PX) / cell
+    drawn = np.exp(-0.5 * ((places - np.round(places)) / WIDTH) ** 2)
+    inner = slice(AREA_PX // 16, -AREA_PX // 16)
+    a, b = lines[inner] - lines[inner].mean(), drawn[inner] - drawn[inner].mean()
+    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), TINY))
+
+
+def sharpen_corners(changes: NDArray[np.float32], corners: Floats, factor: int) -> Floats:
+    """Refine corners by the edges of the changes at full resolution."""
+    reach = 2.5 * factor + 1
+    for _ in range(3):
+        lines = [_edge(changes, corners[k], corners[(k + 1) % 4], corners.mean(0), reach) for k in range(4)]
+        moved = np.array([_crossing(lines[k - 1], lines[k]) for k in range(4)])
+        if not np.isfinite(moved).all() or np.abs(moved - corners).max() > 2 * reach:
+            return corners
+        is_done = np.abs(moved - corners).max() < 0.1
+        corners = moved
+        if is_done:
+            break
+    return corners
+
+
+def _edge(
+    changes: NDArray[np.float32], start: Floats, end: Floats, middle: Floats, reach: float
+) -> tuple[Floats, Floats]:
+    """Fit the edge near a side; return a point and the direction."""
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / max(length, TINY)
+    out = np.array([along[1], -along[0]])
+    if (start - middle) @ out < 0:
+        out = -out
+    across = np.linspace(-reach, reach, 2 * int(4 * reach) + 1)
+    places = np.linspace(0.06, 0.94, 32) * length
+    points = start + places[:, None, None] * along + across[:, None] * out
+    x, y = (np.asarray(points[..., k], np.float32) for k in (0, 1))
+    profiles = np.asarray(cv2.remap(changes, x, y, cv2.INTER_LINEAR), np.float64)
+    inside = np.median(profiles[:, : len(across) // 3], axis=1)
+    outside = np.median(profiles[:, -len(across) // 4 :], axis=1)
+    strong = inside - outside > 0.4 * np.median(inside)
+    if strong.sum() < 8:
+        return start, along
+    # a blurred edge is at half the height
+    over = profiles > ((inside + outside) / 2)[:, None]
+    last = len(across) - 1 - np.argmax(over[:, ::-1], axis=1)
+    offsets = across[last] + (across[1] - across[0]) / 2
+    weight = strong.astype(float)
+    fit = np.array([np.median(offsets[strong]), 0.0])
+    columns = np.column_stack([np.ones(len(places)), places / length - 0.5])
+    for _ in range(8):
+        far = np.abs(offsets - columns @ fit)
+        # an edge 2 px off counts a quarter
+        w = weight / (1 + (far / 2) ** 2) ** 2
+        fit = np.linalg.lstsq(columns * w[:, None], offsets * w, rcond=None)[0]
+    a, b = (start + s * length * along + (fit[0] + fit[1] * (s - 0.5)) * out for s in (0.0, 1.0))
+    return a, b - a
+
+
+def _crossing(first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> Floats:
+    """Intersect two lines, each a point and a direction."""
+    (p, d), (q, e) = first, second
+    across = d[0] * e[1] - d[1] * e[0]
+    if abs(across) < TINY:
+        return np.full(2, np.nan)
+    t = ((q[0] - p[0]) * e[1] - (q[1] - p[1]) * e[0]) / across
+    return p + t * d
+
+
+DISPLAYS_HZ = (60, 50, 72, 75, 90, 100, 120, 144, 165, 240)
+"""Refreshes a second of usual displays, the most usual one first."""
+
+OFFERED_HZ = (1, 2, 5, 10, 15, 20, 30, 60, 120)
+"""Patterns a second about which page *Transmit* offers those that divide the display's refreshes."""
+
+USUAL_HZ = [display / max(1, round(display / rate)) for display in DISPLAYS_HZ for rate in OFFERED_HZ]
+"""Patterns a second that are taken for meant where one is near."""
+
+NEAR = 0.01
+"""Departure from a usual rate, as a fraction, that is taken for the measurement's. Chosen: three times that of 7 s."""
+
+THINNED = (1, 4)
+"""Every so many frames are looked at: a pattern of 1 s lasts 30 frames, more than `light_rate` tries."""
+
+CEILING = 255
+"""Full scale of 8 bits."""
+
+
+def patterns_per_s(frames: Sequence[Frame]) -> float | None:
+    """Return how many patterns a second some frames show; None where nothing blinks as patterns do."""
+    told = [one for step in THINNED for one in _told(frames[::step])]
+    return usual(max(told)[1]) if told else None
+
+
+def _told(frames: Sequence[Frame]) -> Iterator[tuple[float, float]]:
+    """How well a rate explains what a region shows, and the rate in patterns a second, for each region that tells."""
+    if len(frames) < LEAST_FRAMES:
+        return
+    stretch = stretch_of(frames)
+    regions, _ = regions_of(stretch, CEILING)
+    period_s = frame_period(np.array([b.time_s - a.time_s for a, b in pairwise(frames)]))
+    for region in regions:
+        found = light_rate(stretch.frames, region, float(np.median(stretch.noise)), CEILING, SLOT_ORDER)
+        if found is not None:
+            yield found.explained, 1 / (found.frames * period_s)
+
+
+def usual(rate_hz: float) -> float:
+    """Return the usual rate near a measured one, or the measured one where none is."""
+    for known, near in ((USUAL_HZ[: len(OFFERED_HZ)], NEAR / 2), (USUAL_HZ, NEAR)):
+        nearest = min(known, key=lambda one: abs(one / rate_hz - 1))
+        if abs(nearest / rate_hz - 1) < near:
+            return float(nearest)
+    return rate_hz
+
 
 LOOKED_AT = 32
 """Frames whose changes show where the array is. Chosen: a second of a phone's."""
@@ -157,48 +321,24 @@ class _Shown:
 
 @dataclass(frozen=True, slots=True)
 class ScreenLook:
-    """A screen in a film that is not read: where most of it changes as patterns do, and why it is not read.
+    """A screen in a film that is not read: where most of it changes as patterns do, and why it is not read."""
 
-    Attributes
-    ----------
-    stretch
-        The liveliest frames of the film; None where it has too few.
-    corners
-        (4, 2) corners in px, clockwise; None where nothing changes as patterns do.
-    asked
-        What it was to be read with.
-    levels
-        Gray levels of some frames.
-    """
-
+    # The liveliest frames of the film; None where it has too few
     stretch: Stretch | None
+    # (4, 2) corners in px, clockwise; None where nothing changes as patterns do
     corners: Floats | None
+    # What it was to be read with
     asked: Asked
+    # Gray levels of some frames
     levels: Levels
 
     @classmethod
     def of(cls, stretch: Stretch | None, asked: Asked, levels: Levels) -> "ScreenLook":
-        """Look where the screen is.
-
-        Parameters
-        ----------
-        stretch
-            The liveliest frames of the film; None where it has too few.
-        asked
-            What it was to be read with.
-        levels
-            Gray levels of some frames.
-        """
+        """Look where the screen is."""
         return cls(stretch, None if stretch is None else area_of(stretch.frames), asked, levels)
 
     def regions(self, regions: Sequence[Region]) -> tuple[list[Region], int]:
-        """Return the region of the screen, one at most, and how many there are.
-
-        Parameters
-        ----------
-        regions
-            All that blink in the film, the strongest first.
-        """
+        """Return the region of the screen, one at most, and how many there are."""
         if self.corners is None:
             return [], 0
         x, y = self.corners.mean(axis=0)
@@ -213,13 +353,7 @@ class ScreenLook:
         return found, len(found)
 
     def causes(self, seen: RegionSeen) -> tuple[Cause, ...]:
-        """Tell why a screen is not read, the gravest cause first; one of the kind "unread" where all looks well.
-
-        Parameters
-        ----------
-        seen
-            What its region shows.
-        """
+        """Tell why a screen is not read, the gravest cause first; one of the kind "unread" where all looks well."""
         assert self.stretch is not None
         assert self.corners is not None
         frames, corners, region = self.stretch.frames, self.corners, seen.region
@@ -237,19 +371,7 @@ class ScreenLook:
 
 
 def screen_cause(frames: Sequence[Frame], rate_hz: float) -> Cause | None:
-    """Recognise a film of a screen that was to be read as one of an LED array.
-
-    Parameters
-    ----------
-    frames
-        The liveliest frames of the film.
-    rate_hz
-        Frames a second as they are stamped.
-
-    Returns
-    -------
-    The receiver and preset that read it; None if it shows no screen, or does not tell.
-    """
+    """Recognise a film of a screen that was to be read as one of an LED array."""
     if not PHONES_HZ[0] <= rate_hz <= PHONES_HZ[1] or frames[0].bits != 8 or (area := area_of(frames)) is None:
         return None
     cells = cells_of_a_side(frames)
@@ -270,13 +392,7 @@ def screen_cause(frames: Sequence[Frame], rate_hz: float) -> Cause | None:
 
 
 def films_causes(causes: Sequence[Cause]) -> tuple[Cause, ...]:
-    """Of what is the matter with a film that which is told of a screen's, too.
-
-    Parameters
-    ----------
-    causes
-        What is the matter with the film as a whole.
-    """
+    """Of what is the matter with a film that which is told of a screen's, too."""
     return tuple(one for one in causes if one.kind in FILM_KINDS)
 
 
@@ -285,13 +401,7 @@ def _side_px(corners: Floats) -> float:
 
 
 def area_of(frames: Sequence[Frame]) -> Floats | None:
-    """Return where most changes as patterns do: (4, 2) corners in px, clockwise; None where nothing does.
-
-    Parameters
-    ----------
-    frames
-        Frames in the order of time, two or more.
-    """
+    """Return where most changes as patterns do: (4, 2) corners in px, clockwise; None where nothing does."""
     some = frames[:: max(1, len(frames) // LOOKED_AT)]
     if len(some) < 2:
         return None

@@ -1,7 +1,4 @@
-"""What would read a region: receivers tried on its frames, with what it shows itself in place of the settings.
-
-Where a codeword is right under other settings, these are the diagnosis, as no codeword is right by chance.
-"""
+"""Receivers tried on the frames of a region with estimated settings, also with the corners of a turned array."""
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,13 +6,15 @@ from dataclasses import dataclass, replace
 from math import ceil, floor
 from typing import Any
 
+import cv2
+import numpy as np
+
 from heliograph.base.config import merge
 from heliograph.base.frames import Frame
-from heliograph.probe.clock import Clock, clock_of
+from heliograph.probe.arrays import SLACK, Asked, Clock, Reading, clock_of, narrowed, read
 from heliograph.probe.headers import HeaderSeen
 from heliograph.probe.light import LightRate
 from heliograph.probe.reach import MOST_SIDE, NEAR_PITCH_PX, layer_information
-from heliograph.probe.reading import SLACK, Asked, Reading, narrowed, read
 from heliograph.receive import ReceiveSettings
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.noise import Noise
@@ -60,50 +59,22 @@ AROUND = 8
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What reads a region.
+    """What reads a region."""
 
-    Attributes
-    ----------
-    reading
-        The reading in which a codeword is right.
-    changes
-        What was changed for it, a nested mapping with "signal" and "receive"; empty where nothing was.
-    retimed
-        Whether frames were given the times by which a pattern lasts what the settings say.
-    clock
-        The light's clock in the camera's.
-    """
-
+    # The reading in which a codeword is right
     reading: Reading
+    # What was changed for it, a nested mapping with "signal" and "receive"; empty where nothing was
     changes: Mapping[str, Any]
+    # Whether frames were given the times by which a pattern lasts what the settings say
     retimed: bool
+    # The light's clock in the camera's
     clock: Clock
 
 
 def what_reads(
     frames: Sequence[Frame], asked: Asked, rate: LightRate | None, header: HeaderSeen, noise: Noise, whole: bool
 ) -> Found | None:
-    """Look for settings with which a region is read.
-
-    Parameters
-    ----------
-    frames
-        The region's part of frames, in the order of time.
-    asked
-        What the film is to be read with.
-    rate
-        Frames that a pattern lasts as the light shows it; None where it does not.
-    header
-        What of a header the region shows.
-    noise
-        Variances of a difference of two frames in squared gray levels, as far as they are known.
-    whole
-        Whether arrays of other sides may be tried: not where the region is cut, saturated, blurred or smeared.
-
-    Returns
-    -------
-    The first reading in which a codeword is right, and what it takes; None where there is none.
-    """
+    """Look for settings with which a region is read."""
     if header.score < LEAST_SCORE or asked.signal.header != "m_sequence":
         return None
     other = rate is not None and abs(rate.frames / asked.frames_a_pattern - 1) > STEP_TOLERANCE
@@ -134,13 +105,7 @@ def what_reads(
 
 
 def is_blurred(pose: Pose) -> bool:
-    """Whether a lens is out of focus.
-
-    Parameters
-    ----------
-    pose
-        That of a header, or of an array.
-    """
+    """Whether a lens is out of focus."""
     return pose.blur > max(BLURRED * pose.pitch, BLURRED_PX)
 
 
@@ -153,17 +118,7 @@ def _places(frames: Sequence[Frame], asked: ReceiveSettings) -> list[dict[str, A
 
 
 def retimed(frames: Sequence[Frame], rate: LightRate, signal: SignalSettings) -> list[Frame]:
-    """Frames with the times that they have if a pattern lasts what the signal says.
-
-    Parameters
-    ----------
-    frames
-        Frames in the order of time; a gap in their numbers stays one.
-    rate
-        Frames that a pattern lasts.
-    signal
-        The light's signal, with the pattern period.
-    """
+    """Frames with the times that they have if a pattern lasts what the signal says."""
     every = max(1, min((b.index - a.index for a, b in itertools.pairwise(frames)), default=1))
     in_step = abs(rate.frames - 1) < STEP_TOLERANCE
     step_s = signal.pattern_period_s / (1.0 if in_step else rate.frames)
@@ -188,17 +143,7 @@ def _hopeless(header: HeaderSeen, receiver: str, noise: Noise, signal: SignalSet
 
 
 def other_packets(header: HeaderSeen, signal: SignalSettings, frames_a_pattern: float) -> dict[str, int]:
-    """Pairs of header and data that headers show, where they are others than the settings'; else nothing.
-
-    Parameters
-    ----------
-    header
-        What of a header a region shows: its pairs, and when it comes again.
-    signal
-        The light's signal, of which the packet's shape counts.
-    frames_a_pattern
-        Frames that a pattern lasts.
-    """
+    """Pairs of header and data that headers show, where they are others than the settings'; else nothing."""
     patterns = round(header.period / frames_a_pattern)
     right = header.pairs == signal.header_pairs and patterns in (0, signal.packet_patterns)
     if right or not 1 <= header.pairs <= MOST_HEADER_PAIRS or patterns % 2 or patterns <= 2 * header.pairs:
@@ -209,19 +154,7 @@ def other_packets(header: HeaderSeen, signal: SignalSettings, frames_a_pattern: 
 def one_packet(
     frames: Sequence[Frame], header: HeaderSeen, frames_a_pattern: float, signal: SignalSettings
 ) -> Sequence[Frame]:
-    """Frames of the first packet that is whole, and some about it; all where no header's start is seen.
-
-    Parameters
-    ----------
-    frames
-        Frames in the order of time.
-    header
-        What of a header they show: numbers of the patterns with which it begins.
-    frames_a_pattern
-        Frames that a pattern lasts.
-    signal
-        The light's signal, with the patterns of a packet.
-    """
+    """Frames of the first packet that is whole, and some about it; all where no header's start is seen."""
     around = round(AROUND * frames_a_pattern)
     length = round(signal.packet_patterns * frames_a_pattern) + around
     for start in header.starts:
@@ -234,21 +167,7 @@ def one_packet(
 def needed(
     asked: ReceiveSettings, receiver: str, header: HeaderSeen, size_px: float, full_scale: int
 ) -> dict[str, Any]:
-    """Settings of a receiver that a region asks for by its size, contrast and blur, as a nested mapping.
-
-    Parameters
-    ----------
-    asked
-        Settings that were asked for.
-    receiver
-        Which one is to read it, "plain" or "soft".
-    header
-        What of a header the region shows.
-    size_px
-        Side of the array in px by it.
-    full_scale
-        Largest gray level of the film.
-    """
+    """Settings of a receiver that a region asks for by its size, contrast and blur, as a nested mapping."""
     out: dict[str, Any] = {} if asked.receiver == receiver else {"receiver": receiver}
     detect = dict[str, float]()
     smallest = asked.detect.min_side_px or SMALLEST_SIDE_PX[receiver]
@@ -267,27 +186,13 @@ def needed(
 
 
 def receivers_tried(asked: ReceiveSettings, frames_a_pattern: float) -> list[str]:
-    """Receivers that are tried: the plain one reads one frame a pattern alone.
-
-    Parameters
-    ----------
-    asked
-        Settings that were asked for.
-    frames_a_pattern
-        Frames that a pattern lasts.
-    """
+    """Receivers that are tried: the plain one reads one frame a pattern alone."""
     stepped = abs(frames_a_pattern - 1) < STEP_TOLERANCE and asked.receiver != "soft"
     return ["plain", "soft"] if stepped else ["soft"]
 
 
 def options(changes: Mapping[str, Any]) -> tuple[str, ...]:
-    """Options of the command that make changes, the receiver first.
-
-    Parameters
-    ----------
-    changes
-        Nested mapping with "signal" and "receive".
-    """
+    """Options of the command that make changes, the receiver first."""
     receive = dict(changes.get("receive", {}))
     receiver = receive.pop("receiver", None)
     flat = [*_flat("signal", changes.get("signal", {})), *_flat("receive", receive)]
@@ -309,3 +214,66 @@ def _flat(name: str, tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield from _flat(f"{name}.{key}", value)
         else:
             yield f"{name}.{key}", value
+
+
+EDGE = 0.5
+"""Change from frame to frame at an array's edge over that within it: blur halves it there."""
+
+MOST_TIMES = 64
+"""Most pairs of frames of which the change is taken: LEDs then change by a tenth more or less than their mean."""
+
+CLOSED = 5
+"""Pixels across gaps that are closed between LEDs. An array of larger gaps is not found turned."""
+
+LEAST_TURN_DEG, MOST_SKEW = 5.0, 1.1
+"""Turn, and ratio of an outline's sides, up to which detectors find an array by themselves: no trial is needed."""
+
+Corners = tuple[float, ...]
+"""x and y in px of four corners in turn."""
+
+
+def outline(frames: Sequence[Frame], centre: tuple[float, float]) -> tuple[Corners, float, float] | None:
+    """Find the rectangle that holds what changes about a place."""
+    step = max(1, (len(frames) - 1) // MOST_TIMES)
+    pairs = [(frames[k].pixels, frames[k + 1].pixels) for k in range(0, len(frames) - 1, step)]
+    power = np.mean([(b.astype(np.float32) - a) ** 2 for a, b in pairs], axis=0)
+    change = cv2.blur(np.sqrt(power).astype(np.float32), (3, 3))
+    bright = float(np.quantile(change, 0.98))
+    dark = float(np.median([change[0].mean(), change[-1].mean(), change[:, 0].mean(), change[:, -1].mean()]))
+    lit = (change > dark + EDGE * (bright - dark)).astype(np.uint8)
+    lit = cv2.morphologyEx(lit, cv2.MORPH_CLOSE, np.ones((CLOSED, CLOSED), np.uint8))
+    shapes, _ = cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not shapes:
+        return None
+    x, y = frames[0].origin
+    place = centre[0] - x, centre[1] - y
+    shape = max(shapes, key=lambda one: cv2.pointPolygonTest(one, place, True))
+    middle, sides, turn = cv2.minAreaRect(shape)
+    # a contour runs through the middles of its outermost pixels
+    wide, high = sides[0] + 1.0, sides[1] + 1.0
+    points = np.add(cv2.boxPoints((middle, (wide, high), turn)), (x, y))
+    corners = tuple(round(float(n), 1) for n in points.reshape(-1))
+    return corners, (turn + 45) % 90 - 45, max(wide, high) / min(wide, high)
+
+
+def what_reads_turned(
+    frames: Sequence[Frame], asked: Asked, rate: LightRate, centre: tuple[float, float], form: Mapping[str, Any]
+) -> Found | None:
+    """Read a region by the corners that its light shows."""
+    found = outline(frames, centre)
+    if found is None or asked.signal.header != "m_sequence":
+        return None
+    corners, turn, skew = found
+    if abs(turn) < LEAST_TURN_DEG and skew < MOST_SKEW:
+        return None
+    other = abs(rate.frames / asked.frames_a_pattern - 1) > STEP_TOLERANCE
+    seen = retimed(frames, rate, asked.signal) if other else frames
+    for receiver in receivers_tried(asked.settings, rate.frames):
+        changed = {} if receiver == asked.settings.receiver else {"receiver": receiver}
+        changes = {"signal": form, "receive": {**changed, "detect": {"corners": corners, "region": ()}}}
+        tried = asked.changed(changes)
+        reading = read(seen, tried.signal, tried.settings)
+        if reading.read:
+            good = [one for one in reading.packets if one.has_codeword]
+            return Found(reading, changes, other, clock_of(good, seen, tried.signal))
+    return None

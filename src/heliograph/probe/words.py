@@ -6,9 +6,8 @@ from typing import Any
 
 from heliograph.base.errors import printable
 from heliograph.base.words import counted
-from heliograph.probe.arrays import ArraySeen
+from heliograph.probe.arrays import ArraySeen, Clock
 from heliograph.probe.causes import Cause, RegionSeen
-from heliograph.probe.clock import Clock
 from heliograph.probe.film import Findings
 from heliograph.probe.noise import NoiseFound
 from heliograph.probe.reach import Reach
@@ -28,13 +27,7 @@ UNTOLD = {
 
 
 def lines(found: Findings) -> Iterator[str]:
-    """All that was found, line by line.
-
-    Parameters
-    ----------
-    found
-        What a film tells.
-    """
+    """All that was found, line by line."""
     size = f"{found.width}x{found.height} px, {found.bits} bits"
     yield f"{printable(found.path)}: {counted(found.times.count, 'frame')} of {size}"
     yield f"stamps: {_stamps(found)}"
@@ -63,13 +56,7 @@ def lines(found: Findings) -> Iterator[str]:
 
 
 def in_short(found: Findings) -> Iterator[str]:
-    """Why no array was found, in few lines.
-
-    Parameters
-    ----------
-    found
-        What a film tells.
-    """
+    """Why no array was found, in few lines."""
     for cause in found.causes:
         yield f"film: {cause_words(cause)}"
     for number, seen in enumerate(found.regions[:MOST_SHORT], 1):
@@ -78,26 +65,14 @@ def in_short(found: Findings) -> Iterator[str]:
 
 
 def in_sentences(found: Findings) -> Iterator[str]:
-    """Why nothing is read, for a page: a line for each cause, with all that helps against it.
-
-    Parameters
-    ----------
-    found
-        What a film tells.
-    """
+    """Why nothing is read, for a page: a line for each cause, with all that helps against it."""
     for cause in [*(one for seen in found.regions for one in seen.causes), *found.causes]:
         helps = " ".join(f"{line[0].upper()}{line[1:]}." for line in cause.advice)
         yield f"{cause.kind.capitalize()}: {cause.why}. {helps}".rstrip()
 
 
 def place(seen: RegionSeen) -> str:
-    """Where a region is, its size, contrast and speed.
-
-    Parameters
-    ----------
-    seen
-        A region, and all that is known of it.
-    """
+    """Where a region is, its size, contrast and speed."""
     region = seen.region
     moving = f"moves by {region.speed_px:.2f} px a frame" if region.speed_px >= 0.005 else "still"
     return (
@@ -107,25 +82,13 @@ def place(seen: RegionSeen) -> str:
 
 
 def cause_words(cause: Cause) -> str:
-    """A cause in a sentence; it is called proven where codewords were read once it was changed.
-
-    Parameters
-    ----------
-    cause
-        What is the matter with a region or with a film.
-    """
+    """A cause in a sentence; it is called proven where codewords were read once it was changed."""
     proven = " (tried: read then)" if cause.proven and cause.kind != "array" else ""
     return f"{cause.why if cause.kind == 'array' else f'{cause.kind}: {cause.why}'}{proven}"
 
 
 def noise_words(noise: NoiseFound) -> str:
-    """Noise and gain in a sentence.
-
-    Parameters
-    ----------
-    noise
-        Noise of a film by photon transfer.
-    """
+    """Noise and gain in a sentence."""
     if noise.gain is not None and noise.dark_e is not None:
         return (
             f"{noise.gain:.3g} gray levels an electron (standard error {noise.gain_error:.1g}), {noise.dark_e:.0f} "
@@ -138,13 +101,7 @@ def noise_words(noise: NoiseFound) -> str:
 
 
 def array_lines(array: ArraySeen) -> Iterator[str]:
-    """An array that was read, line by line.
-
-    Parameters
-    ----------
-    array
-        An array of which codewords were right.
-    """
+    """An array that was read, line by line."""
     away = " to ".join(dict.fromkeys(f"{d:.1f} m" for d in (array.first_distance_m, array.last_distance_m)))
     yield (
         f"array {array.identity}: {array.orientation}, {counted(array.packets, 'packet')}, "
@@ -174,13 +131,7 @@ def array_lines(array: ArraySeen) -> Iterator[str]:
 
 
 def would_be_lines(seen: RegionSeen) -> Iterator[str]:
-    """A region that is not read as the array that it would be, line by line; nothing where it shows too little.
-
-    Parameters
-    ----------
-    seen
-        A region, and all that is known of it.
-    """
+    """A region that is not read as the array that it would be, line by line; nothing where it shows too little."""
     array = seen.would_be
     if array is None:
         return
@@ -195,13 +146,7 @@ def would_be_lines(seen: RegionSeen) -> Iterator[str]:
 
 
 def clock_words(clock: Clock) -> str:
-    """The light's clock in a sentence.
-
-    Parameters
-    ----------
-    clock
-        The light's clock in the camera's.
-    """
+    """The light's clock in a sentence."""
     text = f"patterns begin {clock.phase:+.2f} of a pattern after frames"
     if clock.rate_ppm is None:
         return f"{text}; the light's rate is not told"
@@ -211,13 +156,7 @@ def clock_words(clock: Clock) -> str:
 
 
 def reach_words(reach: Reach) -> str:
-    """How far layers are expected to be read, in words.
-
-    Parameters
-    ----------
-    reach
-        Distances of one receiver.
-    """
+    """How far layers are expected to be read, in words."""
     return ", ".join(f"{layer} {_distance(distance)}" for layer, distance in reach.distance_m.items())
 
 
@@ -261,13 +200,7 @@ def _levels(found: Findings) -> str:
 
 
 def as_mapping(found: Findings) -> dict[str, Any]:
-    """All that was found as plain values, for JSON.
-
-    Parameters
-    ----------
-    found
-        What a film tells.
-    """
+    """All that was found as plain values, for JSON."""
     times, levels, noise, rate = found.times, found.levels, found.noise, found.rate
     return {
         "film": found.path,

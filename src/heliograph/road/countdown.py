@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from heliograph.road.read import HOUR_S, Values, left_s
+from heliograph.road.codec import HOUR_S, Values, left_s
 
 STALE_S = 10.0
 """Seconds without a message after which a light is not counted down any more. Chosen."""
@@ -20,15 +20,7 @@ class Countdown:
         self._ahead_s: dict[int, float] = {}
 
     def take(self, values: Values, time_s: float) -> None:
-        """Take a SPATEM; anything else is passed over.
-
-        Parameters
-        ----------
-        values
-            What it says, of `road_values`.
-        time_s
-            Time in s by the camera's clock at which its packet began.
-        """
+        """Take a SPATEM; anything else is passed over."""
         if values["kind"] != "SPATEM":
             return
         for junction in values["junctions"]:
@@ -41,13 +33,7 @@ class Countdown:
             self._lights[number] = (time_s, junction)
 
     def at(self, time_s: float) -> list[dict[str, Any]]:
-        """Return what the lights show at a time: junctions with `id` and `groups` of `group`, `phase` and `left_s`.
-
-        Parameters
-        ----------
-        time_s
-            Time in s by the camera's clock.
-        """
+        """Return what the lights show at a time: junctions with `id` and `groups` of `group`, `phase` and `left_s`."""
         out = []
         for number, (seen_s, junction) in self._lights.items():
             if time_s - seen_s <= STALE_S:

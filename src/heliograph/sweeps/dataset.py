@@ -69,13 +69,7 @@ ANALYSIS = ("xarray", "pandas", "h5netcdf")
 
 
 def need_xarray() -> None:
-    """Check that xarray is installed.
-
-    Raises
-    ------
-    HeliographError
-        It is not; the message names the packages to install.
-    """
+    """Check that xarray is installed."""
     try:
         import xarray  # noqa: F401 - only whether it is there
     except ImportError:
@@ -83,26 +77,12 @@ def need_xarray() -> None:
 
 
 def unit(key: str) -> str:
-    """Unit of a setting by its name, "1" where it has none.
-
-    Parameters
-    ----------
-    key
-        Dotted key of the setting, such as "channel.distance_m", whose end tells the unit.
-    """
+    """Unit of a setting by its name, "1" where it has none."""
     return next((name for end, name in KEY_UNITS.items() if key.endswith(end)), "1")
 
 
 def to_dataset(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally]) -> "xarray.Dataset":
-    """Dataset of the points of a grid: a dimension for each varied key, and "layer".
-
-    Parameters
-    ----------
-    vary
-        Values of each varied key, as `listed` returns them.
-    tallies
-        One a point, 1 or more, in the order of the grid, the last key fastest.
-    """
+    """Dataset of the points of a grid: a dimension for each varied key, and "layer"."""
     import xarray
 
     reports = [tally.report() for tally in tallies]

@@ -31,15 +31,7 @@ class Workers(Protocol):
         """Jobs worked on at a time."""
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Hand a job in.
-
-        Parameters
-        ----------
-        job
-            A function of a module, so that a worker can find it.
-        work
-            The job's only argument; it can be pickled, as it may go to another process.
-        """
+        """Hand a job in."""
 
     def restart(self) -> None:
         """Begin again after workers were lost; what was handed in is lost."""
@@ -53,24 +45,12 @@ MOST_PER_CORE = 2
 
 
 def enough_workers(count: int) -> int:
-    """Worker processes to start where some are asked for: no more than the cores can feed.
-
-    Parameters
-    ----------
-    count
-        Worker processes asked for, 1 or more.
-    """
+    """Worker processes to start where some are asked for: no more than the cores can feed."""
     return min(count, MOST_PER_CORE * cores())
 
 
 def fewer_workers(count: int | None) -> str:
-    """A line that says how many workers start in place of those asked for; empty where all of them do.
-
-    Parameters
-    ----------
-    count
-        Worker processes asked for; None: one for each core.
-    """
+    """A line that says how many workers start in place of those asked for; empty where all of them do."""
     if count is None or count <= enough_workers(count):
         return ""
     there = f"{cores()} cores" if cores() > 1 else "one core"
@@ -78,20 +58,7 @@ def fewer_workers(count: int | None) -> str:
 
 
 def open_workers(count: int | None = None, scheduler: str | None = None) -> Workers:
-    """Workers as asked for, but no more than `enough_workers`.
-
-    Parameters
-    ----------
-    count
-        Worker processes; 1 computes in this process, None takes one per core.
-    scheduler
-        Address of a Dask scheduler, which has its own workers.
-
-    Raises
-    ------
-    HeliographError
-        Both are given, the count is below 1, or the scheduler is not there.
-    """
+    """Workers as asked for, but no more than `enough_workers`."""
     if scheduler is not None:
         if count is not None:
             raise HeliographError("a scheduler has its own workers: give --workers or --scheduler, not both")
@@ -106,24 +73,7 @@ def open_workers(count: int | None = None, scheduler: str | None = None) -> Work
 def each(
     count: int, job: Callable[[Work], Result], works: Iterable[Work], done: Callable[[float], None] = lambda _: None
 ) -> list[Result]:
-    """Results of a job for each of some works, in their order.
-
-    Parameters
-    ----------
-    count
-        Worker processes at most; 1 computes in this process.
-    job
-        A function of a module, so that a process can find it.
-    works
-        Its arguments; those that take longest first.
-    done
-        Called with the fraction done, 0 to 1, after each.
-
-    Raises
-    ------
-    HeliographError
-        A worker process was lost. What a job raises is raised here, and the rest is dropped.
-    """
+    """Results of a job for each of some works, in their order."""
     todo = list(works)
     crew = min(enough_workers(count), len(todo))
     if crew <= 1:
@@ -155,15 +105,7 @@ class Here:
     slots = 1
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Do a job.
-
-        Parameters
-        ----------
-        job
-            A function of a module; it is called at once.
-        work
-            The job's only argument.
-        """
+        """Do a job."""
         future: Future[Result] = Future()
         try:
             future.set_result(job(work))
@@ -179,28 +121,14 @@ class Here:
 
 
 class Pool:
-    """Worker processes, each a new interpreter (never forked: threads and locks of this process stay here).
-
-    Parameters
-    ----------
-    count
-        Number of worker processes, 1 or more.
-    """
+    """Worker processes, each a new interpreter (never forked: threads and locks of this process stay here)."""
 
     def __init__(self, count: int):
         self.slots = count
         self._executor = self._start()
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Hand a job in; the first one starts the processes.
-
-        Parameters
-        ----------
-        job
-            A function of a module, so that a worker can find it.
-        work
-            The job's only argument; it can be pickled.
-        """
+        """Hand a job in; the first one starts the processes."""
         try:
             with worker_environment():
                 return self._executor.submit(job, work)
@@ -228,18 +156,7 @@ class Pool:
 
 
 class Cluster:
-    """Workers of a Dask scheduler; it repeats by itself what a lost worker had.
-
-    Parameters
-    ----------
-    address
-        Address of the scheduler, such as tcp://127.0.0.1:8786.
-
-    Raises
-    ------
-    HeliographError
-        Dask is not installed, or there is no scheduler at the address.
-    """
+    """Workers of a Dask scheduler; it repeats by itself what a lost worker had."""
 
     def __init__(self, address: str):
         try:
@@ -260,28 +177,14 @@ class Cluster:
 
     @property
     def slots(self) -> int:
-        """Threads of all workers there are now; one job waits if there are none.
-
-        Raises
-        ------
-        HeliographError
-            The connection was lost.
-        """
+        """Threads of all workers there are now; one job waits if there are none."""
         try:
             return max(1, sum(self._client.nthreads().values()))  # type: ignore[no-untyped-call]  # dask has no types
         except OSError as error:
             raise HeliographError(f"the connection to the Dask scheduler was lost ({error})") from None
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Hand a job in.
-
-        Parameters
-        ----------
-        job
-            A function of a module, so that a worker can find it.
-        work
-            The job's only argument; it can be pickled.
-        """
+        """Hand a job in."""
         return self._executor.submit(_limited, self._parts, job, work)
 
     def restart(self) -> None:

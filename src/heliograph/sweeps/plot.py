@@ -88,13 +88,7 @@ def plot_rates(
 
 
 def legend_entries(axes: "Axes") -> tuple[list[Any], list[str]]:
-    """Return what a legend shows of axes with error rates: all labels, and what arrows and crosses mean.
-
-    Parameters
-    ----------
-    axes
-        Axes in which bounds and missed arrays have `BOUND` and `MISSED` as their id.
-    """
+    """Return what a legend shows of axes with error rates: all labels, and what arrows and crosses mean."""
     from matplotlib.lines import Line2D
 
     handles, labels = axes.get_legend_handles_labels()

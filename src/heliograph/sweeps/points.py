@@ -16,41 +16,23 @@ from heliograph import __version__
 from heliograph.base import registry
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import MediaError
-from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Recordings
+from heliograph.link.simulate import Recordings, load_footage, load_imu
 from heliograph.measure.bench import run_block
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """A recording by its path and by a digest of its content, which distinguishes it from others of its name.
+    """A recording by its path and by a digest of its content, which distinguishes it from others of its name."""
 
-    Attributes
-    ----------
-    path
-        Absolute name of the file.
-    digest
-        First 32 hexadecimal digits of the SHA-256 of its content.
-    """
-
+    # Absolute name of the file
     path: str
+    # First 32 hexadecimal digits of the SHA-256 of its content
     digest: str
 
     @classmethod
     def of(cls, path: Path) -> "Recorded":
-        """Return the recording in a file, as it is now.
-
-        Parameters
-        ----------
-        path
-            The file, which is read whole.
-
-        Raises
-        ------
-        MediaError
-            The file cannot be read.
-        """
+        """Return the recording in a file, as it is now."""
         try:
             with path.open("rb") as file:
                 return cls(str(path.resolve()), hashlib.file_digest(file, "sha256").hexdigest()[:32])
@@ -60,23 +42,15 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Point:
-    """One point of a sweep.
+    """One point of a sweep."""
 
-    Attributes
-    ----------
-    choice
-        What varies, by key as it was given.
-    settings
-        The whole link at this point.
-    seed
-        Seed of the sweep, 0 to 2^63 - 1, the same at all points.
-    recordings
-        Recordings by kind, "footage" and "imu"; empty where there are none.
-    """
-
+    # What varies, by key as it was given
     choice: Mapping[str, Any]
+    # The whole link at this point
     settings: LinkSettings
+    # Seed of the sweep, 0 to 2^63 - 1, the same at all points
     seed: int
+    # Recordings by kind, "footage" and "imu"; empty where there are none
     recordings: Mapping[str, Recorded] = field(default_factory=dict)
 
     @property
@@ -86,25 +60,13 @@ class Point:
         return _digest([*about, {name: one.digest for name, one in sorted(self.recordings.items())}])
 
     def block_seed(self, block: int) -> int:
-        """Seed of a block. It does not depend on the receiver: all receivers get the same films.
-
-        Parameters
-        ----------
-        block
-            Number of the block at this point, from 0.
-        """
+        """Seed of a block. It does not depend on the receiver: all receivers get the same films."""
         scene = {k: v for k, v in to_mapping(self.settings).items() if k != "receive"}
         sequence = np.random.SeedSequence([self.seed, int(_digest(scene), 16)], spawn_key=(block,))
         return int(sequence.generate_state(1, np.uint64)[0])
 
     def job(self, block: int) -> dict[str, Any]:
-        """A block's work as plain values, for a worker anywhere.
-
-        Parameters
-        ----------
-        block
-            Number of the block at this point, from 0.
-        """
+        """A block's work as plain values, for a worker anywhere."""
         recordings = {name: asdict(one) for name, one in self.recordings.items()}
         return {"settings": to_mapping(self.settings), "seed": self.block_seed(block), "recordings": recordings}
 
@@ -128,18 +90,7 @@ def _code_digest() -> str:
 
 
 def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
-    """Compute a block: its counts as plain values, its computing time in s, and the version that did it.
-
-    Parameters
-    ----------
-    work
-        Plain values of `Point.job`: settings of the link, the block's seed, and recordings by path and digest.
-
-    Raises
-    ------
-    HeliographError
-        A recording is not here what it is where the sweep was planned, or the block cannot be computed.
-    """
+    """Compute a block: its counts as plain values, its computing time in s, and the version that did it."""
     recordings = {name: _load(name, Recorded(**one)) for name, one in work["recordings"].items()}
     settings = from_mapping(LinkSettings, work["settings"])
     began = time.perf_counter()

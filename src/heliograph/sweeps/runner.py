@@ -1,6 +1,8 @@
-"""Blocks of a sweep computed by any number of workers, to be broken off and resumed at will."""
+"""Blocks of a sweep computed by any number of workers, resumable, with progress on a terminal."""
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from typing import Any
 
@@ -18,54 +20,18 @@ PointProgress = Callable[[Sequence[PointTally]], None]
 
 
 def silent(tallies: Sequence[PointTally], /) -> None:
-    """Report no progress.
-
-    Parameters
-    ----------
-    tallies
-        Counts of all points; they are not looked at.
-    """
+    """Report no progress."""
 
 
 def recall_all(tallies: Sequence[PointTally], store: Store) -> None:
-    """Count what the store holds of each point, and keep the points' settings in it.
-
-    Parameters
-    ----------
-    tallies
-        One a point; the blocks are counted in them.
-    store
-        The file of results, whose blocks of these points are read.
-
-    Raises
-    ------
-    MediaError
-        The store cannot be read or written, or is damaged.
-    """
+    """Count what the store holds of each point, and keep the points' settings in it."""
     for tally in tallies:
         store.note(tally.point)
         _recall(tally, store)
 
 
 def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress: PointProgress = silent) -> None:
-    """Count until all points have enough; the tallies hold the results so far at any time.
-
-    Parameters
-    ----------
-    tallies
-        One a point; the blocks are counted in them.
-    store
-        Blocks in it are not computed again, and all that are computed go there.
-    workers
-        Compute the blocks that the store lacks.
-    progress
-        Called with the tallies after each block.
-
-    Raises
-    ------
-    HeliographError
-        A block cannot be computed, or workers are lost again and again.
-    """
+    """Count until all points have enough; the tallies hold the results so far at any time."""
     progress(tallies)
     flying: dict[Future[dict[str, Any]], tuple[PointTally, int]] = {}
     losses = 0
@@ -147,3 +113,38 @@ def _recall(tally: PointTally, store: Store) -> bool:
     for block, (counts, seconds) in new.items():
         tally.add(block, counts, seconds)
     return bool(new)
+
+
+SCALE = 1000
+"""Parts of a point in the progress bar."""
+
+SPEED_PERIOD_S = 3600.0
+"""Time in s over which the speed is averaged that the time left is estimated from."""
+
+
+def on_a_terminal() -> bool:
+    """Whether somebody sees what is written to standard error."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+@contextlib.contextmanager
+def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
+    """A bar on standard error, with the points done and the time left."""
+    if not (on_a_terminal() if shown is None else shown):
+        yield silent
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    # a block may take longer than Rich's half a minute, without which it has no speed
+    screen = Console(stderr=True, force_terminal=True)
+    period = SPEED_PERIOD_S
+    with Progress(*columns, console=screen, transient=True, speed_estimate_period=period) as progress:
+        task = progress.add_task("sweeping", total=SCALE * points)
+
+        def show(tallies: Sequence[PointTally]) -> None:
+            done = f"{sum(t.done for t in tallies)} of {points} points"
+            progress.update(task, description=done, completed=round(SCALE * sum(t.fraction for t in tallies)))
+
+        yield show

@@ -40,18 +40,7 @@ ON CONFLICT (key, block) DO UPDATE SET computed = computed + 1
 
 
 class Store:
-    """The file of results.
-
-    Parameters
-    ----------
-    folder
-        Holds results.sqlite, made if it is not there; None keeps results in memory only.
-
-    Raises
-    ------
-    MediaError
-        The file cannot be made, or is something else.
-    """
+    """The file of results."""
 
     def __init__(self, folder: Path | None = None):
         self.path = folder / NAME if folder else None
@@ -88,13 +77,7 @@ class Store:
         self._db.close()
 
     def note(self, point: Point) -> None:
-        """Keep the settings of a point.
-
-        Parameters
-        ----------
-        point
-            Point of the sweep; one that is kept already stays as it is.
-        """
+        """Keep the settings of a point."""
         about = (
             point.key,
             build(),
@@ -107,43 +90,13 @@ class Store:
             self._db.execute("INSERT OR IGNORE INTO points VALUES (?, ?, ?, ?, ?, ?)", about)
 
     def add(self, point: Point, block: int, counts: BlockCounts, seconds: float) -> None:
-        """Keep a block; where another sweep was faster, its row stays.
-
-        Parameters
-        ----------
-        point
-            Point that the block belongs to.
-        block
-            Number of the block at its point, from 0.
-        counts
-            What was counted in the block.
-        seconds
-            Its computing time in s.
-
-        Raises
-        ------
-        MediaError
-            The file cannot be written.
-        """
+        """Keep a block; where another sweep was faster, its row stays."""
         row = (point.key, block, json.dumps(counts.to_plain()), seconds)
         with self._clear(), self._transaction():
             self._db.execute(_ADD, row)
 
     def blocks(self, point: Point, first: int = 0) -> Mapping[int, tuple[BlockCounts, float]]:
-        """Counts and computing time in s of a point's blocks, by number.
-
-        Parameters
-        ----------
-        point
-            Point whose blocks are wanted.
-        first
-            Least number of a block that is wanted, from 0.
-
-        Raises
-        ------
-        MediaError
-            The file cannot be read, or a row is not what `add` wrote.
-        """
+        """Counts and computing time in s of a point's blocks, by number."""
         question = "SELECT block, counts, seconds FROM blocks WHERE key = ? AND block >= ? ORDER BY block"
         with self._clear():
             rows = self._db.execute(question, (point.key, first)).fetchall()

@@ -13,14 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.files import write_whole
-from heliograph.sweeps.bar import bar
 from heliograph.sweeps.executors import fewer_workers, open_workers
-from heliograph.sweeps.plan import laid_over, plan
-from heliograph.sweeps.reach import not_looked_for
-from heliograph.sweeps.runner import PointProgress, recall_all, run, silent
+from heliograph.sweeps.plan import laid_over, listed, not_looked_for, plan
+from heliograph.sweeps.runner import PointProgress, bar, recall_all, run, silent
 from heliograph.sweeps.store import Store
 from heliograph.sweeps.tally import PointTally, StopRule
-from heliograph.sweeps.vary import listed
 
 if TYPE_CHECKING:
     import xarray
@@ -104,23 +101,7 @@ def count(
     scheduler: str | None = None,
     progress: PointProgress = silent,
 ) -> None:
-    """Open store and workers, `run`, and write the results so far however it ends.
-
-    Parameters
-    ----------
-    tallies, progress
-        One tally a point, and what is called with them after each block, as for `run`.
-    output
-        Folder of the store; None keeps nothing.
-    workers, scheduler
-        Number of worker processes, or address of a Dask scheduler, as for `open_workers`.
-
-    Raises
-    ------
-    HeliographError
-        There are no such workers, the store cannot be read or written, or a block cannot be computed. In the first two
-        cases nothing is written.
-    """
+    """Open store and workers, `run`, and write the results so far however it ends."""
     # workers that are not there leave no folder behind
     with contextlib.closing(open_workers(workers, scheduler)) as crew, Store(output) as store:
         recall_all(tallies, store)
@@ -132,20 +113,7 @@ def count(
 
 
 def write_results(folder: Path, tallies: Sequence[PointTally]) -> None:
-    """Write points.json and points.csv, each whole or not at all.
-
-    Parameters
-    ----------
-    folder
-        An existing folder, which gets both files.
-    tallies
-        One a point, 1 or more; they have what was counted so far.
-
-    Raises
-    ------
-    MediaError
-        A file cannot be written.
-    """
+    """Write points.json and points.csv, each whole or not at all."""
     reports = [tally.report() for tally in tallies]
     write_whole(folder / "points.json", (json.dumps(reports, indent=1) + "\n").encode())
     rows = [

@@ -20,25 +20,13 @@ EMPTY_BLOCKS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class StopRule:
-    """When a point has been counted for long enough.
+    """When a point has been counted for long enough."""
 
-    Attributes
-    ----------
-    min_errors
-        A layer has enough with so many wrong codewords,
-    max_codewords
-        or with so many codewords; blocks are counted whole. A point has enough when all its layers have.
-    max_seconds
-        Computing time of a point in s, of all workers together, after which no block is begun; None: no limit.
-
-    Raises
-    ------
-    SettingsError
-        A count is below 1, or the time not above 0.
-    """
-
+    # A layer has enough with so many wrong codewords,
     min_errors: int = 50
+    # Or with so many codewords; blocks are counted whole. A point has enough when all its layers have
     max_codewords: int = 1000
+    # Computing time of a point in s, of all workers together, after which no block is begun; None: no limit
     max_seconds: float | None = None
 
     def __post_init__(self) -> None:
@@ -53,24 +41,7 @@ class StopRule:
 
 
 class PointTally:
-    """Blocks of a point, counted in their order whatever the order in which they come.
-
-    Parameters
-    ----------
-    point
-        Point whose blocks are counted.
-    rule
-        Says when the point has enough.
-
-    Attributes
-    ----------
-    total
-        Sum of the blocks counted.
-    blocks
-        Number of blocks counted.
-    seconds
-        Their computing time in s.
-    """
+    """Blocks of a point, counted in their order whatever the order in which they come."""
 
     def __init__(self, point: Point, rule: StopRule):
         self.point, self.rule = point, rule
@@ -80,17 +51,7 @@ class PointTally:
         self._waiting: dict[int, tuple[BlockCounts, float]] = {}
 
     def add(self, block: int, counts: BlockCounts, seconds: float) -> None:
-        """Take a block; it is counted once all before it are, unless the point has enough by then.
-
-        Parameters
-        ----------
-        block
-            Number of the block at its point, from 0.
-        counts
-            What was counted in the block.
-        seconds
-            Its computing time in s.
-        """
+        """Take a block; it is counted once all before it are, unless the point has enough by then."""
         if block >= self.blocks:
             self._waiting[block] = counts, seconds
         while not self.done and self.blocks in self._waiting:
@@ -100,13 +61,7 @@ class PointTally:
             self.blocks += 1
 
     def has(self, block: int) -> bool:
-        """Whether a block was taken.
-
-        Parameters
-        ----------
-        block
-            Number of the block at its point, from 0.
-        """
+        """Whether a block was taken."""
         return block < self.blocks or block in self._waiting
 
     @property
@@ -178,11 +133,6 @@ def layer_report(counts: LayerCounts) -> dict[str, Any]:
     decoder, by the first equalisation; "final_raw_ber" is that by the last equalisation, when codewords decoded by then
     no longer disturb. "ber_is_bound" and so on mark where no error was met: the rate 0 then means no more than that it
     is below the interval's upper end. "packets_read" are the packets whose bits are counted.
-
-    Parameters
-    ----------
-    counts
-        What was counted of the layer, at a whole point or in a distance bin.
     """
     out: dict[str, Any] = {"packets_read" if name == "packets" else name: n for name, n in asdict(counts).items()}
     rates = {"ber": counts.decoded, "raw_ber": counts.raw, "final_raw_ber": counts.final_raw, "fer": counts.words}

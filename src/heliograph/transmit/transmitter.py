@@ -49,26 +49,17 @@ class TransmitSettings:
 
 @dataclass(frozen=True, slots=True)
 class TimedPattern:
-    """A pattern and the time at which it is shown.
+    """A pattern and the time at which it is shown."""
 
-    Attributes
-    ----------
-    index
-        Number of the pattern, from 0 at the start of the transmission.
-    time_s
-        Start in s from the start of the transmission; the pattern is shown for T_b.
-    part
-        Part of the packet, "header" or "data".
-    inverted
-        Whether it is the inverse of the pattern before.
-    levels
-        (n, n) uint8 levels 0 to 4.
-    """
-
+    # Number of the pattern, from 0 at the start of the transmission
     index: int
+    # Start in s from the start of the transmission; the pattern is shown for T_b
     time_s: float
+    # Part of the packet, "header" or "data"
     part: Literal["header", "data"]
+    # Whether it is the inverse of the pattern before
     inverted: bool
+    # (n, n) uint8 levels 0 to 4
     levels: NDArray[np.uint8]
 
 

@@ -10,7 +10,8 @@ from starlette.exceptions import HTTPException
 
 from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.web import built, bundles, receive, transmit, uploads, watch
+from heliograph.web import built, receive, transmit, uploads, watch
+from heliograph.web import failures as bundles
 from heliograph.web.crashes import CrashReports, is_crash
 from heliograph.web.limits import Limits
 from heliograph.web.security import Door, Guard
@@ -25,21 +26,7 @@ def create_app(
     limits: Limits | None = None,
     camera: Sequence[str] = (),
 ) -> FastAPI:
-    """Make the application that `heliograph serve` runs.
-
-    Parameters
-    ----------
-    settings
-        The link that pages begin with; None for the preset `paper`.
-    films
-        Films and cameras that page *Watch* offers by name.
-    door
-        Who may come in; None for this machine alone.
-    limits
-        Sizes, times and numbers; None for the usual ones.
-    camera
-        Settings of live cameras, such as "exposure_us=500".
-    """
+    """Make the application that `heliograph serve` runs."""
     limits = limits or Limits()
     shared = Shared(settings or load_settings("paper"), tuple(films), limits, Uploads(limits), tuple(camera))
 

@@ -32,13 +32,7 @@ router = APIRouter()
 
 @router.get("/{name:path}")
 async def page(name: str) -> Response:
-    """Give a page or a file of one.
-
-    Parameters
-    ----------
-    name
-        Its name; a page's goes without its suffix, and no name is the first one.
-    """
+    """Give a page or a file of one."""
     name = f"{name or 'index'}.html" if (name or "index") in PAGES else name
     data = built().get(name)
     if data is None:

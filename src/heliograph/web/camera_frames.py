@@ -31,15 +31,7 @@ class MessageError(HeliographError):
 
 
 class CameraFrames:
-    """Frames of a browser's camera: the server's thread puts messages in, a receiver's thread takes frames out.
-
-    Attributes
-    ----------
-    taken
-        Frames that were taken out.
-    dropped
-        Frames that found no place.
-    """
+    """Frames of a browser's camera: the server's thread puts messages in, a receiver's thread takes frames out."""
 
     def __init__(self) -> None:
         self._waiting: deque[Frame] = deque()
@@ -65,18 +57,7 @@ class CameraFrames:
         return self._until_s is not None and time.monotonic() > self._until_s
 
     def put(self, message: bytes) -> None:
-        """Take a message; a frame that finds no place is dropped, and counted.
-
-        Parameters
-        ----------
-        message
-            `HEAD`, then a byte for each pixel, row by row.
-
-        Raises
-        ------
-        MessageError
-            It is none, or the frame does not follow those before.
-        """
+        """Take a message; a frame that finds no place is dropped, and counted."""
         frame = self._frame(message)
         with self._changed:
             if self.ended:
@@ -88,13 +69,7 @@ class CameraFrames:
             self._changed.notify()
 
     def end(self, seconds: float = LAST_S) -> None:
-        """Say that no more come; those that wait are still taken, as long as there is time.
-
-        Parameters
-        ----------
-        seconds
-            The time there is in s.
-        """
+        """Say that no more come; those that wait are still taken, as long as there is time."""
         with self._changed:
             until_s = time.monotonic() + seconds
             self._until_s = until_s if self._until_s is None else min(until_s, self._until_s)

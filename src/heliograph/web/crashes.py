@@ -1,7 +1,9 @@
-"""Unexpected exceptions: logged with their traceback, told to the page as one line, and the page's socket closed."""
+"""Unexpected exceptions: logged with a traceback and reported to the page as one line; memory is returned."""
 
 import asyncio
 import contextlib
+import ctypes
+import gc
 import logging
 import re
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -14,9 +16,22 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from heliograph.base.errors import HeliographError, brief
 from heliograph.media.live.camera import CameraCrashError
-from heliograph.web.memory import release_memory
 from heliograph.web.shared import BusyError, Places
 from heliograph.web.told import GoneError
+
+
+def release_memory() -> None:
+    """Return freed memory to the system.
+
+    The C library of Linux (glibc) keeps freed memory in an arena for each thread. Frames of a reception leave gaps that
+    only `malloc_trim` gives back; without it the server grows with each thread that has received.
+    """
+    gc.collect()
+    with contextlib.suppress(
+        AttributeError, OSError, TypeError
+    ):  # other C libraries, and systems, return it themselves
+        ctypes.CDLL(None).malloc_trim(ctypes.c_size_t(0))
+
 
 T = TypeVar("T")
 
@@ -34,24 +49,12 @@ class CrashError(Exception):
 
 
 def is_crash(error: BaseException) -> bool:
-    """Return True if an error is unexpected, so that its traceback is needed to mend it.
-
-    Parameters
-    ----------
-    error
-        Any exception.
-    """
+    """Return True if an error is unexpected, so that its traceback is needed to mend it."""
     return isinstance(error, CameraCrashError) or not isinstance(error, HeliographError)
 
 
 def report(error: BaseException) -> str:
-    """Return an error as one line for a page; log an unexpected one with its traceback.
-
-    Parameters
-    ----------
-    error
-        Any exception.
-    """
+    """Return an error as one line for a page; log an unexpected one with its traceback."""
     cause = error.__cause__ if isinstance(error, CrashError) and error.__cause__ is not None else error
     line = str(cause) if isinstance(cause, HeliographError) else _line_of(cause)
     if is_crash(cause):
@@ -77,16 +80,6 @@ async def in_thread(work: Callable[[], T]) -> T:
 
     An exception of any kind is raised here as a `CrashError`, but for those that are expected. `KeyboardInterrupt` and
     `SystemExit` of a worker thread would end the server's loop.
-
-    Parameters
-    ----------
-    work
-        Function without arguments.
-
-    Raises
-    ------
-    CrashError
-        The work raised an unexpected exception.
     """
 
     def guarded() -> T:
@@ -102,18 +95,7 @@ async def in_thread(work: Callable[[], T]) -> T:
 
 @contextlib.asynccontextmanager
 async def taking_place(places: Places) -> AsyncIterator[None]:
-    """Take a place for the block; return its memory to the system at the end.
-
-    Parameters
-    ----------
-    places
-        Places of those who receive.
-
-    Raises
-    ------
-    BusyError
-        All places are taken.
-    """
+    """Take a place for the block; return its memory to the system at the end."""
     with places.take():
         try:
             yield
@@ -124,15 +106,7 @@ async def taking_place(places: Places) -> AsyncIterator[None]:
 
 @contextlib.asynccontextmanager
 async def closing(socket: WebSocket, row_of: Callable[[str], Mapping[str, Any]]) -> AsyncIterator[None]:
-    """Close a WebSocket that the block ends by an exception, after a row that says why.
-
-    Parameters
-    ----------
-    socket
-        WebSocket that was accepted.
-    row_of
-        Makes the row of one line.
-    """
+    """Close a WebSocket that the block ends by an exception, after a row that says why."""
     try:
         yield
     except WebSocketDisconnect:
@@ -158,13 +132,7 @@ async def _close(socket: WebSocket, code: int, row: Mapping[str, Any] | None = N
 
 
 class CrashReports:
-    """Middleware that answers a request whose handler crashed.
-
-    Parameters
-    ----------
-    app
-        Application behind it.
-    """
+    """Middleware that answers a request whose handler crashed."""
 
     def __init__(self, app: ASGIApp):
         self._app = app

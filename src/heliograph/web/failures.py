@@ -1,18 +1,76 @@
-"""The frames of packets that failed, kept as a film that `heliograph receive` opens again."""
+"""Frames of failed packets, kept as films that pages may download."""
 
 import secrets
 import threading
-from collections import deque
+from collections import OrderedDict, deque
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated, Any
 
-from heliograph.base.errors import MediaError
+from fastapi import APIRouter, Depends
+from fastapi.responses import FileResponse
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
+
+from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.frames import Frame
-from heliograph.link.notes import signal_note
+from heliograph.link.truth import signal_note
 from heliograph.media import FilmWriter, create_film
 from heliograph.media.record import FASTEST_HZ
 from heliograph.receive import Packet
 from heliograph.signal.settings import SignalSettings
+
+MOST = 8
+"""Films that are kept: two for each page that may receive at once. Chosen."""
+
+
+class Bundles:
+    """The films there are; of any thread."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[str, Path] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def add(self, path: Path) -> str:
+        """Keep a film, and return the name by which a page asks for it."""
+        name = secrets.token_hex(16)
+        with self._lock:
+            self._known[name] = path
+            old = [self._known.popitem(last=False)[1] for _ in range(len(self._known) - MOST)]
+        for one in old:
+            one.unlink(missing_ok=True)
+        return name
+
+    def drop(self, name: str) -> None:
+        """Remove a film; any other name is passed over."""
+        with self._lock:
+            path = self._known.pop(name, None)
+        if path is not None:
+            path.unlink(missing_ok=True)
+
+    def of(self, name: str) -> Path | None:
+        """Path of a film; None where there is none of that name."""
+        with self._lock:
+            return self._known.get(name)
+
+
+def bundles_of(connection: HTTPConnection) -> Bundles:
+    """What is kept of what failed."""
+    kept: Bundles = connection.app.state.shared.bundles
+    return kept
+
+
+router = APIRouter(prefix="/api/bundles")
+
+
+@router.get("/{name}")
+async def bundle(name: str, kept: Annotated[Bundles, Depends(bundles_of)]) -> FileResponse:
+    """Give a film of what failed."""
+    path = kept.of(name)
+    if path is None or not path.is_file():
+        raise HTTPException(404, "that film is not here any more: save it again")
+    return FileResponse(path, media_type="application/x-hdf5", filename="failed.h5")
+
 
 MOST_HELD = 256 << 20
 """Most bytes of frames that are held in memory. Chosen: 0.5 s of 1024 x 512 pixels at 1000 frames/s."""
@@ -27,47 +85,22 @@ its end. Chosen."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Form:
-    """Form of the frames that are kept, and what their film notes.
+    """Form of the frames that are kept, and what their film notes."""
 
-    Attributes
-    ----------
-    width, height, bits
-        Of its frames.
-    rate_hz
-        Frames a second; None where their times tell.
-    signal
-        The light's signal, as it is received.
-    metadata
-        Text that is kept with it.
-    """
-
+    # width, height, bits: of its frames
     width: int
     height: int
     bits: int
+    # Frames a second; None where their times tell
     rate_hz: float | None
+    # The light's signal, as it is received
     signal: SignalSettings
+    # Text that is kept with it
     metadata: dict[str, str] = field(default_factory=dict)
 
 
 class Failures:
-    """Holds the last frames, and writes those about packets that failed; frames of one thread, saving in any.
-
-    Parameters
-    ----------
-    folder
-        Where the films go, under names of their own.
-    form
-        Of what is received.
-    most
-        Most bytes of frames in a film of what failed.
-
-    Attributes
-    ----------
-    packets
-        How many packets failed whose frames are in the film.
-    full
-        Whether the film takes no more.
-    """
+    """Holds the last frames, and writes those about packets that failed; frames of one thread, saving in any."""
 
     def __init__(self, folder: Path, form: Form, most: int = MOST_WRITTEN):
         self._folder, self._form, self._lock = folder, form, threading.Lock()
@@ -80,13 +113,7 @@ class Failures:
         self.packets, self.full = 0, False
 
     def saw(self, frame: Frame) -> None:
-        """Take a frame; nobody writes to its pixels any more.
-
-        Parameters
-        ----------
-        frame
-            The next frame.
-        """
+        """Take a frame; nobody writes to its pixels any more."""
         kept_s = (1 + BEFORE + AFTER) * self._form.signal.packet_s
         with self._lock:
             held = self._frames
@@ -97,24 +124,12 @@ class Failures:
                 self._write(frame)
 
     def expect(self, signal: SignalSettings) -> None:
-        """Take another signal for that of the light from now on.
-
-        Parameters
-        ----------
-        signal
-            What the receiver looks for.
-        """
+        """Take another signal for that of the light from now on."""
         with self._lock:
             self._form = replace(self._form, signal=signal)
 
     def failed(self, packet: Packet) -> None:
-        """Keep the frames of a packet.
-
-        Parameters
-        ----------
-        packet
-            One of which not all was read.
-        """
+        """Keep the frames of a packet."""
         packet_s = self._form.signal.packet_s
         first_s = packet.start_time_s - BEFORE * packet_s
         with self._lock:
@@ -127,17 +142,7 @@ class Failures:
                     self._write(frame)
 
     def save(self) -> Path | None:
-        """Finish the film of what failed, or of the last frames where nothing did; a new one begins with what follows.
-
-        Returns
-        -------
-        The film; None where there are no frames.
-
-        Raises
-        ------
-        MediaError
-            It cannot be written.
-        """
+        """Finish the film of the failure, or else of the last frames, and begin a new film."""
         with self._lock:
             if self._film is None:
                 for frame in self._frames:
@@ -186,3 +191,62 @@ class Failures:
     def _rate_hz(self) -> float:
         first, last = self._frames[0], self._frames[-1]
         return max((last.index - first.index) / max(last.time_s - first.time_s, 1e-3), 1.0)
+
+
+MOST_SAVED = 256 << 20
+"""Most bytes of frames of a film that is saved: 40 s of 480 x 480 pixels at 30 frames a second. Chosen."""
+
+
+class Saver:
+    """Keeps frames while they are read; of the reader's thread, but `save` of any."""
+
+    def __init__(self, folder: Path, bundles: Bundles):
+        self._folder, self._bundles = folder, bundles
+        self._failures: Failures | None = None
+        self._signal: SignalSettings | None = None
+
+    def begin(self, signal: SignalSettings) -> None:
+        """Begin anew; what was kept goes."""
+        self.close()
+        self._signal = signal
+
+    def expect(self, signal: SignalSettings) -> None:
+        """Take another signal for that of the light; what is kept stays."""
+        self._signal = signal
+        if self._failures is not None:
+            self._failures.expect(signal)
+
+    def saw(self, frame: Frame) -> None:
+        """Take a frame; nobody writes to its pixels any more."""
+        if self._failures is None:
+            assert self._signal is not None
+            rows, columns = frame.pixels.shape
+            form = Form(width=columns, height=rows, bits=frame.bits, rate_hz=None, signal=self._signal)
+            self._failures = Failures(self._folder, form, MOST_SAVED)
+        self._failures.saw(frame)
+
+    def read(self, packet: Packet) -> None:
+        """Keep the frames of a packet of which not all was read."""
+        if packet.status != "ok" and self._failures is not None:
+            self._failures.failed(packet)
+
+    def save(self) -> dict[str, Any]:
+        """Finish the film, and return by which name a page fetches it, and its bytes."""
+        path = None if self._failures is None else self._failures.save()
+        if path is None:
+            raise MediaError("no frames were taken yet: start the camera")
+        size = path.stat().st_size
+        return {"bundle": self._bundles.add(path), "bytes": size}
+
+    def offered(self) -> dict[str, Any] | None:
+        """The same, where that cannot fail."""
+        try:
+            return self.save()
+        except HeliographError:
+            return None
+
+    def close(self) -> None:
+        """Throw away what was not saved."""
+        if self._failures is not None:
+            self._failures.close()
+            self._failures = None

@@ -9,11 +9,10 @@ from typing import Any
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.probe.cells import cells_of_a_side
-from heliograph.probe.pace import patterns_per_s
+from heliograph.probe.screens import cells_of_a_side, patterns_per_s
 from heliograph.receive import make_receiver
 from heliograph.receive.events import DetectEvent
-from heliograph.web.screen import screen_settings
+from heliograph.web.sending import screen_settings
 
 Tell = Callable[[Mapping[str, Any]], None]
 """Tells a page something; what it raises ends the reading."""
@@ -30,17 +29,11 @@ USUAL_HZ = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What a page asks for.
+    """What a page asks for."""
 
-    Attributes
-    ----------
-    side
-        Cells of a side; None where they are to be found.
-    rate_hz
-        Patterns a second; None where they are to be found.
-    """
-
+    # Cells of a side; None where they are to be found
     side: int | None = None
+    # Patterns a second; None where they are to be found
     rate_hz: float | None = None
 
     @property
@@ -55,36 +48,14 @@ def unhurried() -> bool:
 
 
 def shows_light(frames: list[Frame], asked: Asked) -> bool:
-    """Whether it is worth while to look for packets; a display that skips refreshes has no rate, but lines of cells.
-
-    Parameters
-    ----------
-    frames
-        Frames in the order of time, some dozens.
-    asked
-        What is known.
-    """
+    """Whether it is worth while to look for packets; a display that skips refreshes has no rate, but lines of cells."""
     return asked.rate_hz is not None or patterns_per_s(frames) is not None or cells_of_a_side(frames) is not None
 
 
 def link_shown(
     frames: list[Frame], asked: Asked, tell: Tell, doubted: AbstractSet[int] = frozenset(), hurry: Hurry = unhurried
 ) -> LinkSettings:
-    """Return the link that some frames show; the usual one where they do not tell.
-
-    Parameters
-    ----------
-    frames
-        Frames in the order of time, some dozens.
-    asked
-        What is known.
-    tell
-        Gets "light" and "trying".
-    doubted
-        Sides that were tried before, in vain.
-    hurry
-        Asked before each trial.
-    """
+    """Return the link that some frames show; the usual one where they do not tell."""
     rate = asked.rate_hz or patterns_per_s(frames)
     tell({"event": "light", "rate_hz": rate})
     # a receiver that is told a wrong rate finds the right one, but later

@@ -17,8 +17,8 @@ from heliograph.media import FilmReader, open_film
 from heliograph.probe import probe_film
 from heliograph.probe.words import in_sentences
 from heliograph.web.camera_frames import CameraFrames
+from heliograph.web.failures import Saver
 from heliograph.web.looking import Asked, Tell, link_shown, shows_light
-from heliograph.web.saver import Saver
 
 LOOK_S = 7.0
 """Seconds of a film by which rate and size are found: two packets of 3 s and a rest, so that one is whole."""
@@ -64,24 +64,7 @@ class Frames:
 
 
 def read_upload(path: Path, asked: Asked, tell: Tell, saver: Saver) -> None:
-    """Read a film, and tell all of it.
-
-    Parameters
-    ----------
-    path
-        The film.
-    asked
-        Size and rate, as far as they are known.
-    tell
-        Gets the rows of the journal, and "light", "progress", "why", "bundle" and "end".
-    saver
-        Keeps what fails.
-
-    Raises
-    ------
-    MediaError
-        It is no film, or breaks off at once.
-    """
+    """Read a film, and tell all of it."""
     doubted, reception = set[int](), Reception()
     for binning, again in product(_binnings(path), (False, True)):
         # headers of all sizes look alike: where none was found, another size is of no use
@@ -106,19 +89,7 @@ def read_upload(path: Path, asked: Asked, tell: Tell, saver: Saver) -> None:
 
 
 def read_camera(camera: CameraFrames, asked: Asked, tell: Tell, saver: Saver) -> None:
-    """Read a camera until it ends, and tell all that is read.
-
-    Parameters
-    ----------
-    camera
-        Its frames.
-    asked
-        Size and rate, as far as they are known.
-    tell
-        Gets the rows of the journal, and "light", "progress", "took", "left", "why", "bundle" and "end".
-    saver
-        Keeps what fails.
-    """
+    """Read a camera until it ends, and tell all that is read."""
     reception, doubted = Reception(), set[int]()
     saver.begin(asked.usual.signal)
     frames = _kept(_told_of(camera, tell), saver)

@@ -10,14 +10,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from heliograph.base.errors import HeliographError
-from heliograph.probe.cells import SIDES
+from heliograph.probe.screens import SIDES
 from heliograph.web.camera_frames import CameraFrames, MessageError
 from heliograph.web.crashes import closing, in_thread, taking_place
+from heliograph.web.failures import Saver
 from heliograph.web.looking import Asked
 from heliograph.web.reading import read_camera, read_upload
-from heliograph.web.saver import Saver
-from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ
 from heliograph.web.security import PROTOCOL
+from heliograph.web.sending import LEAST_RATE_HZ, MOST_RATE_HZ
 from heliograph.web.shared import Shared, named_as, shared_of
 from heliograph.web.told import GoneError, Told
 
@@ -31,19 +31,7 @@ router = APIRouter(prefix="/api/receive")
 
 
 class Wish(BaseModel):
-    """The first message of a page.
-
-    Attributes
-    ----------
-    kind
-        "film" for an upload, "camera" for frames that follow.
-    film
-        Name of the upload.
-    side
-        Cells of a side; None where they are to be found.
-    rate_hz
-        Patterns a second; None where they are to be found.
-    """
+    """The first message of a page."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 

@@ -46,13 +46,7 @@ HEADERS = {
 
 
 def content_policy(host: str) -> str:
-    """What a page may load: its own files, and pictures that it makes; no script within a page, and no frame about it.
-
-    Parameters
-    ----------
-    host
-        Name and port of the server; some browsers do not take a WebSocket for the page's own without.
-    """
+    """Return the content security policy: own files and generated pictures only, no inline script, no embedding."""
     return (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; media-src 'self' blob:; "
         f"font-src 'self'; worker-src 'self'; connect-src 'self' ws://{host} wss://{host}; manifest-src 'self'; "
@@ -62,43 +56,24 @@ def content_policy(host: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Door:
-    """Who may come in.
+    """Who may come in."""
 
-    Attributes
-    ----------
-    names
-        Hosts by which the server is asked, in lower case, IPv6 in brackets. A page elsewhere whose name was made to
-        lead here (DNS rebinding) asks by its own name, and is refused.
-    addresses
-        Whether any address in digits will do as well: other machines ask by it, and no name can lead to it.
-    token
-        What data is given for; None asks for none.
-    """
-
+    # Hosts by which the server is asked, in lower case, IPv6 in brackets. A page elsewhere whose name was made to lead
+    # here (DNS rebinding) asks by its own name, and is refused
     names: frozenset[str] = LOOPBACK
+    # Whether any address in digits will do as well: other machines ask by it, and no name can lead to it
     addresses: bool = False
+    # What data is given for; None asks for none
     token: str | None = None
 
     def knows(self, host: str) -> bool:
-        """Whether a Host header is one of this server's.
-
-        Parameters
-        ----------
-        host
-            Name and port, as the header has them.
-        """
+        """Whether a Host header is one of this server's."""
         found = HOST.fullmatch(host.lower())
         name = found["name"] if found else ""
         return name in self.names or (self.addresses and _is_address(name))
 
     def lets_in(self, offered: Iterable[str]) -> bool:
-        """Whether one of the tokens that were offered is the right one; it takes as long whatever they are.
-
-        Parameters
-        ----------
-        offered
-            Tokens, of any text.
-        """
+        """Whether one of the tokens that were offered is the right one; it takes as long whatever they are."""
         if self.token is None:
             return True
         known = self.token.encode()
@@ -106,17 +81,7 @@ class Door:
 
 
 class Guard:
-    """Stands before the application: refuses what does not come from its own pages, and bounds what comes in.
-
-    Parameters
-    ----------
-    app
-        What is asked once a request is let in.
-    door
-        Who may come in.
-    limits
-        Sizes and times.
-    """
+    """Stands before the application: refuses what does not come from its own pages, and bounds what comes in."""
 
     def __init__(self, app: App, door: Door, limits: Limits):
         self._app, self._door, self._limits = app, door, limits

@@ -1,4 +1,4 @@
-"""What a page sends by its screen: a text or a file as packets of patterns, computed when they are asked for."""
+"""Text or a file as packets of patterns for page Transmit, and the link of a screen and a phone."""
 
 import secrets
 import threading
@@ -14,12 +14,31 @@ from numpy.typing import NDArray
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.link.file_store import safe_name
+from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.signal.block import Block, SymbolBlock
 from heliograph.signal.fountain.files import LONGEST_NAME, NOTICE_TURNS, SentFile
 from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import LAYERS
 from heliograph.transmit import Transmitter
-from heliograph.web.screen import screen_settings
+
+LEAST_RATE_HZ, MOST_RATE_HZ = 0.5, 240.0
+"""Patterns a second that the pages take: from remote desktops to the fastest displays."""
+
+PRESET = "phone"
+
+SMALL_SIDE, SMALL_RATE = 8, 3 / 4
+"""Rate of packets of 8 x 8 cells: at 1/2 a codeword holds four bytes of a file, at 3/4 ten. Chosen: of a screen nearby
+the cells' noise is small."""
+
+
+def screen_settings(side: int, rate_hz: float) -> LinkSettings:
+    """Return the settings of a screen's light, and of the receiver of its films."""
+    signal: dict[str, Any] = {"side": side, "pattern_period_s": 1 / rate_hz}
+    over: dict[str, Mapping[str, Any]] = {"signal": signal}
+    if side == SMALL_SIDE:
+        over["transmit"] = {"formats": [{"mode": "short", **dict.fromkeys(LAYERS, SMALL_RATE)}]}
+    return load_settings(PRESET, over)
+
 
 MOST_SENT = 256 << 10
 """Most bytes of a text or file: at the rates of screens it takes an hour, and its code less than 2 s to be made."""
@@ -43,23 +62,15 @@ LED_PX, MARGIN = 32, 2
 
 @dataclass(frozen=True)
 class Sending:
-    """What is sent, as an endless row of packets.
+    """What is sent, as an endless row of packets."""
 
-    Attributes
-    ----------
-    transmitter
-        Makes them.
-    rate_hz
-        Patterns a second.
-    size
-        Bytes of the text or file.
-    as_file
-        Whether it is sent by symbols of which any that are enough will do.
-    """
-
+    # Makes them
     transmitter: Transmitter
+    # Patterns a second
     rate_hz: float
+    # Bytes of the text or file
     size: int
+    # Whether it is sent by symbols of which any that are enough will do
     as_file: bool
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -74,32 +85,12 @@ class Sending:
         return self.transmitter.format.settings.packet_patterns
 
     def packets(self, first: int, count: int) -> NDArray[np.uint8]:
-        """Return some packets.
-
-        Parameters
-        ----------
-        first
-            Number of the first one, from 0.
-        count
-            How many, at least 1.
-
-        Returns
-        -------
-        (patterns, n, n) levels 0 to 4, in the order of time.
-        """
+        """Return some packets. Returns (patterns, n, n) levels 0 to 4, in the order of time."""
         with self._lock:
             return np.concatenate([self._packet(number) for number in range(first, first + count)])
 
     def frames(self, seconds: float, gamma: float) -> Iterator[Frame]:
-        """Yield a film's frames, one for each pattern, with a dark margin.
-
-        Parameters
-        ----------
-        seconds
-            Length of the film; it ends with a whole packet.
-        gamma
-            Of the display: pixel values are the light to the power of 1 / gamma.
-        """
+        """Yield a film's frames, one for each pattern, with a dark margin."""
         pixels = np.rint(255 * (np.arange(SLOTS + 1) / SLOTS) ** (1 / gamma)).astype(np.uint8)
         block = np.ones((LED_PX, LED_PX), np.uint8)
         whole = max(1, round(seconds * self.rate_hz / self.packet_patterns))
@@ -133,26 +124,7 @@ class Sending:
 
 
 def sending_of(data: bytes, name: str | None, side: int, rate_hz: float) -> Sending:
-    """Return what sends a text or a file.
-
-    Parameters
-    ----------
-    data
-        The text in UTF-8, or the file.
-    name
-        The file's name; None of a text.
-    side
-        Cells in a row and in a column.
-    rate_hz
-        Patterns a second.
-
-    Raises
-    ------
-    SettingsError
-        Size or rate are out of range, or the packets have no room for it.
-    MediaError
-        There is nothing to send, or too much.
-    """
+    """Return what sends a text or a file."""
     if not data and name is None:
         raise MediaError("there is nothing to send: write a text, or choose a file")
     if len(data) > MOST_SENT:
@@ -182,13 +154,7 @@ class Sendings:
         self._lock = threading.Lock()
 
     def add(self, sending: Sending) -> str:
-        """Keep a sending, and return the name by which it is asked for.
-
-        Parameters
-        ----------
-        sending
-            What is sent.
-        """
+        """Keep a sending, and return the name by which it is asked for."""
         name = secrets.token_hex(8)
         with self._lock:
             self._known[name] = sending
@@ -197,18 +163,7 @@ class Sendings:
         return name
 
     def of(self, name: str) -> Sending:
-        """Return a sending.
-
-        Parameters
-        ----------
-        name
-            What `add` returned.
-
-        Raises
-        ------
-        SettingsError
-            There is none of that name.
-        """
+        """Return a sending."""
         with self._lock:
             if name not in self._known:
                 raise SettingsError("that text or file is not here any more: give it again")

@@ -1,5 +1,6 @@
-"""Run the server: at a port of this machine, for this machine or, with a token, for others."""
+"""Run the server on a port of this machine, for this machine or, with a token, for others."""
 
+import asyncio
 import secrets
 import socket
 from dataclasses import dataclass
@@ -7,11 +8,35 @@ from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from heliograph.base.errors import SettingsError
-from heliograph.web.connections import patient_for
 from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Door
+
+
+def patient_for(seconds: float) -> type[H11Protocol]:
+    """Return what speaks HTTP with a client, and lets it go where it does not ask whole.
+
+    uvicorn itself waits for ever for the first request of a connection, and for the rest of one that has begun.
+    """
+
+    class Patient(H11Protocol):
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            self.loop.call_later(seconds, self._look)
+
+        def _look(self) -> None:
+            # a WebSocket has a protocol of its own
+            if self.transport.is_closing() or self.transport.get_protocol() is not self:
+                return
+            if self.cycle is None or self.cycle.response_complete:
+                self.transport.close()
+            else:
+                self.loop.call_later(seconds, self._look)
+
+    return Patient
+
 
 EVERYWHERE = ("0.0.0.0", "::")
 """Hosts that stand for all addresses of this machine."""
@@ -22,18 +47,12 @@ LAST_WORDS_S = 2
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a server waits.
+    """Where a server waits."""
 
-    Attributes
-    ----------
-    host, port
-        As they were asked for; port 0 takes a free one.
-    certificate, key
-        Files of a certificate and its key in PEM, for HTTPS; None for HTTP.
-    """
-
+    # host, port: as they were asked for; port 0 takes a free one
     host: str = "127.0.0.1"
     port: int = 8000
+    # certificate, key: files of a certificate and its key in PEM, for HTTPS; None for HTTP
     certificate: Path | None = None
     key: Path | None = None
 
@@ -55,33 +74,14 @@ class Address:
         return Door(LOOPBACK | names, addresses=True, token=secrets.token_urlsafe(16))
 
     def url(self, port: int, token: str | None) -> str:
-        """Return what is opened in a browser; the token stands behind #, which browsers keep to themselves.
-
-        Parameters
-        ----------
-        port
-            The port that was opened.
-        token
-            The token that is asked for; None where none is.
-        """
+        """Return what is opened in a browser; the token stands behind #, which browsers keep to themselves."""
         host = _own_address() if self.host in EVERYWHERE else self.host
         host = f"[{host}]" if ":" in host else host
         return f"{'https' if self.is_secure else 'http'}://{host}:{port}/" + (f"#token={token}" if token else "")
 
 
 def opened(address: Address) -> socket.socket:
-    """Open the port.
-
-    Parameters
-    ----------
-    address
-        Where the server is to wait.
-
-    Raises
-    ------
-    SettingsError
-        It is taken, or the host is none of this machine's.
-    """
+    """Open the port."""
     family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
     waiting = socket.socket(family, socket.SOCK_STREAM)
     waiting.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -98,26 +98,7 @@ def opened(address: Address) -> socket.socket:
 
 
 def run(app: FastAPI, waiting: socket.socket, address: Address, limits: Limits) -> None:
-    """Serve until Ctrl-C.
-
-    Parameters
-    ----------
-    app
-        The application.
-    waiting
-        The opened port.
-    address
-        Where it is; its certificate is used.
-    limits
-        Numbers and sizes.
-
-    Raises
-    ------
-    SettingsError
-        The certificate and key cannot be used.
-    KeyboardInterrupt
-        Ctrl-C, once all is put away.
-    """
+    """Serve until Ctrl-C."""
     config = configured(app, address, limits)
     try:
         config.load()
@@ -130,13 +111,7 @@ def run(app: FastAPI, waiting: socket.socket, address: Address, limits: Limits) 
 
 
 def configured(app: FastAPI, address: Address, limits: Limits) -> uvicorn.Config:
-    """How the server runs.
-
-    Parameters
-    ----------
-    app, address, limits
-        As of `run`.
-    """
+    """How the server runs."""
     return uvicorn.Config(
         app,
         log_level="critical",  # of a connection that does not end in time nothing need be said

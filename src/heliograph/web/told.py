@@ -19,13 +19,7 @@ class GoneError(Exception):
 
 
 class Told:
-    """Rows on their way from a worker to a page; made in the server's own thread.
-
-    Parameters
-    ----------
-    socket
-        The page's WebSocket, which was accepted.
-    """
+    """Rows on their way from a worker to a page; made in the server's own thread."""
 
     def __init__(self, socket: WebSocket):
         self._socket, self._loop = socket, asyncio.get_running_loop()
@@ -33,18 +27,7 @@ class Told:
         self._gone = False
 
     def tell(self, row: Mapping[str, Any]) -> None:
-        """Queue a row; called by the worker's thread, which waits where the page is slow.
-
-        Parameters
-        ----------
-        row
-            Plain values.
-
-        Raises
-        ------
-        GoneError
-            The page is gone, or too slow.
-        """
+        """Queue a row; called by the worker's thread, which waits where the page is slow."""
         self.check()
         putting: Future[None] = asyncio.run_coroutine_threadsafe(self._rows.put(row), self._loop)
         try:
@@ -54,13 +37,7 @@ class Told:
             raise GoneError from None
 
     async def answer(self, row: Mapping[str, Any]) -> None:
-        """Queue a row; called in the server's own thread.
-
-        Parameters
-        ----------
-        row
-            Plain values.
-        """
+        """Queue a row; called in the server's own thread."""
         await self._rows.put(row)
 
     def check(self) -> None:

@@ -14,8 +14,17 @@ from starlette.requests import ClientDisconnect
 from heliograph.base.errors import MediaError
 from heliograph.media import create_film
 from heliograph.web.crashes import in_thread
-from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ
-from heliograph.web.sending import LED_PX, MARGIN, MOST_PACKETS, MOST_SENT, Sending, Sendings, sending_of
+from heliograph.web.sending import (
+    LEAST_RATE_HZ,
+    LED_PX,
+    MARGIN,
+    MOST_PACKETS,
+    MOST_RATE_HZ,
+    MOST_SENT,
+    Sending,
+    Sendings,
+    sending_of,
+)
 from heliograph.web.shared import Places, shared_of
 
 MOST_FILM_S = 600.0
@@ -33,13 +42,7 @@ _films = Places(FILMS_AT_ONCE, "films of patterns")
 
 
 def sendings_of(request: Request) -> Sendings:
-    """What this server's pages send.
-
-    Parameters
-    ----------
-    request
-        Any request to the server.
-    """
+    """What this server's pages send."""
     state = request.app.state
     if not hasattr(state, "sendings"):
         state.sendings = Sendings()
@@ -59,21 +62,7 @@ async def begin(
     side: Annotated[int, Query(ge=8, le=32, multiple_of=4)] = 16,
     name: Annotated[str | None, Query(max_length=400)] = None,
 ) -> dict[str, Any]:
-    """Take a text or a file as the body of a request; say how it will be sent, and by what name its packets are had.
-
-    Parameters
-    ----------
-    request
-        Its body is the text in UTF-8, or the file.
-    known
-        Where it is kept.
-    rate_hz
-        Patterns a second.
-    side
-        Cells in a row and in a column.
-    name
-        The file's name; none of a text.
-    """
+    """Take a text or a file as the body of a request; say how it will be sent, and by what name its packets are had."""
     data = bytearray()
     try:
         async for part in request.stream():
@@ -93,19 +82,7 @@ async def packets(
     first: Annotated[int, Query(ge=0, le=10**9)] = 0,
     count: Annotated[int, Query(ge=1, le=MOST_PACKETS)] = 1,
 ) -> Response:
-    """Give packets: the levels 0 to 4 of all cells, a byte each, row by row, pattern by pattern.
-
-    Parameters
-    ----------
-    name
-        What `begin` called it.
-    known
-        Where it is kept.
-    first
-        Number of the first packet.
-    count
-        How many.
-    """
+    """Give packets: the levels 0 to 4 of all cells, a byte each, row by row, pattern by pattern."""
     sending = known.of(name)
     levels = await in_thread(lambda: sending.packets(first, count).tobytes())
     return Response(levels, media_type="application/octet-stream")
@@ -119,21 +96,7 @@ async def film(
     seconds: Annotated[float, Query(gt=0, le=MOST_FILM_S, allow_inf_nan=False)] = 30.0,
     gamma: Annotated[float, Query(ge=1, le=4, allow_inf_nan=False)] = 2.2,
 ) -> FileResponse:
-    """Give the patterns as a video, for any screen that plays one.
-
-    Parameters
-    ----------
-    request
-        The request.
-    name
-        What `begin` called it.
-    known
-        Where it is kept.
-    seconds
-        Its length.
-    gamma
-        Of the display that is to play it.
-    """
+    """Give the patterns as a video, for any screen that plays one."""
     sending = known.of(name)
     if seconds * sending.rate_hz > MOST_FILM_PATTERNS:
         raise MediaError(f"such a film has at most {MOST_FILM_PATTERNS} patterns: ask for fewer seconds")

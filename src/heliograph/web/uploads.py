@@ -33,31 +33,18 @@ class TooLargeError(MediaError):
 
 @dataclass(slots=True)
 class Upload:
-    """A film that was uploaded.
+    """A film that was uploaded."""
 
-    Attributes
-    ----------
-    path
-        Where it is.
-    bytes
-        Its length.
-    readers
-        How many read it now; it is kept as long.
-    """
-
+    # Where it is
     path: Path
+    # Its length
     bytes: int
+    # How many read it now; it is kept as long
     readers: int = 0
 
 
 class Uploads:
-    """Uploaded films, in a folder of the server's own that only its user may look into; `close` removes it.
-
-    Parameters
-    ----------
-    limits
-        Sizes, times and numbers.
-    """
+    """Uploaded films, in a folder of the server's own that only its user may look into; `close` removes it."""
 
     def __init__(self, limits: Limits):
         self._limits = limits
@@ -66,36 +53,12 @@ class Uploads:
         self._running = 0
 
     def check(self, length: str) -> None:
-        """Refuse a film that is said to be too large before it comes.
-
-        Parameters
-        ----------
-        length
-            Its length in bytes as the request has it; of any text.
-
-        Raises
-        ------
-        TooLargeError
-            It is.
-        """
+        """Refuse a film that is said to be too large before it comes."""
         if length.isascii() and length.isdecimal() and int(length[:MOST_DIGITS]) > self._limits.film_bytes:
             raise self._too_large()
 
     async def take(self, parts: AsyncIterator[bytes], kind: str) -> str:
-        """Store a film as it comes, and return the name by which pages ask for it.
-
-        Parameters
-        ----------
-        parts
-            Its bytes, part by part.
-        kind
-            Kind of its file, a key of `SUFFIXES`; any other is told by the content.
-
-        Raises
-        ------
-        MediaError
-            It is empty, too large or too slow, breaks off, or there are too many at once. Nothing of it stays.
-        """
+        """Store a film as it comes, and return the name by which pages ask for it."""
         if self._running >= self._limits.uploads:
             raise MediaError(f"{self._limits.uploads} films are being uploaded: try again when they are there")
         name = secrets.token_hex(16)
@@ -114,18 +77,7 @@ class Uploads:
 
     @contextlib.contextmanager
     def reading(self, name: str) -> Iterator[Path]:
-        """Path of an uploaded film, which stays for as long as the block lasts.
-
-        Parameters
-        ----------
-        name
-            What `take` returned; it is looked up, and never part of a path.
-
-        Raises
-        ------
-        MediaError
-            There is none of that name.
-        """
+        """Path of an uploaded film, which stays for as long as the block lasts."""
         film = self._films.get(name)
         if film is None:
             raise MediaError("that film is not here any more: upload it again")
@@ -136,13 +88,7 @@ class Uploads:
             film.readers -= 1
 
     def drop(self, name: str) -> None:
-        """Remove a film that nobody reads; any other name is passed over.
-
-        Parameters
-        ----------
-        name
-            What `take` returned.
-        """
+        """Remove a film that nobody reads; any other name is passed over."""
         film = self._films.get(name)
         if film is not None and not film.readers:
             del self._films[name]
@@ -207,17 +153,7 @@ Kept = Annotated[Uploads, Depends(_uploads)]
 
 @router.put("", status_code=201)
 async def upload(request: Request, films: Kept, kind: str = "") -> dict[str, Any]:
-    """Take a film as the body of a request; `kind` is what its name ends in.
-
-    Parameters
-    ----------
-    request
-        Its body is the film.
-    films
-        Where it is kept.
-    kind
-        Kind of its file, such as "mp4".
-    """
+    """Take a film as the body of a request; `kind` is what its name ends in."""
     try:
         films.check(request.headers.get("content-length", ""))
         return {"film": await films.take(request.stream(), kind[:8])}
@@ -227,13 +163,5 @@ async def upload(request: Request, films: Kept, kind: str = "") -> dict[str, Any
 
 @router.delete("/{name}", status_code=204)
 async def forget(name: str, films: Kept) -> None:
-    """Remove an uploaded film.
-
-    Parameters
-    ----------
-    name
-        What `upload` called it.
-    films
-        Where it is kept.
-    """
+    """Remove an uploaded film."""
     films.drop(name)

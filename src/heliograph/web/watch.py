@@ -21,13 +21,7 @@ Ours = Annotated[Shared, Depends(shared_of)]
 
 @router.get("/sources")
 async def sources(shared: Ours) -> dict[str, Any]:
-    """What may be watched: films named with the command, presets of drives; and the receivers.
-
-    Parameters
-    ----------
-    shared
-        What the pages share.
-    """
+    """What may be watched: films named with the command, presets of drives; and the receivers."""
     named = [film if is_camera(film) else shown_name(film) for film in shared.films]
     presets = [{"name": name, "text": text} for name, (text, _) in PRESETS.items()]
     return {"named": named, "presets": presets, "receivers": list(RECEIVERS.names())}
@@ -35,13 +29,7 @@ async def sources(shared: Ours) -> dict[str, Any]:
 
 @router.get("/cameras")
 async def cameras(shared: Ours) -> dict[str, Any]:
-    """The live cameras of this machine, and what is missing to see others.
-
-    Parameters
-    ----------
-    shared
-        What the pages share; the cameras are noted there.
-    """
+    """The live cameras of this machine, and what is missing to see others."""
     asked = camera_settings(shared.camera)
     found, lacking = await in_thread(lambda: cameras_there(asked))
     shared.cameras[:] = [one["name"] for one in found]
@@ -50,13 +38,7 @@ async def cameras(shared: Ours) -> dict[str, Any]:
 
 @router.websocket("")
 async def watch(socket: WebSocket) -> None:
-    """Show a reception to a page.
-
-    Parameters
-    ----------
-    socket
-        WebSocket of the page.
-    """
+    """Show a reception to a page."""
     shared = shared_of(socket)
     await socket.accept(PROTOCOL if PROTOCOL in socket.scope.get("subprotocols", ()) else None)
     async with closing(socket, lambda line: {"event": "failed", "reason": line}), taking_place(shared.sessions):

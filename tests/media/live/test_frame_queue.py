@@ -9,7 +9,7 @@ import pytest
 from waiting import HANG_S
 
 from heliograph.base.frames import Frame
-from heliograph.media.live.frame_queue import FrameQueue
+from heliograph.media.live.grabber import FrameQueue
 
 
 def frame(index: int) -> Frame:

@@ -13,7 +13,8 @@ from heliograph.base.errors import SettingsError
 from heliograph.measure.statistics import Count
 from heliograph.signal.block import AnyFileBlock, FileBlock, FileNotice, SymbolBlock, pack, unpack
 from heliograph.signal.formats import Format
-from heliograph.signal.fountain import cauchy, field
+from heliograph.signal.fountain import cauchy
+from heliograph.signal.fountain import cauchy as field
 from heliograph.signal.fountain.codes import CodeName
 from heliograph.signal.fountain.files import MOST_OPEN, FileGatherer, FileProgress, SentFile
 from heliograph.signal.settings import SignalSettings

@@ -25,27 +25,14 @@ FIRST, LAST = "first iteration", "last iteration"
 
 @dataclass(slots=True)
 class ReliabilityCounts:
-    """Bits by bin of the predicted error probability, a row per packet, since errors of a packet may come together.
+    """Bits by bin of the predicted error probability, a row per packet, since errors of a packet may come together."""
 
-    Attributes
-    ----------
-    table
-        (packets, 3, bins): bits, wrong bits, and the sum of the predicted error probabilities, which is the expected
-        number of wrong bits.
-    """
-
+    # (packets, 3, bins): bits, wrong bits, and the sum of the predicted error probabilities, which is the expected
+    # number of wrong bits
     table: Floats = field(default_factory=partial(np.zeros, (0, 3, len(EDGES) - 1)))
 
     def add(self, llr: Floats, sent: NDArray[np.uint8]) -> None:
-        """Count the bits of a packet that were received.
-
-        Parameters
-        ----------
-        llr
-            (n,) ln P(b=0) / P(b=1); 0 where nothing was received.
-        sent
-            (n,) bits that were sent.
-        """
+        """Count the bits of a packet that were received."""
         known = llr != 0
         # P(wrong) = 1 / (1 + exp |LLR|)
         predicted = 1 / (1 + np.exp(np.abs(llr[known])))
@@ -55,13 +42,7 @@ class ReliabilityCounts:
         self.table = np.concatenate([self.table, [row]])
 
     def include(self, other: "ReliabilityCounts") -> None:
-        """Count another's packets as well.
-
-        Parameters
-        ----------
-        other
-            Counts of other packets; they stay as they are.
-        """
+        """Count another's packets as well."""
         self.table = np.concatenate([self.table, other.table])
 
     def bins(self) -> list["ReliabilityBin"]:
@@ -78,20 +59,13 @@ class ReliabilityCounts:
 
 @dataclass(frozen=True, slots=True)
 class ReliabilityBin:
-    """Bits of similar predicted error probability.
+    """Bits of similar predicted error probability."""
 
-    Attributes
-    ----------
-    edges
-        Least and largest predicted error probability of the bin.
-    predicted
-        Mean of the predicted error probability.
-    count
-        Bits and errors, by packet.
-    """
-
+    # Least and largest predicted error probability of the bin
     edges: tuple[float, float]
+    # Mean of the predicted error probability
     predicted: float
+    # Bits and errors, by packet
     count: Clustered
 
     @property
@@ -118,56 +92,35 @@ class ReliabilityBin:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationFilm:
-    """A film to be received.
+    """A film to be received."""
 
-    Attributes
-    ----------
-    case
-        Name under which it is counted.
-    settings
-        The link, with one array.
-    seed
-        Of messages, road, noise and place.
-    packets
-        Its length in packets; None: the whole drive.
-    """
-
+    # Name under which it is counted
     case: str
+    # The link, with one array
     settings: LinkSettings
+    # Of messages, road, noise and place
     seed: int
+    # Its length in packets; None: the whole drive
     packets: int | None = 1
 
 
 @dataclass(slots=True)
 class CalibrationRecord:
-    """Predictions and distances of a film's packets.
+    """Predictions and distances of a film's packets."""
 
-    Attributes
-    ----------
-    case
-        Name under which the film is counted.
-    reliability
-        Bits by `FIRST` and `LAST`.
-    distances
-        (packets, 3): true distance in m in the middle of the packet, the receiver's (NaN where no codeword of the
-        packet was read), number of the packet in its film.
-    """
-
+    # Name under which the film is counted
     case: str
+    # Bits by `FIRST` and `LAST`
     reliability: dict[str, ReliabilityCounts] = field(
         default_factory=lambda: {FIRST: ReliabilityCounts(), LAST: ReliabilityCounts()}
     )
+    # (packets, 3): true distance in m in the middle of the packet, the receiver's (NaN where no codeword of the packet
+    # was read), number of the packet in its film
     distances: Floats = field(default_factory=partial(np.zeros, (0, 3)))
 
 
 def record(film: CalibrationFilm) -> CalibrationRecord:
-    """Simulate a film and receive it blind; each packet is then compared with the truth.
-
-    Parameters
-    ----------
-    film
-        The link, the case, the seed and the length of the film.
-    """
+    """Simulate a film and receive it blind; each packet is then compared with the truth."""
     settings = dithered(block_settings(film.settings, film.packets), film.seed)
     messages = random_messages(settings, film.seed)
     (sender,) = transmitters(settings, messages)
@@ -209,26 +162,12 @@ class LlrRecorder:
         self._iterations: list[dict[str, Floats]] = []
 
     def __call__(self, event: Event) -> None:
-        """Keep the LLRs that the equaliser hands out.
-
-        Parameters
-        ----------
-        event
-            Any event of the receiver; only an `EqualiseEvent` has LLRs, others are ignored.
-        """
+        """Keep the LLRs that the equaliser hands out."""
         if isinstance(event, EqualiseEvent):
             self._iterations.append({name: llr.copy() for name, llr in event.llr.items()})
 
     def count(self, sent: Mapping[str, NDArray[np.uint8]], reliability: Mapping[str, ReliabilityCounts]) -> None:
-        """Count the bits of the packet that was just received, and forget it.
-
-        Parameters
-        ----------
-        sent
-            Coded bits by layer, (codewords, length).
-        reliability
-            Gets the bits, by `FIRST` and `LAST`.
-        """
+        """Count the bits of the packet that was just received, and forget it."""
         iterations, self._iterations = self._iterations, []
         if not iterations:
             return

@@ -47,55 +47,34 @@ Rgb = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What is shown after a packet.
+    """What is shown after a packet."""
 
-    Attributes
-    ----------
-    cut
-        (h, w) uint8: the array as the camera saw it, cut out where it was tracked; None where it was not.
-    picture
-        The newest picture received, as a file; None before the first.
-    distance_m
-        Distance of the array in m.
-    layers
-        Codewords read and sent of each layer, by name.
-    lights
-        Phase and seconds left of each signal group, of `Countdown`.
-    """
-
+    # (h, w) uint8: the array as the camera saw it, cut out where it was tracked; None where it was not
     cut: NDArray[np.uint8] | None
+    # The newest picture received, as a file; None before the first
     picture: bytes | None
+    # Distance of the array in m
     distance_m: float
+    # Codewords read and sent of each layer, by name
     layers: Mapping[str, tuple[int, int]]
+    # Phase and seconds left of each signal group, of `Countdown`
     lights: Sequence[Mapping[str, Any]]
 
 
 @dataclass(slots=True)
 class Filmed:
-    """Observer of the receiver that keeps a moment for each packet of the array that was found first.
+    """Observer of the receiver that keeps a moment for each packet of the array that was found first."""
 
-    Attributes
-    ----------
-    identity
-        Number of that array, 0 to 29; None before it is found.
-    moments
-        What is shown, packet by packet.
-    """
-
+    # Number of that array, 0 to 29; None before it is found
     identity: int | None = None
+    # What is shown, packet by packet
     moments: list[Moment] = field(default_factory=list)
     _seen: tuple[Pose, Frame] | None = None
     _picture: bytes | None = None
     _lights: Countdown = field(default_factory=Countdown)
 
     def __call__(self, event: Event) -> None:
-        """Take an event.
-
-        Parameters
-        ----------
-        event
-            Any event of the receiver; detections and pairs of data count, others are ignored.
-        """
+        """Take an event."""
         if isinstance(event, DetectEvent) and self.identity is None:
             self.identity = event.detection.identity
         # combined frames show the array's surroundings alone
@@ -103,15 +82,7 @@ class Filmed:
             self._seen = event.poses[0], event.frames[0]
 
     def packet(self, packet: Packet, messages: Sequence[Message]) -> None:
-        """Take a packet and the messages that it completes; those of other arrays are passed over.
-
-        Parameters
-        ----------
-        packet
-            A packet, in the order of time.
-        messages
-            Messages of which it brought the last segment.
-        """
+        """Take a packet and the messages that it completes; those of other arrays are passed over."""
         if packet.identity != self.identity:
             return
         for message in messages:
@@ -128,42 +99,18 @@ class Filmed:
 
 
 def is_picture(data: bytes) -> bool:
-    """Whether a message is a picture: PNG or WebP.
-
-    Parameters
-    ----------
-    data
-        The message, as it came from the air.
-    """
+    """Whether a message is a picture: PNG or WebP."""
     return data.startswith(b"\x89PNG") or (data.startswith(b"RIFF") and data[8:12] == b"WEBP")
 
 
 def pixels_of(data: bytes) -> Rgb | None:
-    """Return a picture's pixels, (height, width, 3) uint8 red, green, blue; None where it is damaged.
-
-    Parameters
-    ----------
-    data
-        A picture as a file.
-    """
+    """Return a picture's pixels, (height, width, 3) uint8 red, green, blue; None where it is damaged."""
     found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     return None if found is None else np.asarray(found[..., ::-1], np.uint8)
 
 
 def cut_out_of(pose: Pose, frame: Frame) -> NDArray[np.uint8]:
-    """Return the array and its surroundings, always as large, with the camera's own pixels.
-
-    Parameters
-    ----------
-    pose
-        Where the array is.
-    frame
-        A frame of the camera, or a window of one.
-
-    Returns
-    -------
-    (240, 240) uint8.
-    """
+    """Return the array and its surroundings, always as large, with the camera's own pixels."""
     side = CUT[2]
     scale = side / (CUT_PITCHES * pose.pitch)
     x, y = pose.x - frame.origin[0], pose.y - frame.origin[1]
@@ -173,13 +120,7 @@ def cut_out_of(pose: Pose, frame: Frame) -> NDArray[np.uint8]:
 
 
 def drawn(moment: Moment) -> Rgb:
-    """Return a moment as an image, (304, 640, 3) uint8 red, green, blue.
-
-    Parameters
-    ----------
-    moment
-        What is shown after a packet.
-    """
+    """Return a moment as an image, (304, 640, 3) uint8 red, green, blue."""
     image = np.empty((HEIGHT, WIDTH, 3), np.uint8)
     image[:] = GROUND
     left, top, side = CUT
@@ -204,13 +145,7 @@ def drawn(moment: Moment) -> Rgb:
 
 
 def animated(moments: Sequence[Moment]) -> bytes:
-    """Return moments as an animated WebP that runs again and again; empty without any.
-
-    Parameters
-    ----------
-    moments
-        What is shown, packet by packet.
-    """
+    """Return moments as an animated WebP that runs again and again; empty without any."""
     import av
 
     if not moments:

@@ -36,20 +36,13 @@ CANDIDATES, BANDS = 5, 3
 
 @dataclass(frozen=True, slots=True)
 class DetectorVariant:
-    """A variant of the detector.
+    """A variant of the detector."""
 
-    Attributes
-    ----------
-    name
-        Its name in tables.
-    detector
-        The header's shape that it looks for: the lit array, or the M-sequences.
-    frames
-        Frames that it combines, 2 or 4.
-    """
-
+    # Its name in tables
     name: str
+    # The header's shape that it looks for: the lit array, or the M-sequences
     detector: Literal["all_on", "m_sequence"]
+    # Frames that it combines, 2 or 4
     frames: int
 
 
@@ -64,31 +57,18 @@ VARIANTS = (
 
 @dataclass(frozen=True, slots=True)
 class HeaderCandidate:
-    """A place in the image that looks like a header.
+    """A place in the image that looks like a header."""
 
-    Attributes
-    ----------
-    score
-        Correlation of the pixels with the fitted header, 0 to 1.
-    pose
-        Pose of the fitted header in the image.
-    identity
-        Identity whose header it shows, 0 to 29; 0 where only a lit array is looked for.
-    """
-
+    # Correlation of the pixels with the fitted header, 0 to 1
     score: float
+    # Pose of the fitted header in the image
     pose: Pose
+    # Identity whose header it shows, 0 to 29; 0 where only a lit array is looked for
     identity: int
 
 
 class VariantDetector:
-    """The receiver's search without thresholds on its scores, and without its check of the frames around.
-
-    Parameters
-    ----------
-    variant
-        The header's shape and the number of frames.
-    """
+    """The receiver's search without thresholds on its scores, and without its check of the frames around."""
 
     def __init__(self, variant: DetectorVariant):
         settings, signal = ReceiveSettings(), SignalSettings()
@@ -100,13 +80,7 @@ class VariantDetector:
         self._bands = np.array_split(self._parameters.sides(), BANDS)
 
     def candidates(self, film: ClutterFilm) -> list[HeaderCandidate]:
-        """Candidates in the header's frames of a film; where there is an array, those at its place only.
-
-        Parameters
-        ----------
-        film
-            Film whose header's first frames are searched.
-        """
+        """Candidates in the header's frames of a film; where there is an array, those at its place only."""
         window = film.frames[film.first : film.first + self._frames_used]
         change, first = alternation_of(window), window[0]
         busy = busy_blocks(alternation_means(window), first, (), self._side, self._parameters.min_contrast)
@@ -138,17 +112,11 @@ class VariantDetector:
 
 @dataclass(slots=True)
 class DetectionScores:
-    """Best scores of a variant.
+    """Best scores of a variant."""
 
-    Attributes
-    ----------
-    false
-        By scene: score of the best candidate of each film without an array, 0 for none.
-    true
-        By scene and distance in m: score of the array's own candidate in each film with one, 0 where it is missed.
-    """
-
+    # By scene: score of the best candidate of each film without an array, 0 for none
     false: dict[str, list[float]]
+    # By scene and distance in m: score of the array's own candidate in each film with one, 0 where it is missed
     true: dict[tuple[str, float], list[float]]
 
     def all_false(self) -> NDArray[np.float64]:
@@ -156,13 +124,7 @@ class DetectionScores:
         return np.array([score for scores in self.false.values() for score in scores])
 
     def all_true(self, distance_m: float) -> NDArray[np.float64]:
-        """Scores of all films with an array at a distance, (n,).
-
-        Parameters
-        ----------
-        distance_m
-            Distance in m; only films of just this distance count.
-        """
+        """Scores of all films with an array at a distance, (n,)."""
         return np.array([s for (_, z), scores in self.true.items() if z == distance_m for s in scores])
 
 
@@ -174,94 +136,42 @@ def _around(truth: Pose, blocks: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def best_false(found: Sequence[HeaderCandidate]) -> HeaderCandidate | None:
-    """The candidate with the highest score; None where there is none.
-
-    Parameters
-    ----------
-    found
-        Candidates in a film without an array.
-    """
+    """The candidate with the highest score; None where there is none."""
     return max(found, key=lambda one: one.score, default=None)
 
 
 def score_of_array(found: Sequence[HeaderCandidate], truth: Pose, identity: int | None) -> float:
-    """Score of the candidate that is the array, 0 if none is.
-
-    Parameters
-    ----------
-    found
-        Candidates in a film with an array, at any place and of any size.
-    truth
-        Pose of the array.
-    identity
-        Identity of the array, 0 to 29; None: a candidate of any identity counts.
-    """
+    """Score of the candidate that is the array, 0 if none is."""
     return max((c.score for c in found if same(c.pose, truth) and identity in (None, c.identity)), default=0.0)
 
 
 def same(pose: Pose, truth: Pose) -> bool:
-    """Whether a pose is about that of the array, by `NEAR` and `LIKE`.
-
-    Parameters
-    ----------
-    pose
-        Pose of a candidate.
-    truth
-        Pose of the array.
-    """
+    """Whether a pose is about that of the array, by `NEAR` and `LIKE`."""
     beside = np.hypot(pose.x - truth.x, pose.y - truth.y)
     return bool(beside < NEAR * 16 * truth.pitch and 1 / LIKE < pose.pitch / truth.pitch < LIKE)
 
 
 def threshold_for_false(false: NDArray[np.float64], fraction: float) -> float:
-    """Least threshold (a score above it counts) that at most a fraction of the films without an array exceed.
-
-    Parameters
-    ----------
-    false
-        (n,) scores of films without an array.
-    fraction
-        Largest fraction of false alarms, 0 to 1.
-    """
+    """Least threshold (a score above it counts) that at most a fraction of the films without an array exceed."""
     allowed = int(fraction * false.size)
     return float(np.sort(false)[::-1][allowed]) if false.size > allowed else 0.0
 
 
 def threshold_for_found(true: NDArray[np.float64], fraction: float) -> float:
-    """Largest threshold above which at least a fraction of the arrays lie; 0 where fewer are even candidates.
-
-    Parameters
-    ----------
-    true
-        (n,) scores of arrays.
-    fraction
-        Least fraction of arrays found, 0 to 1.
-    """
+    """Largest threshold above which at least a fraction of the arrays lie; 0 where fewer are even candidates."""
     needed = int(np.ceil(fraction * true.size))
     return float(np.nextafter(np.sort(true)[::-1][needed - 1], -1)) if needed else 1.0
 
 
 def curve(false: NDArray[np.float64], true: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    """Fractions of false alarms and of arrays found as the threshold falls; both rise, to the end of all candidates.
-
-    Parameters
-    ----------
-    false, true
-        (n,) and (m,) scores of films without an array and of arrays.
-    """
+    """Fractions of false alarms and of arrays found as the threshold falls; both rise, to the end of all candidates."""
     thresholds = np.unique(np.concatenate([false, true, [0.0, 1.0]]))[::-1]
     alarms = [float((false > t).mean()) for t in thresholds]
     return alarms, [float((true > t).mean()) for t in thresholds]
 
 
 def plain(scores: Mapping[str, DetectionScores]) -> dict[str, dict[str, dict[str, list[float]]]]:
-    """Scores by variant as plain values, rounded to 4 digits.
-
-    Parameters
-    ----------
-    scores
-        Best scores by the variant's name.
-    """
+    """Scores by variant as plain values, rounded to 4 digits."""
     return {
         name: {
             "false": {scene: [round(s, 4) for s in found] for scene, found in one.false.items()},

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import random_messages, window_margin_px
@@ -38,60 +38,33 @@ TEXT = (
 
 @dataclass(frozen=True, slots=True)
 class AcquisitionTrial:
-    """A trial.
+    """A trial."""
 
-    Attributes
-    ----------
-    seed
-        Seed of everything that is random, 0 or more.
-    within
-        Most patterns before a header at which the array is switched on, 0 or more; cut to one less than a packet has.
-    changes
-        Texts ``key=value`` laid over the preset "paper".
-    """
-
+    # Seed of everything that is random, 0 or more
     seed: int
+    # Most patterns before a header at which the array is switched on, 0 or more; cut to one less than a packet has
     within: int
+    # Texts ``key=value`` laid over the preset "paper"
     changes: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Acquired:
-    """The outcome of a trial.
+    """The outcome of a trial."""
 
-    Attributes
-    ----------
-    headers
-        Headers until the array was found, 1 or 2; 0: it was missed.
-    wrong
-        Wrong detections on the way.
-    """
-
+    # Headers until the array was found, 1 or 2; 0: it was missed
     headers: int
+    # Wrong detections on the way
     wrong: int
 
 
 def measure(trials: Sequence[AcquisitionTrial], context: Context) -> list[Acquired]:
-    """Outcomes of trials, in their order.
-
-    Parameters
-    ----------
-    trials
-        Trials to make, each with a seed of its own.
-    context
-        Gives workers and progress.
-    """
+    """Outcomes of trials, in their order."""
     return context.each("acquisition", acquire, trials)
 
 
 def acquire(trial: AcquisitionTrial) -> Acquired:
-    """Film and receive until the array is found.
-
-    Parameters
-    ----------
-    trial
-        Seed, lead before the header and changed settings.
-    """
+    """Film and receive until the array is found."""
     settings, first_s = _trial_settings(trial)
     detected: list[Detection] = []
     found: list[Detection] = []
@@ -137,13 +110,7 @@ def _trial_settings(trial: AcquisitionTrial) -> tuple[LinkSettings, float]:
 
 
 def outcomes_text(outcomes: Sequence[Acquired]) -> str:
-    """Outcomes in a line, with the 95 % interval of the rate of missed arrays.
-
-    Parameters
-    ----------
-    outcomes
-        Outcome of each trial, in any order.
-    """
+    """Outcomes in a line, with the 95 % interval of the rate of missed arrays."""
     by_header = [sum(one.headers == headers for one in outcomes) for headers in range(3)]
     low, high = Count(len(outcomes), by_header[0]).interval()
     return (
@@ -153,13 +120,7 @@ def outcomes_text(outcomes: Sequence[Acquired]) -> str:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Switch an array on, again and again.
-
-    Parameters
-    ----------
-    context
-        Seed of the first trial, effort, workers and progress.
-    """
+    """Switch an array on, again and again."""
     count = QUICK_TRIALS if context.quick else FULL_TRIALS
     outcomes = measure([AcquisitionTrial(context.seed + k, WITHIN) for k in range(count)], context)
     missed, wrong = sum(not one.headers for one in outcomes), sum(one.wrong for one in outcomes)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import erfc
 
 from heliograph.base.arrays import Floats
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.signal.formats import DIMMED, words
 from heliograph.signal.header import CELLS, IDENTITIES, all_header_cells
 
@@ -39,27 +39,19 @@ TEXT = (
 
 @dataclass(frozen=True, slots=True)
 class Separation:
-    """Likeness of the headers at a distance.
+    """Likeness of the headers at a distance."""
 
-    Attributes
-    ----------
-    distance_m
-        Distance from camera to array in m.
-    pitch_px
-        Pitch of the LEDs in px.
-    correlation, magnitude
-        Largest correlation of two headers, -1 to 1, and largest magnitude of one, 0 to 1.
-    closest
-        The two identities with the least distance.
-    headers, formats
-        Distance of these two, and of the two formats most alike of any identity, by the noise of a pixel.
-    """
-
+    # Distance from camera to array in m
     distance_m: float
+    # Pitch of the LEDs in px
     pitch_px: float
+    # correlation, magnitude: largest correlation of two headers, -1 to 1, and largest magnitude of one, 0 to 1
     correlation: float
     magnitude: float
+    # The two identities with the least distance
     closest: tuple[int, int]
+    # headers, formats: distance of these two, and of the two formats most alike of any identity, by the noise of a
+    # pixel
     headers: float
     formats: float
 
@@ -68,13 +60,6 @@ def blur_overlap(t: Floats, pitch_px: float) -> Floats:
     """Overlap of two blurred points of light along one axis; its integral is 1.
 
     The autocorrelation of box * Gaussian: a triangle of half width 1, blurred by a Gaussian of variance 2 sigma^2.
-
-    Parameters
-    ----------
-    t
-        (...) distances between the points in px.
-    pitch_px
-        Pitch of the LEDs in px, which sets the size of the emitters.
     """
     # a disc of radius r has the variance r^2 / 4 along an axis
     variance = 2 * (BLUR_PX**2 + (EMITTER * pitch_px / 2) ** 2 / 4)
@@ -90,19 +75,7 @@ def blur_overlap(t: Floats, pitch_px: float) -> Floats:
 
 
 def cell_overlaps(shifts_px: Floats, pitch_px: float) -> Floats:
-    """Overlap of cell a with cell b moved by each shift, along one axis.
-
-    Parameters
-    ----------
-    shifts_px
-        (shifts,) distances in px by which cell b is moved.
-    pitch_px
-        Pitch of the LEDs in px.
-
-    Returns
-    -------
-    (shifts, 4, 4), by a and b.
-    """
+    """Overlap of cell a with cell b moved by each shift, along one axis. Returns (shifts, 4, 4), by a and b."""
     led = np.arange(SIDE) * pitch_px
     overlap = blur_overlap(led[:, None] - led[None] - shifts_px[:, None, None], pitch_px)
     width = SIDE // CELLS
@@ -111,19 +84,7 @@ def cell_overlaps(shifts_px: Floats, pitch_px: float) -> Floats:
 
 
 def header_products(shifts_px: Floats, pitch_px: float) -> Floats:
-    """Sum over all pixels of the image of header i times that of header j moved, in full scales squared.
-
-    Parameters
-    ----------
-    shifts_px
-        (shifts,) in px, the same down and right.
-    pitch_px
-        Pitch of the LEDs in px.
-
-    Returns
-    -------
-    (shifts down, shifts right, 30, 30), by i and j.
-    """
+    """Sum over all pixels of the image of header i times that of header j moved, in full scales squared."""
     h = all_header_cells().astype(np.float64)
     axis = cell_overlaps(shifts_px, pitch_px)
     down = np.einsum("iab,sac->sicb", h, axis)
@@ -133,15 +94,7 @@ def header_products(shifts_px: Floats, pitch_px: float) -> Floats:
 
 
 def separation(distance_m: float, steps: int = 60) -> Separation:
-    """Likeness of the headers at a distance.
-
-    Parameters
-    ----------
-    distance_m
-        Distance from camera to array in m, above 0.
-    steps
-        Shifts that are tried to either side along each axis, 1 or more.
-    """
+    """Likeness of the headers at a distance."""
     pitch_px = PITCH_PX_M / distance_m
     shifts = np.linspace(-1, 1, 2 * steps + 1) * REACH_CELLS * SIDE / CELLS * pitch_px
     products = header_products(shifts, pitch_px)
@@ -157,13 +110,7 @@ def separation(distance_m: float, steps: int = 60) -> Separation:
 
 
 def format_separation(pitch_px: float) -> float:
-    """Distance in noises of the two formats most alike, of all identities; one pair, array and pose known.
-
-    Parameters
-    ----------
-    pitch_px
-        Pitch of the LEDs in px, above 0.
-    """
+    """Distance in noises of the two formats most alike, of all identities; one pair, array and pose known."""
     axis = cell_overlaps(np.zeros(1), pitch_px)[0]
     gram = (AMPLITUDE * pitch_px**2) ** 2 * np.kron(axis, axis)
     contrast = np.where(words(), DIMMED, 1.0)
@@ -184,13 +131,7 @@ def _noises(squared: Floats) -> float:
 
 
 def tables(found: Sequence[Separation]) -> list[Table]:
-    """The headers and the formats by distance.
-
-    Parameters
-    ----------
-    found
-        Likeness of the headers at each distance, in the order of the rows.
-    """
+    """The headers and the formats by distance."""
     rows = [
         (
             f"{one.distance_m:g}",
@@ -209,13 +150,7 @@ def tables(found: Sequence[Separation]) -> list[Table]:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Compare all headers and formats.
-
-    Parameters
-    ----------
-    context
-        Whether the run is quick, which takes every fourth distance only.
-    """
+    """Compare all headers and formats."""
     found = [separation(z) for z in (DISTANCES_M[::4] if context.quick else DISTANCES_M)]
     far = found[-1]
     return ExperimentResult(

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from heliograph.channel import ImuTrace, Placement
 from heliograph.channel.settings import ChannelSettings
 from heliograph.experiments.detection.ablation import same
-from heliograph.experiments.detection.clutter import ClutterFilm, film_moment
-from heliograph.experiments.detection.lamps import Backdrop
-from heliograph.experiments.result import Context
+from heliograph.experiments.detection.clutter import Backdrop, ClutterFilm, film_moment
+from heliograph.experiments.report import Context
 from heliograph.link.settings import load_settings
 from heliograph.measure.statistics import Count
 from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
@@ -30,14 +29,9 @@ BESIDE_M = (0.5, 1.2)
 
 @dataclass(frozen=True, slots=True)
 class Confusion:
-    """Arrays filmed, by the identity shown and the identity found.
+    """Arrays filmed, by the identity shown and the identity found."""
 
-    Attributes
-    ----------
-    counts
-        (30, 31): a row an identity shown, a column an identity found; the last column: missed.
-    """
-
+    # (30, 31): a row an identity shown, a column an identity found; the last column: missed
     counts: NDArray[np.int64]
 
     @property
@@ -59,32 +53,21 @@ class Confusion:
 
 @dataclass(frozen=True, slots=True)
 class IdentityFilms:
-    """Films of an identity at a distance, before each scene in turn.
+    """Films of an identity at a distance, before each scene in turn."""
 
-    Attributes
-    ----------
-    distance_m
-        Distance from camera to arrays in m.
-    shown
-        Identity that is filmed, 0 to 29.
-    beside
-        Whether an array of another identity stands in the same view.
-    repeats
-        Number of films, 0 or more.
-    scenes
-        Scenes behind the array; the identity's number says which comes first.
-    imu
-        Recorded motion; None: a road of class C.
-    seed
-        Seed of all films, 0 or more.
-    """
-
+    # Distance from camera to arrays in m
     distance_m: float
+    # Identity that is filmed, 0 to 29
     shown: int
+    # Whether an array of another identity stands in the same view
     beside: bool
+    # Number of films, 0 or more
     repeats: int
+    # Scenes behind the array; the identity's number says which comes first
     scenes: Sequence[Backdrop]
+    # Recorded motion; None: a road of class C
     imu: ImuTrace | None
+    # Seed of all films, 0 or more
     seed: int
 
 
@@ -99,31 +82,7 @@ def confusion(
     *,
     beside: bool = False,
 ) -> dict[float, Confusion]:
-    """Film every identity at every distance, the car at rest with its shake.
-
-    Parameters
-    ----------
-    distances
-        Distances from camera to arrays in m.
-    scenes
-        Scenes by name; the arrays stand before each in turn.
-    repeats
-        Films of each identity at each distance.
-    imu
-        Recorded motion; None: a road of class C.
-    context
-        Gives seed, workers and progress.
-    span
-        Fractions of the experiment done before and after, each 0 to 1.
-    identities
-        Identities that are filmed, each 0 to 29.
-    beside
-        Whether another array, of any other identity, stands in the same view; both are counted then.
-
-    Returns
-    -------
-    The confusion by distance in m.
-    """
+    """Film every identity at every distance, the car at rest with its shake."""
     backs = tuple(scenes.values())
     batches = [
         IdentityFilms(z, one, beside, repeats, backs, imu, context.seed) for z in distances for one in identities
@@ -137,13 +96,7 @@ def confusion(
 
 
 def film_identity(batch: IdentityFilms) -> list[tuple[int, int]]:
-    """Identity shown and identity found, 30 for none, of each array in the films.
-
-    Parameters
-    ----------
-    batch
-        Identity, distance, scenes and seed of the films.
-    """
+    """Identity shown and identity found, 30 for none, of each array in the films."""
     pairs: list[tuple[int, int]] = []
     for repeat in range(batch.repeats):
         kind = [1] if batch.beside else []
@@ -165,40 +118,20 @@ def _side_by_side(rng: np.random.Generator) -> list[Placement]:
 
 
 def small_camera(places: Sequence[Placement]) -> ChannelSettings:
-    """The reference link at rest, with a part of its sensor about the arrays.
-
-    Parameters
-    ----------
-    places
-        Place of each array in m beside and below the optical axis.
-    """
+    """The reference link at rest, with a part of its sensor about the arrays."""
     channel = load_settings("paper", {"channel": {"speed_m_s": 0.0, "camera": {"width": 256, "height": 192}}}).channel
     return replace(channel, arrays=tuple(places))
 
 
 def identities_seen(film: ClutterFilm) -> list[int]:
-    """Identity that the detector gives each of the film's arrays; 30 where it misses one.
-
-    Parameters
-    ----------
-    film
-        Film of one or more arrays whose true poses it holds.
-    """
+    """Identity that the detector gives each of the film's arrays; 30 where it misses one."""
     every = detections(film, SMALLEST_PX)
     near = ([one for one in every if same(one.fit.pose, truth)] for truth in film.truths)
     return [max(found, key=lambda one: one.score).identity if found else IDENTITIES for found in near]
 
 
 def detections(film: ClutterFilm, smallest_px: float | None = None) -> list[Detection]:
-    """Detections of the receiver's detector in a film.
-
-    Parameters
-    ----------
-    film
-        Film of which all frames are searched.
-    smallest_px
-        Least side in px that is searched for; None: the receiver's default.
-    """
+    """Detections of the receiver's detector in a film."""
     settings = ReceiveSettings()
     if smallest_px:
         settings = replace(settings, detect=replace(settings.detect, min_side_px=smallest_px))

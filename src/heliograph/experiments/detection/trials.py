@@ -8,10 +8,9 @@ import numpy as np
 from heliograph.channel import ImuTrace
 from heliograph.experiments.detection import ablation
 from heliograph.experiments.detection.ablation import VARIANTS, DetectionScores, VariantDetector
-from heliograph.experiments.detection.clutter import ClutterFilm, film_moment
+from heliograph.experiments.detection.clutter import Backdrop, ClutterFilm, film_moment
 from heliograph.experiments.detection.identities import detections
-from heliograph.experiments.detection.lamps import Backdrop
-from heliograph.experiments.result import Context
+from heliograph.experiments.report import Context
 from heliograph.measure.statistics import Count
 from heliograph.receive import Pose
 from heliograph.receive.settings import ReceiveSettings
@@ -35,58 +34,36 @@ LAMP_FILMS = 3
 
 @dataclass(frozen=True, slots=True)
 class DetectionEffort:
-    """How many films are taken.
+    """How many films are taken."""
 
-    Attributes
-    ----------
-    without, with_array
-        Films of each scene without an array, and with one at each distance.
-    reach
-        Frames of a clip that are used, from the first on.
-    repeats
-        Films of an identity at each distance.
-    step
-        Every `step`-th identity is filmed.
-    """
-
+    # without, with_array: films of each scene without an array, and with one at each distance
     without: int
     with_array: int
+    # Frames of a clip that are used, from the first on
     reach: int
+    # Films of an identity at each distance
     repeats: int
+    # Every `step`-th identity is filmed
     step: int = 1
 
 
 @dataclass(slots=True)
 class DetectionTrials:
-    """Scores of the variants, and counts of the receiver as it is set.
+    """Scores of the variants, and counts of the receiver as it is set."""
 
-    Attributes
-    ----------
-    scores
-        Best scores in each film, by the variant's name.
-    receiver_false
-        Films without an array by scene; those in which the receiver finds one count as errors.
-    receiver_found
-        Films with an array by scene and distance in m; those in which the receiver finds it count as errors.
-    example
-        The worst false alarm of the first variant: score, film and pose.
-    """
-
+    # Best scores in each film, by the variant's name
     scores: dict[str, DetectionScores] = field(
         default_factory=lambda: {variant.name: DetectionScores({}, {}) for variant in VARIANTS}
     )
+    # Films without an array by scene; those in which the receiver finds one count as errors
     receiver_false: dict[str, Count] = field(default_factory=dict)
+    # Films with an array by scene and distance in m; those in which the receiver finds it count as errors
     receiver_found: dict[tuple[str, float], Count] = field(default_factory=dict)
+    # The worst false alarm of the first variant: score, film and pose
     example: tuple[float, ClutterFilm, Pose] | None = None
 
     def add(self, more: "DetectionTrials") -> None:
-        """Count the films of another batch as well.
-
-        Parameters
-        ----------
-        more
-            Scores and counts of that batch.
-        """
+        """Count the films of another batch as well."""
         for name, scores in more.scores.items():
             for scene, false in scores.false.items():
                 self.scores[name].false.setdefault(scene, []).extend(false)
@@ -100,25 +77,11 @@ class DetectionTrials:
             self.example = more.example
 
     def set_false(self, scenes: Collection[str] | None = None) -> Count:
-        """False alarms of the receiver as it is set.
-
-        Parameters
-        ----------
-        scenes
-            Names of the scenes to count; None: all.
-        """
+        """False alarms of the receiver as it is set."""
         return together(count for scene, count in self.receiver_false.items() if scenes is None or scene in scenes)
 
     def set_found(self, distance_m: float, scenes: Collection[str] | None = None) -> Count:
-        """Arrays that the receiver as it is set finds.
-
-        Parameters
-        ----------
-        distance_m
-            Distance of the arrays in m.
-        scenes
-            Names of the scenes to count; None: all.
-        """
+        """Arrays that the receiver as it is set finds."""
         return together(
             count
             for (scene, z), count in self.receiver_found.items()
@@ -128,47 +91,26 @@ class DetectionTrials:
 
 @dataclass(frozen=True, slots=True)
 class SceneFilms:
-    """Films of a scene.
+    """Films of a scene."""
 
-    Attributes
-    ----------
-    scene, backdrop, place
-        Name of the scene, the scene, and its number among all.
-    distance_m
-        Distance of the array in m; None: there is none.
-    trials
-        Numbers of the films among those of their scene and distance, each 0 or more.
-    imu
-        Recorded motion; None: a road of class C.
-    seed
-        Seed of all films, 0 or more.
-    """
-
+    # scene, backdrop, place: name of the scene, the scene, and its number among all
     scene: str
     backdrop: Backdrop
     place: int
+    # Distance of the array in m; None: there is none
     distance_m: float | None
+    # Numbers of the films among those of their scene and distance, each 0 or more
     trials: range
+    # Recorded motion; None: a road of class C
     imu: ImuTrace | None
+    # Seed of all films, 0 or more
     seed: int
 
 
 def measure(
     scenes: Mapping[str, Backdrop], effort: DetectionEffort, imu: ImuTrace | None, context: Context
 ) -> DetectionTrials:
-    """Scores of all variants in all films.
-
-    Parameters
-    ----------
-    scenes
-        Scenes by name; the place of a scene among them goes into the seeds of its films.
-    effort
-        Number of films of each scene with an array and without.
-    imu
-        Recorded motion; None: a road of class C.
-    context
-        Gives seed, workers and progress.
-    """
+    """Scores of all variants in all films."""
     out = DetectionTrials()
     for one in context.each("detection", film_scene, _batches(scenes, effort, imu, context.seed), (0.0, 0.7)):
         out.add(one)
@@ -187,13 +129,7 @@ def _batches(
 
 
 def film_scene(batch: SceneFilms) -> DetectionTrials:
-    """Film a scene, and search each film by all variants and by the receiver.
-
-    Parameters
-    ----------
-    batch
-        Scene, distance, numbers and seed of the films.
-    """
+    """Film a scene, and search each film by all variants and by the receiver."""
     out, detectors = DetectionTrials(), {variant.name: VariantDetector(variant) for variant in VARIANTS}
     for trial in batch.trials:
         if batch.distance_m is None:
@@ -243,84 +179,36 @@ def _with(
 
 
 def together(counts: Iterable[Count]) -> Count:
-    """The sum of counts.
-
-    Parameters
-    ----------
-    counts
-        Counts whose trials and errors are added up.
-    """
+    """The sum of counts."""
     every = list(counts)
     return Count(sum(c.trials for c in every), sum(c.errors for c in every))
 
 
 def false_alarms(scores: DetectionScores, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
-    """Films without an array in which a candidate exceeds a threshold.
-
-    Parameters
-    ----------
-    scores
-        Best scores of a variant in each film.
-    threshold
-        Score to be exceeded, 0 to 1.
-    scenes
-        Names of the scenes to count; None: all.
-    """
+    """Films without an array in which a candidate exceeds a threshold."""
     false = [s for scene, found in scores.false.items() if scenes is None or scene in scenes for s in found]
     return Count(len(false), sum(s > threshold for s in false))
 
 
 def found_above(scores: DetectionScores, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
-    """Arrays at all distances whose score exceeds a threshold.
-
-    Parameters
-    ----------
-    scores
-        Best scores of a variant in each film.
-    threshold
-        Score to be exceeded, 0 to 1.
-    scenes
-        Names of the scenes to count; None: all.
-    """
+    """Arrays at all distances whose score exceeds a threshold."""
     true = [s for (scene, _), found in scores.true.items() if scenes is None or scene in scenes for s in found]
     return Count(len(true), sum(s > threshold for s in true))
 
 
 def threshold_of(scores: DetectionScores) -> float:
-    """The threshold that `FOUND` of the arrays exceed, all distances together.
-
-    Parameters
-    ----------
-    scores
-        Best scores of a variant in each film.
-    """
+    """The threshold that `FOUND` of the arrays exceed, all distances together."""
     return ablation.threshold_for_found(np.concatenate([scores.all_true(z) for z in DISTANCES]), FOUND)
 
 
 def found_at(scores: DetectionScores, distance: float, fraction: float) -> Count:
-    """Arrays found at the threshold that at most a fraction of the films without one exceed.
-
-    Parameters
-    ----------
-    scores
-        Best scores of a variant in each film.
-    distance
-        Distance of the arrays in m.
-    fraction
-        Largest fraction of false alarms, 0 to 1.
-    """
+    """Arrays found at the threshold that at most a fraction of the films without one exceed."""
     true = scores.all_true(distance)
     return Count(true.size, int((true > ablation.threshold_for_false(scores.all_false(), fraction)).sum()))
 
 
 def is_lower(a: Count, b: Count) -> bool | None:
-    """Whether a rate is below another; None where their 95 % intervals overlap.
-
-    Parameters
-    ----------
-    a, b
-        Errors and trials of the one and of the other.
-    """
+    """Whether a rate is below another; None where their 95 % intervals overlap."""
     if a.interval()[1] < b.interval()[0]:
         return True
     return False if a.interval()[0] > b.interval()[1] else None

@@ -27,33 +27,23 @@ RESAMPLES = 4000
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Driving against static in a bin.
+    """Driving against static in a bin."""
 
-    Attributes
-    ----------
-    layer, bin_m
-        Where; the bin by its middle, None: all bins together.
-    pairs
-        Packets of the drives, each with one at rest at the same distance.
-    driving, static
-        Means of the packets' raw error rates, of the drives and at rest, 0 to 1.
-    ratio, low, high
-        Driving over static, with a 95 % interval over packets or drives, whichever is wider.
-    p
-        The p value of the test that both are equal, adjusted by Holm, 0 to 1.
-    verdict
-        "alike": the interval lies within the margin; "apart": they differ, and by more than it; "open": neither.
-    """
-
+    # layer, bin_m: where; the bin by its middle, None: all bins together
     layer: str
     bin_m: float | None
+    # Packets of the drives, each with one at rest at the same distance
     pairs: int
+    # driving, static: means of the packets' raw error rates, of the drives and at rest, 0 to 1
     driving: float
     static: float
+    # ratio, low, high: driving over static, with a 95 % interval over packets or drives, whichever is wider
     ratio: float
     low: float
     high: float
+    # The p value of the test that both are equal, adjusted by Holm, 0 to 1
     p: float
+    # "alike": the interval lies within the margin; "apart": they differ, and by more than it; "open": neither
     verdict: Literal["alike", "apart", "open"]
 
 
@@ -73,21 +63,6 @@ def compare(
     Equality is tested by turning the signs of the pairs' differences, with Holm's correction over all layers and bins,
     and over the layers where all bins are taken together. The interval of the ratio is a bootstrap over pairs, so that
     errors of a packet may depend on each other, or one over drives, so that packets of a drive may, if it is wider.
-
-    Parameters
-    ----------
-    driving, static
-        Packets of the drives, and as many at rest; the k-th of both have the same distance.
-    rng
-        Draws the packets or drives of the bootstrap, and the signs that are turned.
-    margin
-        Ratio of the rates up to which they count as alike, above 1.
-    drives
-        Number of the drive of each packet; none given: all of one drive, and the bootstrap is over pairs only.
-
-    Returns
-    -------
-    By layer and bin where there are errors enough to compare, and by layer with all bins together.
     """
     bins = np.array([bin_of(record.distance_m) for record in driving])
     films = np.array(drives or [0] * len(driving))
@@ -145,13 +120,7 @@ def _paired(a: Floats, b: Floats, drives: NDArray[np.int_], rng: np.random.Gener
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Adjusted p values of Holm 1979: the k-th smallest of m times m - k, never falling, at most 1.
-
-    Parameters
-    ----------
-    p
-        The p values of m tests, 0 to 1, in any order; the result has the same order.
-    """
+    """Adjusted p values of Holm 1979: the k-th smallest of m times m - k, never falling, at most 1."""
     order, out, worst = np.argsort(p), [0.0] * len(p), 0.0
     for k, i in enumerate(order):
         worst = max(worst, min(1.0, (len(p) - k) * p[int(i)]))

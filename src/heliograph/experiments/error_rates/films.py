@@ -8,9 +8,8 @@ from typing import Literal
 import numpy as np
 
 from heliograph.experiments.links import static_link
-from heliograph.link.recordings import load_imu
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import Recordings, simulate
+from heliograph.link.simulate import Recordings, load_imu, simulate
 from heliograph.measure.bench import random_messages, window_margin_px
 from heliograph.measure.counts import LayerCounts, Layers, pooled
 from heliograph.measure.errors import BIN_M, ErrorCounter
@@ -22,72 +21,44 @@ from heliograph.signal.settings import LAYERS
 
 @dataclass(frozen=True, slots=True)
 class PacketRecord:
-    """A packet received.
+    """A packet received."""
 
-    Attributes
-    ----------
-    distance_m
-        True distance in m at its middle.
-    layers
-        Bits, codewords and their errors, by layer.
-    """
-
+    # True distance in m at its middle
     distance_m: float
+    # Bits, codewords and their errors, by layer
     layers: Layers
 
 
 @dataclass(frozen=True, slots=True)
 class FilmCounts:
-    """Counts of a film, packet by packet.
+    """Counts of a film, packet by packet."""
 
-    Attributes
-    ----------
-    packets
-        Packets received, each with its own counts.
-    missed
-        Codewords of packets of which nothing was received, by the lower edge of the distance bin in m and by layer.
-    lost
-        Packets filmed whole of which nothing was received, each by the middle of its distance bin in m.
-    false_codewords
-        Codewords accepted as right that were not sent.
-    """
-
+    # Packets received, each with its own counts
     packets: Sequence[PacketRecord]
+    # Codewords of packets of which nothing was received, by the lower edge of the distance bin in m and by layer
     missed: Mapping[float, Mapping[str, int]]
+    # Packets filmed whole of which nothing was received, each by the middle of its distance bin in m
     lost: Sequence[float] = ()
+    # Codewords accepted as right that were not sent
     false_codewords: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class FilmTask:
-    """A film to be received: at rest at a distance, or a drive.
+    """A film to be received: at rest at a distance, or a drive."""
 
-    Attributes
-    ----------
-    distance_m
-        Distance at rest in m; None: a drive from 80 m to 25 m at 30 km/h.
-    modulation
-        "haar", the hierarchical code, or "ook", on-off keying of each LED.
-    seed
-        Of messages, place, motion and noise.
-    imu
-        File of the recorded motion of the drive; None: a road.
-    """
-
+    # Distance at rest in m; None: a drive from 80 m to 25 m at 30 km/h
     distance_m: float | None
+    # "haar", the hierarchical code, or "ook", on-off keying of each LED
     modulation: Literal["haar", "ook"]
+    # Of messages, place, motion and noise
     seed: tuple[int, ...]
+    # File of the recorded motion of the drive; None: a road
     imu: Path | None = None
 
 
 def count_film(task: FilmTask) -> FilmCounts:
-    """Film, receive, count.
-
-    Parameters
-    ----------
-    task
-        Distance or drive, modulation, seed and recorded motion.
-    """
+    """Film, receive, count."""
     rng = np.random.default_rng(task.seed)
     signal = {"modulation": task.modulation}
     if task.distance_m is not None:
@@ -100,17 +71,7 @@ def count_film(task: FilmTask) -> FilmCounts:
 
 
 def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: Recordings | None = None) -> FilmCounts:
-    """Counts of each packet of a film by itself: errors within a packet are not independent.
-
-    Parameters
-    ----------
-    settings
-        The link, with one array.
-    rng
-        Draws the seed of messages, motion and noise.
-    recordings
-        Recorded motion, which channel.shake = "imu" needs; None: the settings need none.
-    """
+    """Counts of each packet of a film by itself: errors within a packet are not independent."""
     seed = int(rng.integers(2**31))
     messages = random_messages(settings, seed)
     counter, receiver = ErrorCounter(settings, messages), make_receiver(settings.signal, settings.receive)
@@ -147,73 +108,32 @@ def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> Packet
 
 @dataclass(slots=True)
 class CountsByDistance:
-    """Counts of several packets, by distance and layer.
+    """Counts of several packets, by distance and layer."""
 
-    Attributes
-    ----------
-    places
-        Counts by layer, by distance in m.
-    """
-
+    # Counts by layer, by distance in m
     places: dict[float, Layers] = field(default_factory=dict)
 
     def add(self, place: float, record: PacketRecord) -> None:
-        """Count a packet.
-
-        Parameters
-        ----------
-        place
-            Distance in m under which the packet is counted.
-        record
-            The packet; of its distance nothing is used.
-        """
+        """Count a packet."""
         self.places[place] = pooled([self.places.get(place, {}), record.layers])
 
     def miss(self, place: float, layer: str, codewords: int) -> None:
-        """Count codewords that were not received.
-
-        Parameters
-        ----------
-        place
-            Distance in m under which they are counted.
-        layer
-            Their layer, "high", "middle" or "low".
-        codewords
-            Number of codewords that were not received.
-        """
+        """Count codewords that were not received."""
         self.places[place] = pooled([self.places.get(place, {}), {layer: LayerCounts.of_missed(codewords)}])
 
 
 def bin_of(distance_m: float) -> float:
-    """Middle in m of the distance bin, which is `BIN_M` wide.
-
-    Parameters
-    ----------
-    distance_m
-        Distance in m of the array from the camera.
-    """
+    """Middle in m of the distance bin, which is `BIN_M` wide."""
     return float(distance_m // BIN_M * BIN_M + BIN_M / 2)
 
 
 def lost_packets(films: Sequence[FilmCounts]) -> Count:
-    """Packets filmed whole, and those of them of which nothing was received.
-
-    Parameters
-    ----------
-    films
-        Counts of each film: its `packets` were received, its `lost` were not.
-    """
+    """Packets filmed whole, and those of them of which nothing was received."""
     return Count(sum(len(one.packets) + len(one.lost) for one in films), sum(len(one.lost) for one in films))
 
 
 def all_layers(layers: Layers) -> Clustered:
-    """Raw errors of all layers, by packet.
-
-    Parameters
-    ----------
-    layers
-        Counts of the same packets by layer, one layer or more.
-    """
+    """Raw errors of all layers, by packet."""
     parts = [counts.raw for counts in layers.values()]
     # squares of packets' sums are not kept: at most this by Minkowski, if layers fail in step
     squares = round(sum(np.sqrt(part.squares) for part in parts) ** 2)

@@ -16,9 +16,8 @@ import numpy as np
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.film import is_packet
-from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import Recordings, default_messages, simulate
+from heliograph.link.simulate import Recordings, default_messages, load_footage, load_imu, simulate
 from heliograph.link.truth import TruthFile
 from heliograph.measure.errors import BIN_M, ErrorCounter
 from heliograph.measure.reception import Reception, receive_film
@@ -35,23 +34,15 @@ CRF, ENCODER_PRESET = "18", "medium"
 
 @dataclass(frozen=True, slots=True)
 class RealScene:
-    """A simulation over a clip with recorded shake.
+    """A simulation over a clip with recorded shake."""
 
-    Attributes
-    ----------
-    clip
-        File of the footage.
-    imu
-        File of the motion.
-    seed
-        Of place and noise.
-    changes
-        Texts ``key=value`` laid over the preset "paper".
-    """
-
+    # File of the footage
     clip: Path
+    # File of the motion
     imu: Path
+    # Of place and noise
     seed: int
+    # Texts ``key=value`` laid over the preset "paper"
     changes: Sequence[str] = ()
 
     def load(self) -> tuple[LinkSettings, Recordings]:
@@ -62,30 +53,16 @@ class RealScene:
 
 @dataclass(frozen=True, slots=True)
 class DriveCounts:
-    """Errors of a drive.
+    """Errors of a drive."""
 
-    Attributes
-    ----------
-    frames
-        Number of frames in the film.
-    errors
-        Its errors, by distance and layer.
-    """
-
+    # Number of frames in the film
     frames: int
+    # Its errors, by distance and layer
     errors: ErrorCounter
 
 
 def drive(scene: RealScene, margin_px: int | None = None) -> DriveCounts:
-    """Receive a drive over real footage, and count.
-
-    Parameters
-    ----------
-    scene
-        The clip, its motion and the settings.
-    margin_px
-        Only the array and so many px about it are filmed; None: whole frames.
-    """
+    """Receive a drive over real footage, and count."""
     settings, recordings = scene.load()
     messages = default_messages(settings)
     errors, frames = ErrorCounter(settings, messages), Count()
@@ -104,22 +81,15 @@ def drive(scene: RealScene, margin_px: int | None = None) -> DriveCounts:
 
 @dataclass(frozen=True, slots=True)
 class EmptyCounts:
-    """Results of a receiver on frames without any array: all of them are false.
+    """Results of a receiver on frames without any array: all of them are false."""
 
-    Attributes
-    ----------
-    detections, packets, right
-        Frames, and detections, packets, and packets with a right codeword among them.
-    words
-        Codewords taken for right, of all packets.
-    without_header
-        Results that are no packets.
-    """
-
+    # detections, packets, right: frames, and detections, packets, and packets with a right codeword among them
     detections: Count
     packets: Count
     right: Count
+    # Codewords taken for right, of all packets
     words: int
+    # Results that are no packets
     without_header: int
 
     def __add__(self, other: "EmptyCounts") -> "EmptyCounts":
@@ -147,18 +117,7 @@ def _both(one: Count, other: Count) -> Count:
 
 
 def empty(scene: RealScene, most_frames: int | None = None, *, native: bool = False) -> EmptyCounts:
-    """Receive a clip without any array.
-
-    Parameters
-    ----------
-    scene
-        The clip, its motion and the settings; arrays are taken out.
-    most_frames
-        Frames at most; None: all.
-    native
-        The clip's own frames, one per pattern period, in place of the channel's: nothing is faded from frame to frame,
-        and all that moves does so some forty times too fast.
-    """
+    """Receive a clip without any array."""
     settings, recordings = RealScene(scene.clip, scene.imu, scene.seed, (*EMPTY, *scene.changes)).load()
     film = native_frames(scene.clip, settings) if native else _rendered(settings, scene.seed, recordings)
     events, packets, frames = list[Any](), list[Packet](), 0
@@ -180,15 +139,7 @@ def _rendered(settings: LinkSettings, seed: int, recordings: Recordings) -> Iter
 
 
 def native_frames(clip: Path, settings: LinkSettings) -> Iterator[Frame]:
-    """A clip's own frames, one per pattern period, resized to the camera's frame.
-
-    Parameters
-    ----------
-    clip
-        File of the footage.
-    settings
-        The link; it gives the size of the camera's frame in px and the pattern period.
-    """
+    """A clip's own frames, one per pattern period, resized to the camera's frame."""
     import cv2
 
     size = settings.channel.camera.width, settings.channel.camera.height
@@ -198,20 +149,7 @@ def native_frames(clip: Path, settings: LinkSettings) -> Iterator[Frame]:
 
 
 def encode_again(source: Path, target: Path) -> None:
-    """Encode a film again as other programs would (libx264, yuv420p), without its notes.
-
-    Parameters
-    ----------
-    source
-        File of the film, which stays as it is.
-    target
-        File to write, another than the source.
-
-    Raises
-    ------
-    MediaError
-        Both are the same file, or the film has an odd width or height.
-    """
+    """Encode a film again as other programs would (libx264, yuv420p), without its notes."""
     import av
 
     if source.resolve() == target.resolve():
@@ -234,20 +172,7 @@ def encode_again(source: Path, target: Path) -> None:
 
 
 def receive_again(film: Path, truth: TruthFile) -> Reception:
-    """Receive a film that was encoded again, against the truth of the film it was made from.
-
-    Parameters
-    ----------
-    film
-        File of the film that was encoded again.
-    truth
-        Truth of the film as it was simulated; its settings are the receiver's as well.
-
-    Raises
-    ------
-    MediaError
-        The film or the truth is damaged.
-    """
+    """Receive a film that was encoded again, against the truth of the film it was made from."""
     reception = Reception(truth)
     with open_film(film) as source:
         deque(receive_film(source, truth.settings.signal, truth.settings, reception), maxlen=0)
@@ -255,13 +180,7 @@ def receive_again(film: Path, truth: TruthFile) -> Reception:
 
 
 def error_lines(errors: ErrorCounter) -> Iterable[str]:
-    """Codewords wrong of sent, by distance and in all, line by line.
-
-    Parameters
-    ----------
-    errors
-        Errors of a film that was received to its end.
-    """
+    """Codewords wrong of sent, by distance and in all, line by line."""
     for start, layers in errors.bins().items():
         row = ", ".join(f"{name} {e.codeword_errors}/{e.codewords}" for name, e in layers.items())
         yield f"{start:g}-{start + BIN_M:g} m: {row}"
@@ -271,13 +190,7 @@ def error_lines(errors: ErrorCounter) -> Iterable[str]:
 
 
 def counted_text(count: Count) -> str:
-    """Errors of trials with their 95 % interval, or the bound 3 / n where there was none.
-
-    Parameters
-    ----------
-    count
-        Errors among trials, such as wrong codewords of those sent, or detections by frames.
-    """
+    """Errors of trials with their 95 % interval, or the bound 3 / n where there was none."""
     if count.errors:
         low, high = count.interval()
         return f"{count.errors}/{count.trials} [{low:.1e}, {high:.1e}]"

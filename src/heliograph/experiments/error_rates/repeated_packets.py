@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, simulate
 from heliograph.measure.bench import window_margin_px
@@ -31,38 +31,20 @@ TEXT = (
 
 @dataclass(frozen=True, slots=True)
 class RepeatedPacket:
-    """A film of one packet, shown over and over.
+    """A film of one packet, shown over and over."""
 
-    Attributes
-    ----------
-    settings
-        The link, with the length of the film.
-    layer
-        The layer that is counted.
-    receptions
-        Packets of the film.
-    seed
-        Of data, road and noise.
-    """
-
+    # The link, with the length of the film
     settings: LinkSettings
+    # The layer that is counted
     layer: str
+    # Packets of the film
     receptions: int
+    # Of data, road and noise
     seed: int
 
 
 def film_settings(distance_m: float, receptions: int, changes: Sequence[str] = ()) -> LinkSettings:
-    """The link of a film of so many packets.
-
-    Parameters
-    ----------
-    distance_m
-        Distance in m in the middle of the film.
-    receptions
-        Packets of the film.
-    changes
-        Texts ``key=value`` laid over the preset.
-    """
+    """The link of a film of so many packets."""
     base = load_settings("paper", None, changes)
     film_s = receptions * base.signal.packet_s + 0.005
     start = distance_m + base.channel.speed_m_s * film_s / 2
@@ -71,21 +53,7 @@ def film_settings(distance_m: float, receptions: int, changes: Sequence[str] = (
 
 
 def measure(settings: LinkSettings, layer: str, receptions: int, films: int, context: Context) -> list[Count]:
-    """Codewords wrong, a count a reception.
-
-    Parameters
-    ----------
-    settings
-        The link, see `film_settings`.
-    layer
-        The layer that is counted.
-    receptions
-        Packets of a film.
-    films
-        Films, with the seeds 0, 1, ....
-    context
-        Gives the workers that receive the films, and the progress.
-    """
+    """Codewords wrong, a count a reception."""
     todo = [RepeatedPacket(settings, layer, receptions, seed) for seed in range(films)]
     wrong = np.sum(context.each("repeated packets", wrong_codewords, todo), axis=0)
     sent = films * PacketFormat(settings.signal).layers[layer].codewords
@@ -93,13 +61,7 @@ def measure(settings: LinkSettings, layer: str, receptions: int, films: int, con
 
 
 def wrong_codewords(film: RepeatedPacket) -> NDArray[np.int64]:
-    """Codewords of a layer that were not read in each packet of a film, (receptions,).
-
-    Parameters
-    ----------
-    film
-        The link, the layer that is counted, the number of packets and the seed.
-    """
+    """Codewords of a layer that were not read in each packet of a film, (receptions,)."""
     settings = film.settings
     receiver, packets = make_receiver(settings.signal, settings.receive), list[Packet]()
     messages = _one_packet(settings, film.seed)
@@ -122,13 +84,7 @@ def _one_packet(settings: LinkSettings, seed: int) -> Messages:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Count repeated packets where a single reception is not enough.
-
-    Parameters
-    ----------
-    context
-        Says whether few films or many are received; gives workers and progress. Its seed is not used.
-    """
+    """Count repeated packets where a single reception is not enough."""
     films, found = QUICK_FILMS if context.quick else FULL_FILMS, {}
     for layer, z in PLACES:
         found[f"{layer}, {z:g} m"] = measure(film_settings(z, RECEPTIONS), layer, RECEPTIONS, films, context)

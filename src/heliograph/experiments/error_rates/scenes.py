@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import run_block
 from heliograph.measure.counts import BlockCounts
@@ -80,43 +80,20 @@ SceneCounts = Mapping[tuple[str, float], BlockCounts]
 
 @dataclass(frozen=True, slots=True)
 class SceneTask:
-    """A block of a scene.
+    """A block of a scene."""
 
-    Attributes
-    ----------
-    scene
-        Name of the scene, one of `SCENES`.
-    distance_m
-        Distance in m to the plane of the arrays at the start of the film, above 0.
-    seed
-        Seed of messages, road, noise and place.
-    receiver
-        Name of the receiver, such as "soft".
-    """
-
+    # Name of the scene, one of `SCENES`
     scene: str
+    # Distance in m to the plane of the arrays at the start of the film, above 0
     distance_m: float
+    # Seed of messages, road, noise and place
     seed: int
+    # Name of the receiver, such as "soft"
     receiver: str
 
 
 def scene_settings(scene: str, distance_m: float, receiver: str = "soft") -> LinkSettings:
-    """The link of a scene.
-
-    Parameters
-    ----------
-    scene
-        Name of the scene, one of `SCENES`.
-    distance_m
-        Distance in m to the plane of the arrays at the start of the film, above 0.
-    receiver
-        Name of the receiver, such as "soft".
-
-    Raises
-    ------
-    KeyError
-        There is no such scene.
-    """
+    """The link of a scene."""
     centre = (f"{ARRAY}x_m=0", f"{ARRAY}y_m=0")
     changes = (*centre, *{**STATIC, **MOVING}[scene])
     return load_settings("static", None, [f"channel.distance_m={distance_m}", f"receive.receiver={receiver}", *changes])
@@ -125,21 +102,7 @@ def scene_settings(scene: str, distance_m: float, receiver: str = "soft") -> Lin
 def measure(
     scenes: Sequence[str], distances_m: Sequence[float], seeds: Sequence[int], receiver: str, context: Context
 ) -> SceneCounts:
-    """Counts of a block a seed, in each scene and at each distance.
-
-    Parameters
-    ----------
-    scenes
-        Names of the scenes, each one of `SCENES`.
-    distances_m
-        Distances in m at which each scene is filmed, above 0.
-    seeds
-        Seeds of the blocks of each scene and distance.
-    receiver
-        Name of the receiver, such as "soft".
-    context
-        Gives the workers that receive the blocks, and the progress.
-    """
+    """Counts of a block a seed, in each scene and at each distance."""
     todo = [SceneTask(scene, z, seed, receiver) for scene in scenes for z in distances_m for seed in seeds]
     total: dict[tuple[str, float], BlockCounts] = {}
     for task, counts in zip(todo, context.each("hard scenes", count_block, todo), strict=True):
@@ -149,24 +112,12 @@ def measure(
 
 
 def count_block(task: SceneTask) -> BlockCounts:
-    """Counts of one block.
-
-    Parameters
-    ----------
-    task
-        Scene, distance, seed and receiver of the block.
-    """
+    """Counts of one block."""
     return run_block(scene_settings(task.scene, task.distance_m, task.receiver), task.seed)
 
 
 def counts_text(counts: BlockCounts) -> str:
-    """Counts in a line: codewords wrong, missed, sent, and what was accepted that was not sent.
-
-    Parameters
-    ----------
-    counts
-        Counts of a block, or the sum of several.
-    """
+    """Counts in a line: codewords wrong, missed, sent, and what was accepted that was not sent."""
     layers = []
     for name, layer in counts.layers.items():
         low, high = layer.words.interval()
@@ -177,13 +128,7 @@ def counts_text(counts: BlockCounts) -> str:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Count all scenes at all distances.
-
-    Parameters
-    ----------
-    context
-        Says whether few blocks or many are counted; gives the first seed, workers and progress.
-    """
+    """Count all scenes at all distances."""
     seeds = range(context.seed, context.seed + (QUICK_BLOCKS if context.quick else FULL_BLOCKS))
     total = measure(SCENES, DISTANCES_M, seeds, "soft", context)
     return ExperimentResult(

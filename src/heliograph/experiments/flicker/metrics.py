@@ -25,46 +25,30 @@ LIMITED_HZ = 1250.0
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """Modulation by frequency.
+    """Modulation by frequency."""
 
-    Attributes
-    ----------
-    hz
-        (n,) frequencies in Hz.
-    modulation
-        (n,) amplitude of each Fourier component by the mean.
-    """
-
+    # (n,) frequencies in Hz
     hz: Floats
+    # (n,) amplitude of each Fourier component by the mean
     modulation: Floats
 
 
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """Measures of a light.
+    """Measures of a light."""
 
-    Attributes
-    ----------
-    percent
-        (largest - least) / (largest + least) flux in percent.
-    slow_percent
-        Largest modulation below 90 Hz, in percent.
-    limit_share, limit_hz
-        Modulation by IEEE 1789's low-risk limit where this is largest, and that frequency.
-    slow_limit_share
-        The same below 90 Hz alone.
-    svm
-        Stroboscopic visibility measure; 1 is just visible.
-    period_s
-        Flickering time period in s; 0 for a steady light.
-    """
-
+    # (largest - least) / (largest + least) flux in percent
     percent: float
+    # Largest modulation below 90 Hz, in percent
     slow_percent: float
+    # limit_share, limit_hz: modulation by IEEE 1789's low-risk limit where this is largest, and that frequency
     limit_share: float
     limit_hz: float
+    # The same below 90 Hz alone
     slow_limit_share: float
+    # Stroboscopic visibility measure; 1 is just visible
     svm: float
+    # Flickering time period in s; 0 for a steady light
     period_s: float
 
     def plain(self) -> dict[str, float]:
@@ -73,15 +57,7 @@ class Flicker:
 
 
 def measure(flux: ArrayLike, slot_s: float) -> Flicker:
-    """All measures of a light that is repeated without end.
-
-    Parameters
-    ----------
-    flux
-        (slots,) light of each slot, 0 or more.
-    slot_s
-        Length of a slot in s.
-    """
+    """All measures of a light that is repeated without end."""
     f = np.asarray(flux, float)
     lines = spectrum(f, slot_s)
     ratio = lines.modulation / low_risk_limit(lines.hz)
@@ -98,17 +74,7 @@ def measure(flux: ArrayLike, slot_s: float) -> Flicker:
 
 
 def spectrum(flux: ArrayLike, slot_s: float, top_hz: float = SVM_TOP_HZ) -> Spectrum:
-    """Fourier components of a light that holds each value for a slot and then repeats, without its mean.
-
-    Parameters
-    ----------
-    flux
-        (slots,) light of each slot, 0 or more.
-    slot_s
-        Length of a slot in s.
-    top_hz
-        Largest frequency in Hz.
-    """
+    """Fourier components of a light that holds each value for a slot and then repeats, without its mean."""
     f = np.asarray(flux, float)
     hz = np.arange(1, int(top_hz * f.size * slot_s + 1e-9) + 1) / (f.size * slot_s)
     lines = np.fft.fft(f) / f.size
@@ -118,26 +84,14 @@ def spectrum(flux: ArrayLike, slot_s: float, top_hz: float = SVM_TOP_HZ) -> Spec
 
 
 def percent_flicker(flux: ArrayLike) -> float:
-    """Largest less least flux by their sum, in percent: 0 for a steady light, 100 for one that goes out.
-
-    Parameters
-    ----------
-    flux
-        (slots,) light of each slot, 0 or more.
-    """
+    """Largest less least flux by their sum, in percent: 0 for a steady light, 100 for one that goes out."""
     f = np.asarray(flux, float)
     low, high = float(f.min()), float(f.max())
     return 100 * (high - low) / max(high + low, 1e-12)
 
 
 def low_risk_limit(hz: ArrayLike) -> Floats:
-    """Largest modulation of low risk (IEEE 1789-2015), 1 for 100 %; infinite where none is set.
-
-    Parameters
-    ----------
-    hz
-        Frequencies in Hz, 0 or more, of any shape; the limits have the same shape.
-    """
+    """Largest modulation of low risk (IEEE 1789-2015), 1 for 100 %; infinite where none is set."""
     f = np.asarray(hz, float)
     # 0.025 f % below 90 Hz (and never above 5 %), 0.08 f % up to 1250 Hz
     limit = np.where(f < 90, np.minimum(0.025 * f, 5.0), 0.08 * f) / 100
@@ -145,26 +99,14 @@ def low_risk_limit(hz: ArrayLike) -> Floats:
 
 
 def visibility_threshold(hz: ArrayLike) -> Floats:
-    """Modulation of a sine that half of the observers see (Perz et al. 2018, CIE TN 006), 1 for 100 %.
-
-    Parameters
-    ----------
-    hz
-        Frequencies of the sine in Hz, 0 or more, of any shape; the modulations have the same shape.
-    """
+    """Modulation of a sine that half of the observers see (Perz et al. 2018, CIE TN 006), 1 for 100 %."""
     f = np.asarray(hz, float)
     # T(f) = 1 / (1 + exp(-0.00518 (f - 306.6))) + 20 exp(-f / 10)
     return 1 / (1 + np.exp(-0.00518 * (f - 306.6))) + 20 * np.exp(-f / 10)
 
 
 def svm(lines: Spectrum) -> float:
-    """Stroboscopic visibility measure: 1 is just visible.
-
-    Parameters
-    ----------
-    lines
-        Modulation by frequency, up to `SVM_TOP_HZ`.
-    """
+    """Stroboscopic visibility measure: 1 is just visible."""
     # SVM = (sum (C_m / T_m)^3.7)^(1 / 3.7)
     ratio = lines.modulation / visibility_threshold(lines.hz)
     return float((ratio**SVM_EXPONENT).sum() ** (1 / SVM_EXPONENT))
@@ -174,13 +116,6 @@ def flickering_period(flux: ArrayLike, slot_s: float) -> float:
     """Longest time in s between instants at which the light given so far equals a steady light's of the same mean.
 
     Over such a stretch the mean brightness is the light's own; within it, it is not. 0 for a steady light.
-
-    Parameters
-    ----------
-    flux
-        (slots,) light of each slot, 0 or more.
-    slot_s
-        Length of a slot in s.
     """
     f = np.asarray(flux, float)
     ahead = np.append(0.0, np.cumsum(f - f.mean()))  # straight lines in between

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from heliograph.experiments import plots
 from heliograph.experiments.patterns.received import led_points, luminance_at, static_frame
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.measure.statistics import Count
 from heliograph.signal.header import IDENTITIES, header_cells, header_levels
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence, periodic_correlation
@@ -20,13 +20,7 @@ TEXT = (
 
 
 def run(context: Context) -> ExperimentResult:
-    """Film headers and read their cells.
-
-    Parameters
-    ----------
-    context
-        Seed, and whether the run is quick, which takes every third identity only.
-    """
+    """Film headers and read their cells."""
     wrong = measure(range(0, IDENTITIES, 3 if context.quick else 1), context.seed)
     pictures = [
         header_levels(0) * 63,
@@ -53,15 +47,7 @@ def run(context: Context) -> ExperimentResult:
 
 
 def measure(identities: range, seed: int) -> dict[float, Count]:
-    """Cells read wrong, by distance in m.
-
-    Parameters
-    ----------
-    identities
-        Identities whose header is filmed, once at each distance, each 0 to 29.
-    seed
-        Seed of place and noise, 0 or more.
-    """
+    """Cells read wrong, by distance in m."""
     return {z: _wrong_cells(z, identities, seed) for z in DISTANCES}
 
 

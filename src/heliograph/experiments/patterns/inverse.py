@@ -10,7 +10,7 @@ from heliograph.channel import film
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
 from heliograph.experiments.patterns.received import led_points, luminance_at
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.signal import haar
 from heliograph.signal.packet import with_inverses
 
@@ -32,29 +32,17 @@ TEXT = (
 
 @dataclass(frozen=True, slots=True)
 class Spreads:
-    """Spread of the LEDs' luminance by distance in m: of pattern, sum and all-on array, (3,) each.
+    """Spread of the LEDs' luminance by distance in m: of pattern, sum and all-on array, (3,) each."""
 
-    Attributes
-    ----------
-    pairs
-        Pairs filmed at each distance.
-    bright, dim
-        With LEDs as bright as in the reference link, and with `DIM` of that.
-    """
-
+    # Pairs filmed at each distance
     pairs: int
+    # bright, dim: with LEDs as bright as in the reference link, and with `DIM` of that
     bright: Mapping[float, NDArray[np.float64]]
     dim: Mapping[float, NDArray[np.float64]]
 
 
 def run(context: Context) -> ExperimentResult:
-    """Film pairs near and far.
-
-    Parameters
-    ----------
-    context
-        Seed, and whether the run is quick, which takes 4 pairs at each distance in place of 40.
-    """
+    """Film pairs near and far."""
     spreads = measure(4 if context.quick else 40, context.seed)
     shots = [_filmed(z, context.seed) for z in (25.0, 50.0)]
     images = [image for first, second, _ in shots for image in (first, second, (first + second) / 2)]
@@ -77,15 +65,7 @@ def run(context: Context) -> ExperimentResult:
 
 
 def measure(pairs: int, seed: int) -> Spreads:
-    """Mean spreads at each distance.
-
-    Parameters
-    ----------
-    pairs
-        Pairs filmed at each distance, bright and dim, 1 or more.
-    seed
-        Seed of the first pair, 0 or more; those of the others follow.
-    """
+    """Mean spreads at each distance."""
     bright, dim = (
         {z: np.array([_spreads(z, seed + k, light) for k in range(pairs)]).mean(0) for z in DISTANCES}
         for light in (1.0, DIM)
@@ -94,13 +74,7 @@ def measure(pairs: int, seed: int) -> Spreads:
 
 
 def judge(spreads: Spreads) -> Finding:
-    """Whether the sum is about as uniform as an array with all LEDs on.
-
-    Parameters
-    ----------
-    spreads
-        Mean spreads at each of `DISTANCES`, bright and dim.
-    """
+    """Whether the sum is about as uniform as an array with all LEDs on."""
     rest, rest_dim = (
         {z: float((s[1] - s[2]) / s[0]) for z, s in part.items()} for part in (spreads.bright, spreads.dim)
     )

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from heliograph.experiments import plots
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, transmitters
 from heliograph.signal.settings import LAYERS
@@ -24,20 +24,13 @@ TEXT = (
 
 @dataclass(frozen=True, slots=True)
 class Packets:
-    """Packets as a transmitter sends them.
+    """Packets as a transmitter sends them."""
 
-    Attributes
-    ----------
-    settings
-        Settings of the link.
-    sender
-        Transmitter that sends them; its format says how they should be built.
-    patterns
-        (packets, patterns, 16, 16) levels 0 to 4.
-    """
-
+    # Settings of the link
     settings: LinkSettings
+    # Transmitter that sends them; its format says how they should be built
     sender: Transmitter
+    # (packets, patterns, 16, 16) levels 0 to 4
     patterns: NDArray[np.uint8]
 
     @property
@@ -47,13 +40,7 @@ class Packets:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Take packets from the transmitter and check their build.
-
-    Parameters
-    ----------
-    context
-        Whether the run is quick, which takes 3 packets in place of 30.
-    """
+    """Take packets from the transmitter and check their build."""
     sent = measure(3 if context.quick else 30)
     rows = [
         [name, str(form.codewords), str(form.code.k), str(form.code.length), str(form.payload_bytes)]
@@ -85,26 +72,14 @@ def run(context: Context) -> ExperimentResult:
 
 
 def measure(count: int) -> Packets:
-    """The first packets of the preset's transmitter.
-
-    Parameters
-    ----------
-    count
-        Number of packets, 1 or more.
-    """
+    """The first packets of the preset's transmitter."""
     settings = load_settings("paper")
     sender = transmitters(settings, default_messages(settings))[0]
     return Packets(settings, sender, np.stack(list(islice(sender.packets(), count))))
 
 
 def judge(sent: Packets) -> Finding:
-    """Whether each packet is headers and pairs of pattern and inverse.
-
-    Parameters
-    ----------
-    sent
-        Packets to check, with their transmitter.
-    """
+    """Whether each packet is headers and pairs of pattern and inverse."""
     count, signal = len(sent.patterns), sent.settings.signal
     pairs = sent.patterns.reshape(count, -1, 2, 16, 16)
     header = sent.sender.format.header_pattern(sent.sender.identity)

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
-from heliograph.experiments.tracking.verdicts import rates
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.tracking.experiment import rates
 from heliograph.link.settings import LinkSettings, load_settings
 
 TEXT = (
@@ -16,56 +16,30 @@ TEXT = (
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter of the paper beside the preset's.
+    """A parameter of the paper beside the preset's."""
 
-    Attributes
-    ----------
-    name
-        Name of the parameter in the tables.
-    paper
-        The paper's value in `unit`; a text is compared as it is.
-    unit
-        Unit of the value; empty where it has none.
-    of
-        Takes the value, in the same unit, from the settings.
-    """
-
+    # Name of the parameter in the tables
     name: str
+    # The paper's value in `unit`; a text is compared as it is
     paper: float | str
+    # Unit of the value; empty where it has none
     unit: str
+    # Takes the value, in the same unit, from the settings
     of: Callable[[LinkSettings], float | str]
 
     def ours(self, link: LinkSettings) -> float | str:
-        """The preset's value.
-
-        Parameters
-        ----------
-        link
-            Settings from which the preset's value is taken.
-        """
+        """The preset's value."""
         return self.of(link)
 
     def equal(self, link: LinkSettings) -> bool:
-        """Whether they agree, numbers to 0.1 %.
-
-        Parameters
-        ----------
-        link
-            Settings from which the preset's value is taken.
-        """
+        """Whether they agree, numbers to 0.1 %."""
         ours = self.ours(link)
         if isinstance(ours, str) or isinstance(self.paper, str):
             return ours == self.paper
         return abs(ours - self.paper) <= 1e-3 * abs(self.paper)
 
     def cells(self, link: LinkSettings) -> list[str]:
-        """Name, both values, and whether they agree.
-
-        Parameters
-        ----------
-        link
-            Settings from which the preset's value is taken.
-        """
+        """Name, both values, and whether they agree."""
         values = [
             f"{v if isinstance(v, str) else f'{v:.6g}'} {self.unit}".strip() for v in (self.paper, self.ours(link))
         ]
@@ -108,13 +82,7 @@ STATIC_KB_S, DRIVING_KB_S = 128.0, 16.0
 
 
 def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experiment takes a context
-    """Compare.
-
-    Parameters
-    ----------
-    context
-        Not used: nothing here is random.
-    """
+    """Compare."""
     link, by_tracking = load_settings("paper"), rates()
     return ExperimentResult(
         key="tables",
@@ -142,13 +110,7 @@ def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experimen
 
 
 def judge(link: LinkSettings) -> list[Finding]:
-    """Whether parameters and data rates are the paper's.
-
-    Parameters
-    ----------
-    link
-        Settings of the link that is judged.
-    """
+    """Whether parameters and data rates are the paper's."""
     rate = net_kb_s(link)
     return [
         _agreement("Table I: the camera.", CAMERA, link),
@@ -170,13 +132,7 @@ def judge(link: LinkSettings) -> list[Finding]:
 
 
 def net_kb_s(link: LinkSettings) -> float:
-    """Bits of the data pairs by time in kb/s, headers and code left out.
-
-    Parameters
-    ----------
-    link
-        Settings that give the LEDs in a row and the pattern period.
-    """
+    """Bits of the data pairs by time in kb/s, headers and code left out."""
     return link.signal.side**2 * _pairs_a_second(link) / 1000
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph.channel import film
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.signal import pwm
 from heliograph.signal.settings import SignalSettings
 
@@ -35,13 +35,7 @@ Luminances = Mapping[float, NDArray[np.float64]]
 
 
 def run(context: Context) -> ExperimentResult:
-    """Draw the waveforms and film each level.
-
-    Parameters
-    ----------
-    context
-        Seed, and whether the run is quick, which takes 4 films of each exposure in place of 40.
-    """
+    """Draw the waveforms and film each level."""
     light = measure(range(context.seed, context.seed + (4 if context.quick else 40)))
     return ExperimentResult(
         key="fig4",
@@ -57,24 +51,12 @@ def run(context: Context) -> ExperimentResult:
 
 
 def measure(seeds: Sequence[int]) -> Luminances:
-    """Film each level with each exposure.
-
-    Parameters
-    ----------
-    seeds
-        Seeds of the films of an exposure, one each, 0 or more.
-    """
+    """Film each level with each exposure."""
     return {tau: np.array([filmed(tau, seed) for seed in seeds]) for tau in EXPOSURES_S}
 
 
 def judge(light: Luminances) -> list[Finding]:
-    """Whether the light grows with the level, with an exposure of T_b and with half of it.
-
-    Parameters
-    ----------
-    light
-        Light by level of each film, at all of `EXPOSURES_S`.
-    """
+    """Whether the light grows with the level, with an exposure of T_b and with half of it."""
     whole, half = (light[tau] for tau in EXPOSURES_S)
     off = np.abs(whole.mean(0) - LEVELS / 4).max()
     lost = _lost_steps(half.mean(0))
@@ -101,19 +83,7 @@ def _table(light: Luminances) -> Table:
 
 
 def filmed(exposure_s: float, seed: int) -> NDArray[np.float64]:
-    """Light of the array in a frame at each level, less that of the dark array, by that of level 4.
-
-    Parameters
-    ----------
-    exposure_s
-        Exposure of each frame in s.
-    seed
-        Seed of place and noise, 0 or more.
-
-    Returns
-    -------
-    (5,) for the levels 0 to 4.
-    """
+    """Light of the array in a frame at each level, less that of the dark array, by that of level 4."""
     rng = np.random.default_rng(seed)
     settings = centred_link(DISTANCE_M, rng).channel
     settings = replace(settings, duration_s=5e-3, camera=replace(settings.camera, exposure_s=exposure_s))

@@ -11,7 +11,7 @@ from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth, film
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
-from heliograph.experiments.result import Context, ExperimentResult, Finding
+from heliograph.experiments.report import Context, ExperimentResult, Finding
 from heliograph.receive import Pose
 from heliograph.signal import haar
 
@@ -33,13 +33,7 @@ Contrasts = Mapping[float, Sequence[float]]
 
 
 def run(context: Context) -> ExperimentResult:
-    """Film the array from near to far.
-
-    Parameters
-    ----------
-    context
-        Seed of the data that are shown, and whether the run is quick, which takes 2 frames of 20 at each distance.
-    """
+    """Film the array from near to far."""
     contrasts = measure(range(2 if context.quick else 20))
     return ExperimentResult(
         key="fig3",
@@ -52,25 +46,13 @@ def run(context: Context) -> ExperimentResult:
 
 
 def measure(seeds: Sequence[int]) -> Contrasts:
-    """Contrast of single LEDs in each frame, by distance in m.
-
-    Parameters
-    ----------
-    seeds
-        Seeds of place and noise of the frames at a distance, one each, 0 or more.
-    """
+    """Contrast of single LEDs in each frame, by distance in m."""
     on = np.full((16, 16), 4, np.uint8)
     return {z: [contrast(*static_frame(z, on, seed)) for seed in seeds] for z in SWEEP_M}
 
 
 def judge(contrasts: Contrasts) -> Finding:
-    """Whether single LEDs are resolved near in all frames and far in none.
-
-    Parameters
-    ----------
-    contrasts
-        Contrast of each frame by distance in m, `NEAR_M` and `FAR_M` among them.
-    """
+    """Whether single LEDs are resolved near in all frames and far in none."""
     near, far = (np.array(contrasts[z]) for z in (NEAR_M, FAR_M))
     holds = bool((near > RESOLVED).all() and (far < RESOLVED).all())
     return Finding(
@@ -82,15 +64,7 @@ def judge(contrasts: Contrasts) -> Finding:
 
 
 def draw(contrasts: Contrasts, seed: int) -> list[tuple[Figure, str]]:
-    """The array near and far, and its contrast by distance; each with its caption.
-
-    Parameters
-    ----------
-    contrasts
-        Contrast of each frame, -1 to 1, by distance in m.
-    seed
-        Seed of the data that are shown, 0 or more.
-    """
+    """The array near and far, and its contrast by distance; each with its caption."""
     data = haar.encode(np.random.default_rng(seed).choice([-1, 1], (16, 16)))
     images = [static_frame(z, levels, 0)[0].pixels for z in (NEAR_M, FAR_M) for levels in (data, np.full_like(data, 4))]
     names = [f"{z:g} m, {what}" for z in (NEAR_M, FAR_M) for what in ("data", "all on")]
@@ -101,17 +75,7 @@ def draw(contrasts: Contrasts, seed: int) -> list[tuple[Figure, str]]:
 
 
 def static_frame(distance_m: float, levels: NDArray[np.uint8], seed: int) -> tuple[Frame, ArrayTruth]:
-    """A frame of a steady pattern and its truth, the array at rest within a pixel of the sensor's middle.
-
-    Parameters
-    ----------
-    distance_m
-        Distance from camera to array in m, above 0.
-    levels
-        (16, 16) levels 0 to 4.
-    seed
-        Seed of place and noise, 0 or more.
-    """
+    """A frame of a steady pattern and its truth, the array at rest within a pixel of the sensor's middle."""
     settings = centred_link(distance_m, np.random.default_rng([seed, round(distance_m)]))
     channel = replace(settings.channel, duration_s=1e-3)
     shots = film(channel, [[levels]], np.random.default_rng(seed), pattern_period_s=1e-3, roi_margin_px=6)
@@ -120,19 +84,7 @@ def static_frame(distance_m: float, levels: NDArray[np.uint8], seed: int) -> tup
 
 
 def luminance_at(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Luminance in gray levels at points of the sensor, by cubic interpolation.
-
-    Parameters
-    ----------
-    frame
-        The frame, or a window of it.
-    points
-        (..., 2) x and y on the sensor in px.
-
-    Returns
-    -------
-    (...) luminances.
-    """
+    """Luminance in gray levels at points of the sensor, by cubic interpolation. Returns (...) luminances."""
     from heliograph.receive.decode import kernels
 
     flat = np.ascontiguousarray((points - np.array(frame.origin)).reshape(-1, 2))
@@ -142,26 +94,12 @@ def luminance_at(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def led_points(truth: ArrayTruth) -> NDArray[np.float64]:
-    """True image points of the LEDs, (16, 16, 2) x and y in px.
-
-    Parameters
-    ----------
-    truth
-        True place, pitch and roll of the array in the frame.
-    """
+    """True image points of the LEDs, (16, 16, 2) x and y in px."""
     return Pose(truth.x, truth.y, truth.pitch_px, truth.roll_rad).leds(16)
 
 
 def contrast(frame: Frame, truth: ArrayTruth) -> float:
-    """(light at LEDs - light midway) / sum, -1 to 1, over an array with all LEDs on.
-
-    Parameters
-    ----------
-    frame
-        Frame that shows the array with all LEDs on, or a window of it.
-    truth
-        True place, pitch and roll of the array in the frame.
-    """
+    """(light at LEDs - light midway) / sum, -1 to 1, over an array with all LEDs on."""
     points = led_points(truth)
     midway = 0.5 * (points[:, 1:] + points[:, :-1])
     on, gap = (np.maximum(luminance_at(frame, where), 0).mean() for where in (points, midway))  # cubics undershoot

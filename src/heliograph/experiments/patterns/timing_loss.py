@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
 from heliograph.receive.sync import combine as partial_exposure
 from heliograph.receive.sync.combine import Combination, combine_pair
 
@@ -29,39 +29,26 @@ TEXT = (
 
 @dataclass(frozen=True, slots=True)
 class TimingLoss:
-    """The best combinations of frames for pairs at a rate, an exposure and a phase.
+    """The best combinations of frames for pairs at a rate, an exposure and a phase."""
 
-    Attributes
-    ----------
-    rate
-        Frames a pattern, 1 or more.
-    exposure, phase
-        Exposure, and start of the first one after that of a pattern, in T_b.
-    slope
-        Mean slope over the levels, as a ratio to that of a camera in step.
-    noise
-        Standard deviation of the noise, by that of the difference of two frames.
-    loss_db
-        Noise over slope of the worst pair in dB.
-    around
-        Standard deviation of the light of the pairs before and after, by that of the levels.
-    rest
-        Standard deviation of the part not linear in the levels, by that of the levels.
-    bits
-        Information on each symbol in bit without noise, the pairs around known, up to 1.
-    header
-        Largest contrast of the header less its inverse in a frame wholly within the header, up to 1.
-    """
-
+    # Frames a pattern, 1 or more
     rate: float
+    # exposure, phase: exposure, and start of the first one after that of a pattern, in T_b
     exposure: float
     phase: float
+    # Mean slope over the levels, as a ratio to that of a camera in step
     slope: float
+    # Standard deviation of the noise, by that of the difference of two frames
     noise: float
+    # Noise over slope of the worst pair in dB
     loss_db: float
+    # Standard deviation of the light of the pairs before and after, by that of the levels
     around: float
+    # Standard deviation of the part not linear in the levels, by that of the levels
     rest: float
+    # Information on each symbol in bit without noise, the pairs around known, up to 1
     bits: float
+    # Largest contrast of the header less its inverse in a frame wholly within the header, up to 1
     header: float
 
 
@@ -75,17 +62,7 @@ def measure() -> list[TimingLoss]:
 
 
 def timing_loss(rate: float, exposure: float, phase: float) -> TimingLoss:
-    """The best combinations for some pairs in a row.
-
-    Parameters
-    ----------
-    rate
-        Frames a pattern, 1 or more.
-    exposure
-        Exposure of each frame in T_b, above 0.
-    phase
-        Start of the first exposure after that of a pattern, in T_b.
-    """
+    """The best combinations for some pairs in a row."""
     rows = np.array([_row(combination) for combination in _combinations(rate, exposure, phase)])
     with np.errstate(divide="ignore"):
         loss = 20 * np.log10(rows[:, 1] / rows[:, 0]).max()
@@ -127,13 +104,7 @@ def _header(rate: float, exposure: float, phase: float) -> float:
 
 
 def table(losses: Iterable[TimingLoss]) -> Table:
-    """A row a case and phase.
-
-    Parameters
-    ----------
-    losses
-        Losses by rate, exposure and phase, in the order of the rows.
-    """
+    """A row a case and phase."""
     head = ("rate", "exposure", "phase", "slope", "noise", "loss (dB)", "around", "rest", "bits", "header")
     return Table("The best combination for a pair", head, [_cells(one) for one in losses])
 
@@ -144,13 +115,7 @@ def _cells(one: TimingLoss) -> Sequence[str]:
 
 
 def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experiment takes a context
-    """Compute all cases.
-
-    Parameters
-    ----------
-    context
-        Not used: there is one effort, and nothing random.
-    """
+    """Compute all cases."""
     losses = measure()
     in_step = [one for one in losses if one.rate == 1 and one.exposure == 1]
     worst = max(in_step, key=lambda one: one.loss_db)

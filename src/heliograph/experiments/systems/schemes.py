@@ -39,18 +39,12 @@ ReadMethod = Literal["plain", "inverse", "known"]
 
 @dataclass(frozen=True)
 class Scheme:
-    """How bits are sent.
+    """How bits are sent."""
 
-    Attributes
-    ----------
-    key
-        "ook", one bit per LED; "haar", the hierarchical code; "repeat2" and "repeat4", one bit per square of 2 x 2 or
-        4 x 4 LEDs.
-    parts
-        Place in the bits of a pattern of each part that is counted by itself.
-    """
-
+    # "ook", one bit per LED; "haar", the hierarchical code; "repeat2" and "repeat4", one bit per square of 2 x 2 or 4 x
+    # 4 LEDs
     key: str
+    # Place in the bits of a pattern of each part that is counted by itself
     parts: Mapping[str, slice]
 
     @property
@@ -108,61 +102,27 @@ SCHEMES = {scheme.key: scheme for scheme in _schemes()}
 
 @dataclass(slots=True)
 class BitCounts:
-    """Bits of a scheme counted at a distance.
+    """Bits of a scheme counted at a distance."""
 
-    Attributes
-    ----------
-    counts
-        Bits and errors by method and part, clustered by film.
-    films, found
-        Films, and those in which the array was found.
-    """
-
+    # Bits and errors by method and part, clustered by film
     counts: dict[tuple[ReadMethod, str], Clustered] = field(default_factory=dict)
+    # films, found: films, and those in which the array was found
     films: int = 0
     found: int = 0
 
     def add(self, method: ReadMethod, part: str, trials: int, errors: int) -> None:
-        """Count the bits of a film.
-
-        Parameters
-        ----------
-        method, part
-            How they were read, and the part of the pattern they belong to.
-        trials, errors
-            Bits, and wrong ones.
-        """
+        """Count the bits of a film."""
         self.counts.setdefault((method, part), Clustered(scattered=True)).add(trials, errors)
 
     def settled(self, target: int) -> bool:
-        """Whether every count has bits or errors enough, or the array is out of reach.
-
-        Parameters
-        ----------
-        target
-            Bits that are enough for a count; `ENOUGH` errors are as well.
-        """
+        """Whether every count has bits or errors enough, or the array is out of reach."""
         if self.films >= SILENT and not self.found:
             return True
         return bool(self.counts) and all(c.trials >= target or c.errors >= ENOUGH for c in self.counts.values())
 
 
 def count_bits(scheme: Scheme, methods: Sequence[ReadMethod], distance_m: float, target: int, seed: int) -> BitCounts:
-    """Read films at rest, each at its own place on the pixel grid, until enough bits or errors are counted.
-
-    Parameters
-    ----------
-    scheme
-        How bits are sent.
-    methods
-        How the LEDs are read.
-    distance_m
-        Distance of the array in m, above 0.
-    target
-        Bits of each part, less where `ENOUGH` errors come first.
-    seed
-        Of bits, places and noise.
-    """
+    """Read films at rest, each at its own place on the pixel grid, until enough bits or errors are counted."""
     counted, number = BitCounts(), 0
     while not counted.settled(target):
         rng = np.random.default_rng([seed, number, round(1000 * distance_m), *scheme.key.encode()])

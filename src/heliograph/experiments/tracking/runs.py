@@ -12,12 +12,19 @@ from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth, film
-from heliograph.experiments.tracking.follow import Follower, InvertedSignals, NoTracking, in_header
-from heliograph.experiments.tracking.image import BackgroundMotion, MultipleInstance, TemplateMatch
-from heliograph.experiments.tracking.known import KnownPattern, known_light
-from heliograph.link.recordings import load_footage, load_imu
+from heliograph.experiments.tracking.trackers import (
+    BackgroundMotion,
+    Follower,
+    InvertedSignals,
+    KnownPattern,
+    MultipleInstance,
+    NoTracking,
+    TemplateMatch,
+    in_header,
+    known_light,
+)
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Recordings, default_messages, simulate
+from heliograph.link.simulate import Recordings, default_messages, load_footage, load_imu, simulate
 from heliograph.receive import Pose
 from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.detect.detection import Detection
@@ -49,67 +56,40 @@ Pair = tuple[Frame, Frame, ArrayTruth, ArrayTruth]
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingFilm:
-    """A film to run the trackers on.
+    """A film to run the trackers on."""
 
-    Attributes
-    ----------
-    name
-        Name of the film in tables.
-    settings
-        Settings of the link that is filmed.
-    seed
-        Seed of road, scene and noise, 0 or more.
-    clip, imu
-        Files of recorded footage and motion; None: as the settings draw them.
-    """
-
+    # Name of the film in tables
     name: str
+    # Settings of the link that is filmed
     settings: LinkSettings
+    # Seed of road, scene and noise, 0 or more
     seed: int
+    # clip, imu: files of recorded footage and motion; None: as the settings draw them
     clip: Path | None = None
     imu: Path | None = None
 
 
 @dataclass(frozen=True)
 class TrackingRun:
-    """Errors of the trackers in a film, by pair of frames.
+    """Errors of the trackers in a film, by pair of frames."""
 
-    Attributes
-    ----------
-    name
-        Name of the film in tables.
-    times_s, distance_m, side_px
-        (n,) time of the pair since the film's start in s; true distance in m and side of the array in px.
-    packet
-        (n,) number of the packet the pair belongs to.
-    errors
-        By tracker (n, 3): x and y, found minus true, in px, and pitch found over true, less 1 (NaN: not given).
-    cuts
-        Moments for the pictures: time, and the sum cut out at the first pose and at the tracked one.
-    """
-
+    # Name of the film in tables
     name: str
+    # times_s, distance_m, side_px: (n,) time of the pair since the film's start in s; true distance in m and side of
+    # the array in px
     times_s: Floats
     distance_m: Floats
     side_px: Floats
+    # (n,) number of the packet the pair belongs to
     packet: NDArray[np.int64]
+    # By tracker (n, 3): x and y, found minus true, in px, and pitch found over true, less 1 (NaN: not given)
     errors: Mapping[str, Floats]
+    # Moments for the pictures: time, and the sum cut out at the first pose and at the tracked one
     cuts: list[tuple[float, tuple[Floats, Floats]]] = field(default_factory=list)
 
 
 def run_trackers(job: TrackingFilm) -> TrackingRun:
-    """Run all trackers on a film.
-
-    Parameters
-    ----------
-    job
-        Settings, seed and recordings of the film.
-
-    Raises
-    ------
-    HeliographError
-        The array was not found.
-    """
+    """Run all trackers on a film."""
     recordings = Recordings(
         footage=load_footage(job.clip) if job.clip else None, imu=load_imu(job.imu) if job.imu else None
     )

@@ -113,32 +113,20 @@ class Camera(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A camera that is there.
+    """A camera that is there."""
 
-    Attributes
-    ----------
-    address
-        What its kind knows it by, such as a serial number; empty where the kind has one camera alone.
-    text
-        Who made it and how it is connected, for the user.
-    """
-
+    # What its kind knows it by, such as a serial number; empty where the kind has one camera alone
     address: str
+    # Who made it and how it is connected, for the user
     text: str
 
 
 class CameraKind(NamedTuple):
-    """Cameras of a kind.
+    """Cameras of a kind."""
 
-    Attributes
-    ----------
-    make
-        Makes a camera of its address; the empty address is that of the first one.
-    find
-        Lists what is there; a MediaError says why there is nothing, and what to do. None where it cannot be told.
-    """
-
+    # Makes a camera of its address; the empty address is that of the first one
     make: Callable[[str], Camera]
+    # Lists what is there; a MediaError says why there is nothing, and what to do. None where it cannot be told
     find: Callable[[CameraSettings], list[Found]] | None = None
 
 
@@ -181,20 +169,7 @@ def register_camera(
 
 
 def camera_kind(name: str) -> tuple[CameraKind, str]:
-    """Return the kind and the address of a camera's name.
-
-    Parameters
-    ----------
-    name
-        The camera's name, ``camera:KIND`` or ``camera:KIND:ADDRESS``.
-
-    Raises
-    ------
-    MediaError
-        It names no kind.
-    SettingsError
-        There is no kind of that name.
-    """
+    """Return the kind and the address of a camera's name."""
     kind, _, address = name.removeprefix(PREFIX).partition(":")
     if not kind:
         raise MediaError(f"a camera is {PREFIX}KIND or {PREFIX}KIND:ADDRESS; 'heliograph cameras' lists what is there")

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from heliograph.base.errors import MediaError, brief
-from heliograph.media.live.asked import Asked, Value
 from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError, Found, Picture
 from heliograph.media.live.pixel_formats import PixelFormat, pixel_format
-from heliograph.media.live.settings import OFF, CameraSettings
+from heliograph.media.live.settings import OFF, Asked, CameraSettings, Value
 
 FOLDERS = "GENICAM_GENTL64_PATH"
 """Variable of the environment in which producers' folders are named (GenTL 1.6, section 3.3)."""
@@ -35,13 +34,7 @@ AUTOMATIC = {"exposure_us": "ExposureAuto", "gain": "GainAuto"}
 
 
 class GenicamCamera:
-    """A camera behind a GenICam producer; see `Camera`.
-
-    Parameters
-    ----------
-    address
-        Its identity as ``heliograph cameras`` lists it, or its serial number; empty for the first one found.
-    """
+    """A camera behind a GenICam producer; see `Camera`."""
 
     def __init__(self, address: str):
         self._address = address
@@ -53,13 +46,7 @@ class GenicamCamera:
         self._ticks_hz: float | None = None
 
     def open(self, settings: CameraSettings) -> CameraForm:
-        """Connect and set the camera; see `Camera`.
-
-        Raises
-        ------
-        MediaError
-            The package harvesters or a producer is missing, or no producer has such a camera.
-        """
+        """Connect and set the camera; see `Camera`."""
         self._harvester = _harvester(settings)
         found = self._harvester.device_info_list
         info = next((one for one in found if self._address in ("", one.id_, _said(one, "serial_number"))), None)
@@ -274,18 +261,7 @@ def _bounds(node: Any) -> str:
 
 
 def producers(settings: CameraSettings) -> list[str]:
-    """Return the files of GenICam producers: the one that is named, or those in the folders of `FOLDERS`.
-
-    Parameters
-    ----------
-    settings
-        Settings of a camera, of which the producer is used.
-
-    Raises
-    ------
-    MediaError
-        There is none.
-    """
+    """Return the files of GenICam producers: the one that is named, or those in the folders of `FOLDERS`."""
     if settings.producer is not None:
         if not Path(settings.producer).is_file():
             raise MediaError(f"there is no producer {settings.producer}: check the name of the .cti file")
@@ -322,18 +298,7 @@ def _harvester(settings: CameraSettings) -> Any:
 
 
 def find(settings: CameraSettings) -> list[Found]:
-    """List the cameras of all producers.
-
-    Parameters
-    ----------
-    settings
-        Settings of a camera, of which the producer is used.
-
-    Raises
-    ------
-    MediaError
-        The package harvesters is not installed, or there is no producer.
-    """
+    """List the cameras of all producers."""
     harvester = _harvester(settings)
     try:
         return [

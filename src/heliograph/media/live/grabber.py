@@ -9,9 +9,56 @@ from dataclasses import dataclass
 from heliograph.base.errors import HeliographError, MediaError, brief
 from heliograph.base.frames import Frame
 from heliograph.media.live.camera import Camera, CameraCrashError, CameraForm, CameraLostError
-from heliograph.media.live.frame_queue import FrameQueue
 from heliograph.media.live.numbering import Numbering
 from heliograph.media.live.settings import CameraSettings
+
+DRAINED = 0.5
+"""Fraction of a full queue that must be taken before frames are queued again. Chosen: frames are then dropped in one
+run, and come in one: what is between can hold whole packets, every second frame cannot."""
+
+
+class FrameQueue:
+    """Frames that wait for the receiver. Where it is full, new frames are dropped until half of it is taken."""
+
+    def __init__(self, most: int):
+        self.dropped = 0
+        self._most, self._frames = most, deque[Frame]()
+        self._changed = threading.Condition()
+        self._full = self._ended = False
+
+    def put(self, frame: Frame) -> None:
+        """Queue a frame, or drop it."""
+        with self._changed:
+            waiting = len(self._frames)
+            self._full = waiting >= self._most or (self._full and waiting > DRAINED * self._most)
+            if self._full:
+                self.dropped += 1
+                return
+            self._frames.append(frame)
+            self._changed.notify()
+
+    def end(self) -> None:
+        """Say that no frame comes any more."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
+
+    @property
+    def over(self) -> bool:
+        """Whether all frames are taken and none comes any more."""
+        with self._changed:
+            return self._ended and not self._frames
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def get(self, wait_s: float) -> Frame | None:
+        """Take the oldest frame; None where none comes in time."""
+        with self._changed:
+            if not self._frames and not self._ended:
+                self._changed.wait(wait_s)
+            return self._frames.popleft() if self._frames else None
+
 
 WAIT_S = 0.1
 """Longest wait for a picture at a time: within it a reader notices that it is to end. Chosen."""
@@ -69,32 +116,7 @@ class CameraCounts:
 
 
 class Grabber:
-    """Takes a camera's pictures into a queue, in a thread of its own, until it is stopped or the camera ends.
-
-    Parameters
-    ----------
-    name
-        The camera's name, for messages.
-    make
-        Makes the camera anew, before it is opened.
-    camera
-        The camera, opened; it is closed at the end.
-    form
-        Form of its pictures.
-    settings
-        What it was asked for.
-    rate_hz
-        Frames a second that it is said to take, above 0.
-    queue
-        Takes the frames; it is told of their end.
-
-    Attributes
-    ----------
-    error
-        What ended it before its time; None where nothing did.
-    news
-        Lines about the camera that nobody has read yet.
-    """
+    """Takes a camera's pictures into a queue, in a thread of its own, until it is stopped or the camera ends."""
 
     def __init__(
         self,

@@ -6,13 +6,7 @@ from heliograph.media.live.settings import CameraSettings
 
 
 def cameras_there(settings: CameraSettings) -> tuple[list[dict[str, str]], dict[str, str]]:
-    """Return the cameras that answer, with `name` and `text`, and for each kind without any what it lacks.
-
-    Parameters
-    ----------
-    settings
-        Settings of a camera, of which those that say where to look are used.
-    """
+    """Return the cameras that answer, with `name` and `text`, and for each kind without any what it lacks."""
     found: list[dict[str, str]] = []
     lacking: dict[str, str] = {}
     for kind in CAMERAS.names():

@@ -49,47 +49,19 @@ class Place:
 
 @dataclass(slots=True)
 class _Last:
-    """What the last frame's camera said, and when it came.
+    """What the last frame's camera said, and when it came."""
 
-    Attributes
-    ----------
-    place
-        Where it stood.
-    number, stamp_ns
-        By the camera; None where it does not say, or has begun anew since.
-    host_ns
-        When it came, by the host's clock.
-    """
-
+    # Where it stood
     place: Place
+    # number, stamp_ns: by the camera; None where it does not say, or has begun anew since
     number: int | None
     stamp_ns: int | None
+    # When it came, by the host's clock
     host_ns: int
 
 
 class Numbering:
-    """Gives frames their numbers and times.
-
-    Parameters
-    ----------
-    rate_hz
-        Frames a second as the camera says, above 0.
-    even
-        Whether the camera's own clock starts the exposures, so that a late stamp means a frame that was not taken.
-
-    Attributes
-    ----------
-    lost
-        Frames that the camera numbered and of which nothing came.
-    incomplete
-        Frames of which a part came.
-    skipped
-        Frame periods for which the camera has no frame: its stamps have a gap, its numbers none.
-    jumps
-        Times the camera's clock was set or began anew while it was connected.
-    host_clock
-        Whether times are the host's, as the last frame had no stamp.
-    """
+    """Gives frames their numbers and times."""
 
     def __init__(self, rate_hz: float, even: bool):
         self.lost = self.incomplete = self.skipped = self.jumps = 0
@@ -122,21 +94,7 @@ class Numbering:
         self._ahead_ns = None
 
     def place(self, number: int | None, stamp_ns: int | None, host_ns: int) -> Place | None:
-        """Give the next frame its place.
-
-        Parameters
-        ----------
-        number
-            Number by the camera; None where it gives none.
-        stamp_ns
-            Time by the camera's clock in ns; None where it has none.
-        host_ns
-            Time at which the frame came by the host's clock, which never goes back, in ns.
-
-        Returns
-        -------
-        Its place; None of a frame that is not new.
-        """
+        """Give the next frame its place."""
         self.host_clock = stamp_ns is None
         last = self._last
         if last is None:

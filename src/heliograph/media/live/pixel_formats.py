@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Pixels
-from heliograph.media.packed import unpack_low_first, unpack_pairs
-from heliograph.media.pictures import to_gray
+from heliograph.media.images import to_gray
+from heliograph.media.numbered import unpack_low_first, unpack_pairs
 
 READ = (
     "Mono8, Mono10, Mono12, Mono14, Mono16, the same as Bayer mosaics, with p or Packed at the end for 10 and 12 bits; "
@@ -26,61 +26,26 @@ _LUMA = {"YUV422_8": 0, "YCbCr422_8": 0, "YUV422_8_UYVY": 1, "YUV422Packed": 1}
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """How a camera sends a pixel.
+    """How a camera sends a pixel."""
 
-    Attributes
-    ----------
-    name
-        Name by the convention, such as "Mono12p".
-    bits
-        Bits of a gray level, 8 to 16.
-    stored
-        Bits of a pixel as it is sent.
-    packing
-        "p" or "Packed" of levels that share bytes; empty of others.
-    colours
-        Order of the colours, such as "RGBa", or "Y" where they stand beside a luma; empty of gray levels and mosaics.
-    """
-
+    # Name by the convention, such as "Mono12p"
     name: str
+    # Bits of a gray level, 8 to 16
     bits: int
+    # Bits of a pixel as it is sent
     stored: int
+    # "p" or "Packed" of levels that share bytes; empty of others
     packing: str = ""
+    # Order of the colours, such as "RGBa", or "Y" where they stand beside a luma; empty of gray levels and mosaics
     colours: str = ""
 
     def size(self, width: int, height: int, padding: int) -> int:
-        """Return the bytes of a picture.
-
-        Parameters
-        ----------
-        width, height
-            Columns and rows in pixels.
-        padding
-            Bytes after each row that are no pixels, at least 0. Without any, packed levels go on in the next row where
-            one ends within a byte.
-        """
+        """Return the bytes of a picture."""
         bits = width * self.stored
         return (-(-bits // 8) + padding) * height - padding if padding else -(-bits * height // 8)
 
     def pixels(self, data: NDArray[np.uint8], width: int, height: int, padding: int, channel: str) -> Pixels:
-        """Return a picture's gray levels.
-
-        Parameters
-        ----------
-        data
-            (bytes,) as the camera sent them; they may be shared with what is returned.
-        width, height
-            Columns and rows in pixels.
-        padding
-            Bytes after each row that are no pixels, at least 0.
-        channel
-            What is taken of a colour: "luma", "red", "green" or "blue".
-
-        Raises
-        ------
-        MediaError
-            There are fewer bytes than pixels need, or the format has no such colour.
-        """
+        """Return a picture's gray levels."""
         needed = self.size(width, height, padding)
         if len(data) < needed:
             raise MediaError(f"a picture of {width}x{height} pixels in {self.name} has {len(data)} bytes, not {needed}")
@@ -115,18 +80,7 @@ _UNPACK = {"p": unpack_low_first, "Packed": unpack_pairs}
 
 
 def pixel_format(name: str) -> PixelFormat:
-    """Return the pixel format of a name.
-
-    Parameters
-    ----------
-    name
-        Name as the camera says it, such as "Mono8" or "BayerRG12p".
-
-    Raises
-    ------
-    MediaError
-        It is none that is read.
-    """
+    """Return the pixel format of a name."""
     if gray := _GRAY.fullmatch(name):
         bits, packing = int(gray[1]), gray[2] or ""
         if not packing:

@@ -1,4 +1,4 @@
-"""A live camera as a film: its frames as they come."""
+"""Live camera as a film: frames as they come."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -9,11 +9,9 @@ from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import HeliographError, MediaError, brief
 from heliograph.base.frames import Frame
 from heliograph.media.live.camera import PREFIX, Camera, CameraCrashError, CameraForm, camera_kind
-from heliograph.media.live.frame_queue import FrameQueue
-from heliograph.media.live.grabber import WAIT_S, CameraCounts, Grabber
+from heliograph.media.live.grabber import WAIT_S, CameraCounts, FrameQueue, Grabber
 from heliograph.media.live.settings import CameraSettings
-from heliograph.media.reader import FilmReader, checked_size
-from heliograph.media.reading import Reading
+from heliograph.media.reader import FilmReader, Reading, checked_size
 from heliograph.media.record import FASTEST_HZ
 
 FEWEST_QUEUED = 8
@@ -137,37 +135,19 @@ class LiveReader(FilmReader):
 
 
 def is_camera(path: Any) -> bool:
-    """Return True if a film's name is that of a live camera, and no file has that name.
-
-    Parameters
-    ----------
-    path
-        What was given for a film, as `film_path` returns it.
-    """
+    """Return True if a film's name is that of a live camera, and no file has that name."""
     return str(path).startswith(PREFIX) and not os.path.lexists(path)
 
 
 def film_path(text: str | os.PathLike[str]) -> Path:
-    """Return the path of a film or the name of a camera; ``./camera:x`` names a file although `Path` drops the folder.
-
-    Parameters
-    ----------
-    text
-        What was given for a film.
-    """
+    """Return the path of a film or the name of a camera; ``./camera:x`` is a file."""
     path = Path(text)
     named_file = str(path).startswith(PREFIX) and not os.fspath(text).startswith(PREFIX)
     return path.absolute() if named_file else path
 
 
 def live_of(film: FilmReader) -> LiveReader | None:
-    """Return the live camera behind a film, which may be seen through a crop; None of a recording.
-
-    Parameters
-    ----------
-    film
-        The film, as `open_film` returns it.
-    """
+    """Return the live camera behind a film, which may be seen through a crop; None of a recording."""
     behind = getattr(film, "film", film)
     return behind if isinstance(behind, LiveReader) else None
 

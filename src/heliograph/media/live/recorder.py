@@ -22,31 +22,6 @@ class Recorder:
 
     Films do not overlap: what fails within the time of a film after it was begun is in the next one. They are written
     in a thread, and appear whole or not at all.
-
-    Parameters
-    ----------
-    path
-        Name of the HDF5 film to write.
-    seconds
-        Time that is kept, above 0.
-    source
-        The camera's film, of which size, bits and metadata are used.
-    metadata
-        Text to keep with the film besides.
-
-    Attributes
-    ----------
-    path
-        Name of that film.
-    seconds
-        Time that is kept: less than was asked for where the frames would take more than `MOST_KEPT` bytes.
-    written
-        Frames of the newest film; 0 where none was written.
-
-    Raises
-    ------
-    MediaError
-        The name is not that of an HDF5 film, or its folder does not exist.
     """
 
     def __init__(self, path: Path, seconds: float, source: FilmReader, metadata: Mapping[str, str]):
@@ -67,18 +42,7 @@ class Recorder:
         self._error: BaseException | None = None
 
     def saw(self, frame: Frame) -> None:
-        """Keep a frame, and begin a film where something failed.
-
-        Parameters
-        ----------
-        frame
-            The next frame of the camera; nobody writes to its pixels any more.
-
-        Raises
-        ------
-        MediaError
-            A film could not be written.
-        """
+        """Keep a frame, and begin a film where something failed."""
         while self._frames and self._frames[0].time_s < frame.time_s - self.seconds:
             self._frames.popleft()
         self._frames.append(frame)
@@ -95,13 +59,7 @@ class Recorder:
         self._failed = True
 
     def close(self) -> None:
-        """Write what is still to be written.
-
-        Raises
-        ------
-        MediaError
-            A film could not be written.
-        """
+        """Write what is still to be written."""
         self._finish()
         left = [*self._frames] if self._failed else self._waiting
         self._failed, self._waiting = False, []

@@ -1,13 +1,14 @@
-"""Settings of a live camera, as they are asked for by ``--camera key=value``."""
+"""Settings of a live camera from ``--camera key=value``, and the report of requested and actual values."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, clear_errors, from_mapping
-from heliograph.base.errors import SettingsError, brief, shown
+from heliograph.base.errors import MediaError, SettingsError, brief, shown
 from heliograph.base.toml_text import parse_assignment
 
 OFF = "off"
@@ -91,19 +92,7 @@ class CameraSettings:
 
 
 def camera_settings(given: Mapping[str, Any] | Iterable[str] = ()) -> CameraSettings:
-    """Return settings of a camera.
-
-    Parameters
-    ----------
-    given
-        Values by name, or texts such as "exposure_us=500". Names that begin with a capital letter are features of the
-        camera itself, such as "BlackLevel=10".
-
-    Raises
-    ------
-    SettingsError
-        A name is unknown, or a value is out of range.
-    """
+    """Return settings of a camera."""
     if isinstance(given, str) or not isinstance(given, (Mapping, Iterable)):
         raise SettingsError(f"settings of a camera are by name, such as {{'exposure_us': 500}}, not {shown(given)}")
     known: dict[str, Any] = {}
@@ -134,3 +123,50 @@ def _pairs(given: Mapping[str, Any] | Iterable[str]) -> Iterable[tuple[str, Any,
         if isinstance(value, Mapping):
             raise SettingsError(f"a camera has no setting '{brief(text.partition('=')[0])}'; its names have no dots")
         yield name, value, text.partition("=")[2].strip().strip("\"'")
+
+
+ROUNDED = 1e-4
+"""Relative difference of numbers up to which they are the same: a camera may hold them in single precision, or in whole
+lines. Chosen."""
+
+Value = str | float | Sequence[int]
+"""A setting's value: text, a number, or a region."""
+
+
+class Asked:
+    """Settings of a camera, as asked for and as read back."""
+
+    def __init__(self) -> None:
+        self.settings: dict[str, object] = {}
+        self.departures: list[str] = []
+
+    @contextmanager
+    def setting(self, name: str, value: Value, known: Callable[[], Sequence[str]] | None = None) -> Iterator[None]:
+        """Turn a camera's error, raised in the block that sets it, into one that names the setting."""
+        try:
+            yield
+        except MediaError as error:
+            values = f"; it knows {', '.join(known())}" if known else ""
+            raise SettingsError(f"the camera does not take {name}={_written(value)}: {error}{values}") from None
+
+    def got(self, name: str, asked: Value | None, value: Value) -> None:
+        """Keep a value as read back, and note where it is another one than was asked for."""
+        self.settings[name] = _written(value)
+        if asked is not None and not _same(asked, value):
+            self.departures.append(f"{name} is {_written(value)}, asked for {_written(asked)}")
+
+
+def _same(asked: Value, value: Value) -> bool:
+    if asked == value:
+        return True
+    one, other = _written(asked), _written(value)
+    try:
+        return abs(float(one) - float(other)) <= ROUNDED * abs(float(one))
+    except ValueError:  # no numbers
+        return one.lower() == other.lower()
+
+
+def _written(value: Value) -> str:
+    if isinstance(value, str):
+        return value
+    return f"{value:.6g}" if isinstance(value, (int, float)) else ",".join(map(str, value))

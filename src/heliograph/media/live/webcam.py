@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.media import planes
-from heliograph.media.live.asked import Asked
 from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError, Found, Picture
-from heliograph.media.live.settings import CameraSettings
+from heliograph.media.live.settings import Asked, CameraSettings
 
 if TYPE_CHECKING:
     import av
@@ -39,13 +38,7 @@ CONTROLS = {"exposure_us": "auto_exposure=1,exposure_time_absolute", "gain": "ga
 
 
 class Webcam:
-    """A webcam; see `Camera`. It stamps its pictures by the system's clock, and does not number them.
-
-    Parameters
-    ----------
-    address
-        Its device, such as /dev/video0; empty for that.
-    """
+    """A webcam; see `Camera`. It stamps its pictures by the system's clock, and does not number them."""
 
     device = "v4l2"
     """What FFmpeg calls devices of this kind."""
@@ -59,13 +52,7 @@ class Webcam:
         self._thread: threading.Thread | None = None
 
     def open(self, settings: CameraSettings) -> CameraForm:
-        """Connect and set the camera; see `Camera`.
-
-        Raises
-        ------
-        MediaError
-            There is no such device, or it may not be read.
-        """
+        """Connect and set the camera; see `Camera`."""
         import av
 
         self._channel = settings.channel
@@ -185,18 +172,7 @@ class Webcam:
 
 
 def find(_settings: CameraSettings) -> list[Found]:
-    """List the video devices of Linux.
-
-    Parameters
-    ----------
-    _settings
-        Settings of a camera; they are not looked at.
-
-    Raises
-    ------
-    MediaError
-        There is none.
-    """
+    """List the video devices of Linux."""
     found = []
     for folder in sorted(DEVICES.glob("video*"), key=lambda path: int(path.name.removeprefix("video"))):
         first = (folder / "index").read_text().strip() if (folder / "index").is_file() else "0"

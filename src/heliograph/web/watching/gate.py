@@ -5,20 +5,7 @@ import time
 
 
 class Gate:
-    """Lets frames through: all, one, those up to a packet's end, or in time; one thread waits, another says so.
-
-    Parameters
-    ----------
-    speed
-        Seconds of the film in a second; None for as fast as it goes.
-
-    Attributes
-    ----------
-    paused
-        Whether frames wait until they are let through one by one.
-    stopped
-        Whether there are no more to be let through.
-    """
+    """Lets frames through: all, one, those up to a packet's end, or in time; one thread waits, another says so."""
 
     def __init__(self, speed: float | None = None):
         self.paused, self.stopped = False, False
@@ -35,23 +22,11 @@ class Gate:
         self._set(paused=False)
 
     def step(self, to_packet: bool = False) -> None:
-        """Let one frame through, or all until a packet is read; then hold the next one.
-
-        Parameters
-        ----------
-        to_packet
-            Whether it goes on to the end of a packet.
-        """
+        """Let one frame through, or all until a packet is read; then hold the next one."""
         self._set(paused=True, frames=0 if to_packet else 1, to_packet=to_packet)
 
     def run_at(self, speed: float | None) -> None:
-        """Change the speed.
-
-        Parameters
-        ----------
-        speed
-            Seconds of the film in a second, above 0; None for as fast as it goes.
-        """
+        """Change the speed."""
         with self._changed:
             self._speed, self._anchor = speed, None
             self._changed.notify_all()
@@ -74,13 +49,7 @@ class Gate:
             return self.paused and not self._frames and not self._to_packet
 
     def pass_through(self, time_s: float) -> bool:
-        """Wait until a frame may be taken; False where there are to be no more.
-
-        Parameters
-        ----------
-        time_s
-            Time of the frame in s.
-        """
+        """Wait until a frame may be taken; False where there are to be no more."""
         with self._changed:
             while not self.stopped:
                 if self.paused and not self._frames and not self._to_packet:

@@ -19,19 +19,7 @@ BARS = 31
 
 
 def luminances_of(cutouts: tuple[Cutout | None, ...], side: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """Read cut-outs LED by LED.
-
-    Parameters
-    ----------
-    cutouts
-        Of a packet's pairs; None for those not seen.
-    side
-        LEDs in a row.
-
-    Returns
-    -------
-    (pairs, n, n) differences of pattern and inverse at each LED, times any gain, and (pairs,) which were seen.
-    """
+    """Read cut-outs LED by LED."""
     out = np.zeros((len(cutouts), side, side))
     for place, one in enumerate(cutouts):
         if one is not None:
@@ -40,15 +28,7 @@ def luminances_of(cutouts: tuple[Cutout | None, ...], side: int) -> tuple[Floats
 
 
 def soft_by_layer(form: PacketFormat, luminances: Floats) -> dict[str, Floats]:
-    """Soft values of the coded bits by layer, (codewords, E), positive for bit 0.
-
-    Parameters
-    ----------
-    form
-        Format of the packet.
-    luminances
-        (pairs, n, n) luminances x' = level - 2, times any gain.
-    """
+    """Soft values of the coded bits by layer, (codewords, E), positive for bit 0."""
     soft = form.split(form.soft_data(luminances))
     return {name: layer.deinterleave(soft[name]) for name, layer in form.layers.items()}
 
@@ -57,13 +37,6 @@ def decided(form: PacketFormat, words: Words) -> Floats | None:
     """Luminances x' = level - 2 of the patterns that a packet's decided bits make, right or not: (pairs, n, n).
 
     None in the single mode, whose patterns depend on those before the packet.
-
-    Parameters
-    ----------
-    form
-        Format of the packet.
-    words
-        Its codewords by layer.
     """
     if form.single:
         return None
@@ -81,17 +54,6 @@ def equalised_by(
 
     Codewords that the LEDs gave by themselves it takes for known, and gives no LLRs: of these the soft values are those
     of the LEDs, and the luminances those of their bits.
-
-    Parameters
-    ----------
-    form
-        Format of the packet.
-    llr
-        By layer (codewords, E) LLRs of the equaliser, 0 of a codeword that it took for known.
-    led_by_led
-        The same of the LEDs by themselves, in any unit.
-    words
-        Its codewords by layer.
     """
     soft, bits = dict[str, Floats](), dict[str, Floats]()
     for name, values in llr.items():
@@ -103,15 +65,7 @@ def equalised_by(
 
 
 def expected(form: PacketFormat, bits: Mapping[str, Floats]) -> Floats:
-    """Luminances x' = level - 2 by the expected values of the coded bits: (pairs, n, n).
-
-    Parameters
-    ----------
-    form
-        Format of the packet.
-    bits
-        By layer (codewords, E) expected values, 1 for bit 0 and -1 for bit 1.
-    """
+    """Luminances x' = level - 2 by the expected values of the coded bits: (pairs, n, n)."""
     parts = [layer.interleave(bits[name] * (1.0 - 2.0 * layer.chips)) for name, layer in form.layers.items()]
     symbols: Any = np.concatenate(parts, axis=1)  # of any real values
     d = np.asarray(form.join(symbols), np.float64)
@@ -119,23 +73,7 @@ def expected(form: PacketFormat, bits: Mapping[str, Floats]) -> Floats:
 
 
 def histograms(form: PacketFormat, soft: Mapping[str, Floats], words: Words) -> dict[str, Any]:
-    """Soft values by layer as histograms, as plain values.
-
-    Parameters
-    ----------
-    form
-        Format of the packet.
-    soft
-        By layer (codewords, E) soft values, positive for bit 0; 0 where nothing was received.
-    words
-        Its codewords, by which the bits that were sent are known where they are read.
-
-    Returns
-    -------
-    By layer `zeros` and `ones` (bits that were sent as 0 and 1, of codewords that are read), `open` (of others), each
-    `BARS` numbers; `scale`, the soft value at the outer edge of the last bar; `wrong` of `known`, the bits of read
-    codewords whose sign was wrong before decoding.
-    """
+    """Soft values by layer as histograms, as plain values."""
     out = {}
     for name, values in soft.items():
         read = np.array([word.status == "ok" for word in words[name]])
@@ -159,15 +97,7 @@ def _bars(values: Floats, scale: float) -> list[int]:
 
 
 def grey(levels: Floats, low: float, high: float) -> dict[str, Any]:
-    """Levels as a small gray picture: `rows`, `columns`, and `data`, values 0 to 255 row by row in Base64.
-
-    Parameters
-    ----------
-    levels
-        (rows, columns) of any unit.
-    low, high
-        What is black, and what is white.
-    """
+    """Levels as a small gray picture: `rows`, `columns`, and `data`, values 0 to 255 row by row in Base64."""
     scaled = (levels - low) * (255.0 / max(high - low, TINY))
     data = np.clip(scaled, 0, 255).astype(np.uint8).tobytes()
     return {"rows": levels.shape[0], "columns": levels.shape[1], "data": b64encode(data).decode("ascii")}

@@ -33,44 +33,18 @@ STATE_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Teller:
-    """Who hears of a reception; called in its thread.
+    """Who hears of a reception; called in its thread."""
 
-    Attributes
-    ----------
-    tell
-        Gets rows of plain values, all of them in order.
-    show
-        Gets scenes, of which only the newest counts.
-    fail
-        Gets the exception that ended the reception.
-    """
-
+    # Gets rows of plain values, all of them in order
     tell: Callable[[Row], None]
+    # Gets scenes, of which only the newest counts
     show: Callable[[Scene], None]
+    # Gets the exception that ended the reception
     fail: Callable[[BaseException], None]
 
 
 class Run:
-    """A reception that is watched.
-
-    Parameters
-    ----------
-    asked
-        What is watched.
-    shared
-        Settings and films of the server.
-    teller
-        Who hears of it.
-    gate
-        Lets its frames through.
-
-    Attributes
-    ----------
-    gate
-        The same.
-    failures
-        Frames of packets that failed; None until the source is open.
-    """
+    """A reception that is watched."""
 
     def __init__(self, asked: Asked, shared: Shared, teller: Teller, gate: Gate):
         self._asked, self._shared, self._teller, self.gate = asked, shared, teller, gate
@@ -238,13 +212,7 @@ class _Film:
 
 
 def errors_by_distance(errors: ErrorCounter) -> list[dict[str, Any]]:
-    """Codewords wrong of those sent, by distance and layer, with the 95 % interval of their rate, near first.
-
-    Parameters
-    ----------
-    errors
-        The counts so far.
-    """
+    """Codewords wrong of those sent, by distance and layer, with the 95 % interval of their rate, near first."""
     rows = []
     for row in errors.report():
         layers = {}

@@ -31,20 +31,13 @@ CUT_SIDE, CUT_PITCHES = 72, 1.3
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A frame and what is known of it; the frame is made a picture when it is sent.
+    """A frame and what is known of it; the frame is made a picture when it is sent."""
 
-    Attributes
-    ----------
-    frame
-        The frame.
-    boxes
-        About the arrays: number, corners in px, distance in m, whether they were in sight.
-    cuts
-        The newest pair of each array: number, and its pattern as received.
-    """
-
+    # The frame
     frame: Frame
+    # About the arrays: number, corners in px, distance in m, whether they were in sight
     boxes: list[dict[str, Any]]
+    # The newest pair of each array: number, and its pattern as received
     cuts: list[dict[str, Any]]
 
     def encoded(self) -> bytes:
@@ -72,17 +65,11 @@ class _Tracked:
 
 @dataclass(slots=True)
 class Seen:
-    """Observer of the receiver that keeps the newest of what a page draws.
+    """Observer of the receiver that keeps the newest of what a page draws."""
 
-    Attributes
-    ----------
-    signal
-        The light's signal.
-    calibration
-        Lens and array, by which a pitch is a distance.
-    """
-
+    # The light's signal
     signal: SignalSettings
+    # Lens and array, by which a pitch is a distance
     calibration: CalibrationSettings
     _tracked: dict[int, _Tracked] = field(default_factory=dict)
     _pairs: dict[int, list[ExtractEvent]] = field(default_factory=dict)
@@ -91,13 +78,7 @@ class Seen:
     _confirmed: set[int] = field(default_factory=set)
 
     def __call__(self, event: object) -> None:
-        """Take an event.
-
-        Parameters
-        ----------
-        event
-            Any event of the receiver.
-        """
+        """Take an event."""
         if isinstance(event, TrackEvent):
             self._tracked[event.identity] = _Tracked(event.view.pose_out(event.tracked.state.pose), event.tracked.seen)
         elif isinstance(event, DetectEvent):
@@ -124,13 +105,7 @@ class Seen:
         return out
 
     def scene(self, frame: Frame) -> Scene:
-        """What is drawn with a frame.
-
-        Parameters
-        ----------
-        frame
-            The newest frame.
-        """
+        """What is drawn with a frame."""
         boxes = [self._box(identity, one) for identity, one in sorted(self._tracked.items())]
         cuts = [self._cut(identity, events[-1]) for identity, events in sorted(self._pairs.items()) if events]
         return Scene(frame, boxes, cuts)
@@ -198,17 +173,7 @@ class Seen:
 
 
 def received_of(pose: Pose, frame: AnyFrame, side: int) -> dict[str, Any]:
-    """The array as the camera saw it, always as large, with the camera's own pixels, as a small picture, see `grey`.
-
-    Parameters
-    ----------
-    pose
-        Where the array is.
-    frame
-        A frame of the camera, or a window of one.
-    side
-        LEDs in a row.
-    """
+    """The array as the camera saw it, always as large, with the camera's own pixels, as a small picture, see `grey`."""
     return _stretched(_cut(frame.pixels, frame.origin, pose, side))
 
 

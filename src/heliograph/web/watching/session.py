@@ -47,22 +47,7 @@ IDLE, WRONG, TOO_SLOW = 1000, 1008, 1013
 
 
 class Command(BaseModel):
-    """What a page says.
-
-    Attributes
-    ----------
-    do
-        "open" (a source), "pause", "go", "step" (a frame), "packet" (step to a packet's end), "speed", "stop", "save"
-        (what failed), "took" (a scene was drawn), "heard" (rows came).
-    rows
-        Rows that came so far.
-    source
-        What is opened.
-    times
-        Speed in seconds of the film in a second; None for as fast as it goes.
-    paused
-        Whether what is opened waits at its first frame.
-    """
+    """What a page says."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -74,22 +59,7 @@ class Command(BaseModel):
 
 
 class Outbox:
-    """What waits for a page: rows in order, and the newest scene; filled by the reception's thread.
-
-    Parameters
-    ----------
-    loop
-        The server's loop, which sends.
-
-    Attributes
-    ----------
-    full
-        Whether rows were lost because the page did not take them.
-    crashed
-        True if the reception ended by an unexpected exception, so that the page is let go after its rows.
-    filled
-        Set when something waits.
-    """
+    """What waits for a page: rows in order, and the newest scene; filled by the reception's thread."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop):
         self._loop, self._lock = loop, threading.Lock()
@@ -98,13 +68,7 @@ class Outbox:
         self._bytes, self.full, self.filled, self.crashed = 0, False, asyncio.Event(), False
 
     def tell(self, row: Row) -> None:
-        """Put a row behind the others.
-
-        Parameters
-        ----------
-        row
-            Plain values.
-        """
+        """Put a row behind the others."""
         text = json.dumps(row)
         if len(text) > MOST_ROW:
             text = json.dumps({k: v for k, v in row.items() if k not in ("data", "text")} | {"too_long": True})
@@ -116,13 +80,7 @@ class Outbox:
         self._wake()
 
     def fail(self, error: BaseException) -> None:
-        """Put the row of an error behind the others; nothing follows an unexpected one.
-
-        Parameters
-        ----------
-        error
-            Exception that ended the reception.
-        """
+        """Put the row of an error behind the others; nothing follows an unexpected one."""
         self.tell({"event": "failed", "reason": report(error)})
         self.crashed = is_crash(error)
         self._wake()
@@ -133,13 +91,7 @@ class Outbox:
         return not self._rows
 
     def show(self, scene: Scene) -> None:
-        """Put a scene in the place of the one before, if that was not sent.
-
-        Parameters
-        ----------
-        scene
-            The newest.
-        """
+        """Put a scene in the place of the one before, if that was not sent."""
         self._scene = scene
         self._wake()
 
@@ -163,15 +115,7 @@ class Outbox:
 
 
 class Session:
-    """A page that watches, from its coming to its going.
-
-    Parameters
-    ----------
-    socket
-        Its WebSocket, accepted.
-    shared
-        What the pages of the server share.
-    """
+    """A page that watches, from its coming to its going."""
 
     def __init__(self, socket: WebSocket, shared: Shared):
         self._socket, self._shared = socket, shared

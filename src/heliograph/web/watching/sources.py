@@ -13,9 +13,8 @@ from heliograph.base.errors import SettingsError
 from heliograph.base.files import shown_name
 from heliograph.base.toml_text import parse_assignment
 from heliograph.link.film import FrameSource, frames_of
-from heliograph.link.notes import check_truth, signal_of
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.truth import open_truth, truth_path
+from heliograph.link.truth import check_truth, open_truth, signal_of, truth_path
 from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import TruthSource
 from heliograph.media import open_film
@@ -30,29 +29,7 @@ Text = Annotated[str, Field(max_length=200)]
 
 
 class Asked(BaseModel):
-    """What a page asks to watch; nothing of it becomes a path of the disk.
-
-    Attributes
-    ----------
-    kind
-        "film" (uploaded), "named" (with the command), "camera" or "drive" (simulated).
-    film
-        Name of an uploaded film, as the server gave it.
-    number
-        Number of the named film or of the camera in the server's lists.
-    preset
-        Settings to begin with; None for those of the command.
-    seed, street
-        Of a drive: the seed of road, scene and noise, and whether a street is drawn behind the arrays.
-    distance_m, speed_m_s
-        Of a drive: first distance in m, and speed in m/s; None for those of the preset.
-    receiver
-        Name of the receiver; None for that of the preset.
-    rate_hz
-        Frames a second that a film's camera took; None believes the film.
-    changes
-        Settings such as "signal.side=8"; parts of `OPEN` alone.
-    """
+    """What a page asks to watch; nothing of it becomes a path of the disk."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -71,58 +48,33 @@ class Asked(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """Something that is watched, opened.
+    """Something that is watched, opened."""
 
-    Attributes
-    ----------
-    name
-        What a page calls it.
-    frames
-        Its frames in the order of time.
-    width, height, bits, rate_hz
-        Form of its frames.
-    frame_count
-        Frames to expect; None where that is not known.
-    signal, settings
-        The light's signal, and the link with the receiver.
-    truth
-        What was sent; None where it is not known.
-    live
-        The camera behind it; None of anything else.
-    metadata
-        Text that is kept with it.
-    """
-
+    # What a page calls it
     name: str
+    # Its frames in the order of time
     frames: FrameSource
+    # width, height, bits, rate_hz: form of its frames
     width: int
     height: int
     bits: int
     rate_hz: float
+    # Frames to expect; None where that is not known
     frame_count: int | None
+    # signal, settings: the light's signal, and the link with the receiver
     signal: SignalSettings
     settings: LinkSettings
+    # What was sent; None where it is not known
     truth: TruthSource | None = None
+    # The camera behind it; None of anything else
     live: LiveReader | None = None
+    # Text that is kept with it
     metadata: dict[str, str]
 
 
 @contextlib.contextmanager
 def opened(asked: Asked, shared: Shared) -> Iterator[Source]:
-    """Open what a page asks for, for as long as the block lasts.
-
-    Parameters
-    ----------
-    asked
-        What the page asks for.
-    shared
-        Settings, films and cameras of the server.
-
-    Raises
-    ------
-    HeliographError
-        It is not there or cannot be read, or a setting is wrong.
-    """
+    """Open what a page asks for, for as long as the block lasts."""
     if asked.kind == "drive":
         yield _drive(asked, shared)
         return

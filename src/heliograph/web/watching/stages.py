@@ -26,36 +26,18 @@ SEARCH = "search"
 
 
 class Stages:
-    """Counts the seconds of each stage, from one mark to the next.
-
-    Attributes
-    ----------
-    seconds
-        By stage, in s.
-    """
+    """Counts the seconds of each stage, from one mark to the next."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._last = time.perf_counter()
 
     def mark(self, stage: str) -> None:
-        """Count the time since the last mark for a stage.
-
-        Parameters
-        ----------
-        stage
-            Its name.
-        """
+        """Count the time since the last mark for a stage."""
         now = time.perf_counter()
         self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
         self._last = now
 
     def event(self, event: object) -> None:
-        """Count the time since the last mark for the stage that an event ends.
-
-        Parameters
-        ----------
-        event
-            An event of the receiver.
-        """
+        """Count the time since the last mark for the stage that an event ends."""
         self.mark(STAGES.get(type(event), SEARCH))
