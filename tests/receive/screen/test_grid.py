@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from heliograph.probe.cells import sharpen_corners
+from heliograph.probe.screens import sharpen_corners
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame, Pixels
