@@ -75,16 +75,6 @@ def test_scaled_statistics_are_those_of_scaled_weights_and_light(weight: float, 
     assert_equal(by_matrices(b, d, o, w).scaled(1.0), by_matrices(b, d, o, w))
 
 
-def test_statistics_along_lines_are_those_of_the_light_along_them() -> None:
-    rng = np.random.default_rng(5)
-    b, d, o, w = rng.normal(size=(60, 24)), rng.normal(size=60), rng.normal(size=60), rng.uniform(0.5, 2, 60)
-    start, slope = rng.normal(size=24), rng.normal(size=24)
-    # column q: the slopes of the four symbols of square q
-    lines = slope[:, None] * (np.arange(24)[:, None] % 6 == np.arange(6))
-    got = by_matrices(b, d, o, w).along(start, slope)
-    assert_equal(got, by_matrices(b @ lines, d, o + b @ start, w), rel=1e-5)
-
-
 def test_added_statistics_are_those_of_both_together() -> None:
     rng = np.random.default_rng(1)
     b, d, o, w = rng.normal(size=(2, 40, 12)), rng.normal(size=(2, 40)), rng.normal(size=(2, 40)), np.ones((2, 40))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.decode.codeword import Decoding, Layer, decode_layer
+from heliograph.receive.decode.codeword import Decoding, Layer, is_hopeless
 from heliograph.receive.decode.per_led import at_leds, normalised
 from heliograph.receive.equalise.symbols import SymbolMapper
 from heliograph.receive.observe.cutout import Cutout
@@ -59,7 +59,6 @@ def decode_per_quad(
     identity: int,
     options: Decoding,
     known: Words | None = None,
-    soft: bool = True,
     quick: bool = False,
 ) -> Words | None:
     """Decode samples at the LEDs, in step or out of step; None if the format has no quads."""
@@ -69,30 +68,27 @@ def decode_per_quad(
     packet = UnsynchronisedPacket.of([None if cutout is None else cutout.combination for cutout in cutouts], header)
     seen = np.array([cutout is not None for cutout in cutouts])
     symbols, mapper = _observed_symbols(cutouts, gain, form), SymbolMapper(form)
-    layers = {name: Layer.unknown(layer) for name, layer in form.layers.items()}
-    if known is not None:
-        layers = {name: layer.with_known(known[name]) for name, layer in layers.items()}
+    layers = [Layer(layer, identity, (known or {}).get(name)) for name, layer in form.layers.items()]
     idle = 0
     for _ in range(PARAMETERS.max_rounds):
-        before = [layer.open for layer in layers.values()]
-        means = [layer.mean() for layer in layers.values()]
-        mean, _ = mapper.expected(means, [layer.variances() for layer in layers.values()])
+        before = np.concatenate([layer.is_open for layer in layers])
+        means = [layer.mean() for layer in layers]
+        mean, _ = mapper.expected(means, [layer.variances() for layer in layers])
         expected = packet.expected(mean)
         cleaned = _cancel_neighbours(symbols, np.where(seen[:, None], expected.mean + expected.leak, 0.0))
         pairs = np.flatnonzero(seen)[:: PARAMETERS.em_stride]
         amplitude, noise = _estimate_scale(cleaned, packet, expected, mean, pairs)
         llrs = packet.llrs(cleaned / amplitude, noise / amplitude**2, expected, mean)
         parts = mapper.bits(np.where(seen[:, None], llrs, 0.0), means)
-        layers = {
-            name: decode_layer(layer.equalised(part), name, identity, options, soft)
-            for (name, layer), part in zip(layers.items(), parts, strict=True)
-        }
-        after = [layer.open for layer in layers.values()]
-        idle = idle + 1 if after == before else 0
-        hopeless = idle and all(layer.hopeless for layer in layers.values())
-        if (quick and not idle) or not any(after) or idle == PARAMETERS.max_idle_rounds or hopeless:
+        for layer, part in zip(layers, parts, strict=True):
+            layer.equalise(part)
+            layer.decode(options)
+        after = np.concatenate([layer.is_open for layer in layers])
+        idle = idle + 1 if np.array_equal(after, before) else 0
+        hopeless = np.concatenate([is_hopeless(layer.information, layer.form) for layer in layers])[after].all()
+        if (quick and not idle) or not after.any() or idle == PARAMETERS.max_idle_rounds or (idle and hopeless):
             break
-    return {name: layer.words for name, layer in layers.items()}
+    return {layer.form.name: layer.words for layer in layers}
 
 
 def _observed_symbols(cutouts: Sequence[Cutout | None], gain: float, form: PacketFormat) -> Floats:

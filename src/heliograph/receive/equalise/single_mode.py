@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from heliograph.base.arrays import RCOND, Floats
-from heliograph.base.threads import one_thread
 from heliograph.receive.equalise.lmmse import equalise, products
 from heliograph.receive.geometry import kernels as geometry_kernels
 from heliograph.receive.geometry.fit import Fit, correlation
@@ -133,7 +132,6 @@ class DecisionDirectedTracker:
         # a single frame's cut-out is twice the frame: twice the variance of a difference of two
         self.noise = Noise(2 * noise.lit, max(2 * noise.dark, 4 * variance))
 
-    @one_thread()
     def follow(self, track: Track, pair: FramePair) -> TrackedPair:
         """Update the track by two frames; predict only if the array is not visible."""
         background = self._background

@@ -38,16 +38,6 @@ class Cutout:
     noise: float = 1.0
     # (n, n) 1 for visible LEDs, 0 for occluded LEDs; None if all are visible
     in_sight: Floats | None = None
-    # Gray levels of the sum of a pair with all LEDs on, and (n, n) gains, for the background that `steady` subtracts;
-    # None if not needed
-    background: tuple[float, Floats] | None = None
-
-    @property
-    def steady(self) -> "Cutout":
-        """The cut-out after motion compensation, which reading single LEDs does not need and is slow."""
-        if self.background is None:
-            return self
-        return replace(self.motion_compensated(*self.background), background=None)
 
     @property
     def apart(self) -> bool:
@@ -100,13 +90,10 @@ class Cutout:
         return replace(self, poses=tuple(Pose.from_vector(pose.full_vector() + step) for pose in self.poses))
 
 
-def take_cutout(
-    pair: FramePair, poses: tuple[Pose, Pose], side: int, background: tuple[float, Floats] | None = None
-) -> Cutout:
+def take_cutout(pair: FramePair, poses: tuple[Pose, Pose], side: int) -> Cutout:
     """Crop a pair of frames to the array."""
     frames, window = (pair.pattern, pair.inverted), window_around(Pose.midway(*poses), side, RIM_PX + RING_PX)
     up, down = (cut_out(frame, window) for frame in frames)
     corner = window[0], window[1]
     inside = covered(frames, corner, (window[3], window[2]))
-    total, difference, combination = up + down, up - down, pair.combination
-    return Cutout(total, difference, corner, poses, combination=combination, covered=inside, background=background)
+    return Cutout(up + down, up - down, corner, poses, combination=pair.combination, covered=inside)

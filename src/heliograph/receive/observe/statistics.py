@@ -11,7 +11,7 @@ known background b is the same with 2 (r - b) = g (B c + o) + n, B = A T and o =
 With the pixels' weights W, the symbols depend on d only by B^T W d; B^T W B and B^T W o follow from the poses.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,20 +58,6 @@ class PairStatistics:
             weight * self.power,
             self.pixels,
             self.combination,
-        )
-
-    def along(self, start: Floats, slope: Floats) -> "PairStatistics":
-        """Transform to other symbols u, one for each square of 2 x 2 LEDs: c = start + slope u."""
-        # B (start + D u) + o: D^T G D, D^T B^T d and D^T (B^T o + G start)
-        gram, kinds = self.gram.reshape(4, len(start) // 4, 4, -1), slope.reshape(4, -1)
-        narrow, lit = kinds.astype(np.float32), self.gram @ start.astype(np.float32)
-        return replace(
-            self,
-            gram=np.einsum("qkr,kr->qr", np.einsum("iq,iqkr->qkr", narrow, gram), narrow),
-            matched=(kinds * self.matched.reshape(4, -1)).sum(0),
-            offset=(kinds * (self.offset + lit).reshape(4, -1)).sum(0),
-            cross=self.cross + float(start @ self.matched),
-            offset_power=self.offset_power + float(start @ (2 * self.offset + lit)),
         )
 
     def plus(self, other: "PairStatistics") -> "PairStatistics":
