@@ -122,6 +122,8 @@ class KnownPoses(ObservedPacket):
         Of each pair, None where the array was not seen.
     moves
         Refinements that count as changes all the same.
+    noise
+        Variance of a pixel of a difference.
 
     Attributes
     ----------
@@ -131,8 +133,8 @@ class KnownPoses(ObservedPacket):
         Gain and noise at each refinement.
     """
 
-    def __init__(self, statistics: Sequence[PairStatistics | None], moves: int = 0):
-        super().__init__((), Noise(1.0, 1.0), FORM, LedGains.sound(SIDE))
+    def __init__(self, statistics: Sequence[PairStatistics | None], moves: int = 0, noise: float = NOISE):
+        super().__init__((), Noise(noise, noise), FORM, LedGains.sound(SIDE))
         self._known_statistics, self._moves = statistics, moves
         self.known: list[int] = []
         self.channels: list[tuple[float, float]] = []
@@ -162,10 +164,10 @@ def decoded(
     observe: Callable[[EqualiseEvent], None] = ignore,
 ) -> Words:
     """What the soft receiver reads of a packet; a list's last buffer is used, and the next one is appended."""
-    observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet)
+    observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet, noise=channel[1])
     options, earlier = Decoding("log-map", feedback=feedback), buffer[-1] if buffer else None
     with one_thread():  # as in the receiver
-        read = decode_iteratively(observed, *channel, FORM, identity, options, earlier, observe)
+        read = decode_iteratively(observed, channel[0], identity, options, earlier, observe)
     if buffer is not None and read.buffer is not None:
         buffer.append(read.buffer)
     return read.words

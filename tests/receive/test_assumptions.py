@@ -35,7 +35,7 @@ def words(read: str) -> Words:
 def decoded(read: str, led_gains: LedGains = SEEMS_DEAD) -> TurboEqualiser:
     """An equalised packet of which some codewords are decoded."""
     observed = ObservedPacket([None], Noise(1.0, 1.0), FORM, led_gains)
-    packet = TurboEqualiser(observed, 1.0, 1.0, FORM, 0, Decoding(), None, 255.0)
+    packet = TurboEqualiser(observed, 1.0, 1.0, 0, Decoding(), None, 255.0)
     packet.words = words(read)
     return packet
 

@@ -269,7 +269,8 @@ class Scripted:
     mode: int = 0
     states: list[tuple[LedGains | None, SoftBuffer]] = field(default_factory=list)
 
-    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer, _observe: Any, /) -> Decoded:
+    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer | None, _observe: Any, /) -> Decoded:
+        assert buffer is not None
         self.states.append((led_gains, buffer))
         return self.decoded
 

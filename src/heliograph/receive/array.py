@@ -17,10 +17,10 @@ from heliograph.receive.detect.detection import Detection
 from heliograph.receive.equalise.led_gains import update_brightness
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import Observer, TrackEvent
-from heliograph.receive.geometry.pose import Orientation, Pose, rim_distance
+from heliograph.receive.geometry.pose import Pose, rim_distance
 from heliograph.receive.geometry.view import CAMERA, View
 from heliograph.receive.packet import MIN_HEADER_SCORE, MIN_PAIRS_SEEN, Packet
-from heliograph.receive.settings import CalibrationSettings
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.light_clock import PATTERNS_AROUND
 from heliograph.receive.sync.pairing import FramePair, Pairing, PoseAt, UnpairedFrame
 from heliograph.receive.sync.slips import SlipWatch
@@ -44,10 +44,6 @@ class Confidence(IntEnum):
     CODEWORD = 2
 
 
-MAX_TRACK_ERROR_PITCHES = 0.5
-"""Maximum distance between the rims of track and header in pitches: beyond, LEDs are mistaken for neighbours."""
-
-
 class ArrayReceiver:
     """Tracks an array from the detection on and observes the packets."""
 
@@ -63,15 +59,19 @@ class ArrayReceiver:
         key: ArrayKey,
         *,
         signal: SignalSettings,
-        calibration: CalibrationSettings,
-        coast_s: float,
+        settings: ReceiveSettings,
         observe: Observer,
         view: View = CAMERA,
     ):
         self.detection, self._view = detection, view
+        # number of the array, 0 to 29, and orientation in which the header was read
+        self.identity, self.orientation = detection.identity, view.orientation
         self._pairing, self._tracker, self._headers, self._make_packet = pairing, tracker, headers, make_packet
         self._submit, self._decoder, self._key = submit, decoder, key
-        self._signal, self._calibration, self._coast_s, self._observe = signal, calibration, coast_s, observe
+        self._signal, self._calibration, self._observe = signal, settings.calibration, observe
+        self._coast_s = settings.track.coast_patterns * signal.pattern_period_s
+        # pairs of a packet, with the header
+        self._pairs = signal.packet_patterns // 2
         self._track = tracker.start(detection)
         self._number, self._last_s = 0, -math.inf
         self._header = header_levels(detection.identity, signal.side) / 2.0 - 1.0
@@ -95,16 +95,6 @@ class ArrayReceiver:
         # True for pairs of data in which the array was visible, and if the light's clock measured the header
         self._seen, self._clocked = np.zeros(self._signal.data_pairs, dtype=bool), False
         self._decisions: DecisionDirectedTracker | None = None
-
-    @property
-    def identity(self) -> int:
-        """Number of the array, 0 to 29."""
-        return self.detection.identity
-
-    @property
-    def orientation(self) -> Orientation:
-        """Orientation in which the header was read."""
-        return self._view.orientation
 
     @property
     def pose(self) -> Pose:
@@ -158,7 +148,8 @@ class ArrayReceiver:
         pose = self._view.pose_out(self._track.state.pose_at(detection.time_s))
         error_px = rim_distance(pose, detection.fit.pose, self._signal.side)
         all_visible = bool((detection.led_gains == 1).all())
-        return detection.is_clear and all_visible and error_px > MAX_TRACK_ERROR_PITCHES * pose.pitch
+        # beyond half a pitch LEDs are mistaken for neighbours
+        return detection.is_clear and all_visible and error_px > 0.5 * pose.pitch
 
     def push(self, frame: Frame) -> Iterator[PendingPacket]:
         """Take the next frame; yield the packet it completes."""
@@ -187,10 +178,6 @@ class ArrayReceiver:
 
     def _pose_at(self, time_s: float) -> Pose:
         return self._track.state.pose_at(time_s)
-
-    @property
-    def _pairs(self) -> int:
-        return self._signal.packet_patterns // 2
 
     def _read_pairs(self, numbers: Iterator[int]) -> Iterator[PendingPacket]:
         """Read pairs; end the track if the equations have no solution: the next header starts another."""
@@ -295,8 +282,10 @@ class ArrayReceiver:
         self._outgrown = not self._view.suits(self._track.state.pose)
         # about half a pattern out of step no pair of a header alternates
         has_header = packet.header_score >= MIN_HEADER_SCORE or (self._clocked and not self._scores)
-        is_certain = has_header and self._is_certain(packet, observations)
-        decoded = self._submit(self._decoder.decode, observations, self._key)
+        # the next header may come in the place of the last pair
+        lacks_pair = self._slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1
+        is_certain = has_header and not lacks_pair and self._is_certain(packet, observations)
+        decoded = self._submit(self._decoder.decode, observations, self._key, lacks_pair)
         learnt = self._submit(self._decoder.learn, self._key)
         pending = PendingPacket(packet, observations, decoded, learnt, self._observe, self._pairing.exposure_range)
         if is_certain:
@@ -304,7 +293,7 @@ class ArrayReceiver:
             self._pending = pending
         else:
             self._judge(pending.packet())
-            is_certain = pending.packet().status == "ok" and self._all_visible
+            is_certain = pending.packet().status == "ok" and not lacks_pair and self._all_visible
         self._headers.confirmed |= is_certain
         self._headers.next(None if self._pending else pending.led_gains)
         self._start_packet()

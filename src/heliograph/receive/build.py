@@ -35,9 +35,6 @@ PLAIN_REGULARITY = 0.5
 SOFT_REGULARITY = 0.15
 """Minimum regularity out of step, where a header alternates unevenly; the light's clock then drops clutter."""
 
-GIVEN_CONTRAST = 0.1
-"""Minimum contrast of an array in a given region, as a fraction of `detect.min_contrast`: there is less clutter."""
-
 MakePacket = Callable[[int], PacketObservations]
 """Makes the observations of a packet, by the identity of the array."""
 
@@ -97,7 +94,8 @@ def search_parameters(
     return SearchParameters(
         min_side_px=settings.smallest_side_px,
         max_side_px=detect.max_side_px,
-        min_contrast=detect.min_contrast * (GIVEN_CONTRAST if given else 1.0),
+        # there is less clutter in a given region
+        min_contrast=detect.min_contrast * (0.1 if given else 1.0),
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
@@ -154,8 +152,7 @@ def _array_factory(
             decoder,
             (identity, detection.orientation, next(numbers)),
             signal=signal,
-            calibration=settings.calibration,
-            coast_s=settings.track.coast_patterns * signal.pattern_period_s,
+            settings=settings,
             observe=observe,
             view=view,
         )

@@ -20,9 +20,6 @@ from heliograph.receive.packet import Packet
 from heliograph.receive.sync.frame_clock import FrameClock
 from heliograph.signal.settings import SignalSettings
 
-MAX_HELD_BYTES = 128e6
-"""Bytes of frames held for the other hypotheses: 244 frames of 1024 x 512. Beyond, the others read along."""
-
 
 class HeaderHypotheses:
     """Tracks of an array, a track for each hypothesis of identity and orientation, until a codeword decodes."""
@@ -57,9 +54,10 @@ class HeaderHypotheses:
         """Take the next frame; yield the packet it completes."""
         packets_of, wait = list[tuple[ArrayReceiver, list[PendingPacket]]](), False
         for receiver in self._receivers:
-            packets = [packet for each in (*self._missed(receiver), frame) for packet in receiver.push(each)]
+            packets = [*self._catch_up(receiver), *receiver.push(frame)]
             packets_of.append((receiver, packets))
-            has_room = len(self._held) * frame.pixels.nbytes < MAX_HELD_BYTES
+            # 244 frames of 1024 x 512; beyond, the others read along
+            has_room = len(self._held) * frame.pixels.nbytes < 128e6
             wait = self._only_first and receiver is self._first and not packets and has_room
             # after a codeword the other hypotheses are wrong and need no decoding
             if wait or receiver.has_codeword:
@@ -74,8 +72,7 @@ class HeaderHypotheses:
         """Yield the packet in progress; see `ArrayReceiver`."""
         packets_of = list[tuple[ArrayReceiver, list[PendingPacket]]]()
         for receiver in self._receivers:
-            late = [packet for each in self._missed(receiver) for packet in receiver.push(each)]
-            packets_of.append((receiver, [*late, *receiver.flush(over)]))
+            packets_of.append((receiver, [*self._catch_up(receiver), *receiver.flush(over)]))
             if self._only_first and receiver.has_codeword:
                 break
         self._only_first, self._held = False, []
@@ -90,9 +87,10 @@ class HeaderHypotheses:
                 self._only_first, self._held = False, []
         return bool(left)
 
-    def _missed(self, receiver: ArrayReceiver) -> list[Frame]:
-        """Frames that a receiver has not had."""
-        return [] if receiver is self._first else self._held
+    def _catch_up(self, receiver: ArrayReceiver) -> Iterator[PendingPacket]:
+        """Hand a receiver the frames that it has not had; yield the packets they complete."""
+        for frame in () if receiver is self._first else self._held:
+            yield from receiver.push(frame)
 
     def _select(self, packets_of: list[tuple[ArrayReceiver, list[PendingPacket]]]) -> Iterator[PendingPacket]:
         """Yield the packets of the receiver that decoded a codeword, or of the upright receiver."""

@@ -165,7 +165,7 @@ def test_motion_that_resembles_the_symbols_does_not_change_the_gain() -> None:
     blocks, rng = random_blocks(0), np.random.default_rng(7)
     packet = KnownPoses([against_its_symbols(symbols, rng) for symbols in symbols_of(blocks)])
     with one_thread():
-        read = decode_iteratively(packet, GAIN, NOISE, FORM, IDENTITY, Decoding("log-map"))
+        read = decode_iteratively(packet, GAIN, IDENTITY, Decoding("log-map"))
     assert all(right(read.words, blocks))
     assert read.gain == pytest.approx(GAIN, rel=0.01)
 

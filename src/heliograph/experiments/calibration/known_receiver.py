@@ -67,7 +67,7 @@ class KnownPacket(SoftPacket):
         return False
 
     @one_thread()
-    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
+    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer | None, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
         """Codewords by layer.
 
         Parameters
@@ -77,10 +77,9 @@ class KnownPacket(SoftPacket):
         observe
             Gets nothing: no event tells of this decoding.
         """
-        gain, form, side = self._true_gain, self.form, self._link.signal.side
-        noise = true_noise(gain, self._link)
-        observed = _FixedPoses(self.cutouts, noise, form, LedGains.sound(side))
-        return Decoded(decode_iteratively(observed, gain, noise.lit, form, self._identity, self._decoding).words)
+        gain, sound = self._true_gain, LedGains.sound(self._link.signal.side)
+        observed = _FixedPoses(self.cutouts, true_noise(gain, self._link), self.form, sound)
+        return Decoded(decode_iteratively(observed, gain, self._identity, self._decoding).words)
 
 
 class _FixedPoses(ObservedPacket):

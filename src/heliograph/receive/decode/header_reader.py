@@ -23,6 +23,7 @@ class HeaderReader:
 
     def __init__(self, identity: int, signal: SignalSettings, is_plain: bool):
         self._identity, self._signal, self._is_plain = identity, signal, is_plain
+        self._late_s = data_late_s(signal)
         # gains of the LEDs; None before the first header, and with "plain"
         self.led_gains: LedGains | None = None
         # True if the array was tracked rightly through a packet
@@ -93,7 +94,9 @@ class HeaderReader:
             if self.led_gains is None or pair.combination is not None or np.any(np.abs(weights) != 1):
                 # combined frames do not show gains; dimmed cells are another pattern than the headers before
                 break
-            cutout = take_data(pair, track, self._signal).motion_compensated(track.gain, self.led_gains.values)
+            cutout = take_data(pair, track, self._signal, self._late_s).motion_compensated(
+                track.gain, self.led_gains.values
+            )
             if cutout.apart:
                 # light smears within an exposure: LEDs would seem dim and bias the pose, and more LEDs seem dim
                 break
@@ -112,14 +115,14 @@ class HeaderReader:
         return track
 
 
-def take_data(pair: FramePair, track: Track, signal: SignalSettings) -> Cutout:
-    """Cut out a pair at the poses of the data's light."""
-    late_s = (data_late_s(signal),) * 2
+def take_data(pair: FramePair, track: Track, signal: SignalSettings, late_s: float) -> Cutout:
+    """Cut out a pair at the poses of the data's light, which is late as in `data_late_s` unless frames are combined."""
+    first_s, second_s = late_s, late_s
     if pair.combination is not None:
-        first, second = (time - pair.combination.sum_time for time in pair.combination.data_times)
-        late_s = first * signal.pattern_period_s, second * signal.pattern_period_s
+        times = pair.combination.data_times
+        first_s, second_s = ((time - pair.combination.sum_time) * signal.pattern_period_s for time in times)
     state = track.state
-    poses = state.pose_at(pair.pattern.time_s + late_s[0]), state.pose_at(pair.inverted.time_s + late_s[1])
+    poses = state.pose_at(pair.pattern.time_s + first_s), state.pose_at(pair.inverted.time_s + second_s)
     cutout = take_cutout(pair, poses, signal.side)
     return cutout if track.all_visible else mask_occluded(cutout, track.visible)
 

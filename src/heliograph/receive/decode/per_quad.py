@@ -11,7 +11,6 @@ least squares. Neither pose, blur nor gain is needed.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,30 +25,6 @@ from heliograph.receive.sync.combine import ObservedSymbols, UnsynchronisedPacke
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
-
-
-@dataclass(frozen=True, slots=True)
-class QuadParameters:
-    """Parameters of successive cancellation."""
-
-    # Maximum number of rounds
-    max_rounds: int = 8
-    # Maximum number of successive rounds that decode no codeword: each still improves the symbols
-    max_idle_rounds: int = 3
-    # First variance of n, the symbols being +-1
-    first_noise: float = 0.1
-    # Steps of expectation and maximisation in each round
-    em_steps: int = 2
-    # Stride of the pairs for these steps: twelve pairs show an amplitude to a few percent
-    em_stride: int = 4
-    # Bounds of a and the variance of n, the light of all LEDs being 1: keep quotients and LLRs finite
-    min_amplitude: float = 1e-3
-    min_noise: float = 1e-4
-    # Weight of the squares of the b_j in least squares
-    ridge: float = 1e-3
-
-
-PARAMETERS = QuadParameters()
 
 
 def decode_per_quad(
@@ -70,13 +45,14 @@ def decode_per_quad(
     symbols, mapper = _observed_symbols(cutouts, gain, form), SymbolMapper(form)
     layers = [Layer(layer, identity, (known or {}).get(name)) for name, layer in form.layers.items()]
     idle = 0
-    for _ in range(PARAMETERS.max_rounds):
+    for _ in range(8):
         before = np.concatenate([layer.is_open for layer in layers])
         means = [layer.mean() for layer in layers]
         mean, _ = mapper.expected(means, [layer.variances() for layer in layers])
         expected = packet.expected(mean)
         cleaned = _cancel_neighbours(symbols, np.where(seen[:, None], expected.mean + expected.leak, 0.0))
-        pairs = np.flatnonzero(seen)[:: PARAMETERS.em_stride]
+        # twelve pairs show an amplitude to a few percent
+        pairs = np.flatnonzero(seen)[::4]
         amplitude, noise = _estimate_scale(cleaned, packet, expected, mean, pairs)
         llrs = packet.llrs(cleaned / amplitude, noise / amplitude**2, expected, mean)
         parts = mapper.bits(np.where(seen[:, None], llrs, 0.0), means)
@@ -86,7 +62,8 @@ def decode_per_quad(
         after = np.concatenate([layer.is_open for layer in layers])
         idle = idle + 1 if np.array_equal(after, before) else 0
         hopeless = np.concatenate([is_hopeless(layer.information, layer.form) for layer in layers])[after].all()
-        if (quick and not idle) or not after.any() or idle == PARAMETERS.max_idle_rounds or (idle and hopeless):
+        # rounds that decode nothing still improve the symbols
+        if (quick and not idle) or not after.any() or idle == 3 or (idle and hopeless):
             break
     return {layer.form.name: layer.words for layer in layers}
 
@@ -110,8 +87,8 @@ def _estimate_scale(
     """Amplitude a and variance of n by symbol, (symbols,), estimated from observed symbols y of some pairs."""
     y, prior = symbols[pairs], mean[pairs]
     leak, leak_variance = expected.leak[pairs], expected.leak_variance[pairs]
-    a, noise = np.ones(y.shape[1]), np.full(y.shape[1], PARAMETERS.first_noise)
-    for _ in range(PARAMETERS.em_steps):
+    a, noise = np.ones(y.shape[1]), np.full(y.shape[1], 0.1)
+    for _ in range(2):
         error = noise / a**2 + leak_variance
         first, second = packet.posterior_moments(pairs, y / a - leak, error, prior)
         # of z + l
@@ -120,7 +97,8 @@ def _estimate_scale(
         weight = 1 / (a**2 * error)
         a = _mean_by_kind(weight * y * first) / np.maximum(_mean_by_kind(weight * second), TINY)
         noise = _mean_by_kind(y**2 - 2 * a * y * first + a**2 * (second - leak_variance))
-        a, noise = np.maximum(a, PARAMETERS.min_amplitude), np.maximum(noise, PARAMETERS.min_noise)
+        # finite quotients and LLRs
+        a, noise = np.maximum(a, 1e-3), np.maximum(noise, 1e-4)
     return a, noise
 
 
@@ -136,7 +114,7 @@ def _cancel_neighbours(symbols: Floats, light: Floats) -> Floats:
     )
     y = symbols.reshape(len(symbols), 4, -1).transpose(1, 0, 2).reshape(4, -1)
     # b = (x x^T + lambda)^-1 x y^T
-    b = np.linalg.solve(x @ x.T + PARAMETERS.ridge * x.shape[1] * np.eye(len(x)), x @ y.T)
+    b = np.linalg.solve(x @ x.T + 1e-3 * x.shape[1] * np.eye(len(x)), x @ y.T)
     b[9 * np.arange(4) + 4, np.arange(4)] = 0.0  # the symbol itself stays
     cleaned = (y - b.T @ x).reshape(4, len(symbols), -1)
     return np.asarray(cleaned.transpose(1, 0, 2).reshape(symbols.shape))

@@ -1,13 +1,15 @@
 """Packets of the plain receiver: luminances at the LEDs' image positions, FHWT, one decoding."""
 
+from copy import copy
+
 import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.header_reader import HeaderReader
-from heliograph.receive.decode.per_led import luminances, normalised, unblurred
-from heliograph.receive.decode.worker import Decoded
+from heliograph.receive.decode.per_led import luminances, normalised, pair_luminances
+from heliograph.receive.decode.worker import Decoded, renumber
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer
@@ -42,12 +44,10 @@ class PlainPacket:
         """Read the luminances of a pair; see `PacketObservations`."""
         frames, state = (pair.pattern, pair.inverted), tracked.state
         poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
-        side, self._gain = self.form.settings.side, tracked.track.gain
-        up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
-        inverse = self._equaliser == "inverse"
-        x = unblurred(frames, poses, self._gain, side) if inverse else normalised(up - down, self._gain)
+        self._gain = tracked.track.gain
+        x, total = pair_luminances(frames, poses, self._gain, self.form.settings.side, self._equaliser)
         self._luminances[place], self._seen[place] = x, True
-        self._states[place], self._sums[place] = state, up + down
+        self._states[place], self._sums[place] = state, total
         return ExtractEvent(self._identity, frames, poses, x)
 
     def add_unpaired(self, place: int, unpaired: UnpairedFrame) -> None:
@@ -62,7 +62,16 @@ class PlainPacket:
         """Return False: no check is faster than decoding; see `PacketObservations`."""
         return False
 
-    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
+    def renumbered(self, place: int) -> "PlainPacket":
+        """Return the packet with a lost pair; see `PacketObservations`."""
+        moved, pairs = copy(self), len(self._seen)
+        moved._luminances = np.insert(self._luminances, place, 0.0, axis=0)[:-1]
+        moved._seen = np.insert(self._seen, place, False)[:-1]
+        moved._states, moved._sums = renumber(self._states, place, pairs), renumber(self._sums, place, pairs)
+        moved._unpaired = renumber(self._unpaired, place, pairs)
+        return moved
+
+    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer | None, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
         """Decode the luminances; see `PacketObservations`."""
         for place, unpaired in self._unpaired.items():
             self._estimate_pair(place, unpaired)

@@ -5,6 +5,7 @@ If codewords fail, the packet is read again with other LEDs or other poses assum
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
 
 from heliograph.base.threads import one_thread
@@ -14,8 +15,8 @@ from heliograph.receive.decode.header_reader import HeaderReader, data_late_s, t
 from heliograph.receive.decode.per_led import decode_per_led
 from heliograph.receive.decode.per_quad import decode_per_quad
 from heliograph.receive.decode.turbo_equaliser import TurboEqualiser, decode_iteratively
-from heliograph.receive.decode.worker import Decoded
-from heliograph.receive.equalise.led_gains import GAINS, LedGains, update_brightness
+from heliograph.receive.decode.worker import Decoded, renumber
+from heliograph.receive.equalise.led_gains import LedGains, update_brightness
 from heliograph.receive.equalise.pose_refinement import ObservedPacket, align_by_power
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer, ignore
@@ -29,9 +30,6 @@ from heliograph.signal.formats import AGREED, UnreadableModeError, check_mode
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
-MAX_POSE_ERROR_PX = 0.5
-"""Error of a pose, by the power of differences, above which the pose is wrong: right poses err by 0.3 px at most."""
-
 Cutouts = Sequence[Cutout | None]
 """Cut-outs of the pairs of a packet, in the single mode of the patterns; None for missing pairs."""
 
@@ -42,6 +40,7 @@ class SoftPacket:
     def __init__(self, identity: int, signal: SignalSettings, options: Decoding):
         self.form, self.mode = PacketFormat(signal), AGREED.number
         self._identity, self._signal, self._options = identity, signal, options
+        self._late_s = data_late_s(signal)
         # by number of the pair: cut-outs (in the single mode by pattern), complete pairs in step, unpaired frames
         self._cutouts = dict[int, Cutout]()
         self._complete = dict[int, CompletePair]()
@@ -61,7 +60,7 @@ class SoftPacket:
             # two patterns of the single mode, which has no inverses
             self._cutouts.update(enumerate(cutouts, len(cutouts) * place))
         else:
-            cutouts = (cutout := take_data(pair, track, self._signal),)
+            cutouts = (cutout := take_data(pair, track, self._signal, self._late_s),)
             self._cutouts[place] = cutout
             if not track.all_visible:
                 self._cutouts |= mask_occluded_retroactively(self._cutouts, place, track.visible)
@@ -101,8 +100,15 @@ class SoftPacket:
         sampled = self._decode_samples(self._completed(led_gains), quick=True)
         return sampled is not None and any(word.status == "ok" for by in sampled.values() for word in by)
 
+    def renumbered(self, place: int) -> "SoftPacket":
+        """Return the packet with a lost pair; see `PacketObservations`."""
+        moved, pairs = copy(self), self._signal.data_pairs
+        moved._cutouts, moved._complete = renumber(self._cutouts, place, pairs), renumber(self._complete, place, pairs)
+        moved._unpaired = renumber(self._unpaired, place, pairs)
+        return moved
+
     @one_thread()
-    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer, observe: Observer, /) -> Decoded:
+    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer | None, observe: Observer, /) -> Decoded:
         """Decode by samples at the LEDs, then by the equaliser; see `PacketObservations`."""
         # the packet's header shows the visible LEDs
         self._led_gains = update_brightness(self._led_gains, led_gains)
@@ -126,9 +132,9 @@ class SoftPacket:
 
     def _completed(self, led_gains: LedGains) -> Cutouts:
         """All cut-outs, completed by estimates from unpaired frames."""
-        cutouts, late_s = self.cutouts, data_late_s(self._signal)
+        cutouts, values = self.cutouts, led_gains.values
         for place, unpaired in self._unpaired.items():
-            cutouts[place] = unpaired_cutout(unpaired, place, self._complete, late_s, self._sum_gain, led_gains.values)
+            cutouts[place] = unpaired_cutout(unpaired, place, self._complete, self._late_s, self._sum_gain, values)
         return cutouts
 
     def _compensated(self, cutouts: Cutouts, led_gains: LedGains) -> Cutouts:
@@ -153,14 +159,9 @@ class SoftPacket:
         self, cutouts: Cutouts, led_gains: LedGains, known: Words | None, buffer: SoftBuffer | None, observe: Observer
     ) -> TurboEqualiser:
         """Equalise and decode the unknown codewords, with the buffer."""
-        noise, full_scale = self._noise(cutouts, led_gains), self._full_scale
-        observed, channel = (
-            ObservedPacket(cutouts, noise, self.form, led_gains),
-            (min(self._gain, full_scale), noise.lit),
-        )
-        return decode_iteratively(
-            observed, *channel, self.form, self._identity, self._options, buffer, observe, known, full_scale
-        )
+        observed = ObservedPacket(cutouts, self._noise(cutouts, led_gains), self.form, led_gains)
+        gain, full_scale = min(self._gain, self._full_scale), self._full_scale
+        return decode_iteratively(observed, gain, self._identity, self._options, buffer, observe, known, full_scale)
 
     def _noise(self, cutouts: Cutouts, led_gains: LedGains) -> Noise:
         """Noise of the cut-outs."""
@@ -189,7 +190,7 @@ class SoftPacket:
     def _learn_from_samples(self, cutouts: Cutouts, sampled: Words) -> LedGains | None:
         """Gains of the LEDs after a packet decoded from samples, unless the brightness is known."""
         led_gains = self._led_gains
-        if led_gains is None or led_gains.known or led_gains.packets >= GAINS.max_packets or _is_out_of_step(cutouts):
+        if led_gains is None or led_gains.learnt or _is_out_of_step(cutouts):
             return led_gains
         # pairs that show the brightness
         chosen = [cutout if k % led_gains.stride == 0 else None for k, cutout in enumerate(cutouts)]
@@ -215,10 +216,10 @@ def read_packet(
     # a header before a bright background may make LEDs seem hidden or failed
     if count_open(best.words) and led_gains.doubtful:
         best = best_of(best, equalise(cutouts, LedGains.sound(form.settings.side), known))
-    # a bright neighbour may have shifted the poses of the sums
+    # a bright neighbour may have shifted the poses of the sums; right poses err by 0.3 px at most
     if count_open(best.words) and not form.single:
         moved, largest_px = align_by_power(cutouts, best.observed.led_gains.values)
-        if largest_px > MAX_POSE_ERROR_PX:
+        if largest_px > 0.5:
             best = best_of(best, equalise(moved, best.observed.led_gains, known))
     return best
 

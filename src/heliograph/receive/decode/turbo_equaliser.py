@@ -22,7 +22,6 @@ from heliograph.receive.events import EqualiseEvent, ignore
 from heliograph.receive.observe.noise import LEAST_NOISE
 from heliograph.receive.packet import Words, with_raw
 from heliograph.receive.sync.combine import UnsynchronisedPacket
-from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
 
 LOG = logging.getLogger(__name__)
@@ -34,8 +33,6 @@ MAX_REFINEMENTS = 6
 def decode_iteratively(
     observed: ObservedPacket,
     gain: float,
-    noise: float,
-    form: PacketFormat,
     identity: int,
     options: Decoding,
     buffer: SoftBuffer | None = None,
@@ -43,12 +40,12 @@ def decode_iteratively(
     known: Words | None = None,
     full_scale: float = math.inf,
 ) -> "TurboEqualiser":
-    """Decode all layers of a packet, from gain and noise in gray levels and squared gray levels."""
-    packet = TurboEqualiser(observed, gain, noise, form, identity, options, known, full_scale)
+    """Decode all layers of a packet of the gain in gray levels."""
+    packet = TurboEqualiser(observed, gain, observed.noise.lit, identity, options, known, full_scale)
     packet.run(buffer, observe)
     if packet.repeated is not None and packet.is_open.any():
         # the earlier packet may differ and disturb by light; poses stay refined
-        alone = TurboEqualiser(observed, packet.gain, packet.noise, form, identity, options, known, full_scale)
+        alone = TurboEqualiser(observed, packet.gain, packet.noise, identity, options, known, full_scale)
         alone.run(None, observe)
         if alone.is_open.sum() < packet.is_open.sum():
             if buffer is not None:
@@ -68,13 +65,12 @@ class TurboEqualiser:
         observed: ObservedPacket,
         gain: float,
         noise: float,
-        form: PacketFormat,
         identity: int,
         options: Decoding,
         known: Words | None,
         full_scale: float,
     ):
-        self.observed, self._form, self._identity, self._options = observed, form, identity, options
+        self.observed, self._identity, self._options, form = observed, identity, options, observed.form
         # gray levels of the array with all LEDs on, at most that of the sensor; variance of a pixel of a difference
         self.gain, self.noise, self._full_scale = gain, noise, full_scale
         # codewords by layer, decoded or not
@@ -177,7 +173,7 @@ class TurboEqualiser:
         self._equalise()
         if self._unsynchronised is None:
             llrs = tuple(llr for layer in self._layers for llr in layer.known_llrs())
-            packet = BufferedPacket(self._form.format, llrs, tuple(self._statistics), self.gain, self.noise)
+            packet = BufferedPacket(self.observed.form.format, llrs, tuple(self._statistics), self.gain, self.noise)
             buffer = buffer.with_packet(packet)
         if self.repeated is not None:
             # LLRs of a repeated packet would count again with each repetition
@@ -211,7 +207,9 @@ class TurboEqualiser:
         for layer in self._layers:
             layer.keep_own()
         if self._unsynchronised is None:
-            self.repeated = buffer.same_packet(self._form.format, [llr for layer in self._layers for llr in layer.own])
+            self.repeated = buffer.same_packet(
+                self.observed.form.format, [llr for layer in self._layers for llr in layer.own]
+            )
         if self.repeated is not None:
             self._use_statistics()
             if self._propagation:

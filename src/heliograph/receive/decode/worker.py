@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -119,7 +119,16 @@ class PacketObservations(Protocol):
     def has_codeword(self) -> bool:
         """Return True if a check, faster than `decode`, decodes a codeword."""
 
-    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer, observe: Observer, /) -> Decoded:
+    def renumbered(self, place: int) -> "PacketObservations":
+        """Return the packet with a lost pair: it and later pairs move to the next number.
+
+        Parameters
+        ----------
+        place
+            Number of the lost pair.
+        """
+
+    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer | None, observe: Observer, /) -> Decoded:
         """Decode the packet.
 
         Parameters
@@ -127,7 +136,7 @@ class PacketObservations(Protocol):
         led_gains
             Gains of the LEDs after the packets before; None if unknown.
         buffer
-            Undecoded codewords of the array, for repetitions.
+            Undecoded codewords of the array, for repetitions; None to combine none.
         observe
             Gets the events of decoding.
         """
@@ -141,9 +150,6 @@ MAX_ARRAYS = 64
 
 MAX_BUFFERS = 32
 """Soft buffers in a decoder, by identity and orientation: more than identities exist."""
-
-MAX_DECODERS = 4
-"""Decoders in the worker process, a decoder for each receiver."""
 
 
 class PacketDecoder:
@@ -162,13 +168,16 @@ class PacketDecoder:
     def __reduce__(self) -> tuple[Any, ...]:
         return _local_decoder, (self._name,)
 
-    def decode(self, packet: PacketObservations, array: ArrayKey) -> Decoded:
+    def decode(self, packet: PacketObservations, array: ArrayKey, lacks_pair: bool = False) -> Decoded:
         """Decode a packet of an array; `learn` updates the gains of the LEDs afterwards."""
         events, self._learn = list[Event](), None
-        buffer = self._buffers.get(array[:2], SoftBuffer())
+        led_gains, buffer = self._led_gains.get(array), self._buffers.get(array[:2], SoftBuffer())
         try:
             check_mode(packet.mode, packet.form.settings.data_pairs)
-            decoded = packet.decode(self._led_gains.get(array), buffer, events.append)
+            if lacks_pair:
+                decoded = _decode_with_lost_pair(packet, led_gains, events.append)
+            else:
+                decoded = packet.decode(led_gains, buffer, events.append)
         except (np.linalg.LinAlgError, UnreadableModeError) as error:
             return Decoded(unread(packet.form, array[0]), events=tuple(events), failure=error)
         self._learn = decoded.learn
@@ -191,8 +200,8 @@ _DECODERS: dict[str, PacketDecoder] = {}
 
 
 def _local_decoder(name: str) -> PacketDecoder:
-    """Decoder in this process for a pickled decoder."""
-    return _remember(_DECODERS, name, _DECODERS.get(name) or PacketDecoder(name), MAX_DECODERS)
+    """Decoder in this process for a pickled decoder, one for each of the last receivers."""
+    return _remember(_DECODERS, name, _DECODERS.get(name) or PacketDecoder(name), count=4)
 
 
 def _remember(recent: dict[Key, Value], key: Key, value: Value, count: int) -> Value:
@@ -202,6 +211,30 @@ def _remember(recent: dict[Key, Value], key: Key, value: Value, count: int) -> V
     while len(recent) > count:
         del recent[next(iter(recent))]
     return value
+
+
+def renumber(items: Mapping[int, Value], place: int, pairs: int) -> dict[int, Value]:
+    """Move the items from a place on to the next number."""
+    moved = {number + (number >= place): item for number, item in items.items()}
+    return {number: item for number, item in moved.items() if number < pairs}
+
+
+def _decode_with_lost_pair(packet: PacketObservations, led_gains: LedGains | None, observe: Observer) -> Decoded:
+    """Decode a packet that lacks a pair of unknown number: try the middles of six parts of the packet.
+
+    The sums after a lost pair stay even; only the next header, a pair early, shows the loss. Of 48 pairs at most four
+    then have a wrong number, which the code corrects. Such a packet is not combined with repetitions.
+    """
+    best, most, pairs = Decoded({}), -1, packet.form.settings.data_pairs
+    for place in sorted({(2 * k + 1) * pairs // 12 for k in range(6)}):
+        renumbered = packet.renumbered(place)
+        decoded = renumbered.decode(led_gains, None, observe)
+        is_ok = [word.status == "ok" for by in decoded.words.values() for word in by]
+        if sum(is_ok) > most:
+            most, best = sum(is_ok), replace(decoded, cutouts=decoded.cutouts or tuple(renumbered.cutouts))
+        if all(is_ok):
+            break
+    return best
 
 
 def call_inline(call: Callable[..., Result], /, *args: Any) -> Future[Result]:

@@ -34,49 +34,27 @@ from heliograph.receive.geometry.footprint import by_squares, to_grid
 from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, noise_beside
-from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, whiten
+from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, leds_of, symbols_of, whiten
 
+POSE_SPREADS = np.array([0.2, 0.2, 0.004, 0.02])
+"""Standard deviations of errors of a pose in x, y (px), ln pitch and roll before a bright background."""
 
-@dataclass(frozen=True, slots=True)
-class GainParameters:
-    """Tuning of the estimates of LED gains."""
+SPREAD = 0.3
+"""Prior standard deviation of an LED's gain about 1; a failed LED is 3.3 of these away."""
 
-    # Prior standard deviation of an LED's gain about 1; a failed LED is 3.3 of these away
-    spread: float = 0.3
-    # Standard deviations of errors of a pose in x, y (px), ln pitch and roll before a bright background
-    pose_spreads: tuple[float, float, float, float] = (0.2, 0.2, 0.004, 0.02)
-    # Error of a pose in px up to which the slopes of the image describe the effect: half an LED's width at 95 m
-    max_pose_error_px: float = 0.2
-    # Minimum brightness; a dead LED keeps it, as evidence is divided by brightness
-    min_brightness: float = 0.02
-    # Rms difference from 1, in both halves of the pairs, from which LEDs count as unequal
-    min_difference: float = 0.05
-    # Weight of earlier packets for each later packet: about ten packets count
-    packet_fade: float = 0.9
-    # Pairs per evaluated pair, at first and once the brightness is known
-    stride: int = 3
-    known_stride: int = 12
-    # Packets after which few pairs are evaluated, known or not
-    max_packets: int = 5
-    # Estimates by headers up to which an LED has the gain 0, and from which it has 1
-    max_failed: float = 0.25
-    min_sound: float = 0.65
-    # Change of a gain after which a header's pose is fitted again: half of the change from sound to failed
-    max_change: float = 0.5
-    # Weight of earlier headers for each later packet: occluded LEDs become visible again
-    header_fade: float = 0.5
+MIN_DIFFERENCE = 0.05
+"""Rms difference from 1, in both halves of the pairs, from which LEDs count as unequal."""
 
-
-GAINS = GainParameters()
-
+MAX_FAILED = 0.25
+"""Gain by headers, or brightness, up to which an LED counts as failed."""
 
 # Evidence of decoded data on the brightness: sums over each half of the pairs of the normal equations' matrices,
 # (2, n n, n n), and right sides, (2, n n), ordered as by `by_squares`
 DataEvidence = tuple[Floats, Floats]
 
-# Statistics with the brightness known so far, the whitened cut-out, symbols (symbols,) of +-1 and 0 for undecoded
-# symbols, and derivatives F (4, rows, columns) of the decoded symbols' image by x, y, ln pitch and roll, times W^(1/2)
-DecodedPair = tuple[PairStatistics, WhitenedCutout, Floats, Floats]
+# A whitened cut-out, symbols (symbols,) of +-1 and 0 for undecoded symbols, and derivatives F (4, rows, columns) of the
+# decoded symbols' image by x, y, ln pitch and roll, times W^(1/2)
+DecodedPair = tuple[WhitenedCutout, Floats, Floats]
 
 
 @dataclass(frozen=True)  # without slots, for a cached property
@@ -112,27 +90,32 @@ class LedGains:
     @property
     def doubtful(self) -> bool:
         """True if any LED seems occluded or failed."""
-        return bool((self.sight < 1).any() or (self.brightness < GAINS.max_failed).any())
+        return bool((self.sight < 1).any() or (self.brightness < MAX_FAILED).any())
 
     @property
     def known(self) -> bool:
         """True if data show most LEDs to half of the least difference."""
-        least = (0.5 * GAINS.min_difference) ** -2
+        least = (0.5 * MIN_DIFFERENCE) ** -2
         return self.data is not None and bool(np.median(self.data[0].sum(0).diagonal()) > least)
+
+    @property
+    def learnt(self) -> bool:
+        """True if most LEDs are known, or five packets did not show them."""
+        return self.known or self.packets >= 5
 
     @property
     def stride(self) -> int:
         """Pairs per pair to evaluate."""
-        return GAINS.known_stride if self.known or self.packets >= GAINS.max_packets else GAINS.stride
+        return 12 if self.learnt else 3
 
     def faded(self) -> "LedGains":
-        """Reduce the weight of earlier headers and packets, once per packet."""
-        headers, fade = self.headers and self.headers.scaled(GAINS.header_fade), GAINS.packet_fade
+        """Reduce the weight of earlier headers, so that occluded LEDs return, and of packets, of which ten count."""
+        headers, fade = self.headers and self.headers.scaled(0.5), 0.9
         return replace(self, headers=headers, data=self.data and (fade * self.data[0], fade * self.data[1]))
 
     def differs(self, other: "LedGains") -> bool:
         """True if the brightness differs from another by more than the error of equal LEDs."""
-        return bool(np.sqrt(np.mean((self.brightness - other.brightness) ** 2)) > GAINS.min_difference)
+        return bool(np.sqrt(np.mean((self.brightness - other.brightness) ** 2)) > MIN_DIFFERENCE)
 
     def learn_data(self, pairs: Sequence[DecodedPair], gain: float, noise: float) -> "LedGains":
         """Update the brightness from decoded symbols."""
@@ -148,10 +131,10 @@ class LedGains:
             except np.linalg.LinAlgError:
                 continue
             # the statistics hold the light of the LEDs times the brightness so far
-            levels = kernels.leds_of(pair[2]) * inverse
+            levels = leds_of(pair[1]) * inverse
             # T T^T = 1/4: A^T W A = 16 T G T^T, A^T W d = 4 T B^T W d
             kernels.add_information(gram, levels, gain**2 / noise, information[k % 2])
-            score[k % 2] += gain / noise * levels * 4 * kernels.leds_of(matched)
+            score[k % 2] += gain / noise * levels * 4 * leds_of(matched)
             used += 1
         if not used:
             return replace(self, packets=self.packets + 1)
@@ -168,30 +151,31 @@ class LedGains:
         """
         if not visible.any():
             return self, gain, False
-        p, side = GAINS, len(self.values)
+        side = len(self.values)
         # failed LEDs hide the noise of a sum: four times that of the background
         dark = noise_beside([cutout], side)
         # the affine pose and the Gaussian blur err by 2 % of the light
         whitened, noise = whiten(cutout, Noise(4 * dark, dark), side), 4 * dark + (0.02 * gain) ** 2
         slopes = whitened.root * cutout.slopes(header)
-        statistics = whitened.marginalised(slopes, np.diag(noise / (gain * np.array(p.pose_spreads)) ** 2))
+        statistics = whitened.marginalised(slopes, np.diag(noise / (gain * POSE_SPREADS) ** 2))
         joint = statistics if self.headers is None else self.headers.plus(statistics)
         # for diag(w) (2 Y - 1) of variance s^2 the symbols have the variance 4 s^2, as T T^T = 1/4
-        signs, variance = by_squares(header), np.full(header.size, 4 * p.spread**2)
-        mean = kernels.symbols_of(by_squares(header * self.brightness))
+        signs, variance = by_squares(header), np.full(header.size, 4 * SPREAD**2)
+        mean = symbols_of(by_squares(header * self.brightness))
         for _ in range(2):
             symbols = equalise(joint, gain, noise, mean, variance).mean
             # a header shows no LED known to be dark from data
-            estimate = to_grid(kernels.leds_of(symbols) / signs) / np.maximum(self.brightness, p.max_failed)
+            estimate = to_grid(leds_of(symbols) / signs) / np.maximum(self.brightness, MAX_FAILED)
             # the median LED is sound
             scale = min(max(median_of(estimate[visible > 0]), 0.5), 2.0)
             gain *= scale
             if abs(scale - 1) < 0.03:
                 break
-        sight = np.clip((estimate / scale - p.max_failed) / (p.min_sound - p.max_failed), 0, 1)
-        sight[self.brightness < p.max_failed] = 1.0
+        sight = np.clip((estimate / scale - MAX_FAILED) / (0.65 - MAX_FAILED), 0, 1)
+        sight[self.brightness < MAX_FAILED] = 1.0
         sight = np.where(visible > 0, sight, self.sight)
-        changed = bool(np.abs(sight - self.sight).max() > p.max_change)
+        # half of the change from sound to failed
+        changed = bool(np.abs(sight - self.sight).max() > 0.5)
         return replace(self, sight=sight, headers=joint if visible.all() and not changed else None), gain, changed
 
 
@@ -204,15 +188,15 @@ def update_brightness(led_gains: LedGains | None, learnt: LedGains | None) -> Le
 
 
 def _without_nuisance(
-    pair: PairStatistics, whitened: WhitenedCutout, symbols: Floats, slopes: Floats, gain: float, noise: float
+    whitened: WhitenedCutout, symbols: Floats, slopes: Floats, gain: float, noise: float
 ) -> tuple[NDArray[np.float32], Floats]:
     """Compute G and B^T W (d - g o) of a decoded pair, undecoded symbols and an error of the pose marginalised."""
     # N = (B_open, F): G - B^T N (N^T N + s^2 / g^2 P^-1)^-1 N^T B
-    unknown, flat = np.flatnonzero(symbols == 0), slopes.reshape(len(slopes), -1)
+    pair, unknown, flat = whitened.statistics, np.flatnonzero(symbols == 0), slopes.reshape(len(slopes), -1)
     light = (whitened.difference - gain * whitened.offset).ravel()
     matched, images = pair.matched - gain * pair.offset, whitened.correlate(slopes)
     inner = np.block([[pair.gram[unknown][:, unknown], images[unknown]], [images[unknown].T, flat @ flat.T]])
-    precision = np.append(np.ones(unknown.size), np.array(GAINS.pose_spreads) ** -2)
+    precision = np.append(np.ones(unknown.size), POSE_SPREADS**-2)
     inner += noise / gain**2 * np.diag(precision)
     across = np.vstack([pair.gram[unknown], images.T])
     right = np.column_stack([across, np.append(matched[unknown], flat @ light)]).astype(np.float32)
@@ -222,7 +206,8 @@ def _without_nuisance(
     h, h_d = half[:, :-1], half[:, -1]
     # the most probable error of the pose, without the light of the decoded symbols
     error = solve_triangular(root.T, h_d - gain * h @ symbols, check_finite=False)[-4:] / gain
-    if np.hypot(error[0], error[1]) > GAINS.max_pose_error_px:
+    # the slopes of the image describe errors of up to half an LED's width at 95 m
+    if np.hypot(error[0], error[1]) > 0.2:
         raise np.linalg.LinAlgError("the pose is too far off")
     return pair.gram - h.T @ h, matched - h.T @ h_d
 
@@ -230,14 +215,15 @@ def _without_nuisance(
 def _estimate_brightness(information: Floats, score: Floats) -> Floats:
     """Estimate the brightness, (n, n), relative to the median LED; 1 for all LEDs if the halves disagree."""
     first, second = (_solve_brightness(*half) for half in zip(information, score, strict=True))
-    if np.mean((first - 1) * (second - 1)) < GAINS.min_difference**2:
+    if np.mean((first - 1) * (second - 1)) < MIN_DIFFERENCE**2:
         return np.ones_like(to_grid(first))
     joint = _solve_brightness(information.sum(0), score.sum(0))
-    return to_grid(np.clip(joint, GAINS.min_brightness, 3.0))
+    # evidence is divided by brightness: a dead LED keeps some
+    return to_grid(np.clip(joint, 0.02, 3.0))
 
 
 def _solve_brightness(information: Floats, score: Floats) -> Floats:
     """Solve normal equations with the prior, (n n,), relative to the median LED."""
-    prior = GAINS.spread**-2
+    prior = SPREAD**-2
     brightness = solve(information + prior * np.eye(len(score)), score + prior, assume_a="pos", check_finite=False)
-    return np.asarray(brightness / max(float(np.median(brightness)), GAINS.min_brightness))
+    return np.asarray(brightness / max(float(np.median(brightness)), 0.02))

@@ -13,7 +13,7 @@ explain the packet best.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import block_diag, lu_factor, lu_solve
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.equalise.led_gains import GAINS, DecodedPair, LedGains
+from heliograph.receive.equalise.led_gains import POSE_SPREADS, DecodedPair, LedGains
 from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, products
 from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.observe.cutout import Cutout
@@ -74,20 +74,6 @@ def _vertex(values: Floats) -> float:
 PoseEvidence = tuple[Floats, Floats]
 
 
-@dataclass(frozen=True, slots=True)
-class ObservedPair:
-    """A cut-out, and the statistics at the corrected poses."""
-
-    # Pixels around the array, and the corrected poses
-    cutout: Cutout
-    # Whitened cut-out
-    whitened: WhitenedCutout
-    # Sufficient statistics of the symbols
-    statistics: PairStatistics
-    # (4,) corrections so far of x, y (px), ln pitch and roll (rad)
-    error: Floats
-
-
 class ObservedPacket:
     """Observed pairs of a packet; poses and LED gains follow from decoded symbols.
 
@@ -95,9 +81,11 @@ class ObservedPacket:
     """
 
     def __init__(self, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: LedGains):
-        self.cutouts, self._noise, self._form, self.led_gains = cutouts, noise, form, led_gains
+        self.cutouts, self.noise, self.form, self.led_gains = cutouts, noise, form, led_gains
         # a pair each, in the single mode a pattern; None without the array
-        self.pairs = [None if cutout is None else self._observe(cutout, np.zeros(4)) for cutout in cutouts]
+        self.pairs = [None if cutout is None else self._observe(cutout) for cutout in cutouts]
+        # corrections so far of x, y (px), ln pitch and roll (rad), (pairs, 4)
+        self._errors = np.zeros((len(cutouts), 4))
 
     @property
     def statistics(self) -> Sequence[PairStatistics | None]:
@@ -106,17 +94,14 @@ class ObservedPacket:
 
     def refine_poses(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
         """Correct the poses by decoded symbols; return True if any moves."""
-        if self._form.single:
+        if self.form.single:
             # these poses come from decided data already
             return False
-        before, errors = self.pairs, self._estimate_errors(mean, variance, gain, noise)
-        self.pairs = [
-            self._observe(pair.cutout.moved(error - pair.error), error)
-            if pair and is_significant(error - pair.error)
-            else pair
-            for pair, error in zip(before, errors, strict=True)
-        ]
-        return any(after is not pair for after, pair in zip(self.pairs, before, strict=True))
+        moved, errors = False, self._estimate_errors(mean, variance, gain, noise)
+        for k, (pair, step) in enumerate(zip(self.pairs, errors - self._errors, strict=True)):
+            if pair is not None and is_significant(step):
+                self.pairs[k], self._errors[k], moved = self._observe(pair.cutout.moved(step)), errors[k], True
+        return moved
 
     def apply_brightness(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
         """Apply the brightness of the LEDs from decoded symbols; return True if it changes."""
@@ -124,56 +109,50 @@ class ObservedPacket:
         if not learnt.differs(self.led_gains):
             return False
         self.led_gains = replace(self.led_gains, brightness=learnt.brightness)
-        self.pairs = [pair and self._observe(pair.cutout, pair.error) for pair in self.pairs]
+        self.pairs = [None if pair is None else self._observe(pair.cutout) for pair in self.pairs]
         return True
 
     def learn_gains(
         self, mean: Floats, variance: Floats, gain: float, noise: float, stride: int | None = None
     ) -> LedGains:
         """Return the gains of the LEDs with the evidence of this packet; of synchronous pairs only."""
-        if self._form.single or any(pair and pair.cutout.combination for pair in self.pairs):
+        if self.form.single or any(pair and pair.cutout.combination for pair in self.pairs):
             return self.led_gains
         pairs = self._decoded_pairs(mean, variance, stride or self.led_gains.stride).values()
         # in fast motion light smears within an exposure, and LEDs of the rim would seem dim
-        return self.led_gains.learn_data([pair for pair in pairs if not pair[1].apart], gain, noise)
+        return self.led_gains.learn_data([pair for pair in pairs if not pair[0].cutout.apart], gain, noise)
 
-    def _observe(self, cutout: Cutout, error: Floats) -> ObservedPair:
-        whitened = whiten(cutout, self._noise, self._form.settings.side, self.led_gains.values)
-        return ObservedPair(cutout, whitened, whitened.statistics(), error)
+    def _observe(self, cutout: Cutout) -> WhitenedCutout:
+        return whiten(cutout, self.noise, self.form.settings.side, self.led_gains.values)
 
     def _estimate_errors(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Floats:
         """Estimate errors (pairs, 4) in x, y, ln pitch and roll of the tracked poses."""
         evidence = dict[int, PoseEvidence]()
         # neighbours have nearly the same error
-        for k, (pair, whitened, symbols, slopes) in self._decoded_pairs(mean, variance, stride=3).items():
+        for k, (whitened, symbols, slopes) in self._decoded_pairs(mean, variance, stride=3).items():
             # J = g^2 F^T C^-1 F, q = g F^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_open B_open^T
             images, scale = np.concatenate([slopes, whitened.residual(gain, symbols)[None]]), gain**2 / noise
-            part = products(whitened, pair, images, np.flatnonzero(symbols == 0), scale)
+            part = products(whitened, images, np.flatnonzero(symbols == 0), scale)
             evidence[k] = scale * part[:4, :4], gain / noise * part[:4, 4]
-        return smoothed_errors(evidence, np.array([np.zeros(4) if pair is None else pair.error for pair in self.pairs]))
+        return smoothed_errors(evidence, self._errors)
 
     def _decoded_pairs(self, mean: Floats, variance: Floats, stride: int) -> dict[int, DecodedPair]:
         """Collect every stride-th pair with decoded symbols, by number."""
         # decoded symbols only: guesses come from the poses in doubt
         known = np.where(variance < KNOWN_VARIANCE, mean, 0.0)
         decoded = [(k, pair) for k, pair in enumerate(self.pairs) if pair is not None and known[k].any()][::stride]
-        levels = 0.5 * haar.inverse_transform(self._form.join(known[[k for k, _ in decoded]]))
+        levels = 0.5 * haar.inverse_transform(self.form.join(known[[k for k, _ in decoded]]))
         pairs = {}
         for (k, pair), level in zip(decoded, levels, strict=True):
-            slopes = pair.whitened.root * pair.cutout.slopes(level * pair.cutout.shining(self.led_gains.values))
-            pairs[k] = pair.statistics, pair.whitened, known[k], slopes
+            slopes = pair.root * pair.cutout.slopes(level * pair.cutout.shining(self.led_gains.values))
+            pairs[k] = pair, known[k], slopes
         return pairs
 
 
 def is_significant(error: Floats) -> bool:
-    """True if an error of a pose (4,) requires new statistics: 0.01 px at the rim of a far array."""
-    return _moved_px(error, 4.0) > 0.01
-
-
-def _moved_px(error: Floats, half_px: float) -> float:
-    """Distance in px by which an error (4,) of a pose moves the rim of an array."""
+    """True if an error of a pose (4,) requires new statistics: 0.01 px at the rim of a far array, 4 px wide."""
     x, y, ln_pitch, roll = np.abs(error)
-    return float(max(x, y) + half_px * max(ln_pitch, roll))
+    return bool(max(x, y) + 4 * max(ln_pitch, roll) > 0.01)
 
 
 def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats:
@@ -184,10 +163,10 @@ def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats
     information = block_diag(*(evidence[k][0] for k in observed))
     # about the first poses: J (e - e_0) = q
     score = np.concatenate([evidence[k][1] for k in observed]) + information @ before[observed].ravel()
-    lag, variances = np.abs(np.arange(len(before))[:, None] - observed), np.array(GAINS.pose_spreads) ** 2
+    lag, variances = np.abs(np.arange(len(before))[:, None] - observed), POSE_SPREADS**2
     # two Gauss-Markov processes: a background passes in 0.4 s, half a period of shake at 30 Hz takes 16 ms
     slowly, quickly = np.exp(-lag / 200), np.exp(-lag / 8)
-    # sizes of both, relative to `GAINS.pose_spreads`
+    # sizes of both, relative to `POSE_SPREADS`
     sizes = product((0.0, 0.03, 0.1, 0.3, 1.0, 2.0), (0.01, 0.03, 0.1, 0.3, 1.0))
     candidates = []
     for slow, fast in sorted(sizes, key=lambda both: np.hypot(*both)):

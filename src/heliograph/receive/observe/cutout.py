@@ -6,10 +6,9 @@ from math import hypot
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.geometry.footprint import by_squares, footprints, render_with_slopes
+from heliograph.receive.geometry.footprint import image_of, render_with_slopes
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, covered, cut_out, window_around
-from heliograph.receive.observe import kernels
 from heliograph.receive.sync.combine import Combination
 from heliograph.receive.sync.pairing import FramePair
 
@@ -57,11 +56,6 @@ class Cutout:
         rows, cols = self.difference.shape
         return rows, cols
 
-    @property
-    def factors(self) -> tuple[Floats, Floats]:
-        """Factors of columns and rows, `covered`, or empty arrays for factors of 1."""
-        return self.covered or (np.ones(0), np.ones(0))
-
     def shining(self, led_gains: Floats) -> Floats:
         """Gains of LEDs (n, n), 0 for occluded LEDs."""
         return led_gains if self.in_sight is None else led_gains * self.in_sight
@@ -75,14 +69,10 @@ class Cutout:
         if len(self.poses) != 2 or self.combination is not None:
             return self
         first, second = self.poses
-        ends = [footprints(pose, self.corner, self.shape, len(led_gains)) for pose in self.poses]
+        lit = sum(image_of(self.shining(led_gains), pose, self.corner, self.shape) for pose in self.poses)
         # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b, b = (r + r' - g (A_1 + A_2) 1 / 2) / 2
-        steady, shining = np.empty_like(self.difference), by_squares(self.shining(led_gains))
-        x, y = second.x - first.x, second.y - first.y
-        kernels.compensate_motion(
-            self.difference, self.total, (*ends[0],), (*ends[1],), shining, 0.5 * gain, x, y, steady
-        )
-        return replace(self, difference=steady)
+        down, right = np.gradient(0.5 * (self.total - 0.5 * gain * lit))
+        return replace(self, difference=self.difference - (second.x - first.x) * right - (second.y - first.y) * down)
 
     def moved(self, error: Floats) -> "Cutout":
         """Correct all poses by an error of x, y, ln pitch and roll."""

@@ -204,6 +204,11 @@ class SlipWatch:
             self.lost += early
         self._headers = {k: h for k, h in self._headers.items() if k > number - length}
 
+    def shows_header(self, pair: int) -> bool:
+        """Return True if the frames of a data pair show a header: an earlier pair was lost."""
+        up, down = (self._headers.get(2 * pair + k, 0.0) for k in range(2))
+        return min(up, -down) > self._parameters.min_header_correlation
+
     def _gap(self, place: int) -> int:
         """Return the number of frame periods from a pending frame to the next."""
         return self._pending[place + 1].number - self._pending[place].number
