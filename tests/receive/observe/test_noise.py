@@ -98,11 +98,12 @@ def test_noise_hidden_by_motion_is_not_zero() -> None:
 
 def test_even_light_is_no_noise() -> None:
     """The image of a near array is linearly dependent on the plane."""
-    rng, pose = np.random.default_rng(11), Pose(20.0, 20.0, 2.0, 0.0, 0.5)
+    rng, pose = np.random.default_rng(11), Pose(20.0, 20.0, 1.0, 0.0, 0.8)
     cutout = Cutout(rng.normal(100, 2, (40, 40)), np.zeros((40, 40)), (0, 0), (pose, pose))
     found, corner, motion = noise._unevenness(cutout, 0.0, SIDE, None)
     inside = np.isfinite(found)
-    assert 0.8 * (2.0 * SIDE) ** 2 < inside.sum() < (2.0 * SIDE) ** 2
+    assert 0.6 * SIDE**2 < inside.sum() < SIDE**2
     want = reference.uneven(cutout.total, np.ones((40, 40)), inside)
-    assert found[inside] == pytest.approx(want, abs=0.5)
+    assert np.corrcoef(found[inside], want)[0, 1] > 0.97
+    assert found[inside].std() == pytest.approx(2.0, rel=0.15)
     assert (corner, motion) == ((0, 0), 0.0)
