@@ -288,14 +288,13 @@ class ArrayReceiver:
         decoded = self._submit(self._decoder.decode, observations, self._key, lacks_pair)
         learnt = self._submit(self._decoder.learn, self._key)
         pending = PendingPacket(packet, observations, decoded, learnt, self._observe, self._pairing.exposure_range)
-        if is_certain:
-            # the state is used at the end of the next packet
-            self._pending = pending
-        else:
+        if not is_certain:
             self._judge(pending.packet())
             is_certain = pending.packet().status == "ok" and not lacks_pair and self._all_visible
+        # then the state is used at the end of the next packet
+        self._pending = pending if is_certain else None
         self._headers.confirmed |= is_certain
-        self._headers.next(None if self._pending else pending.led_gains)
+        self._headers.next(None if is_certain else pending.led_gains)
         self._start_packet()
         return pending
 

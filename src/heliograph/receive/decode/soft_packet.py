@@ -118,7 +118,6 @@ class SoftPacket:
         if sampled is not None and not count_open(sampled):
             return Decoded(sampled, learn=lambda: self._learn_from_samples(cutouts, sampled))
         first = self._compensated(cutouts, led_gains)
-
         has_codeword = sampled is not None and count_open(sampled) < sum(map(len, sampled.values()))
 
         def equalise(assumed: Cutouts, gains: LedGains, known: Words | None) -> TurboEqualiser:
