@@ -195,7 +195,7 @@ class Stopwatch:
 
         gc.collect()
         with (
-            mock.patch.object(assemblies, "decode_executor", return_value=self),
+            mock.patch.object(assemblies, "decode_executor", return_value=self.submit),
             mock.patch.object(PendingPacket, "__init__", noted),
         ):
             one = make_receiver(settings.signal, settings.receive)

@@ -17,7 +17,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, load_footage, simulate
 from heliograph.receive import Packet, Pose, ReceiveSettings
-from heliograph.receive.build import plain_parts, plain_receiver, soft_receiver
+from heliograph.receive.build import plain_receiver, soft_receiver
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection, HeaderSearch
 from heliograph.receive.events import ignore
@@ -107,8 +107,8 @@ class SearchOnce:
 
 def following_rate(frames: Sequence[Frame]) -> float:
     """Frames/s without the search: what following and decoding alone take."""
-    parts = plain_parts(load_settings().signal, ReceiveSettings(), ignore)
-    receiver, rates = StreamReceiver(replace(parts, search=SearchOnce(parts.search)), ignore), list[float]()
+    receiver, rates = plain_receiver(load_settings().signal, ReceiveSettings(), ignore), list[float]()
+    receiver.search = SearchOnce(receiver.search)
     for frame in frames[:20]:
         list(receiver.push(frame))
     period = round(frames[-1].index / 100) * 100

@@ -36,7 +36,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film, open_film
 from heliograph.receive import Pose, Receiver, make_receiver
-from heliograph.receive.build import plain_parts
+from heliograph.receive.build import plain_receiver
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, ignore
 from heliograph.receive.sync.pairing import FramePair
@@ -143,10 +143,10 @@ def searching(background: str) -> Iterator[Row]:
     pose = _first_detection(settings, frames).fit.pose
 
     def search(taken: Sequence[Pose]) -> None:
-        parts = plain_parts(settings.signal, settings.receive, ignore)
-        parts.search.start(settings.signal.pattern_period_s)
+        search = plain_receiver(settings.signal, settings.receive, ignore).search
+        search.start(settings.signal.pattern_period_s)
         for frame in frames:
-            parts.search.push(frame, taken)
+            search.push(frame, taken)
 
     pixels, out = frames[0].pixels, np.empty_like(frames[0].pixels)
     ours, peer = in_turn(partial(search, [pose]), partial(_many, lambda: cv2.GaussianBlur(pixels, (5, 5), 0, out), 50))

@@ -15,7 +15,6 @@ from heliograph.experiments.plots import LAYER_COLOURS, image_row
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
-from heliograph.receive.equalise.kernels import LLR
 from heliograph.receive.events import DecodeEvent, EqualiseEvent, Event
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise
@@ -118,7 +117,7 @@ def disturbers(packet: Packet) -> Figure:
     """The LLR by the statistic of a symbol: the strongest disturbers as +-1 against all of them as Gaussian."""
     cutout = packet.cutouts[5]
     gain, noise = 150.0, 4.5
-    statistics = whiten(cutout, Noise(noise, noise), SIDE).statistics()
+    statistics = whiten(cutout, Noise(noise, noise), SIDE).statistics
     s = np.linalg.inv(gain**2 / noise * statistics.gram.astype(np.float64) + np.eye(SIDE * SIDE))
     middle = range(SIDE**2 // 4, 3 * SIDE**2 // 4)
     i = max(middle, key=lambda n: float(np.sort(np.abs(np.delete(s[n], n)))[-2] ** 2 / (s[n, n] * (1 - s[n, n]))))
@@ -126,7 +125,7 @@ def disturbers(packet: Packet) -> Figure:
     figure = Figure(figsize=(6, 3.2))
     axes = figure.subplots()
     axes.plot(u, 2 * u / s[i, i], color="#8a929b", ls="--", label="all Gaussian: 2 u / S")
-    for count, style in ((LLR.first_drawn, ":"), (LLR.second_drawn, "-")):
+    for count, style in ((2, ":"), (6, "-")):
         others = np.sort(np.abs(np.delete(s[i], i)))[-count:]
         rest, signs = k * s[i, i] - (others**2).sum(), np.array([*product((-1, 1), repeat=count)])
         side = {c: np.logaddexp.reduce([-((u - c * k + others @ x) ** 2) / 2 / rest for x in signs]) for c in (1, -1)}

@@ -4,7 +4,6 @@ A decoder gets them through `KnownPoses`, which records each request to refine t
 """
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import replace
 from functools import lru_cache
 
@@ -19,8 +18,11 @@ from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.combining import SoftBuffer
-from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
+from heliograph.receive.decode.turbo_equaliser import decode_iteratively
+from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.events import EqualiseEvent, ignore
+from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import Words
 from heliograph.receive.settings import Feedback
@@ -111,7 +113,7 @@ def combined_statistics_of(blocks: Blocks, distance_m: float, combination: Combi
     return found
 
 
-class KnownPoses:
+class KnownPoses(ObservedPacket):
     """The pairs of a packet whose poses are right: a refinement changes nothing.
 
     Parameters
@@ -119,7 +121,9 @@ class KnownPoses:
     statistics
         Of each pair, None where the array was not seen.
     moves
-        Refinements that return another packet all the same; it shares the records with this one.
+        Refinements that count as changes all the same.
+    noise
+        Variance of a pixel of a difference.
 
     Attributes
     ----------
@@ -129,37 +133,41 @@ class KnownPoses:
         Gain and noise at each refinement.
     """
 
-    def __init__(self, statistics: Sequence[PairStatistics | None], moves: int = 0):
-        self.statistics, self._moves = statistics, moves
+    def __init__(self, statistics: Sequence[PairStatistics | None], moves: int = 0, noise: float = NOISE):
+        super().__init__((), Noise(noise, noise), FORM, LedGains.sound(SIDE))
+        self._known_statistics, self._moves = statistics, moves
         self.known: list[int] = []
-        self.channels: list[GainAndNoise] = []
+        self.channels: list[tuple[float, float]] = []
 
-    def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "KnownPoses":
-        """Record what is known; see `decode.observed.Observed`."""
+    @property
+    def statistics(self) -> Sequence[PairStatistics | None]:
+        return self._known_statistics
+
+    def refine_poses(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
+        """Record what is known."""
         assert mean.shape == variance.shape
         self.known.append(int((variance[0] == 0).sum()))
-        self.channels.append(GainAndNoise(gain, noise))
-        return copy(self) if len(self.known) <= self._moves else self
+        self.channels.append((gain, noise))
+        return len(self.known) <= self._moves
 
-    def with_led_brightness(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "KnownPoses":  # noqa: ARG002 - the protocol's
-        """All LEDs are equal; see `decode.observed.Observed`."""
-        return self
+    def apply_brightness(self, *_: object) -> bool:
+        """All LEDs are equal."""
+        return False
 
 
 def decoded(
     packet: Sequence[PairStatistics | None] | KnownPoses,
     feedback: Feedback = "propagation",
-    channel: GainAndNoise | None = None,
+    channel: tuple[float, float] = (GAIN, NOISE),
     buffer: list[SoftBuffer] | None = None,
     identity: int = IDENTITY,
     observe: Callable[[EqualiseEvent], None] = ignore,
 ) -> Words:
     """What the soft receiver reads of a packet; a list's last buffer is used, and the next one is appended."""
-    observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet)
-    options = Decoding("log-map")
+    observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet, noise=channel[1])
+    options, earlier = Decoding("log-map", feedback=feedback), buffer[-1] if buffer else None
     with one_thread():  # as in the receiver
-        earlier, channel = buffer[-1] if buffer else None, channel or GainAndNoise(GAIN, NOISE)
-        read = decode_iteratively(observed, channel, FORM, identity, options, earlier, feedback, observe)
+        read = decode_iteratively(observed, channel[0], identity, options, earlier, observe)
     if buffer is not None and read.buffer is not None:
         buffer.append(read.buffer)
     return read.words

@@ -14,8 +14,8 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, receive_frames
 from heliograph.receive.decode.codeword import ERASED
-from heliograph.receive.decode.soft_packet import PacketObservations
-from heliograph.receive.plain_reader import LuminanceObservations
+from heliograph.receive.decode.plain_packet import PlainPacket
+from heliograph.receive.decode.soft_packet import SoftPacket
 from heliograph.receive.track.track import TrackedPair
 from heliograph.receive.track.tracker import Tracker
 
@@ -123,9 +123,7 @@ def test_a_packet_whose_equations_have_no_solution_is_lost_alone(
     receiver: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     settings, calls = link(f"receive.receiver={receiver}"), itertools.count()
-    taken: type[LuminanceObservations | PacketObservations] = (
-        LuminanceObservations if receiver == "plain" else PacketObservations
-    )
+    taken: type[PlainPacket | SoftPacket] = PlainPacket if receiver == "plain" else SoftPacket
     decode = taken.decode
 
     def failing(self: Any, *arguments: Any) -> Any:

@@ -12,7 +12,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import block_settings, random_messages
 from heliograph.receive import receive_frames
-from heliograph.receive.build import plain_parts, soft_parts
+from heliograph.receive.build import plain_receiver, soft_receiver
 from heliograph.receive.detect.region import RegionSearch
 from heliograph.receive.detect.search import PhasedSearch, PyramidSearch
 
@@ -74,10 +74,10 @@ def blinking(frame: Frame) -> Frame:
 
 
 def test_without_corners_or_region_the_search_is_what_it_was() -> None:
-    for parts, known in ((plain_parts, PyramidSearch), (soft_parts, PhasedSearch)):
+    for make, known in ((plain_receiver, PyramidSearch), (soft_receiver, PhasedSearch)):
         for changes, kind in (((), known), (("receive.detect.region=[60,40,40,40]",), RegionSearch)):
             settings = link(*changes)
-            assert type(parts(settings.signal, settings.receive, lambda _: None).search) is kind
+            assert type(make(settings.signal, settings.receive, lambda _: None).search) is kind
 
 
 @pytest.mark.parametrize(

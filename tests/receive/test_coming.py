@@ -22,28 +22,26 @@ from waiting import HANG_S
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.receive import Packet, make_receiver, receive_frames
+from heliograph.receive import Packet, array, make_receiver, receive_frames
 from heliograph.receive import build as assemblies
-from heliograph.receive.array import ArrayReceiver, Confidence
-from heliograph.receive.decode.codeword import unread
 from heliograph.receive.decode.combining import SoftBuffer
-from heliograph.receive.decode.soft_packet import PacketObservations
+from heliograph.receive.decode.soft_packet import SoftPacket
 from heliograph.receive.decode.worker import (
     MAX_ARRAYS,
     MAX_BUFFERS,
     ArrayKey,
-    ArrayState,
     Decoded,
-    InlineExecutor,
     PacketDecoder,
     PendingPacket,
-    ProcessExecutor,
+    call_in_process,
+    call_inline,
     wait_for,
 )
-from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.led_gains import LedGains, update_brightness
 from heliograph.receive.events import ignore
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
-from heliograph.receive.soft_reader import SoftReader
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import SignalSettings
 
 PACKET = 100
 """Frames of a packet."""
@@ -93,23 +91,22 @@ def test_the_packets_are_those_decoded_at_once(receiver: str, frames: list[Frame
 
 def test_what_is_handed_over_is_pixels_and_little_else(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
     """What has shown the LEDs stays where it was learnt: of 256 LEDs it takes a megabyte."""
-    handed = list[tuple[PacketObservations, int]]()
+    handed = list[tuple[SoftPacket, int]]()
 
-    class Noted(InlineExecutor):
-        def submit(self, call: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-            pickled = pickle.dumps((call, args))
-            if call.__name__ == "decode":
-                handed.append((args[0], len(pickled)))
-            call, args = pickle.loads(pickled)
-            return super().submit(call, *args, **kwargs)
+    def noted(call: Callable[..., Any], /, *args: Any) -> Future[Any]:
+        pickled = pickle.dumps((call, args))
+        if call.__name__ == "decode":
+            handed.append((args[0], len(pickled)))
+        call, args = pickle.loads(pickled)
+        return call_inline(call, *args)
 
-    monkeypatch.setattr(assemblies, "decode_executor", lambda _: Noted())
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: noted)
     settings = settings_of("soft", True)
     packets = list(receive_frames(frames, settings.signal, settings.receive))
     assert {packet.status for packet in packets} == {"ok"}
     assert handed
     for observations, size in handed:
-        pixels = sum(one.total.nbytes + one.difference.nbytes for one in observations.data.cutouts.values())
+        pixels = sum(one.total.nbytes + one.difference.nbytes for one in observations._cutouts.values())
         assert size < 1.3 * pixels + 50_000
 
 
@@ -127,7 +124,7 @@ def test_nothing_is_left_to_do_when_a_film_is_over(frames: list[Frame], monkeypa
             return asked[-1]
 
     with Slow(1) as executor:
-        monkeypatch.setattr(assemblies, "decode_executor", lambda _: executor)
+        monkeypatch.setattr(assemblies, "decode_executor", lambda _: executor.submit)
         settings = settings_of("soft", True)
         list(receive_frames(frames[: 2 * PACKET], settings.signal, settings.receive))
         assert asked
@@ -136,14 +133,14 @@ def test_nothing_is_left_to_do_when_a_film_is_over(frames: list[Frame], monkeypa
 
 def in_a_thread(monkeypatch: pytest.MonkeyPatch, before: Callable[[int], None]) -> None:
     """Packets are decoded in a thread, and a function is called with the number of each before."""
-    decode, calls = PacketObservations.decode, itertools.count(1)
+    decode, calls = SoftPacket.decode, itertools.count(1)
 
-    def late(self: PacketObservations, *arguments: Any) -> Any:
+    def late(self: SoftPacket, *arguments: Any) -> Any:
         before(next(calls))
         return decode(self, *arguments)
 
-    monkeypatch.setattr(PacketObservations, "decode", late)
-    monkeypatch.setattr(assemblies, "decode_executor", lambda _: ThreadPoolExecutor(1))
+    monkeypatch.setattr(SoftPacket, "decode", late)
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: ThreadPoolExecutor(1).submit)
 
 
 def one_array() -> LinkSettings:
@@ -216,7 +213,7 @@ def test_following_waits_for_a_first_packet_where_its_header_leaves_a_doubt(
 ) -> None:
     settings, demand = link("receive.receiver=soft", *change.split("; "), distance_m=40.0), OnDemand()
     frames = [replace(frame, pixels=orientation.turned(frame.pixels)) for frame in film(settings, 2 * PACKET + 80)]
-    monkeypatch.setattr(assemblies, "decode_executor", lambda _: demand)
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: demand.submit)
     receiver, packets = pushed(frames[: PACKET + 80], settings)
     assert [packet.first_frame for packet in packets] == ([0] if waits else [])
     packets += [packet for frame in frames[PACKET + 80 :] for packet in receiver.push(frame)]
@@ -229,7 +226,7 @@ def test_half_a_pattern_out_of_step_following_waits_for_the_first_packet_alone(m
     array = {"x_m": 0.0, "y_m": 0.0, "start_s": 0.0025}
     settings, demand = link("receive.receiver=soft", arrays=[array], distance_m=40.0), OnDemand()
     frames = film(settings, 3 * PACKET + 80)
-    monkeypatch.setattr(assemblies, "decode_executor", lambda _: demand)
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: demand.submit)
     receiver, packets = pushed(frames[: 2 * PACKET + 80], settings)
     assert [packet.header_score for packet in packets] == [0.0]
     packets += [packet for frame in frames[2 * PACKET + 80 :] for packet in receiver.push(frame)]
@@ -239,83 +236,18 @@ def test_half_a_pattern_out_of_step_following_waits_for_the_first_packet_alone(m
 
 def test_what_a_packet_teaches_reaches_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where following does not know it yet: the next packet is not read as that of an array just found."""
-    decode_all, seen = PacketObservations._decode_all, list[tuple[bool, int]]()
+    packet_decode, seen = SoftPacket.decode, list[int]()
 
-    def noted(self: PacketObservations, *arguments: Any) -> Any:
-        seen.append((self.confirmed, self._gains().brightness.packets))
-        return decode_all(self, *arguments)
+    def noted(self: SoftPacket, led_gains: LedGains | None, *arguments: Any) -> Any:
+        seen.append(0 if led_gains is None else led_gains.packets)
+        return packet_decode(self, led_gains, *arguments)
 
     settings, demand = link("receive.receiver=soft", distance_m=60.0), OnDemand()
     frames = film(settings, 2 * PACKET + 80)
-    monkeypatch.setattr(PacketObservations, "_decode_all", noted)
-    monkeypatch.setattr(assemblies, "decode_executor", lambda _: demand)
+    monkeypatch.setattr(SoftPacket, "decode", noted)
+    monkeypatch.setattr(assemblies, "decode_executor", lambda _: demand.submit)
     list(receive_frames(frames, settings.signal, settings.receive))
-    assert seen[:2] == [(False, 0), (True, 1)]
-    assert [confirmed for confirmed, _ in seen] == [False, True, True]
-
-
-@pytest.mark.parametrize("beside", [False, True])
-def test_an_array_that_was_not_what_it_seemed_is_doubted_a_packet_later(
-    beside: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    decode, calls, arrays = PacketObservations.decode, itertools.count(), list[ArrayReceiver]()
-
-    def misled(self: PacketObservations, *arguments: Any) -> Decoded:
-        words, state = unread(self.form, self.identity), ArrayState(misled=True)
-        return Decoded(words, learn=lambda: state) if next(calls) < 2 else decode(self, *arguments)
-
-    class Noted(ArrayReceiver):
-        def __init__(self, *args: Any, **names: Any) -> None:
-            super().__init__(*args, **names)
-            arrays.append(self)
-
-    settings = one_array()
-    frames = film(settings, 3 * PACKET + 10)
-    monkeypatch.setattr(PacketObservations, "decode", misled)
-    monkeypatch.setattr(assemblies, "ArrayReceiver", Noted)
-    monkeypatch.setattr(assemblies, "decode_executor", lambda _: ThreadPoolExecutor(1) if beside else InlineExecutor())
-    receiver, sure = make_receiver(settings.signal, settings.receive), list[bool]()
-    packets = list[Packet]()
-    for frame in frames:
-        packets += receiver.push(frame)
-        sure.append(bool(arrays) and arrays[0].confidence > Confidence.CANDIDATE)
-    packets += receiver.finish()
-    assert [packet.status for packet in packets] == ["crc_fail", "crc_fail", "ok"]
-    assert len(arrays) == 1
-    # it is an array by its header, until its first packet is asked for
-    assert sure[PACKET + 50]
-    assert not sure[2 * PACKET + 50]
-
-
-@pytest.mark.parametrize("beside", [False, True])
-def test_an_array_whose_packets_are_whole_is_doubted_until_one_shows_that_it_is_followed_rightly(
-    beside: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    decode, calls, arrays = PacketObservations.decode, itertools.count(), list[ArrayReceiver]()
-
-    def misled(self: PacketObservations, *arguments: Any) -> Decoded:
-        decoded, number = decode(self, *arguments), next(calls)
-        return replace(decoded, learn=lambda: ArrayState(misled=True)) if number < 2 else decoded
-
-    class Noted(ArrayReceiver):
-        def __init__(self, *args: Any, **names: Any) -> None:
-            super().__init__(*args, **names)
-            arrays.append(self)
-
-    settings = one_array()
-    monkeypatch.setattr(PacketObservations, "decode", misled)
-    monkeypatch.setattr(assemblies, "ArrayReceiver", Noted)
-    monkeypatch.setattr(assemblies, "decode_executor", lambda _: ThreadPoolExecutor(1) if beside else InlineExecutor())
-    receiver, sure, packets = make_receiver(settings.signal, settings.receive), list[bool](), list[Packet]()
-    for frame in film(settings, 4 * PACKET + 10):
-        packets += receiver.push(frame)
-        sure.append(bool(arrays) and arrays[0].confidence > Confidence.CANDIDATE)
-    packets += receiver.finish()
-    assert [packet.status for packet in packets] == ["ok"] * 4
-    assert sure[PACKET + 50]
-    assert not sure[2 * PACKET + 50]
-    # the third packet shows that it is followed rightly, or the array is found anew
-    assert sure[3 * PACKET + 50] or len(arrays) > 1
+    assert seen[:2] == [0, 1]
 
 
 def test_a_process_that_ends_at_a_quick_check_is_told_of_in_one_line() -> None:
@@ -325,25 +257,28 @@ def test_a_process_that_ends_at_a_quick_check_is_told_of_in_one_line() -> None:
         wait_for(future)
 
 
-KEY = ArrayKey(3, UPRIGHT, 0)
+KEY: ArrayKey = (3, UPRIGHT, 0)
 
 
 @dataclass
 class Scripted:
-    """Observations that decode to a given result, and record the states they are decoded with."""
+    """Observations that decode to a given result, and record the state they are decoded with."""
 
     decoded: Decoded
-    states: list[ArrayState] = field(default_factory=list)
+    form: PacketFormat = field(default_factory=lambda: PacketFormat(SignalSettings()))
+    mode: int = 0
+    states: list[tuple[LedGains | None, SoftBuffer]] = field(default_factory=list)
 
-    def decode(self, state: ArrayState, _observe: Any, /) -> Decoded:
-        self.states.append(state)
+    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer | None, _observe: Any, /) -> Decoded:
+        assert buffer is not None
+        self.states.append((led_gains, buffer))
         return self.decoded
 
 
-def decode(decoder: PacketDecoder, decoded: Decoded, key: ArrayKey = KEY) -> ArrayState:
-    """State of an array that a packet is decoded with."""
+def decode(decoder: PacketDecoder, decoded: Decoded, key: ArrayKey = KEY) -> tuple[LedGains | None, SoftBuffer]:
+    """LED gains and buffer that a packet is decoded with."""
     packet = Scripted(decoded)
-    decoder.decode(cast(Any, packet), key, lacks_pair=False)
+    decoder.decode(cast(Any, packet), key)
     return packet.states[0]
 
 
@@ -351,43 +286,43 @@ def test_a_state_without_a_solution_changes_nothing() -> None:
     def fails() -> Any:
         raise np.linalg.LinAlgError
 
-    decoder, after = PacketDecoder(), ArrayState(LedGains.sound(SIDE), confirmed=True)
+    decoder, after = PacketDecoder(), LedGains.sound(SIDE)
     decode(decoder, Decoded({}, learn=lambda: after))
     learnt = decoder.learn(KEY)
     assert learnt is not None
-    assert learnt.confirmed
+    assert np.array_equal(learnt.values, after.values)
     assert decoder.learn(KEY) is None
-    assert decode(decoder, Decoded({}, learn=fails)).led_gains is after.led_gains
+    assert decode(decoder, Decoded({}, learn=fails))[0] is after
     assert decoder.learn(KEY) is None
-    assert decode(decoder, Decoded({})).led_gains is after.led_gains
+    assert decode(decoder, Decoded({}))[0] is after
 
 
 def test_a_pickled_decoder_has_a_state_of_its_own_that_stays() -> None:
-    here = PacketDecoder()
+    here, led_gains = PacketDecoder(), LedGains.sound(SIDE)
     there = pickle.loads(pickle.dumps(here))
-    decode(there, Decoded({}, learn=lambda: ArrayState(confirmed=True)))
+    decode(there, Decoded({}, learn=lambda: led_gains))
     there.learn(KEY)
     assert pickle.loads(pickle.dumps(here)) is there
-    assert decode(there, Decoded({})).confirmed
-    assert not decode(here, Decoded({})).confirmed
+    assert decode(there, Decoded({}))[0] is led_gains
+    assert decode(here, Decoded({}))[0] is None
 
 
 def test_a_decoder_keeps_the_states_of_the_arrays_and_the_buffers_of_the_identities_decoded_last() -> None:
-    decoder = PacketDecoder()
+    decoder, led_gains = PacketDecoder(), LedGains.sound(SIDE)
     for number in range(MAX_ARRAYS + 2):
-        key = ArrayKey(number % 30, ORIENTATIONS[number // 30], number)
+        key = number % 30, ORIENTATIONS[number // 30], number
         buffer = SoftBuffer((), {("high", cast(Any, number)): ()})
-        decode(decoder, Decoded({}, buffer=buffer, learn=lambda: ArrayState(confirmed=True)), key)
+        decode(decoder, Decoded({}, buffer=buffer, learn=lambda: led_gains), key)
         decoder.learn(key)
-    keys = [ArrayKey(k % 30, ORIENTATIONS[k // 30], k) for k in range(MAX_ARRAYS + 2)]
+    keys = [(k % 30, ORIENTATIONS[k // 30], k) for k in range(MAX_ARRAYS + 2)]
     states = [decode(decoder, Decoded({}), key) for key in keys]
-    assert [state.confirmed for state in states] == [False] * 2 + [True] * MAX_ARRAYS
-    kept = [bool(state.buffer and state.buffer.codewords) for state in states]
+    assert [gains is not None for gains, _ in states] == [False] * 2 + [True] * MAX_ARRAYS
+    kept = [bool(buffer.codewords) for _, buffer in states]
     assert kept == [False] * (MAX_ARRAYS + 2 - MAX_BUFFERS) + [True] * MAX_BUFFERS
     # an array that is detected again goes on with its buffer, and starts with a new state
-    again = decode(decoder, Decoded({}), keys[-1]._replace(number=-1))
-    assert again.buffer is states[-1].buffer
-    assert not again.confirmed
+    gains, buffer = decode(decoder, Decoded({}), (*keys[-1][:2], -1))
+    assert buffer is states[-1][1]
+    assert gains is None
 
 
 def test_what_breaks_off_decoding_breaks_off_receiving(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -421,26 +356,27 @@ def test_a_packet_without_a_solution_is_lost_alone(monkeypatch: pytest.MonkeyPat
 
 def test_the_led_brightness_of_a_packet_reaches_the_next_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a packet teaches is taken over by the reader that followed meanwhile."""
-    taught: list[tuple[Any, Any]] = []
-    update = SoftReader.update
+    updated = list[tuple[LedGains, LedGains]]()
 
-    def noted(self: SoftReader, state: Any) -> None:
-        update(self, state)
-        taught.append((state.led_gains.faded(), self._gains()))
+    def noted(led_gains: LedGains | None, learnt: LedGains | None) -> LedGains | None:
+        after = update_brightness(led_gains, learnt)
+        if after is not None and learnt is not None:
+            updated.append((learnt, after))
+        return after
 
-    monkeypatch.setattr(SoftReader, "update", noted)
+    monkeypatch.setattr(array, "update_brightness", noted)
     settings = one_array()
     list(receive_frames(film(settings, 4 * PACKET + 10), settings.signal, settings.receive))
-    assert taught
-    for led_gains, gains in taught:
-        assert np.array_equal(led_gains.brightness.values, gains.brightness.values)
+    assert updated
+    for learnt, after in updated:
+        assert np.array_equal(learnt.brightness, after.brightness)
 
 
 def test_a_process_that_dies_is_told_in_a_line_and_begun_anew() -> None:
     settings = one_array()
     frames = film(settings, PACKET + 10)
     (packet,) = receive_frames(frames, settings.signal, settings.receive)
-    dying: Any = ProcessExecutor().submit(partial(os._exit, 1))
+    dying: Any = call_in_process(partial(os._exit, 1))
     lost = PendingPacket(packet, cast(Any, None), dying, dying, ignore, None)
     with pytest.raises(HeliographError, match=r"^the process that decodes packets has ended.*in_background = false"):
         lost.packet()

@@ -1,7 +1,6 @@
 """The soft receiver's reader: when a pair's data were lit, and LEDs taken for dead by mistake."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,18 +10,11 @@ from recorder import Recorder
 from scenes import SIDE, drawn_film, film, link
 
 from heliograph.receive import receive_frames
-from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.soft_packet import SoftDecoding
-from heliograph.receive.decode.worker import ArrayState
-from heliograph.receive.equalise.led_gains import Brightness, DecodedPair, LearntGains, LedGains
-from heliograph.receive.events import DecodeEvent, ExtractEvent, ignore
+from heliograph.receive.decode.header_reader import HeaderReader
+from heliograph.receive.equalise.led_gains import DecodedPair, LedGains
+from heliograph.receive.events import DecodeEvent, ExtractEvent
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.soft_reader import SoftReader
-from heliograph.receive.track.kalman import MotionModel
-from heliograph.receive.track.tracker import Tracker
-from heliograph.signal.formats import AGREED
-from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
 Floats = NDArray[np.float64]
@@ -81,11 +73,13 @@ def test_poses_of_a_combined_pair_are_those_at_the_middle_of_its_data() -> None:
 
 @pytest.mark.slow
 def test_leds_taken_for_dead_by_mistake_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    def mistaken(self: LedGains, cutout: Cutout, header: Floats, gain: float, in_sight: Floats) -> LearntGains:
-        values = np.where(np.arange(SIDE)[:, None] < 4, 0.0, np.ones((SIDE, SIDE)))
-        return LearntGains(LedGains.in_sight(values), gain, False)
+    def mistaken(
+        self: LedGains, cutout: Cutout, header: Floats, gain: float, visible: Floats
+    ) -> tuple[LedGains, float, bool]:
+        sight = np.where(np.arange(SIDE)[:, None] < 4, 0.0, np.ones((SIDE, SIDE)))
+        return LedGains(sight, np.ones((SIDE, SIDE))), gain, False
 
-    monkeypatch.setattr(LedGains, "learn", mistaken)
+    monkeypatch.setattr(LedGains, "learn_header", mistaken)
     settings = link("receive.receiver=soft", distance_m=80.0)
     packets = list(receive_frames(film(settings, 101), settings.signal, settings.receive))
     assert [word.status for by in packets[0].layers.values() for word in by] == ["ok"] * 4
@@ -101,18 +95,18 @@ def test_leds_are_not_learnt_where_light_smears(
     def passing(t: Floats) -> Floats:
         return np.stack([40.3 + 1e3 * px_a_frame * t, np.full_like(t, 48.8)], -1)
 
-    calls, headers, data = list[str](), LedGains.learn, Brightness.learn
+    calls, headers, data = list[str](), LedGains.learn_header, LedGains.learn_data
 
-    def by_header(self: LedGains, *args: Any) -> LearntGains:
+    def by_header(self: LedGains, *args: Any) -> tuple[LedGains, float, bool]:
         calls.append("header")
         return headers(self, *args)
 
-    def by_data(self: Brightness, pairs: Sequence[DecodedPair], gain: float, noise: float) -> Brightness:
+    def by_data(self: LedGains, pairs: Sequence[DecodedPair], gain: float, noise: float) -> LedGains:
         calls.extend(["data"] * len(pairs))
         return data(self, pairs, gain, noise)
 
-    monkeypatch.setattr(LedGains, "learn", by_header)
-    monkeypatch.setattr(Brightness, "learn", by_data)
+    monkeypatch.setattr(LedGains, "learn_header", by_header)
+    monkeypatch.setattr(LedGains, "learn_data", by_data)
     settings = link("receive.receiver=soft", "signal.data_pairs=24")
     frames = drawn_film(settings, 108, passing, distance_m=40.0)
     packets = list(receive_frames(frames, settings.signal, settings.receive))
@@ -124,21 +118,17 @@ def test_leds_are_not_learnt_where_light_smears(
 def test_what_headers_have_shown_stays_unless_other_leds_are_in_sight(mistaken: bool) -> None:
     sound, values = np.ones((SIDE, SIDE)), np.random.default_rng(0).uniform(0.5, 1.5, (SIDE, SIDE))
     shown = PairStatistics(np.eye(SIDE**2, dtype=np.float32), np.zeros(SIDE**2), np.zeros(SIDE**2), 0.0, 0.0)
-    before = LedGains(sound - mistaken * np.eye(SIDE), Brightness.equal(SIDE), shown)
-    signal = SignalSettings()
-    decoding = SoftDecoding(Decoding(), "propagation", led_by_led=True, combining=False)
-    tracker = Tracker(SIDE, MotionModel(1e-3, 0.02))
-    reader = SoftReader(3, PacketFormat(signal, AGREED), tracker, decoding, ignore, before)
-    assert reader.observations().led_gains.header_statistics is None  # type: ignore[union-attr]
-    state = ArrayState(LedGains(sound, replace(Brightness.equal(SIDE), values=values)), True).for_tracking
-    after = reader.next(state, confirmed=False)._led_gains
-    assert after is not None
+    before = LedGains(sound - mistaken * np.eye(SIDE), sound, shown)
+    reader = HeaderReader(3, SignalSettings(), is_plain=False)
+    reader.led_gains = before
+    reader.next(LedGains(sound, values))
+    after = reader.led_gains
     assert np.array_equal(after.values, values)
     if mistaken:
-        assert after.header_statistics is None
+        assert after.headers is None
     else:
         # the next packet trusts the headers of this one less
-        assert after.header_statistics is not None
-        faded = LedGains(sound, Brightness.equal(SIDE), shown).faded().header_statistics
+        assert after.headers is not None
+        faded = before.faded().headers
         assert faded is not None
-        assert np.array_equal(after.header_statistics.gram, faded.gram)
+        assert np.array_equal(after.headers.gram, faded.gram)

@@ -21,6 +21,7 @@ from heliograph.receive.events import DecodeEvent, DetectEvent, TrackEvent
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
+from heliograph.receive.track.track import Track
 from heliograph.signal.settings import SignalSettings
 
 START_ERROR = 0.02
@@ -130,16 +131,19 @@ def read(frames: Sequence[Frame], signal: SignalSettings, settings: ReceiveSetti
     """Let a receiver read frames."""
     detections, packets, cutouts, error = list[Detection](), list[Packet](), list[Cutout](), ""
     gains: dict[int, list[float]] = defaultdict(list)
-    exposures = dict[int, tuple[float, float]]()
+    exposures, tracks = dict[int, tuple[float, float]](), dict[int, Track]()
 
     def watch(event: Any) -> None:
         if isinstance(event, DetectEvent):
             detections.append(event.detection)
         if isinstance(event, DecodeEvent):
-            cutouts.extend(one.steady for one in event.cutouts if one is not None)
+            track = tracks.get(event.identity)
+            kept = [one for one in event.cutouts if one is not None]
+            cutouts.extend(one.motion_compensated(track.gain, track.led_gains) if track else one for one in kept)
             if event.exposure_range is not None:
                 exposures[event.identity] = event.exposure_range
         if isinstance(event, TrackEvent):
+            tracks[event.identity] = event.tracked.track
             gains[event.identity].append(event.tracked.track.gain)
 
     try:

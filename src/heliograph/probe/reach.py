@@ -23,10 +23,9 @@ from heliograph.receive.geometry import kernels as image_kernels
 from heliograph.receive.geometry.footprint import to_grid
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, window_around
-from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.observe.statistics import whiten
+from heliograph.receive.observe.statistics import leds_of, whiten
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 
@@ -139,7 +138,7 @@ def _cutout(pose: Pose, side: int) -> Cutout:
 
 def _soft(pose: Pose, gain: float, noise: Noise, signal: SignalSettings) -> dict[str, float]:
     side = signal.side
-    pair = whiten(_cutout(pose, side), noise, side).statistics()
+    pair = whiten(_cutout(pose, side), noise, side).statistics
     mean, variance = np.zeros(side * side), np.ones(side * side)
     out = {}
     for name, part in _bounds(side):
@@ -178,7 +177,7 @@ def _plain(pose: Pose, gain: float, noise: Noise, signal: SignalSettings) -> dic
 def _patterns(side: int) -> Floats:
     """Luminances 2 x - 1 of the LEDs by each symbol alone, (symbols, n, n)."""
     count = side * side
-    return np.array([to_grid(kernels.leds_of(np.eye(1, count, symbol)[0])) for symbol in range(count)])
+    return np.array([to_grid(leds_of(np.eye(1, count, symbol)[0])) for symbol in range(count)])
 
 
 @lru_cache(maxsize=4)

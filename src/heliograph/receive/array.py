@@ -2,133 +2,34 @@
 
 import logging
 import math
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from dataclasses import replace
 from enum import IntEnum
-from typing import Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.decode.worker import (
-    ArrayKey,
-    ArrayState,
-    Observations,
-    PacketDecoder,
-    PendingPacket,
-    wait_for,
-)
+from heliograph.receive.decode.header_reader import HeaderReader, data_late_s
+from heliograph.receive.decode.worker import ArrayKey, PacketDecoder, PacketObservations, PendingPacket, wait_for
 from heliograph.receive.detect.detection import Detection
+from heliograph.receive.equalise.led_gains import update_brightness
+from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import Observer, TrackEvent
-from heliograph.receive.geometry.pose import Orientation, Pose, rim_distance
+from heliograph.receive.geometry.pose import Pose, rim_distance
 from heliograph.receive.geometry.view import CAMERA, View
 from heliograph.receive.packet import MIN_HEADER_SCORE, MIN_PAIRS_SEEN, Packet
-from heliograph.receive.settings import CalibrationSettings
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.pairing import DuePair, FramePair, MeasuredHeader, Pairing, UnpairedFrame
 from heliograph.receive.sync.slips import SlipWatch
-from heliograph.receive.track.track import Track, TrackedPair, check_pose
+from heliograph.receive.track.track import TrackedPair, check_pose
 from heliograph.receive.track.tracker import Tracker
 from heliograph.receive.track.unpaired_frames import MAX_DISTANCE_PAIRS
-from heliograph.signal.formats import Format
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
 LOG = logging.getLogger(__name__)
-
-
-class PacketReader(Protocol):
-    """Reads a packet of an array."""
-
-    @property
-    def format(self) -> Format:
-        """Format of the packet, as far as the header has shown."""
-
-    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> tuple[Track, float]:
-        """Read a header pair.
-
-        Parameters
-        ----------
-        number
-            Number of the pair in the header, from 0.
-        pair
-            Frames of the header and its inverse.
-        tracked
-            The array in the frames, as their sum shows it.
-
-        Returns
-        -------
-        track, score
-            Track with the pose refined by the header; amplitude of the header as a fraction of the array's light.
-        """
-
-    def end_header(self, header: MeasuredHeader) -> None:
-        """Read a complete header that a camera out of step recorded.
-
-        Parameters
-        ----------
-        header
-            The measured gain, and the frames, both combined to one pair and one by one.
-        """
-
-    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
-        """Track the array through a pair of data.
-
-        Parameters
-        ----------
-        pair
-            Frames of a pattern and its inverse; in the single mode of two patterns.
-        track
-            The array before the pair.
-        """
-
-    def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
-        """Add a pair of data in which the array is visible.
-
-        Parameters
-        ----------
-        place
-            Number of the pair in the packet's data, from 0.
-        pair
-            Frames of a pattern and its inverse; in the single mode of two patterns.
-        tracked
-            The array in the frames, as `follow` returned it.
-        """
-
-    def add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
-        """Add the remaining frame of a pair of data.
-
-        Parameters
-        ----------
-        place
-            Number of the pair in the packet's data, from 0.
-        lone
-            The remaining frame.
-        """
-
-    def observations(self) -> Observations:
-        """Return the observations of the packet, ready to decode."""
-
-    def next(self, state: ArrayState | None, confirmed: bool) -> "PacketReader":
-        """Make the reader of the next packet.
-
-        Parameters
-        ----------
-        state
-            State of the array after this packet; None if unchanged, or if a call of `update` follows.
-        confirmed
-            True if the pose of the track is certain.
-        """
-
-    def update(self, state: ArrayState) -> None:
-        """Use the state of the array after the packet before, which was decoded during this one.
-
-        Parameters
-        ----------
-        state
-            State without the evidence.
-        """
 
 
 class Confidence(IntEnum):
@@ -142,117 +43,56 @@ class Confidence(IntEnum):
     CODEWORD = 2
 
 
-@dataclass(slots=True)
-class PacketRecord:
-    """Metadata of the packet in progress."""
-
-    # (pairs,) True for pairs of data in which the array was visible
-    seen: NDArray[np.bool_]
-    # Numbers of the frames
-    frames: list[int] = field(default_factory=list)
-    # Correlation of each pair's sum with the array, -1 to 1
-    scores: list[float] = field(default_factory=list)
-    # The array's pose in each pair
-    poses: list[Pose] = field(default_factory=list)
-    # Standard deviation of the position in each pair, in px of its view
-    stds_px: list[float] = field(default_factory=list)
-    # Score of each pair of the header
-    header: list[float] = field(default_factory=list)
-    # True if the light's clock measured the header
-    clocked: bool = False
-
-    def add_pair(self, frames: tuple[int, int], tracked: TrackedPair) -> None:
-        """Record a pair."""
-        self.frames += frames
-        self.scores.append(tracked.fit.score)
-        self.poses.append(tracked.state.pose)
-        variance = tracked.state.covariance
-        self.stds_px.append(math.sqrt(0.5 * (variance[0, 0] + variance[1, 1])))
-
-    @property
-    def header_score(self) -> float:
-        """Amplitude of the header as a fraction of the array's light; 0 if no pair was read."""
-        return float(np.mean(self.header or [0.0]))
-
-    @property
-    def has_header(self) -> bool:
-        """True if the header was received."""
-        # about half a pattern out of step no pair of a header alternates
-        return self.header_score >= MIN_HEADER_SCORE or (self.clocked and not self.header)
-
-    def to_packet(self, identity: int, start_time_s: float, view: View, calibration: CalibrationSettings) -> Packet:
-        """Return the packet before decoding; at least one pair must be recorded."""
-        pose = view.pose_out(self.poses[len(self.poses) // 2])
-        return Packet(
-            identity=identity,
-            status="crc_fail",
-            start_time_s=start_time_s,
-            first_frame=self.frames[0],
-            last_frame=self.frames[-1],
-            pose=pose,
-            distance_m=calibration.distance_m(pose),
-            header_score=self.header_score,
-            track_score=float(np.mean(self.scores)),
-            pairs_seen=float(self.seen.mean()),
-            layers={},
-            orientation=view.orientation,
-            pose_std_px=2**view.level * self.stds_px[len(self.stds_px) // 2],
-        )
-
-
-MAX_TRACK_ERROR_PITCHES = 0.5
-"""Maximum distance between the rims of track and header in pitches: beyond, LEDs are mistaken for neighbours."""
-
-
 class ArrayReceiver:
-    """Tracks an array from the detection on and reads the packets."""
+    """Tracks an array from the detection on and observes the packets."""
 
     def __init__(
         self,
         detection: Detection,
         pairing: Pairing,
         tracker: Tracker,
-        reader: PacketReader,
-        executor: Executor,
+        headers: HeaderReader,
+        make_packet: Callable[[], PacketObservations],
+        submit: Callable[..., Future[Any]],
         decoder: PacketDecoder,
         key: ArrayKey,
         *,
         signal: SignalSettings,
-        calibration: CalibrationSettings,
-        coast_s: float,
+        settings: ReceiveSettings,
         observe: Observer,
         view: View = CAMERA,
     ):
-        self.detection, self._view, self._as_camera = detection, view, view == CAMERA
-        self._pairing, self._tracker, self._reader = pairing, tracker, reader
-        self._executor, self._decoder, self._key = executor, decoder, key
-        self._signal, self._calibration, self._coast_s, self._observe = signal, calibration, coast_s, observe
+        self.detection, self._view = detection, view
+        # number of the array, 0 to 29, and orientation in which the header was read
+        self.identity, self.orientation = detection.identity, view.orientation
+        self._pairing, self._tracker, self._headers, self._make_packet = pairing, tracker, headers, make_packet
+        self._submit, self._decoder, self._key = submit, decoder, key
+        self._signal, self._calibration, self._observe = signal, settings.calibration, observe
+        self._coast_s = settings.track.coast_patterns * signal.pattern_period_s
+        # pairs of a packet, with the header
+        self._pairs = signal.packet_patterns // 2
         self._track = tracker.start(detection)
-        self._record = self._new_record()
         self._number, self._last_s = 0, -math.inf
         self._header = header_levels(detection.identity, signal.side) / 2.0 - 1.0
         self._slips = SlipWatch(detection.identity, signal)
         self._start_lost = 0
+        # True if a codeword was decoded: identity and orientation are right
+        self.has_codeword = False
         # True if the last packet was decoded; None before the first
         self._decoded: bool | None = None
-        self._has_codeword = self._misled = self._failed = self._outgrown = self._over = False
+        self._failed = self._outgrown = self._over = False
         # the last packet, while the state after it is pending
         self._pending: PendingPacket | None = None
+        self._start_packet()
 
-    @property
-    def identity(self) -> int:
-        """Number of the array, 0 to 29."""
-        return self.detection.identity
-
-    @property
-    def orientation(self) -> Orientation:
-        """Orientation in which the header was read."""
-        return self._view.orientation
-
-    @property
-    def has_codeword(self) -> bool:
-        """True if a codeword was decoded: identity and orientation are right."""
-        return self._has_codeword
+    def _start_packet(self) -> None:
+        """Begin the next packet."""
+        self._packet = self._make_packet()
+        # numbers of the frames, pairs in which the array was tracked, and the score of each header pair
+        self._frames, self._tracked, self._scores = list[int](), list[TrackedPair](), list[float]()
+        # True for pairs of data in which the array was visible, and if the light's clock measured the header
+        self._seen, self._clocked = np.zeros(self._signal.data_pairs, dtype=bool), False
+        self._decisions: DecisionDirectedTracker | None = None
 
     @property
     def pose(self) -> Pose:
@@ -267,10 +107,9 @@ class ArrayReceiver:
     @property
     def confidence(self) -> Confidence:
         """Evidence for the track: the last packet, or the header before the first packet."""
-        decoded = self._decoded or (self._decoded is None and self._has_codeword)
-        if decoded and not self._misled:
+        if self._decoded or (self._decoded is None and self.has_codeword):
             return Confidence.CODEWORD
-        has_header = self._decoded is None and self.detection.is_clear and not self._misled
+        has_header = self._decoded is None and self.detection.is_clear
         return Confidence.HEADER if has_header else Confidence.CANDIDATE
 
     @property
@@ -307,7 +146,8 @@ class ArrayReceiver:
         pose = self._view.pose_out(self._track.state.pose_at(detection.time_s))
         error_px = rim_distance(pose, detection.fit.pose, self._signal.side)
         all_visible = bool((detection.led_gains == 1).all())
-        return detection.is_clear and all_visible and error_px > MAX_TRACK_ERROR_PITCHES * pose.pitch
+        # beyond half a pitch LEDs are mistaken for neighbours
+        return detection.is_clear and all_visible and error_px > 0.5 * pose.pitch
 
     def push(self, frame: Frame) -> Iterator[PendingPacket]:
         """Take the next frame; yield the packet it completes."""
@@ -321,8 +161,8 @@ class ArrayReceiver:
             self._over = True
             yield from self.flush(over=True)
             return
-        paired = self._reader.format.mode != "single"
-        viewed = frame if self._as_camera else self._view.frame(frame, self.pose, self._signal.side)
+        paired = self._headers.format.mode != "single"
+        viewed = frame if self._view == CAMERA else self._view.frame(frame, self.pose, self._signal.side)
         for kept in self._slips.push(viewed, self._pairing.origin_s, self._track.state.pose_at, paired):
             self._pairing.push(kept)
             yield from self._read_pairs()
@@ -334,12 +174,8 @@ class ArrayReceiver:
             yield from self._read_pairs()
         self._pairing.flush()
         yield from self._read_pairs()
-        if self._record.poses if over else self._record.seen.mean() >= MIN_PAIRS_SEEN:
+        if self._tracked if over else self._seen.mean() >= MIN_PAIRS_SEEN:
             yield self._finish()
-
-    @property
-    def _pairs(self) -> int:
-        return self._signal.packet_patterns // 2
 
     def _read_pairs(self) -> Iterator[PendingPacket]:
         """Read pairs; end the track if the equations have no solution: the next header starts another."""
@@ -351,16 +187,16 @@ class ArrayReceiver:
             LOG.warning("array %d is given up at %.4f s: %s", self.identity, self._pairing.now_s, error)
 
     def _next_pair(self) -> DuePair | None:
-        single = self._reader.format.mode == "single"
+        single = self._headers.format.mode == "single"
         return self._pairing.next_pair(self._track.state.pose_at, self._track.shining, single)
 
     def _take(self, number: int, pair: FramePair | UnpairedFrame | MeasuredHeader | None) -> Iterator[PendingPacket]:
         """Read a pair; yield the packet it completes."""
         if isinstance(pair, MeasuredHeader):
-            self._record.clocked = True
+            self._clocked = True
             # in a sum the light of the panel adds to the array's
             self._track = replace(self._track, gain=pair.gain)
-            self._reader.end_header(pair)
+            self._headers.read_frames(pair, self._track.data_gain)
             return
         self._number, in_packet = number, number % self._pairs
         place = in_packet - self._signal.header_pairs
@@ -376,108 +212,126 @@ class ArrayReceiver:
                 self._read_header(in_packet, pair)
             else:
                 self._read_data(place, pair)
-        if in_packet == self._pairs - 1 and self._record.poses:
+        if in_packet == self._pairs - 1 and self._tracked:
             yield self._finish()
-        elif in_packet == self._pairs - 1 and self._record.frames:
+        elif in_packet == self._pairs - 1 and self._frames:
             # unpaired frames only, which show no pose
-            self._record, self._reader = self._new_record(), self._reader.next(None, confirmed=False)
+            self._headers.next(None)
+            self._start_packet()
 
     def _read_header(self, number: int, pair: FramePair) -> None:
         tracked = self._tracker.follow(self._track, pair, self._header)
         self._record_pair(pair, tracked)
-        track, score = self._reader.read_header(number, pair, tracked)
+        track, score = self._headers.read_pair(number, pair, tracked, self._tracker)
         check_pose(track.state.pose, self._signal.side, pair.pattern.pixels.shape)
         self._track = track
-        self._record.header.append(score)
+        self._scores.append(score)
 
     def _read_data(self, place: int, pair: FramePair) -> None:
-        # a pair's sum shows all LEDs; data without inverses need the reader's decisions
-        tracked = self._reader.follow(pair, self._track)
+        # a pair's sum shows all LEDs; data without inverses need decisions
+        tracker: Tracker | DecisionDirectedTracker = self._tracker
+        if self._headers.format.mode == "single":
+            track = self._track
+            self._decisions = tracker = self._decisions or DecisionDirectedTracker(
+                self._tracker,
+                (pair.late_s, data_late_s(self._signal)),
+                self._headers.pairs,
+                track.data_gain,
+                track.shining,
+            )
+        tracked = tracker.follow(self._track, pair)
         self._record_pair(pair, tracked)
         self._track = tracked.track
         if tracked.seen:
-            self._reader.add_pair(place, pair, tracked)
-            self._record.seen[place] = True
+            self._observe(self._packet.add_pair(place, pair, tracked))
+            self._seen[place] = True
 
-    def _add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
+    def _add_unpaired(self, place: int, unpaired: UnpairedFrame) -> None:
         """Add the remaining frame of a pair if the array was in sight shortly before."""
-        self._record.frames.append(lone.frame.index)
-        if lone.frame.time_s - self._track.last_seen_s < 2 * MAX_DISTANCE_PAIRS * self._signal.pattern_period_s:
-            self._reader.add_unpaired(place, lone)
-            self._record.seen[place] = True
+        self._frames.append(unpaired.frame.index)
+        if unpaired.frame.time_s - self._track.last_seen_s < 2 * MAX_DISTANCE_PAIRS * self._signal.pattern_period_s:
+            self._packet.add_unpaired(place, unpaired)
+            self._seen[place] = True
 
     def _record_pair(self, pair: FramePair, tracked: TrackedPair) -> None:
         """Record and report a pair; raise `LinAlgError` if the pose is impossible."""
         check_pose(tracked.state.pose, self._signal.side, pair.pattern.pixels.shape)
-        self._record.add_pair((pair.pattern.index, pair.inverted.index), tracked)
+        self._frames += pair.pattern.index, pair.inverted.index
+        self._tracked.append(tracked)
         self._observe(TrackEvent(self.identity, pair.pattern.index, tracked, self._view))
 
     def _finish(self) -> PendingPacket:
         """Have the packet decoded, and begin the next one."""
         self._apply_pending_state()
-        record, self._record = self._record, self._new_record()
-        # by the camera's clock
-        patterns = 2 * (self._number - self._number % self._pairs) - self._start_lost
-        start_s = self._pairing.origin_s + patterns * self._signal.pattern_period_s
-        packet = record.to_packet(self.identity, start_s, self._view, self._calibration)
-        observations, lacks_pair = self._reader.observations(), self._lacks_pair
+        packet, observations = self._undecoded_packet(), self._packet
+        observations.end(self._headers, self._track, self._decisions)
         # the next header starts a track in a suitable view
         self._outgrown = not self._view.suits(self._track.state.pose)
-        is_certain = not lacks_pair and record.has_header and self._is_certain(packet, observations)
-        decoded = self._executor.submit(self._decoder.decode, observations, self._key, lacks_pair)
-        learnt = self._executor.submit(self._decoder.learn, self._key)
+        # about half a pattern out of step no pair of a header alternates
+        has_header = packet.header_score >= MIN_HEADER_SCORE or (self._clocked and not self._scores)
+        # the next header may come in the place of the last pair
+        lacks_pair = self._slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1
+        is_certain = has_header and not lacks_pair and self._is_certain(packet, observations)
+        decoded = self._submit(self._decoder.decode, observations, self._key, lacks_pair)
+        learnt = self._submit(self._decoder.learn, self._key)
         pending = PendingPacket(packet, observations, decoded, learnt, self._observe, self._pairing.exposure_range)
         if not is_certain:
             self._judge(pending.packet())
             is_certain = pending.packet().status == "ok" and not lacks_pair and self._all_visible
-        # otherwise the state is used at the end of the next packet
-        is_needed = self._misled or not is_certain
-        self._pending = None if is_needed else pending
-        self._reader = self._reader.next(self._state_after(pending) if is_needed else None, is_certain)
+        # then the state is used at the end of the next packet
+        self._pending = pending if is_certain else None
+        self._headers.confirmed |= is_certain
+        self._headers.next(None if is_certain else pending.led_gains)
+        self._start_packet()
         return pending
 
-    @property
-    def _lacks_pair(self) -> bool:
-        """True if the next header came in the place of the packet's last pair."""
-        return self._slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1
+    def _undecoded_packet(self) -> Packet:
+        """Return the packet before decoding; at least one pair must be recorded."""
+        # by the camera's clock
+        patterns = 2 * (self._number - self._number % self._pairs) - self._start_lost
+        state = self._tracked[len(self._tracked) // 2].state
+        pose, variance = self._view.pose_out(state.pose), state.covariance
+        return Packet(
+            identity=self.identity,
+            status="crc_fail",
+            start_time_s=self._pairing.origin_s + patterns * self._signal.pattern_period_s,
+            first_frame=self._frames[0],
+            last_frame=self._frames[-1],
+            pose=pose,
+            distance_m=self._calibration.distance_m(pose),
+            header_score=float(np.mean(self._scores or [0.0])),
+            track_score=float(np.mean([tracked.fit.score for tracked in self._tracked])),
+            pairs_seen=float(self._seen.mean()),
+            layers={},
+            orientation=self.orientation,
+            pose_std_px=2**self._view.level * math.sqrt(0.5 * (variance[0, 0] + variance[1, 1])),
+        )
 
     @property
     def _all_visible(self) -> bool:
         """True if no LED seems hidden or dark."""
         return bool((self._track.shining == 1).all())
 
-    def _is_certain(self, packet: Packet, observations: Observations) -> bool:
+    def _is_certain(self, packet: Packet, observations: PacketObservations) -> bool:
         """Return True if tracking may continue without waiting for the packet to decode."""
-        if packet.pairs_seen < MIN_PAIRS_SEEN or not self._all_visible or self._misled:
+        if packet.pairs_seen < MIN_PAIRS_SEEN or not self._all_visible:
             return False
         if self._decoded is None and not (self.detection.is_complete and not self.detection.is_ambiguous):
-            check = self._executor.submit(self._decoder.has_codeword, observations)
-            self._has_codeword |= wait_for(check)
-            return self._has_codeword
+            self.has_codeword |= wait_for(self._submit(observations.has_codeword))
+            return self.has_codeword
         return self._decoded is not False
 
     def _apply_pending_state(self) -> None:
         """Use the state after the packet before, if that was decoded during this one."""
         if self._pending is not None:
             self._judge(self._pending.packet())
-            state, self._pending = self._state_after(self._pending), None
-            if state is not None:
-                self._reader.update(state)
+            self._headers.led_gains = update_brightness(self._headers.led_gains, self._pending.led_gains)
+            self._pending = None
 
     def _judge(self, packet: Packet) -> None:
         """Update the confidence by a decoded packet."""
         # if LEDs seem to be missing, a packet decoded in part may stem from a wrong pose
         self._decoded = packet.status == "ok" or (packet.status == "partial" and self._all_visible)
-        self._has_codeword |= packet.has_codeword
+        self.has_codeword |= packet.has_codeword
         # no array, or out of step: the next header starts another track
         self._failed = packet.status in ("no_header", "no_array")
-
-    def _state_after(self, pending: PendingPacket) -> ArrayState | None:
-        """State of the array after a packet; it may show that the tracked pose is wrong."""
-        state = pending.state
-        if state is not None:
-            self._misled = state.misled
-        return state
-
-    def _new_record(self) -> PacketRecord:
-        return PacketRecord(np.zeros(self._signal.data_pairs, dtype=bool))

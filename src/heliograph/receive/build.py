@@ -1,14 +1,18 @@
 """The receivers "plain" and "soft": two assemblies of the same parts."""
 
 from collections.abc import Callable
-from concurrent.futures import Executor
+from concurrent.futures import Future
+from functools import partial
 from itertools import count
+from typing import Any
 
 from heliograph.base.errors import SettingsError
-from heliograph.receive.array import ArrayReceiver, PacketReader
+from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.soft_packet import SoftDecoding
-from heliograph.receive.decode.worker import ArrayKey, InlineExecutor, PacketDecoder, ProcessExecutor
+from heliograph.receive.decode.header_reader import HeaderReader
+from heliograph.receive.decode.plain_packet import PlainPacket
+from heliograph.receive.decode.soft_packet import SoftPacket
+from heliograph.receive.decode.worker import PacketDecoder, PacketObservations, call_in_process, call_inline
 from heliograph.receive.detect.alternation import SearchParameters
 from heliograph.receive.detect.budget import BUDGET
 from heliograph.receive.detect.detection import Detection, HeaderSearch
@@ -16,10 +20,8 @@ from heliograph.receive.detect.region import RegionSearch, around, pose_of
 from heliograph.receive.detect.search import PhasedSearch, PyramidSearch
 from heliograph.receive.events import Observer
 from heliograph.receive.geometry.view import View
-from heliograph.receive.plain_reader import PlainReader
-from heliograph.receive.receiver import Parts, StreamReceiver
+from heliograph.receive.receiver import StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
-from heliograph.receive.soft_reader import SoftReader
 from heliograph.receive.sync.frame_clock import CameraClock, SynchronousClock
 from heliograph.receive.sync.pairing import AsynchronousPairing, Pairing, SynchronousPairing
 from heliograph.receive.track.kalman import MotionModel
@@ -33,45 +35,34 @@ PLAIN_REGULARITY = 0.5
 SOFT_REGULARITY = 0.15
 """Minimum regularity out of step, where a header alternates unevenly; the light's clock then drops clutter."""
 
-GIVEN_CONTRAST = 0.1
-"""Minimum contrast of an array in a given region, as a fraction of `detect.min_contrast`: there is less clutter."""
-
-MakeReader = Callable[[Detection, Tracker], PacketReader]
-"""Makes the reader of the first packet of an array."""
+MakePacket = Callable[[int], PacketObservations]
+"""Makes the observations of a packet, by the identity of the array."""
 
 
 def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
-    """Assemble the receiver "plain"."""
-    return StreamReceiver(plain_parts(signal, settings, observe), observe)
-
-
-def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
-    """Assemble the receiver "soft"."""
-    return StreamReceiver(soft_parts(signal, settings, observe), observe)
-
-
-def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> Parts:
-    """Parts of the paper's receiver: a frame for each pattern, in step with the light."""
+    """Assemble the paper's receiver: a frame for each pattern, in step with the light."""
     form = PacketFormat(signal)
     options = Decoding(settings.decode.algorithm or "max-log", settings.decode.iterations)
 
-    def reader(detection: Detection, tracker: Tracker) -> PacketReader:
-        return PlainReader(detection.identity, form, tracker, settings.plain.equaliser, options, observe)
+    def make_packet(identity: int) -> PacketObservations:
+        return PlainPacket(identity, form, settings.plain.equaliser, options)
 
     def pairing(detection: Detection) -> Pairing:
         return SynchronousPairing(detection.start_time_s, detection.time_s, signal)
 
     parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
     search = _restrict_to_region(PyramidSearch(parameters, signal), parameters, settings, signal.side)
-    track = _array_factory(signal, settings, observe, pairing, reader)
-    return Parts(SynchronousClock(signal.pattern_period_s), search, track, signal)
+    track = _array_factory(signal, settings, observe, pairing, make_packet, is_plain=True)
+    return StreamReceiver(SynchronousClock(signal.pattern_period_s), search, track, signal, observe)
 
 
-def soft_parts(
-    signal: SignalSettings, settings: ReceiveSettings, observe: Observer, reader: MakeReader | None = None
-) -> Parts:
-    """Parts of the receiver at the limit of the channel, for a camera of at least a frame for each pattern."""
+def soft_receiver(
+    signal: SignalSettings, settings: ReceiveSettings, observe: Observer, make_packet: MakePacket | None = None
+) -> StreamReceiver:
+    """Assemble the receiver at the limit of the channel, for a camera of at least a frame for each pattern."""
     _check_signal(signal)
+    decode, soft = settings.decode, settings.soft
+    options = Decoding(decode.algorithm or "log-map", decode.iterations, soft.feedback, soft.led_by_led, soft.combining)
 
     def pairing(detection: Detection) -> Pairing:
         exposure_s = settings.calibration.exposure_s
@@ -88,21 +79,9 @@ def soft_parts(
 
     parameters = search_parameters(settings, signal, SOFT_REGULARITY, impaired=True)
     search = _restrict_to_region(PhasedSearch(parameters, signal), parameters, settings, signal.side)
-    reader = reader or soft_reader(signal, settings, observe)
-    track = _array_factory(signal, settings, observe, pairing, reader)
-    return Parts(CameraClock(), search, track, signal)
-
-
-def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> MakeReader:
-    """Return the maker of the soft receiver's readers."""
-    form, soft = PacketFormat(signal), settings.soft
-    options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
-    decoding = SoftDecoding(options, soft.feedback, soft.led_by_led, soft.combining)
-
-    def reader(detection: Detection, tracker: Tracker) -> PacketReader:
-        return SoftReader(detection.identity, form, tracker, decoding, observe)
-
-    return reader
+    make_packet = make_packet or (lambda identity: SoftPacket(identity, signal, options))
+    track = _array_factory(signal, settings, observe, pairing, make_packet)
+    return StreamReceiver(CameraClock(), search, track, signal, observe)
 
 
 def search_parameters(
@@ -115,7 +94,8 @@ def search_parameters(
     return SearchParameters(
         min_side_px=settings.smallest_side_px,
         max_side_px=detect.max_side_px,
-        min_contrast=detect.min_contrast * (GIVEN_CONTRAST if given else 1.0),
+        # there is less clutter in a given region
+        min_contrast=detect.min_contrast * (0.1 if given else 1.0),
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
@@ -150,31 +130,29 @@ def _array_factory(
     settings: ReceiveSettings,
     observe: Observer,
     pairing: Callable[[Detection], Pairing],
-    reader: MakeReader,
+    make_packet: MakePacket,
+    is_plain: bool = False,
 ) -> Callable[[Detection], ArrayReceiver]:
     """Return the maker of an array's receiver."""
     focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
-    executor, decoder, numbers = decode_executor(bool(settings.decode.in_background)), PacketDecoder(), count()
+    submit, decoder, numbers = decode_executor(bool(settings.decode.in_background)), PacketDecoder(), count()
 
     def track(detection: Detection) -> ArrayReceiver:
-        view = View.of(detection.fit.pose, detection.orientation)
+        view, identity = View.of(detection.fit.pose, detection.orientation), detection.identity
         # a shake moves the image by as many of the camera's pixels in every view
         shake_px, view_focal_px = settings.track.acceleration_px / 2**view.level, focal_px / 2**view.level
-        model = MotionModel(signal.pattern_period_s, shake_px, view_focal_px)
-        tracker = Tracker(signal.side, model)
         viewed = detection.in_view(view)
-        key = ArrayKey(detection.identity, detection.orientation, next(numbers))
         return ArrayReceiver(
             viewed,
             pairing(viewed),
-            tracker,
-            reader(viewed, tracker),
-            executor,
+            Tracker(signal.side, MotionModel(signal.pattern_period_s, shake_px, view_focal_px)),
+            HeaderReader(identity, signal, is_plain),
+            partial(make_packet, identity),
+            submit,
             decoder,
-            key,
+            (identity, detection.orientation, next(numbers)),
             signal=signal,
-            calibration=settings.calibration,
-            coast_s=settings.track.coast_patterns * signal.pattern_period_s,
+            settings=settings,
             observe=observe,
             view=view,
         )
@@ -182,13 +160,12 @@ def _array_factory(
     return track
 
 
-def decode_executor(in_background: bool) -> Executor:
-    """Return the executor that decodes packets."""
+def decode_executor(in_background: bool) -> Callable[..., Future[Any]]:
+    """Return the function that runs a call of the decoder and returns the future result."""
     if not in_background:
-        return InlineExecutor()
-    executor = ProcessExecutor()
-    executor.submit(_load_modules)
-    return executor
+        return call_inline
+    call_in_process(_load_modules)
+    return call_in_process
 
 
 def _load_modules() -> None:

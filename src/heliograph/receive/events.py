@@ -43,22 +43,6 @@ def ignore(event: object, /) -> None:
     """Ignore an event."""
 
 
-__all__ = [
-    "DecodeEvent",
-    "DetectEvent",
-    "DropEvent",
-    "EqualiseEvent",
-    "Event",
-    "ExtractEvent",
-    "LostEvent",
-    "MissedStartEvent",
-    "Observer",
-    "TrackEvent",
-    "UnseenEvent",
-    "ignore",
-]
-
-
 @dataclass(frozen=True, slots=True)
 class DetectEvent:
     """An array is detected and will be tracked.

@@ -6,7 +6,6 @@ packet decodes no codeword, the other hypotheses get the same frames.
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 from heliograph.base.frames import Frame, check_next
 from heliograph.base.threads import in_one_thread
@@ -20,9 +19,6 @@ from heliograph.receive.geometry.pose import UPRIGHT, Orientation
 from heliograph.receive.packet import Packet
 from heliograph.receive.sync.frame_clock import FrameClock
 from heliograph.signal.settings import SignalSettings
-
-MAX_HELD_BYTES = 128e6
-"""Bytes of frames held for the other hypotheses: 244 frames of 1024 x 512. Beyond, the others read along."""
 
 
 class HeaderHypotheses:
@@ -58,9 +54,10 @@ class HeaderHypotheses:
         """Take the next frame; yield the packet it completes."""
         packets_of, wait = list[tuple[ArrayReceiver, list[PendingPacket]]](), False
         for receiver in self._receivers:
-            packets = [packet for each in (*self._missed(receiver), frame) for packet in receiver.push(each)]
+            packets = [*self._catch_up(receiver), *receiver.push(frame)]
             packets_of.append((receiver, packets))
-            has_room = len(self._held) * frame.pixels.nbytes < MAX_HELD_BYTES
+            # 244 frames of 1024 x 512; beyond, the others read along
+            has_room = len(self._held) * frame.pixels.nbytes < 128e6
             wait = self._only_first and receiver is self._first and not packets and has_room
             # after a codeword the other hypotheses are wrong and need no decoding
             if wait or receiver.has_codeword:
@@ -75,8 +72,7 @@ class HeaderHypotheses:
         """Yield the packet in progress; see `ArrayReceiver`."""
         packets_of = list[tuple[ArrayReceiver, list[PendingPacket]]]()
         for receiver in self._receivers:
-            late = [packet for each in self._missed(receiver) for packet in receiver.push(each)]
-            packets_of.append((receiver, [*late, *receiver.flush(over)]))
+            packets_of.append((receiver, [*self._catch_up(receiver), *receiver.flush(over)]))
             if self._only_first and receiver.has_codeword:
                 break
         self._only_first, self._held = False, []
@@ -91,9 +87,10 @@ class HeaderHypotheses:
                 self._only_first, self._held = False, []
         return bool(left)
 
-    def _missed(self, receiver: ArrayReceiver) -> list[Frame]:
-        """Frames that a receiver has not had."""
-        return [] if receiver is self._first else self._held
+    def _catch_up(self, receiver: ArrayReceiver) -> Iterator[PendingPacket]:
+        """Hand a receiver the frames that it has not had; yield the packets they complete."""
+        for frame in () if receiver is self._first else self._held:
+            yield from receiver.push(frame)
 
     def _select(self, packets_of: list[tuple[ArrayReceiver, list[PendingPacket]]]) -> Iterator[PendingPacket]:
         """Yield the packets of the receiver that decoded a codeword, or of the upright receiver."""
@@ -108,25 +105,22 @@ class HeaderHypotheses:
                 yield from packets
 
 
-@dataclass(frozen=True, slots=True)
-class Parts:
-    """Parts of a receiver."""
-
-    # Gives frames their times
-    clock: FrameClock
-    # Searches for headers of arrays that are not tracked yet
-    search: HeaderSearch
-    # Makes the receiver of a detected array
-    track: Callable[[Detection], ArrayReceiver]
-    # The light's signal: LEDs in a row, length of a pattern and of a packet
-    signal: SignalSettings
-
-
 class StreamReceiver:
-    """Detects and tracks arrays in a stream of frames and yields packets; see `packet.Receiver`."""
+    """Detects and tracks arrays in a stream of frames and yields packets; see `packet.Receiver`.
 
-    def __init__(self, parts: Parts, observe: Observer):
-        self._parts, self._observe = parts, observe
+    The clock gives frames their times, the search detects arrays that are not tracked yet, and `track` makes the
+    receiver of a detected array.
+    """
+
+    def __init__(
+        self,
+        clock: FrameClock,
+        search: HeaderSearch,
+        track: Callable[[Detection], ArrayReceiver],
+        signal: SignalSettings,
+        observe: Observer,
+    ):
+        self._clock, self.search, self._track, self._signal, self._observe = clock, search, track, signal, observe
         self._arrays: list[HeaderHypotheses] = []
         self._orientation: Orientation | None = None
         self._began_s: float | None = None
@@ -138,7 +132,7 @@ class StreamReceiver:
     @property
     def load(self) -> SearchLoad:
         """Work that the search has done and skipped so far."""
-        return self._parts.search.load
+        return self.search.load
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packets it completes; see `Receiver`."""
@@ -149,7 +143,7 @@ class StreamReceiver:
         check_next(frame, self._last)
         # the caller may fill the array again
         self._last = frame = frame.copied()
-        for timed in self._parts.clock.push(frame):
+        for timed in self._clock.push(frame):
             self._queue(self._take(timed))
         yield from self._finished_packets()
 
@@ -158,7 +152,7 @@ class StreamReceiver:
         return in_one_thread(self._finish())
 
     def _finish(self) -> Iterator[Packet]:
-        for timed in self._parts.clock.flush():
+        for timed in self._clock.flush():
             self._queue(self._take(timed))
         for array in self._arrays:
             self._queue(array.flush())
@@ -192,7 +186,7 @@ class StreamReceiver:
     def _take(self, frame: Frame) -> Iterator[PendingPacket]:
         """Track and search for arrays in a frame whose time is known."""
         if self._began_s is None:
-            self._parts.search.start(self._parts.clock.period_s)
+            self.search.start(self._clock.period_s)
             self._began_s = frame.time_s
         for array in list(self._arrays):
             yield from self._push(array, frame)
@@ -205,16 +199,14 @@ class StreamReceiver:
             if array.confidence > Confidence.CANDIDATE and not array.leading.has_outgrown_view(frame.time_s)
         ]
         before = self.load
-        for detection in self._parts.search.push(frame, [array.leading.pose for array in kept]):
+        for detection in self.search.push(frame, [array.leading.pose for array in kept]):
             yield from self._handle_detection(detection)
         if self.load.left_out != before.left_out:
             self._observe(DropEvent(frame.time_s, self.load - before))
 
     def _handle_detection(self, detection: Detection) -> Iterator[PendingPacket]:
         """Start to track a detected array, unless a better track is at the same position."""
-        rivals = [
-            a for a in self._arrays if not are_disjoint(a.leading.pose, detection.fit.pose, self._parts.signal.side)
-        ]
+        rivals = [a for a in self._arrays if not are_disjoint(a.leading.pose, detection.fit.pose, self._signal.side)]
         if any(self._rival_wins(rival, detection) for rival in rivals):
             return
         for rival in rivals:
@@ -232,7 +224,7 @@ class StreamReceiver:
 
     def _start_array(self, detection: Detection) -> Iterator[PendingPacket]:
         """Start to track an array, from the frames of the header on."""
-        recent = tuple(self._parts.search.recent)
+        recent = tuple(self.search.recent)
         self._emit_losses()
         self._observe(DetectEvent(detection, recent))
         missed = self._misses_start(detection, recent)
@@ -241,7 +233,7 @@ class StreamReceiver:
             if missed and hypothesis.identity not in self._read:
                 self._missed[hypothesis.identity] = detection.start_time_s
         settled = self._orientation is not None
-        array = HeaderHypotheses([self._parts.track(hypothesis) for hypothesis in detection.hypotheses], settled)
+        array = HeaderHypotheses([self._track(hypothesis) for hypothesis in detection.hypotheses], settled)
         self._arrays.append(array)
         for frame in recent:
             yield from self._push(array, frame)
@@ -256,7 +248,7 @@ class StreamReceiver:
     def _misses_start(self, detection: Detection, recent: Sequence[Frame]) -> bool:
         """Return True if the array was sending before the header, in the first two packets of the film."""
         assert self._began_s is not None
-        signal, began_s = self._parts.signal, self._began_s
+        signal, began_s = self._signal, self._began_s
         # the search fills its window with copies of the first frame at earlier times
         filmed = [frame for frame in recent if frame.time_s > began_s - signal.pattern_period_s / 2]
         return detection.start_time_s - began_s < 2.5 * signal.packet_s and shone_before(detection, filmed, signal)
@@ -271,7 +263,7 @@ class StreamReceiver:
     def _settle(self, orientation: Orientation) -> None:
         """Drop all hypotheses of other orientations than the camera's."""
         self._orientation = orientation
-        self._parts.search.set_orientation(orientation)
+        self.search.set_orientation(orientation)
         for array in [a for a in self._arrays if not a.settle(orientation)]:
             self._forget(array)
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from heliograph.base.threads import one_thread
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.combining import BufferedPacket, SoftBuffer, is_consistent
-from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
+from heliograph.receive.decode.turbo_equaliser import decode_iteratively
 from heliograph.receive.equalise.lmmse import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import Words
@@ -56,10 +56,10 @@ def test_a_rejected_codeword_is_not_known() -> None:
     signs = [layer.deinterleave(coded[name]) for name, layer in FORM.layers.items()]
     llrs = tuple(LARGEST_LLR * one for by in signs for one in by)
     before = BufferedPacket(FORM.format, llrs, tuple(statistics_of(blocks, 60, 1)), GAIN, NOISE)
-    packet, channel = KnownPoses(statistics_of(blocks, 200, 2)), GainAndNoise(GAIN, NOISE)
+    packet = KnownPoses(statistics_of(blocks, 200, 2))
     with one_thread():
         buffer = SoftBuffer().with_packet(before)
-        read = decode_iteratively(packet, channel, FORM, IDENTITY, Decoding("log-map"), buffer)
+        read = decode_iteratively(packet, GAIN, IDENTITY, Decoding("log-map"), buffer)
     assert statuses(read.words) == ["ok", "ok", "ok", "crc_fail"]
     low = slice(-FORM.layers["low"].symbols, None)
     assert (read.variance[:, low] > 0.9).all()
@@ -70,13 +70,11 @@ def test_a_packet_that_leds_tell_in_part_is_combined_too() -> None:
     """What they tell is known from the start: the packet seen before adds the rest, and takes nothing away."""
     blocks, buffer = random_blocks(0), SoftBuffer()
     for seed in (1, 2):
-        packet, channel = [*statistics_of(blocks, 105, seed)[:14], *[None] * 10], GainAndNoise(GAIN, NOISE)
+        packet = [*statistics_of(blocks, 105, seed)[:14], *[None] * 10]
         alone = decoded(packet)
         assert right(alone, blocks) == [True, True, True, False]
         with one_thread():
-            read = decode_iteratively(
-                KnownPoses(packet), channel, FORM, IDENTITY, Decoding("log-map"), buffer, known=alone
-            )
+            read = decode_iteratively(KnownPoses(packet), GAIN, IDENTITY, Decoding("log-map"), buffer, known=alone)
         assert read.buffer is not None
         buffer = read.buffer
     assert all(right(read.words, blocks))
@@ -194,7 +192,7 @@ def test_sightings_of_other_gain_and_noise_are_weighed_as_such(gain: float, nois
     """A noisy sighting adds little, and one of dimmer light is scaled: neither takes away."""
     blocks, buffer = random_blocks(0), [SoftBuffer()]
     first = of_gain(statistics_of(blocks, FAR, 1, noise=noise * (GAIN / gain) ** 2), gain / GAIN)
-    decoded(first, channel=GainAndNoise(gain, noise), buffer=buffer)
+    decoded(first, channel=(gain, noise), buffer=buffer)
     second = statistics_of(blocks, FAR - 3, 2)
     assert sum(right(decoded(second, buffer=buffer), blocks)) >= sum(right(decoded(second), blocks)) >= 1
 

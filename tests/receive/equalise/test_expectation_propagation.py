@@ -29,7 +29,7 @@ def exact(b: Floats, d: Floats, mean: Floats) -> Floats:
 
 def propagated(b: Floats, d: Floats, mean: Floats, iterations: int) -> Floats:
     """E c after a number of iterations."""
-    pair, propagation, llr = pair_of(b, d), ExpectationPropagation.begin((1, b.shape[1])), np.zeros_like(mean)
+    pair, propagation, llr = pair_of(b, d), ExpectationPropagation((1, b.shape[1])), np.zeros_like(mean)
     for _ in range(iterations):
         priors = propagation.priors(mean[None], 1 - mean[None] ** 2)
         llr = propagation.take(0, equalise(pair, 1.0, 1.0, priors[0][0], priors[1][0]))
@@ -57,7 +57,7 @@ def test_propagation_beats_linear_mmse_with_overlap() -> None:
 
 
 def test_decoded_symbols_keep_their_values() -> None:
-    propagation = ExpectationPropagation.begin((1, 3))
+    propagation = ExpectationPropagation((1, 3))
     mean, variance = np.array([[1.0, -1.0, 0.2]]), np.array([[0.0, 0.0, 0.96]])
     at, spread = propagation.priors(mean, variance)
     assert at[0, :2].tolist() == [1, -1]
@@ -69,7 +69,7 @@ def test_decoded_symbols_keep_their_values() -> None:
 def test_dropped_cavities_have_no_effect() -> None:
     rng = np.random.default_rng(2)
     b, mean, even = rng.normal(size=(6, 4)), np.zeros((1, 4)), np.ones((1, 4))
-    propagation = ExpectationPropagation.begin((1, 4))
+    propagation = ExpectationPropagation((1, 4))
     propagation.take(0, equalise(pair_of(b, rng.normal(size=6)), 1.0, 1.0, mean[0], even[0]))
     assert not np.allclose(propagation.priors(mean, even)[0], 0)
     propagation.forget()
@@ -80,7 +80,7 @@ def test_dropped_cavities_have_no_effect() -> None:
 
 def test_site_moves_by_the_damping() -> None:
     """Site and cavity together shall have the moments of +-1; the cavity has precision 2 and mean 1/2."""
-    propagation = ExpectationPropagation.begin((1, 1))
+    propagation = ExpectationPropagation((1, 1))
     # L L^T is the posterior precision, 2 of the cavity and 1 of the prior
     factor = np.full((1, 1), np.sqrt(3), np.float32)
     cavity = Estimate(np.zeros(1), np.ones(1), np.array([1 / 3]), np.arange(1), factor, 0.0)
@@ -97,7 +97,7 @@ def test_first_llr_sums_over_the_strongest_neighbours() -> None:
     """This is more exact than Gaussian neighbours; later the sites hold the same knowledge."""
     rng = np.random.default_rng(3)
     b, d = rng.normal(0, 0.8, (7, 9)), rng.normal(size=7)
-    propagation = ExpectationPropagation.begin((1, 9))
+    propagation = ExpectationPropagation((1, 9))
     first = equalise(pair_of(b, d), 1.0, 1.0, np.zeros(9), np.ones(9))
     assert np.array_equal(propagation.take(0, first), first.llr)
     priors = propagation.priors(np.zeros((1, 9)), np.ones((1, 9)))

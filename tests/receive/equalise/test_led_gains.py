@@ -7,7 +7,7 @@ from scenes import SIDE, draw, frame_of, pitch_at
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.equalise.led_gains import LearntGains, LedGains
+from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal.header import header_levels
@@ -31,7 +31,7 @@ def learnt(
     before: LedGains | None = None,
     seed: int = 4,
     in_sight: Floats = SOUND,
-) -> LearntGains:
+) -> tuple[LedGains, float, bool]:
     """Learn gains from a header of gain 200; stuck LEDs are lit in both frames."""
     rng = np.random.default_rng(seed)
     frames = [
@@ -39,7 +39,7 @@ def learnt(
         for k, sign in enumerate((1, -1))
     ]
     cutout = take_cutout(FramePair(frames[0], frames[1]), (POSE, POSE), SIDE)
-    return (before or LedGains.sound(SIDE)).learn(cutout, HEADER, expected, in_sight)
+    return (before or LedGains.sound(SIDE)).learn_header(cutout, HEADER, expected, in_sight)
 
 
 def failed() -> tuple[Floats, Floats]:
@@ -53,64 +53,63 @@ def failed() -> tuple[Floats, Floats]:
 
 def test_failed_leds_are_found() -> None:
     gains, stuck = failed()
-    result = learnt(gains, stuck, 190.0)
-    assert result.changed
-    assert result.gain == pytest.approx(200, rel=0.02)
-    values = result.led_gains.values
+    led_gains, gain, changed = learnt(gains, stuck, 190.0)
+    assert changed
+    assert gain == pytest.approx(200, rel=0.02)
+    values = led_gains.values
     assert values[gains == 0] == pytest.approx(0, abs=0.3)
     assert values[gains == 1].mean() > 0.99
 
 
 def test_hidden_array_leaves_the_gains() -> None:
-    before = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0).led_gains
+    before = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0)[0]
     result = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0, before, in_sight=np.zeros((SIDE, SIDE)))
-    assert result.led_gains is before
-    assert (result.gain, result.changed) == (190.0, False)
+    assert result == (before, 190.0, False)
 
 
 def test_sound_leds_are_sound() -> None:
-    result = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0)
-    assert not result.changed
-    assert (result.led_gains.values == 1).all()
+    led_gains, _, changed = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0)
+    assert not changed
+    assert (led_gains.values == 1).all()
 
 
 @pytest.mark.parametrize("factor", [0.3, 0.6, 1.6, 3.5])
 def test_gains_are_relative_to_the_median_led(factor: float) -> None:
     """For any expected gain, sound LEDs have the gain 1, and the gain is that of sound LEDs."""
     gains, stuck = failed()
-    result = learnt(gains, stuck, factor * 200)
-    assert result.gain == pytest.approx(200, rel=0.06)
-    assert result.led_gains.values[gains == 1].min() > 0.9
-    assert result.led_gains.values[gains == 0].max() < 0.4
+    led_gains, gain, _ = learnt(gains, stuck, factor * 200)
+    assert gain == pytest.approx(200, rel=0.06)
+    assert led_gains.values[gains == 1].min() > 0.9
+    assert led_gains.values[gains == 0].max() < 0.4
 
 
 def test_headers_add_up_and_fade() -> None:
     """Statistics of headers add up; with each packet earlier headers count half."""
-    first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0).led_gains
-    both = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, first, seed=5).led_gains
-    assert first.header_statistics is not None
-    assert both.header_statistics is not None
-    single = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, seed=5).led_gains.header_statistics
+    first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0)[0]
+    both = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, first, seed=5)[0]
+    assert first.headers is not None
+    assert both.headers is not None
+    single = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, seed=5)[0].headers
     assert single is not None
-    assert both.header_statistics.matched == pytest.approx(first.header_statistics.matched + single.matched)
+    assert both.headers.matched == pytest.approx(first.headers.matched + single.matched)
     faded = both.faded()
-    assert faded.header_statistics is not None
+    assert faded.headers is not None
     assert np.array_equal(faded.values, both.values)
-    assert faded.header_statistics.matched == pytest.approx(0.5 * both.header_statistics.matched)
-    assert LedGains.sound(SIDE).faded().header_statistics is None
+    assert faded.headers.matched == pytest.approx(0.5 * both.headers.matched)
+    assert LedGains.sound(SIDE).faded().headers is None
 
 
 def test_a_change_forgets_earlier_headers() -> None:
     """The pose came from a wrong image, so the pair is evaluated again."""
     gains, stuck = failed()
-    first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0).led_gains
+    first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0)[0]
     # a header fewer stands against a new one, so that the failure shows at once
-    changed = learnt(gains, stuck, 200.0, first.faded().faded().faded())
-    assert changed.changed
-    assert changed.led_gains.header_statistics is None
-    again = learnt(gains, stuck, 200.0, changed.led_gains, seed=6)
-    assert not again.changed
-    assert again.led_gains.header_statistics is not None
+    led_gains, _, changed = learnt(gains, stuck, 200.0, first.faded().faded().faded())
+    assert changed
+    assert led_gains.headers is None
+    again, _, changed = learnt(gains, stuck, 200.0, led_gains, seed=6)
+    assert not changed
+    assert again.headers is not None
 
 
 @pytest.mark.parametrize("motion", [0.0, 0.3])
@@ -124,9 +123,9 @@ def test_a_pose_pulled_away_makes_no_led_dead(pulled: tuple[float, float], motio
         for k, (p, sign) in enumerate(zip(poses, (1, -1), strict=True))
     )
     wrong = poses[0].moved(*pulled), poses[1].moved(*pulled)
-    result = LedGains.sound(SIDE).learn(
+    led_gains, _, changed = LedGains.sound(SIDE).learn_header(
         take_cutout(FramePair(up, down), wrong, SIDE), header, 0.7 * 255, np.ones((SIDE, SIDE))
     )
-    assert not result.changed
-    assert result.led_gains.values.mean() > 0.99
-    assert result.led_gains.values.min() > (0.5 if motion else 0.99)
+    assert not changed
+    assert led_gains.values.mean() > 0.99
+    assert led_gains.values.min() > (0.5 if motion else 0.99)

@@ -33,7 +33,7 @@ def pair_at_rest(distance_m: float) -> WholePair:
 @pytest.mark.parametrize("unknown", [1, 63, 64, 128, 200])
 def test_covariance_of_any_number_of_symbols(unknown: int, scattered: bool) -> None:
     """Sizes that are padded and sizes that are not."""
-    pair, symbols = whiten(pair_at_rest(90).cutout, Noise(4.0, 4.0), SIDE).statistics(), random_levels()[0]
+    pair, symbols = whiten(pair_at_rest(90).cutout, Noise(4.0, 4.0), SIDE).statistics, random_levels()[0]
     which = np.sort(np.random.default_rng(8).permutation(SYMBOLS)[:unknown]) if scattered else np.arange(unknown)
     variance = np.where(np.isin(np.arange(SYMBOLS), which), 0.7, 0.0)
     got = equalise(pair, GAIN, 4.0, np.where(variance > 0, 0.0, symbols), variance)
@@ -52,12 +52,12 @@ def test_products_before_the_light_of_symbols(motion: tuple[float, float], unkno
     whole = WholePair(poses, pair_of(poses, random_levels()[1]), Noise(4.0, 4.0))
     whitened = whiten(whole.cutout, Noise(4.0, 4.0), SIDE)
     which, images = np.sort(rng.permutation(SYMBOLS)[:unknown]), rng.normal(size=(7, *whole.cutout.shape))
-    got = products(whitened, whitened.statistics(), images, which, scale)
+    got = products(whitened, images, which, scale)
     flat = images.reshape(7, -1)
     # B by the symbols' correlations with single pixels, B^T B as the statistics have it
     pixels = np.eye(flat.shape[1]).reshape(-1, *whole.cutout.shape)
     b = whitened.correlate(pixels).T[:, which]
-    gram = whitened.statistics().gram[np.ix_(which, which)].astype(np.float64)
+    gram = whitened.statistics.gram[np.ix_(which, which)].astype(np.float64)
     want = flat @ (flat.T - b @ np.linalg.solve(gram + np.eye(unknown) / scale, b.T @ flat.T))
     assert np.abs(got - want).max() < 1e-5 * want.max()
     if motion == (0.0, 0.0):
@@ -101,7 +101,7 @@ def test_the_estimate_is_linear_mmse(distance_m: float, kind: str) -> None:
 def test_extrinsic_gaussian_excludes_the_prior(kind: str) -> None:
     """With the prior of the symbol it is the posterior."""
     mean, variance = priors(kind)
-    pair = whiten(pair_at_rest(80).cutout, Noise(4.0, 4.0), SIDE).statistics()
+    pair = whiten(pair_at_rest(80).cutout, Noise(4.0, 4.0), SIDE).statistics
     got = equalise(pair, GAIN, 4.0, mean, variance)
     precision, weighted = got.extrinsic
     u = got.unknown
@@ -114,7 +114,7 @@ def test_extrinsic_gaussian_excludes_the_prior(kind: str) -> None:
 
 
 def test_known_symbols_are_not_estimated() -> None:
-    symbols, pair = random_levels()[0], whiten(pair_at_rest(80).cutout, Noise(4.0, 4.0), SIDE).statistics()
+    symbols, pair = random_levels()[0], whiten(pair_at_rest(80).cutout, Noise(4.0, 4.0), SIDE).statistics
     got = equalise(pair, GAIN, 4.0, symbols, np.zeros(SYMBOLS))
     assert np.array_equal(got.mean, symbols)
     assert got.trace == 0

@@ -3,12 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import observe_oracle as reference
 import pytest
 from numpy.typing import NDArray
 from scenes import SIDE, draw
 from whole_pairs import GAIN, SYMBOLS, T, moving, pair_of
 
-from heliograph.receive.observe.cutout import take_cutout
+from heliograph.receive import Pose
+from heliograph.receive.observe import noise
+from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import measure_noise, noise_beside
 from heliograph.receive.sync.combine import combine_pair
 from heliograph.receive.sync.pairing import FramePair
@@ -41,10 +44,10 @@ def test_noise_is_measured(
         lit = draw(poses[0], np.ones((SIDE, SIDE)), (0, 0), (60, 60))
         sigma = np.sqrt(beside**2 + (inside**2 - beside**2) * np.clip(lit, 0, 1))
         cutouts.append(take_cutout(noisy(pair_of(poses, x), sigma, rng), poses, SIDE))
-    noise = measure_noise(cutouts, GAIN, SIDE)
+    measured = measure_noise(cutouts, GAIN, SIDE)
     # of a difference of two frames
-    assert noise.lit == pytest.approx(2 * inside**2, rel=error)
-    assert noise.dark == pytest.approx(2 * beside**2, rel=0.06)
+    assert measured.lit == pytest.approx(2 * inside**2, rel=error)
+    assert measured.dark == pytest.approx(2 * beside**2, rel=0.06)
 
 
 def test_background_noise_of_single_frames() -> None:
@@ -70,8 +73,8 @@ def test_noise_of_combined_frames_is_in_units_of_two() -> None:
         total = even.total + sigma * rng.normal(0, (combination.total**2).sum() ** 0.5, even.shape)
         difference = sigma * rng.normal(0, (combination.difference**2).sum() ** 0.5, even.shape)
         cutouts.append(replace(even, total=total, difference=difference, combination=combination))
-    noise = measure_noise(cutouts, GAIN, SIDE)
-    assert (noise.lit, noise.dark) == pytest.approx((2 * sigma**2, 2 * sigma**2), rel=0.12)
+    measured = measure_noise(cutouts, GAIN, SIDE)
+    assert (measured.lit, measured.dark) == pytest.approx((2 * sigma**2, 2 * sigma**2), rel=0.12)
 
 
 def test_noise_without_cutouts_is_rounding() -> None:
@@ -88,6 +91,19 @@ def test_noise_hidden_by_motion_is_not_zero() -> None:
         # a light that shines in a part of an exposure moves less than it: sums are more even than expected
         x = 0.5 + 0.2 * (T @ rng.choice([-1.0, 1.0], SYMBOLS)).reshape(SIDE, SIDE)
         cutouts.append(take_cutout(noisy(pair_of(poses, x), np.full((60, 60), 2.0), rng), poses, SIDE))
-    noise = measure_noise(cutouts, GAIN, SIDE)
+    measured = measure_noise(cutouts, GAIN, SIDE)
     # twice too much costs little; a thirtieth of it made wrong symbols certain
-    assert noise.lit > 2 * 2.0**2
+    assert measured.lit > 2 * 2.0**2
+
+
+def test_even_light_is_no_noise() -> None:
+    """The image of a near array is linearly dependent on the plane."""
+    rng, pose = np.random.default_rng(11), Pose(20.0, 20.0, 1.0, 0.0, 0.8)
+    cutout = Cutout(rng.normal(100, 2, (40, 40)), np.zeros((40, 40)), (0, 0), (pose, pose))
+    found, corner, motion = noise._unevenness(cutout, 0.0, SIDE, None)
+    inside = np.isfinite(found)
+    assert 0.6 * SIDE**2 < inside.sum() < SIDE**2
+    want = reference.uneven(cutout.total, np.ones((40, 40)), inside)
+    assert np.corrcoef(found[inside], want)[0, 1] > 0.97
+    assert found[inside].std() == pytest.approx(2.0, rel=0.15)
+    assert (corner, motion) == ((0, 0), 0.0)

@@ -42,7 +42,7 @@ def test_statistics_are_those_of_all_pixels(roll: float, motion: tuple[float, fl
     _, x = random_levels()
     poses = moving(80, roll, motion)
     whole = WholePair(poses, pair_of(poses, x, noise=2.0), noise)
-    got, w = whiten(whole.cutout, noise, SIDE).statistics(), whole.w
+    got, w = whiten(whole.cutout, noise, SIDE).statistics, whole.w
     # a roll or the light beyond the reach of the kernels is not in the weights' profile to the last digit
     scale = float(w.max())
     assert np.abs(got.gram - whole.b.T @ (w[:, None] * whole.b)).max() < 4 * CUT * scale
@@ -63,7 +63,7 @@ def test_far_motion_makes_two_images(motion: tuple[float, float]) -> None:
     poses, noise = moving(95, 0.0, motion), Noise(4.5, 4.5)
     whole = WholePair(poses, pair_of(poses, x), noise)
     want = whole.b.T @ (whole.w[:, None] * whole.b)
-    assert np.abs(whiten(whole.cutout, noise, SIDE).statistics().gram - want).max() < 1e-5 * want.max()
+    assert np.abs(whiten(whole.cutout, noise, SIDE).statistics.gram - want).max() < 1e-5 * want.max()
 
 
 @pytest.mark.parametrize(("weight", "gain"), [(0.5, 1.0), (1.0, 0.7), (3.0, 1.8)])
@@ -73,16 +73,6 @@ def test_scaled_statistics_are_those_of_scaled_weights_and_light(weight: float, 
     got = by_matrices(b, d, o, w).scaled(weight, gain)
     assert_equal(got, by_matrices(gain * b, d, gain * o, weight * w))
     assert_equal(by_matrices(b, d, o, w).scaled(1.0), by_matrices(b, d, o, w))
-
-
-def test_statistics_along_lines_are_those_of_the_light_along_them() -> None:
-    rng = np.random.default_rng(5)
-    b, d, o, w = rng.normal(size=(60, 24)), rng.normal(size=60), rng.normal(size=60), rng.uniform(0.5, 2, 60)
-    start, slope = rng.normal(size=24), rng.normal(size=24)
-    # column q: the slopes of the four symbols of square q
-    lines = slope[:, None] * (np.arange(24)[:, None] % 6 == np.arange(6))
-    got = by_matrices(b, d, o, w).along(start, slope)
-    assert_equal(got, by_matrices(b @ lines, d, o + b @ start, w), rel=1e-5)
 
 
 def test_added_statistics_are_those_of_both_together() -> None:
@@ -160,7 +150,7 @@ def test_pixels_outside_a_frame_have_no_weight() -> None:
     assert np.array_equal(root, whole * np.outer(there[1], there[0]))
     spoilt = cutout.difference + 1e3 * (1 - np.outer(there[1], there[0]))
     parts = [
-        whiten(replace(cutout, covered=there, difference=difference), noise, SIDE).statistics()
+        whiten(replace(cutout, covered=there, difference=difference), noise, SIDE).statistics
         for difference in (cutout.difference, spoilt)
     ]
     assert_equal(parts[0], parts[1])
@@ -174,8 +164,8 @@ def test_combined_frames_have_other_noise_and_levels() -> None:
     combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, (0, 1, 2, 3))
     assert combination is not None
     assert abs(combination.noise - 1) > 0.2
-    got = whiten(replace(cutout, combination=combination), noise, SIDE).statistics()
-    apart = whiten(cutout, noise, SIDE).statistics()
+    got = whiten(replace(cutout, combination=combination), noise, SIDE).statistics
+    apart = whiten(cutout, noise, SIDE).statistics
     assert got.combination is combination
     assert np.allclose(got.gram, apart.gram / combination.noise)
     assert got.matched == pytest.approx(apart.matched / combination.noise)

@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 import pytest
-from heliograph.probe.screens import sharpen_corners
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame, Pixels
+from heliograph.probe.screens import sharpen_corners
 from heliograph.receive.screen.cells import CellFitter, Place, SearchBudget
 from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame
 

@@ -1,6 +1,7 @@
 """Codewords: LLRs to bits by channel decoder and CRC, once for a packet or iteratively for a layer."""
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -11,6 +12,7 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.decode.combining import is_consistent
 from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, LARGEST_LLR, information
 from heliograph.receive.packet import Codeword
+from heliograph.receive.settings import Feedback
 from heliograph.signal.block import check, unpack
 from heliograph.signal.code import Algorithm, Code
 from heliograph.signal.packet import LayerFormat, PacketFormat
@@ -18,30 +20,32 @@ from heliograph.signal.packet import LayerFormat, PacketFormat
 ERASED = 255
 """Raw bit that was not received."""
 
-HOPELESS = 0.3
-"""Information in LLRs, as a fraction of a code's rate, below which a codeword is not expected to decode.
-
-It only saves iterations: a code of rate 1/3 needs 1.3 times the rate.
-"""
-
 
 @dataclass(frozen=True, slots=True)
 class Decoding:
-    """Parameters of the channel decoder."""
+    """Parameters of decoding."""
 
     # Algorithm of the turbo code: "max-log" with scaled extrinsic values, or "log-map"
     algorithm: Algorithm = "max-log"
     # Maximum number of iterations, 1 or more
     iterations: int = 8
-    # Factor on the extrinsic LLRs of failed codewords that are fed back: decoding errors stem from the same noise
-    feedback_scale: float = 0.85
+    # Feedback from the decoder to the equaliser
+    feedback: Feedback = "propagation"
+    # True to decode samples at the LEDs before the equaliser runs
+    led_by_led: bool = True
+    # True to combine a codeword with repetitions received earlier
+    combining: bool = True
+
+    @property
+    def soft(self) -> bool:
+        """True if soft values of failed codewords are fed back."""
+        return self.feedback in ("soft", "propagation")
 
 
 def decode_packet(
-    luminances: Floats, seen: NDArray[np.bool_], form: PacketFormat, identity: int, options: Decoding | None = None
+    luminances: Floats, seen: NDArray[np.bool_], form: PacketFormat, identity: int, options: Decoding = Decoding()
 ) -> dict[str, tuple[Codeword, ...]]:
     """Decode all layers of a packet."""
-    options = options or Decoding()
     soft = form.split(form.soft_data(luminances))
     received = {name: form.layers[name].deinterleave(soft_to_llr(values, seen)) for name, values in soft.items()}
     # codewords of equal codes are decoded together
@@ -98,98 +102,84 @@ def hard(llr: Floats) -> NDArray[np.uint8]:
     return np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)
 
 
-@dataclass(frozen=True, slots=True)
 class Layer:
-    """Codewords of a layer between iterations."""
+    """Codewords of a layer between iterations, with some codewords known from the start."""
 
-    # Code, codewords and interleaver
-    form: LayerFormat
-    # (codewords, E) LLRs by the last equalisation, whitening undone
-    llr: Floats
-    # (codewords, E) mean of each coded bit, 1 for 0 and -1 for 1
-    soft: Floats
-    # (codewords, E) variance of each coded bit
-    variance: Floats
-    # (codewords, E) LLRs of this packet for comparison with earlier packets: 0 except for distinguishing bits
-    own: Floats
-    # (codewords, E) LLRs of earlier packets with the same codeword
-    earlier_llr: Floats
-    # The codewords as last decoded; empty before the first decoding
-    words: tuple[Codeword, ...]
-    # (codewords,) True for codewords known from the start
-    known: NDArray[np.bool_]
-    # (codewords, E) uint8 coded bits as decided by the first equalisation; None before it
-    raw: NDArray[np.uint8] | None = None
-
-    @classmethod
-    def unknown(cls, form: LayerFormat) -> "Layer":
-        """Layer before the first equalisation."""
-        zeros, variance = np.zeros((form.codewords, form.code.length)), np.ones((form.codewords, form.code.length))
-        return cls(form, zeros, zeros, variance, zeros, zeros, (), np.zeros(form.codewords, bool))
-
-    def with_known(self, words: tuple[Codeword, ...]) -> "Layer":
-        """Return the layer with codewords of another attempt; failed codewords stay unknown."""
-        soft, variance = self.soft.copy(), self.variance.copy()
-        known = np.array([word.status != "crc_fail" for word in words])
-        for i in np.flatnonzero(known):
-            soft[i], variance[i] = coded_signs(self.form.code, words[i]), 0.0
-        raw = np.stack([word.raw for word in words])
-        return replace(self, soft=soft, variance=variance, words=words, known=known, raw=raw)
+    def __init__(self, form: LayerFormat, identity: int, known: Sequence[Codeword] | None = None):
+        shape = form.codewords, form.code.length
+        self.form, self._identity = form, identity
+        # (codewords, E) LLRs by the last equalisation, whitening undone
+        self.llr = np.zeros(shape)
+        # (codewords, E) mean of each coded bit, 1 for 0 and -1 for 1, and the variance
+        self.soft, self.variance = np.zeros(shape), np.ones(shape)
+        # (codewords, E) LLRs of this packet for comparison with earlier packets: 0 except for distinguishing bits
+        self.own = np.zeros(shape)
+        # (codewords, E) LLRs of earlier packets with the same codeword
+        self.earlier = np.zeros(shape)
+        # the codewords as last decoded, and the coded bits as decided by the first equalisation
+        self.words = tuple(known or ())
+        self._raw = np.stack([word.raw for word in known]) if known else None
+        self._known = np.zeros(form.codewords, bool)
+        for i, word in enumerate(self.words):
+            self._known[i] = word.status != "crc_fail"
+            self._feed_back(i)
 
     @property
-    def open(self) -> list[int]:
-        """Numbers of the undecoded codewords."""
-        return [i for i in range(len(self.llr)) if not self.words or self.words[i].status == "crc_fail"]
+    def is_open(self) -> NDArray[np.bool_]:
+        """(codewords,) True for undecoded codewords."""
+        return np.array([word.status == "crc_fail" for word in self.words] or [True] * len(self.llr))
 
     @property
     def information(self) -> Floats:
         """(codewords,) bit per coded bit in the LLRs of this packet and earlier packets."""
-        return information(self.llr + self.earlier_llr)
+        return information(self.llr + self.earlier)
 
-    @property
-    def hopeless(self) -> bool:
-        """True if all undecoded codewords have too little information to decode."""
-        return bool((self.information[self.open] < HOPELESS * self.form.code.k / self.form.code.length).all())
+    def equalise(self, sent: Floats) -> None:
+        """Take the LLRs of a new equalisation, (pairs, symbols)."""
+        self.llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
+        self._raw = hard(self.llr) if self._raw is None else self._raw
 
-    def equalised(self, sent: Floats) -> "Layer":
-        """Return the layer with the LLRs of a new equalisation."""
-        llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
-        return replace(self, llr=llr, raw=hard(llr) if self.raw is None else self.raw)
+    def keep_own(self) -> None:
+        """Keep the LLRs of this packet for comparison with earlier packets."""
+        self.own = np.where(self.form.code.distinguishing, self.llr, 0.0)
 
-    def with_earlier(self, earlier: Floats) -> "Layer":
-        """Return the layer with the LLRs of earlier packets of the same codewords."""
-        return replace(self, earlier_llr=earlier)
+    def decode(self, options: Decoding) -> None:
+        """Decode the open codewords, with LLRs of earlier packets unless these fail or contradict this packet."""
+        numbers: list[int] = np.flatnonzero(self.is_open).tolist()
+        decoded = dict(zip(numbers, self._decode((self.llr + self.earlier)[numbers], options), strict=True))
+        doubtful = [
+            i
+            for i, (word, _) in decoded.items()
+            if self.earlier[i].any() and (word.status == "crc_fail" or not self._is_consistent(i, word))
+        ]
+        for i, alone in zip(doubtful, self._decode(self.llr[doubtful], options), strict=True):
+            # the earlier packets' codeword may differ
+            if decoded[i][0].status != "crc_fail" or alone[0].status != "crc_fail":
+                decoded[i], self.earlier[i] = alone, 0.0
+        assert self._raw is not None  # it is equalised
+        words = dict(enumerate(self.words))
+        for i, (word, _) in decoded.items():
+            words[i] = replace(word, raw=self._raw[i], final_raw=hard(self.llr[i]))
+        self.words = tuple(words[i] for i in range(len(self.llr)))
+        for i, (_, extrinsic) in decoded.items():
+            self._feed_back(i, extrinsic if options.soft else None)
 
-    def with_own(self) -> "Layer":
-        """Return the layer with the LLRs of the first equalisation as the LLRs of this packet."""
-        return replace(self, own=np.where(self.form.code.distinguishing, self.llr, 0.0))
-
-    def reject_inconsistent(self) -> "Layer":
+    def reject_inconsistent(self) -> None:
         """Reject codewords that disagree with the LLRs of this packet; the bits are unknown again."""
-        words, soft, variance = list(self.words), self.soft.copy(), self.variance.copy()
-        for i, (word, own, known) in enumerate(zip(self.words, self.own, self.known, strict=True)):
-            if word.status != "crc_fail" and not known and not is_consistent(own, coded_signs(self.form.code, word)):
-                words[i], soft[i], variance[i] = replace(word, status="crc_fail", block=None), 0.0, 1.0
-        return replace(self, words=tuple(words), soft=soft, variance=variance)
-
-    def needed_earlier(self, number: int) -> bool:
-        """Return True if a codeword failed, or needed the LLRs of earlier packets."""
-        return self.words[number].status == "crc_fail" or bool(self.earlier_llr[number].any())
+        words = list(self.words)
+        for i, word in enumerate(words):
+            if word.status != "crc_fail" and not self._known[i] and not self._is_consistent(i, word):
+                words[i] = replace(word, status="crc_fail", block=None)
+                self.soft[i], self.variance[i] = 0.0, 1.0
+        self.words = tuple(words)
 
     def known_llrs(self) -> list[Floats]:
         """LLRs (E,) of each codeword; the largest possible if it is decoded."""
-        known = self.variance.max(1) == 0
-        return [
-            LARGEST_LLR * soft if is_known else llr
-            for llr, soft, is_known in zip(self.llr, self.soft, known, strict=True)
-        ]
+        return list(np.where(self.variance.max(1, keepdims=True) == 0, LARGEST_LLR * self.soft, self.llr))
 
-    def without_feedback(self) -> "Layer":
+    def drop_feedback(self) -> None:
         """Drop the feedback of failed codewords."""
-        failed = [i for i, word in enumerate(self.words) if word.status == "crc_fail"]
-        soft, variance = self.soft.copy(), self.variance.copy()
-        soft[failed], variance[failed] = 0.0, 1.0
-        return replace(self, soft=soft, variance=variance)
+        self.soft[self.is_open], self.variance[self.is_open] = 0.0, 1.0
 
     def mean(self) -> Floats:
         """(pairs, symbols) mean of each bit as sent."""
@@ -199,68 +189,44 @@ class Layer:
         """(pairs, symbols) variance of each bit as sent."""
         return self.form.interleave(self.variance)
 
-
-def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feedback: bool) -> Layer:
-    """Decode the open codewords."""
-    code, words = layer.form.code, dict(enumerate(layer.words))
-    soft, variance, earlier = layer.soft.copy(), layer.variance.copy(), layer.earlier_llr.copy()
-    assert layer.raw is not None  # it is equalised
-    for i, (word, extrinsic, used_earlier) in _attempts(layer, name, identity, options).items():
-        words[i] = replace(word, raw=layer.raw[i], final_raw=hard(layer.llr[i]))
-        if not used_earlier:
-            earlier[i] = 0.0
-        if words[i].status != "crc_fail":
-            soft[i], variance[i] = coded_signs(code, words[i]), 0.0
-        elif not feedback:
-            soft[i], variance[i] = 0.0, 1.0
+    def _feed_back(self, number: int, extrinsic: Floats | None = None) -> None:
+        """Set mean and variance of a codeword's bits: known, or by extrinsic LLRs (E,), or unknown."""
+        word = self.words[number]
+        if word.status != "crc_fail":
+            self.soft[number], self.variance[number] = coded_signs(self.form.code, word), 0.0
+        elif extrinsic is None:
+            self.soft[number], self.variance[number] = 0.0, 1.0
         else:
-            soft[i] = np.tanh(0.5 * options.feedback_scale * extrinsic)
-            variance[i] = np.maximum(1 - soft[i] ** 2, 2 * KNOWN_VARIANCE)
-    decoded = tuple(words[i] for i in range(len(layer.llr)))
-    return replace(layer, soft=soft, variance=variance, earlier_llr=earlier, words=decoded)
+            # decoding errors stem from the noise of the equaliser: extrinsic LLRs count less
+            self.soft[number] = np.tanh(0.5 * 0.85 * extrinsic)
+            self.variance[number] = np.maximum(1 - self.soft[number] ** 2, 2 * KNOWN_VARIANCE)
+
+    def _is_consistent(self, number: int, word: Codeword) -> bool:
+        return is_consistent(self.own[number], coded_signs(self.form.code, word))
+
+    def _decode(self, llr: Floats, options: Decoding) -> list[tuple[Codeword, Floats]]:
+        """Decode LLRs (codewords, E) together, also to extrinsic LLRs; only one iteration if all are hopeless."""
+        if not len(llr):
+            return []
+        iterations = 1 if is_hopeless(information(llr), self.form).all() else options.iterations
+        result = self.form.code.decode(
+            llr, algorithm=options.algorithm, iterations=iterations, check=check, coded_output=True
+        )
+        assert result.coded_extrinsic is not None  # by coded_output
+        extrinsic = np.clip(result.coded_extrinsic.astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
+        words = [
+            _codeword(*decoded, identity=self._identity, layer=self.form.name)
+            for decoded in zip(llr, result.bits, result.iterations, result.llr, strict=True)
+        ]
+        return list(zip(words, extrinsic, strict=True))
+
+
+def is_hopeless(information: Floats, form: LayerFormat) -> NDArray[np.bool_]:
+    """Return True for codewords with too little information (bit per coded bit) to decode; it saves iterations."""
+    # a code of rate 1/3 needs 1.3 times the rate
+    return information < 0.3 * form.code.k / form.code.length
 
 
 def coded_signs(code: Code, word: Codeword) -> Floats:
     """Coded bits (E,) of a codeword, 1 for 0 and -1 for 1."""
     return np.asarray(1.0 - 2.0 * code.encode(word.bits))
-
-
-def _attempts(layer: Layer, name: str, identity: int, options: Decoding) -> dict[int, tuple[Codeword, Floats, bool]]:
-    """Decode open codewords: {number: (codeword, extrinsic LLRs (E,), True if LLRs of earlier packets were used)}."""
-    code, numbers = layer.form.code, layer.open
-    decoded = _decode(code, (layer.llr + layer.earlier_llr)[numbers], identity, name, options)
-    attempts = {i: (*attempt, True) for i, attempt in zip(numbers, decoded, strict=True)}
-    doubtful = [i for i, (word, _, _) in attempts.items() if _is_doubtful(layer, i, word)]
-    for i, attempt in zip(doubtful, _decode(code, layer.llr[doubtful], identity, name, options), strict=True):
-        # the earlier packets' codeword may differ
-        if attempts[i][0].status != "crc_fail" or attempt[0].status != "crc_fail":
-            attempts[i] = *attempt, False
-    return attempts
-
-
-def _is_doubtful(layer: Layer, number: int, word: Codeword) -> bool:
-    """Return True if LLRs of earlier packets were added, but did not help, or contradict this packet."""
-    if not layer.earlier_llr[number].any():
-        return False
-    return word.status == "crc_fail" or not is_consistent(layer.own[number], coded_signs(layer.form.code, word))
-
-
-def _decode(code: Code, llr: Floats, identity: int, name: str, options: Decoding) -> list[tuple[Codeword, Floats]]:
-    """Decode LLRs (codewords, E) together; only one iteration if all are hopeless. Returns extrinsic LLRs as well."""
-    if not len(llr):
-        return []
-    hopeless = (information(llr) < HOPELESS * code.k / code.length).all()
-    result = code.decode(
-        llr,
-        algorithm=options.algorithm,
-        iterations=1 if hopeless else options.iterations,
-        check=check,
-        coded_output=True,
-    )
-    assert result.coded_extrinsic is not None  # by coded_output
-    extrinsic = np.clip(result.coded_extrinsic.astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
-    words = [
-        _codeword(*decoded, identity=identity, layer=name)
-        for decoded in zip(llr, result.bits, result.iterations, result.llr, strict=True)
-    ]
-    return list(zip(words, extrinsic, strict=True))

@@ -20,29 +20,8 @@ Kind = tuple[str, Code]
 """Layer and code, equal for equal codewords."""
 
 
-@dataclass(frozen=True, slots=True)
-class CombiningParameters:
-    """Capacities of a buffer, and thresholds of agreement between LLRs."""
-
-    # Codewords kept of each kind, 0.8 MB of 3072 LLRs: a longer carousel never combines
-    max_codewords: int = 32
-    # Packets kept, 13 MB each of 48 pairs of 16 x 16 LEDs
-    max_packets: int = 4
-    # Standard deviations of agreement from which two codewords are the same: 2e-8 by chance
-    same_threshold: float = 5.5
-    # Agreement from which two packets may be the same (1), not different (0)
-    packet_threshold: float = 0.5
-    # Standard deviations below the threshold at which a codeword rules out the same packet
-    packet_spreads: float = 2.0
-    # Ratio of measured to expected agreement of LLRs and codeword: 0.6 if a fifth of the bits differ
-    consistent_ratio: float = 0.6
-    # Standard deviations below this ratio that are still consistent: 0.13 % of sent codewords are further off
-    consistent_spreads: float = 3.0
-    # Minimum agreement of LLRs and codeword in standard deviations: 3e-5 by chance
-    min_support: float = 4.0
-
-
-PARAMETERS = CombiningParameters()
+SAME = 5.5
+"""Standard deviations of agreement from which two codewords or packets are the same: 2e-8 by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +53,9 @@ class BufferedPacket:
         measured, expected = np.array([agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]).T
         # packets of a carousel may share a codeword that is decoded: then the others must agree
         open_ = np.array([bool((np.abs(llr) < LARGEST_LLR).any()) for llr in self.llrs])
-        ratio = PARAMETERS.packet_threshold
-        threshold = ratio * float(np.linalg.norm(expected[open_]))
-        contradicts = (measured < ratio * expected - PARAMETERS.packet_spreads).any()
+        # agreement from which two packets may be the same (1), not different (0)
+        threshold = 0.5 * float(np.linalg.norm(expected[open_]))
+        contradicts = (measured < 0.5 * expected - 2.0).any()
         if contradicts or _total(measured[open_], expected[open_]) < threshold:
             return 0.0
         return _total(measured, expected)
@@ -95,14 +74,14 @@ class SoftBuffer:
         """Find the packet that a new packet repeats."""
         alike = [(packet.likeness(llrs), packet) for packet in self.packets if packet.format == form]
         best, packet = max(alike, key=lambda entry: entry[0], default=(0.0, None))
-        return None if best < PARAMETERS.same_threshold else packet
+        return None if best < SAME else packet
 
     def same_codeword(self, kind: Kind, llr: Floats) -> Floats:
         """Sum of the LLRs (E,) of earlier repetitions of a codeword; zeros if new."""
         kept = self.codewords.get(kind, ())
         agreements = [agreement(llr, other)[0] for other in kept]
         best = int(np.argmax(agreements)) if agreements else -1
-        if best < 0 or agreements[best] < PARAMETERS.same_threshold:
+        if best < 0 or agreements[best] < SAME:
             return np.zeros_like(llr)
         return kept[best]
 
@@ -112,12 +91,14 @@ class SoftBuffer:
 
     def with_packet(self, packet: BufferedPacket) -> "SoftBuffer":
         """Return the buffer with a packet, in place of the oldest if full."""
-        return replace(self, packets=(*self.packets, packet)[-PARAMETERS.max_packets :])
+        # 13 MB each of 48 pairs of 16 x 16 LEDs
+        return replace(self, packets=(*self.packets, packet)[-4:])
 
     def with_codeword(self, kind: Kind, llr: Floats, earlier: Floats) -> "SoftBuffer":
         """Return the buffer with an undecoded codeword, in place of the oldest if full."""
         rest = (other for other in self.codewords.get(kind, ()) if not np.array_equal(other, earlier))
-        kept = (*rest, llr + earlier)[-PARAMETERS.max_codewords :]
+        # 0.8 MB of 3072 LLRs: a longer carousel never combines
+        kept = (*rest, llr + earlier)[-32:]
         return replace(self, codewords={**self.codewords, kind: kept})
 
 
@@ -138,8 +119,9 @@ def is_consistent(llr: Floats, signs: Floats) -> bool:
     # E[soft * sign] = soft^2 for the codeword that was sent; 0 for another one, with the variance sum soft^2
     expected = float((soft**2).sum())
     spread = float(np.sqrt((soft**2 * (1 - soft**2)).sum()))
-    ratio, spreads = PARAMETERS.consistent_ratio, PARAMETERS.consistent_spreads
-    return float(soft @ signs) > max(ratio * expected - spreads * spread, PARAMETERS.min_support * expected**0.5)
+    # 0.6 if a fifth of the bits differ; 0.13 % of sent codewords are off by more than 3 standard deviations;
+    # a support of 4 comes by chance with 3e-5
+    return float(soft @ signs) > max(0.6 * expected - 3.0 * spread, 4.0 * expected**0.5)
 
 
 def _total(measured: Floats, expected: Floats) -> float:

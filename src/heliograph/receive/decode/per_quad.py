@@ -11,13 +11,12 @@ least squares. Neither pose, blur nor gain is needed.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.decode.codeword import Decoding, Layer, decode_layer
+from heliograph.receive.decode.codeword import Decoding, Layer, is_hopeless
 from heliograph.receive.decode.per_led import at_leds, normalised
 from heliograph.receive.equalise.symbols import SymbolMapper
 from heliograph.receive.observe.cutout import Cutout
@@ -28,30 +27,6 @@ from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
 
 
-@dataclass(frozen=True, slots=True)
-class QuadParameters:
-    """Parameters of successive cancellation."""
-
-    # Maximum number of rounds
-    max_rounds: int = 8
-    # Maximum number of successive rounds that decode no codeword: each still improves the symbols
-    max_idle_rounds: int = 3
-    # First variance of n, the symbols being +-1
-    first_noise: float = 0.1
-    # Steps of expectation and maximisation in each round
-    em_steps: int = 2
-    # Stride of the pairs for these steps: twelve pairs show an amplitude to a few percent
-    em_stride: int = 4
-    # Bounds of a and the variance of n, the light of all LEDs being 1: keep quotients and LLRs finite
-    min_amplitude: float = 1e-3
-    min_noise: float = 1e-4
-    # Weight of the squares of the b_j in least squares
-    ridge: float = 1e-3
-
-
-PARAMETERS = QuadParameters()
-
-
 def decode_per_quad(
     cutouts: Sequence[Cutout | None],
     gain: float,
@@ -59,7 +34,6 @@ def decode_per_quad(
     identity: int,
     options: Decoding,
     known: Words | None = None,
-    soft: bool = True,
     quick: bool = False,
 ) -> Words | None:
     """Decode samples at the LEDs, in step or out of step; None if the format has no quads."""
@@ -69,30 +43,29 @@ def decode_per_quad(
     packet = UnsynchronisedPacket.of([None if cutout is None else cutout.combination for cutout in cutouts], header)
     seen = np.array([cutout is not None for cutout in cutouts])
     symbols, mapper = _observed_symbols(cutouts, gain, form), SymbolMapper(form)
-    layers = {name: Layer.unknown(layer) for name, layer in form.layers.items()}
-    if known is not None:
-        layers = {name: layer.with_known(known[name]) for name, layer in layers.items()}
+    layers = [Layer(layer, identity, (known or {}).get(name)) for name, layer in form.layers.items()]
     idle = 0
-    for _ in range(PARAMETERS.max_rounds):
-        before = [layer.open for layer in layers.values()]
-        means = [layer.mean() for layer in layers.values()]
-        mean, _ = mapper.expected(means, [layer.variances() for layer in layers.values()])
+    for _ in range(8):
+        before = np.concatenate([layer.is_open for layer in layers])
+        means = [layer.mean() for layer in layers]
+        mean, _ = mapper.expected(means, [layer.variances() for layer in layers])
         expected = packet.expected(mean)
         cleaned = _cancel_neighbours(symbols, np.where(seen[:, None], expected.mean + expected.leak, 0.0))
-        pairs = np.flatnonzero(seen)[:: PARAMETERS.em_stride]
+        # twelve pairs show an amplitude to a few percent
+        pairs = np.flatnonzero(seen)[::4]
         amplitude, noise = _estimate_scale(cleaned, packet, expected, mean, pairs)
         llrs = packet.llrs(cleaned / amplitude, noise / amplitude**2, expected, mean)
         parts = mapper.bits(np.where(seen[:, None], llrs, 0.0), means)
-        layers = {
-            name: decode_layer(layer.equalised(part), name, identity, options, soft)
-            for (name, layer), part in zip(layers.items(), parts, strict=True)
-        }
-        after = [layer.open for layer in layers.values()]
-        idle = idle + 1 if after == before else 0
-        hopeless = idle and all(layer.hopeless for layer in layers.values())
-        if (quick and not idle) or not any(after) or idle == PARAMETERS.max_idle_rounds or hopeless:
+        for layer, part in zip(layers, parts, strict=True):
+            layer.equalise(part)
+            layer.decode(options)
+        after = np.concatenate([layer.is_open for layer in layers])
+        idle = idle + 1 if np.array_equal(after, before) else 0
+        hopeless = np.concatenate([is_hopeless(layer.information, layer.form) for layer in layers])[after].all()
+        # rounds that decode nothing still improve the symbols
+        if (quick and not idle) or not after.any() or idle == 3 or (idle and hopeless):
             break
-    return {name: layer.words for name, layer in layers.items()}
+    return {layer.form.name: layer.words for layer in layers}
 
 
 def _observed_symbols(cutouts: Sequence[Cutout | None], gain: float, form: PacketFormat) -> Floats:
@@ -114,8 +87,8 @@ def _estimate_scale(
     """Amplitude a and variance of n by symbol, (symbols,), estimated from observed symbols y of some pairs."""
     y, prior = symbols[pairs], mean[pairs]
     leak, leak_variance = expected.leak[pairs], expected.leak_variance[pairs]
-    a, noise = np.ones(y.shape[1]), np.full(y.shape[1], PARAMETERS.first_noise)
-    for _ in range(PARAMETERS.em_steps):
+    a, noise = np.ones(y.shape[1]), np.full(y.shape[1], 0.1)
+    for _ in range(2):
         error = noise / a**2 + leak_variance
         first, second = packet.posterior_moments(pairs, y / a - leak, error, prior)
         # of z + l
@@ -124,7 +97,8 @@ def _estimate_scale(
         weight = 1 / (a**2 * error)
         a = _mean_by_kind(weight * y * first) / np.maximum(_mean_by_kind(weight * second), TINY)
         noise = _mean_by_kind(y**2 - 2 * a * y * first + a**2 * (second - leak_variance))
-        a, noise = np.maximum(a, PARAMETERS.min_amplitude), np.maximum(noise, PARAMETERS.min_noise)
+        # finite quotients and LLRs
+        a, noise = np.maximum(a, 1e-3), np.maximum(noise, 1e-4)
     return a, noise
 
 
@@ -140,7 +114,7 @@ def _cancel_neighbours(symbols: Floats, light: Floats) -> Floats:
     )
     y = symbols.reshape(len(symbols), 4, -1).transpose(1, 0, 2).reshape(4, -1)
     # b = (x x^T + lambda)^-1 x y^T
-    b = np.linalg.solve(x @ x.T + PARAMETERS.ridge * x.shape[1] * np.eye(len(x)), x @ y.T)
+    b = np.linalg.solve(x @ x.T + 1e-3 * x.shape[1] * np.eye(len(x)), x @ y.T)
     b[9 * np.arange(4) + 4, np.arange(4)] = 0.0  # the symbol itself stays
     cleaned = (y - b.T @ x).reshape(4, len(symbols), -1)
     return np.asarray(cleaned.transpose(1, 0, 2).reshape(symbols.shape))

@@ -2,12 +2,12 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 from uuid import uuid4
 
 import numpy as np
@@ -18,12 +18,16 @@ from heliograph.base.registry import registered
 from heliograph.base.workers import worker_environment, worker_processes
 from heliograph.receive.decode.codeword import unread
 from heliograph.receive.decode.combining import SoftBuffer
+from heliograph.receive.decode.header_reader import HeaderReader
 from heliograph.receive.equalise.led_gains import LedGains
-from heliograph.receive.events import DecodeEvent, Event, Observer
+from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
+from heliograph.receive.events import DecodeEvent, Event, ExtractEvent, Observer
 from heliograph.receive.geometry.pose import Orientation
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Packet, Words, packet_status
-from heliograph.signal.formats import UnreadableModeError
+from heliograph.receive.sync.pairing import FramePair, UnpairedFrame
+from heliograph.receive.track.track import Track, TrackedPair
+from heliograph.signal.formats import UnreadableModeError, check_mode
 from heliograph.signal.packet import PacketFormat
 
 LOG = logging.getLogger(__name__)
@@ -31,34 +35,6 @@ LOG = logging.getLogger(__name__)
 Key = TypeVar("Key")
 Value = TypeVar("Value")
 Result = TypeVar("Result")
-
-
-@dataclass(frozen=True, slots=True)
-class ArrayState:
-    """State of an array, learnt from decoded packets.
-
-    Attributes
-    ----------
-    led_gains
-        Gains of the LEDs; None before a packet showed any.
-    confirmed
-        True if the equaliser has decoded a codeword of the array: the pose is right.
-    misled
-        True if samples at the LEDs decode better than the equaliser: the pose is wrong.
-    buffer
-        Undecoded codewords of the array, for repetitions; None without combining.
-    """
-
-    led_gains: LedGains | None = None
-    confirmed: bool = False
-    misled: bool = False
-    buffer: SoftBuffer | None = None
-
-    @property
-    def for_tracking(self) -> "ArrayState":
-        """State for tracking, less evidence and buffer."""
-        led_gains = None if self.led_gains is None else self.led_gains.without_evidence
-        return replace(self, led_gains=led_gains, buffer=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +46,7 @@ class Decoded:
     words
         Codewords by layer, decoded or not.
     learn
-        Computes the array's state after this packet; None for no change.
+        Computes the gains of the LEDs after this packet; None for no change.
     buffer
         Undecoded codewords of the array after this packet; None if unchanged.
     cutouts
@@ -84,7 +60,7 @@ class Decoded:
     """
 
     words: Words
-    learn: Callable[[], ArrayState] | None = None
+    learn: Callable[[], LedGains | None] | None = None
     buffer: SoftBuffer | None = None
     cutouts: tuple[Cutout | None, ...] | None = None
     luminances: Floats | None = None
@@ -92,21 +68,58 @@ class Decoded:
     failure: Exception | None = None
 
 
-class Observations(Protocol):
-    """Observations of a packet as a value, which another process can decode."""
+class PacketObservations(Protocol):
+    """Observations of a packet, which another process can decode."""
 
-    @property
-    def form(self) -> PacketFormat:
-        """Format of the packet, as far as the header has shown."""
+    # Format of the packet, and the number of the format that the header signals
+    form: PacketFormat
+    mode: int
 
     @property
     def cutouts(self) -> Sequence[Cutout | None]:
         """Cut-outs of the pairs, None for missing pairs; empty if luminances are decoded."""
 
+    def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> ExtractEvent:
+        """Add a pair of data in which the array is visible.
+
+        Parameters
+        ----------
+        place
+            Number of the pair in the packet's data, from 0.
+        pair
+            Frames of a pattern and its inverse; in the single mode of two patterns.
+        tracked
+            The array in the frames.
+        """
+
+    def add_unpaired(self, place: int, unpaired: UnpairedFrame) -> None:
+        """Add the remaining frame of a pair of data.
+
+        Parameters
+        ----------
+        place
+            Number of the pair in the packet's data, from 0.
+        unpaired
+            The remaining frame.
+        """
+
+    def end(self, headers: HeaderReader, track: Track, decisions: DecisionDirectedTracker | None) -> None:
+        """Take format, light and LED gains of the array at the end of the packet.
+
+        Parameters
+        ----------
+        headers
+            Reader of the packet's header.
+        track
+            The array at the end.
+        decisions
+            Tracker of the data, in the single mode without inverses; else None.
+        """
+
     def has_codeword(self) -> bool:
         """Return True if a check, faster than `decode`, decodes a codeword."""
 
-    def renumbered(self, place: int) -> "Observations":
+    def renumbered(self, place: int) -> "PacketObservations":
         """Return the packet with a lost pair: it and later pairs move to the next number.
 
         Parameters
@@ -115,88 +128,71 @@ class Observations(Protocol):
             Number of the lost pair.
         """
 
-    def decode(self, state: ArrayState, observe: Observer, /) -> Decoded:
+    def decode(self, led_gains: LedGains | None, buffer: SoftBuffer | None, observe: Observer, /) -> Decoded:
         """Decode the packet.
 
         Parameters
         ----------
-        state
-            State of the array after the packets before.
+        led_gains
+            Gains of the LEDs after the packets before; None if unknown.
+        buffer
+            Undecoded codewords of the array, for repetitions; None to combine none.
         observe
             Gets the events of decoding.
         """
 
 
-class ArrayKey(NamedTuple):
-    """Name of an array for the decoder of a receiver."""
-
-    identity: int
-    orientation: Orientation
-    number: int  # distinguishes arrays of equal identity, as after a loss and a new detection
-
+ArrayKey = tuple[int, Orientation, int]
+"""Identity, orientation and number of an array; the number distinguishes arrays of equal identity, as after a loss."""
 
 MAX_ARRAYS = 64
-"""Array states in a decoder, more than are in view: 1 MB each with 16 x 16 LEDs."""
+"""Arrays in a decoder, more than are in view: 1 MB each with 16 x 16 LEDs."""
 
 MAX_BUFFERS = 32
 """Soft buffers in a decoder, by identity and orientation: more than identities exist."""
 
-MAX_DECODERS = 4
-"""Decoders in the worker process, a decoder for each receiver."""
-
 
 class PacketDecoder:
-    """Decodes the packets of a receiver's arrays and owns the array states.
+    """Decodes the packets of a receiver's arrays and owns the states learnt of them.
 
     A pickled decoder becomes the decoder of the same name in the other process, where the state stays between packets.
     """
 
     def __init__(self, name: str | None = None):
         self._name = name or uuid4().hex
-        self._states: dict[ArrayKey, ArrayState] = {}
+        self._led_gains: dict[ArrayKey, LedGains] = {}
         # by identity, not by array: after a loss and a new detection the carousel goes on
         self._buffers: dict[tuple[int, Orientation], SoftBuffer] = {}
-        self._learn: Callable[[], ArrayState] | None = None
+        self._learn: Callable[[], LedGains | None] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _local_decoder, (self._name,)
 
-    def has_codeword(self, packet: Observations) -> bool:
-        """Return True if a quick check decodes a codeword of a packet."""
-        return packet.has_codeword()
-
-    def decode(self, packet: Observations, array: ArrayKey, lacks_pair: bool) -> Decoded:
-        """Decode a packet of an array; `learn` updates the state of the array afterwards."""
+    def decode(self, packet: PacketObservations, array: ArrayKey, lacks_pair: bool = False) -> Decoded:
+        """Decode a packet of an array; `learn` updates the gains of the LEDs afterwards."""
         events, self._learn = list[Event](), None
-        state = self._states.get(array, ArrayState())
+        led_gains, buffer = self._led_gains.get(array), self._buffers.get(array[:2], SoftBuffer())
         try:
+            check_mode(packet.mode, packet.form.settings.data_pairs)
             if lacks_pair:
-                decoded = decode_with_missing_pair(packet, state, events.append)
+                decoded = _decode_with_lost_pair(packet, led_gains, events.append)
             else:
-                buffer = self._buffers.get(array[:2], SoftBuffer())
-                decoded = packet.decode(replace(state, buffer=buffer), events.append)
+                decoded = packet.decode(led_gains, buffer, events.append)
         except (np.linalg.LinAlgError, UnreadableModeError) as error:
-            return Decoded(unread(packet.form, array.identity), events=tuple(events), failure=error)
-        self._keep(array, decoded.buffer)
+            return Decoded(unread(packet.form, array[0]), events=tuple(events), failure=error)
         self._learn = decoded.learn
+        if decoded.buffer is not None:
+            _remember(self._buffers, array[:2], decoded.buffer, MAX_BUFFERS)
         return replace(decoded, learn=None, buffer=None, events=tuple(events))
 
-    def learn(self, array: ArrayKey) -> ArrayState | None:
-        """Update the state of an array from the last packet; return None if unchanged."""
+    def learn(self, array: ArrayKey) -> LedGains | None:
+        """Update the gains of an array's LEDs from the last packet; return them without the evidence."""
         learn, self._learn = self._learn, None
-        if learn is None:
-            return None
         try:
-            state = learn()
+            led_gains = learn and learn()
         except np.linalg.LinAlgError:
             return None
-        self._keep(array, state.buffer)
-        _remember(self._states, array, replace(state, buffer=None), MAX_ARRAYS)
-        return state.for_tracking
-
-    def _keep(self, array: ArrayKey, buffer: SoftBuffer | None) -> None:
-        if buffer is not None:
-            _remember(self._buffers, array[:2], buffer, MAX_BUFFERS)
+        return led_gains and _remember(self._led_gains, array, led_gains, MAX_ARRAYS).without_evidence
 
 
 _DECODERS: dict[str, PacketDecoder] = {}
@@ -204,8 +200,8 @@ _DECODERS: dict[str, PacketDecoder] = {}
 
 
 def _local_decoder(name: str) -> PacketDecoder:
-    """Decoder in this process for a pickled decoder."""
-    return _remember(_DECODERS, name, _DECODERS.get(name) or PacketDecoder(name), MAX_DECODERS)
+    """Decoder in this process for a pickled decoder, one for each of the last receivers."""
+    return _remember(_DECODERS, name, _DECODERS.get(name) or PacketDecoder(name), count=4)
 
 
 def _remember(recent: dict[Key, Value], key: Key, value: Value, count: int) -> Value:
@@ -217,54 +213,48 @@ def _remember(recent: dict[Key, Value], key: Key, value: Value, count: int) -> V
     return value
 
 
-def decode_with_missing_pair(packet: Observations, state: ArrayState, observe: Observer, places: int = 6) -> Decoded:
-    """Decode a packet that lacks a pair of unknown number: try a few numbers.
+def renumber(items: Mapping[int, Value], place: int, pairs: int) -> dict[int, Value]:
+    """Move the items from a place on to the next number."""
+    moved = {number + (number >= place): item for number, item in items.items()}
+    return {number: item for number, item in moved.items() if number < pairs}
+
+
+def _decode_with_lost_pair(packet: PacketObservations, led_gains: LedGains | None, observe: Observer) -> Decoded:
+    """Decode a packet that lacks a pair of unknown number: try the middles of six parts of the packet.
 
     The sums after a lost pair stay even; only the next header, a pair early, shows the loss. Of 48 pairs at most four
     then have a wrong number, which the code corrects. Such a packet is not combined with repetitions.
     """
-    best: Decoded | None = None
-    pairs = packet.form.settings.data_pairs
-    # each in the middle of a part of the packet
-    for place in np.unique((np.arange(places) + 0.5) * pairs / places).astype(int).tolist():
+    best, most, pairs = Decoded({}), -1, packet.form.settings.data_pairs
+    for place in sorted({(2 * k + 1) * pairs // 12 for k in range(6)}):
         renumbered = packet.renumbered(place)
-        decoded = renumbered.decode(replace(state, buffer=None), observe)
-        if best is None or _count_decoded(decoded.words) > _count_decoded(best.words):
-            best = replace(decoded, cutouts=decoded.cutouts or tuple(renumbered.cutouts))
-        if _count_decoded(decoded.words) == sum(map(len, decoded.words.values())):
+        decoded = renumbered.decode(led_gains, None, observe)
+        is_ok = [word.status == "ok" for by in decoded.words.values() for word in by]
+        if sum(is_ok) > most:
+            most, best = sum(is_ok), replace(decoded, cutouts=decoded.cutouts or tuple(renumbered.cutouts))
+        if all(is_ok):
             break
-    assert best is not None  # places is positive
     return best
 
 
-def _count_decoded(words: Words) -> int:
-    return sum(word.status == "ok" for layer in words.values() for word in layer)
+def call_inline(call: Callable[..., Result], /, *args: Any) -> Future[Result]:
+    """Run a call at once."""
+    done = Future[Result]()
+    done.set_result(call(*args))
+    return done
 
 
-class InlineExecutor(Executor):
-    """Runs each call at once."""
-
-    def submit(self, call: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
-        """Run a call; see `Executor`."""
-        done = Future[Result]()
-        done.set_result(call(*args, **kwargs))
-        return done
-
-
-class ProcessExecutor(Executor):
-    """Runs calls in order in a second process, shared by all receivers of this process.
+def call_in_process(call: Callable[..., Result], /, *args: Any) -> Future[Result]:
+    """Run calls in order in a second process, shared by all receivers of this process, restarted if it has ended.
 
     A thread would gain little: tracking and decoding are half Python, which runs in a single thread at a time.
     """
-
-    def submit(self, call: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
-        """Hand a call to the process, restarted if it has ended; see `Executor`."""
-        with worker_environment():
-            try:
-                return _process(registered()).submit(call, *args, **kwargs)
-            except BrokenProcessPool:
-                _process.cache_clear()
-                return _process(registered()).submit(call, *args, **kwargs)
+    with worker_environment():
+        try:
+            return _process(registered()).submit(call, *args)
+        except BrokenProcessPool:
+            _process.cache_clear()
+            return _process(registered()).submit(call, *args)
 
 
 @lru_cache(maxsize=1)
@@ -279,13 +269,13 @@ class PendingPacket:
     def __init__(
         self,
         packet: Packet,
-        observations: Observations,
+        observations: PacketObservations,
         decoded: Future[Decoded],
-        state: Future[ArrayState | None],
+        learnt: Future[LedGains | None],
         observe: Observer,
         exposure_range: tuple[float, float] | None,
     ):
-        self._undecoded, self._observations, self._decoded, self._state = packet, observations, decoded, state
+        self._undecoded, self._observations, self._decoded, self._learnt = packet, observations, decoded, learnt
         self._observe, self._exposure_range = observe, exposure_range
         self._packet: Packet | None = None
 
@@ -295,14 +285,14 @@ class PendingPacket:
         return self._decoded.done()
 
     @property
-    def state(self) -> ArrayState | None:
-        """State of the array after the packet, None if unchanged; waits for the decoder."""
-        return wait_for(self._state)
+    def led_gains(self) -> LedGains | None:
+        """Gains of the LEDs after the packet, None if unchanged; waits for the decoder."""
+        return wait_for(self._learnt)
 
     def settle(self) -> None:
         """Wait until the decoder has finished with the packet or failed."""
         with contextlib.suppress(Exception):
-            self._state.result()
+            self._learnt.result()
 
     def packet(self) -> Packet:
         """Packet with codewords; waits for the decoder."""

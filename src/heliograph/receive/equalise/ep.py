@@ -6,8 +6,6 @@ symbol i. The estimate without the site is the *cavity*. Site and cavity togethe
 cavity with -1 and +1, weighted by the turbo decoder's probabilities (Minka 2001; for equalisers Santos et al. 2017).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from heliograph.base.arrays import Floats
@@ -16,25 +14,14 @@ from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, Estimate, llr_of
 LEAST_PRECISION = 1e-6  # least precision of a site; an update below it leaves the site unchanged
 
 
-@dataclass(slots=True)
 class ExpectationPropagation:
-    """Sites and cavities of a packet's symbols."""
+    """Sites and cavities of a packet's symbols, (patterns, symbols)."""
 
-    # Lambda of the sites, (patterns, symbols)
-    precision: Floats
-    # Eta of the sites, (patterns, symbols)
-    weighted: Floats
-    # Lambda of the cavities, (patterns, symbols); 0 for pairs not yet equalised
-    cavity: Floats
-    # Eta of the cavities, (patterns, symbols); likewise 0
-    cavity_weighted: Floats
-    # Fraction of the way that a site moves in an iteration; with more, sites of neighbours may oscillate
-    damping: float = 0.7
-
-    @classmethod
-    def begin(cls, shape: tuple[int, int]) -> "ExpectationPropagation":
-        """Start with sites of mean 0 and variance 1."""
-        return cls(np.ones(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape))
+    def __init__(self, shape: tuple[int, int]):
+        # Lambda and eta of the sites: first of mean 0 and variance 1
+        self.precision, self.weighted = np.ones(shape), np.zeros(shape)
+        # Lambda and eta of the cavities; 0 for pairs not yet equalised
+        self.cavity, self.cavity_weighted = np.zeros(shape), np.zeros(shape)
 
     def forget(self) -> None:
         """Drop the cavities, after a change of statistics or of guesses."""
@@ -49,7 +36,8 @@ class ExpectationPropagation:
         spread = np.maximum(1 - joint**2, 2 * KNOWN_VARIANCE)
         # Lambda_i = 1 / variance - Lambda_cavity, eta_i = mean / variance - eta_cavity
         precision, weighted = 1 / spread - self.cavity, joint / spread - self.cavity_weighted
-        step = np.where(self.cavity == 0, 1.0, np.where(precision > LEAST_PRECISION, self.damping, 0.0))
+        # a full step may make the sites of neighbours oscillate
+        step = np.where(self.cavity == 0, 1.0, np.where(precision > LEAST_PRECISION, 0.7, 0.0))
         self.precision += step * (precision - self.precision)
         self.weighted += step * (weighted - self.weighted)
         known = variance < KNOWN_VARIANCE

@@ -1,32 +1,17 @@
 """Compiled kernels of the equaliser; `tests/oracles/equalise_oracle.py` states the same with full matrices."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
 
+OUTLIER_PROBABILITY = 1e-20
+"""Probability of light that no model explains, such as posts and lamps: a Gaussian would be sure of it by chance."""
 
-class LlrParameters(NamedTuple):
-    """Tuning of LLRs; Numba compiles a named tuple into the kernels as constants."""
-
-    # Probability of light that no model explains, such as posts and lamps: a Gaussian would be sure of it by chance
-    outlier_probability: float = 1e-20
-    # Mean distance of an outlier from the symbol, relative to the symbol: Laplace's distribution
-    outlier_spread: float = 0.3
-    # Disturbing symbols that are summed over as +-1: at first, and in a second evaluation
-    first_drawn: int = 2
-    second_drawn: int = 6
-    # Magnitudes between which an LLR is evaluated again; outside, no decision would change
-    doubtful: float = 3.0
-    decided: float = 10.0
-    # Least part of the variance that remains Gaussian, against rounding of float32
-    min_rest: float = 0.02
-
-
-LLR = LlrParameters()
+OUTLIER_SPREAD = 0.3
+"""Mean distance of an outlier from the symbol, relative to the symbol: Laplace's distribution."""
 
 
 @compiled()
@@ -74,15 +59,16 @@ def extrinsic(covariance, posterior, mean, variance, out):
     were Gaussian, the LLR would be 2 chi_i / S_ii, too small for few disturbing neighbours, which have no tails.
     """
     inverse = (1.0 / variance).astype(np.float32)
-    states, which = np.empty((2, 1 << LLR.second_drawn)), np.empty(LLR.second_drawn, np.int64)
+    states, which = np.empty((2, 1 << 6)), np.empty(6, np.int64)
     for i in range(covariance.shape[0]):
         row = covariance[i]
         k = 1.0 - row[i] / variance[i]
         u = posterior[i] - mean[i] * row[i] / variance[i]
-        for drawn in (LLR.first_drawn, LLR.second_drawn):
+        # with more symbols drawn if the LLR is neither too small to decide nor sure
+        for drawn in (2, 6):
             count = _heaviest(row, inverse, i, which[:drawn])
             out[i] = _mixture(u, k, k * row[i], row, which[:count], mean, variance, states)
-            if not LLR.doubtful < abs(out[i]) < LLR.decided:
+            if not 3.0 < abs(out[i]) < 10.0:
                 break
 
 
@@ -123,7 +109,8 @@ def _mixture(u, k, power, row, drawn, mean, variance, states):
             rest[number + w], chance[number + w] = rest[w] + weight * (1.0 - mean[j]), chance[w] + likely
             rest[w], chance[w] = rest[w] - weight * (1.0 + mean[j]), chance[w] + unlikely
         number *= 2
-    noise = max(noise, LLR.min_rest * power, TINY)
+    # against rounding of float32
+    noise = max(noise, 0.02 * power, TINY)
     # ln sum P exp(-(x -+ k)^2 / 2 r) relative to the largest exponents, the common k^2 left out
     top, below = -np.inf, -np.inf
     for w in range(number):
@@ -136,8 +123,8 @@ def _mixture(u, k, power, row, drawn, mean, variance, states):
         plus += math.exp(chance[w] + rest[w] - top)
         minus += math.exp(chance[w] - rest[w] - below)
     # outliers: Laplace's distribution about each; the sums above lack exp(-k^2 / 2 r) and 1/2 of each drawn
-    exponent, width = 0.5 * k * k / noise + len(drawn) * math.log(2.0), max(LLR.outlier_spread * k, TINY)
-    other = math.log(LLR.outlier_probability * math.sqrt(2.0 * math.pi * noise) / (2.0 * width))
+    exponent, width = 0.5 * k * k / noise + len(drawn) * math.log(2.0), max(OUTLIER_SPREAD * k, TINY)
+    other = math.log(OUTLIER_PROBABILITY * math.sqrt(2.0 * math.pi * noise) / (2.0 * width))
     likely = _log_sum(top + math.log(plus) - exponent, other - abs(u - k) / width)
     return likely - _log_sum(below + math.log(minus) - exponent, other - abs(u + k) / width)
 

@@ -1,4 +1,4 @@
-"""Gains of LEDs, from headers and from decoded data.
+"""Gains of LEDs: the visible fraction by headers times the brightness by decoded data.
 
 Brightness, from decoded data: LEDs of an array differ, and some are dead. Let beta be the brightness of the LEDs,
 T c_known the light by the known symbols, sight the visible fraction of each LED, and c_open the unknown symbols. Let e
@@ -34,278 +34,196 @@ from heliograph.receive.geometry.footprint import by_squares, to_grid
 from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, noise_beside
-from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, whiten
+from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, leds_of, symbols_of, whiten
+
+POSE_SPREADS = np.array([0.2, 0.2, 0.004, 0.02])
+"""Standard deviations of errors of a pose in x, y (px), ln pitch and roll before a bright background."""
+
+SPREAD = 0.3
+"""Prior standard deviation of an LED's gain about 1; a failed LED is 3.3 of these away."""
+
+MIN_DIFFERENCE = 0.05
+"""Rms difference from 1, in both halves of the pairs, from which LEDs count as unequal."""
+
+MAX_FAILED = 0.25
+"""Gain by headers, or brightness, up to which an LED counts as failed."""
+
+# Evidence of decoded data on the brightness: sums over each half of the pairs of the normal equations' matrices,
+# (2, n n, n n), and right sides, (2, n n), ordered as by `by_squares`
+DataEvidence = tuple[Floats, Floats]
+
+# A whitened cut-out, symbols (symbols,) of +-1 and 0 for undecoded symbols, and derivatives F (4, rows, columns) of the
+# decoded symbols' image by x, y, ln pitch and roll, times W^(1/2)
+DecodedPair = tuple[WhitenedCutout, Floats, Floats]
 
 
-@dataclass(frozen=True, slots=True)
-class GainParameters:
-    """Tuning of the estimates of LED gains."""
+@dataclass(frozen=True)  # without slots, for a cached property
+class LedGains:
+    """Gains of an array's LEDs with the evidence of headers and data."""
 
-    # Prior standard deviation of an LED's gain about 1; a failed LED is 3.3 of these away
-    spread: float = 0.3
-    # Standard deviations of errors of a pose in x, y (px), ln pitch and roll before a bright background
-    pose_spreads: tuple[float, float, float, float] = (0.2, 0.2, 0.004, 0.02)
-    # Error of a pose in px up to which the slopes of the image describe the effect: half an LED's width at 95 m
-    max_pose_error_px: float = 0.2
-    # Bounds of a brightness; a dead LED keeps the lower one, as evidence is divided by brightness
-    min_brightness: float = 0.02
-    max_brightness: float = 3.0
-    # Rms difference from 1, in both halves of the pairs, from which LEDs count as unequal
-    min_difference: float = 0.05
-    # Weight of earlier packets for each later packet: about ten packets count
-    packet_fade: float = 0.9
-    # Pairs per evaluated pair, at first and once the brightness is known
-    stride: int = 3
-    known_stride: int = 12
-    # Packets after which seemingly equal LEDs count as known
-    max_packets: int = 5
-    # Estimates by headers up to which an LED has the gain 0, and from which it has 1
-    max_failed: float = 0.25
-    min_sound: float = 0.65
-    # Change of a gain after which a header's pose is fitted again: half of the change from sound to failed
-    max_change: float = 0.5
-    # Noise variance inside the array relative to the background, if failed LEDs hide it
-    lit_ratio: float = 4.0
-    # Error of the image by the affine pose and the Gaussian blur, relative to the light
-    image_error: float = 0.02
-    # Weight of earlier headers for each later packet: occluded LEDs become visible again
-    header_fade: float = 0.5
-    # Corrections of the gain by the median LED at most, bounds of a correction, and the relative size that ends them
-    max_corrections: int = 2
-    corrections: tuple[float, float] = (0.5, 2.0)
-    end_correction: float = 0.03
-
-
-GAINS = GainParameters()
-
-
-@dataclass(frozen=True, slots=True)
-class DecodedPair:
-    """A pair with decoded symbols."""
-
-    # Statistics with the brightness known so far
-    statistics: PairStatistics
-    # (symbols,) +-1, and 0 for undecoded symbols
-    symbols: Floats
-    # (4, rows, columns) derivatives F of the decoded symbols' image by x, y, ln pitch and roll, times W^(1/2)
-    slopes: Floats
-    # Whitened cut-out
-    whitened: WhitenedCutout
-
-    def without_nuisance(self, gain: float, noise: float) -> tuple[NDArray[np.float32], Floats]:
-        """Compute G and B^T W (d - g o) with undecoded symbols and an error of the pose marginalised."""
-        pair, whitened, unknown = self.statistics, self.whitened, np.flatnonzero(self.symbols == 0)
-        # N = (B_open, F): G - B^T N (N^T N + s^2 / g^2 P^-1)^-1 N^T B
-        slopes = self.slopes.reshape(len(self.slopes), -1)
-        light = (whitened.difference - gain * whitened.offset).ravel()
-        matched, images = pair.matched - gain * pair.offset, whitened.correlate(self.slopes)
-        inner = np.block([[pair.gram[unknown][:, unknown], images[unknown]], [images[unknown].T, slopes @ slopes.T]])
-        precision = np.append(np.ones(unknown.size), np.array(GAINS.pose_spreads) ** -2)
-        inner += noise / gain**2 * np.diag(precision)
-        across = np.vstack([pair.gram[unknown], images.T])
-        right = np.column_stack([across, np.append(matched[unknown], slopes @ light)]).astype(np.float32)
-        # L^-1 (N^T B, N^T d) = (h, h_d): the products are subtracted
-        root = np.linalg.cholesky(inner.astype(np.float32))
-        half = solve_triangular(root, right, lower=True, check_finite=False)
-        h, h_d = half[:, :-1], half[:, -1]
-        # the most probable error of the pose, without the light of the decoded symbols
-        error = solve_triangular(root.T, h_d - gain * h @ self.symbols, check_finite=False)[-4:] / gain
-        if np.hypot(error[0], error[1]) > GAINS.max_pose_error_px:
-            raise np.linalg.LinAlgError("the pose is too far off")
-        return pair.gram - h.T @ h, matched - h.T @ h_d
-
-
-@dataclass(frozen=True, slots=True)
-class Brightness:
-    """Brightness of an array's LEDs and the evidence of decoded data."""
-
-    # (n, n) brightness, 1 for the median LED
-    values: Floats
-    # (2, n n, n n) sums of the normal equations' matrices over each half of the pairs, ordered as by `by_squares`;
-    # (2, 0, 0) without evidence
-    information: Floats
-    # (2, n n) sums of the right sides; (2, 0) without evidence
-    score: Floats
-    # Number of evaluated packets
+    # (n, n) visible fraction of each LED by headers, 0 to 1; 0 of a dead, stuck or occluded LED
+    sight: Floats
+    # (n, n) brightness by decoded data, 1 for the median LED
+    brightness: Floats
+    # Statistics of the headers so far, with the gains times the header in place of the data; None before the first
+    headers: PairStatistics | None = None
+    # Evidence of decoded data; None before the first
+    data: DataEvidence | None = None
+    # Number of packets evaluated for the brightness
     packets: int = 0
 
     @classmethod
-    def equal(cls, side: int) -> "Brightness":
-        """Brightness of unknown LEDs."""
-        return cls(np.ones((side, side)), np.empty((2, 0, 0)), np.empty((2, 0)))
+    def sound(cls, side: int) -> "LedGains":
+        """Gains of an array without failed LEDs."""
+        return cls(np.ones((side, side)), np.ones((side, side)))
+
+    @cached_property
+    def values(self) -> Floats:
+        """(n, n) gains, at least 0: the brightness times the visible fraction; all cut-outs of a packet share them."""
+        return self.sight * self.brightness
 
     @property
-    def without_evidence(self) -> "Brightness":
-        """The brightness without the evidence, which is 2 n^2 times as long."""
-        return replace(Brightness.equal(len(self.values)), values=self.values)
+    def without_evidence(self) -> "LedGains":
+        """The gains without the evidence, which is 3 n^2 times as long."""
+        return LedGains(self.sight, self.brightness)
+
+    @property
+    def doubtful(self) -> bool:
+        """True if any LED seems occluded or failed."""
+        return bool((self.sight < 1).any() or (self.brightness < MAX_FAILED).any())
 
     @property
     def known(self) -> bool:
-        """True if most LEDs are known to half of the least difference."""
-        information = self.information.sum(0).diagonal()
-        return bool(information.size and np.median(information) > (0.5 * GAINS.min_difference) ** -2)
-
-    @property
-    def seems_equal(self) -> bool:
-        """True if no evidence shows that LEDs differ."""
-        return bool((self.values == 1).all())
-
-    @property
-    def settled(self) -> bool:
-        """True if LEDs are known to be equal: complete packets need not be evaluated."""
-        return self.known and self.seems_equal
+        """True if data show most LEDs to half of the least difference."""
+        least = (0.5 * MIN_DIFFERENCE) ** -2
+        return self.data is not None and bool(np.median(self.data[0].sum(0).diagonal()) > least)
 
     @property
     def learnt(self) -> bool:
-        """True if LEDs are known, or enough packets did not show the brightness."""
-        return self.known or self.packets >= GAINS.max_packets
+        """True if most LEDs are known, or five packets did not show them."""
+        return self.known or self.packets >= 5
 
     @property
     def stride(self) -> int:
         """Pairs per pair to evaluate."""
-        known = self.known or (self.learnt and self.seems_equal)
-        return GAINS.known_stride if known else GAINS.stride
+        return 12 if self.learnt else 3
 
-    def faded(self) -> "Brightness":
-        """Reduce the weight of earlier packets, once per packet."""
-        fade = GAINS.packet_fade
-        return replace(self, information=fade * self.information, score=fade * self.score)
+    def faded(self) -> "LedGains":
+        """Reduce the weight of earlier headers, so that occluded LEDs return, and of packets, of which ten count."""
+        headers, fade = self.headers and self.headers.scaled(0.5), 0.9
+        return replace(self, headers=headers, data=self.data and (fade * self.data[0], fade * self.data[1]))
 
-    def differs(self, other: "Brightness") -> bool:
-        """True if it differs from another by more than the error of equal LEDs."""
-        return bool(np.sqrt(np.mean((self.values - other.values) ** 2)) > GAINS.min_difference)
+    def differs(self, other: "LedGains") -> bool:
+        """True if the brightness differs from another by more than the error of equal LEDs."""
+        return bool(np.sqrt(np.mean((self.brightness - other.brightness) ** 2)) > MIN_DIFFERENCE)
 
-    def learn(self, pairs: Sequence[DecodedPair], gain: float, noise: float) -> "Brightness":
+    def learn_data(self, pairs: Sequence[DecodedPair], gain: float, noise: float) -> "LedGains":
         """Update the brightness from decoded symbols."""
         if not pairs or gain <= 0:
             return self
-        count, used = self.values.size, 0
-        information, score = np.zeros((2, count, count)), np.zeros((2, count))
-        if self.score.size:
-            information, score = self.information.copy(), self.score.copy()
-        inverse = 1 / by_squares(self.values)
+        count, used = self.brightness.size, 0
+        before = self.data or (np.zeros((2, count, count)), np.zeros((2, count)))
+        information, score = before[0].copy(), before[1].copy()
+        inverse = 1 / by_squares(self.brightness)
         for k, pair in enumerate(pairs):
             try:
-                gram, matched = pair.without_nuisance(gain, noise)
+                gram, matched = _without_nuisance(*pair, gain, noise)
             except np.linalg.LinAlgError:
                 continue
             # the statistics hold the light of the LEDs times the brightness so far
-            levels = kernels.leds_of(pair.symbols) * inverse
+            levels = leds_of(pair[1]) * inverse
             # T T^T = 1/4: A^T W A = 16 T G T^T, A^T W d = 4 T B^T W d
             kernels.add_information(gram, levels, gain**2 / noise, information[k % 2])
-            score[k % 2] += gain / noise * levels * 4 * kernels.leds_of(matched)
+            score[k % 2] += gain / noise * levels * 4 * leds_of(matched)
             used += 1
         if not used:
             return replace(self, packets=self.packets + 1)
-        return Brightness(_estimate_brightness(information, score), information, score, self.packets + 1)
+        brightness, data = _estimate_brightness(information, score), (information, score)
+        return replace(self, brightness=brightness, data=data, packets=self.packets + 1)
+
+    def learn_header(
+        self, cutout: Cutout, header: Floats, gain: float, visible: Floats
+    ) -> tuple["LedGains", float, bool]:
+        """Update the visible fractions from a header pair.
+
+        Returns also the gain by the sound LEDs, and True if an LED changed so much that the pose came from a wrong
+        image: the pair must be tracked and evaluated again.
+        """
+        if not visible.any():
+            return self, gain, False
+        side = len(self.values)
+        # failed LEDs hide the noise of a sum: four times that of the background
+        dark = noise_beside([cutout], side)
+        # the affine pose and the Gaussian blur err by 2 % of the light
+        whitened, noise = whiten(cutout, Noise(4 * dark, dark), side), 4 * dark + (0.02 * gain) ** 2
+        slopes = whitened.root * cutout.slopes(header)
+        statistics = whitened.marginalised(slopes, np.diag(noise / (gain * POSE_SPREADS) ** 2))
+        joint = statistics if self.headers is None else self.headers.plus(statistics)
+        # for diag(w) (2 Y - 1) of variance s^2 the symbols have the variance 4 s^2, as T T^T = 1/4
+        signs, variance = by_squares(header), np.full(header.size, 4 * SPREAD**2)
+        mean = symbols_of(by_squares(header * self.brightness))
+        for _ in range(2):
+            symbols = equalise(joint, gain, noise, mean, variance).mean
+            # a header shows no LED known to be dark from data
+            estimate = to_grid(leds_of(symbols) / signs) / np.maximum(self.brightness, MAX_FAILED)
+            # the median LED is sound
+            scale = min(max(median_of(estimate[visible > 0]), 0.5), 2.0)
+            gain *= scale
+            if abs(scale - 1) < 0.03:
+                break
+        sight = np.clip((estimate / scale - MAX_FAILED) / (0.65 - MAX_FAILED), 0, 1)
+        sight[self.brightness < MAX_FAILED] = 1.0
+        sight = np.where(visible > 0, sight, self.sight)
+        # half of the change from sound to failed
+        changed = bool(np.abs(sight - self.sight).max() > 0.5)
+        return replace(self, sight=sight, headers=joint if visible.all() and not changed else None), gain, changed
+
+
+def update_brightness(led_gains: LedGains | None, learnt: LedGains | None) -> LedGains | None:
+    """Return LED gains with the brightness learnt from the packets before, which count less."""
+    faded = learnt and learnt.faded()
+    if faded is None or led_gains is None:
+        return faded or led_gains
+    return replace(led_gains, brightness=faded.brightness, data=faded.data, packets=faded.packets)
+
+
+def _without_nuisance(
+    whitened: WhitenedCutout, symbols: Floats, slopes: Floats, gain: float, noise: float
+) -> tuple[NDArray[np.float32], Floats]:
+    """Compute G and B^T W (d - g o) of a decoded pair, undecoded symbols and an error of the pose marginalised."""
+    # N = (B_open, F): G - B^T N (N^T N + s^2 / g^2 P^-1)^-1 N^T B
+    pair, unknown, flat = whitened.statistics, np.flatnonzero(symbols == 0), slopes.reshape(len(slopes), -1)
+    light = (whitened.difference - gain * whitened.offset).ravel()
+    matched, images = pair.matched - gain * pair.offset, whitened.correlate(slopes)
+    inner = np.block([[pair.gram[unknown][:, unknown], images[unknown]], [images[unknown].T, flat @ flat.T]])
+    precision = np.append(np.ones(unknown.size), POSE_SPREADS**-2)
+    inner += noise / gain**2 * np.diag(precision)
+    across = np.vstack([pair.gram[unknown], images.T])
+    right = np.column_stack([across, np.append(matched[unknown], flat @ light)]).astype(np.float32)
+    # L^-1 (N^T B, N^T d) = (h, h_d): the products are subtracted
+    root = np.linalg.cholesky(inner.astype(np.float32))
+    half = solve_triangular(root, right, lower=True, check_finite=False)
+    h, h_d = half[:, :-1], half[:, -1]
+    # the most probable error of the pose, without the light of the decoded symbols
+    error = solve_triangular(root.T, h_d - gain * h @ symbols, check_finite=False)[-4:] / gain
+    # the slopes of the image describe errors of up to half an LED's width at 95 m
+    if np.hypot(error[0], error[1]) > 0.2:
+        raise np.linalg.LinAlgError("the pose is too far off")
+    return pair.gram - h.T @ h, matched - h.T @ h_d
 
 
 def _estimate_brightness(information: Floats, score: Floats) -> Floats:
     """Estimate the brightness, (n, n), relative to the median LED; 1 for all LEDs if the halves disagree."""
     first, second = (_solve_brightness(*half) for half in zip(information, score, strict=True))
-    if np.mean((first - 1) * (second - 1)) < GAINS.min_difference**2:
+    if np.mean((first - 1) * (second - 1)) < MIN_DIFFERENCE**2:
         return np.ones_like(to_grid(first))
     joint = _solve_brightness(information.sum(0), score.sum(0))
-    return to_grid(np.clip(joint, GAINS.min_brightness, GAINS.max_brightness))
+    # evidence is divided by brightness: a dead LED keeps some
+    return to_grid(np.clip(joint, 0.02, 3.0))
 
 
 def _solve_brightness(information: Floats, score: Floats) -> Floats:
     """Solve normal equations with the prior, (n n,), relative to the median LED."""
-    prior = GAINS.spread**-2
+    prior = SPREAD**-2
     brightness = solve(information + prior * np.eye(len(score)), score + prior, assume_a="pos", check_finite=False)
-    return np.asarray(brightness / max(float(np.median(brightness)), GAINS.min_brightness))
-
-
-@dataclass(frozen=True)  # without slots, for a cached property
-class LedGains:
-    """Gains of an array's LEDs and the evidence of headers."""
-
-    # (n, n) visible fraction of each LED by headers, 0 to 1; 0 of a dead, stuck or occluded LED
-    sight: Floats
-    # Brightness of the LEDs by decoded data
-    brightness: Brightness
-    # Statistics of the headers so far, with the gains times the header in place of the data; None before the first
-    header_statistics: PairStatistics | None = None
-
-    @classmethod
-    def sound(cls, side: int) -> "LedGains":
-        """Gains of an array without failed LEDs."""
-        return cls.in_sight(np.ones((side, side)))
-
-    @classmethod
-    def in_sight(cls, sight: Floats) -> "LedGains":
-        """Gains of an array after the detection."""
-        return cls(sight, Brightness.equal(len(sight)))
-
-    @cached_property
-    def values(self) -> Floats:
-        """(n, n) gains, at least 0: the brightness times the visible fraction; all cut-outs of a packet share them."""
-        return self.sight * self.brightness.values
-
-    @property
-    def without_evidence(self) -> "LedGains":
-        """The gains without the evidence."""
-        return LedGains(self.sight, self.brightness.without_evidence)
-
-    @property
-    def doubtful(self) -> bool:
-        """True if any LED seems occluded or failed."""
-        return bool((self.sight < 1).any() or (self.brightness.values < GAINS.max_failed).any())
-
-    def with_visibility(self, sight: Floats) -> "LedGains":
-        """Replace the visible fractions of the LEDs."""
-        return LedGains(sight, self.brightness, self.header_statistics)
-
-    def faded(self) -> "LedGains":
-        """Reduce the weight of earlier headers and packets, once per packet."""
-        faded = None if self.header_statistics is None else self.header_statistics.scaled(GAINS.header_fade)
-        return LedGains(self.sight, self.brightness.faded(), faded)
-
-    def learn(self, cutout: Cutout, header: Floats, gain: float, in_sight: Floats) -> "LearntGains":
-        """Update the gains from a header pair."""
-        if not in_sight.any():
-            return LearntGains(self, gain, False)
-        p, side, brightness = GAINS, len(self.values), self.brightness.values
-        # failed LEDs hide the noise of a sum
-        dark = noise_beside([cutout], side)
-        lit = p.lit_ratio * dark
-        whitened, noise = whiten(cutout, Noise(lit, dark), side), lit + (p.image_error * gain) ** 2
-        slopes = whitened.root * cutout.slopes(header)
-        statistics = whitened.marginalised(slopes, np.diag(noise / (gain * np.array(p.pose_spreads)) ** 2))
-        joint = statistics if self.header_statistics is None else self.header_statistics.plus(statistics)
-        for _ in range(p.max_corrections):
-            # a header shows no LED known to be dark from data
-            estimate = _estimate_sight(joint, header, brightness, gain, noise) / np.maximum(brightness, p.max_failed)
-            # the median LED is sound
-            low, high = p.corrections
-            scale = min(max(median_of(estimate[in_sight > 0]), low), high)
-            gain *= scale
-            if abs(scale - 1) < p.end_correction:
-                break
-        visible = np.clip((estimate / scale - p.max_failed) / (p.min_sound - p.max_failed), 0, 1)
-        visible[brightness < p.max_failed] = 1.0
-        sight = np.where(in_sight > 0, visible, self.sight)
-        changed = bool(np.abs(sight - self.sight).max() > p.max_change)
-        evidence = joint if in_sight.all() and not changed else None
-        return LearntGains(LedGains(sight, self.brightness, evidence), gain, changed)
-
-
-@dataclass(frozen=True, slots=True)
-class LearntGains:
-    """Gains after a header pair."""
-
-    # Gains of the LEDs after this header
-    led_gains: LedGains
-    # Gray levels of the array with all LEDs on, by the sound LEDs
-    gain: float
-    # True if a gain changed so much that the pose came from a wrong image: the pair must be tracked and evaluated again
-    changed: bool
-
-
-def _estimate_sight(pair: PairStatistics, header: Floats, brightness: Floats, gain: float, noise: float) -> Floats:
-    """Estimate the gain of each LED, (n, n), by linear MMSE about the brightness."""
-    signs = by_squares(header)
-    mean = kernels.symbols_of(by_squares(header * brightness))
-    # for diag(w) (2 Y - 1) of variance s^2 the symbols have the variance 4 s^2, as T T^T = 1/4
-    symbols = equalise(pair, gain, noise, mean, np.full(mean.size, 4 * GAINS.spread**2)).mean
-    return to_grid(kernels.leds_of(symbols) / signs)
+    return np.asarray(brightness / max(float(np.median(brightness)), 0.02))

@@ -10,7 +10,7 @@ from scipy.special import entr, expit
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.equalise import kernels
-from heliograph.receive.equalise.kernels import LLR
+from heliograph.receive.equalise.kernels import OUTLIER_PROBABILITY, OUTLIER_SPREAD
 from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout
 
 LARGEST_LLR = 50.0  # bound of LLRs between equaliser and decoder: no model of the channel is right to e^-50
@@ -22,10 +22,9 @@ def llr_of(precision: Floats, weighted: Floats) -> Floats:
     # p(m|c) = (1 - epsilon) N(m; c, 1 / Lambda) + epsilon Laplace(m; c, spread)
     precision = np.maximum(precision, TINY)
     mean = weighted / precision
-    outlier = np.log(LLR.outlier_probability * np.sqrt(2 * np.pi / precision) / (2 * LLR.outlier_spread))
+    outlier = np.log(OUTLIER_PROBABILITY * np.sqrt(2 * np.pi / precision) / (2 * OUTLIER_SPREAD))
     plus, minus = (
-        np.logaddexp(-0.5 * precision * (mean - c) ** 2, outlier - np.abs(mean - c) / LLR.outlier_spread)
-        for c in (1, -1)
+        np.logaddexp(-0.5 * precision * (mean - c) ** 2, outlier - np.abs(mean - c) / OUTLIER_SPREAD) for c in (1, -1)
     )
     return np.asarray(plus - minus)
 
@@ -116,16 +115,14 @@ def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, vari
     return Estimate(mean, variance, m, unknown, factor, ratio * gain)
 
 
-def products(
-    whitened: WhitenedCutout, pair: PairStatistics, images: Floats, unknown: NDArray[np.intp], scale: float
-) -> Floats:
+def products(whitened: WhitenedCutout, images: Floats, unknown: NDArray[np.intp], scale: float) -> Floats:
     """Compute inner products of images with the noise of a pair, which includes the light of unknown symbols."""
     # Woodbury: A^T (1 + g^2 / s^2 B B^T)^-1 A = A^T A - A^T B (B^T B + s^2 / g^2)^-1 B^T A, a matrix of symbols
     flat = images.reshape(len(images), -1)
     in_white_noise = flat @ flat.T
     if not unknown.size:
         return np.asarray(in_white_noise)
-    factor = _factor(pair, unknown, scale, np.ones(unknown.size))
+    factor = _factor(whitened.statistics, unknown, scale, np.ones(unknown.size))
     matched = np.zeros((len(factor), len(images)), np.float32, order="F")
     matched[: unknown.size] = whitened.correlate(images)[unknown]
     half = blas.strsm(1.0, factor, matched, lower=1, overwrite_b=1)

@@ -13,7 +13,7 @@ explain the packet best.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import block_diag, lu_factor, lu_solve
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.equalise.led_gains import GAINS, Brightness, DecodedPair, LedGains
+from heliograph.receive.equalise.led_gains import POSE_SPREADS, DecodedPair, LedGains
 from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, products
 from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.observe.cutout import Cutout
@@ -69,137 +69,72 @@ def _vertex(values: Floats) -> float:
     return float(np.clip(0.5 * (values[0] - values[2]) / curvature, -1, 1)) if curvature < 0 else 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class RefinementParameters:
-    """Tuning of the refinement by decoded data."""
-
-    # Sizes to try for errors of a packet's length and for errors by shake, relative to `GainParameters.pose_spreads`
-    slow_sizes: tuple[float, ...] = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0)
-    fast_sizes: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3, 1.0)
-    # Log likelihood by which a smaller size may explain a packet worse: most poses of sums are right
-    smaller_margin: float = 2.0
-    # Correlation lengths in pairs: 0.4 s, in which a background passes, and 16 ms, half a period of shake at 30 Hz
-    slow_pairs: float = 200.0
-    fast_pairs: float = 8.0
-    # Pairs per evaluated pair: neighbours have nearly the same error
-    stride: int = 3
-    # Least step in px, at half the side of a far array from the centre, after which statistics are computed again
-    min_step_px: float = 0.01
-    half_side_px: float = 4.0
-
-
-REFINEMENT = RefinementParameters()
-
 # Fisher information J, (4, 4), of a pose's error e in x, y (px), ln pitch and roll, and q, (4,), the slope of the log
 # likelihood at e = 0: the estimate is J^-1 q
 PoseEvidence = tuple[Floats, Floats]
 
 
-@dataclass(frozen=True, slots=True)
-class ObservedPair:
-    """A cut-out, and the statistics at the corrected poses."""
-
-    # Pixels around the array, and the corrected poses
-    cutout: Cutout
-    # Whitened cut-out
-    whitened: WhitenedCutout
-    # Sufficient statistics of the symbols
-    statistics: PairStatistics
-    # (4,) corrections so far of x, y (px), ln pitch and roll (rad)
-    error: Floats
-
-
-@dataclass(frozen=True, slots=True)
 class ObservedPacket:
-    """Observed pairs of a packet with the poses behind the statistics."""
+    """Observed pairs of a packet; poses and LED gains follow from decoded symbols.
 
-    # One per pair, in the single mode per pattern; None without the array
-    pairs: Sequence[ObservedPair | None]
-    # Variances inside the array and in the background, in squared gray levels
-    noise: Noise
-    # Format of the packet; in the single mode no pose is refined
-    form: PacketFormat
-    # Gains of the LEDs; except in the single mode and in unsynchronised packets, decoded data update the brightness
-    led_gains: LedGains
-    # Brightness of the LEDs before this packet
-    brightness: Brightness
-    # Cache of the estimated brightness by the number of decoded symbols
-    memo: dict[int, Brightness] = field(default_factory=dict)
+    Noise has the variances inside the array and in the background, in squared gray levels.
+    """
 
-    @classmethod
-    def of(
-        cls, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: LedGains
-    ) -> "ObservedPacket":
-        """Observe cut-outs at the tracked poses."""
-        empty = cls([None] * len(cutouts), noise, form, led_gains, led_gains.brightness)
-        pairs = [None if cutout is None else empty._observe(cutout, np.zeros(4)) for cutout in cutouts]
-        return replace(empty, pairs=pairs)
+    def __init__(self, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: LedGains):
+        self.cutouts, self.noise, self.form, self.led_gains = cutouts, noise, form, led_gains
+        # a pair each, in the single mode a pattern; None without the array
+        self.pairs = [None if cutout is None else self._observe(cutout) for cutout in cutouts]
+        # corrections so far of x, y (px), ln pitch and roll (rad), (pairs, 4)
+        self._errors = np.zeros((len(cutouts), 4))
 
     @property
     def statistics(self) -> Sequence[PairStatistics | None]:
         """Statistics of each pair; None without the array."""
         return [None if pair is None else pair.statistics for pair in self.pairs]
 
-    @property
-    def moved_px(self) -> float:
-        """Largest correction of a pose by decoded data, in px at the rim of the array."""
-        half = 0.5 * self.form.settings.side
-        return max((_moved_px(pair.error, half * pair.cutout.middle.pitch) for pair in self.pairs if pair), default=0.0)
-
-    def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
-        """Correct the poses by decoded symbols."""
+    def refine_poses(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
+        """Correct the poses by decoded symbols; return True if any moves."""
         if self.form.single:
             # these poses come from decided data already
-            return self
-        errors = self._estimate_errors(mean, variance, gain, noise)
-        pairs = [pair and self._correct(pair, error) for pair, error in zip(self.pairs, errors, strict=True)]
-        moved = any(after is not before for after, before in zip(pairs, self.pairs, strict=True))
-        return replace(self, pairs=pairs, memo={}) if moved else self
+            return False
+        moved, errors = False, self._estimate_errors(mean, variance, gain, noise)
+        for k, (pair, step) in enumerate(zip(self.pairs, errors - self._errors, strict=True)):
+            if pair is not None and is_significant(step):
+                self.pairs[k], self._errors[k], moved = self._observe(pair.cutout.moved(step)), errors[k], True
+        return moved
 
-    def with_led_brightness(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
-        """Apply the brightness of the LEDs from decoded data."""
-        brightness = self.estimate_brightness(mean, variance, gain, noise)
-        if not brightness.differs(self.led_gains.brightness):
-            return self
-        packet = replace(self, led_gains=replace(self.led_gains, brightness=brightness), memo={})
-        return replace(packet, pairs=[pair and packet._observe(pair.cutout, pair.error) for pair in self.pairs])
+    def apply_brightness(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
+        """Apply the brightness of the LEDs from decoded symbols; return True if it changes."""
+        learnt = self.learn_gains(mean, variance, gain, noise)
+        if not learnt.differs(self.led_gains):
+            return False
+        self.led_gains = replace(self.led_gains, brightness=learnt.brightness)
+        self.pairs = [None if pair is None else self._observe(pair.cutout) for pair in self.pairs]
+        return True
 
-    def estimate_brightness(
+    def learn_gains(
         self, mean: Floats, variance: Floats, gain: float, noise: float, stride: int | None = None
-    ) -> Brightness:
-        """Estimate the brightness of the LEDs with the evidence of this packet."""
-        decoded = int((variance < KNOWN_VARIANCE).sum())
-        synchronous = all(pair is None or pair.cutout.combination is None for pair in self.pairs)
-        if self.form.single or not synchronous or not decoded:
-            return self.brightness
-        if decoded not in self.memo:
-            before = replace(self.brightness, values=self.led_gains.brightness.values)
-            pairs = self._decoded_pairs(mean, variance, stride or before.stride).values()
-            # in fast motion light smears within an exposure, and LEDs of the rim would seem dim
-            self.memo[decoded] = before.learn([pair for pair in pairs if not pair.whitened.apart], gain, noise)
-        return self.memo[decoded]
+    ) -> LedGains:
+        """Return the gains of the LEDs with the evidence of this packet; of synchronous pairs only."""
+        if self.form.single or any(pair and pair.cutout.combination for pair in self.pairs):
+            return self.led_gains
+        pairs = self._decoded_pairs(mean, variance, stride or self.led_gains.stride).values()
+        # in fast motion light smears within an exposure, and LEDs of the rim would seem dim
+        return self.led_gains.learn_data([pair for pair in pairs if not pair[0].cutout.apart], gain, noise)
 
-    def _correct(self, pair: ObservedPair, error: Floats) -> ObservedPair:
-        """Correct the poses of a pair by the total error, (4,), unless that changes little."""
-        step = error - pair.error
-        return self._observe(pair.cutout.moved(step), error) if is_significant(step) else pair
-
-    def _observe(self, cutout: Cutout, error: Floats) -> ObservedPair:
-        whitened = whiten(cutout, self.noise, self.form.settings.side, self.led_gains.values)
-        return ObservedPair(cutout, whitened, whitened.statistics(), error)
+    def _observe(self, cutout: Cutout) -> WhitenedCutout:
+        return whiten(cutout, self.noise, self.form.settings.side, self.led_gains.values)
 
     def _estimate_errors(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Floats:
         """Estimate errors (pairs, 4) in x, y, ln pitch and roll of the tracked poses."""
         evidence = dict[int, PoseEvidence]()
-        for k, pair in self._decoded_pairs(mean, variance, REFINEMENT.stride).items():
-            residual = pair.whitened.residual(gain, pair.symbols)
+        # neighbours have nearly the same error
+        for k, (whitened, symbols, slopes) in self._decoded_pairs(mean, variance, stride=3).items():
             # J = g^2 F^T C^-1 F, q = g F^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_open B_open^T
-            images, scale = np.concatenate([pair.slopes, residual[None]]), gain**2 / noise
-            unknown = np.flatnonzero(pair.symbols == 0)
-            part = products(pair.whitened, pair.statistics, images, unknown, scale)
+            images, scale = np.concatenate([slopes, whitened.residual(gain, symbols)[None]]), gain**2 / noise
+            part = products(whitened, images, np.flatnonzero(symbols == 0), scale)
             evidence[k] = scale * part[:4, :4], gain / noise * part[:4, 4]
-        before = np.array([np.zeros(4) if pair is None else pair.error for pair in self.pairs])
-        return smoothed_errors(evidence, before)
+        return smoothed_errors(evidence, self._errors)
 
     def _decoded_pairs(self, mean: Floats, variance: Floats, stride: int) -> dict[int, DecodedPair]:
         """Collect every stride-th pair with decoded symbols, by number."""
@@ -209,20 +144,15 @@ class ObservedPacket:
         levels = 0.5 * haar.inverse_transform(self.form.join(known[[k for k, _ in decoded]]))
         pairs = {}
         for (k, pair), level in zip(decoded, levels, strict=True):
-            slopes = pair.whitened.root * pair.cutout.slopes(level * pair.cutout.shining(self.led_gains.values))
-            pairs[k] = DecodedPair(pair.statistics, known[k], slopes, pair.whitened)
+            slopes = pair.root * pair.cutout.slopes(level * pair.cutout.shining(self.led_gains.values))
+            pairs[k] = pair, known[k], slopes
         return pairs
 
 
 def is_significant(error: Floats) -> bool:
-    """True if an error of a pose (4,) requires new statistics."""
-    return _moved_px(error, REFINEMENT.half_side_px) > REFINEMENT.min_step_px
-
-
-def _moved_px(error: Floats, half_px: float) -> float:
-    """Distance in px by which an error (4,) of a pose moves the rim of an array."""
+    """True if an error of a pose (4,) requires new statistics: 0.01 px at the rim of a far array, 4 px wide."""
     x, y, ln_pitch, roll = np.abs(error)
-    return float(max(x, y) + half_px * max(ln_pitch, roll))
+    return bool(max(x, y) + 4 * max(ln_pitch, roll) > 0.01)
 
 
 def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats:
@@ -233,12 +163,13 @@ def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats
     information = block_diag(*(evidence[k][0] for k in observed))
     # about the first poses: J (e - e_0) = q
     score = np.concatenate([evidence[k][1] for k in observed]) + information @ before[observed].ravel()
-    lag = np.abs(np.arange(len(before))[:, None] - observed)
-    p, variances = REFINEMENT, np.array(GAINS.pose_spreads) ** 2
-    # two independent Gauss-Markov processes
-    slowly, quickly = np.exp(-lag / p.slow_pairs), np.exp(-lag / p.fast_pairs)
+    lag, variances = np.abs(np.arange(len(before))[:, None] - observed), POSE_SPREADS**2
+    # two Gauss-Markov processes: a background passes in 0.4 s, half a period of shake at 30 Hz takes 16 ms
+    slowly, quickly = np.exp(-lag / 200), np.exp(-lag / 8)
+    # sizes of both, relative to `POSE_SPREADS`
+    sizes = product((0.0, 0.03, 0.1, 0.3, 1.0, 2.0), (0.01, 0.03, 0.1, 0.3, 1.0))
     candidates = []
-    for slow, fast in sorted(product(p.slow_sizes, p.fast_sizes), key=lambda sizes: np.hypot(*sizes)):
+    for slow, fast in sorted(sizes, key=lambda both: np.hypot(*both)):
         covariance = slow**2 * slowly + fast**2 * quickly
         prior = np.kron(covariance[observed], np.diag(variances))
         # e = P (1 + J P)^-1 q, ln likelihood = q^T e / 2 - ln det(1 + J P) / 2 and a constant
@@ -248,8 +179,8 @@ def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats
         # P (1 + J P)^-1 is a covariance, so the determinant is positive
         likelihood = 0.5 * (score @ prior @ weights - np.log(np.abs(factors[0].diagonal())).sum())
         candidates.append((likelihood, covariance, weights))
+    # the smallest sizes with nearly the best likelihood: most poses of sums are right
     best = max(likelihood for likelihood, _, _ in candidates)
-    # the smallest sizes with nearly the best likelihood
-    covariance, weights = next((c, w) for likelihood, c, w in candidates if likelihood > best - p.smaller_margin)
+    covariance, weights = next((c, w) for likelihood, c, w in candidates if likelihood > best - 2.0)
     # P of all pairs: the same in x, y, ln pitch and roll except for the sizes
     return np.asarray(covariance @ (weights.reshape(-1, 4) * variances))

@@ -7,7 +7,7 @@ the image gives the pose. The light of undecided symbols is noise of known colou
 not confirm the pose.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import exp
 
 import numpy as np
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from heliograph.base.arrays import RCOND, Floats
-from heliograph.base.threads import one_thread
 from heliograph.receive.equalise.lmmse import equalise, products
 from heliograph.receive.geometry import kernels as geometry_kernels
 from heliograph.receive.geometry.fit import Fit, correlation
@@ -23,10 +22,9 @@ from heliograph.receive.geometry.footprint import image_of, render_with_slopes, 
 from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, ImagePatch, covered, cut_out, plane, window_around
-from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import RING_PX, Cutout, take_cutout
-from heliograph.receive.observe.noise import NOISE, Noise, measure_noise
-from heliograph.receive.observe.statistics import PairStatistics, whiten
+from heliograph.receive.observe.noise import MAX_BACKGROUND, Noise, measure_noise
+from heliograph.receive.observe.statistics import PairStatistics, leds_of, whiten
 from heliograph.receive.sync.pairing import AnyFrame, FramePair
 from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, STATE_SIZE, Observation, PoseState
 from heliograph.receive.track.track import Track, TrackedPair
@@ -36,29 +34,8 @@ from heliograph.receive.track.tracker import Tracker
 HeaderPair = tuple[FramePair, tuple[Pose, Pose]]
 
 
-@dataclass(frozen=True, slots=True)
-class SingleModeParameters:
-    """Tuning of the tracking by decisions."""
-
-    # Rims of a panel to try, in pitches beyond half a pitch around the outer LEDs, and the accuracy of the best
-    min_rim: float = 0.25
-    max_rim: float = 3.01
-    rim_step: float = 0.25
-    rim_tolerance: float = 5e-3
-    # Errors of the image model in x, y (px), ln pitch, roll and ln blur
-    pose_spreads: tuple[float, ...] = (0.01, 0.01, 0.002, 0.001, 0.02)
-    # Least mean of a decided symbol, in magnitude: it is wrong in 1.5 % of cases
-    min_decided: float = 0.97
-    # Standard deviation of a frame's gain relative to the gain: a third of the change by random data
-    gain_spread: float = 0.01
-    # Standard deviation in gray levels of the background about the mean of earlier frames
-    background_spread: float = 5.0
-    # Weight of a frame in the mean background: five frames of a changing scene count
-    background_weight: float = 0.2
-
-
-DECISIONS = SingleModeParameters()
-DECIDED = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array(DECISIONS.pose_spreads) ** 2)
+# Errors of the image model in x, y (px), ln pitch, roll and ln blur
+DECIDED = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2)
 
 
 def surroundings(frame: ImagePatch, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
@@ -91,7 +68,7 @@ def fit_background(headers: list[HeaderPair], gain: float, led_gains: Floats) ->
         _, down = surroundings(pair.inverted, middle, side)
         rows, cols = up.shape
         lit = sum((image_of(led_gains, pose, corner, (rows, cols)) for pose in poses), np.zeros(up.shape))
-        around = image_of(np.ones((side, side)), middle, corner, (rows, cols)) < NOISE.max_background
+        around = image_of(np.ones((side, side)), middle, corner, (rows, cols)) < MAX_BACKGROUND
         views.append((0.5 * (up + down - 0.5 * gain * lit), middle, corner, around))
 
     def fit(half: float) -> list[tuple[Floats, Floats]]:
@@ -107,11 +84,11 @@ def fit_background(headers: list[HeaderPair], gain: float, led_gains: Floats) ->
     def loss(half: float) -> float:
         return sum(float(squares.sum()) for _, squares in fit(half))
 
-    p = DECISIONS
-    halves = 0.5 * side + np.arange(p.min_rim, p.max_rim, p.rim_step)
+    # rims of up to three pitches beyond half a pitch around the outer LEDs
+    halves = 0.5 * side + np.arange(0.25, 3.01, 0.25)
     near = float(halves[int(np.argmin([loss(half) for half in halves]))])
-    bounds = (near - p.rim_step, near + p.rim_step)
-    half = float(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": p.rim_tolerance}).x)
+    bounds = (near - 0.25, near + 0.25)
+    half = float(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 5e-3}).x)
     fits = fit(half)
     residuals = np.concatenate([squares[around] for (*_, around), (_, squares) in zip(views, fits, strict=True)])
     variance = float(residuals.mean()) if residuals.size else 0.0
@@ -133,7 +110,6 @@ class DecisionDirectedTracker:
         # a single frame's cut-out is twice the frame: twice the variance of a difference of two
         self.noise = Noise(2 * noise.lit, max(2 * noise.dark, 4 * variance))
 
-    @one_thread()
     def follow(self, track: Track, pair: FramePair) -> TrackedPair:
         """Update the track by two frames; predict only if the array is not visible."""
         background = self._background
@@ -179,7 +155,8 @@ class DecisionDirectedTracker:
         start = np.concatenate([expected, [self._gain], self._background])
         precision = np.zeros((start.size, start.size))
         precision[:POSE_SIZE, :POSE_SIZE] = np.linalg.inv(covariance)
-        spreads = np.append(DECISIONS.gain_spread * self._gain, np.full(4, DECISIONS.background_spread))
+        # a third of the change of the gain by random data; gray levels of the background about earlier frames
+        spreads = np.append(0.01 * self._gain, np.full(4, 5.0))
         precision[range(POSE_SIZE, start.size), range(POSE_SIZE, start.size)] = spreads**-2
         matrix, rhs, score = self._build_equations(frame, state, start)
         step = np.linalg.solve(matrix + precision, rhs)
@@ -187,7 +164,8 @@ class DecisionDirectedTracker:
         longest = [max(FIT.max_step_px, 0.5 * exp(expected[2]))] * 2 + [*FIT.max_steps[: POSE_SIZE - 2]]
         step[:POSE_SIZE] = np.clip(step[:POSE_SIZE], np.negative(longest), longest)
         end = start + step
-        self._background = self._background + DECISIONS.background_weight * (end[POSE_SIZE + 1 :] - self._background)
+        # five frames of a changing scene count
+        self._background = self._background + 0.2 * (end[POSE_SIZE + 1 :] - self._background)
         after = np.asarray(np.linalg.inv(matrix + precision)[:POSE_SIZE, :POSE_SIZE], np.float64)
         vector = np.append(end[:POSE_SIZE], state.tilt.mean)
         return Fit(vector, after, float(end[POSE_SIZE]), score)
@@ -202,14 +180,13 @@ class DecisionDirectedTracker:
         mean_light, data = (middle.moved(*(late_s * state.mean[RATE_STATES][:2])) for late_s in self._late_s)
         cutout, background = self._subtract_background(frame, middle, mean_light, data, at[POSE_SIZE + 1 :])
         whitened = whiten(cutout, self.noise, self._side, self._led_gains)
-        pair = whitened.statistics()
-        known, unknown = self._decide_symbols(pair, gain)
+        known, unknown = self._decide_symbols(whitened.statistics, gain)
         lit = self._render_known(known, mean_light, data, cutout.corner, cutout.shape)
         slopes = gain * lit[1:] + np.tensordot(at[POSE_SIZE + 1 :], background[:, 1:], 1)
         residual = whitened.difference - 2 * gain * whitened.root * lit[0]
         columns = 2 * whitened.root * np.concatenate([slopes, lit[:1], background[:, 0]])
         images = np.concatenate([columns, residual[None]])
-        part = products(whitened, pair, images, unknown, gain**2 / self.noise.lit) / self.noise.lit
+        part = products(whitened, images, unknown, gain**2 / self.noise.lit) / self.noise.lit
         score = correlation(whitened.difference, whitened.root * 2 * gain * lit[0])
         return part[:-1, :-1], part[:-1, -1], score
 
@@ -218,13 +195,14 @@ class DecisionDirectedTracker:
         size = self._side**2
         # LLR = 2 eta_cavity, with the other symbols as Gaussian
         mean = np.tanh(equalise(pair, gain, self.noise.lit, np.zeros(size), np.ones(size)).extrinsic[1])
-        decided = np.abs(mean) > DECISIONS.min_decided
+        # wrong in 1.5 % of cases
+        decided = np.abs(mean) > 0.97
         return np.where(decided, mean, 0.0), np.flatnonzero(~decided)
 
     def _render_known(
         self, known: Floats, mean_light: Pose, data: Pose, corner: tuple[int, int], shape: tuple[int, int]
     ) -> Floats:
         """Render the known symbols and the levels' mean, with derivatives by the pose, (6, rows, columns)."""
-        levels = to_grid(0.5 * kernels.leds_of(known))
+        levels = to_grid(0.5 * leds_of(known))
         varied = render_with_slopes(data, levels * self._led_gains, corner, shape)
         return np.asarray(varied + render_with_slopes(mean_light, 0.5 * self._led_gains, corner, shape))

@@ -6,10 +6,9 @@ from math import hypot
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.geometry.footprint import by_squares, footprints, render_with_slopes
+from heliograph.receive.geometry.footprint import image_of, render_with_slopes
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, covered, cut_out, window_around
-from heliograph.receive.observe import kernels
 from heliograph.receive.sync.combine import Combination
 from heliograph.receive.sync.pairing import FramePair
 
@@ -38,16 +37,6 @@ class Cutout:
     noise: float = 1.0
     # (n, n) 1 for visible LEDs, 0 for occluded LEDs; None if all are visible
     in_sight: Floats | None = None
-    # Gray levels of the sum of a pair with all LEDs on, and (n, n) gains, for the background that `steady` subtracts;
-    # None if not needed
-    background: tuple[float, Floats] | None = None
-
-    @property
-    def steady(self) -> "Cutout":
-        """The cut-out after motion compensation, which reading single LEDs does not need and is slow."""
-        if self.background is None:
-            return self
-        return replace(self.motion_compensated(*self.background), background=None)
 
     @property
     def apart(self) -> bool:
@@ -67,11 +56,6 @@ class Cutout:
         rows, cols = self.difference.shape
         return rows, cols
 
-    @property
-    def factors(self) -> tuple[Floats, Floats]:
-        """Factors of columns and rows, `covered`, or empty arrays for factors of 1."""
-        return self.covered or (np.ones(0), np.ones(0))
-
     def shining(self, led_gains: Floats) -> Floats:
         """Gains of LEDs (n, n), 0 for occluded LEDs."""
         return led_gains if self.in_sight is None else led_gains * self.in_sight
@@ -85,14 +69,10 @@ class Cutout:
         if len(self.poses) != 2 or self.combination is not None:
             return self
         first, second = self.poses
-        ends = [footprints(pose, self.corner, self.shape, len(led_gains)) for pose in self.poses]
+        lit = sum(image_of(self.shining(led_gains), pose, self.corner, self.shape) for pose in self.poses)
         # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b, b = (r + r' - g (A_1 + A_2) 1 / 2) / 2
-        steady, shining = np.empty_like(self.difference), by_squares(self.shining(led_gains))
-        x, y = second.x - first.x, second.y - first.y
-        kernels.compensate_motion(
-            self.difference, self.total, (*ends[0],), (*ends[1],), shining, 0.5 * gain, x, y, steady
-        )
-        return replace(self, difference=steady)
+        down, right = np.gradient(0.5 * (self.total - 0.5 * gain * lit))
+        return replace(self, difference=self.difference - (second.x - first.x) * right - (second.y - first.y) * down)
 
     def moved(self, error: Floats) -> "Cutout":
         """Correct all poses by an error of x, y, ln pitch and roll."""
@@ -100,13 +80,10 @@ class Cutout:
         return replace(self, poses=tuple(Pose.from_vector(pose.full_vector() + step) for pose in self.poses))
 
 
-def take_cutout(
-    pair: FramePair, poses: tuple[Pose, Pose], side: int, background: tuple[float, Floats] | None = None
-) -> Cutout:
+def take_cutout(pair: FramePair, poses: tuple[Pose, Pose], side: int) -> Cutout:
     """Crop a pair of frames to the array."""
     frames, window = (pair.pattern, pair.inverted), window_around(Pose.midway(*poses), side, RIM_PX + RING_PX)
     up, down = (cut_out(frame, window) for frame in frames)
     corner = window[0], window[1]
     inside = covered(frames, corner, (window[3], window[2]))
-    total, difference, combination = up + down, up - down, pair.combination
-    return Cutout(total, difference, corner, poses, combination=combination, covered=inside, background=background)
+    return Cutout(up + down, up - down, corner, poses, combination=pair.combination, covered=inside)

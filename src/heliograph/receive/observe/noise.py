@@ -6,29 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import RCOND, Floats
 from heliograph.receive.geometry import kernels as geometry_kernels
 from heliograph.receive.geometry.fit import robust_std
-from heliograph.receive.geometry.footprint import by_squares, footprints
-from heliograph.receive.observe import kernels
+from heliograph.receive.geometry.footprint import footprints, image_of
 from heliograph.receive.observe.cutout import Cutout
 
-
-@dataclass(frozen=True, slots=True)
-class NoiseParameters:
-    """Tuning of the noise estimate."""
-
-    # Relative light from which a pixel is inside the array: excludes the slope of a blurred rim
-    min_inside: float = 0.8
-    # Relative light below which a pixel is background: a fraction of a gray level
-    max_background: float = 1e-3
-    # Relative error of the variance that motion leaves in sums: each LED shines in a different part of an exposure
-    motion_error: float = 0.2
-    # Pixels inside the array after which more sums do not help: the spread of the noise is then 3 %
-    max_pixels: int = 4000
-
-
-NOISE = NoiseParameters()
+MAX_BACKGROUND = 1e-3  # relative light of the array below which a pixel is background: a fraction of a gray level
 LEAST_NOISE = 1 / 6  # variance of a difference of two frames by rounding alone, 2 / 12
 
 
@@ -52,7 +36,8 @@ def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: 
         return Noise(LEAST_NOISE, LEAST_NOISE)
     successive = [*pairwise(range(len(cutouts)))] or [(0, 0)]
     inside = max((side * cutouts[0].middle.pitch - 2) ** 2, 1.0)
-    successive = successive[:: max(1, int(len(successive) * inside / NOISE.max_pixels))]
+    # with 4000 pixels the spread of the noise is 3 %
+    successive = successive[:: max(1, int(len(successive) * inside / 4000))]
     sums = {k: _unevenness(cutouts[k], gain, side, led_gains) for k in sorted({k for two in successive for k in two})}
     if len(sums) > 1:
         # successive sums have independent noise, so the difference has twice the variance
@@ -61,7 +46,8 @@ def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: 
         parts = [_variance(residual) for residual, _, _ in sums.values()]
     total, count = np.array(parts).sum(0)
     motion = float(np.mean([by_motion for _, _, by_motion in sums.values()]))
-    lit = max(float(total) / max(float(count), 1.0) - motion, NOISE.motion_error * motion, LEAST_NOISE)
+    # the motion of LEDs that shine in a part of the exposure errs by a fifth
+    lit = max(float(total) / max(float(count), 1.0) - motion, 0.2 * motion, LEAST_NOISE)
     return Noise(lit, noise_beside(cutouts, side))
 
 
@@ -69,8 +55,8 @@ def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
     """Measure the variance of a background pixel in a difference of two frames."""
     squares, count = 0.0, 0
     for cutout in cutouts:
-        light = footprints(cutout.poses[0], cutout.corner, cutout.shape, side)
-        power, pixels = kernels.measure_background(cutout.difference, (*light,), NOISE.max_background)
+        dark = image_of(np.ones((side, side)), cutout.poses[0], cutout.corner, cutout.shape) < MAX_BACKGROUND
+        power, pixels = float((cutout.difference[dark] ** 2).sum()), int(dark.sum())
         squares += power if cutout.combination is None else power / cutout.combination.noise
         count += pixels
     return max(squares / max(count, 1), LEAST_NOISE)
@@ -82,13 +68,21 @@ _Unevenness = tuple[Floats, tuple[int, int], float]
 
 def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None) -> _Unevenness:
     """Residual of a sum about the array with all LEDs on and a plane, scaled by the degrees of freedom."""
-    first, last = ((*footprints(pose, cutout.corner, cutout.shape, side),) for pose in cutout.poses)
+    place = cutout.corner, cutout.shape
     visible = np.ones((side, side)) if cutout.in_sight is None else cutout.in_sight
-    gains, residual = visible if led_gains is None else cutout.shining(led_gains), np.empty(cutout.shape)
-    leds = by_squares(gains), by_squares(visible)
-    count = kernels.measure_unevenness(cutout.total, first, last, *leds, *cutout.factors, NOISE.min_inside, residual)
+    gains = visible if led_gains is None else cutout.shining(led_gains)
+    lit = np.mean([image_of(gains, pose, *place) for pose in cutout.poses], axis=0)
+    light = image_of(visible, cutout.poses[0], *place)
+    if cutout.covered is not None:
+        light *= np.outer(*cutout.covered[::-1])
+    # without the slope of a blurred rim
+    rows, columns = np.nonzero(light > 0.8 * light.max())
+    images = np.stack([np.ones(rows.size), rows, columns, lit[rows, columns]], axis=1)
+    sums, residual = cutout.total[rows, columns], np.full(cutout.shape, np.nan)
+    left = sums - images @ np.linalg.lstsq(images, sums, rcond=RCOND)[0]
     # the fit takes four degrees of freedom
-    residual *= np.sqrt(count / max(count - 4, 1))
+    residual[rows, columns] = left * np.sqrt(rows.size / max(rows.size - 4, 1))
+    first, last = (footprints(pose, *place, side) for pose in cutout.poses)
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
     motion = gain**2 / 16 * geometry_kernels.squared_difference(*first, *last) / (side * cutout.middle.pitch) ** 2
     if cutout.combination is None:

@@ -11,7 +11,8 @@ known background b is the same with 2 (r - b) = g (B c + o) + n, B = A T and o =
 With the pixels' weights W, the symbols depend on d only by B^T W d; B^T W B and B^T W o follow from the poses.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from heliograph.receive.geometry.footprint import Footprints, by_squares, footpr
 from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.sync.combine import Combination
+from heliograph.receive.sync.combine import SIGNS, Combination
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,20 +61,6 @@ class PairStatistics:
             self.combination,
         )
 
-    def along(self, start: Floats, slope: Floats) -> "PairStatistics":
-        """Transform to other symbols u, one for each square of 2 x 2 LEDs: c = start + slope u."""
-        # B (start + D u) + o: D^T G D, D^T B^T d and D^T (B^T o + G start)
-        gram, kinds = self.gram.reshape(4, len(start) // 4, 4, -1), slope.reshape(4, -1)
-        narrow, lit = kinds.astype(np.float32), self.gram @ start.astype(np.float32)
-        return replace(
-            self,
-            gram=np.einsum("qkr,kr->qr", np.einsum("iq,iqkr->qkr", narrow, gram), narrow),
-            matched=(kinds * self.matched.reshape(4, -1)).sum(0),
-            offset=(kinds * (self.offset + lit).reshape(4, -1)).sum(0),
-            cross=self.cross + float(start @ self.matched),
-            offset_power=self.offset_power + float(start @ (2 * self.offset + lit)),
-        )
-
     def plus(self, other: "PairStatistics") -> "PairStatistics":
         """Add the statistics of another observation of the same pattern."""
         return PairStatistics(
@@ -88,79 +75,68 @@ class PairStatistics:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, for the cached property
 class WhitenedCutout:
     """A cut-out with pixels divided by relative noise: white noise of the variance inside the array."""
 
+    # The cut-out
+    cutout: Cutout
     # W^(1/2), the roots of the pixels' weights, (rows, columns)
     root: Floats
     # W^(1/2) d, (rows, columns)
     difference: Floats
     # W^(1/2) o, (rows, columns)
     offset: Floats
-    # W^(1/2) A of each frame, one or two
+    # W^(1/2) A of the frames: at the pose between both, the blur widened by the motion; of each in fast motion
     frames: tuple[Footprints, ...]
-    # The same at the pose between the frames, with the blur widened by the motion
-    between: Footprints
-    # True if the array moves too far for this to stand for both frames
-    apart: bool = False
-    # Combination of frames; None for two synchronous frames
-    combination: Combination | None = None
 
+    @cached_property
     def statistics(self) -> PairStatistics:
-        """Compute the sufficient statistics for the symbols."""
-        matched, offset = np.empty((2, len(self.between.across)))
-        first, last = (*self.frames[0],), (*self.frames[-1],)
-        powers = kernels.match_symbols(self.difference, self.offset, self.root, first, last, matched, offset)
-        return self._statistics(self._gram(), matched, offset, powers)
+        """Sufficient statistics for the symbols."""
+        return self._statistics(self._gram(), self.correlate(np.stack([self.difference, self.offset])))
 
     def marginalised(self, slopes: Floats, precision: Floats) -> PairStatistics:
         """Compute the statistics with other images of unknown amplitudes marginalised."""
         # d = g (B c + o + F e) + n: G - C K C^T and B^T d - C K F^T d, C = B^T F, K = (F^T F + P^-1)^-1
-        f, images = slopes.reshape(len(slopes), -1), [*slopes, self.difference, self.offset]
-        observed = np.stack([self.difference.ravel(), self.offset.ravel()], axis=1)
-        # with the same B as in G: otherwise the difference of two large matrices would not be positive definite
-        correlations = _correlate(np.array(images), self.frames if self.apart else (self.between,))
+        f, images = slopes.reshape(len(slopes), -1), np.stack([*slopes, self.difference, self.offset])
+        observed = images[-2:].reshape(2, -1).T
+        correlations = self.correlate(images)
         c = correlations[:, :-2]
         part = np.linalg.solve(f @ f.T + precision, np.column_stack([c.T, f @ observed]))
-        d, o = (correlations[:, -2:] - c @ part[:, -2:]).T
-        white, offset = self.difference, self.offset
-        powers = (white * offset).sum(), (offset**2).sum(), (white**2).sum(), (self.root > 0).sum()
         gram = self._gram()
         gram -= c.astype(np.float32) @ part[:, :-2].astype(np.float32)
-        return self._statistics(gram, d, o, powers)
+        return self._statistics(gram, correlations[:, -2:] - c @ part[:, -2:])
 
     def correlate(self, images: Floats) -> Floats:
         """Correlate images (k, rows, columns) with the symbols' images: B^T W^(1/2), (symbols, k)."""
-        return _correlate(images, self.frames)
+        stack = np.ascontiguousarray(np.moveaxis(images, 0, -1))
+        parts = np.empty((len(self.frames), len(self.frames[0].across), len(images)))
+        for frame, part in zip(self.frames, parts, strict=True):
+            kernels.correlate(stack, *frame, part)
+        return np.asarray(parts.mean(0))
 
     def residual(self, gain: float, symbols: Floats) -> Floats:
         """Compute W^(1/2) (d - g (B c + o)), (rows, columns)."""
         light = np.zeros_like(self.difference)
         for frame in self.frames:
-            geometry_kernels.add_image(kernels.leds_of(symbols) / len(self.frames), *frame, light)
+            geometry_kernels.add_image(leds_of(symbols) / len(self.frames), *frame, light)
         return self.difference - gain * (light + self.offset)
 
-    def _statistics(
-        self, gram: NDArray[np.float32], matched: Floats, offset: Floats, powers: tuple[float, float, float, int]
-    ) -> PairStatistics:
-        cross, offset_power, power, pixels = powers
-        statistics = PairStatistics(
-            gram, matched, offset, float(cross), float(offset_power), float(power), int(pixels), self.combination
-        )
+    def _statistics(self, gram: NDArray[np.float32], matched: Floats) -> PairStatistics:
+        """Statistics with the correlations of difference and offset, (symbols, 2)."""
+        d, o, combination = self.difference.ravel(), self.offset.ravel(), self.cutout.combination
+        powers = float(d @ o), float(o @ o), float(d @ d), int(np.count_nonzero(self.root))
+        statistics = PairStatistics(gram, matched[:, 0].copy(), matched[:, 1].copy(), *powers, combination)
         # relative to the noise of a difference of two frames
-        return statistics if self.combination is None else statistics.scaled(1 / self.combination.noise)
+        return statistics if combination is None else statistics.scaled(1 / combination.noise)
 
     def _gram(self) -> NDArray[np.float32]:
         """Compute G, (symbols, symbols)."""
-        rows, cols = self.difference.shape
-        if not self.apart:
-            return gram_of(self.between, (rows, cols))
-        light = np.zeros((rows, cols, len(self.between.across)), np.float32)
-        for frame in self.frames:
-            kernels.add_light(*frame, light)
-        b = light.reshape(rows * cols, -1) / np.float32(len(self.frames))
-        return np.asarray(b.T @ b, np.float32)
+        shape = self.cutout.shape
+        if not self.cutout.apart:
+            return gram_of(self.frames[0], shape)
+        b = np.mean([light_of_symbols(frame, shape) for frame in self.frames], axis=0)
+        return np.asarray(b @ b.T, np.float32)
 
 
 def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = None) -> WhitenedCutout:
@@ -170,48 +146,44 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     approximated by a product of a function of x and a function of y, so footprints times its root stay products.
     """
     shape, corner = cutout.shape, cutout.corner
-    if cutout.in_sight is not None:
-        led_gains = cutout.shining(np.ones((side, side)) if led_gains is None else led_gains)
+    gains = cutout.shining(np.ones((side, side)) if led_gains is None else led_gains)
+    leds, first, last = by_squares(gains), cutout.poses[0], cutout.poses[-1]
     # B^T W B at the pose between the two, the blur widened by the motion: sigma^2 + (half the motion)^2
-    first, last = cutout.poses[0], cutout.poses[-1]
-    motion = 0.5 * (last.x - first.x), 0.5 * (last.y - first.y)
-    middle = footprints(cutout.middle, corner, shape, side, motion)
-    single = len(cutout.poses) == 1
-    ends = [middle] * 2 if single else [footprints(pose, corner, shape, side) for pose in cutout.poses]
-    # the mean light of combined frames differs from a half
-    levels = (0.5, 0.5) if cutout.combination is None else cutout.combination.levels
-    root, white, offset = np.empty((3, *shape))
-    between, start, end = (
-        Footprints(np.empty_like(light.across), np.empty_like(light.down), light.first) for light in (middle, *ends)
+    middle = footprints(cutout.middle, corner, shape, side, (0.5 * (last.x - first.x), 0.5 * (last.y - first.y)))
+    across, down = (
+        kernels.weight_roots(part, middle.first[:, axis], noise.lit, noise.dark, int(RING_PX), shape[1 - axis])
+        for axis, part in enumerate(middle[:2])
     )
-    kernels.whiten(
-        noise.lit,
-        noise.dark,
-        int(RING_PX),
-        1 / cutout.noise**0.5,
-        *cutout.factors,
-        np.ones(0) if led_gains is None else by_squares(led_gains),
-        levels,
-        cutout.difference,
-        (*middle,),
-        (*ends[0],),
-        (*ends[1],),
-        (root, white, offset, *between[:2], *start[:2], *end[:2]),
-    )
-    if cutout.mean_light_pose is not None:
-        gains = np.ones((side, side)) if led_gains is None else led_gains
-        offset = root * image_of(gains, cutout.mean_light_pose, corner, shape)
-    frames = (between,) if single else (start, end)
-    return WhitenedCutout(root, white, offset, frames, between, cutout.apart, cutout.combination)
+    if cutout.covered is not None:
+        across, down = across * cutout.covered[0], down * cutout.covered[1]
+    across /= cutout.noise**0.5
+    root = np.outer(down, across)
+    if cutout.mean_light_pose is None:
+        # o = l_1 A_1 1 - l_2 A_2 1, 0 for an array at rest; the mean light of combined frames differs from a half
+        before, after = (0.5, 0.5) if cutout.combination is None else cutout.combination.levels
+        offset = image_of(before * gains, first, corner, shape) - image_of(after * gains, last, corner, shape)
+    else:
+        offset = image_of(gains, cutout.mean_light_pose, corner, shape)
+    light = [footprints(pose, corner, shape, side) for pose in cutout.poses] if cutout.apart else [middle]
+    frames = tuple(Footprints._make((*kernels.weigh((*frame,), across, down, leds), frame.first)) for frame in light)
+    return WhitenedCutout(cutout, root, root * cutout.difference, root * offset, frames)
 
 
-def _correlate(images: Floats, light: tuple[Footprints, ...]) -> Floats:
-    """Compute B^T of images (k, rows, columns), B being the mean of footprints, (symbols, k)."""
-    stack = np.ascontiguousarray(np.moveaxis(images, 0, -1))
-    parts = np.empty((len(light), len(light[0].across), len(images)))
-    for footprint, part in zip(light, parts, strict=True):
-        kernels.correlate_all(stack, *footprint, part)
-    return np.asarray(parts.mean(0))
+def leds_of(symbols: Floats) -> Floats:
+    """Transform symbols to levels of LEDs about the mean, (n n,): t = 1/4 H^T D H."""
+    return np.ascontiguousarray(0.25 * (SIGNS @ symbols.reshape(4, -1)).T).ravel()
+
+
+def symbols_of(leds: Floats) -> Floats:
+    """Transform LEDs to symbols, (n n,), the inverse of `leds_of`: D = H t H^T."""
+    return (SIGNS @ leds.reshape(-1, 4).T).ravel()
+
+
+def light_of_symbols(light: Footprints, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Compute B^T, the light of each symbol on each pixel, (symbols, pixels)."""
+    across, down = light.dense(shape)
+    leds = (down[:, :, None] * across[:, None, :]).reshape(len(across) // 4, 4, -1)
+    return np.asarray(0.25 * np.einsum("ij,qjp->iqp", SIGNS, leds).reshape(len(across), -1), np.float32)
 
 
 def gram_of(light: Footprints, shape: tuple[int, int]) -> NDArray[np.float32]:
