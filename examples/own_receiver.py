@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ThresholdSettings:
-    """What may be tuned: `--set receive.own.level=0.2`, or `--vary receive.own.level=0.1,0.2,0.4` in a sweep."""
+    """What may be tuned: `--set receive.custom.level=0.2`, or `--vary receive.custom.level=0.1,0.2,0.4` in a sweep."""
 
     level: float = 0.2
     """Fraction of the largest change from which on a pixel belongs to the array."""

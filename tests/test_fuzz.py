@@ -104,7 +104,7 @@ def settles(call: Callable[[], object]) -> None:
 
 
 KEYS = st.sampled_from(
-    ["channel", "distance_m", "arrays", "signal", "rate", "high", "receive", "own", "0", "x_m", "side"]
+    ["channel", "distance_m", "arrays", "signal", "rate", "high", "receive", "custom", "0", "x_m", "side"]
 )
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),

@@ -220,8 +220,15 @@ def test_a_plain_dataclass_refuses_keys_that_it_lacks() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [("decode.beside", "decode.in_background"), ("detect.busy_part", "detect.cpu_share")]
+    ("old", "new", "value"),
+    [
+        ("decode.beside", "decode.in_background", "1"),
+        ("detect.busy_part", "detect.cpu_share", "1"),
+        ("own", "custom", "{level = 1}"),
+    ],
 )
-def test_an_old_name_of_a_setting_leads_to_the_new_one(old: str, new: str) -> None:
-    with pytest.raises(SettingsError, match=f"unknown setting 'receive.{old}'; it is called 'receive.{new}' now"):
+def test_an_old_name_of_a_setting_leads_to_the_new_one(old: str, new: str, value: str) -> None:
+    with pytest.raises(
+        SettingsError, match=f"unknown setting 'receive.{old.removesuffix('.level')}'; it is called 'receive.{new}' now"
+    ):
         load_settings("static", None, [f"receive.{old}=1"])

@@ -254,14 +254,14 @@ def test_an_offered_receiver_reads_the_groups_that_it_names() -> None:
 @pytest.mark.usefixtures("installed")
 def test_an_offered_receiver_has_the_settings_of_its_own_that_it_names() -> None:
     for own, patience in (({}, 0.5), ({"patience": 2.0}, 2.0)):
-        given = {"receiver": "offered-patient", "own": own, "calibration": {"exposure_s": 5e-4}}
+        given = {"receiver": "offered-patient", "custom": own, "calibration": {"exposure_s": 5e-4}}
         receiver: Any = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, given))
         assert receiver.own.patience == patience
         assert receiver.exposure_s == 5e-4
     with pytest.raises(SettingsError, match=r"unknown .*patiense.*; did you mean 'patience'"):
-        from_mapping(ReceiveSettings, {"receiver": "offered-patient", "own": {"patiense": 2.0}})
+        from_mapping(ReceiveSettings, {"receiver": "offered-patient", "custom": {"patiense": 2.0}})
     # a class alone has none
     receiver = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, {"receiver": "offered"}))
     assert receiver.own is None
-    with pytest.raises(SettingsError, match=r"receive\.own\.patience has no effect"):
-        from_mapping(ReceiveSettings, {"receiver": "offered", "own": {"patience": 2.0}})
+    with pytest.raises(SettingsError, match=r"receive\.custom\.patience has no effect"):
+        from_mapping(ReceiveSettings, {"receiver": "offered", "custom": {"patience": 2.0}})

@@ -123,5 +123,5 @@ def test_identities_must_differ() -> None:
 
 
 def test_own_settings_that_no_part_reads_are_refused() -> None:
-    with pytest.raises(SettingsError, match=r"channel\.own\.wind_rad has no effect"):
-        load_settings("static", None, ["channel.own.wind_rad=3e-4"])
+    with pytest.raises(SettingsError, match=r"channel\.custom\.wind_rad has no effect"):
+        load_settings("static", None, ["channel.custom.wind_rad=3e-4"])

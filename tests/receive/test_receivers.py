@@ -66,16 +66,16 @@ def test_a_receiver_of_ones_own_is_chosen_by_its_name() -> None:
 
 
 def test_it_has_settings_of_its_own() -> None:
-    settings = ReceiveSettings(receiver=counting(), own={"frames": 5})
+    settings = ReceiveSettings(receiver=counting(), custom={"frames": 5})
     assert own_settings(settings) == Every(frames=5)
     assert len(list(receive_frames(FRAMES, SIGNAL, settings))) == 2
     with pytest.raises(SettingsError, match=r"'frmes'; did you mean 'frames'"):
-        from_mapping(ReceiveSettings, {"receiver": settings.receiver, "own": {"frmes": 5}})
+        from_mapping(ReceiveSettings, {"receiver": settings.receiver, "custom": {"frmes": 5}})
     name = f"plain-{next(NUMBERS)}"
     register_receiver(name, Counting)
     assert own_settings(ReceiveSettings(receiver=name)) is None
-    with pytest.raises(SettingsError, match=r"own\.frames has no effect"):
-        from_mapping(ReceiveSettings, {"receiver": name, "own": {"frames": 5}})
+    with pytest.raises(SettingsError, match=r"custom\.frames has no effect"):
+        from_mapping(ReceiveSettings, {"receiver": name, "custom": {"frames": 5}})
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def mine() -> None:
         ({"soft": {"combining": False}}, "receive.soft.combining"),
         ({"calibration": {"exposure_s": 5e-4}}, "receive.calibration.exposure_s"),
         ({"receiver": "soft", "plain": {"equaliser": "inverse"}}, "receive.plain.equaliser"),
-        ({"receiver": "soft", "own": {"frames": 3}}, "receive.own.frames"),
+        ({"receiver": "soft", "custom": {"frames": 3}}, "receive.custom.frames"),
         ({"receiver": "mine", "soft": {"combining": False}}, "receive.soft.combining"),
         ({"receiver": "mine", "detect": {"score": 0.8}}, "receive.detect.score"),
         ({"receiver": "mine", "track": {"coast_patterns": 9}}, "receive.track.coast_patterns"),
@@ -50,7 +50,7 @@ def test_a_key_without_effect_is_refused(settings: dict[str, Any], key: str) -> 
         {"plain": {"equaliser": "inverse"}},
         {"receiver": "soft", "soft": {"feedback": "none", "combining": False}},
         {"receiver": "soft", "calibration": {"exposure_s": 5e-4}},
-        {"receiver": "mine", "own": {"frames": 3}, "calibration": {"exposure_s": 5e-4}},
+        {"receiver": "mine", "custom": {"frames": 3}, "calibration": {"exposure_s": 5e-4}},
         # a default that is written out changes nothing
         {"receiver": "soft", "plain": {"equaliser": "none"}},
     ],
@@ -80,5 +80,5 @@ def test_the_smallest_array_is_smaller_than_the_largest(settings: dict[str, Any]
 
 
 def test_settings_can_be_keys() -> None:
-    one, other = (from_mapping(ReceiveSettings, {"receiver": "mine", "own": {"frames": k}}) for k in (3, 3))
+    one, other = (from_mapping(ReceiveSettings, {"receiver": "mine", "custom": {"frames": k}}) for k in (3, 3))
     assert {one: 1}[other] == 1

@@ -28,7 +28,7 @@ class Renamed:
     """The plain receiver; its packets get another identity."""
 
     def __init__(self, signal, settings, observe):
-        self._plain = heliograph.make_receiver(signal, replace(settings, receiver="plain", own={}), observe)
+        self._plain = heliograph.make_receiver(signal, replace(settings, receiver="plain", custom={}), observe)
         self._identity = heliograph.own_settings(settings).identity
 
     @property

@@ -41,7 +41,7 @@ _UNIT_RATIO = 0.95
 _MAX_KEY = 100
 """Characters of an unknown key up to which a known key is proposed."""
 
-_RENAMED = {"beside": "in_background", "busy_part": "cpu_share"}
+_RENAMED = {"beside": "in_background", "busy_part": "cpu_share", "own": "custom"}
 """New names of settings by old name."""
 
 T = TypeVar("T")

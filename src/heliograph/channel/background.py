@@ -388,7 +388,7 @@ class Scenery:
     Attributes
     ----------
     settings
-        The channel; settings of a part of one's own are in ``settings.own``.
+        The channel; settings of a part of one's own are in ``settings.custom``.
     footage
         Recorded frames; None where there are none.
     rng

@@ -190,7 +190,7 @@ class Drive:
     Attributes
     ----------
     settings
-        The channel; settings of a part of one's own are in ``settings.own``.
+        The channel; settings of a part of one's own are in ``settings.custom``.
     travel
         Distance along the road.
     start_s

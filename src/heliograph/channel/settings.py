@@ -201,7 +201,7 @@ class ChannelSettings:
         Noise and levels of the image sensor.
     background
         What is seen behind the arrays.
-    own
+    custom
         Settings of registered motions, backgrounds and point-spread functions, by name.
     """
 
@@ -219,7 +219,7 @@ class ChannelSettings:
     emitter: EmitterSettings = EmitterSettings()
     sensor: SensorSettings = SensorSettings()
     background: BackgroundSettings = BackgroundSettings()
-    own: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    custom: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @model_validator(mode="after")
     def _consistent(self) -> "ChannelSettings":
@@ -249,8 +249,8 @@ class ChannelSettings:
                     "channel.distance_m"
                 )
         parts = ((MOTIONS, self.shake), (BACKGROUNDS, self.background.kind), (POINT_SPREADS, self.camera.psf))
-        if self.own and all(registry.is_built_in(name) for registry, name in parts):
-            keys = ", ".join(f"channel.own.{key}" for key in self.own)
+        if self.custom and all(registry.is_built_in(name) for registry, name in parts):
+            keys = ", ".join(f"channel.custom.{key}" for key in self.custom)
             raise ValueError(
                 f"{keys} has no effect, as shake, background.kind and camera.psf are the package's; leave it out"
             )

@@ -33,7 +33,7 @@ def register_receiver(name: str, make: MakeReceiver, settings: type | None = Non
         Function of the light's signal, the receiver's settings and an observer that returns a `Receiver`; a class with
         such a constructor is fine.
     settings
-        Frozen dataclass of settings, made from ``receive.own``; the receiver gets them by
+        Frozen dataclass of settings, made from ``receive.custom``; the receiver gets them by
         ``own_settings(receive_settings)``.
     reads
         Other groups of ``receive`` that the receiver reads: "calibration", "detect", "track", "decode". A setting of
@@ -61,11 +61,11 @@ def own_settings(settings: ReceiveSettings) -> Any:
     Raises
     ------
     SettingsError
-        A key of ``receive.own`` is unknown, or a value out of range; or the settings are no `ReceiveSettings`.
+        A key of ``receive.custom`` is unknown, or a value out of range; or the settings are no `ReceiveSettings`.
     """
     _check_settings(settings)
     kind = part_of(settings.receiver).settings
-    return None if kind is None else from_mapping(kind, settings.own)
+    return None if kind is None else from_mapping(kind, settings.custom)
 
 
 def make_receiver(

@@ -17,7 +17,7 @@ class ReceiverPart(NamedTuple):
     make
         Function of the light's signal, the receiver's settings and an observer that returns the receiver.
     settings
-        Frozen dataclass of the settings in ``receive.own``; None without settings.
+        Frozen dataclass of the settings in ``receive.custom``; None without settings.
     reads
         Other groups of ``receive`` that the receiver reads, of `GROUPS`.
     """

@@ -254,7 +254,7 @@ class ReceiveSettings:
         Settings of the receiver "soft".
     screen
         Settings of the receiver "screen".
-    own
+    custom
         Settings of a registered receiver, by name.
     """
 
@@ -266,7 +266,7 @@ class ReceiveSettings:
     plain: PlainSettings = PlainSettings()
     soft: SoftSettings = SoftSettings()
     screen: ScreenSettings = ScreenSettings()
-    own: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    custom: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @property
     def smallest_side_px(self) -> float:
@@ -291,8 +291,8 @@ class ReceiveSettings:
                 f"receive.{key} has no effect with receive.receiver = '{self.receiver}'; leave it out, or choose "
                 f"{_reader_of(key, self.receiver)}"
             )
-        if self.own and (kind := part_of(self.receiver).settings) is not None:
-            from_mapping(kind, self.own)
+        if self.custom and (kind := part_of(self.receiver).settings) is not None:
+            from_mapping(kind, self.custom)
         return self
 
 
@@ -313,12 +313,12 @@ def _without_effect(settings: ReceiveSettings) -> list[str]:
     if name != "soft" and RECEIVERS.is_built_in(name) and settings.calibration.exposure_s is not None:
         keys.append("calibration.exposure_s")
     if RECEIVERS.is_built_in(name):
-        return keys + [f"own.{key}" for key in settings.own]
-    part = part_of(name) if (changed := _changed_groups(settings)) or settings.own else None
+        return keys + [f"custom.{key}" for key in settings.custom]
+    part = part_of(name) if (changed := _changed_groups(settings)) or settings.custom else None
     if part is None:  # without such settings the receiver is not loaded yet
         return keys
     keys += [key for key in changed if key.partition(".")[0] not in part.reads]
-    return keys + [f"own.{key}" for key in settings.own if part.settings is None]
+    return keys + [f"custom.{key}" for key in settings.custom if part.settings is None]
 
 
 def _reader_of(key: str, name: str) -> str:
