@@ -36,7 +36,7 @@ FURTHER = {
     "scenes": ("error_rates.scenes", "error rates in hard scenes"),
     "repeated-packets": ("error_rates.repeated_packets", "packets received again"),
     "acquisition": ("detection.acquisition", "acquisition of an array that is switched on"),
-    "known-channel": ("calibration.known_channel", "the soft receiver beside the known channel"),
+    "known-channel": ("calibration.known_receiver", "the soft receiver beside the known channel"),
     "header-separation": ("detection.header_separation", "distances between headers"),
     "timing-loss": ("patterns.timing_loss", "loss of a camera out of step"),
 }
