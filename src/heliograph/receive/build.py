@@ -10,12 +10,13 @@ from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.soft_packet import SoftDecoding
 from heliograph.receive.decode.worker import ArrayKey, InlineExecutor, PacketDecoder, ProcessExecutor
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import BUDGET
-from heliograph.receive.detect.detection import Detection, HeaderSearch
-from heliograph.receive.detect.region import RegionSearch, around, pose_of
-from heliograph.receive.detect.search import PhasedSearch, PyramidSearch
+from heliograph.receive.detect.budget import FILM_SHARE, UNBOUNDED_SHARE
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.detect.search import HeaderSearch, around
 from heliograph.receive.events import Observer
+from heliograph.receive.geometry.pose import pose_of
 from heliograph.receive.geometry.view import View
+from heliograph.receive.geometry.window import Window
 from heliograph.receive.plain_reader import PlainReader
 from heliograph.receive.receiver import Parts, StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
@@ -62,7 +63,8 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
         return SynchronousPairing(detection.start_time_s, detection.time_s, signal)
 
     parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
-    search = _restrict_to_region(PyramidSearch(parameters, signal), parameters, settings, signal.side)
+    region = _search_region(parameters, settings, signal.side)
+    search = HeaderSearch(parameters, signal, synchronous=True, region=region)
     track = _array_factory(signal, settings, observe, pairing, reader)
     return Parts(SynchronousClock(signal.pattern_period_s), search, track, signal)
 
@@ -87,7 +89,7 @@ def soft_parts(
         )
 
     parameters = search_parameters(settings, signal, SOFT_REGULARITY, impaired=True)
-    search = _restrict_to_region(PhasedSearch(parameters, signal), parameters, settings, signal.side)
+    search = HeaderSearch(parameters, signal, region=_search_region(parameters, settings, signal.side))
     reader = reader or soft_reader(signal, settings, observe)
     track = _array_factory(signal, settings, observe, pairing, reader)
     return Parts(CameraClock(), search, track, signal)
@@ -111,7 +113,7 @@ def search_parameters(
     """Parameters of a receiver's search."""
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
-    cpu_share = BUDGET.film_share if detect.cpu_share is None else detect.cpu_share
+    cpu_share = FILM_SHARE if detect.cpu_share is None else detect.cpu_share
     return SearchParameters(
         min_side_px=settings.smallest_side_px,
         max_side_px=detect.max_side_px,
@@ -119,7 +121,7 @@ def search_parameters(
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
-        cpu_share=BUDGET.unbounded_share if given else cpu_share,
+        cpu_share=UNBOUNDED_SHARE if given else cpu_share,
         impaired=impaired,
         all_on=signal.header == "all_on",
         blur_px=blur_px,
@@ -128,11 +130,9 @@ def search_parameters(
     )
 
 
-def _restrict_to_region(
-    search: HeaderSearch, parameters: SearchParameters, settings: ReceiveSettings, side: int
-) -> HeaderSearch:
-    """Restrict a search to the corners or the region of the settings, if given."""
-    start, region = parameters.start, settings.detect.region
+def _search_region(parameters: SearchParameters, settings: ReceiveSettings, side: int) -> Window | None:
+    """Return the region of the settings, or about the corners, if given."""
+    start = parameters.start
     if start is not None:
         size, (least, most) = side * start.pitch, (parameters.min_side_px, parameters.max_side_px)
         if not least <= size <= most:
@@ -140,9 +140,7 @@ def _restrict_to_region(
                 f"the array at receive.detect.corners is {size:.3g} px a side, and those from {least:g} to {most:g} px "
                 f"are looked for: set receive.detect.{'min' if size < least else 'max'}_side_px"
             )
-    if region:
-        return RegionSearch(search, region, side)
-    return search if start is None else RegionSearch(search, around(start, side), side)
+    return settings.detect.region or (None if start is None else around(start, side))
 
 
 def _array_factory(

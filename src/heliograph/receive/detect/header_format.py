@@ -35,19 +35,6 @@ from heliograph.signal.header import CELLS, header_cells
 CELL_COUNT = CELLS * CELLS
 
 
-@dataclass(frozen=True, kw_only=True)
-class FormatParameters:
-    """Thresholds of the choice of a format."""
-
-    # Least surplus of the power explained by another format than the agreed format, over the squared distance of two
-    # words: a quarter is halfway
-    min_distance: float = 0.25
-    # The same over the unexplained power: a bar in motion before an array resembles dimmed cells
-    min_unexplained: float = 0.5
-    # Prior standard deviation of a cell's brightness about 1: neighbours of hidden LEDs may be hidden
-    cell_sigma: float = 0.3
-
-
 @dataclass(frozen=True, slots=True)
 class _PairEvidence:
     """Evidence of a header pair."""
@@ -83,13 +70,13 @@ class _PairEvidence:
         constant = a @ (self.gram @ a + 2 * self.offset) + self.offset_power
         return np.stack([match, constant + linear + squares])
 
-    def estimate_brightness(self, cells: Floats, gain: float, sigma: float) -> Floats:
+    def estimate_brightness(self, cells: Floats, gain: float) -> Floats:
         """Estimate the brightness (16,) of each cell, 0 or more, from a pair with no dimmed cells."""
         if gain <= 0:
             return np.ones(CELL_COUNT)
-        # h = argmin |d - g (B C h + o)|^2 / s^2 + |h - 1|^2 / sigma^2, C = diag(cells)
+        # h = argmin |d - g (B C h + o)|^2 / s^2 + |h - 1|^2 / 0.3^2, C = diag(cells); cells may be partly hidden
         noise = max(self.unexplained / max(self.pixels - CELL_COUNT, 1), LEAST_VARIANCE)
-        prior = noise / (gain * sigma) ** 2
+        prior = noise / (0.3 * gain) ** 2
         matrix = cells[:, None] * self.gram * cells + prior * np.eye(CELL_COUNT)
         return np.maximum(np.linalg.solve(matrix, cells * (self.matched / gain - self.offset) + prior), 0.0)
 
@@ -111,7 +98,7 @@ class _FramesEvidence:
         changes = np.diff(self.frames.light, axis=0), 0.5 * np.diff(self.frames.alternation, axis=0)
         return float(sum(change.var() * change.size for change in changes) * self.gram.diagonal().max())
 
-    def estimate_brightness(self, cells: Floats, gain: float, sigma: float) -> Floats:  # noqa: ARG002 - of `_PairEvidence`
+    def estimate_brightness(self, cells: Floats, gain: float) -> Floats:  # noqa: ARG002 - of `_PairEvidence`
         """Return 1, as no frame is known to show no dimmed cells."""
         return np.ones(CELL_COUNT)
 
@@ -137,8 +124,7 @@ def _words() -> Floats:
 class FormatReader:
     """Reader of the format in a packet's header."""
 
-    def __init__(self, identity: int, side: int, data_pairs: int, parameters: FormatParameters = FormatParameters()):
-        self._parameters = parameters
+    def __init__(self, identity: int, side: int, data_pairs: int):
         self._side, self._readable = side, readable(data_pairs)
         self._cells = header_cells(identity).reshape(CELL_COUNT).astype(np.float64)
         self._cell_of_led = np.kron(
@@ -168,10 +154,10 @@ class FormatReader:
         """Decide on the format's number, 0 to 2047; the agreed format if no later header pair was added."""
         if not self._evidence:
             return AGREED.number
-        parameters, evidences = self._parameters, self._evidence.values()
+        evidences = self._evidence.values()
         first, brightness = self._evidence.get(0), np.ones(CELL_COUNT)
         if first is not None:
-            brightness = first.estimate_brightness(self._cells, gain, parameters.cell_sigma)
+            brightness = first.estimate_brightness(self._cells, gain)
         moments = [evidence.compute_moments(self._cells, brightness) for evidence in evidences]
         match, norm = np.sum(moments, axis=0)
         # the best gain of each format: g = <d, B v + o> / |B v + o|^2
@@ -180,7 +166,9 @@ class FormatReader:
         # two words of the Reed-Muller code RM(2, 4) differ in 4 cells: if these are hidden it is the agreed format
         distance = 4 * sum(evidence.distance for evidence in evidences)
         unexplained = sum(evidence.unexplained for evidence in evidences)
-        margin = parameters.min_distance * float(np.max(g)) ** 2 * distance + parameters.min_unexplained * unexplained
+        # another format than the agreed format needs a surplus: a quarter of the distance is halfway, and a bar in
+        # motion before an array resembles dimmed cells
+        margin = 0.25 * float(np.max(g)) ** 2 * distance + 0.5 * unexplained
         explained[AGREED.number] += margin
         # an unreadable mode needs the same margin, or noise makes the reader ignore a packet
         explained[~self._readable] -= margin
