@@ -7,8 +7,9 @@ from typing import TypeVar
 from heliograph.base.arrays import Floats
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.sync.pairing import UnpairedFrame
+from heliograph.receive.track.kalman import PoseState
 from heliograph.receive.track.track import Track, mask_occluded_retroactively
-from heliograph.receive.track.unpaired_frames import CompletePair, unpaired_cutout
+from heliograph.receive.track.unpaired_frames import unpaired_cutout
 
 T = TypeVar("T")
 
@@ -20,7 +21,7 @@ class PacketBuffer:
     # Cut-outs of pairs, in the single mode by number of the pattern
     cutouts: Mapping[int, Cutout] = field(default_factory=dict)
     # Complete pairs in step
-    seen: Mapping[int, CompletePair] = field(default_factory=dict)
+    seen: Mapping[int, tuple[PoseState, Cutout]] = field(default_factory=dict)
     # Remaining frames of incomplete pairs
     lone: Mapping[int, UnpairedFrame] = field(default_factory=dict)
 
@@ -29,7 +30,7 @@ class PacketBuffer:
         cutouts = {**self.cutouts, place: cutout}
         if not track.all_visible:
             cutouts |= mask_occluded_retroactively(cutouts, place, track.visible)
-        seen = {**self.seen, place: CompletePair(track.state, cutout)} if in_step else self.seen
+        seen = {**self.seen, place: (track.state, cutout)} if in_step else self.seen
         return PacketBuffer(cutouts, seen, self.lone)
 
     def with_patterns(self, place: int, cutouts: Sequence[Cutout]) -> "PacketBuffer":
