@@ -9,7 +9,7 @@ from lamp_scenes import LampScene
 from heliograph.base.frames import Frame
 from heliograph.receive import make_receiver
 from heliograph.receive.detect.alternation import SearchParameters, SearchRegion, coarse_search
-from heliograph.receive.detect.budget import FILM_SHARE, UNBOUNDED_SHARE, WORK_PER_MS, TokenBucket
+from heliograph.receive.detect.budget import WORK_PER_MS, TokenBucket
 from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
 from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.events import DetectEvent, Event
@@ -36,7 +36,7 @@ def test_an_array_among_lamps_is_found_within_the_bound_of_films(kind: str) -> N
     assert link.transmit.identities[0] in detected
     assert len(detected) <= 3
     # the last search may overdraw it by its last block and fit
-    bound = TokenBucket(FILM_SHARE, 1e-3).capacity + count * FILM_SHARE * WORK_PER_MS + 5e6
+    bound = TokenBucket(2.0, 1e-3).capacity + count * 2.0 * WORK_PER_MS + 5e6
     assert receiver.load.work < bound  # type: ignore[attr-defined]  # of those that search
 
 
@@ -70,7 +70,7 @@ def test_lamps_smaller_than_half_an_array_are_not_compared_with_headers() -> Non
 def test_half_a_pattern_out_of_step_the_array_is_lit_within_its_header(within: float, count: int) -> None:
     """Lamps that shine before and after, and are dark between, are no array."""
     header, found = np.kron(all_header_cells()[4], np.ones((8, 8))), 0
-    detector = HalfPeriodDetector(Detector(PARAMETERS, SignalSettings(), TokenBucket(UNBOUNDED_SHARE, 1e-3)))
+    detector = HalfPeriodDetector(Detector(PARAMETERS, SignalSettings(), TokenBucket(1e6, 1e-3)))
     for k, light in enumerate([0.5 + 0.5 * header, *[np.full_like(header, within)] * 3, 0.5 - 0.5 * header]):
         pixels = np.full((96, 128), 20, np.uint8)
         # half of the header, and half of even data

@@ -10,7 +10,6 @@ from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.soft_packet import SoftDecoding
 from heliograph.receive.decode.worker import ArrayKey, InlineExecutor, PacketDecoder, ProcessExecutor
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import FILM_SHARE, UNBOUNDED_SHARE
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.search import HeaderSearch, around
 from heliograph.receive.events import Observer
@@ -113,7 +112,8 @@ def search_parameters(
     """Parameters of a receiver's search."""
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
-    cpu_share = FILM_SHARE if detect.cpu_share is None else detect.cpu_share
+    # a film may take two cores; a given place has no bound
+    cpu_share = 2.0 if detect.cpu_share is None else detect.cpu_share
     return SearchParameters(
         min_side_px=settings.smallest_side_px,
         max_side_px=detect.max_side_px,
@@ -121,7 +121,7 @@ def search_parameters(
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
-        cpu_share=UNBOUNDED_SHARE if given else cpu_share,
+        cpu_share=1e6 if given else cpu_share,
         impaired=impaired,
         all_on=signal.header == "all_on",
         blur_px=blur_px,

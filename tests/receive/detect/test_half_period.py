@@ -8,7 +8,7 @@ from scenes import film, link
 
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import UNBOUNDED_SHARE, TokenBucket
+from heliograph.receive.detect.budget import TokenBucket
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
 from heliograph.signal.settings import SignalSettings
@@ -33,7 +33,7 @@ def detector_with(budget: TokenBucket, min_novelty: float = 1.3) -> HalfPeriodDe
 
 
 def found(frames: list[Frame]) -> list[Detection]:
-    detector = detector_with(TokenBucket(UNBOUNDED_SHARE, 1e-3))
+    detector = detector_with(TokenBucket(1e6, 1e-3))
     return [one for frame in frames for one in detector.push(frame)]
 
 

@@ -13,7 +13,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.detect import search as pyramid
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import UNBOUNDED_SHARE, SearchLoad, TokenBucket
+from heliograph.receive.detect.budget import SearchLoad, TokenBucket
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.frame_window import first_present
 from heliograph.receive.detect.search import HeaderSearch, PyramidSearch, level_parameters
@@ -279,7 +279,7 @@ def blocks_of(slots: Sequence[Frame | None]) -> tuple[int, int]:
 def test_frames_that_are_low_are_searched(rows: int, origin: tuple[int, int]) -> None:
     """A reduced frame begins with an even row: of some a level has nothing left."""
     search, rng = (
-        PyramidSearch(replace(SEARCH, cpu_share=UNBOUNDED_SHARE), SignalSettings()),
+        PyramidSearch(replace(SEARCH, cpu_share=1e6), SignalSettings()),
         np.random.default_rng(0),
     )
     for k in range(12):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame, Pixels
+from heliograph.receive.detect import kernels
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import window_around
@@ -123,8 +124,6 @@ DIFFERENCE: FrameWeights = (0.5, -0.5, 0.5, -0.5)
 
 def alternation_of(frames: Sequence[Frame], weights: FrameWeights = ALTERNATION) -> Change:
     """Compute the weighted sum of four frames, or the difference of two, (rows, columns) in gray levels."""
-    from heliograph.receive.detect import kernels  # Numba is slow to import
-
     pixels, weights = _four(frames, weights)
     out = np.empty(pixels[0].shape, np.float32)
     kernels.combined(*pixels, np.array(weights, np.float32), out)
@@ -133,8 +132,6 @@ def alternation_of(frames: Sequence[Frame], weights: FrameWeights = ALTERNATION)
 
 def alternation_means(frames: Sequence[Frame], weights: FrameWeights = ALTERNATION) -> Change:
     """Compute the mean magnitude of `alternation_of` over blocks."""
-    from heliograph.receive.detect import kernels
-
     pixels, weights = _four(frames, weights)
     out = np.empty([-(-size // BLOCK_PX) for size in pixels[0].shape], np.float32)
     integers = _integer_weights(weights) if pixels[0].dtype == np.uint8 else None
@@ -226,8 +223,6 @@ def coarse_search(
     and header, the best first; the number of places visited, of blocks visited, busy or not, and of places compared
     with the headers, which is 0 for other headers too if it is 0.
     """
-    from heliograph.receive.detect import kernels
-
     best = np.zeros((parameters.candidates, 5))
     count, work, passed, compared = kernels.search(
         integral_images(region.change),

@@ -21,12 +21,6 @@ WORK_PER_MS = 180_000.0
 FIT_WORK = 200_000.0
 """Work of a candidate's fit."""
 
-FILM_SHARE = 2.0
-"""Share of a core for the search of a film."""
-
-UNBOUNDED_SHARE = 1e6
-"""Share of a core above any need."""
-
 
 class NoveltyFilter:
     """Running baseline of the alternation about each block, to find blocks above it.

@@ -23,6 +23,7 @@ from heliograph.receive.detect.alternation import (
     size_limits,
 )
 from heliograph.receive.geometry.fit import Fit, Prior, fit_array
+from heliograph.receive.geometry.footprint import images_of, render_with_slopes
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import Window, cut_out, window_around
@@ -137,17 +138,14 @@ def find_lit_cells(change: Change, origin: tuple[int, int], pose: Pose, weights:
 
 def measure_cells(change: Change, origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:
     """Measure the light of each cell of an array, by least squares."""
-    from heliograph.receive.geometry import kernels
-
-    x0, y0, width, height = window_around(pose, len(weights), DETECT.margin_px)
+    side = len(weights)
+    x0, y0, width, height = window_around(pose, side, DETECT.margin_px)
     i, j = max(0, y0 - origin[1]), max(0, x0 - origin[0])
     image = change[i : y0 - origin[1] + height, j : x0 - origin[0] + width].astype(np.float64)
-    shapes, out = [], np.empty((6, *image.shape))
-    for cell in np.eye(CELLS * CELLS):
-        lit = weights * cell_weights(cell, len(weights))
-        kernels.render(pose.full_vector(), lit, float(origin[0] + j), float(origin[1] + i), out, 0.0, 0.0)
-        shapes.append(out[0].ravel().copy())
-    return np.asarray(np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0], np.float64)
+    cells = cell_weights(np.arange(CELLS * CELLS, dtype=np.float64), side)
+    shapes = images_of(weights, cells, CELLS * CELLS, pose, (origin[0] + j, origin[1] + i), image.shape)
+    columns = shapes.reshape(CELLS * CELLS, -1).T
+    return np.asarray(np.linalg.lstsq(columns, image.ravel(), rcond=None)[0], np.float64)
 
 
 def is_tracked(start: Pose, tracked: Sequence[Pose], side: int) -> bool:
@@ -205,17 +203,13 @@ def estimate_drift(
 
 def _position_error(frame: Frame, pose: Pose, weights: Floats) -> tuple[Floats, Floats, float]:
     """Compare a frame with a pose: J^T J and J^T r of the error of x and y, and the mean square of r."""
-    from heliograph.receive.geometry import kernels  # Numba is slow to import
-
     window = window_around(pose, len(weights), 3.0)
     x0, y0, width, height = window
     sigma = DETECT.hiding_blur * pose.pitch
     pixels = np.asarray(cv2.GaussianBlur(cut_out(frame, window), (0, 0), sigma), np.float64).ravel()
     pose = replace(pose, blur=float(np.hypot(pose.blur, sigma)))
-    images = np.empty((2, 6, height, width))
-    for levels, out in zip((weights, np.abs(weights)), images, strict=True):
-        kernels.render(pose.full_vector(), levels, float(x0), float(y0), out, 0.0, 0.0)
-    flat = images.reshape(2, 6, -1)
+    images = [render_with_slopes(pose, levels, (x0, y0), (height, width)) for levels in (weights, np.abs(weights))]
+    flat = np.reshape(images, (2, 6, -1))
     columns = np.column_stack([flat[0, 0], flat[1, 0], np.ones(pixels.size)])
     slopes = flat[:, 1:3]
     amounts = np.linalg.lstsq(columns, pixels, rcond=RCOND)[0]

@@ -69,9 +69,6 @@ from heliograph.receive.geometry.window import common, cut_out, window_around
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
 
-MIN_TILT_GAIN = 0.03
-"""Least gain in score of a tilted fit: an upright array with a hidden side looks a little tilted."""
-
 
 class Candidate(NamedTuple):
     """Place with a similarity to a header."""
@@ -272,7 +269,8 @@ class Detector:
                 # at any tilt
                 break
             found = self._detect(slots, begun, pose, weights, candidate.hypotheses, tilt)
-            if found is not None and (best is None or found.score > best.score + MIN_TILT_GAIN):
+            # an upright array with a hidden side looks a little tilted
+            if found is not None and (best is None or found.score > best.score + 0.03):
                 best = found
             if best is not None and best.score >= DETECT.clear_score:
                 break

@@ -8,7 +8,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import takewhile
+from itertools import islice, takewhile
 
 import cv2
 import numpy as np
@@ -121,13 +121,15 @@ class HeaderSearch:
 
     def _nearest_frame(self, phase: float) -> Frame | None:
         """Return the frame of the last pattern that is nearest to a phase, once the next pattern begins."""
-        places = [frame.time_s / self._signal.pattern_period_s - phase for frame in reversed(self.recent)]
-        if len(places) < 2 or round(places[0]) == (number := round(places[1])):
+
+        def place(frame: Frame) -> float:
+            return frame.time_s / self._signal.pattern_period_s - phase
+
+        if len(self.recent) < 2 or round(place(self.recent[-1])) == (number := round(place(self.recent[-2]))):
             return None
-        of_pattern = takewhile(lambda k: round(places[k]) == number, range(1, len(places)))
+        of_pattern = takewhile(lambda frame: round(place(frame)) == number, islice(reversed(self.recent), 1, None))
         # of two equally near frames the earlier
-        nearest = min(of_pattern, key=lambda k: (abs(places[k] - number), -k))
-        return self.recent[-1 - nearest].numbered(number)
+        return min(reversed([*of_pattern]), key=lambda frame: abs(place(frame) - number)).numbered(number)
 
 
 class PyramidSearch:
