@@ -44,6 +44,9 @@ class DetectorParameters:
     busy_ratio: float = 2.0
     # Least mean alternation of a busy block as a fraction of the least contrast: the array may fill a quarter of it
     busy_contrast: float = 0.25
+    # Largest magnitude of the sum over the sum of magnitudes of a place when work is scarce: a header of which a third
+    # is hidden has 0.5, a lamp 1
+    max_imbalance: float = 0.75
     # Margin in px of the fit around a candidate and the ring
     margin_px: float = 1.0
     # Standard deviations of stretch and shear of level, upright and tilted candidates; 10 degrees of yaw are a stretch
@@ -216,6 +219,7 @@ def coarse_search(
     min_distance: float = DETECT.min_distance,
     begin: int = 0,
     max_work: float = 1 << 60,
+    max_imbalance: float = DETECT.max_imbalance,
 ) -> tuple[Floats, int, int, int]:
     """Correlate a region with headers, from a block on; return the best candidates, and the effort.
 
@@ -233,9 +237,8 @@ def coarse_search(
         # the array may be half off the grid
         0.5 * parameters.min_contrast * region.first.full_scale,
         parameters.coarse_score,
-        # limit of the sum's magnitude over the sum of magnitudes: a lamp has 1, a header of which a third is hidden
-        # 0.5; blinking squares have no limit
-        2.0 if cells.sum(axis=1).any() else 0.75,
+        # blinking squares have no limit
+        2.0 if cells.sum(axis=1).any() else max_imbalance,
         DETECT.ring,
         # step of the places as a fraction of the side: half a step costs a fifth of a cell's overlap
         0.1,

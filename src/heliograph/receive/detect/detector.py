@@ -193,6 +193,7 @@ class Detector:
         to the sensor (2, 3) and the regions, and True if any place was compared with the headers.
         """
         rows, has_compared, left = [], False, self.budget.coarse_work
+        max_imbalance = DETECT.max_imbalance if self.budget.is_scarce else 2.0
         for k, region in enumerate(regions):
             image, map_ = _draw_upright(region, start.axes / start.pitch)
             # the user chose the size of a given place, so the budget does not apply
@@ -207,7 +208,7 @@ class Detector:
             row, column = self._begins.pop(key, (down, across))
             begin = ((row - down) * columns + column - across) % busy.size
             best, places, passed, compared = coarse_search(
-                image, self.parameters, bank.cells, self.sides, bank.min_distance, begin, max_work
+                image, self.parameters, bank.cells, self.sides, bank.min_distance, begin, max_work, max_imbalance
             )
             # a pixel costs less than a place
             work = places + 0.4 * image.change.size
