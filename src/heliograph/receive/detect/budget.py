@@ -124,6 +124,8 @@ class TokenBucket:
         self._scarce = 0.5 * (self._high + self._low)
         # a film can wait. A live camera knows no baseline at first, and data of an array would all be fitted
         is_film = cpu_share >= 1
+        # a search of all rolls takes a tenth
+        self._high = min(self._high, 0.9 * self.capacity) if is_film else self._high
         self._search_share = 10 * search_share if is_film else search_share
         self.level = self.capacity if is_film else 0.9 * self.capacity
         # running mean of a block's work, blocks of the current search, and work done before
