@@ -17,11 +17,10 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, load_footage, simulate
 from heliograph.receive import Packet, Pose, ReceiveSettings
-from heliograph.receive.build import plain_receiver, soft_receiver
-from heliograph.receive.detect.budget import SearchLoad
-from heliograph.receive.detect.detection import Detection, HeaderSearch
+from heliograph.receive.build import PLAIN_REGULARITY, plain_receiver, search_parameters, soft_receiver
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.detect.search import HeaderSearch
 from heliograph.receive.events import ignore
-from heliograph.receive.geometry.pose import Orientation
 from heliograph.receive.receiver import StreamReceiver
 
 RUNS = 5
@@ -79,36 +78,22 @@ def flickering(receiver: StreamReceiver) -> tuple[float, float]:
     return (times[500] - times[0]) / 500 * 1e3, (times[-1] - times[2000]) / 2000 * 1e3
 
 
-class SearchOnce:
+class SearchOnce(HeaderSearch):
     """A search that ends with its first detection."""
 
-    def __init__(self, search: HeaderSearch):
-        self._search, self._found = search, False
-
-    @property
-    def load(self) -> SearchLoad:
-        return self._search.load
-
-    @property
-    def recent(self) -> Sequence[Frame]:
-        return self._search.recent
-
-    def start(self, period_s: float) -> None:
-        self._search.start(period_s)
-
-    def set_orientation(self, orientation: Orientation) -> None:
-        self._search.set_orientation(orientation)
+    _found = False
 
     def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
-        found = [] if self._found else self._search.push(frame, tracked)
+        found = [] if self._found else super().push(frame, tracked)
         self._found |= bool(found)
         return found
 
 
 def following_rate(frames: Sequence[Frame]) -> float:
     """Frames/s without the search: what following and decoding alone take."""
-    receiver, rates = plain_receiver(load_settings().signal, ReceiveSettings(), ignore), list[float]()
-    receiver.search = SearchOnce(receiver.search)
+    signal, settings = load_settings().signal, ReceiveSettings()
+    receiver, rates = plain_receiver(signal, settings, ignore), list[float]()
+    receiver.search = SearchOnce(search_parameters(settings, signal, PLAIN_REGULARITY), signal, synchronous=True)
     for frame in frames[:20]:
         list(receiver.push(frame))
     period = round(frames[-1].index / 100) * 100

@@ -12,9 +12,6 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import block_settings, random_messages
 from heliograph.receive import receive_frames
-from heliograph.receive.build import plain_receiver, soft_receiver
-from heliograph.receive.detect.region import RegionSearch
-from heliograph.receive.detect.search import PhasedSearch, PyramidSearch
 
 DISTANCE_M = 40.0
 TURNED = "[78,43,96,58,81,76,63,61]"
@@ -71,13 +68,6 @@ def blinking(frame: Frame) -> Frame:
     light = np.random.default_rng(frame.index).integers(0, 2, (120, 16)).repeat(3, axis=1) * 200
     pixels[:, :48], pixels[:, -48:] = light, light
     return Frame(frame.index, frame.time_s, pixels, frame.bits)
-
-
-def test_without_corners_or_region_the_search_is_what_it_was() -> None:
-    for make, known in ((plain_receiver, PyramidSearch), (soft_receiver, PhasedSearch)):
-        for changes, kind in (((), known), (("receive.detect.region=[60,40,40,40]",), RegionSearch)):
-            settings = link(*changes)
-            assert type(make(settings.signal, settings.receive, lambda _: None).search) is kind
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from lamp_scenes import LampScene
 from heliograph.base.frames import Frame
 from heliograph.receive import make_receiver
 from heliograph.receive.detect.alternation import SearchParameters, SearchRegion, coarse_search
-from heliograph.receive.detect.budget import BUDGET
-from heliograph.receive.detect.detector import HalfPeriodDetector
+from heliograph.receive.detect.budget import WORK_PER_MS, TokenBucket
+from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
 from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.events import DetectEvent, Event
 from heliograph.receive.geometry.pose import UPRIGHT
@@ -36,7 +36,7 @@ def test_an_array_among_lamps_is_found_within_the_bound_of_films(kind: str) -> N
     assert link.transmit.identities[0] in detected
     assert len(detected) <= 3
     # the last search may overdraw it by its last block and fit
-    bound = BUDGET.film_capacity + count * BUDGET.film_share * BUDGET.work_per_ms + 5e6
+    bound = TokenBucket(2.0, 1e-3).capacity + count * 2.0 * WORK_PER_MS + 5e6
     assert receiver.load.work < bound  # type: ignore[attr-defined]  # of those that search
 
 
@@ -59,18 +59,18 @@ def test_lamps_smaller_than_half_an_array_are_not_compared_with_headers() -> Non
             change[y : y + 4, x : x + 4] = 120.0
     busy, frame = np.ones((12, 16), bool), Frame(0, 0.0, np.zeros((96, 128), np.uint8))
     region, sought = SearchRegion(change, busy, frame), headers((UPRIGHT,)).cells
-    assert coarse_search(region, PARAMETERS, sought, np.array([12.0, 16.0, 24.0])).compared == 0
+    assert coarse_search(region, PARAMETERS, sought, np.array([12.0, 16.0, 24.0]))[3] == 0
     # one header among them is
     change[32:64, 40:72] = 60 * np.kron(all_header_cells()[4], np.ones((8, 8)))
-    found = coarse_search(region, PARAMETERS, sought, np.array([32.0]))
-    assert found.rows[0, 4] == 4
+    rows, *_ = coarse_search(region, PARAMETERS, sought, np.array([32.0]))
+    assert rows[0, 4] == 4
 
 
 @pytest.mark.parametrize(("within", "count"), [(0.5, 1), (0.0, 0)], ids=["an array", "lamps"])
 def test_half_a_pattern_out_of_step_the_array_is_lit_within_its_header(within: float, count: int) -> None:
     """Lamps that shine before and after, and are dark between, are no array."""
     header, found = np.kron(all_header_cells()[4], np.ones((8, 8))), 0
-    detector = HalfPeriodDetector(PARAMETERS, SignalSettings())
+    detector = HalfPeriodDetector(Detector(PARAMETERS, SignalSettings(), TokenBucket(1e6, 1e-3)))
     for k, light in enumerate([0.5 + 0.5 * header, *[np.full_like(header, within)] * 3, 0.5 - 0.5 * header]):
         pixels = np.full((96, 128), 20, np.uint8)
         # half of the header, and half of even data

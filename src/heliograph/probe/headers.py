@@ -16,13 +16,13 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import (
     ALTERNATION,
-    COARSE,
+    DETECT,
     SearchParameters,
     SearchRegion,
     alternation_of,
     coarse_search,
 )
-from heliograph.receive.detect.candidate import FIT, cell_weights, fit_near
+from heliograph.receive.detect.candidate import cell_weights, fit_near
 from heliograph.receive.detect.header_bank import Hypothesis, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry import kernels
@@ -114,7 +114,7 @@ def header_seen(
     reduced = list(frames)
     for _ in range(level):
         reduced = [halved(one) for one in reduced]
-    size, pad = size_px / 2**level, int(np.ceil(size_px / 2**level * (0.6 + COARSE.ring))) + 2
+    size, pad = size_px / 2**level, int(np.ceil(size_px / 2**level * (0.6 + DETECT.ring))) + 2
     late = np.arange(len(frames) - 3) + 1.5 - 0.5 * (len(frames) - 1)
     centres = (np.array(centre) + late[:, None] * np.array(speed)) / 2**level
     rows = _coarse(reduced, centres, size, pad)
@@ -164,8 +164,10 @@ def _coarse(frames: Sequence[Frame], centres: Floats, size: float, pad: int) -> 
         reach = REACH * size
         first, last = (centres[k] - (x, y) - reach) // BLOCK_PX, (centres[k] - (x, y) + reach) // BLOCK_PX
         busy[_from(first[1]) : _from(last[1]) + 1, _from(first[0]) : _from(last[0]) + 1] = True
-        seen = coarse_search(SearchRegion(change, busy, replace(frames[k], origin=(x, y))), parameters, cells, sizes)
-        found += [_Row(int(k), row[0], row[1] + x, row[2] + y, row[3], int(row[4])) for row in seen.rows]
+        rows, *_ = coarse_search(
+            SearchRegion(change, busy, replace(frames[k], origin=(x, y))), parameters, cells, sizes
+        )
+        found += [_Row(int(k), row[0], row[1] + x, row[2] + y, row[3], int(row[4])) for row in rows]
     kept = list[_Row]()
     for row in sorted(found, key=lambda one: -abs(one.score)):
         if len(kept) < FITTED and all(abs(row.place - other.place) > APART_FRAMES for other in kept):
@@ -195,11 +197,11 @@ def _fitted(
     # the four frames' motion smears their combination
     smear = tuple(abs(v) / 2**level * (0.35 + 1 / 12) ** 0.5 for v in speed)
     best: Fit | None = None
-    for tilt in (FIT.upright_sigma, FIT.tilted_sigma):
+    for tilt in (DETECT.upright_sigma, DETECT.tilted_sigma):
         for blur in BLURS:
             start = Pose(row.x - 0.5, row.y - 0.5, row.size / side, 0.0, reduced_blur(blur, level))
             fit = fit_near(change, corner, start, np.sign(row.score) * weights, tilt, smear=(smear[0], smear[1]))
-            if fit is not None and (best is None or fit.score > best.score + (tilt > FIT.upright_sigma) * 0.03):
+            if fit is not None and (best is None or fit.score > best.score + (tilt > DETECT.upright_sigma) * 0.03):
                 best = fit
         if best is not None and best.score > 0.95:
             break

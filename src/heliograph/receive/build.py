@@ -14,12 +14,12 @@ from heliograph.receive.decode.plain_packet import PlainPacket
 from heliograph.receive.decode.soft_packet import SoftPacket
 from heliograph.receive.decode.worker import PacketDecoder, PacketObservations, call_in_process, call_inline
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import BUDGET
-from heliograph.receive.detect.detection import Detection, HeaderSearch
-from heliograph.receive.detect.region import RegionSearch, around, pose_of
-from heliograph.receive.detect.search import PhasedSearch, PyramidSearch
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.detect.search import HeaderSearch, around
 from heliograph.receive.events import Observer
+from heliograph.receive.geometry.pose import pose_of
 from heliograph.receive.geometry.view import View
+from heliograph.receive.geometry.window import Window
 from heliograph.receive.receiver import StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.frame_clock import CameraClock, SynchronousClock
@@ -51,7 +51,8 @@ def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: O
         return SynchronousPairing(detection.start_time_s, detection.time_s, signal)
 
     parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
-    search = _restrict_to_region(PyramidSearch(parameters, signal), parameters, settings, signal.side)
+    region = _search_region(parameters, settings, signal.side)
+    search = HeaderSearch(parameters, signal, synchronous=True, region=region)
     track = _array_factory(signal, settings, observe, pairing, make_packet, is_plain=True)
     return StreamReceiver(SynchronousClock(signal.pattern_period_s), search, track, signal, observe)
 
@@ -78,7 +79,7 @@ def soft_receiver(
         )
 
     parameters = search_parameters(settings, signal, SOFT_REGULARITY, impaired=True)
-    search = _restrict_to_region(PhasedSearch(parameters, signal), parameters, settings, signal.side)
+    search = HeaderSearch(parameters, signal, region=_search_region(parameters, settings, signal.side))
     make_packet = make_packet or (lambda identity: SoftPacket(identity, signal, options))
     track = _array_factory(signal, settings, observe, pairing, make_packet)
     return StreamReceiver(CameraClock(), search, track, signal, observe)
@@ -90,7 +91,8 @@ def search_parameters(
     """Parameters of a receiver's search."""
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
-    cpu_share = BUDGET.film_share if detect.cpu_share is None else detect.cpu_share
+    # a film may take two cores; a given place has no bound
+    cpu_share = 2.0 if detect.cpu_share is None else detect.cpu_share
     return SearchParameters(
         min_side_px=settings.smallest_side_px,
         max_side_px=detect.max_side_px,
@@ -99,7 +101,7 @@ def search_parameters(
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
-        cpu_share=BUDGET.unbounded_share if given else cpu_share,
+        cpu_share=1e6 if given else cpu_share,
         impaired=impaired,
         all_on=signal.header == "all_on",
         blur_px=blur_px,
@@ -108,11 +110,9 @@ def search_parameters(
     )
 
 
-def _restrict_to_region(
-    search: HeaderSearch, parameters: SearchParameters, settings: ReceiveSettings, side: int
-) -> HeaderSearch:
-    """Restrict a search to the corners or the region of the settings, if given."""
-    start, region = parameters.start, settings.detect.region
+def _search_region(parameters: SearchParameters, settings: ReceiveSettings, side: int) -> Window | None:
+    """Return the region of the settings, or about the corners, if given."""
+    start = parameters.start
     if start is not None:
         size, (least, most) = side * start.pitch, (parameters.min_side_px, parameters.max_side_px)
         if not least <= size <= most:
@@ -120,9 +120,7 @@ def _restrict_to_region(
                 f"the array at receive.detect.corners is {size:.3g} px a side, and those from {least:g} to {most:g} px "
                 f"are looked for: set receive.detect.{'min' if size < least else 'max'}_side_px"
             )
-    if region:
-        return RegionSearch(search, region, side)
-    return search if start is None else RegionSearch(search, around(start, side), side)
+    return settings.detect.region or (None if start is None else around(start, side))
 
 
 def _array_factory(

@@ -13,7 +13,8 @@ from heliograph.receive.array import ArrayReceiver, Confidence
 from heliograph.receive.decode.worker import PendingPacket
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.candidate import are_disjoint
-from heliograph.receive.detect.detection import Detection, HeaderSearch, shone_before
+from heliograph.receive.detect.detection import Detection, shone_before
+from heliograph.receive.detect.search import HeaderSearch
 from heliograph.receive.events import DetectEvent, DropEvent, LostEvent, MissedStartEvent, Observer
 from heliograph.receive.geometry.pose import UPRIGHT, Orientation
 from heliograph.receive.packet import Packet
@@ -249,9 +250,7 @@ class StreamReceiver:
         """Return True if the array was sending before the header, in the first two packets of the film."""
         assert self._began_s is not None
         signal, began_s = self._signal, self._began_s
-        # the search fills its window with copies of the first frame at earlier times
-        filmed = [frame for frame in recent if frame.time_s > began_s - signal.pattern_period_s / 2]
-        return detection.start_time_s - began_s < 2.5 * signal.packet_s and shone_before(detection, filmed, signal)
+        return detection.start_time_s - began_s < 2.5 * signal.packet_s and shone_before(detection, recent, signal)
 
     def _push(self, array: HeaderHypotheses, frame: Frame) -> Iterator[PendingPacket]:
         """Hand a frame to an array; the first decoded codeword settles the camera's orientation."""

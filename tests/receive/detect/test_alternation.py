@@ -7,7 +7,7 @@ from scenes import SIDE
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.detect.alternation import COARSE, busy_blocks
+from heliograph.receive.detect.alternation import DETECT, busy_blocks
 
 FRAME = Frame(0, 0.0, np.zeros((160, 320), np.uint8))
 BLOCKS = (20, 40)
@@ -57,6 +57,6 @@ def test_busy_blocks_are_those_of_the_reference(
     free = np.ones(BLOCKS, bool)
     for blocks in followed:
         free[blocks] = False
-    want = reference.busy(means.astype(float), free, COARSE.busy_contrast * 0.03 * 255, COARSE.busy_ratio)
+    want = reference.busy(means.astype(float), free, DETECT.busy_contrast * 0.03 * 255, DETECT.busy_ratio)
     assert want.any()
     assert np.array_equal(busy(means, taken), want)

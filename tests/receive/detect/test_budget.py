@@ -1,17 +1,20 @@
 """What searches may cost where more alternates than there is time for."""
 
+from copy import deepcopy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import ReceiveSettings, make_receiver
 from heliograph.receive.detect.alternation import SearchParameters, SearchRegion
-from heliograph.receive.detect.budget import BUDGET, BudgetedSearch, BudgetParameters, SearchLoad, TokenBucket
-from heliograph.receive.detect.detector import Detector
+from heliograph.receive.detect.budget import WORK_PER_MS, NoveltyFilter, SearchLoad, TokenBucket
+from heliograph.receive.detect.detector import Candidate, Detector
 from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.events import DetectEvent, DropEvent, Event
@@ -26,79 +29,77 @@ PARAMETERS = SearchParameters(
 SOUGHT = headers((UPRIGHT,))
 
 
-def first_part(cpu_share: float) -> float:
-    """Part of what is kept that is there at first."""
-    return 1 - BUDGET.initial_deficit_ms / (1e3 * BUDGET.live_capacity_s * cpu_share)
-
-
 def flicker(count: int, seed: int, shape: tuple[int, int] = (96, 128)) -> list[Frame]:
     """Frames of which each square of 8 px has another gray level every time."""
     levels = np.random.default_rng(seed).integers(0, 256, (count, shape[0] // 8, shape[1] // 8), np.uint8)
     return [Frame(k, 1e-3 * k, np.kron(one, np.ones((8, 8), np.uint8))) for k, one in enumerate(levels)]
 
 
+FRAME = Frame(0, 0.0, np.zeros((160, 240), np.uint8))
+EVERYTHING = np.ones((20, 30), bool)
+
+
+def started(budget: TokenBucket, busy: NDArray[np.bool_] = EVERYTHING) -> bool:
+    """True if a search begins where a block is novel."""
+    return bool(budget.start_search(NoveltyFilter(), np.ones((20, 30), np.float32), busy, FRAME).any())
+
+
 def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
-    budget, everything, pattern = TokenBucket(0.5, 1e-3), np.ones((2, 3), bool), 0.5 * BUDGET.work_per_ms
-    most = 1e3 * BUDGET.live_capacity_s * pattern
-    assert budget.try_start(everything)
+    budget, pattern = TokenBucket(0.5, 1e-3), 0.5 * WORK_PER_MS
+    assert started(budget)
     assert budget.try_fit(1.0)
-    # one search takes a part of what is not kept for new arrays
-    surplus = BUDGET.surplus_share * (first_part(0.5) - BUDGET.high_level)
-    spent = 1.01 * max(surplus, BUDGET.search_share * first_part(0.5)) * most
-    budget.charge(spent)
+    # one search takes a part of what is there
+    budget.charge(0.0501 * budget.level)
     assert not budget.try_fit(1.0)
     assert budget.coarse_work <= 0
-    assert budget.try_start(everything)
+    assert started(budget)
     assert budget.try_fit(1.0)
-    budget.charge(BUDGET.low_level * most)
-    assert budget.try_start(everything)
-    assert budget.coarse_work == pytest.approx(
-        0.5 * BUDGET.search_share * ((first_part(0.5) - BUDGET.low_level) * most - spent)
-    )
-    budget.charge(most)
-    assert not budget.try_start(everything)
-    assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
-    for _ in range(round(1.2 * most / pattern)):
+    budget.charge(0.5 * budget.capacity)
+    assert started(budget)
+    assert budget.coarse_work == pytest.approx(0.5 * 0.05 * budget.level)
+    fitted, dropped, blocks = budget.load.fitted, budget.load.dropped, budget.load.blocks
+    assert (fitted, dropped) == (2, 1)
+    budget.charge(budget.capacity)
+    assert not started(budget)
+    assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, blocks + EVERYTHING.size)
+    for _ in range(round(1.7 * budget.capacity / pattern)):
         budget.refill()
-    assert budget.try_start(everything)
-    assert not budget.try_start(np.zeros((2, 3), bool))
-    assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
+    assert started(budget)
+    assert not started(budget, ~EVERYTHING)
+    assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, blocks + EVERYTHING.size)
 
 
 def test_blocks_of_greatest_novelty_are_searched_when_work_is_scarce() -> None:
-    budget, busy = TokenBucket(0.5, 1e-3), np.ones((20, 30), bool)
+    budget, busy, baseline = TokenBucket(0.5, 1e-3), EVERYTHING.copy(), NoveltyFilter(window=1)
     busy[:, 0] = False
-    novelty, waits = np.full(busy.shape, 1.5, np.float32), np.full(busy.shape, 2.0, np.float32)
-    novelty[4:9, 10:15] = 3.0
-    most = 1e3 * BUDGET.live_capacity_s * 0.5 * BUDGET.work_per_ms
-    novel_blocks = novelty > 1.2
+    change = np.ones((20, 30), np.float32)
+    for _ in range(8):
+        baseline.novel_blocks(change, (0, 0), False)
+    change[:12] = 1.5
+    change[4:9, 10:15] = 3.0
+    novel_blocks = busy.copy()
     novel_blocks[12:] = False
     # a tenth is used up: what does not surge is left out, and not counted
-    assert np.array_equal(budget.choose_blocks(busy, novel_blocks, novelty, waits), busy & novel_blocks)
+    chosen = budget.start_search(deepcopy(baseline), change, busy, FRAME)
+    assert np.array_equal(chosen, busy & novel_blocks)
     assert budget.load.blocks == 0
-    budget.charge((first_part(0.5) - 0.4) * most)
+    budget.level = 0.4 * budget.capacity
+    chosen = budget.start_search(baseline, change, busy, FRAME)
     count = budget.affordable_blocks()
     assert 1 < count < np.count_nonzero(busy & novel_blocks)
-    chosen = budget.choose_blocks(busy, novel_blocks, novelty, waits)
     assert np.count_nonzero(chosen) == count
     assert budget.load.blocks == np.count_nonzero(busy) - count
     # the middle of the area first
     assert chosen[6, 12]
-    # those searched lately are left out, and those of before are not
-    waits[:8] = 0.5 * BUDGET.research_packets
-    assert budget.is_low
-    chosen = budget.choose_blocks(busy, novel_blocks, novelty, waits)
-    assert not chosen[:8].any()
-    assert chosen[8, 12]
 
 
 def test_the_dearer_blocks_were_the_fewer_are_searched() -> None:
-    budget, few = TokenBucket(0.5, 1e-3), np.ones((2, 3), bool)
+    budget = TokenBucket(0.5, 1e-3)
     before = budget.affordable_blocks()
     for _ in range(20):
-        budget.try_start(few)
-        budget.charge(few.size * 10 * BUDGET.block_work)
-        budget.refill()
+        started(budget)
+        budget.charge(budget._blocks * 10 * 3000)
+        budget.level = 0.9 * budget.capacity
     assert budget.affordable_blocks() < before / 5
 
 
@@ -146,7 +147,7 @@ def test_an_array_alone_is_found_with_a_bound_too(modulation: str, turned: bool,
 def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
     """A frame of 1920 x 1080 px costs more to sum up than a search may take; four squares and an array cost little."""
     search = PyramidSearch(replace(PARAMETERS, cpu_share=0.3), SignalSettings())
-    search._budget.charge(0.6 * search._budget.capacity)
+    search.budget.charge(0.6 * search.budget.capacity)
     header, rng, found = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(1), list[float]()
     for k in range(400):
         pixels = np.full((1080, 1920), 40, np.uint8)
@@ -163,30 +164,32 @@ def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
     assert found == pytest.approx([975.5], abs=0.5)
 
 
-@pytest.mark.parametrize("made", [PyramidSearch, Detector])
 @pytest.mark.parametrize(
-    ("left", "before", "fits", "counts"),
+    ("level", "before", "fits", "counts"),
     [
-        (BUDGET.live_full_level + 0.01, "header", True, False),
-        (BUDGET.live_full_level - 0.01, "header", False, False),
-        (BUDGET.live_full_level - 0.01, "record_quiet", True, False),
-        (BUDGET.high_level - 0.01, "record_quiet", False, True),
+        (0.96, "header", True, False),
+        (0.94, "header", False, False),
+        (0.94, "record_quiet", True, False),
+        (0.72, "record_quiet", False, True),
     ],
     ids=["ample", "nothing strikes", "strikes", "scarce"],
 )
 def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
-    made: type[PyramidSearch] | type[Detector],
-    left: float,
-    before: str,
-    fits: bool,
-    counts: bool,
+    level: float, before: str, fits: bool, counts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Much more alternates than usual where it was calm before; not where the film begins with a header."""
-    found = list[int]()
-    for least in (BUDGET.min_score, 1.1):
-        budget = TokenBucket(0.3, 1e-3, BudgetParameters(min_score=least))
-        search = made(replace(PARAMETERS, cpu_share=0.3), SignalSettings(), budget)
-        budget.charge((first_part(0.3) - left) * budget.capacity)
+    find, found = Detector.find_candidates, list[int]()
+
+    def unlike(*arguments: Any) -> tuple[list[Candidate], bool]:
+        candidates, has_compared = find(*arguments)
+        return [one._replace(score=0.59 * one.score) for one in candidates], has_compared
+
+    for is_like in (True, False):
+        if not is_like:
+            monkeypatch.setattr(Detector, "find_candidates", unlike)
+        budget = TokenBucket(0.3, 1e-3)
+        search = PyramidSearch(replace(PARAMETERS, cpu_share=0.3), SignalSettings(), budget)
+        budget.level = level * budget.capacity
         first = 4 if before == "record_quiet" else 0
         for k in range(first + 8):
             pixels = np.full((96, 128), 40, np.uint8)
@@ -194,8 +197,8 @@ def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
                 sign = 1 - 2 * (k % 2)
                 pixels[32:64, 48:80] = 100 + 60 * sign * np.kron(all_header_cells()[4], np.ones((8, 8)))
             found += [one.identity for one in search.push(Frame(k, 1e-3 * k, pixels))]
-        assert (budget.load.fitted > 0) == (least < 1 or fits)
-        assert (budget.load.dropped > 0) == counts or least < 1
+        assert (budget.load.fitted > 0) == (is_like or fits)
+        assert (budget.load.dropped > 0) == counts or is_like
     assert found == ([4, 4] if fits else [4])
 
 
@@ -211,7 +214,7 @@ def test_a_camera_switched_on_amid_a_packet_does_not_wait_for_its_data(
     receiver = make_receiver(link.signal, replace(link.receive, receiver=kind).with_live_limits(), events.append)
     for frame, _ in simulate(link, default_messages(link), 1):
         list(receiver.push(frame))
-    assert receiver.load.work / BUDGET.work_per_ms < most_ms  # type: ignore[attr-defined]  # of those that search
+    assert receiver.load.work / WORK_PER_MS < most_ms  # type: ignore[attr-defined]  # of those that search
     assert not any(isinstance(event, DropEvent) for event in events)
 
 
@@ -249,41 +252,34 @@ def test_near_arrays_alone_are_found_with_a_bound_too(
 
 
 def test_where_hardly_anything_is_used_up_all_is_searched() -> None:
-    search = Detector(replace(PARAMETERS, cpu_share=1000.0), SignalSettings())
-    change, frame = np.ones((12, 16), np.float32), Frame(0, 0.0, np.zeros((96, 128), np.uint8))
-    busy = np.ones(change.shape, bool)
+    budget, baseline = TokenBucket(1000.0, 1e-3), NoveltyFilter()
     for _ in range(10):
-        assert search.selector.select(change, busy, frame)[0].all()
+        assert budget.start_search(baseline, np.ones((20, 30), np.float32), EVERYTHING, FRAME).all()
 
 
 def test_what_strikes_is_asked_of_what_is_searched_alone() -> None:
-    search = Detector(replace(PARAMETERS, cpu_share=0.3), SignalSettings())
-    change, frame = np.ones((12, 16), np.float32), Frame(0, 0.0, np.zeros((96, 128), np.uint8))
+    budget, baseline, change = TokenBucket(0.3, 1e-3), NoveltyFilter(), np.ones((20, 30), np.float32)
     busy = np.zeros(change.shape, bool)
     busy[:, 12:] = True
     for _ in range(6):
-        assert not search.selector.select(change, busy, frame)[0].all()
+        assert not budget.start_search(baseline, change, busy, FRAME).all()
     change[:, :4] = 3
-    searched, strikes = search.selector.select(change, busy, frame)
-    assert not searched.any()
-    assert not strikes
+    assert not budget.start_search(baseline, change, busy, FRAME).any()
+    assert not budget.try_fit(0.5)
     change[:, 12:] = 3
-    searched, strikes = search.selector.select(change, busy, frame)
-    assert np.array_equal(searched, busy)
-    assert strikes
+    assert np.array_equal(budget.start_search(baseline, change, busy, FRAME), busy)
+    assert budget.try_fit(0.5)
 
 
 @pytest.mark.parametrize("cpu_share", [0.01, 0.3, 1000.0])
-def test_a_tenth_at_most_is_not_there_at_first(cpu_share: float) -> None:
-    """With more than a live camera's part all is searched from the beginning, or nearly."""
-    is_film = cpu_share >= BUDGET.min_film_share
-    budget, kept_s = TokenBucket(cpu_share, 1e-3), BUDGET.film_capacity_s if is_film else BUDGET.live_capacity_s
-    most = 1e3 * kept_s * cpu_share * BUDGET.work_per_ms
-    assert budget.is_full == ((1 - BUDGET.live_full_level) * most > BUDGET.initial_deficit_ms * BUDGET.work_per_ms)
-    budget.charge(0.1499 * most)
-    assert budget.is_high
-    budget.charge(0.1 * most)
+def test_a_tenth_is_not_there_at_first_for_a_live_camera(cpu_share: float) -> None:
+    """With more than a live camera's part all is searched from the beginning."""
+    budget = TokenBucket(cpu_share, 1e-3)
     assert budget.is_high == (cpu_share > 1)
+    budget.charge(0.39 * budget.capacity)
+    assert not budget.is_low
+    budget.charge(0.06 * budget.capacity)
+    assert budget.is_low == (cpu_share < 1)
 
 
 def test_a_search_that_breaks_off_is_gone_on_with() -> None:
@@ -291,27 +287,27 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
     change = np.random.default_rng(0).normal(0, 30, (136, 136)).astype(np.float32)
     # what is searched last
     change[96:128, 96:128] += 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
-    budget, left, rows = TokenBucket(1e-3, 1e-3), list[int](), np.empty((0, 5))
-    search = BudgetedSearch(PARAMETERS, SOUGHT, budget)
-    while not rows.size and len(left) < 100:
+    budget, left, rows = TokenBucket(1e-3, 1e-3), list[int](), list[Candidate]()
+    search = Detector(PARAMETERS, SignalSettings(), budget)
+    while not rows and len(left) < 100:
         shift, before = 8 * (len(left) % 2), budget.load.blocks
         frame = Frame(0, 0.0, np.zeros((136, 136 - shift), np.uint8), origin=(shift, 0))
         # enough for some blocks
         budget.charge(2 * (budget.coarse_work - 1e5))
         part = SearchRegion(change[:, shift:].copy(), np.ones((17, 17 - shift // 8), bool), frame)
-        [rows] = search.search([part])
+        rows, _ = search.find_candidates([part], SOUGHT)
         left.append(budget.load.blocks - before)
     assert len(left) > 3
     assert left[0] > 100
-    assert rows[0, 4] == 4
+    assert rows[0].hypotheses[0][0] == 4
     # a block's part of the places may be searched before the best one
-    assert rows[0, 1:3] + (shift, 0) == pytest.approx([112, 112], abs=8)
+    assert (rows[0].start.x, rows[0].start.y) == pytest.approx((111.5, 111.5), abs=8)
 
 
 def test_parts_that_break_off_are_all_gone_on_with() -> None:
     """Three of noise, and little to spend: the last blocks of each are searched too, and no part takes all."""
     rng, budget = np.random.default_rng(0), TokenBucket(1e-3, 1e-3)
-    search, found = BudgetedSearch(PARAMETERS, SOUGHT, budget), list[set[float]]([set(), set(), set()])
+    search, found = Detector(PARAMETERS, SignalSettings(), budget), list[set[int]]([set(), set(), set()])
     header = 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
     parts, spent = [], list[float]()
     for k in range(3):
@@ -323,8 +319,8 @@ def test_parts_that_break_off_are_all_gone_on_with() -> None:
         # enough for some blocks of each
         budget.charge(2 * (budget.coarse_work - 3e5))
         most = budget.coarse_work
-        for k, rows in enumerate(search.search(parts)):
-            found[k] |= set(rows[:, 4].tolist()) if rows.size else set()
+        for one in search.find_candidates(parts, SOUGHT)[0]:
+            found[one.region.first.origin[0] // 400].add(one.hypotheses[0][0])
         # a block of each part may be overdrawn
         spent.append(2 * (most - budget.coarse_work) / most)
     assert max(spent) < 1.3
@@ -337,8 +333,8 @@ def test_a_busy_scene_costs_what_it_may() -> None:
     for frame in frames:
         search.push(frame)
     # what was there, what came, and what the last search may overdraw: a block of places, and a fit begun
-    assert search.load.work < (1e3 * BUDGET.live_capacity_s + len(frames)) * 0.01 * BUDGET.work_per_ms + 3e6
-    assert search.load.blocks > 1000
+    assert search.budget.load.work < search.budget.capacity + len(frames) * 0.01 * WORK_PER_MS + 3e6
+    assert search.budget.load.blocks > 1000
 
 
 @pytest.mark.parametrize("kind", ["plain", "soft"])
@@ -366,7 +362,7 @@ def test_an_array_costs_less_than_it_may() -> None:
         pixels[40:72, 60:92] += (100 * (cells * (-1) ** k > 0)).astype(np.uint8)
         list(receiver.push(Frame(k, 1e-3 * k, pixels)))
     assert not any(isinstance(event, DropEvent) for event in events)
-    bound = 0.1 * BUDGET.live_capacity_s * 0.3e3 * BUDGET.work_per_ms
+    bound = 0.1 * TokenBucket(0.3, 1e-3).capacity
     assert receiver.load.work < bound  # type: ignore[attr-defined]  # of those that search
 
 

@@ -13,7 +13,7 @@ from scenes import drawn_film, film, frame_of, link
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import SearchParameters
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.detector import Detector
+from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.geometry.pose import Orientation
 from heliograph.signal.header import IDENTITIES, all_header_cells
 from heliograph.signal.settings import SignalSettings
@@ -32,7 +32,7 @@ def detections(
     frames: Iterable[Frame], signal: SignalSettings | None = None, parameters: SearchParameters = PLAIN
 ) -> list[Detection]:
     """What is found; as in the receiver, the detector knows for 50 ms what is followed."""
-    detector, out = Detector(parameters, signal or SignalSettings()), list[Detection]()
+    detector, out = PyramidSearch(parameters, signal or SignalSettings()), list[Detection]()
     for frame in frames:
         out += detector.push(frame, [d.fit.pose for d in out if frame.time_s - d.time_s < 0.05])
     return out
@@ -40,7 +40,7 @@ def detections(
 
 def first(frames: Iterable[Frame], number: int, signal: SignalSettings | None = None) -> tuple[Detection | None, int]:
     """The first detection of an identity, and how many false ones came before it."""
-    detector, false = Detector(PLAIN, signal or SignalSettings()), 0
+    detector, false = PyramidSearch(PLAIN, signal or SignalSettings()), 0
     for frame in frames:
         for found in detector.push(frame):
             if found.identity == number:
@@ -149,7 +149,7 @@ def test_followed_arrays_are_not_found_again() -> None:
     frames = film(link(), 120)
     found, _ = first(frames, 0)
     assert found is not None
-    detector = Detector(PLAIN, SignalSettings())
+    detector = PyramidSearch(PLAIN, SignalSettings())
     assert [d for f in frames for d in detector.push(f, [found.fit.pose])] == []
 
 
@@ -249,7 +249,7 @@ def test_a_turned_array_is_found_wherever_its_packets_begin(start: int, data_pai
     signal = SignalSettings(data_pairs=data_pairs)
     patterns = signal.packet_patterns
     header, rng = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(3)
-    detector, found, shown = Detector(PLAIN, signal), list[Detection](), np.full((32, 32), 0.5)
+    detector, found, shown = PyramidSearch(PLAIN, signal), list[Detection](), np.full((32, 32), 0.5)
     for k in range(start + 2 * patterns):
         if (k - start) % 2 == 0:
             data = np.kron(rng.integers(0, 5, (16, 16)) / 4, np.ones((2, 2)))

@@ -8,9 +8,9 @@ from scenes import film, link
 
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import BUDGET, TokenBucket
+from heliograph.receive.detect.budget import TokenBucket
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.detector import HalfPeriodDetector, HalfPeriodParameters
+from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
 from heliograph.signal.settings import SignalSettings
 
 PARAMETERS = SearchParameters(
@@ -28,8 +28,12 @@ def frames_at(
     return film(replace(settings, channel=replace(settings.channel, arrays=(array,))), count, seed)
 
 
-def found(frames: list[Frame], signal: SignalSettings | None = None) -> list[Detection]:
-    detector = HalfPeriodDetector(PARAMETERS, signal or SignalSettings())
+def detector_with(budget: TokenBucket, min_novelty: float = 1.3) -> HalfPeriodDetector:
+    return HalfPeriodDetector(Detector(PARAMETERS, SignalSettings(), budget), min_novelty)
+
+
+def found(frames: list[Frame]) -> list[Detection]:
+    detector = detector_with(TokenBucket(1e6, 1e-3))
     return [one for frame in frames for one in detector.push(frame)]
 
 
@@ -55,17 +59,17 @@ def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
 ) -> None:
     """More changes over a header than over as many patterns of data, each beginning with an inverse or not."""
     work = list[float]()
-    for parameters in (HalfPeriodParameters(), HalfPeriodParameters(min_novelty=0.0)):
+    for min_novelty in (1.3, 0.0):
         budget = TokenBucket(1.0, 1e-3)
         # a tenth is used up: blocks of data would have been searched until then
-        budget.charge(used := 0.1 * BUDGET.live_capacity_s * 1e3 * BUDGET.work_per_ms)
-        detector, header = HalfPeriodDetector(PARAMETERS, SignalSettings(), budget, parameters), list[Detection]()
+        budget.charge(used := 0.1 * budget.capacity)
+        detector, header = detector_with(budget, min_novelty), list[Detection]()
         for k, frame in enumerate(frames_at(phase, distance_m, identity, count=76, before=32)):
             header += detector.push(frame)
             if k == 30:
                 # none of its header is seen yet
                 work.append(budget.load.work - used)
-        if parameters.min_novelty:
+        if min_novelty:
             due = [one for one in header if one.start_time_s == pytest.approx((32 + phase) * 1e-3, abs=1e-4)]
             assert [one.identity for one in due] == [identity]
     assert work[0] < 0.7 * work[1]
@@ -75,8 +79,8 @@ def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
 def test_a_header_seen_first_is_found_with_a_bound(before: int) -> None:
     """Nothing is usual yet, so it surges over nothing."""
     budget = TokenBucket(1.0, 1e-3)
-    budget.charge(0.1 * BUDGET.live_capacity_s * 1e3 * BUDGET.work_per_ms)
-    detector = HalfPeriodDetector(PARAMETERS, SignalSettings(), budget)
+    budget.charge(0.1 * budget.capacity)
+    detector = detector_with(budget)
     shown = [one for frame in frames_at(0.5, 50.0, count=12, before=before) for one in detector.push(frame)]
     assert [one.identity for one in shown] == [5]
 

@@ -114,7 +114,7 @@ def searched(
     *,
     contrast: float,
     threshold: float,
-    apart: float = coarse.COARSE.min_distance,
+    apart: float = coarse.DETECT.min_distance,
     corner: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[int, NDArray[np.float64]]:
     """Candidates found, and the table of them."""
@@ -145,7 +145,7 @@ def searched(
 # a size whose half is no multiple of the step, else rounding decides which of two neighbours overlap
 @pytest.mark.parametrize(("pixels", "sides", "count"), [(2, (8.3, 9.1), 5), (4, (11.3, 15.8), 1)])
 @pytest.mark.parametrize("quiet", [(0, slice(None)), (slice(None), 4), (slice(2, 4), slice(3, None))])
-@pytest.mark.parametrize("apart", [coarse.COARSE.min_distance, coarse.COARSE.min_distance_turned])
+@pytest.mark.parametrize("apart", [coarse.DETECT.min_distance, coarse.DETECT.min_distance_turned])
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.slow
 def test_search_finds_what_the_reference_finds(

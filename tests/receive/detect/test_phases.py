@@ -10,7 +10,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.detect.alternation import SearchParameters
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.search import PhasedSearch, PyramidSearch
+from heliograph.receive.detect.search import HeaderSearch, PyramidSearch
 from heliograph.signal.settings import SignalSettings
 
 PARAMETERS = SearchParameters(
@@ -27,7 +27,7 @@ def streams(fps: float, frames: list[Frame], monkeypatch: pytest.MonkeyPatch) ->
         return []
 
     monkeypatch.setattr(PyramidSearch, "push", push)
-    search = PhasedSearch(PARAMETERS, SignalSettings())
+    search = HeaderSearch(PARAMETERS, SignalSettings())
     search.start(1 / fps)
     for frame in frames:
         assert search.push(frame) == []
@@ -68,7 +68,7 @@ def test_of_a_camera_of_the_lights_rate_every_frame_is_searched(fps: float, monk
 
 
 def test_frames_around_a_header_are_kept() -> None:
-    search = PhasedSearch(PARAMETERS, SignalSettings())
+    search = HeaderSearch(PARAMETERS, SignalSettings())
     search.start(1 / 1500.0)
     for frame in film(1500.0, 100):
         search.push(frame)
@@ -78,4 +78,4 @@ def test_frames_around_a_header_are_kept() -> None:
 
 def test_a_slower_camera_is_refused() -> None:
     with pytest.raises(HeliographError, match="at least one frame a pattern"):
-        PhasedSearch(PARAMETERS, SignalSettings()).start(1 / 970.0)
+        HeaderSearch(PARAMETERS, SignalSettings()).start(1 / 970.0)

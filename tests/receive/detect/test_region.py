@@ -12,11 +12,10 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.detect.alternation import SearchParameters
-from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.region import RegionSearch, pose_of
-from heliograph.receive.detect.search import PyramidSearch
-from heliograph.receive.geometry.pose import Orientation
+from heliograph.receive.detect.search import HeaderSearch, PyramidSearch
+from heliograph.receive.geometry.pose import pose_of
+from heliograph.receive.geometry.window import Window
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
@@ -53,31 +52,23 @@ def test_an_array_turned_by_more_is_one_turned_by_less_whose_header_is_turned() 
     assert same == {tuple(one) for one in corners_of(pose).round(6)}
 
 
-class Told:
-    """A search that notes what it is shown."""
+@pytest.fixture
+def searched(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
+    """Parts of the frames that are searched; nothing is found in them."""
+    searched = list[Frame]()
 
-    load = SearchLoad(fitted=3)
-
-    def __init__(self) -> None:
-        self.shown = list[Frame]()
-        self.settled = list[Orientation]()
-
-    @property
-    def recent(self) -> Sequence[Frame]:
-        """The last three."""
-        return self.shown[-3:]
-
-    def start(self, period_s: float) -> None:
-        """Take no notice."""
-
-    def set_orientation(self, orientation: Orientation) -> None:
-        """Note it."""
-        self.settled.append(orientation)
-
-    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:  # noqa: ARG002 - a search's
-        """Find nothing."""
-        self.shown.append(frame)
+    def push(self: PyramidSearch, frame: Frame, tracked: Sequence[Pose]) -> list[Detection]:
+        searched.append(frame)
         return []
+
+    monkeypatch.setattr(PyramidSearch, "push", push)
+    return searched
+
+
+def search_in(region: Window) -> HeaderSearch:
+    search = HeaderSearch(PARAMETERS, SignalSettings(), synchronous=True, region=region)
+    search.start(1e-3)
+    return search
 
 
 def frames(count: int, origin: tuple[int, int] = (0, 0)) -> list[Frame]:
@@ -85,48 +76,44 @@ def frames(count: int, origin: tuple[int, int] = (0, 0)) -> list[Frame]:
     return [Frame(k, 1e-3 * k, pixels, 8, origin) for k, pixels in enumerate(levels)]
 
 
-def test_the_region_alone_is_searched_and_whole_frames_are_handed_on() -> None:
-    told, seen = Told(), frames(5, (10, 20))
-    search = RegionSearch(told, (90, 70, 20, 16), SIDE)
+def test_the_region_alone_is_searched_and_whole_frames_are_handed_on(searched: list[Frame]) -> None:
+    search, seen = search_in((90, 70, 20, 16)), frames(5, (10, 20))
     for frame in seen:
         assert search.push(frame) == []
-    for part, frame in zip(told.shown, seen, strict=True):
+    for part, frame in zip(searched, seen, strict=True):
         x, y = (at - of for at, of in zip(part.origin, frame.origin, strict=True))
         rows, columns = part.pixels.shape
         assert 90 - 40 <= part.origin[0] < 90 < 110 <= part.origin[0] + columns < 110 + 40
         assert 70 - 40 <= part.origin[1] < 70 < 86 <= part.origin[1] + rows < 86 + 40
         np.testing.assert_array_equal(part.pixels, frame.pixels[y : y + rows, x : x + columns])
-    assert [one.pixels.shape for one in search.recent] == [(100, 200)] * 3
-    assert [one.index for one in search.recent] == [2, 3, 4]
-    assert search.load.fitted == 3
+    assert [one.pixels.shape for one in search.recent] == [(100, 200)] * 5
+    assert [one.index for one in search.recent] == [0, 1, 2, 3, 4]
 
 
-def test_an_array_that_is_followed_is_looked_for_where_it_went() -> None:
-    told = Told()
-    search = RegionSearch(told, (20, 20, 20, 20), SIDE)
+def test_an_array_that_is_followed_is_looked_for_where_it_went(searched: list[Frame]) -> None:
+    search = search_in((20, 20, 20, 20))
     first, second, third = frames(3)
     search.push(first)
     search.push(second, [Pose(150.0, 60.0, 2.0)])
     search.push(third)
-    before, during, after = (part.origin[0] + part.pixels.shape[1] for part in told.shown)
+    before, during, after = (part.origin[0] + part.pixels.shape[1] for part in searched)
     assert before < 100
     # an array of 2 * SIDE px, and so much of it about
     assert during == after == 150 + SIDE + 2 * SIDE * 0.5 + 1
-    assert {part.origin for part in told.shown} == {told.shown[0].origin}
+    assert {part.origin for part in searched} == {searched[0].origin}
 
 
 def test_a_region_beyond_the_frames_is_refused() -> None:
-    search = RegionSearch(Told(), (300, 20, 20, 20), SIDE)
+    search = search_in((300, 20, 20, 20))
     with pytest.raises(HeliographError, match=r"the region 300,20,20,20 .* beyond the frames, which are 200x100$"):
         search.push(frames(1)[0])
 
 
-def test_a_cameras_window_may_leave_the_region() -> None:
-    told = Told()
-    search, (here, there, again) = RegionSearch(told, (20, 20, 20, 20), SIDE), frames(3)
+def test_a_cameras_window_may_leave_the_region(searched: list[Frame]) -> None:
+    search, (here, there, again) = search_in((20, 20, 20, 20)), frames(3)
     for frame in (here, replace(there, origin=(500, 0)), again):
         search.push(frame)
-    assert [part.index for part in told.shown] == [0, 2]
+    assert [part.index for part in searched] == [0, 2]
 
 
 @pytest.mark.parametrize(("pitch", "blur", "off_px"), [(1.7, 0.55, 1.5), (6.0, 1.4, 4.0)])
@@ -152,5 +139,4 @@ def header_film(pose: Pose) -> list[Frame]:
 
 def found_in(seen: list[Frame], parameters: SearchParameters) -> list[Detection]:
     search = PyramidSearch(parameters, SignalSettings())
-    search.start(1e-3)
     return [one for frame in seen for one in search.push(frame)]

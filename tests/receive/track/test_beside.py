@@ -10,12 +10,12 @@ from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track import kernels
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.kernels import COVERED_LINE_RATE, LINE_RATE
-from heliograph.receive.track.track import Track, VisibilityParameters, line_distance
+from heliograph.receive.track.track import Track, TrackParameters, line_distance
 from heliograph.receive.track.tracker import Tracker
 
 Floats = NDArray[np.float64]
 
-SHAPE, GAIN, PARAMETERS = (70, 70), 204.0, VisibilityParameters()
+SHAPE, GAIN, PARAMETERS = (70, 70), 204.0, TrackParameters()
 
 
 def pose_at(distance_m: float) -> Pose:

@@ -15,8 +15,8 @@ from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.sync.pairing import FramePair, UnpairedFrame
-from heliograph.receive.track.kalman import PoseState, Tilt
-from heliograph.receive.track.unpaired_frames import CompletePair, interpolate_state, nearest_pairs, unpaired_cutout
+from heliograph.receive.track.kalman import PoseState
+from heliograph.receive.track.unpaired_frames import interpolate_state, nearest_pairs, unpaired_cutout
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def test_sums_are_those_of_the_nearest_pairs(place: int, seen: Sequence[int], wa
 def state_at(time_s: float, vector: Floats, rates: Floats, tilt: tuple[float, float] = (0.0, 0.0)) -> PoseState:
     errors = np.array([0.03, -0.2])
     covariance = np.diag(np.arange(1.0, 11.0))
-    return PoseState(time_s, np.concatenate([vector, rates, errors]), covariance, Tilt(np.array(tilt), np.eye(2)))
+    return PoseState(time_s, np.concatenate([vector, rates, errors]), covariance, np.array(tilt), np.eye(2))
 
 
 def cubic(coefficients: Floats, t: float) -> tuple[Floats, Floats]:
@@ -120,7 +120,7 @@ class Film:
         rng, self.lone, self.step = np.random.default_rng(1), lone, step
         self.late_s, self.mean_late_s = late_s, mean_late_s
         self.levels = rng.binomial(4, 0.5, (9, SIDE, SIDE)) / 4
-        self.seen = {k: CompletePair(self.state(k), self.cutout(k)) for k in range(9) if k != lone}
+        self.seen = {k: (self.state(k), self.cutout(k)) for k in range(9) if k != lone}
 
     def pose(self, k: int, late_s: float = 0.0) -> Pose:
         pairs = k + late_s / 0.002

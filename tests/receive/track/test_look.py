@@ -6,9 +6,9 @@ from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
 from heliograph.receive import Pose
 from heliograph.receive.track import kernels
 from heliograph.receive.track.kalman import MotionModel, PoseState
-from heliograph.receive.track.track import Track, VisibilityParameters, estimate_noise, line_distance, preview_pair
+from heliograph.receive.track.track import Track, TrackParameters, estimate_noise, line_distance, preview_pair
 
-PARAMETERS = VisibilityParameters()
+PARAMETERS = TrackParameters()
 CORNER, SHAPE = (100, 50), (60, 64)
 
 

@@ -10,11 +10,11 @@ from heliograph.receive import Pose
 from heliograph.receive.geometry.fit import Prior, fit_array
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track import kernels
-from heliograph.receive.track.track import VisibilityParameters, square_leds, visible_pixels
+from heliograph.receive.track.track import TrackParameters, square_leds, visible_pixels
 
 Floats = NDArray[np.float64]
 
-SHAPE, PARAMETERS = (60, 60), VisibilityParameters()
+SHAPE, PARAMETERS = (60, 60), TrackParameters()
 
 
 def pose_at(distance_m: float) -> Pose:

@@ -11,13 +11,14 @@ from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
 from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.detect.alternation import (
+    DETECT,
     SearchRegion,
     alternation_means,
     alternation_of,
     busy_blocks,
     coarse_search,
 )
-from heliograph.receive.detect.candidate import FIT, cell_weights, fit_near, is_in_size_range, is_plausible
+from heliograph.receive.detect.candidate import cell_weights, fit_near, is_in_size_range, is_plausible
 from heliograph.receive.detect.header_bank import ALL_ON, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import UPRIGHT
@@ -90,7 +91,7 @@ class VariantDetector:
             return []
         # of each range of sizes: a square's parts are like it, and would be kept in place of it
         region = SearchRegion(change, busy, first)
-        rows = [coarse_search(region, self._parameters, self._cells, sides).rows for sides in self._bands]
+        rows = [coarse_search(region, self._parameters, self._cells, sides)[0] for sides in self._bands]
         found = [self._fitted(change, row, first.full_scale) for row in np.concatenate(rows)]
         return [one for one in found if one is not None]
 
@@ -99,10 +100,10 @@ class VariantDetector:
         number, blur = int(row[4]), self._parameters.blur_px
         weights = float(np.sign(row[0])) * cell_weights(self._cells[number], self._side)
         start = Pose(row[1] - 0.5, row[2] - 0.5, row[3] / self._side, 0.0, blur)
-        rough = fit_near(change, (0, 0), start, weights, FIT.upright_sigma, FIT.hiding_blur)
+        rough = fit_near(change, (0, 0), start, weights, DETECT.upright_sigma, DETECT.hiding_blur)
         if rough is None:
             return None
-        fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, FIT.upright_sigma)
+        fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, DETECT.upright_sigma)
         if fit is None or fit.score < 0 or not is_plausible(fit, self._parameters, full_scale):
             return None
         if not is_in_size_range(fit, self._parameters, self._side):

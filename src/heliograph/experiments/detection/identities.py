@@ -15,7 +15,7 @@ from heliograph.link.settings import load_settings
 from heliograph.measure.statistics import Count
 from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.detector import Detector
+from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
@@ -136,5 +136,5 @@ def detections(film: ClutterFilm, smallest_px: float | None = None) -> list[Dete
     if smallest_px:
         settings = replace(settings, detect=replace(settings.detect, min_side_px=smallest_px))
     signal = SignalSettings()
-    detector = Detector(search_parameters(settings, signal, PLAIN_REGULARITY), signal)
+    detector = PyramidSearch(search_parameters(settings, signal, PLAIN_REGULARITY), signal)
     return [one for frame in film.frames for one in detector.push(frame)]

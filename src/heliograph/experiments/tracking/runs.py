@@ -28,7 +28,7 @@ from heliograph.link.simulate import Recordings, default_messages, load_footage,
 from heliograph.receive import Pose
 from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.detector import Detector
+from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.geometry.window import cut_out
 
 KNOWN = "known pattern"
@@ -141,7 +141,7 @@ class _TrackerGroup:
 
     def __init__(self, settings: LinkSettings, names: list[str], found: Detection | None = None):
         self._settings, self.found = settings, found
-        self._detector = Detector(
+        self._detector = PyramidSearch(
             search_parameters(settings.receive, settings.signal, PLAIN_REGULARITY), settings.signal
         )
         self._followers = {name: TRACKERS[name](settings) for name in names}

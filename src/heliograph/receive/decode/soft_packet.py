@@ -24,8 +24,9 @@ from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
 from heliograph.receive.packet import Words, with_raw
 from heliograph.receive.sync.pairing import FramePair, UnpairedFrame
+from heliograph.receive.track.kalman import PoseState
 from heliograph.receive.track.track import Track, TrackedPair, mask_occluded_retroactively
-from heliograph.receive.track.unpaired_frames import CompletePair, unpaired_cutout
+from heliograph.receive.track.unpaired_frames import unpaired_cutout
 from heliograph.signal.formats import AGREED, UnreadableModeError, check_mode
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -43,7 +44,7 @@ class SoftPacket:
         self._late_s = data_late_s(signal)
         # by number of the pair: cut-outs (in the single mode by pattern), complete pairs in step, unpaired frames
         self._cutouts = dict[int, Cutout]()
-        self._complete = dict[int, CompletePair]()
+        self._complete = dict[int, tuple[PoseState, Cutout]]()
         self._unpaired = dict[int, UnpairedFrame]()
         # gray levels of the array with all LEDs on in a difference, in the sum of a pair in step, and of the sensor
         self._gain, self._sum_gain, self._full_scale = 0.0, 0.0, math.inf
@@ -65,7 +66,7 @@ class SoftPacket:
             if not track.all_visible:
                 self._cutouts |= mask_occluded_retroactively(self._cutouts, place, track.visible)
             if pair.combination is None:
-                self._complete[place], self._sum_gain = CompletePair(track.state, cutout), track.gain
+                self._complete[place], self._sum_gain = (track.state, cutout), track.gain
         self._full_scale = pair.pattern.full_scale
         poses = tuple(pose for cutout in cutouts for pose in cutout.poses)
         return ExtractEvent(self._identity, (pair.pattern, pair.inverted), poses)

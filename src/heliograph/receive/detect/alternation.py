@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame, Pixels
+from heliograph.receive.detect import kernels
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import window_around
@@ -28,13 +29,11 @@ Blocks = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoarseParameters:
-    """Grid and thresholds of the coarse search."""
+class DetectorParameters:
+    """Grid and thresholds of the detectors."""
 
     # Width of the quiet ring around a candidate as a fraction of the side: half a header's cell
     ring: float = 0.12
-    # Step of the places as a fraction of the side: half a step costs a fifth of a cell's overlap
-    grid_step: float = 0.1
     # Ratio of successive sizes: half a step costs 3 % of correlation
     size_ratio: float = 1.12
     # Least distance of two candidates as a fraction of the larger side: arrays do not overlap
@@ -45,21 +44,35 @@ class CoarseParameters:
     busy_ratio: float = 2.0
     # Least mean alternation of a busy block as a fraction of the least contrast: the array may fill a quarter of it
     busy_contrast: float = 0.25
-    # Least rms alternation of a candidate as a fraction of the least contrast: the array may be half off the grid
-    candidate_contrast: float = 0.5
     # Largest magnitude of the sum over the sum of magnitudes of a place when work is scarce: a header of which a third
     # is hidden has 0.5, a lamp 1
     max_imbalance: float = 0.75
-    # Fixed cost of a region in blocks: 250 us
-    region_blocks: int = 3000
+    # Margin in px of the fit around a candidate and the ring
+    margin_px: float = 1.0
+    # Standard deviations of stretch and shear of level, upright and tilted candidates; 10 degrees of yaw are a stretch
+    # of -0.008, 40 degrees of -0.13
+    level_sigma: float = 1e-5
+    upright_sigma: float = 0.01
+    tilted_sigma: float = 0.1
+    # Pitches of blur to hide single LEDs, or the fit locks in a pitch off
+    hiding_blur: float = 0.5
+    # Most Gauss-Newton steps
+    max_steps: int = 6
+    # Score of an array beyond doubt
+    clear_score: float = 0.95
+    # Least regularity of an array with a hidden part; a format with half of the cells dimmed leaves 0.86
+    min_hidden_regularity: float = 0.85
+    # Largest array on the finest level of the pyramid in px a side and in px of pitch: single LEDs are hardly visible
+    max_side_px: float = 64.0
+    max_pitch_px: float = 4.0
 
 
-COARSE = CoarseParameters()
+DETECT = DetectorParameters()
 
 
 def size_limits(min_side_px: float, max_side_px: float) -> tuple[float, float]:
     """Return the smallest and largest side in px to be found: half a step beyond the searched sizes."""
-    half_step = COARSE.size_ratio**0.5
+    half_step = DETECT.size_ratio**0.5
     return min_side_px / half_step, max_side_px * half_step
 
 
@@ -98,7 +111,7 @@ class SearchParameters:
 
     def sides(self) -> Floats:
         """Return the searched sizes in px, (sizes,)."""
-        count = int(np.ceil(np.log(self.max_side_px / self.min_side_px) / np.log(COARSE.size_ratio))) + 1
+        count = int(np.ceil(np.log(self.max_side_px / self.min_side_px) / np.log(DETECT.size_ratio))) + 1
         return np.geomspace(self.min_side_px, self.max_side_px, count)
 
 
@@ -114,8 +127,6 @@ DIFFERENCE: FrameWeights = (0.5, -0.5, 0.5, -0.5)
 
 def alternation_of(frames: Sequence[Frame], weights: FrameWeights = ALTERNATION) -> Change:
     """Compute the weighted sum of four frames, or the difference of two, (rows, columns) in gray levels."""
-    from heliograph.receive.detect import kernels  # Numba is slow to import
-
     pixels, weights = _four(frames, weights)
     out = np.empty(pixels[0].shape, np.float32)
     kernels.combined(*pixels, np.array(weights, np.float32), out)
@@ -124,8 +135,6 @@ def alternation_of(frames: Sequence[Frame], weights: FrameWeights = ALTERNATION)
 
 def alternation_means(frames: Sequence[Frame], weights: FrameWeights = ALTERNATION) -> Change:
     """Compute the mean magnitude of `alternation_of` over blocks."""
-    from heliograph.receive.detect import kernels
-
     pixels, weights = _four(frames, weights)
     out = np.empty([-(-size // BLOCK_PX) for size in pixels[0].shape], np.float32)
     integers = _integer_weights(weights) if pixels[0].dtype == np.uint8 else None
@@ -159,20 +168,22 @@ def busy_blocks(
     means: Change, frame: Frame, tracked: Sequence[Pose], side: int, min_contrast: float, everywhere: bool = False
 ) -> Blocks:
     """Find the alternating blocks outside tracked arrays, and the blocks around."""
-    is_tracked = np.zeros(means.shape, bool)
+    # mean magnitudes are never negative: -1 marks the blocks of tracked arrays
+    free = means.copy()
     for pose in tracked:
         top, left, end_row, end_column = _block_span(pose, side, frame.origin)
-        is_tracked[top:end_row, left:end_column] = True
+        free[top:end_row, left:end_column] = -1
     if everywhere:
-        return ~is_tracked
-    # mean magnitudes are never negative
-    free = np.where(is_tracked, np.float32(-1), means) if tracked else means
-    least, ratio, peak = COARSE.busy_contrast * min_contrast * frame.full_scale, COARSE.busy_ratio, free.max()
+        return free >= 0
+    # mostly no block is busy, and no median is needed
+    peak, least, ratio = free.max(), DETECT.busy_contrast * min_contrast * frame.full_scale, DETECT.busy_ratio
+    if peak <= least:
+        return np.zeros(means.shape, bool)
     # a large array lights all of the frame through the windscreen: the blocks within it do not count
-    count = np.count_nonzero(is_tracked) if tracked else 0
+    count = np.count_nonzero(free < 0) if tracked else 0
     middle = count + (free.size - count) // 2
-    # counts, which are faster than the median: no block above the least, or above `ratio` times the median
-    if peak <= least or np.count_nonzero(free < peak / ratio) <= middle:
+    # counts, which are faster than the median: no block above `ratio` times the median, or only the least matters
+    if np.count_nonzero(free < peak / ratio) <= middle:
         return np.zeros(means.shape, bool)
     is_quiet = np.count_nonzero(free < least / ratio) > middle
     median = 0.0 if is_quiet else float(np.partition(free, middle, axis=None)[middle])
@@ -187,20 +198,6 @@ def _block_span(pose: Pose, side: int, origin: tuple[int, int]) -> tuple[int, in
     top, first = y0 - origin[1], x0 - origin[0]
     ends = (top + height) // BLOCK_PX + 1, (first + width) // BLOCK_PX + 1
     return max(0, top // BLOCK_PX), max(0, first // BLOCK_PX), max(0, ends[0]), max(0, ends[1])
-
-
-class CoarseResult(NamedTuple):
-    """Candidates and effort of a coarse search."""
-
-    # (candidates, 5) of score (negative where the inverse comes first), x and y of the centre in px of the image, side
-    # in px, header; the best first
-    rows: Floats = np.zeros((0, 5))
-    # Work done, in places visited
-    work: int = 0
-    # Number of blocks visited, busy or not
-    passed: int = 0
-    # Number of places compared with the headers; 0 holds for other headers too
-    compared: int = 0
 
 
 class SearchRegion(NamedTuple):
@@ -219,14 +216,17 @@ def coarse_search(
     parameters: SearchParameters,
     cells: Floats,
     sides: Floats,
-    min_distance: float = COARSE.min_distance,
+    min_distance: float = DETECT.min_distance,
     begin: int = 0,
     max_work: float = 1 << 60,
-    max_imbalance: float = COARSE.max_imbalance,
-) -> CoarseResult:
-    """Correlate a region with headers and return the best candidates."""
-    from heliograph.receive.detect import kernels
+    max_imbalance: float = DETECT.max_imbalance,
+) -> tuple[Floats, int, int, int]:
+    """Correlate a region with headers, from a block on; return the best candidates, and the effort.
 
+    Returns rows of score (negative where the inverse comes first), x and y of the centre in px of the image, side in px
+    and header, the best first; the number of places visited, of blocks visited, busy or not, and of places compared
+    with the headers, which is 0 for other headers too if it is 0.
+    """
     best = np.zeros((parameters.candidates, 5))
     count, work, passed, compared = kernels.search(
         integral_images(region.change),
@@ -234,18 +234,21 @@ def coarse_search(
         float(BLOCK_PX),
         cells,
         sides,
-        COARSE.candidate_contrast * parameters.min_contrast * region.first.full_scale,
+        # the array may be half off the grid
+        0.5 * parameters.min_contrast * region.first.full_scale,
         parameters.coarse_score,
-        2.0 if cells.sum(axis=1).any() else max_imbalance,  # unbalanced headers have no limit
-        COARSE.ring,
-        COARSE.grid_step,
+        # blinking squares have no limit
+        2.0 if cells.sum(axis=1).any() else max_imbalance,
+        DETECT.ring,
+        # step of the places as a fraction of the side: half a step costs a fifth of a cell's overlap
+        0.1,
         min_distance,
         np.array(region.first.origin, np.float64),
         begin,
         int(max_work),
         best,
     )
-    return CoarseResult(best[:count], work, passed, compared)
+    return best[:count], work, passed, compared
 
 
 _memory = threading.local()
@@ -269,11 +272,12 @@ def search_regions(
 ) -> list[SearchRegion]:
     """Cut frames to the surroundings of busy blocks, in separate regions for distant groups if these cost less."""
     # an array and the ring about a centre in a busy block, and two blocks for the fit
-    reach = int(np.ceil((0.5 + COARSE.ring) * max_side_px / BLOCK_PX)) + 2
+    reach = int(np.ceil((0.5 + DETECT.ring) * max_side_px / BLOCK_PX)) + 2
     groups, spans = [busy], [_span(busy, reach)]
-    if _size(*spans[0]) > COARSE.region_blocks and len(distant := _distant_groups(busy, 2 * reach)) > 1:
+    # the fixed cost of a region is that of 3000 blocks, 250 us
+    if _size(*spans[0]) > 3000 and len(distant := _distant_groups(busy, 2 * reach)) > 1:
         spans_distant = [_span(group, reach) for group in distant]
-        if sum(COARSE.region_blocks + _size(*span) for span in spans_distant) < COARSE.region_blocks + _size(*spans[0]):
+        if sum(3000 + _size(*span) for span in spans_distant) < 3000 + _size(*spans[0]):
             groups, spans = distant, spans_distant
     regions = []
     for group, (down, across) in zip(groups, spans, strict=True):

@@ -6,7 +6,7 @@ frames together give both by Gauss-Newton with a_k and a'_k eliminated.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from heliograph.base.arrays import RCOND, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import (
     ALTERNATION,
-    COARSE,
+    DETECT,
     DIFFERENCE,
     Change,
     SearchParameters,
@@ -23,59 +23,11 @@ from heliograph.receive.detect.alternation import (
     size_limits,
 )
 from heliograph.receive.geometry.fit import Fit, Prior, fit_array
+from heliograph.receive.geometry.footprint import images_of, render_with_slopes
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import Window, cut_out, window_around
 from heliograph.signal.header import CELLS
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitParameters:
-    """Priors and thresholds of the fits of a header."""
-
-    # Most Gauss-Newton steps
-    max_steps: int = 6
-    # Margin in px of the fit around a candidate and the ring
-    margin_px: float = 1.0
-    # Standard deviations of the position as a fraction of the side, and of ln pitch, roll and ln blur
-    position_sigma: float = 0.08
-    shape_sigmas: tuple[float, float, float] = (0.1, 0.05, 0.2)
-    # Standard deviations of stretch and shear of level, upright and tilted candidates; 10 degrees of yaw are a stretch
-    # of -0.008, 40 degrees of -0.13
-    level_sigma: float = 1e-5
-    upright_sigma: float = 0.01
-    tilted_sigma: float = 0.1
-    # Pitches of blur to hide single LEDs, or the fit locks in a pitch off
-    hiding_blur: float = 0.5
-    # Score of an array beyond doubt, and of an array with all cells visible: a hidden cell leaves at most 0.968
-    clear_score: float = 0.95
-    complete_score: float = 0.985
-    # Least regularity of an array with a hidden part; a format with half of the cells dimmed leaves 0.86
-    min_hidden_regularity: float = 0.85
-    # Least score for a second fit to the visible cells, and the largest hidden fraction
-    min_hidden_score: float = 0.7
-    max_hidden: float = 0.32
-    # Least alternation of visible cells over the median cell, before and after the first fit to visible cells
-    min_cell_light: tuple[float, float] = (0.4, 0.75)
-    # Least score and gain of the first pair over all pairs, for the pose to follow the first pair
-    first_pair_score: float = 0.9
-    first_pair_gain: float = 0.7
-    # Least motion in px per pattern with a smear
-    min_motion_px: float = 0.1
-    # Largest tilt, of 48 degrees, beyond which LEDs of 22.6 degrees half angle hardly shine
-    max_tilt: float = 0.2
-    # Largest light of an array with all LEDs on, in full scales: brighter pixels saturate
-    max_gain: float = 1.25
-    # Fraction of the sides by which two arrays may seem to overlap
-    max_overlap: float = 0.1
-    # Prior standard deviations of the pose's error in px and of the motion in px per pattern: hard shake
-    drift_sigmas_px: tuple[float, float] = (1.0, 0.9)
-    # Last step of the fit of the motion in px and in px per pattern, and the margin in px around the array
-    drift_tolerance_px: float = 0.02
-    drift_margin_px: float = 3.0
-
-
-FIT = FitParameters()
 
 
 def fit_header(
@@ -84,16 +36,18 @@ def fit_header(
     """Fit a header's frames; return the fit, the LED gains and True if the fit was held level."""
     change, origin, side = alternation_of(header), header[0].origin, len(weights)
     fit, sound = fit_near(change, origin, pose, weights, tilt), np.ones(weights.shape)
-    if fit is None or not FIT.min_hidden_score <= fit.score < FIT.clear_score or not even or tilt > FIT.upright_sigma:
+    if fit is None or not 0.7 <= fit.score < DETECT.clear_score or not even or tilt > DETECT.upright_sigma:
         return fit, sound, False
     best, lit, led_gains = fit, np.ones(CELLS * CELLS), sound
-    for min_light in FIT.min_cell_light:
+    # least alternation of visible cells over the median cell, before and after the first fit to visible cells
+    for min_light in (0.4, 0.75):
         # a hidden side looks like a tilt
         pose = replace(best.pose, stretch=0.0, shear=0.0)
         lit = lit * find_lit_cells(change, origin, pose, led_gains * weights, min_light).ravel()
         led_gains = cell_weights(lit, side)
-        visible = fit_near(change, origin, pose, led_gains * weights, FIT.level_sigma)
-        if visible is None or lit.mean() < 1 - FIT.max_hidden:
+        visible = fit_near(change, origin, pose, led_gains * weights, DETECT.level_sigma)
+        # at most a third may be hidden
+        if visible is None or lit.mean() < 0.68:
             break
         best = visible
     else:
@@ -103,12 +57,12 @@ def fit_header(
         return fit, sound, False
     # a thin post hides parts of cells
     pose = replace(fit.pose, stretch=0.0, shear=0.0)
-    return fit_near(change, origin, pose, weights, FIT.level_sigma), sound, True
+    return fit_near(change, origin, pose, weights, DETECT.level_sigma), sound, True
 
 
 def fit_moving(header: list[Frame], fit: Fit, weights: Floats, tilt: float, motion: tuple[float, float]) -> Fit:
     """Fit a header with the smear of a motion in px per pattern."""
-    if max(np.abs(motion)) < FIT.min_motion_px:
+    if max(np.abs(motion)) < 0.1:
         return fit
     frame_weights = np.abs(ALTERNATION if len(header) == 4 else DIFFERENCE[:2])
     # the variance of the frames' times, by weight, and of an exposure
@@ -117,7 +71,7 @@ def fit_moving(header: list[Frame], fit: Fit, weights: Floats, tilt: float, moti
     smear = patterns * abs(motion[0]), patterns * abs(motion[1])
     change, origin = alternation_of(header), header[0].origin
     # unsmeared, the fit has a stretch, and single LEDs match the neighbours
-    rough = fit_near(change, origin, fit.pose, weights, tilt, FIT.hiding_blur, smear)
+    rough = fit_near(change, origin, fit.pose, weights, tilt, DETECT.hiding_blur, smear)
     if rough is None:
         return fit
     start = replace(rough.pose, blur=fit.pose.blur)
@@ -128,7 +82,7 @@ def fit_moving(header: list[Frame], fit: Fit, weights: Floats, tilt: float, moti
 def fit_first_pair(header: list[Frame], fit: Fit, weights: Floats, tilt: float) -> tuple[Fit, list[Frame]]:
     """Fit a header's first pair, as a format may dim the later pairs unevenly."""
     first = fit_near(alternation_of(header[:2]), header[0].origin, fit.pose, weights, tilt)
-    if first is None or first.score <= FIT.first_pair_score * fit.score or first.gain <= FIT.first_pair_gain * fit.gain:
+    if first is None or first.score <= 0.9 * fit.score or first.gain <= 0.7 * fit.gain:
         return fit, header
     return replace(first, score=fit.score), header[:2]
 
@@ -153,10 +107,11 @@ def fit_near(
     if sigma:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float64)
         start = replace(start, blur=float(np.hypot(start.blur, sigma)))
-    reach = FIT.position_sigma * side * start.pitch
-    spread = np.diag(np.array([reach, reach, *FIT.shape_sigmas, tilt, tilt]) ** 2)
+    reach = 0.08 * side * start.pitch
+    # of x, y, ln pitch, roll, ln blur, stretch and shear
+    spread = np.diag(np.array([reach, reach, 0.1, 0.05, 0.2, tilt, tilt]) ** 2)
     try:
-        return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, FIT.max_steps, smear=smear)
+        return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, DETECT.max_steps, smear=smear)
     except np.linalg.LinAlgError:
         # no pose, no array
         return None
@@ -164,7 +119,7 @@ def fit_near(
 
 def find_window(change: Change, origin: tuple[int, int], pose: Pose, side: int) -> Window | None:
     """Return the window of an array and the ring around; None if an image does not show all of it."""
-    window = window_around(pose, side, COARSE.ring * side * pose.pitch + FIT.margin_px)
+    window = window_around(pose, side, DETECT.ring * side * pose.pitch + DETECT.margin_px)
     left, top = window[0] - origin[0], window[1] - origin[1]
     is_within = left >= 0 and top >= 0 and left + window[2] <= change.shape[1] and top + window[3] <= change.shape[0]
     return window if is_within else None
@@ -183,30 +138,29 @@ def find_lit_cells(change: Change, origin: tuple[int, int], pose: Pose, weights:
 
 def measure_cells(change: Change, origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:
     """Measure the light of each cell of an array, by least squares."""
-    from heliograph.receive.geometry import kernels
-
-    x0, y0, width, height = window_around(pose, len(weights), FIT.margin_px)
+    side = len(weights)
+    x0, y0, width, height = window_around(pose, side, DETECT.margin_px)
     i, j = max(0, y0 - origin[1]), max(0, x0 - origin[0])
     image = change[i : y0 - origin[1] + height, j : x0 - origin[0] + width].astype(np.float64)
-    shapes, out = [], np.empty((6, *image.shape))
-    for cell in np.eye(CELLS * CELLS):
-        lit = weights * cell_weights(cell, len(weights))
-        kernels.render(pose.full_vector(), lit, float(origin[0] + j), float(origin[1] + i), out, 0.0, 0.0)
-        shapes.append(out[0].ravel().copy())
-    return np.asarray(np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0], np.float64)
+    cells = cell_weights(np.arange(CELLS * CELLS, dtype=np.float64), side)
+    shapes = images_of(weights, cells, CELLS * CELLS, pose, (origin[0] + j, origin[1] + i), image.shape)
+    columns = shapes.reshape(CELLS * CELLS, -1).T
+    return np.asarray(np.linalg.lstsq(columns, image.ravel(), rcond=None)[0], np.float64)
 
 
 def is_tracked(start: Pose, tracked: Sequence[Pose], side: int) -> bool:
     """Return True if a candidate is a tracked array."""
-    return any(np.hypot(start.x - p.x, start.y - p.y) < COARSE.min_distance * side * p.pitch for p in tracked)
+    return any(np.hypot(start.x - p.x, start.y - p.y) < DETECT.min_distance * side * p.pitch for p in tracked)
 
 
 def is_plausible(fit: Fit, parameters: SearchParameters, full_scale: int) -> bool:
     """Return True if a fit has the brightness and the tilt of an array."""
-    is_bright = parameters.min_contrast <= fit.gain / full_scale <= FIT.max_gain
+    # pixels with more light than full scale saturate
+    is_bright = parameters.min_contrast <= fit.gain / full_scale <= 1.25
     # relative to a given pose
     stretch, shear = (parameters.start.stretch, parameters.start.shear) if parameters.start is not None else (0.0, 0.0)
-    return bool(is_bright and np.hypot(fit.pose.stretch - stretch, fit.pose.shear - shear) <= FIT.max_tilt)
+    # LEDs of 22.6 degrees half angle hardly shine beyond 48 degrees
+    return bool(is_bright and np.hypot(fit.pose.stretch - stretch, fit.pose.shear - shear) <= 0.2)
 
 
 def is_in_size_range(fit: Fit, parameters: SearchParameters, side: int) -> bool:
@@ -217,8 +171,8 @@ def is_in_size_range(fit: Fit, parameters: SearchParameters, side: int) -> bool:
 
 def are_disjoint(a: Pose, b: Pose, side: int) -> bool:
     """Return True if two arrays do not overlap; parts of a header look like smaller arrays."""
-    # |a - b| > (n p_a + n p_b) / 2, less the errors of the poses
-    reach = (1 - FIT.max_overlap) / 2 * side * (a.pitch + b.pitch)
+    # |a - b| > (n p_a + n p_b) / 2, less a tenth for the errors of the poses
+    reach = 0.45 * side * (a.pitch + b.pitch)
     return bool(np.hypot(a.x - b.x, a.y - b.y) > reach)
 
 
@@ -226,10 +180,10 @@ def estimate_drift(
     frames: Sequence[Frame], pose: Pose, time_s: float, weights: Floats, period_s: float
 ) -> tuple[float, float]:
     """Estimate the motion of a header in px per second."""
-    # (x, y) of the error of the pose, and of the motion in px per pattern
-    state, prior = np.zeros(4), np.diag(np.repeat(FIT.drift_sigmas_px, 2) ** -2.0)
+    # (x, y) of the error of the pose, 1 px, and of the motion in px per pattern, 0.9 px by hard shake
+    state, prior = np.zeros(4), np.diag(np.repeat([1.0, 0.9], 2) ** -2.0)
     times = (np.array([frame.time_s for frame in frames]) - time_s) / period_s
-    for _ in range(FIT.max_steps):
+    for _ in range(DETECT.max_steps):
         errors = [
             _position_error(frame, pose.moved(*(state[:2] + t * state[2:])), weights)
             for t, frame in zip(times, frames, strict=True)
@@ -241,7 +195,7 @@ def estimate_drift(
             vector += np.kron([1.0, t], match) / noise
         step = np.linalg.solve(matrix, vector)
         state = state + step
-        if np.abs(step).max() < FIT.drift_tolerance_px:
+        if np.abs(step).max() < 0.02:
             break
     x, y = (state[2:] / period_s).tolist()
     return x, y
@@ -249,17 +203,13 @@ def estimate_drift(
 
 def _position_error(frame: Frame, pose: Pose, weights: Floats) -> tuple[Floats, Floats, float]:
     """Compare a frame with a pose: J^T J and J^T r of the error of x and y, and the mean square of r."""
-    from heliograph.receive.geometry import kernels  # Numba is slow to import
-
-    window = window_around(pose, len(weights), FIT.drift_margin_px)
+    window = window_around(pose, len(weights), 3.0)
     x0, y0, width, height = window
-    sigma = FIT.hiding_blur * pose.pitch
+    sigma = DETECT.hiding_blur * pose.pitch
     pixels = np.asarray(cv2.GaussianBlur(cut_out(frame, window), (0, 0), sigma), np.float64).ravel()
     pose = replace(pose, blur=float(np.hypot(pose.blur, sigma)))
-    images = np.empty((2, 6, height, width))
-    for levels, out in zip((weights, np.abs(weights)), images, strict=True):
-        kernels.render(pose.full_vector(), levels, float(x0), float(y0), out, 0.0, 0.0)
-    flat = images.reshape(2, 6, -1)
+    images = [render_with_slopes(pose, levels, (x0, y0), (height, width)) for levels in (weights, np.abs(weights))]
+    flat = np.reshape(images, (2, 6, -1))
     columns = np.column_stack([flat[0, 0], flat[1, 0], np.ones(pixels.size)])
     slopes = flat[:, 1:3]
     amounts = np.linalg.lstsq(columns, pixels, rcond=RCOND)[0]

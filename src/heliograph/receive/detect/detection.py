@@ -2,17 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.detect.budget import SearchLoad
-from heliograph.receive.detect.candidate import FIT, are_disjoint
+from heliograph.receive.detect.alternation import DETECT
+from heliograph.receive.detect.candidate import are_disjoint
 from heliograph.receive.detect.header_bank import Hypothesis
 from heliograph.receive.geometry.fit import Fit
-from heliograph.receive.geometry.pose import UPRIGHT, Orientation, Pose
+from heliograph.receive.geometry.pose import UPRIGHT, Orientation
 from heliograph.receive.geometry.view import View
 from heliograph.receive.geometry.window import cut_out, window_around
 from heliograph.signal.settings import SignalSettings
@@ -52,12 +51,13 @@ class Detection:
     @property
     def is_clear(self) -> bool:
         """True if the header is beyond doubt."""
-        return self.score >= FIT.clear_score and self.regularity >= FIT.min_hidden_regularity
+        return self.score >= DETECT.clear_score and self.regularity >= DETECT.min_hidden_regularity
 
     @property
     def is_complete(self) -> bool:
         """True if the header is beyond doubt and no cell is hidden or dark."""
-        return self.is_clear and self.score >= FIT.complete_score
+        # a hidden cell leaves at most 0.968
+        return self.is_clear and self.score >= 0.985
 
     @property
     def is_ambiguous(self) -> bool:
@@ -68,27 +68,6 @@ class Detection:
         """Return the detection in the coordinates of a view."""
         gains, drift = view.orientation.upright(self.led_gains), view.motion_in(self.drift)
         return replace(self, fit=view.fit_in(self.fit), led_gains=gains, drift=drift)
-
-
-class HeaderSearch(Protocol):
-    """Search for headers in a stream of frames."""
-
-    def start(self, period_s: float) -> None:
-        """Prepare for frames of a period, before the first frame."""
-
-    @property
-    def load(self) -> SearchLoad:
-        """Work of the searches, with the skipped candidates and blocks."""
-
-    @property
-    def recent(self) -> Sequence[Frame]:
-        """Last frames, oldest first, which hold the header of a new detection."""
-
-    def set_orientation(self, orientation: Orientation) -> None:
-        """Search for arrays of a single orientation from now on, which all arrays share."""
-
-    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
-        """Search with the next frame; arrays are not searched for at the poses of tracked arrays."""
 
 
 def distinct(detections: list[Detection], side: int) -> list[Detection]:

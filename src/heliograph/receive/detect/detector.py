@@ -18,13 +18,16 @@ acceleration cancels. The frames between are quiet, as frames of data never are.
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import (
+    DETECT,
     Blocks,
     Change,
     SearchParameters,
@@ -32,14 +35,15 @@ from heliograph.receive.detect.alternation import (
     alternation_means,
     alternation_of,
     busy_blocks,
+    coarse_search,
     search_regions,
 )
-from heliograph.receive.detect.budget import BlockSelector, BudgetedSearch, NoveltyParameters, TokenBucket
+from heliograph.receive.detect.budget import FIT_WORK, NoveltyFilter, TokenBucket
 from heliograph.receive.detect.candidate import (
-    FIT,
     are_disjoint,
     cell_weights,
     estimate_drift,
+    find_window,
     fit_first_pair,
     fit_header,
     fit_moving,
@@ -52,14 +56,13 @@ from heliograph.receive.detect.candidate import (
 from heliograph.receive.detect.detection import Detection, distinct
 from heliograph.receive.detect.frame_window import (
     FrameWindow,
-    FrameWindowBuffer,
     fill_missing,
     find_header_start,
-    first_present,
     have_same_format,
+    header_frames,
 )
 from heliograph.receive.detect.header_bank import ALL_ON, Headers, Hypothesis, headers
-from heliograph.receive.detect.region import Candidate, find_candidates
+from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.fit import Fit, header_amplitudes
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, Pose
 from heliograph.receive.geometry.window import common, cut_out, window_around
@@ -67,162 +70,85 @@ from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
 
 
-@dataclass(frozen=True, kw_only=True)
-class DetectorParameters:
-    """Thresholds of a detector in step."""
+class Candidate(NamedTuple):
+    """Place with a similarity to a header."""
 
-    # Least score of a candidate's first fit, and the same at a low level of the budget
-    min_rough_score: float = 0.55
-    min_rough_score_low: float = 0.7
-    # Least gain in score of a tilted fit: an upright array with a hidden side looks a little tilted
-    min_tilt_gain: float = 0.03
-    # Least score of an array behind a thin post, which hides up to 36 %
-    min_post_score: float = 0.8
-    # Regularity below which light of data looks like a tilt, and the least tilt of such a header
-    min_level_regularity: float = 0.65
-    min_tilt: float = 0.05
-    # Fits in a row of a rolled candidate: the roll is up to 12 degrees off
-    rolled_fits: int = 4
+    # Pose from which the fit starts, on the sensor
+    start: Pose
+    # Correlation with the header, -1 to 1: above 0 where the header comes first, below where the inverse does
+    score: float
+    # (16,) of +-1
+    cells: Floats
+    # Identities and orientations with this header, the most plausible first
+    hypotheses: tuple[Hypothesis, ...]
+    # Region of the candidate
+    region: SearchRegion
 
 
-@dataclass(frozen=True, kw_only=True)
-class HalfPeriodParameters:
-    """Thresholds of a detector half a pattern out of step."""
+class Detector:
+    """Detector of headers on a level of a pyramid, in step with the light."""
 
-    # Largest change within a header over the change across: data reach 1, noise 0.45
-    max_quiet: float = 0.3
-    # Share of a header's correlation under the light of data
-    data_score: float = 0.78
-    # Least change across a header over the change across as many patterns of data, 1.8 on average, and blocks of a
-    # side of the mean
-    min_novelty: float = 1.3
-    novelty_window: int = 3
-    # Share of the work of a search, as these searches come twice as often
-    work_share: float = 0.25
-    # Least light of a cell within a header, and largest difference of two cells, over the light of the array: each LED
-    # is lit for half of such a frame, and lamps are not
-    min_light: float = 0.3
-    max_light_difference: float = 0.5
-    # Extreme cells ignored at either end
-    ignored_cells: int = 3
-
-
-class _BaseDetector:
-    """Common parts of the detectors."""
-
-    def __init__(
-        self,
-        parameters: SearchParameters,
-        signal: SignalSettings,
-        budget: TokenBucket | None,
-        novelty: NoveltyParameters,
-    ):
-        self._parameters, self._side, self._period_s = parameters, signal.side, signal.pattern_period_s
-        self._header = 2 * signal.header_pairs
-        self._sides = parameters.sides()
-        self.budget = budget or TokenBucket(parameters.cpu_share, signal.pattern_period_s)
-        self.selector = BlockSelector(self.budget, novelty, signal.packet_patterns)
-
-    def busy_blocks(self, means: Change, frame: Frame, tracked: Sequence[Pose]) -> Blocks:
-        """Find the busy blocks outside tracked arrays."""
-        parameters = self._parameters
-        return busy_blocks(means, frame, tracked, self._side, parameters.min_contrast, parameters.everywhere)
-
-    def _search_for(self, sought: Headers) -> BudgetedSearch:
-        return BudgetedSearch(self._parameters, sought, self.budget)
-
-    def _fit(self, candidate: Candidate, start: Pose, tilt: float, blur: float = 0.0) -> Fit | None:
-        """Fit a candidate from a pose to the alternation of the region."""
-        region = candidate.region
-        weights = math.copysign(1.0, candidate.score) * cell_weights(candidate.cells, self._side)
-        self.budget.charge_fits()
-        return fit_near(region.change, region.first.origin, start, weights, tilt, blur)
-
-
-class Detector(_BaseDetector):
-    """Detector of headers in a stream of one frame per pattern."""
-
-    def __init__(
-        self,
-        parameters: SearchParameters,
-        signal: SignalSettings,
-        budget: TokenBucket | None = None,
-        thresholds: DetectorParameters = DetectorParameters(),
-    ):
-        # a header may have 1.2 times the alternation of on-off data, and no more
-        is_ook = signal.modulation == "ook"
-        novelty = NoveltyParameters(min_ratio=1.1, max_ratio=1.1) if is_ook else NoveltyParameters()
-        super().__init__(parameters, signal, budget, novelty)
-        self._thresholds = thresholds
+    def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: TokenBucket):
+        self.parameters, self.budget, self.side = parameters, budget, signal.side
+        self.period_s, self.header_length = signal.pattern_period_s, 2 * signal.header_pairs
+        self.sides = parameters.sides()
         # a lit square may belong to anything, a tilted one all the more; corners are off by some px, which is a tilt
         tilted = (parameters.impaired and not parameters.all_on) or parameters.start is not None
-        self._tilts = (FIT.upright_sigma, FIT.tilted_sigma) if tilted else (FIT.upright_sigma,)
+        self._tilts = (DETECT.upright_sigma, DETECT.tilted_sigma) if tilted else (DETECT.upright_sigma,)
         # the search for turned headers follows if no upright header is clear: an array in poor sight may resemble both
         turned = headers(ORIENTATIONS[1:])
-        self._set_headers([ALL_ON] if parameters.all_on else [headers((UPRIGHT,), ORIENTATIONS[1:]), turned])
-        self.buffer = FrameWindowBuffer(self._header, signal.packet_patterns)
-
-    def _set_headers(self, banks: Sequence[Headers]) -> None:
-        """Prepare the searches: the banks in turn, then for each bank the rolls, in rad."""
-        self._stages = [[(self._search_for(bank), 0.0)] for bank in banks]
-        is_fixed = self._parameters.all_on or self._parameters.start is not None
-        # a turned header rolled one way is another turned header rolled the other way
-        self._rolled_stages = [
-            [
-                (self._search_for(bank), math.radians(roll))
-                for roll in self._parameters.rolls_deg
-                if roll > 0 or len(bank.cells) == IDENTITIES
-            ]
-            for bank in ([] if is_fixed else banks)
-        ]
+        self.banks = [ALL_ON] if parameters.all_on else [headers((UPRIGHT,), ORIENTATIONS[1:]), turned]
+        # blocks, row and column on the sensor, at which coarse searches broke off, by headers, roll and region
+        self._begins = dict[tuple[int, float, int], tuple[int, int]]()
 
     def set_orientation(self, orientation: Orientation) -> None:
         """Search for a single orientation from now on; see `HeaderSearch`."""
-        if not self._parameters.all_on:
-            self._set_headers([headers((orientation,))])
+        if not self.parameters.all_on:
+            self.banks = [headers((orientation,))]
 
-    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
-        """Search with the next frame; see `HeaderSearch`."""
-        self.budget.refill()
-        detections = list[Detection]()
-        for slots, with_turned in self.buffer.push(frame):
-            means, known = self.block_means(slots), [*tracked, *(found.fit.pose for found in detections)]
-            if means is None:
-                continue
-            first = first_present(slots)
-            busy, is_novel = self.selector.select(means, self.busy_blocks(means, first, known), first)
-            if self.budget.try_start(busy, is_novel):
-                detections += self.search(slots, busy, known, with_turned)
-        return detections
+    def busy_blocks(self, means: Change, frame: Frame, tracked: Sequence[Pose]) -> Blocks:
+        """Find the busy blocks outside tracked arrays."""
+        parameters = self.parameters
+        return busy_blocks(means, frame, tracked, self.side, parameters.min_contrast, parameters.everywhere)
 
     def block_means(self, slots: FrameWindow) -> Change | None:
         """Compute the mean alternation of blocks; None if frames are missing or too small."""
-        header = self.buffer.header_of(slots)
-        if header is None or min(header[0].pixels.shape) < self._sides[0]:
+        header = header_frames(slots, self.header_length)
+        if header is None or min(header[0].pixels.shape) < self.sides[0]:
             return None
         return alternation_means(header)
 
     def regions(self, slots: FrameWindow, busy: Blocks, max_side_px: float) -> list[SearchRegion]:
         """Return the alternation about busy blocks."""
-        header = self.buffer.header_of(slots)
+        header = header_frames(slots, self.header_length)
         return search_regions(header, busy, max_side_px, alternation_of) if header and busy.any() else []
 
     def search(self, slots: FrameWindow, busy: Blocks, tracked: Sequence[Pose], with_turned: bool) -> list[Detection]:
         """Search busy blocks for headers: upright, then turned, then rolled, until an array is clear."""
-        regions = self.regions(slots, busy, self._sides[-1])
+        regions = self.regions(slots, busy, self.sides[-1])
         if not regions:
             return []
+        banks = self.banks if with_turned else self.banks[:1]
+        stages: list[tuple[Headers, tuple[float, ...]]] = [(bank, (0.0,)) for bank in banks]
+        if with_turned and not self.parameters.all_on and self.parameters.start is None:
+            # a turned header rolled one way is another turned header rolled the other way
+            rolls = self.parameters.rolls_deg
+            one_way = tuple(roll for roll in rolls if roll > 0)
+            stages += [(bank, rolls if len(bank.cells) == IDENTITIES else one_way) for bank in banks]
         detections = list[Detection]()
-        stages = self._stages if with_turned else self._stages[:1]
-        for k, stage in enumerate([*stages, *(self._rolled_stages if with_turned else ())]):
-            is_rolled = k >= len(stages)
-            if is_rolled and not self.budget.is_full:
+        for k, (bank, rolls_deg) in enumerate(stages):
+            is_rolled = k >= len(banks)
+            if is_rolled and not self.budget.is_high:
                 break
+            candidates, has_compared = self.find_candidates(regions, bank, rolls_deg)
+            if is_rolled:
+                # of so many rolls clutter resembles some header
+                candidates = [candidate for candidate in candidates if abs(candidate.score) >= 0.6]
             fitted = list[Detection]()
-            for candidate in self._candidates(regions, stage):
+            for candidate in candidates:
                 # of overlapping arrays the less clear is dropped
                 known = [found.fit.pose for found in (*detections, *fitted) if found.is_clear]
-                is_free = all(are_disjoint(candidate.start, pose, self._side) for pose in known)
+                is_free = all(are_disjoint(candidate.start, pose, self.side) for pose in known)
                 if is_free and self.budget.try_fit(candidate.score):
                     fitted += self._refine(slots, candidate, tracked)
             if k and self.budget.is_low:
@@ -231,59 +157,123 @@ class Detector(_BaseDetector):
             # an apparent upright array partly hidden may be a clear turned array; of so many rolls clutter
             # resembles some header
             fitted = [found for found in fitted if found.is_clear or not (detections or is_rolled)]
-            detections = distinct([*detections, *fitted], self._side)
-            has_compared = any(search.has_compared for search, _ in stage)
+            detections = distinct([*detections, *fitted], self.side)
             if (detections and all(found.is_clear for found in detections)) or not has_compared:
                 break
-        in_range = [found for found in detections if is_in_size_range(found.fit, self._parameters, self._side)]
-        if len(in_range) < len(detections):
-            # another level searches for a clear array of another size
-            self.budget.expect_array()
-        return in_range
+        # another level searches for arrays of another size
+        return [found for found in detections if is_in_size_range(found.fit, self.parameters, self.side)]
 
-    def _candidates(
-        self, regions: Sequence[SearchRegion], stage: Sequence[tuple[BudgetedSearch, float]]
-    ) -> list[Candidate]:
-        """Return the best candidates of the searches of a stage."""
-        candidates = [
-            candidate for search, roll in stage for candidate in find_candidates(regions, search, self._side, roll)
-        ]
-        if len(stage) == 1:
-            return candidates
-        # of so many rolls clutter resembles some header
-        candidates = [candidate for candidate in candidates if abs(candidate.score) >= self.budget.parameters.min_score]
-        return sorted(candidates, key=lambda candidate: -abs(candidate.score))[: self._parameters.candidates]
+    def find_candidates(
+        self, regions: Sequence[SearchRegion], bank: Headers, rolls_deg: Sequence[float] = (0.0,)
+    ) -> tuple[list[Candidate], bool]:
+        """Return the best candidates of some rolls, or of a given pose; and True if any place was compared."""
+        parameters, given = self.parameters, self.parameters.start
+        candidates, has_compared = list[Candidate](), False
+        for roll in np.radians(rolls_deg).tolist():
+            start = replace(given, blur=parameters.blur_px) if given else Pose(0.0, 0.0, 1.0, roll, parameters.blur_px)
+            rows, has_now = self._coarse_search(regions, bank, start)
+            has_compared |= has_now
+            for row, map_, region in rows:
+                score, across, down, width, number = row
+                x, y = (map_ @ [across - 0.5, down - 0.5, 1.0]).tolist()
+                pose, k = replace(start, x=x, y=y, pitch=width / self.side), int(number)
+                candidates.append(Candidate(pose, score, bank.cells[k], bank.hypotheses[k], region))
+        candidates.sort(key=lambda candidate: -abs(candidate.score))
+        candidates = candidates[: parameters.candidates]
+        if given:
+            candidates += [found for region in regions if (found := self._given_candidate(region, bank, given))]
+        return candidates, has_compared
+
+    def _coarse_search(
+        self, regions: Sequence[SearchRegion], bank: Headers, start: Pose
+    ) -> tuple[list[tuple[list[float], Floats, SearchRegion]], bool]:
+        """Search regions, drawn as if arrays with the axes of a pose were upright, within the budget.
+
+        A search that breaks off goes on from there in the next search. Returns rows of `coarse_search` with the maps
+        to the sensor (2, 3) and the regions, and True if any place was compared with the headers.
+        """
+        rows, has_compared, left = [], False, self.budget.coarse_work
+        max_imbalance = DETECT.max_imbalance if self.budget.is_scarce else 2.0
+        for k, region in enumerate(regions):
+            image, map_ = _draw_upright(region, start.axes / start.pitch)
+            # the user chose the size of a given place, so the budget does not apply
+            max_work = 1 << 60 if self.parameters.everywhere else left / (len(regions) - k)
+            if max_work <= 0:
+                self.budget.skip_blocks(int(np.count_nonzero(image.busy)))
+                continue
+            if self.parameters.start is not None:
+                image = image._replace(busy=np.ones_like(image.busy))
+            key, (x, y), busy = (len(bank.cells), start.roll, k), image.first.origin, image.busy.ravel()
+            columns, down, across = image.busy.shape[1], y // BLOCK_PX, x // BLOCK_PX
+            row, column = self._begins.pop(key, (down, across))
+            begin = ((row - down) * columns + column - across) % busy.size
+            best, places, passed, compared = coarse_search(
+                image, self.parameters, bank.cells, self.sides, bank.min_distance, begin, max_work, max_imbalance
+            )
+            # a pixel costs less than a place
+            work = places + 0.4 * image.change.size
+            self.budget.charge(work)
+            left -= work
+            if passed < busy.size:
+                skipped = (begin + np.arange(passed, busy.size)) % busy.size
+                self.budget.skip_blocks(int(np.count_nonzero(busy[skipped])))
+                self._begins[key] = int(skipped[0]) // columns + down, int(skipped[0]) % columns + across
+            has_compared |= compared > 0 or passed < busy.size
+            rows += [(found, map_, region) for found in best.tolist()]
+        return rows, has_compared
+
+    def _given_candidate(self, region: SearchRegion, bank: Headers, given: Pose) -> Candidate | None:
+        """Return a given pose with the most similar header."""
+        change, origin, side = region.change, region.first.origin, self.side
+        is_searched = self.sides[0] <= side * given.pitch <= self.sides[-1]
+        if not is_searched or find_window(change, origin, given, side) is None:
+            return None
+        light = measure_cells(change, origin, given, np.ones((side, side)))
+        # each header has 16 cells of +-1
+        scores = bank.cells @ light / max(4 * float(np.linalg.norm(light)), TINY)
+        best = int(np.argmax(np.abs(scores)))
+        start = replace(given, blur=self.parameters.blur_px)
+        return Candidate(start, float(scores[best]), bank.cells[best], bank.hypotheses[best], region)
+
+    def fit(self, candidate: Candidate, start: Pose, tilt: float, blur: float = 0.0) -> Fit | None:
+        """Fit a candidate from a pose to the alternation of the region."""
+        region = candidate.region
+        weights = math.copysign(1.0, candidate.score) * cell_weights(candidate.cells, self.side)
+        self.budget.charge(FIT_WORK)
+        return fit_near(region.change, region.first.origin, start, weights, tilt, blur)
 
     def _refine(self, slots: FrameWindow, candidate: Candidate, tracked: Sequence[Pose]) -> list[Detection]:
         """Fit a candidate upright and, if in doubt, tilted; return at most one detection."""
-        thresholds, parameters = self._thresholds, self._parameters
-        if is_tracked(candidate.start, tracked, self._side):
+        parameters = self.parameters
+        if is_tracked(candidate.start, tracked, self.side):
             return []
-        weights = cell_weights(candidate.cells, self._side)
-        best, min_score = None, thresholds.min_rough_score
+        weights = cell_weights(candidate.cells, self.side)
+        best, min_score = None, 0.55
         for tilt in self._tilts:
-            rough = self._fit(candidate, candidate.start, tilt, FIT.hiding_blur)
+            rough = self.fit(candidate, candidate.start, tilt, DETECT.hiding_blur)
             if rough is None or rough.score < min_score:
                 break
-            if tilt == FIT.upright_sigma and self.budget.is_low and rough.score < thresholds.min_rough_score_low:
+            if tilt == DETECT.upright_sigma and self.budget.is_low and rough.score < 0.7:
                 self.budget.skip_candidate()
                 break
             min_score = parameters.coarse_score
             pose = replace(rough.pose, blur=parameters.blur_px)
             if candidate.start.roll and parameters.start is None:
-                for _ in range(thresholds.rolled_fits):
-                    rolled = self._fit(candidate, pose, tilt, FIT.hiding_blur)
+                # the roll is up to 12 degrees off
+                for _ in range(4):
+                    rolled = self.fit(candidate, pose, tilt, DETECT.hiding_blur)
                     if rolled is None:
                         break
                     pose = replace(rolled.pose, blur=pose.blur)
-            begun = find_header_start(slots, pose, weights, self._header)
+            begun = find_header_start(slots, pose, weights, self.header_length)
             if begun is None:
                 # at any tilt
                 break
             found = self._detect(slots, begun, pose, weights, candidate.hypotheses, tilt)
-            if found is not None and (best is None or found.score > best.score + thresholds.min_tilt_gain):
+            # an upright array with a hidden side looks a little tilted
+            if found is not None and (best is None or found.score > best.score + 0.03):
                 best = found
-            if best is not None and best.score >= FIT.clear_score:
+            if best is not None and best.score >= DETECT.clear_score:
                 break
         return [] if best is None else [best]
 
@@ -297,130 +287,144 @@ class Detector(_BaseDetector):
         tilt: float,
     ) -> Detection | None:
         """Fit the frames of a header; None if they show no convincing array."""
-        parameters, thresholds, (start, regularity) = self._parameters, self._thresholds, begun
-        frames = slots[start : start + self._header]
+        parameters, (start, regularity) = self.parameters, begun
+        frames = slots[start : start + self.header_length]
         header = fill_missing(frames[:4])
         if header is None:
             return None
-        # a copy for a missing frame alternates by itself: a pair of data must not pass for a half hidden header
-        is_whole, is_mixed = None not in frames, regularity < thresholds.min_level_regularity
-        if regularity < (parameters.regularity if is_whole else FIT.min_hidden_regularity):
+        # a copy for a missing frame alternates by itself: a pair of data must not pass for a half hidden header; light
+        # of data looks like a tilt
+        is_whole, is_mixed = None not in frames, regularity < 0.65
+        if regularity < (parameters.regularity if is_whole else DETECT.min_hidden_regularity):
             return None
-        if is_mixed and tilt == FIT.upright_sigma:
-            pose, tilt = replace(pose, stretch=0.0, shear=0.0), FIT.level_sigma
-        self.budget.charge_fits()
-        is_even = parameters.impaired and is_whole and regularity >= FIT.min_hidden_regularity
+        if is_mixed and tilt == DETECT.upright_sigma:
+            pose, tilt = replace(pose, stretch=0.0, shear=0.0), DETECT.level_sigma
+        self.budget.charge(FIT_WORK)
+        is_even = parameters.impaired and is_whole and regularity >= DETECT.min_hidden_regularity
         fit, led_gains, is_level = fit_header(header, pose, weights, tilt, parameters.score, is_even)
         if fit is None or not is_plausible(fit, parameters, header[0].full_scale):
             return None
         fitted_tilt = math.hypot(fit.pose.stretch, fit.pose.shear)
-        if is_mixed and tilt > FIT.upright_sigma and fitted_tilt < thresholds.min_tilt:
+        if is_mixed and tilt > DETECT.upright_sigma and fitted_tilt < 0.05:
             return None
-        min_score = thresholds.min_post_score if is_level and led_gains.all() else parameters.score
-        if fit.score < (min_score if is_whole else FIT.clear_score):
+        # a thin post hides up to 36 %
+        min_score = 0.8 if is_level and led_gains.all() else parameters.score
+        if fit.score < (min_score if is_whole else DETECT.clear_score):
             return None
-        is_in_range = is_in_size_range(fit, parameters, self._side)
-        if not is_in_range and fit.score < FIT.clear_score:
+        is_in_range = is_in_size_range(fit, parameters, self.side)
+        if not is_in_range and fit.score < DETECT.clear_score:
             return None
         first, frame = next((k, frame) for k, frame in enumerate(frames) if frame is not None)
-        start_s, time_s = frame.time_s - first * self._period_s, 0.5 * (header[0].time_s + header[-1].time_s)
+        start_s, time_s = frame.time_s - first * self.period_s, 0.5 * (header[0].time_s + header[-1].time_s)
         (identity, orientation), *others = hypotheses
         found = Detection(identity, start_s, fit, time_s, fit.score, regularity, led_gains, orientation, tuple(others))
         if not is_in_range:
             return found
-        tilt = FIT.level_sigma if is_level else tilt
+        tilt = DETECT.level_sigma if is_level else tilt
         if None not in frames[:2] and parameters.impaired and len(header) > 2:
             fit, header = fit_first_pair(header, fit, led_gains * weights, tilt)
         # the drift is fitted too, and the header with the smear
-        self.budget.charge_fits(2)
+        self.budget.charge(2 * FIT_WORK)
         time_s = 0.5 * (header[0].time_s + header[-1].time_s)
         present = [frame for frame in frames if frame is not None]
-        drift = estimate_drift(present, fit.pose, time_s, led_gains * weights, self._period_s)
-        fit = fit_moving(header, fit, led_gains * weights, tilt, (drift[0] * self._period_s, drift[1] * self._period_s))
+        drift = estimate_drift(present, fit.pose, time_s, led_gains * weights, self.period_s)
+        fit = fit_moving(header, fit, led_gains * weights, tilt, (drift[0] * self.period_s, drift[1] * self.period_s))
         return replace(found, fit=fit, time_s=time_s, score=fit.score, drift=drift)
 
 
-class HalfPeriodDetector(_BaseDetector):
-    """Detector of headers half a pattern out of step, in a stream of one frame per pattern; it does not refill."""
+def _draw_upright(region: SearchRegion, turn: Floats) -> tuple[SearchRegion, Floats]:
+    """Draw a region with arrays of the axes `turn` (2, 2) upright; return the map (2, 3) to the sensor too."""
+    if np.array_equal(turn, np.eye(2)):
+        return region, np.column_stack([turn, region.first.origin])
+    rows, columns = region.change.shape
+    # about the middles of both
+    size = [math.ceil(n) for n in np.abs(np.linalg.inv(turn)) @ [columns, rows]]
+    middle, drawn_middle = np.array([columns - 1, rows - 1]) / 2, (np.array(size) - 1) / 2
+    map_ = np.column_stack([turn, middle - turn @ drawn_middle])
+    change = cv2.warpAffine(region.change, map_, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    down, across = np.indices((-(-size[1] // BLOCK_PX), -(-size[0] // BLOCK_PX))) * BLOCK_PX + (BLOCK_PX - 1) / 2
+    x, y = np.tensordot(map_, [across, down, np.ones_like(across)], 1) // BLOCK_PX
+    is_within = (x >= 0) & (y >= 0) & (x < region.busy.shape[1]) & (y < region.busy.shape[0])
+    busy = is_within & region.busy[np.where(is_within, y, 0).astype(int), np.where(is_within, x, 0).astype(int)]
+    on_sensor = map_ + np.column_stack([np.zeros((2, 2)), region.first.origin])
+    return SearchRegion(np.asarray(change, np.float32), busy, replace(region.first, origin=(0, 0))), on_sensor
 
-    def __init__(
-        self,
-        parameters: SearchParameters,
-        signal: SignalSettings,
-        budget: TokenBucket | None = None,
-        thresholds: HalfPeriodParameters = HalfPeriodParameters(),
-    ):
-        ratio, window = thresholds.min_novelty, thresholds.novelty_window
-        novelty = NoveltyParameters(min_ratio=ratio, max_ratio=ratio, window=window, repeats=False)
-        super().__init__(parameters, signal, budget, novelty)
-        self._thresholds = thresholds
-        # turned headers are searched for once the orientation is known
-        self._search = self._search_for(ALL_ON if parameters.all_on else headers((UPRIGHT,), ORIENTATIONS[1:]))
-        self._frames: deque[Frame] = deque(maxlen=self._header + 1)
 
-    def set_orientation(self, orientation: Orientation) -> None:
-        """Search for a single orientation from now on; see `HeaderSearch`."""
-        if not self._parameters.all_on:
-            self._search = self._search_for(headers((orientation,)))
+class HalfPeriodDetector:
+    """Detector of headers half a pattern out of step, in a stream of one frame per pattern.
+
+    The fits, the headers and the budget are those of a detector in step; turned headers are searched for once the
+    orientation is known.
+    """
+
+    def __init__(self, detector: Detector, min_novelty: float = 1.3):
+        self._detector = detector
+        # data alternate up to 1.3 times the mean, headers 1.8 times on average; blocks of data are often quiet
+        self._baselines = [NoveltyFilter(min_novelty, min_novelty, window=3, repeats=False) for _ in range(2)]
+        self._frames: deque[Frame] = deque(maxlen=detector.header_length + 1)
 
     def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
         """Search with the next frame; see `HeaderSearch`."""
+        detector, length = self._detector, self._detector.header_length
         last = self._frames[-1] if self._frames else None
         if last is not None and not (have_same_format(last, frame) and frame.index == last.index + 1):
             self._frames.clear()
         self._frames.append(frame)
-        if len(self._frames) <= self._header:
+        if len(self._frames) <= length:
             return []
-        frames, thresholds = common(list(self._frames)), self._thresholds
-        if min(frames[0].pixels.shape) < self._sides[0]:
+        frames = common(list(self._frames))
+        if min(frames[0].pixels.shape) < detector.sides[0]:
             return []
         # 2 (r_0 - w r_1 + w r_(N-1) - r_N), w = N / (N - 2): the header less the inverse, with levels of +-1/2
-        ends, weight = [frames[k] for k in (0, 1, -2, -1)], 2 * self._header / (self._header - 2)
+        ends, weight = [frames[k] for k in (0, 1, -2, -1)], 2 * length / (length - 2)
         weights = (2.0, -weight, weight, -2.0)
         means = alternation_means(ends, weights)
-        busy = eligible = self.busy_blocks(means, frames[0], tracked)
+        busy = eligible = detector.busy_blocks(means, frames[0], tracked)
         if busy.any():
-            # the means are twice the change
-            within = alternation_means(frames[1:3])
-            eligible = busy & (within < 0.5 * thresholds.max_quiet * means)
-        chosen, _ = self.selector.select(means, busy, frames[0], eligible, thresholds.work_share)
-        if not busy.any() or not self.budget.try_start(chosen, share=thresholds.work_share):
+            # the change within a header is quiet: data reach 1, noise 0.45; the means are twice the change
+            eligible = busy & (alternation_means(frames[1:3]) < 0.15 * means)
+        chosen = detector.budget.start_search(self._baselines[frames[0].index % 2], means, busy, frames[0], eligible)
+        if not chosen.any():
             return []
-        regions = search_regions(ends, chosen, self._sides[-1], lambda part: alternation_of(part, weights))
+        regions = search_regions(ends, chosen, detector.sides[-1], lambda part: alternation_of(part, weights))
+        candidates, _ = detector.find_candidates(regions, detector.banks[0])
         detections = [
             self._detect(frames, candidate)
-            for candidate in find_candidates(regions, self._search, self._side)
-            if candidate.score > 0 and self.budget.try_fit() and not is_tracked(candidate.start, tracked, self._side)
+            for candidate in candidates
+            if candidate.score > 0
+            and detector.budget.try_fit()
+            and not is_tracked(candidate.start, tracked, detector.side)
         ]
-        return distinct([found for found in detections if found is not None], self._side)
+        return distinct([found for found in detections if found is not None], detector.side)
 
     def _detect(self, frames: Sequence[Frame], candidate: Candidate) -> Detection | None:
         """Fit a candidate as level, as the light of data looks like a tilt; None if it is not convincing."""
-        parameters = self._parameters
-        fit = self._fit(candidate, candidate.start, FIT.level_sigma)
-        if fit is None or fit.score < self._thresholds.data_score * parameters.score:
+        parameters, side = self._detector.parameters, self._detector.side
+        fit = self._detector.fit(candidate, candidate.start, DETECT.level_sigma)
+        # the light of data takes a part of the correlation
+        if fit is None or fit.score < 0.78 * parameters.score:
             return None
-        if not is_plausible(fit, parameters, frames[0].full_scale) or not is_in_size_range(fit, parameters, self._side):
+        if not is_plausible(fit, parameters, frames[0].full_scale) or not is_in_size_range(fit, parameters, side):
             return None
-        weights = cell_weights(candidate.cells, self._side)
+        weights = cell_weights(candidate.cells, side)
         # amplitudes over the beginning and the end, less the mean within
         amplitudes = header_amplitudes(frames, fit.pose, weights)
         ends = np.array([1, -1]) * (amplitudes[[0, -1]] - amplitudes[1:-1].mean())
         regularity = float(ends.min() / ends.mean()) if ends.mean() > 0 else 0.0
         if regularity < parameters.regularity or not self._is_lit_within(frames, fit):
             return None
-        time_s, start_s = 0.5 * (frames[0].time_s + frames[-1].time_s), frames[0].time_s + 0.5 * self._period_s
+        start_s = frames[0].time_s + 0.5 * self._detector.period_s
+        time_s, sound = 0.5 * (frames[0].time_s + frames[-1].time_s), np.ones(weights.shape)
         (identity, orientation), *others = candidate.hypotheses
-        sound = np.ones(weights.shape)
         return Detection(identity, start_s, fit, time_s, fit.score, regularity, sound, orientation, tuple(others))
 
     def _is_lit_within(self, frames: Sequence[Frame], fit: Fit) -> bool:
-        """Return True if the frames within the header show the array evenly lit."""
-        self.budget.charge_fits()
-        window, thresholds = window_around(fit.pose, self._side, FIT.margin_px), self._thresholds
-        cutouts = [cut_out(frame, window) for frame in frames[1:-1]]
-        image = np.asarray(np.mean(cutouts, axis=0, dtype=np.float32))
-        light = np.sort(measure_cells(image, window[:2], fit.pose, np.ones((self._side, self._side))))
-        low, high = light[thresholds.ignored_cells], light[-1 - thresholds.ignored_cells]
-        is_even = high - low <= thresholds.max_light_difference * fit.gain
-        return bool(low >= thresholds.min_light * fit.gain and is_even)
+        """Return True if the frames within the header show the array evenly lit: lamps are dark there."""
+        self._detector.budget.charge(FIT_WORK)
+        side = self._detector.side
+        window = window_around(fit.pose, side, DETECT.margin_px)
+        image = np.asarray(np.mean([cut_out(frame, window) for frame in frames[1:-1]], axis=0, dtype=np.float32))
+        light = np.sort(measure_cells(image, window[:2], fit.pose, np.ones((side, side))))
+        # each LED is lit for half of such a frame; three cells at either end are ignored
+        low, high = light[3], light[-4]
+        return bool(low >= 0.3 * fit.gain and high - low <= 0.5 * fit.gain)

@@ -50,6 +50,11 @@ def fill_missing(header: Sequence[Value | None]) -> list[Value] | None:
     return None if None in out else [value for value in out if value is not None]
 
 
+def header_frames(slots: FrameWindow, header: int) -> list[Frame] | None:
+    """Return the frames of the beginning of a header in a window, up to four; None if too many are missing."""
+    return fill_missing(slots[SLACK : SLACK + min(header, 4)])
+
+
 def crop_to_common(slots: FrameWindow) -> list[Frame | None]:
     """Crop the frames to their common part of the sensor."""
     cropped = iter(common([frame for frame in slots if frame is not None]))
@@ -76,14 +81,9 @@ class FrameWindowBuffer:
 
     def __init__(self, header: int, packet_patterns: int):
         self._step = 2 if header >= 4 else 1
-        self._span, self._size, self._packet = min(header, 4), header + 2 * SLACK, packet_patterns // self._step
+        self._header, self._size, self._packet = header, header + 2 * SLACK, packet_patterns // self._step
         self._frames: deque[Frame | None] = deque(maxlen=self._size)
         self._next = self._searches = 0
-
-    @property
-    def present(self) -> list[Frame]:
-        """Present frames, oldest first."""
-        return [frame for frame in self._frames if frame is not None]
 
     def push(self, frame: Frame) -> list[tuple[FrameWindow, bool]]:
         """Add a frame; return the windows to search, of one size and place, and True if turned headers are due."""
@@ -103,13 +103,9 @@ class FrameWindowBuffer:
                 continue
             # every second start is enough, but not where frames are missing
             is_due = (self._next - 1) % self._step == 0 or any(kept is None for kept in self._frames)
-            if is_due and self.header_of(self._frames) is not None:
+            if is_due and header_frames([*self._frames], self._header) is not None:
                 windows.append((crop_to_common(self._frames), self._is_turned_due()))
         return windows
-
-    def header_of(self, slots: FrameWindow) -> list[Frame] | None:
-        """Return the frames of the header's beginning; None if too many are missing."""
-        return fill_missing([*slots][SLACK : SLACK + self._span])
 
     def _is_turned_due(self) -> bool:
         """Return True in every other search, with another parity for each packet."""

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.detect.alternation import COARSE
+from heliograph.receive.detect.alternation import DETECT
 from heliograph.receive.geometry.fit import header_amplitudes
 from heliograph.receive.geometry.pose import Orientation, Pose
 from heliograph.receive.sync.combine import Combination
@@ -57,7 +57,7 @@ class Headers:
     # Identities and orientations of each header, the most plausible first
     hypotheses: tuple[tuple[Hypothesis, ...], ...]
     # Least distance of two candidates as a fraction of the side
-    min_distance: float = COARSE.min_distance
+    min_distance: float = DETECT.min_distance
 
 
 ALL_ON = Headers(np.ones((1, 16)), (((0, Orientation()),),))
@@ -73,5 +73,5 @@ def headers(orientations: Sequence[Orientation], other: Sequence[Orientation] = 
             hypotheses[orientation.turned(header_cells(number)).tobytes()].append((number, orientation))
     kept = {cells: meanings for cells, meanings in hypotheses.items() if meanings[0][1] in orientations}
     cells = np.array([np.frombuffer(header, np.int8) for header in kept], np.float64)
-    min_distance = COARSE.min_distance if len(orientations) == 1 else COARSE.min_distance_turned
+    min_distance = DETECT.min_distance if len(orientations) == 1 else DETECT.min_distance_turned
     return Headers(cells, tuple(map(tuple, kept.values())), min_distance)

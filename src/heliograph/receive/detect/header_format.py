@@ -19,7 +19,6 @@ A camera out of step shows dimmed cells in some of its frames only. Then each fr
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
 
 import numpy as np
 
@@ -33,19 +32,6 @@ from heliograph.signal.formats import AGREED, ALL_MODES, DIMMED, readable, words
 from heliograph.signal.header import CELLS, header_cells
 
 CELL_COUNT = CELLS * CELLS
-
-
-@dataclass(frozen=True, kw_only=True)
-class FormatParameters:
-    """Thresholds of the choice of a format."""
-
-    # Least surplus of the power explained by another format than the agreed format, over the squared distance of two
-    # words: a quarter is halfway
-    min_distance: float = 0.25
-    # The same over the unexplained power: a bar in motion before an array resembles dimmed cells
-    min_unexplained: float = 0.5
-    # Prior standard deviation of a cell's brightness about 1: neighbours of hidden LEDs may be hidden
-    cell_sigma: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,49 +69,15 @@ class _PairEvidence:
         constant = a @ (self.gram @ a + 2 * self.offset) + self.offset_power
         return np.stack([match, constant + linear + squares])
 
-    def estimate_brightness(self, cells: Floats, gain: float, sigma: float) -> Floats:
+    def estimate_brightness(self, cells: Floats, gain: float) -> Floats:
         """Estimate the brightness (16,) of each cell, 0 or more, from a pair with no dimmed cells."""
         if gain <= 0:
             return np.ones(CELL_COUNT)
-        # h = argmin |d - g (B C h + o)|^2 / s^2 + |h - 1|^2 / sigma^2, C = diag(cells)
+        # h = argmin |d - g (B C h + o)|^2 / s^2 + |h - 1|^2 / 0.3^2, C = diag(cells); cells may be partly hidden
         noise = max(self.unexplained / max(self.pixels - CELL_COUNT, 1), LEAST_VARIANCE)
-        prior = noise / (gain * sigma) ** 2
+        prior = noise / (0.3 * gain) ** 2
         matrix = cells[:, None] * self.gram * cells + prior * np.eye(CELL_COUNT)
         return np.maximum(np.linalg.solve(matrix, cells * (self.matched / gain - self.offset) + prior), 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class _FramesEvidence:
-    """Evidence of the frames of a header out of step."""
-
-    # The frames of the header
-    frames: HeaderFrames
-    # gram, matched: a^T A, and A^T r of each frame, (frames, 16)
-    gram: Floats
-    matched: Floats
-    unexplained: ClassVar[float] = 0.0  # the background is unknown
-
-    @property
-    def distance(self) -> float:
-        """Largest change of power by a dimmed cell; see `_PairEvidence`."""
-        changes = np.diff(self.frames.light, axis=0), 0.5 * np.diff(self.frames.alternation, axis=0)
-        return float(sum(change.var() * change.size for change in changes) * self.gram.diagonal().max())
-
-    def estimate_brightness(self, cells: Floats, gain: float, sigma: float) -> Floats:  # noqa: ARG002 - of `_PairEvidence`
-        """Return 1, as no frame is known to show no dimmed cells."""
-        return np.ones(CELL_COUNT)
-
-    def compute_moments(self, cells: Floats, brightness: Floats) -> Floats:
-        """Compute the moments of each format; see `_PairEvidence`."""
-        # v_k = light + alternation / 2 of +-1
-        full, dimmed = (
-            light[:, None] + 0.5 * alternation[:, None] * cells
-            for light, alternation in zip(self.frames.light, self.frames.alternation, strict=True)
-        )
-        v = np.where(words(ALL_MODES)[:, None], dimmed, full) * brightness
-        v -= v.mean(1, keepdims=True)
-        match = np.einsum("fki,ki->f", v, self.matched)
-        return np.stack([match, ((v @ self.gram) * v).sum((1, 2))])
 
 
 @lru_cache(maxsize=1)
@@ -137,15 +89,16 @@ def _words() -> Floats:
 class FormatReader:
     """Reader of the format in a packet's header."""
 
-    def __init__(self, identity: int, side: int, data_pairs: int, parameters: FormatParameters = FormatParameters()):
-        self._parameters = parameters
+    def __init__(self, identity: int, side: int, data_pairs: int):
         self._side, self._readable = side, readable(data_pairs)
         self._cells = header_cells(identity).reshape(CELL_COUNT).astype(np.float64)
         self._cell_of_led = np.kron(
             np.arange(CELL_COUNT).reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS), np.int64)
         )
         self._first: tuple[FramePair, tuple[Pose, Pose]] | None = None
-        self._evidence: dict[int, _PairEvidence | _FramesEvidence] = {}
+        self._evidence: dict[int, _PairEvidence] = {}
+        # moments of each format and distance of the frames of a header out of step
+        self._frames: tuple[Floats, float] | None = None
 
     def add_pair(self, number: int, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats) -> None:
         """Add a header pair."""
@@ -158,29 +111,41 @@ class FormatReader:
             self._evidence[0] = self._pair_evidence(1.0, *self._first, led_gains)
 
     def add_frames(self, frames: HeaderFrames, led_gains: Floats) -> None:
-        """Replace the pairs by the frames of a header out of step."""
+        """Replace the pairs by the frames of a header out of step, none of which is known to show no dimmed cells."""
         rows, cols = frames.images.shape[1:]
         a = self._cell_images(frames.pose, led_gains, (*frames.corner, cols, rows))
-        matched = frames.images.reshape(len(frames.images), -1) @ a.T
-        self._evidence = {0: _FramesEvidence(frames, a @ a.T, matched)}
+        gram, matched = a @ a.T, frames.images.reshape(len(frames.images), -1) @ a.T
+        # v_k = light + alternation / 2 of +-1
+        full, dimmed = (
+            light[:, None] + 0.5 * alternation[:, None] * self._cells
+            for light, alternation in zip(frames.light, frames.alternation, strict=True)
+        )
+        v = np.where(words(ALL_MODES)[:, None], dimmed, full)
+        v -= v.mean(1, keepdims=True)
+        moments = np.stack([np.einsum("fki,ki->f", v, matched), ((v @ gram) * v).sum((1, 2))])
+        changes = np.diff(frames.light, axis=0), 0.5 * np.diff(frames.alternation, axis=0)
+        self._frames = moments, float(sum(change.var() * change.size for change in changes) * gram.diagonal().max())
 
     def decide_format(self, gain: float) -> int:
         """Decide on the format's number, 0 to 2047; the agreed format if no later header pair was added."""
-        if not self._evidence:
+        if self._frames is not None:
+            (match, norm), distance = self._frames
+            # the background is unknown
+            unexplained = 0.0
+        elif not self._evidence:
             return AGREED.number
-        parameters, evidences = self._parameters, self._evidence.values()
-        first, brightness = self._evidence.get(0), np.ones(CELL_COUNT)
-        if first is not None:
-            brightness = first.estimate_brightness(self._cells, gain, parameters.cell_sigma)
-        moments = [evidence.compute_moments(self._cells, brightness) for evidence in evidences]
-        match, norm = np.sum(moments, axis=0)
+        else:
+            evidences, first = self._evidence.values(), self._evidence.get(0)
+            brightness = np.ones(CELL_COUNT) if first is None else first.estimate_brightness(self._cells, gain)
+            match, norm = np.sum([evidence.compute_moments(self._cells, brightness) for evidence in evidences], axis=0)
+            distance = sum(evidence.distance for evidence in evidences)
+            unexplained = sum(evidence.unexplained for evidence in evidences)
         # the best gain of each format: g = <d, B v + o> / |B v + o|^2
-        g = np.maximum(match, 0) / np.maximum(norm, TINY) if 0 in self._evidence else gain
+        g = np.maximum(match, 0) / np.maximum(norm, TINY) if self._frames or 0 in self._evidence else gain
         explained = 2 * g * match - g**2 * norm
-        # two words of the Reed-Muller code RM(2, 4) differ in 4 cells: if these are hidden it is the agreed format
-        distance = 4 * sum(evidence.distance for evidence in evidences)
-        unexplained = sum(evidence.unexplained for evidence in evidences)
-        margin = parameters.min_distance * float(np.max(g)) ** 2 * distance + parameters.min_unexplained * unexplained
+        # another format than the agreed format needs a surplus. Two words of the Reed-Muller code RM(2, 4) differ in 4
+        # cells, which may be hidden: a quarter of the distance is halfway. A bar in motion resembles dimmed cells too
+        margin = float(np.max(g)) ** 2 * distance + 0.5 * unexplained
         explained[AGREED.number] += margin
         # an unreadable mode needs the same margin, or noise makes the reader ignore a packet
         explained[~self._readable] -= margin

@@ -7,93 +7,168 @@ header hold most of the light, and fits are fast.
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import islice, takewhile
 
 import cv2
 import numpy as np
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame, Pixels
-from heliograph.receive.detect.alternation import COARSE, Blocks, Change, SearchParameters
-from heliograph.receive.detect.budget import SearchLoad, TokenBucket
+from heliograph.receive.detect.alternation import DETECT, Blocks, Change, SearchParameters
+from heliograph.receive.detect.budget import NoveltyFilter, SearchLoad, TokenBucket
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
-from heliograph.receive.detect.frame_window import FrameWindow, crop_to_common, first_present
+from heliograph.receive.detect.frame_window import FrameWindow, FrameWindowBuffer, crop_to_common, first_present
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import Orientation, Pose
 from heliograph.receive.geometry.view import View, halved, reduced_blur
+from heliograph.receive.geometry.window import Window, window_around
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
 
-@dataclass(frozen=True, kw_only=True)
-class PyramidParameters:
-    """Sizes of arrays on the levels of a pyramid, and thresholds for the reduction of frames."""
+class HeaderSearch:
+    """Search for headers at the phases of a camera, on all levels of a pyramid, in the frames or a region of them."""
 
-    # Largest array on the finest level in px a side and in px of pitch: 16 LEDs with a pitch of 4 px have 64 px
-    max_side_px: float = 64.0
-    max_pitch_px: float = 4.0
-    # Largest array on a reduced level as a fraction of the finest level's: larger LEDs leave a correlation below 0.5
-    reduced_size: float = 0.7
-    # Least alternation on a reduced level over a busy block's: rounding adds to the alternation of reduced frames
-    rounding: float = 0.9
-    # Margin in px about busy blocks in the reduced alternation
-    margin_px: float = 32.0
-    # Least alternating part of an array: half of the columns and half of the rows are visible
-    min_alternating: float = 0.25
+    def __init__(
+        self,
+        parameters: SearchParameters,
+        signal: SignalSettings,
+        synchronous: bool = False,
+        region: Window | None = None,
+    ):
+        self._parameters, self._signal, self._synchronous = parameters, signal, synchronous
+        self._given = self._region = region
+        if region is not None:
+            # the ring about an array as large as the region
+            margin = math.ceil(DETECT.ring * max(region[2:]) + DETECT.margin_px) + BLOCK_PX
+            self._region = region[0] - margin, region[1] - margin, region[2] + 2 * margin, region[3] + 2 * margin
+        # phases in patterns, None for each frame, and the searches with one frame per pattern
+        self._streams: list[tuple[float | None, PyramidSearch]] = []
+        # last frames, oldest first, which hold the header of a new detection
+        self.recent: deque[Frame] = deque()
+        self._number = 0
 
+    @property
+    def load(self) -> SearchLoad:
+        """Work of all streams, with the skipped candidates and blocks."""
+        return sum((search.budget.load for _, search in self._streams), SearchLoad())
 
-PYRAMID = PyramidParameters()
+    def start(self, period_s: float) -> None:
+        """Prepare for frames of a period, before the first frame: the light's period or less."""
+        light_s, max_frames = self._signal.pattern_period_s, 1000
+        if period_s > light_s * (1 + STEP_TOLERANCE):
+            raise HeliographError(
+                f"the soft receiver needs at least one frame a pattern: the film has {1 / period_s:.1f} frames/s, the "
+                f"light {1 / light_s:.1f} patterns/s; film faster, give times in seconds, or say by --fps what the "
+                "camera did where the film misstates it"
+            )
+        if period_s * max_frames < light_s:
+            raise HeliographError(
+                f"the soft receiver takes at most {max_frames} frames a pattern: the film has "
+                f"{1 / period_s:.3g} frames/s, the light {1 / light_s:.1f} patterns/s; give times in seconds, say by "
+                "--fps what the camera did where the film misstates it, or leave out frames"
+            )
+        phases: list[float | None] = [None]
+        if period_s <= light_s * (1 - STEP_TOLERANCE):
+            # fewer frames per pattern need more phases; each has a budget, as a single phase may suit an array
+            rate = light_s / period_s
+            count = 4 if rate < 2 else math.floor(rate)
+            phases = [k / count for k in range(count)]
+        with_half_period = phases == [None] and not self._synchronous
+        self._streams = [
+            (phase, PyramidSearch(self._parameters, self._signal, with_half_period=with_half_period))
+            for phase in phases
+        ]
+        # the light's clock needs two patterns on either side of a header, and two to spare
+        self.recent = deque(maxlen=math.ceil((2 * self._signal.header_pairs + 8) * light_s / period_s))
+
+    def set_orientation(self, orientation: Orientation) -> None:
+        """Search for arrays of a single orientation from now on, which all arrays share."""
+        for _, search in self._streams:
+            search.set_orientation(orientation)
+
+    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
+        """Search with the next frame; arrays are not searched for at the poses of tracked arrays."""
+        if not self.recent and self._given is not None and _crop(frame, self._given) is None:
+            (x, y), (rows, columns) = frame.origin, frame.pixels.shape
+            where = f" from {x},{y} on" if frame.origin != (0, 0) else ""
+            raise HeliographError(
+                f"the region {','.join(map(str, self._given))} that was given lies beyond the frames, which are "
+                f"{columns}x{rows}{where}"
+            )
+        self.recent.append(frame)
+        if self._region is not None:
+            self._region = _union(self._region, *(around(pose, self._signal.side) for pose in tracked))
+        detections = list[Detection]()
+        for phase, search in self._streams:
+            thinned = self._number_frame(frame) if phase is None else self._nearest_frame(phase)
+            if thinned is not None and self._region is not None:
+                # a camera's window may be elsewhere for a while
+                thinned = _crop(thinned, self._region)
+            if thinned is not None:
+                detections += search.push(thinned, [*tracked, *(found.fit.pose for found in detections)])
+        return detections
+
+    def _number_frame(self, frame: Frame) -> Frame:
+        """Number a frame by the pattern; a dropped frame leaves a gap."""
+        if self._synchronous:
+            return frame
+        last_s = self.recent[-2].time_s if len(self.recent) > 1 else 0.0
+        self._number += max(1, round((frame.time_s - last_s) / self._signal.pattern_period_s))
+        return frame.numbered(self._number)
+
+    def _nearest_frame(self, phase: float) -> Frame | None:
+        """Return the frame of the last pattern that is nearest to a phase, once the next pattern begins."""
+
+        def place(frame: Frame) -> float:
+            return frame.time_s / self._signal.pattern_period_s - phase
+
+        if len(self.recent) < 2 or round(place(self.recent[-1])) == (number := round(place(self.recent[-2]))):
+            return None
+        of_pattern = takewhile(lambda frame: round(place(frame)) == number, islice(reversed(self.recent), 1, None))
+        # of two equally near frames the earlier
+        return min(reversed([*of_pattern]), key=lambda frame: abs(place(frame) - number)).numbered(number)
 
 
 class PyramidSearch:
-    """Detectors on the levels of a pyramid, the coarsest first; see `HeaderSearch`."""
+    """Detectors on the levels of a pyramid, the coarsest first, in a stream of one frame per pattern."""
 
     def __init__(
         self,
         parameters: SearchParameters,
         signal: SignalSettings,
         budget: TokenBucket | None = None,
-        pyramid: PyramidParameters = PYRAMID,
         with_half_period: bool = False,
     ):
-        levels = level_parameters(parameters, signal.side, pyramid)
-        self._pyramid = pyramid
-        self._min_contrast = pyramid.rounding * COARSE.busy_contrast * parameters.min_contrast
+        # rounding adds to the alternation of reduced frames
+        self._min_contrast = 0.9 * DETECT.busy_contrast * parameters.min_contrast
         self._reduced: dict[tuple[object, ...], list[Frame]] = {}
-        self._budget = budget or TokenBucket(parameters.cpu_share, signal.pattern_period_s)
-        self._levels = [(View(k), Detector(level, signal, self._budget)) for k, level in enumerate(levels)]
+        self.budget = budget or TokenBucket(parameters.cpu_share, signal.pattern_period_s)
+        # a header may have 1.2 times the alternation of on-off data, and no more. Data differ for a search from an
+        # inverse on, so even and odd frames have separate baselines
+        ratios = (1.1, 1.1) if signal.modulation == "ook" else (1.2, 1.4)
+        self._baselines = [NoveltyFilter(*ratios) for _ in range(2)]
+        self._buffer = FrameWindowBuffer(2 * signal.header_pairs, signal.packet_patterns)
+        levels = level_parameters(parameters, signal.side)
+        self._levels = [(View(k), Detector(level, signal, self.budget)) for k, level in enumerate(levels)]
         self._finest = self._levels[0][1]
+        self._smallest_px = [2**k * level.min_side_px for k, level in enumerate(levels)][1:]
         # larger arrays are not searched for half a pattern out of step, and a header of one pair has no quiet frames
         with_half_period &= signal.header_pairs > 1
-        self._half_period = HalfPeriodDetector(levels[0], signal, self._budget) if with_half_period else None
-        self._smallest_px = [2**k * level.min_side_px for k, level in enumerate(levels)][1:]
-
-    def start(self, period_s: float) -> None:
-        """Accept any period, as frames come one per pattern; see `HeaderSearch`."""
+        self._half_period = HalfPeriodDetector(self._finest) if with_half_period else None
 
     def set_orientation(self, orientation: Orientation) -> None:
         """Search for a single orientation from now on; see `HeaderSearch`."""
         for _, detector in self._levels:
             detector.set_orientation(orientation)
-        if self._half_period is not None:
-            self._half_period.set_orientation(orientation)
-
-    @property
-    def load(self) -> SearchLoad:
-        """Work of all levels, with the skipped candidates and blocks."""
-        return self._budget.load
-
-    @property
-    def recent(self) -> Sequence[Frame]:
-        """Last frames, oldest first; see `HeaderSearch`."""
-        return self._finest.buffer.present
 
     def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
         """Search with the next frame; see `HeaderSearch`."""
-        self._budget.refill()
+        self.budget.refill()
         detections = list[Detection]()
-        for slots, with_turned in self._finest.buffer.push(frame):
+        for slots, with_turned in self._buffer.push(frame):
             detections += self._search(slots, [*tracked, *(found.fit.pose for found in detections)], with_turned)
         if self._half_period is not None:
             detections += self._half_period.push(frame, [*tracked, *(found.fit.pose for found in detections)])
@@ -105,14 +180,13 @@ class PyramidSearch:
         means = finest.block_means(slots)
         if means is None:
             return []
-        # alternation on a level is alternation in the frames themselves
         alternating = finest.busy_blocks(means, first, tracked)
-        busy, is_novel = finest.selector.select(means, alternating, first)
-        if not self._budget.try_start(busy, is_novel):
+        busy = self.budget.start_search(self._baselines[first.index % 2], means, alternating, first)
+        if not busy.any():
             return []
         skipped = alternating & ~busy
         known, detections = list(tracked), list[Detection]()
-        coarsest = self._coarsest_level(slots, busy, int(np.count_nonzero(busy | skipped)))
+        coarsest = self._coarsest_level(slots, busy, int(np.count_nonzero(alternating)))
         for k, (view, detector) in reversed(list(enumerate(self._levels[: coarsest + 1]))):
             reduced, poses = self._reduced_window(slots, k), [view.pose_in(pose) for pose in known]
             level_means = (detector.block_means(reduced) if k else means) if reduced else None
@@ -134,10 +208,11 @@ class PyramidSearch:
         The alternation is reduced instead of the frames, and only about the chosen blocks of those that alternate.
         """
         area = alternating * BLOCK_PX**2
-        max_level = sum(area >= self._pyramid.min_alternating * side**2 for side in self._smallest_px)
+        # half of the columns and half of the rows of an array are visible
+        max_level = sum(area >= 0.25 * side**2 for side in self._smallest_px)
         if not max_level:
             return 0
-        changes = [region.change for region in self._finest.regions(slots, busy, self._pyramid.margin_px)]
+        changes = [region.change for region in self._finest.regions(slots, busy, 32.0)]
         min_change = self._min_contrast * first_present(slots).full_scale
         for level in range(max_level):
             changes = [np.asarray(cv2.pyrDown(change), np.float32) for change in changes]
@@ -157,7 +232,7 @@ class PyramidSearch:
 
     def _reduce(self, frame: Frame) -> list[Frame]:
         """Reduce a frame to each possible level, with a black rim for the ring of a large array."""
-        frames, reduced, rim = [frame], frame, math.ceil(2 * COARSE.ring * self._pyramid.max_side_px)
+        frames, reduced, rim = [frame], frame, math.ceil(2 * DETECT.ring * DETECT.max_side_px)
         for _ in self._levels[1:]:
             # an odd first row or column is left out
             if min(reduced.pixels.shape) < 3:
@@ -167,17 +242,16 @@ class PyramidSearch:
         return frames
 
 
-def level_parameters(
-    parameters: SearchParameters, side: int, pyramid: PyramidParameters = PYRAMID
-) -> list[SearchParameters]:
+def level_parameters(parameters: SearchParameters, side: int) -> list[SearchParameters]:
     """Return the search parameters of each level, the finest first, in px of the level."""
     smallest, largest = parameters.min_side_px, parameters.max_side_px
-    finest = max(min(pyramid.max_side_px, side * pyramid.max_pitch_px), smallest * COARSE.size_ratio)
+    finest = max(min(DETECT.max_side_px, side * DETECT.max_pitch_px), smallest * DETECT.size_ratio)
     levels = [replace(parameters, max_side_px=min(finest, largest))]
-    reduced = pyramid.reduced_size * finest
+    # larger LEDs on a reduced level leave a correlation below 0.5
+    reduced = 0.7 * finest
     while largest > finest and (len(levels) == 1 or reduced * 2 ** (len(levels) - 1) < largest):
         k = len(levels)
-        sizes = reduced / 2 / COARSE.size_ratio, min(reduced, largest / 2**k)
+        sizes = reduced / 2 / DETECT.size_ratio, min(reduced, largest / 2**k)
         blur = reduced_blur(parameters.blur_px, k)
         start = parameters.start and View(k).pose_in(parameters.start)
         levels.append(replace(parameters, min_side_px=min(sizes), max_side_px=max(sizes), blur_px=blur, start=start))
@@ -216,88 +290,23 @@ def _with_rim(frame: Frame, rim: int) -> Frame:
     return replace(frame, pixels=pixels, origin=(x - rim, y - rim))
 
 
-class PhasedSearch:
-    """Searches at several phases of a fast camera, with one frame per pattern each; see `HeaderSearch`."""
-
-    def __init__(self, parameters: SearchParameters, signal: SignalSettings):
-        self._parameters, self._signal = parameters, signal
-        self._streams: list[tuple[_FrameThinner, PyramidSearch]] = []
-        self._recent: deque[Frame] = deque()
-
-    @property
-    def recent(self) -> Sequence[Frame]:
-        """Last frames, oldest first; see `HeaderSearch`."""
-        return self._recent
-
-    @property
-    def load(self) -> SearchLoad:
-        """Work of all streams, with the skipped candidates and blocks."""
-        return sum((search.load for _, search in self._streams), SearchLoad())
-
-    def start(self, period_s: float) -> None:
-        """Prepare for a camera as fast as the light or faster; see `HeaderSearch`."""
-        light_s, max_frames = self._signal.pattern_period_s, 1000
-        if period_s > light_s * (1 + STEP_TOLERANCE):
-            raise HeliographError(
-                f"the soft receiver needs at least one frame a pattern: the film has {1 / period_s:.1f} frames/s, the "
-                f"light {1 / light_s:.1f} patterns/s; film faster, give times in seconds, or say by --fps what the "
-                "camera did where the film misstates it"
-            )
-        if period_s * max_frames < light_s:
-            raise HeliographError(
-                f"the soft receiver takes at most {max_frames} frames a pattern: the film has "
-                f"{1 / period_s:.3g} frames/s, the light {1 / light_s:.1f} patterns/s; give times in seconds, say by "
-                "--fps what the camera did where the film misstates it, or leave out frames"
-            )
-        if period_s > light_s * (1 - STEP_TOLERANCE):
-            search = PyramidSearch(self._parameters, self._signal, with_half_period=True)
-            self._streams = [(_FrameThinner(period_s, None), search)]
-        else:
-            # fewer frames per pattern need more phases; each has a budget, as a single phase may suit an array
-            rate = light_s / period_s
-            count = 4 if rate < 2 else math.floor(rate)
-            self._streams = [
-                (_FrameThinner(light_s, k / count), PyramidSearch(self._parameters, self._signal)) for k in range(count)
-            ]
-        # the light's clock needs two patterns on either side of a header, and two to spare
-        patterns = 2 * self._signal.header_pairs + 8
-        self._recent = deque(maxlen=math.ceil(patterns * light_s / period_s))
-
-    def set_orientation(self, orientation: Orientation) -> None:
-        """Search for a single orientation from now on; see `HeaderSearch`."""
-        for _, search in self._streams:
-            search.set_orientation(orientation)
-
-    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
-        """Search with the next frame; see `HeaderSearch`."""
-        self._recent.append(frame)
-        detections = list[Detection]()
-        for thinner, search in self._streams:
-            if (thinned := thinner.push(frame)) is not None:
-                detections += search.push(thinned, [*tracked, *(found.fit.pose for found in detections)])
-        return detections
+def around(pose: Pose, side: int) -> Window:
+    """Return the searched surroundings of an array: half a side on each side, for shake between packets."""
+    return window_around(pose, side, 0.5 * side * pose.pitch)
 
 
-class _FrameThinner:
-    """Numbers one frame per pattern: every frame, or the frames nearest to a phase."""
+def _union(*windows: Window) -> Window:
+    """Return the smallest window that holds some windows."""
+    left, top = (min(window[k] for window in windows) for k in (0, 1))
+    right, low = (max(window[k] + window[k + 2] for window in windows) for k in (0, 1))
+    return left, top, right - left, low - top
 
-    def __init__(self, step_s: float, phase: float | None):
-        self._step_s, self._phase = step_s, phase
-        self._number, self._time_s = 0, 0.0
-        self._best: Frame | None = None
-        self._distance = 0.0
 
-    def push(self, frame: Frame) -> Frame | None:
-        """Add a frame; return the frame of the last pattern once it is known."""
-        if self._phase is None:
-            # a dropped frame leaves a gap
-            self._number += max(1, round((frame.time_s - self._time_s) / self._step_s))
-            self._time_s = frame.time_s
-            return frame.numbered(self._number)
-        place = frame.time_s / self._step_s - self._phase
-        number = round(place)
-        distance, best = abs(place - number), self._best
-        is_next = best is None or best.index != number
-        if is_next or distance < self._distance:
-            self._best, self._distance = frame.numbered(number), distance
-        return best if is_next else None
+def _crop(frame: Frame, region: Window) -> Frame | None:
+    """Crop a frame to a region; None if they are disjoint."""
+    (x, y), (rows, columns) = frame.origin, frame.pixels.shape
+    left, top = max(0, region[0] - x), max(0, region[1] - y)
+    right, low = min(columns, region[0] + region[2] - x), min(rows, region[1] + region[3] - y)
+    if right <= left or low <= top:
+        return None
+    return replace(frame, pixels=frame.pixels[top:low, left:right], origin=(x + left, y + top))

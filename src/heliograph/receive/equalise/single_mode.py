@@ -167,7 +167,7 @@ class DecisionDirectedTracker:
         # five frames of a changing scene count
         self._background = self._background + 0.2 * (end[POSE_SIZE + 1 :] - self._background)
         after = np.asarray(np.linalg.inv(matrix + precision)[:POSE_SIZE, :POSE_SIZE], np.float64)
-        vector = np.append(end[:POSE_SIZE], state.tilt.mean)
+        vector = np.append(end[:POSE_SIZE], state.tilt)
         return Fit(vector, after, float(end[POSE_SIZE]), score)
 
     def _build_equations(self, frame: AnyFrame, state: PoseState, at: Floats) -> tuple[Floats, Floats, float]:
@@ -176,7 +176,7 @@ class DecisionDirectedTracker:
         e is twice the frame less the known image, D the derivatives of the image and C = g^2 B B^T + s^2 the noise,
         which includes the light of the undecided symbols.
         """
-        middle, gain = Pose.from_vector(np.append(at[:POSE_SIZE], state.tilt.mean)), float(at[POSE_SIZE])
+        middle, gain = Pose.from_vector(np.append(at[:POSE_SIZE], state.tilt)), float(at[POSE_SIZE])
         mean_light, data = (middle.moved(*(late_s * state.mean[RATE_STATES][:2])) for late_s in self._late_s)
         cutout, background = self._subtract_background(frame, middle, mean_light, data, at[POSE_SIZE + 1 :])
         whitened = whiten(cutout, self.noise, self._side, self._led_gains)

@@ -78,7 +78,8 @@ class RenderCache:
         """Window around an array; it stays while it holds the array, so that images are reused."""
         x, y, half = pose.x, pose.y, 0.5 * side * pose.pitch
         middle = self._middle
-        if middle is None or max(abs(x - middle[0]), abs(y - middle[1])) + abs(half - middle[2]) > FIT.window_px:
+        # twice the distance up to which images are moved by their slopes
+        if middle is None or max(abs(x - middle[0]), abs(y - middle[1])) + abs(half - middle[2]) > 0.2:
             self._window, self._middle = window_around(pose, side, margin), (x, y, half)
         return self._window
 
@@ -89,7 +90,8 @@ class RenderCache:
         wider = max(abs(a**2 - b**2) for a, b in zip(smear, self._smear, strict=True))
         same = self._corner == corner and self._shapes.shape == shape
         same = same and (weights is self._weights or np.array_equal(weights, self._weights))
-        if not same or wider > FIT.max_smear_change:
+        # 1 % of a blur of 0.6 px
+        if not same or wider > 0.005:
             self._shapes, self._corner, self._smear, self._weights = np.empty(shape), corner, smear, weights
             self.forget()
         return self._shapes

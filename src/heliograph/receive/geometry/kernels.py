@@ -21,30 +21,6 @@ class FitParameters(NamedTuple):
     light_reach: float = 4.0
     # Rims in pitches of two squares around the LEDs, which together stand for a panel of unknown width and gray
     panel_margins: tuple[float, float] = (0.75, 2.0)
-    # Pixels by which an array's rim may leave the place in a window before the window moves: twice `redraw_px`
-    window_px: float = 0.2
-    # Variance in px^2 by which the motion may change before images are redrawn: 1 % of a blur of 0.6 px
-    max_smear_change: float = 0.005
-    # Distances in px of the array's rim and in ln blur up to which images are moved by their slopes
-    redraw_px: float = 0.1
-    redraw_blur: float = 0.02
-    # Standard deviations from which a residual has no weight: Tukey's biweight of 95 % efficiency
-    biweight: float = 4.685
-    # Relative loading of the normal equations, and of the first coefficients, where array and plane may be alike
-    loading: float = 1e-9
-    first_loading: float = 1e-6
-    # Added to a diagonal before loading, for images without light
-    min_information: float = 1e-3
-    # Least standard deviation of residuals in gray levels: the largest error of rounding
-    min_residual: float = 0.5
-    # Weight of an expected gain in the first coefficients, relative to the pixels' weight
-    first_gain_weight: float = 1e3
-    # Standard deviation of an expected gain relative to the gain: a bright sky adds half to a dark panel's rim
-    gain_spread: float = 0.5
-    # Steps of the rim in px, of ln blur and of the relative gain below which a fit ends
-    end_px: float = 0.02
-    end_blur: float = 0.02
-    end_gain: float = 0.1
     # Longest step of the centre in px, or half a pitch if that is more
     max_step_px: float = 0.8
     # Longest steps of ln pitch, roll, ln blur, stretch and shear: about half a pitch at the rim of 16 LEDs
@@ -417,7 +393,7 @@ def near(vector, anchor, side):
     for k in range(step.shape[0]):
         step[k] = vector[k] - anchor[k]
     # both are False for a pose that is not a number
-    return _rim_px(step, step.shape[0], vector, side) < FIT.redraw_px and abs(step[4]) < FIT.redraw_blur
+    return _rim_px(step, step.shape[0], vector, side) < 0.1 and abs(step[4]) < 0.02
 
 
 @compiled()
@@ -487,7 +463,8 @@ def fit(
     linear = _coefficients(image, shapes, plane, gain)
     for _ in range(steps):
         residuals(image, shapes, plane, linear, residual)
-        rough = FIT.biweight * _noise_of(residual, open_pixels)
+        # Tukey's biweight of 95 % efficiency
+        rough = 4.685 * _noise_of(residual, open_pixels)
         mass, loss = normal_equations(residual, shapes, plane, linear, rough, matrix, rhs)
         mass -= (1.0 - open_pixels).sum()
         noise = max(loss / max(mass - size, 1.0), LEAST_VARIANCE)
@@ -501,10 +478,11 @@ def fit(
                 matrix[k, n] += precision[k, n]
                 rhs[k] += precision[k, n] * (prior[n] - vector[n])
         if gain != 0.0:
-            weight = (FIT.gain_spread * gain) ** -2
+            # a bright sky adds half to a dark panel's rim
+            weight = (0.5 * gain) ** -2
             matrix[free, free] += weight
             rhs[free] += weight * (gain - linear[0])
-        _load(matrix, FIT.loading)
+        _load(matrix, 1e-9)
         step = rhs.copy()
         solve(matrix, step)
         for k in range(linear.shape[0]):
@@ -513,9 +491,9 @@ def fit(
         for k in range(free):
             limit = max(FIT.max_step_px, 0.5 * pitch) if k < 2 else FIT.max_steps[k - 2]
             vector[k] += min(max(step[k], -limit), limit)
-        close = _rim_px(step, free, vector, len(weights)) < FIT.end_px and abs(step[4]) < FIT.end_blur
+        close = _rim_px(step, free, vector, len(weights)) < 0.02 and abs(step[4]) < 0.02
         # headers give the distance: pitch and blur need all steps
-        if len(margins) and close and abs(step[free]) < FIT.end_gain * abs(linear[0]):
+        if len(margins) and close and abs(step[free]) < 0.1 * abs(linear[0]):
             break
         draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes, anchor, drawn)
     residuals(image, shapes, plane, linear, residual)
@@ -543,10 +521,11 @@ def _coefficients(image, shapes, plane, gain):
     matrix, rhs = np.empty((size, size)), np.empty(size)
     split_products(products, matrix, rhs)
     if gain != 0.0:
-        weight = FIT.first_gain_weight * matrix[0, 0]
+        weight = 1e3 * matrix[0, 0]
         matrix[0, 0] += weight
         rhs[0] += weight * gain
-    _load(matrix, FIT.first_loading)
+    # array and plane may be alike
+    _load(matrix, 1e-6)
     solve(matrix, rhs)
     return rhs
 
@@ -616,15 +595,16 @@ def _noise_of(residual, open_pixels):
             if open_pixels.size == 0 or open_pixels[i, j] > 0.0:
                 sizes[count] = abs(residual[i, j])
                 count += 1
-    # median |x| / Phi^-1(3/4)
-    return max(1.4826 * median(sizes[:count]), FIT.min_residual) if count else FIT.min_residual
+    # median |x| / Phi^-1(3/4), and the largest error of rounding at least
+    return max(1.4826 * median(sizes[:count]), 0.5) if count else 0.5
 
 
 @compiled()
 def _load(matrix, loading):
     """Load a diagonal in place: M + lambda (diag M + epsilon 1)."""
     for k in range(matrix.shape[0]):
-        matrix[k, k] += loading * (matrix[k, k] + FIT.min_information)
+        # images without light have no information
+        matrix[k, k] += loading * (matrix[k, k] + 1e-3)
 
 
 @compiled()

@@ -1,6 +1,7 @@
 """Pose of an array in the image, and the orientation in which the camera sees the array."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -158,6 +159,27 @@ class Pose:
             Shift in px, to the right and down.
         """
         return replace(self, x=self.x + dx, y=self.y + dy)
+
+
+def pose_of(corners: Sequence[float], side: int, blur: float) -> Pose:
+    """Compute the pose of an array from the corners, x and y of each."""
+    points = np.asarray(corners, np.float64).reshape(4, 2)
+    x, y = points.mean(axis=0).tolist()
+    # clockwise in the image, the first corner between left and up
+    upper_left, upper_right, lower_right, lower_left = points[
+        np.argsort(np.arctan2(points[:, 1] - y, points[:, 0] - x))
+    ]
+    along = (upper_right - upper_left + lower_right - lower_left) / (2 * side)
+    down = (lower_left - upper_left + lower_right - upper_right) / (2 * side)
+    # A = R(roll) P, P = pitch ((1 + stretch, shear), (shear, 1 - stretch)): the polar decomposition
+    u, sizes, vt = np.linalg.svd(np.stack([along, down], axis=1))
+    rotation, form = u @ vt, vt.T @ np.diag(sizes) @ vt
+    pitch, roll = float(np.trace(form)) / 2, float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    stretch, shear = float(form[0, 0] - form[1, 1]) / (2 * pitch), float(form[0, 1]) / pitch
+    # with another corner first rows are columns, which turns a tilt's sign
+    quarters = round(roll / (np.pi / 2))
+    sign = -1 if quarters % 2 else 1
+    return Pose(x, y, pitch, roll - quarters * np.pi / 2, blur, sign * stretch, sign * shear)
 
 
 def rim_distance(a: Pose, b: Pose, side: int) -> float:

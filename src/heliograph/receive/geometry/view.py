@@ -10,8 +10,7 @@ so the blur of 0.5 px of the reference link is the same on all levels. Pixel (2 
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import exp, log, log2, sqrt
-from typing import ClassVar
+from math import ceil, exp, log, log2, sqrt
 
 import cv2
 import numpy as np
@@ -27,13 +26,6 @@ from heliograph.receive.geometry.window import Window, window_around
 class View:
     """Pyramid level and orientation in which an array is read."""
 
-    # Largest pitch in px on the level of a new array
-    max_pitch_px: ClassVar[float] = 3.0
-    # Pitches in px between which an array stays on a level: a tenth beyond the pitches at which another is chosen
-    kept_pitch_px: ClassVar[tuple[float, float]] = (1.35, 3.3)
-    # Coarsest level; LEDs nearer than 2.5 m are at full scale, and reduction mixes clipped light with other light
-    max_level: ClassVar[int] = 3
-
     # Level of the pyramid, at least 0: rows and columns are divided by 2**level
     level: int = 0
     # Orientation of the array in the camera image
@@ -42,14 +34,12 @@ class View:
     @staticmethod
     def of(pose: Pose, orientation: Orientation = UPRIGHT) -> "View":
         """Choose the view for an array."""
-        level = int(np.ceil(log2(pose.pitch / View.max_pitch_px)))
-        return View(min(max(0, level), View.max_level), orientation)
+        # LEDs nearer than 2.5 m are at full scale, and further reduction mixes clipped light with other light
+        return View(min(max(0, ceil(log2(pose.pitch / 3))), 3), orientation)
 
     def suits(self, pose: Pose) -> bool:
-        """True if an array may stay in this view."""
-        low, high = self.kept_pitch_px
-        fits_above = self.level == self.max_level or pose.pitch <= high
-        return fits_above and (self.level == 0 or pose.pitch >= low)
+        """True if an array may stay in this view: to a tenth beyond the pitches at which another is chosen."""
+        return (self.level == 3 or pose.pitch <= 3.3) and (self.level == 0 or pose.pitch >= 1.35)
 
     def frame(self, frame: Frame, pose: Pose, side: int) -> Frame:
         """Transform a frame to this view; except in the camera's view, crop it to an array and half a side around."""

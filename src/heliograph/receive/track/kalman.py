@@ -28,25 +28,6 @@ class MotionModel:
     acceleration_px: float
     # Focal length in px; a passing array that moves by that much turns by 1 rad. Infinite for a camera that only turns
     focal_px: float = inf
-    # Correlation time of the acceleration in patterns: half a period of shake at 125 Hz
-    acceleration_patterns: float = 4.0
-    # Standard deviation of the second derivative of ln pitch, per pattern squared: 30 km/h at 12 m
-    expansion: float = 5e-7
-    # Prior standard deviations of the rates of x, y and ln pitch per pattern: hard shake, and 30 km/h at 55 m
-    start_rates: tuple[float, float, float] = (0.9, 0.9, 1.5e-4)
-    # Prior standard deviations of the errors of ln pitch and ln blur in sums: a rim of up to half a pitch
-    sum_error: tuple[float, float] = (0.05, 0.5)
-    # Time in patterns in which the random walks reach the standard deviations below
-    walk_patterns: float = 1000.0
-    # Random walk of the errors in sums, as the background changes
-    sum_walk: tuple[float, float] = (0.01, 0.2)
-    # Random walks of roll in rad, of ln blur, and of stretch and shear
-    roll_walk: float = 0.03
-    blur_walk: float = 0.1
-    tilt_walk: float = 0.01
-    # Maximum change of stretch and shear for a turn by 1 rad, and patterns for which a turn goes on
-    turn: float = 0.3
-    turning_patterns: float = 100.0
 
     @cached_property
     def noise_by_powers(self) -> tuple[Floats, Floats, Floats]:
@@ -54,19 +35,18 @@ class MotionModel:
 
         White accelerations of density q = 2 a^2 tau give q [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
         """
-        a = np.array([self.acceleration_px, self.acceleration_px, self.expansion]) / self.period_s**2
-        q, place, rate = 2 * self.acceleration_patterns * self.period_s * a**2, [0, 1, 2], [5, 6, 7]
+        # the second derivative of ln pitch is 5e-7 per pattern squared by 30 km/h at 12 m; tau, 4 patterns, is half a
+        # period of shake at 125 Hz
+        a = np.array([self.acceleration_px, self.acceleration_px, 5e-7]) / self.period_s**2
+        q, place, rate = 2 * 4 * self.period_s * a**2, [0, 1, 2], [5, 6, 7]
         linear, quadratic, cubic = np.zeros((3, STATE_SIZE, STATE_SIZE))
         cubic[place, place] = q / 3
         quadratic[place, rate] = quadratic[rate, place] = q / 2
         linear[rate, rate] = q
-        walks = np.array([self.roll_walk, self.blur_walk, *self.sum_walk])
-        linear[[3, 4, 8, 9], [3, 4, 8, 9]] = walks**2 * self.walk_time(1.0)
+        # random walks of roll, ln blur and the errors in sums, as the background changes, in 1000 patterns
+        walks = np.array([0.03, 0.1, 0.01, 0.2])
+        linear[[3, 4, 8, 9], [3, 4, 8, 9]] = walks**2 / (1000 * self.period_s)
         return linear, quadratic, cubic
-
-    def walk_time(self, dt: float) -> float:
-        """Convert a time in seconds to units of `walk_patterns`."""
-        return dt / (self.walk_patterns * self.period_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,24 +79,6 @@ HEADER_OBSERVATION = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array([0.5, 0
 POSE = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.zeros(POSE_SIZE))
 
 
-@dataclass(frozen=True, slots=True)
-class Tilt:
-    """Stretch and shear: slow, shown by headers only, and so estimated apart from the state."""
-
-    # (2,) stretch and shear
-    mean: Floats = field(default_factory=partial(np.zeros, 2))
-    # (2, 2) covariance; by default of an upright array before a fit: 1e-3 at 2.6 degrees of yaw
-    covariance: Floats = field(default_factory=lambda: 1e-3**2 * np.eye(2))
-
-    def predict(self, dt: float, x_rate: float, y_rate: float, model: MotionModel) -> "Tilt":
-        """Predict the tilt after a time in seconds."""
-        # a turn for a time tau adds tau^2, as a walk of the variance tau dt
-        turn = model.turn * hypot(x_rate, y_rate) / model.focal_px
-        variance = model.tilt_walk**2 * model.walk_time(dt)
-        variance += turn**2 * model.turning_patterns * model.period_s * dt
-        return Tilt(self.mean, self.covariance + variance * np.eye(2))
-
-
 @dataclass(frozen=True)  # without slots, for the cached properties
 class PoseState:
     """State of the filter."""
@@ -127,13 +89,15 @@ class PoseState:
     mean: Floats
     # (10, 10) covariance of `mean`
     covariance: Floats
-    # Stretch and shear of the image
-    tilt: Tilt = field(default_factory=Tilt)
+    # (2,) stretch and shear of the image: slow, shown by headers only, and so estimated apart from the state
+    tilt: Floats = field(default_factory=partial(np.zeros, 2))
+    # (2, 2) covariance of `tilt`; by default of an upright array before a fit: 1e-3 at 2.6 degrees of yaw
+    tilt_covariance: Floats = field(default_factory=lambda: 1e-3**2 * np.eye(2))
 
     @cached_property
     def _numbers(self) -> list[float]:
         """Pose vector, rates and tilt as Python floats, which are faster than NumPy for single poses."""
-        return [*self.mean[:8].tolist(), *self.tilt.mean.tolist()]
+        return [*self.mean[:8].tolist(), *self.tilt.tolist()]
 
     @staticmethod
     def start(
@@ -147,18 +111,22 @@ class PoseState:
         mean, full = np.zeros(STATE_SIZE), np.zeros((STATE_SIZE, STATE_SIZE))
         mean[:POSE_SIZE], mean[5:7] = vector[:POSE_SIZE], drift
         full[:POSE_SIZE, :POSE_SIZE] = covariance[:POSE_SIZE, :POSE_SIZE]
-        full[POSE_SIZE:, POSE_SIZE:] = np.diag(
-            np.concatenate([np.array(model.start_rates) / model.period_s, model.sum_error]) ** 2
-        )
+        # rates per pattern of hard shake, and of 30 km/h at 55 m; the rim of the panel is up to half a pitch wide
+        spreads = np.append(np.array([0.9, 0.9, 1.5e-4]) / model.period_s, [0.05, 0.5])
+        full[POSE_SIZE:, POSE_SIZE:] = np.diag(spreads**2)
         has_tilt = len(covariance) > POSE_SIZE
-        tilt = Tilt(vector[POSE_SIZE:], covariance[POSE_SIZE:, POSE_SIZE:]) if has_tilt else Tilt()
-        return PoseState(time_s, mean, full, tilt)
+        tilt = (vector[POSE_SIZE:], covariance[POSE_SIZE:, POSE_SIZE:]) if has_tilt else ()
+        return PoseState(time_s, mean, full, *tilt)
 
     def predict(self, time_s: float, model: MotionModel) -> "PoseState":
         """Predict the state at a later time: x = F x, P = F P F^T + Q."""
         dt = time_s - self.time_s
         mean, covariance = kernels.predict(*self._arrays, dt, *model.noise_by_powers)
-        return PoseState(time_s, mean, covariance, self.tilt.predict(dt, self._numbers[5], self._numbers[6], model))
+        # stretch and shear walk by 0.01 in 1000 patterns, and change by up to 0.3 for a turn by 1 rad. A turn goes on
+        # for tau = 100 patterns: it adds tau^2, as a walk of the variance tau dt
+        turn = 0.3 * hypot(self._numbers[5], self._numbers[6]) / model.focal_px
+        variance = 0.01**2 * dt / (1000 * model.period_s) + turn**2 * 100 * model.period_s * dt
+        return PoseState(time_s, mean, covariance, self.tilt, self.tilt_covariance + variance * np.eye(2))
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
         """Predict the mean (5,) and the covariance (5, 5) of a fit: H x, H P H^T + R."""
@@ -169,7 +137,7 @@ class PoseState:
         """Update the state by a fit with the prior `expected` (an iterated Kalman update)."""
         fit = np.ascontiguousarray(vector, np.float64), np.ascontiguousarray(covariance, np.float64)
         mean, full = kernels.condition(*self._arrays, observation.matrix, observation.variances, *fit)
-        return PoseState(self.time_s, mean, full, self.tilt)
+        return PoseState(self.time_s, mean, full, self.tilt, self.tilt_covariance)
 
     @property
     def _arrays(self) -> tuple[Floats, Floats]:

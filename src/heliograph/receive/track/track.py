@@ -26,72 +26,53 @@ from heliograph.receive.track.kalman import PoseState
 
 
 @dataclass(frozen=True)
-class VisibilityParameters:
-    """Parameters of the visibility of an array and of the LEDs."""
+class TrackParameters:
+    """Parameters of the tracker and of the visibility of LEDs."""
 
-    # Minimum change of a visible array, relative to the noise variance
-    noise_factor: float = 1.5
-    # Minimum rms change of a visible array, as a fraction of light and contrast: an eighth of random data
-    min_activity: float = 0.06
-    # Margins in px inside the edge for the change, and outside the edge for the noise
-    inside_edge_px: float = 0.5
+    # Maximum number of Gauss-Newton steps per pair
+    pair_steps: int = 3
+    # Minimum fraction of visible LEDs for a fit
+    min_visible_part: float = 0.25
+    # Margin in px outside the edge of an array for the noise
     outside_edge_px: float = 1.0
-    # Minimum half side in px of the square for the change of an array
-    min_half_px: float = 1.5
-    # Maximum blur, as a fraction of the side, and maximum side, as a fraction of the frame, of a plausible pose
-    max_blur_sides: float = 0.5
-    max_frame_sides: float = 2.0
-    # Distance of the lines outside the array from the edge in pitches, and the minimum in px, beyond the blur
-    line_pitches: float = 1.5
-    min_line_px: float = 2.0
     # Minimum change of a covered line, as a fraction of the light of the array
     min_line_change: float = 0.15
     # Pairs after which the usual levels of the lines are known: a packet
     learning_pairs: int = 50
-    # Side of the square of an LED, which averages the change, in LEDs, and the minimum in px
-    square_leds: int = 5
-    min_square_px: float = 4.0
     # Weight of the last pair in the recent change
     change_rate: float = 0.25
     # Minimum recent change of a visible LED, as a fraction of bright LEDs: four standard deviations below the mean
     min_visible: float = 0.2
     # Quantile of the changes of visible LEDs
     bright_quantile: float = 0.8
-    # Minimum of that quantile, as a fraction of the power of random data
-    min_data_power: float = 0.1
     # Maximum change of a pair relative to that quantile: bounds the time until a hidden LED is noticed
     max_change: float = 2.0
-    # Pairs after which a hidden LED is noticed: 0.75^n falls below `min_visible`
-    noticed_pairs: int = 6
-    # Minimum part of the visible pixels in full columns or rows
-    min_lines: float = 0.9
-    # Minimum fraction of dark LEDs around a hidden LED in a header; fewer around a dead LED
-    min_dark_zone: float = 0.4
 
 
-_PARAMETERS = VisibilityParameters()
+PARAMETERS = TrackParameters()
 
 
 def check_pose(pose: Pose, side: int, shape: tuple[int, ...]) -> None:
     """Raise LinAlgError if a tracked pose is implausible."""
     width = side * pose.pitch
-    if not width <= _PARAMETERS.max_frame_sides * max(shape):
+    if not width <= 2 * max(shape):
         raise np.linalg.LinAlgError(f"a width of {width:.3g} px is none of an array in a frame of {max(shape)} px")
-    if not pose.blur <= _PARAMETERS.max_blur_sides * width:
+    if not pose.blur <= 0.5 * width:
         raise np.linalg.LinAlgError(f"a blur of {pose.blur:.3g} px of {width:.3g} px is none of an array")
 
 
 def is_visible(change: Floats, noise: float, pose: Pose, corner: tuple[int, int], side: int, gain: float) -> bool:
     """Return True if pattern and inverse differ at the array; a hidden or dark array shows no change."""
-    half = max(0.5 * side * pose.pitch - _PARAMETERS.inside_edge_px, _PARAMETERS.min_half_px)
+    half = max(0.5 * side * pose.pitch - 0.5, 1.5)
     power, count = kernels.power_within(change, pose.x - corner[0], pose.y - corner[1], half)
-    least = _PARAMETERS.min_activity * contrast(pose) * gain
-    return bool(count and power >= count * (least**2 + _PARAMETERS.noise_factor * noise**2))
+    # an eighth of the rms change of random data
+    least = 0.06 * contrast(pose) * gain
+    return bool(count and power >= count * (least**2 + 1.5 * noise**2))
 
 
 def estimate_noise(change: Floats, pose: Pose, corner: tuple[int, int], side: int) -> float:
     """Estimate the noise of a difference around the array in gray levels; 0 if the array fills the image."""
-    half = 0.5 * side * pose.pitch + _PARAMETERS.outside_edge_px
+    half = 0.5 * side * pose.pitch + PARAMETERS.outside_edge_px
     return float(kernels.noise_outside(change, pose.x - corner[0], pose.y - corner[1], half))
 
 
@@ -104,12 +85,13 @@ def contrast(pose: Pose) -> float:
 
 def line_distance(pose: Pose, side: int) -> float:
     """Return the distance of the lines outside an array from the centre, in pitches."""
-    return 0.5 * side + max(_PARAMETERS.line_pitches, _PARAMETERS.min_line_px / pose.pitch)
+    # beyond the blur
+    return 0.5 * side + max(1.5, 2 / pose.pitch)
 
 
 def square_leds(pose: Pose, side: int) -> int:
-    """Return the side in LEDs of the square of an LED, which averages the change."""
-    return min(max(_PARAMETERS.square_leds, ceil(_PARAMETERS.min_square_px / pose.pitch) | 1), side - 1 | 1)
+    """Return the side in LEDs of the square of an LED, which averages the change: 5 LEDs, and at least 4 px."""
+    return min(max(5, ceil(4 / pose.pitch) | 1), side - 1 | 1)
 
 
 def average_around_leds(values: Floats, pose: Pose) -> Floats:
@@ -120,7 +102,7 @@ def average_around_leds(values: Floats, pose: Pose) -> Floats:
 
 def dark_zone(dark: NDArray[np.bool_], pose: Pose) -> NDArray[np.bool_]:
     """Select the hidden LEDs among the dark LEDs of a header: hidden LEDs are adjacent, dead LEDs are not."""
-    return dark & (average_around_leds(dark.astype(np.float64), pose) >= _PARAMETERS.min_dark_zone)
+    return dark & (average_around_leds(dark.astype(np.float64), pose) >= 0.4)
 
 
 def visible_pixels(visible: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
@@ -147,7 +129,7 @@ def visible_lines(visible: Floats) -> tuple[Floats, Floats]:
     across, down = visible.min(0), visible.min(1)
     by_columns, by_rows = across.sum() * rows, down.sum() * columns
     # an occluded corner would cost too many pixels
-    if max(by_columns, by_rows) < _PARAMETERS.min_lines * visible.sum():
+    if max(by_columns, by_rows) < 0.9 * visible.sum():
         return np.ones(columns), np.ones(rows)
     return (across, np.ones(rows)) if by_columns >= by_rows else (np.ones(columns), down)
 
@@ -182,7 +164,7 @@ class Track:
     @cached_property
     def visible(self) -> Floats:
         """1 for visible LEDs, 0 for hidden LEDs, (n, n)."""
-        return (self.change >= _PARAMETERS.min_visible).astype(np.float64)
+        return (self.change >= PARAMETERS.min_visible).astype(np.float64)
 
     @cached_property
     def all_visible(self) -> bool:
@@ -230,7 +212,7 @@ def preview_pair(
     track: Track, up: Floats, down: Floats, corner: tuple[int, int], pose: Pose
 ) -> tuple[Floats, Floats, float, Track]:
     """Return difference and sum of a pair, the noise of the difference, and the track with updated visibility."""
-    side, parameters = len(track.change), _PARAMETERS
+    side, parameters = len(track.change), PARAMETERS
     lines = np.full((2, side + 2), np.nan) if track.lines is None else track.lines.copy()
     # a detected array may be partly covered: the usual levels are still unknown
     light = max(track.gain, track.data_gain) if track.pairs >= parameters.learning_pairs else inf
@@ -245,8 +227,8 @@ def preview_pair(
             0.5 * side * pose.pitch + parameters.outside_edge_px,
             square_leds(pose, side),
             int(parameters.bright_quantile * (side**2 - 1)),
-            # random data change the light by half
-            parameters.min_data_power * (0.5 * contrast(pose) * track.data_gain) ** 2,
+            # a tenth of the power of random data, which change the light by half
+            0.1 * (0.5 * contrast(pose) * track.data_gain) ** 2,
             parameters.max_change,
             parameters.change_rate,
             parameters.min_visible,
@@ -269,7 +251,8 @@ def mask_occluded(cutout: Cutout, visible: Floats) -> Cutout:
 def mask_occluded_retroactively(cutouts: Mapping[int, Cutout], place: int, visible: Floats) -> dict[int, Cutout]:
     """Mask earlier cut-outs, as hidden LEDs are noticed some pairs late; returns the changed cut-outs."""
     masked = dict[int, Cutout]()
-    for earlier in range(place - _PARAMETERS.noticed_pairs, place):
+    # 0.75^n falls below `min_visible` after six pairs
+    for earlier in range(place - 6, place):
         cutout = cutouts.get(earlier)
         if cutout is None:
             continue

@@ -1,6 +1,6 @@
 """Tracking: the sum of a pattern and the inverse shows every LED, so each pair gives a new pose."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from math import sqrt
 
@@ -10,6 +10,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry.fit import Fit, Prior, fit_array
+from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import Window, cut_out, window_around
 from heliograph.receive.sync.pairing import AnyFrame, FramePair
@@ -19,10 +20,10 @@ from heliograph.receive.track.kalman import (
     RATE_STATES,
     MotionModel,
     PoseState,
-    Tilt,
     sum_observation,
 )
 from heliograph.receive.track.track import (
+    PARAMETERS,
     Track,
     TrackedPair,
     average_around_leds,
@@ -32,44 +33,6 @@ from heliograph.receive.track.track import (
     preview_pair,
     visible_pixels,
 )
-
-
-@dataclass(frozen=True)
-class TrackerParameters:
-    """Parameters of the tracker; lengths in pitches unless stated."""
-
-    # Width of the fitted surroundings, and an additional width in px
-    margin: float = 1.5
-    margin_px: float = 1.5
-    # Minimum correlation of a header that refines the pose; a half hidden header has more
-    min_header_score: float = 0.6
-    # Maximum number of Gauss-Newton steps per pair
-    pair_steps: int = 3
-    # Pitch in px above which single LEDs are resolved
-    resolved_px: float = 1.0
-    # Standard deviation of the prediction above which LEDs may be confused with neighbours
-    max_spread: float = 0.2
-    # Maximum distance of a fit from the prediction: the steps of a fit approach slowly
-    max_step: float = 0.05
-    # Maximum loss of correlation against recent sums; an offset by a column of LEDs loses 0.06 or more
-    max_score_loss: float = 0.02
-    # Blur that hides single LEDs
-    unresolved_blur: float = 0.5
-    # Maximum smear of a sum by motion in px; faster motion is an error of the filter
-    max_smear_px: float = 2.0
-    # Minimum fraction of visible LEDs for a fit
-    min_visible: float = 0.25
-    # Weight of a pair in gain and score
-    gain_rate: float = 0.1
-    # Maximum ratio of the gains of sums and headers: the rim of the panel changes the light
-    max_gain_ratio: float = 1.5
-    # Maximum difference of ln blur between sums and headers: the edge of the panel looks like blur
-    max_sum_blur: float = 0.3
-    # Variances added to the pose of a detection for the motion since then: 1 px, 3 % of the pitch, 0.01 rad, 0.1
-    detection_variances: tuple[float, ...] = (1.0, 1.0, 1e-3, 1e-4, 1e-2)
-
-
-_PARAMETERS = TrackerParameters()
 
 
 class Tracker:
@@ -99,13 +62,13 @@ class Tracker:
         open_pixels = None
         if is_occluded or not track.led_gains.all():
             open_pixels = self._open_pixels(track, uncovered, pose, corner, up.shape)
-        is_hidden = is_occluded and uncovered.mean() < _PARAMETERS.min_visible
+        is_hidden = is_occluded and uncovered.mean() < PARAMETERS.min_visible_part
         if is_hidden or (open_pixels is not None and not open_pixels.any()):
             return _coast(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
         observation = sum_observation(pair.late_s)
         mean, covariance = predicted.expected(observation)
-        prior = Prior(np.concatenate([mean, predicted.tilt.mean]), covariance, track.gain)
+        prior = Prior(np.append(mean, predicted.tilt), covariance, track.gain)
         shining = track.shining
         if header is not None and pair.combination is None:
             left = self._header_residue(predicted, pair, corner, total.shape, header * shining)
@@ -120,47 +83,49 @@ class Tracker:
             open_pixels=open_pixels,
             smear=self._smear(predicted),
         )
-        fit = fit_sum(_PARAMETERS.pair_steps, drawn=track.render_cache)
+        fit = fit_sum(PARAMETERS.pair_steps, drawn=track.render_cache)
         if self._is_unsure(predicted) and (is_occluded or not _is_as_expected(track, pose, fit)):
             # a separate start saves a step
             start = self._unresolved_start(total, corner, prior, shining, open_pixels)
-            fit = fit_sum(_PARAMETERS.pair_steps - 1, start=start)
+            fit = fit_sum(PARAMETERS.pair_steps - 1, start=start)
         pose, gain = fit.pose, track.gain
         seen = _is_inside(pose, pair.pattern) and is_visible(difference, noise, pose, corner, self._side, gain)
         if not seen:
             return TrackedPair(before, replace(track, state=predicted), fit, seen)
         vector = fit.vector[:POSE_SIZE].copy()
         blur = float(predicted.mean[4])
-        vector[4] = min(max(vector[4], blur - _PARAMETERS.max_sum_blur), blur + _PARAMETERS.max_sum_blur)
+        # the edge of the panel looks like blur
+        vector[4] = min(max(vector[4], blur - 0.3), blur + 0.3)
         if not is_occluded:
-            # an occluder has light too
-            gain += _PARAMETERS.gain_rate * (fit.gain - gain)
-            ratio = _PARAMETERS.max_gain_ratio
-            gain = min(max(gain, track.data_gain / ratio), track.data_gain * ratio)
+            # an occluder has light too, and so has the rim of the panel
+            gain += 0.1 * (fit.gain - gain)
+            gain = min(max(gain, track.data_gain / 1.5), track.data_gain * 1.5)
         after = replace(
             track,
             state=predicted.condition(vector, fit.covariance, observation),
             gain=gain,
-            score=track.score + _PARAMETERS.gain_rate * (fit.score - track.score),
+            score=track.score + 0.1 * (fit.score - track.score),
             last_seen_s=predicted.time_s,
         )
         return TrackedPair(before, after, fit, seen)
 
     def refine(self, track: Track, pair: FramePair, weights: Floats) -> Track:
         """Refine pitch, roll, blur and tilt by a header, after the fit of the sum."""
-        state, tilt = track.state, track.state.tilt
+        state = track.state
         corner, up, down = _cut(pair, window_around(state.pose, self._side, _margin(state.pose)))
         mean, covariance = state.expected(HEADER_OBSERVATION)
         both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
-        both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, tilt.covariance
-        prior = Prior(np.append(mean, tilt.mean), both)
+        both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, state.tilt_covariance
+        prior = Prior(np.append(mean, state.tilt), both)
         fit = fit_array(
-            up - down, corner, prior, weights * track.shining, _PARAMETERS.pair_steps, smear=self._smear(state)
+            up - down, corner, prior, weights * track.shining, PARAMETERS.pair_steps, smear=self._smear(state)
         )
-        if fit.score < _PARAMETERS.min_header_score:
+        # a half hidden header has more
+        if fit.score < 0.6:
             return track
         state = state.condition(fit.vector[:POSE_SIZE], fit.covariance[:POSE_SIZE, :POSE_SIZE], HEADER_OBSERVATION)
-        state = replace(state, tilt=Tilt(fit.vector[POSE_SIZE:], fit.covariance[POSE_SIZE:, POSE_SIZE:]))
+        tilt_covariance = fit.covariance[POSE_SIZE:, POSE_SIZE:]
+        state = replace(state, tilt=fit.vector[POSE_SIZE:], tilt_covariance=tilt_covariance)
         return replace(track, state=state, data_gain=fit.gain)
 
     def is_visible(self, track: Track, pair: FramePair, fit: Fit) -> bool:
@@ -181,33 +146,30 @@ class Tracker:
     ) -> Floats:
         """Return the residue of a header in the sum of a moving array, for a gain of 1."""
         # A_1 Y + A_2 (1 - Y) = (A_1 + A_2) / 2 + (A_1 - A_2) (Y - 1/2), Y being the header
-        from heliograph.receive.geometry import kernels  # Numba is slow to import
-
-        images = np.empty((2, 6, *shape))
-        for frame, image in zip((pair.pattern, pair.inverted), images, strict=True):
-            pose = predicted.pose_at(frame.time_s)
-            kernels.render(pose.full_vector(), header, float(corner[0]), float(corner[1]), image, 0.0, 0.0)
-        return np.asarray(0.5 * (images[0, 0] - images[1, 0]))
+        first, second = (
+            image_of(header, predicted.pose_at(frame.time_s), corner, shape) for frame in (pair.pattern, pair.inverted)
+        )
+        return 0.5 * (first - second)
 
     def _smear(self, state: PoseState) -> tuple[float, float]:
         """Return the standard deviations in px of the motion during a pair: uniform over two patterns."""
-        # (2 v T_b)^2 / 12, v by the filter
+        # (2 v T_b)^2 / 12, v by the filter; more than 2 px is an error of the filter
         x, y, *_ = state.mean[RATE_STATES].tolist()
         spread = 2 * self._model.period_s / sqrt(12)
-        return min(spread * abs(x), _PARAMETERS.max_smear_px), min(spread * abs(y), _PARAMETERS.max_smear_px)
+        return min(spread * abs(x), 2.0), min(spread * abs(y), 2.0)
 
     def _is_unsure(self, predicted: PoseState) -> bool:
         """Return True if resolved LEDs may be confused with neighbours, as the prediction may err by a pitch."""
         spread = sqrt(max(predicted.covariance[0, 0], predicted.covariance[1, 1]))
         pitch = predicted.pose.pitch
-        return pitch > _PARAMETERS.resolved_px and spread > _PARAMETERS.max_spread * pitch
+        return pitch > 1 and spread > 0.2 * pitch
 
     def _unresolved_start(
         self, total: Floats, corner: tuple[int, int], prior: Prior, led_gains: Floats, open_pixels: Floats | None
     ) -> Floats:
         """Find the start of a fit on blurred pixels, which resolve no LEDs."""
         pose = Pose.from_vector(prior.vector)
-        sigma = _PARAMETERS.unresolved_blur * pose.pitch
+        sigma = 0.5 * pose.pitch
         vector, covariance = prior.vector.copy(), prior.covariance.copy()
         vector[4] = np.log(np.hypot(pose.blur, sigma))
         covariance[[0, 1], [0, 1]] += pose.pitch**2
@@ -229,14 +191,14 @@ class Tracker:
         dark = track.led_gains == 0
         zone = dark_zone(dark, pose) if dark.any() else dark
         is_open = np.where(zone, 0.0, uncovered) if zone.any() else uncovered
-        if is_open.mean() < _PARAMETERS.min_visible:
+        if is_open.mean() < PARAMETERS.min_visible_part:
             is_open = uncovered
         return None if is_open.all() else visible_pixels(is_open, pose, corner, shape)
 
 
 def _margin(pose: Pose) -> float:
     """Return the width in px of the fitted surroundings."""
-    return _PARAMETERS.margin * pose.pitch + _PARAMETERS.margin_px
+    return 1.5 * pose.pitch + 1.5
 
 
 def _cut(pair: FramePair, window: Window) -> tuple[tuple[int, int], Floats, Floats]:
@@ -248,20 +210,22 @@ def _is_as_expected(track: Track, predicted: Pose, fit: Fit) -> bool:
     """Return True if a fit is near the prediction and as good as recent fits: no LED is confused with a neighbour."""
     x, y, *_ = fit.vector.tolist()
     away = max(abs(x - predicted.x), abs(y - predicted.y))
-    return away < _PARAMETERS.max_step * predicted.pitch and fit.score > track.score - _PARAMETERS.max_score_loss
+    # the steps of a fit approach slowly; an offset by a column of LEDs loses 0.06 or more
+    return away < 0.05 * predicted.pitch and fit.score > track.score - 0.02
 
 
 def widen_covariance(covariance: Floats) -> Floats:
     """Widen the covariance of a detection by the motion since then."""
     wider = covariance.copy()
-    wider[np.arange(5), np.arange(5)] += _PARAMETERS.detection_variances
+    # 1 px, 3 % of the pitch, 0.01 rad, 10 % of the blur
+    wider[np.arange(5), np.arange(5)] += [1.0, 1.0, 1e-3, 1e-4, 1e-2]
     return wider
 
 
 def _coast(before: Track, track: Track) -> TrackedPair:
     """Return a pair with a hidden array at the predicted pose."""
     state = track.state
-    vector = np.append(state.mean[:POSE_SIZE], state.tilt.mean)
+    vector = np.append(state.mean[:POSE_SIZE], state.tilt)
     fit = Fit(vector, state.covariance[:POSE_SIZE, :POSE_SIZE], track.gain, 0.0)
     return TrackedPair(before, track, fit, seen=False)
 

@@ -10,7 +10,6 @@ array is added at the pose of the remaining frame.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -25,16 +24,6 @@ from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, PoseState
 
 MAX_DISTANCE_PAIRS = 6
 """Maximum distance in pairs of the nearest sum: 12 ms, half a period of shake at 40 Hz."""
-
-
-@dataclass(frozen=True, slots=True)
-class CompletePair:
-    """A data pair with both frames."""
-
-    # State of the tracked array
-    state: PoseState
-    # Frames around the array
-    cutout: Cutout
 
 
 def nearest_pairs(place: int, pairs: Mapping[int, object]) -> list[int]:
@@ -65,23 +54,26 @@ def interpolate_state(time_s: float, states: Mapping[int, PoseState], place: int
 def unpaired_cutout(
     unpaired: UnpairedFrame,
     place: int,
-    pairs: Mapping[int, CompletePair],
+    pairs: Mapping[int, tuple[PoseState, Cutout]],
     late_s: float,
     gain: float,
     led_gains: Floats,
 ) -> Cutout | None:
-    """Cut out the remaining frame of a pair; None if no pair is near or an object occludes the array."""
+    """Cut out the remaining frame of a pair; None if no pair is near or an object occludes the array.
+
+    `pairs` are the states and cut-outs of the pairs with both frames.
+    """
     nearest, frame = nearest_pairs(place, pairs), unpaired.frame
     if not nearest:
         return None
-    state = interpolate_state(frame.time_s, {k: pair.state for k, pair in pairs.items()}, place)
+    state = interpolate_state(frame.time_s, {k: state for k, (state, _) in pairs.items()}, place)
     data, mean_light = state.pose_at(frame.time_s + late_s), state.pose_at(frame.time_s + unpaired.late_s)
     side = len(led_gains)
     x, y, cols, rows = window_around(data, side, RIM_PX + RING_PX)
     corner, shape = (x, y), (rows, cols)
     lit = image_of(led_gains, mean_light, corner, shape)
     delay_s = unpaired.late_s - late_s
-    backgrounds = [_background(pairs[k], delay_s, gain, led_gains, state.pose, corner, shape) for k in nearest]
+    backgrounds = [_background(*pairs[k], delay_s, gain, led_gains, state.pose, corner, shape) for k in nearest]
     total = gain * lit + np.mean(backgrounds, axis=0)
     difference = 2 * cut_out(frame, (x, y, cols, rows)) - total
     # an uneven difference shows an object; the mean of random data has a standard deviation of 1/32
@@ -94,7 +86,8 @@ def unpaired_cutout(
 
 
 def _background(
-    pair: CompletePair,
+    state: PoseState,
+    cutout: Cutout,
     delay_s: float,
     gain: float,
     led_gains: Floats,
@@ -106,8 +99,7 @@ def _background(
 
     `delay_s` is the delay of the mean light after the data light, to which the poses of the cut-out belong.
     """
-    cutout, middle = pair.cutout, pair.state.pose
-    step = delay_s * pair.state.mean[RATE_STATES][:2]
+    middle, step = state.pose, delay_s * state.mean[RATE_STATES][:2]
     lit = sum(image_of(led_gains, moved.moved(*step), cutout.corner, cutout.shape) for moved in cutout.poses)
     rest = np.asarray(cutout.total - 0.5 * gain * lit, np.float32)
     # pixel (x, y) of the result has the same offset from the array as in the pair
@@ -124,4 +116,4 @@ def _at(state: PoseState, time_s: float, vector: Floats, rates: Floats) -> PoseS
     """Replace time, pose and rates of a state."""
     mean = state.mean.copy()
     mean[:POSE_SIZE], mean[RATE_STATES] = vector, rates
-    return PoseState(time_s, mean, state.covariance, state.tilt)
+    return PoseState(time_s, mean, state.covariance, state.tilt, state.tilt_covariance)
