@@ -22,7 +22,7 @@ def patient_for(seconds: float) -> type[H11Protocol]:
     """
 
     class Patient(H11Protocol):
-        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # uvicorn narrows it too
             super().connection_made(transport)
             self.loop.call_later(seconds, self._look)
 

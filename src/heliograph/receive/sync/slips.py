@@ -107,8 +107,8 @@ class SlipWatch:
         width = 2 * int((pose.pitch + 0.5) / 2) + 1
         light = means_at_leds(frame.pixels, x, y, pose.axes, width, self._rim, self._signal.side)
         contrast = None if self._mean is None else light - self._mean
-        # a pattern varies from LED to LED
-        if contrast is not None and contrast.var() <= 0.25 * float(contrast @ contrast) / contrast.size:
+        # a pattern varies from LED to LED: the variance is more than a quarter of the mean square
+        if contrast is not None and float(contrast.sum()) ** 2 >= 0.75 * float(contrast @ contrast) * contrast.size:
             contrast = None
         return _PendingFrame(frame, number, pose, light, contrast)
 
