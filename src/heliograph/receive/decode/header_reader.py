@@ -26,7 +26,7 @@ class HeaderReader:
         self._late_s = data_late_s(signal)
         # gains of the LEDs; None before the first header, and with "plain"
         self.led_gains: LedGains | None = None
-        # True if the array was tracked rightly through a packet
+        # True if a decoded packet confirmed the track
         self.confirmed = False
         self.start()
 
