@@ -30,6 +30,15 @@ def test_a_post_beside_the_array_pulls_no_packet_away() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="a track 7 % too narrow is trusted after one packet; the next is lost")
+def test_an_array_found_behind_the_edge_of_a_post_is_found_again() -> None:
+    # its header at 0.3 s showed it 7 % too narrow; read LED by LED its packet is right all the same, the next one not
+    passage, packets = read(4, 0.505, seed=11)
+    assert [round(packet.start_time_s / 0.1) for packet in packets if packet.status == "ok"][-2:] == [3, 4]
+    assert whole(passage, packets)
+
+
+@pytest.mark.slow
 def test_a_packet_whose_header_is_measured_too_narrow_is_decoded_per_led() -> None:
     # the edge of a post makes the header at 0.3 s 7 % too narrow
     _, packets = read(4, 0.405, seed=11)
