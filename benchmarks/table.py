@@ -146,7 +146,7 @@ def searching(background: str) -> Iterator[Row]:
         search = plain_receiver(settings.signal, settings.receive, ignore).search
         search.start(settings.signal.pattern_period_s)
         for frame in frames:
-            search.push(frame, taken)
+            search.search(frame, taken)
 
     pixels, out = frames[0].pixels, np.empty_like(frames[0].pixels)
     ours, peer = in_turn(partial(search, [pose]), partial(_many, lambda: cv2.GaussianBlur(pixels, (5, 5), 0, out), 50))

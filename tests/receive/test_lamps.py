@@ -76,5 +76,5 @@ def test_half_a_pattern_out_of_step_the_array_is_lit_within_its_header(within: f
         # half of the header, and half of even data
         shown = light if k in (1, 2, 3) else 0.5 * light + 0.25
         pixels[32:64, 48:80] = 20 + np.rint(160 * shown)
-        found += len(detector.push(Frame(k, 1e-3 * k, pixels)))
+        found += len(detector.search(Frame(k, 1e-3 * k, pixels)))
     assert found == count

@@ -26,14 +26,13 @@ def read(receiver: str, lost: Sequence[int], distance_m: float, stamped: bool) -
 
 @pytest.mark.parametrize(("receiver", "distance_m"), [("plain", 35.0), ("soft", 50.0), ("soft", 80.0)])
 @pytest.mark.slow
-def test_one_frame_of_a_pair_is_enough(receiver: str, distance_m: float) -> None:
-    """Of each packet 10 pairs lack the pattern or the inverse, and 4 are lost: whole pairs would be too few."""
+def test_a_pair_without_one_of_its_frames_is_left_out(receiver: str, distance_m: float) -> None:
     rng, lost = np.random.default_rng(5), list[int]()
     for packet in range(3):
-        pairs = 52 * packet + 4 + 2 * rng.permutation(24)[:14]
-        lost += [int(k) + int(rng.integers(2)) for k in pairs[:10]] + [int(k) + j for k in pairs[10:] for j in (0, 1)]
+        pairs = 52 * packet + 4 + 2 * rng.permutation(24)[:6]
+        lost += [int(k) + int(rng.integers(2)) for k in pairs[:4]] + [int(k) + j for k in pairs[4:] for j in (0, 1)]
     packets = read(receiver, lost, distance_m, stamped=True)
-    assert [packet.pairs_seen for packet in packets] == pytest.approx([20 / 24] * 3)
+    assert [packet.pairs_seen for packet in packets] == pytest.approx([18 / 24] * 3)
     assert [packet.layers["high"][0].status for packet in packets] == ["ok"] * 3
     if distance_m < 80:
         assert [packet.status for packet in packets] == ["ok"] * 3

@@ -10,9 +10,9 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive import receive_frames
 from heliograph.receive.array import ArrayReceiver
-from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, UnpairedFrame
+from heliograph.receive.sync.pairing import FramePair, MeasuredHeader
 
-ReadPair = FramePair | UnpairedFrame | MeasuredHeader | None
+ReadPair = FramePair | MeasuredHeader | None
 
 
 class PairCount:

@@ -13,6 +13,7 @@ import numpy as np
 from heliograph.base.frames import Frame
 from heliograph.receive.decode.header_reader import HeaderReader, data_late_s
 from heliograph.receive.decode.worker import ArrayKey, PacketDecoder, PacketObservations, PendingPacket, wait_for
+from heliograph.receive.detect.candidate import are_disjoint
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.equalise.led_gains import update_brightness
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
@@ -21,11 +22,9 @@ from heliograph.receive.geometry.pose import Pose, rim_distance
 from heliograph.receive.geometry.view import CAMERA, View
 from heliograph.receive.packet import MIN_HEADER_SCORE, MIN_PAIRS_SEEN, Packet
 from heliograph.receive.settings import ReceiveSettings
-from heliograph.receive.sync.pairing import DuePair, FramePair, MeasuredHeader, Pairing, UnpairedFrame
-from heliograph.receive.sync.slips import SlipWatch
+from heliograph.receive.sync.pairing import DuePair, FramePair, MeasuredHeader, Pairing
 from heliograph.receive.track.track import TrackedPair, check_pose
 from heliograph.receive.track.tracker import Tracker
-from heliograph.receive.track.unpaired_frames import MAX_DISTANCE_PAIRS
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
@@ -74,7 +73,6 @@ class ArrayReceiver:
         self._track = tracker.start(detection)
         self._number, self._last_s = 0, -math.inf
         self._header = header_levels(detection.identity, signal.side) / 2.0 - 1.0
-        self._slips = SlipWatch(detection.identity, signal)
         self._start_lost = 0
         # True if a codeword was decoded: identity and orientation are right
         self.has_codeword = False
@@ -127,11 +125,15 @@ class ArrayReceiver:
             return False
         period_s = self._signal.pattern_period_s
         end_s = self._pairing.origin_s + (self._number // self._pairs + 1) * self._signal.packet_s
-        return time_s + self._slips.lost * period_s > end_s - period_s / 2
+        return time_s + self._pairing.slips.lost * period_s > end_s - period_s / 2
+
+    def overlaps(self, detection: Detection) -> bool:
+        """Return True if a detected array is at the same position."""
+        return not are_disjoint(self.pose, detection.fit.pose, self._signal.side)
 
     def should_restart_on(self, detection: Detection) -> bool:
         """Return True if a header detected where this array is tracked is a better start."""
-        start_s = detection.start_time_s + self._slips.lost * self._signal.pattern_period_s
+        start_s = detection.start_time_s + self._pairing.slips.lost * self._signal.pattern_period_s
         packets = (start_s - self._pairing.origin_s) / self._signal.packet_s
         off_s = abs(packets - round(packets)) * self._signal.packet_s
         # a header a pattern off the start of a packet is another array's
@@ -161,17 +163,12 @@ class ArrayReceiver:
             self._over = True
             yield from self.flush(over=True)
             return
-        paired = self._headers.format.mode != "single"
         viewed = frame if self._view == CAMERA else self._view.frame(frame, self.pose, self._signal.side)
-        for kept in self._slips.push(viewed, self._pairing.origin_s, self._track.state.pose_at, paired):
-            self._pairing.push(kept)
-            yield from self._read_pairs()
+        self._pairing.push(viewed, self._track.state.pose_at, self._is_single)
+        yield from self._read_pairs()
 
     def flush(self, over: bool = False) -> Iterator[PendingPacket]:
         """Yield the packet in progress."""
-        for frame in self._slips.flush():
-            self._pairing.push(frame)
-            yield from self._read_pairs()
         self._pairing.flush()
         yield from self._read_pairs()
         if self._tracked if over else self._seen.mean() >= MIN_PAIRS_SEEN:
@@ -187,10 +184,14 @@ class ArrayReceiver:
             LOG.warning("array %d is given up at %.4f s: %s", self.identity, self._pairing.now_s, error)
 
     def _next_pair(self) -> DuePair | None:
-        single = self._headers.format.mode == "single"
-        return self._pairing.next_pair(self._track.state.pose_at, self._track.shining, single)
+        return self._pairing.next_pair(self._track.state.pose_at, self._track.shining, self._is_single)
 
-    def _take(self, number: int, pair: FramePair | UnpairedFrame | MeasuredHeader | None) -> Iterator[PendingPacket]:
+    @property
+    def _is_single(self) -> bool:
+        """True in the mode of data without inverses."""
+        return self._headers.format.mode == "single"
+
+    def _take(self, number: int, pair: FramePair | MeasuredHeader | None) -> Iterator[PendingPacket]:
         """Read a pair; yield the packet it completes."""
         if isinstance(pair, MeasuredHeader):
             self._clocked = True
@@ -202,22 +203,16 @@ class ArrayReceiver:
         place = in_packet - self._signal.header_pairs
         first_gain = self._pairing.first_gain
         if in_packet == 0:
-            self._start_lost = self._slips.lost
+            self._start_lost = self._pairing.slips.lost
         if number == 0 and first_gain is not None:
             self._track = replace(self._track, gain=first_gain, data_gain=first_gain)
-        if isinstance(pair, UnpairedFrame):
-            self._add_unpaired(place, pair)
-        elif pair is not None:
+        if pair is not None:
             if place < 0:
                 self._read_header(in_packet, pair)
             else:
                 self._read_data(place, pair)
         if in_packet == self._pairs - 1 and self._tracked:
             yield self._finish()
-        elif in_packet == self._pairs - 1 and self._frames:
-            # unpaired frames only, which show no pose
-            self._headers.next(None)
-            self._start_packet()
 
     def _read_header(self, number: int, pair: FramePair) -> None:
         tracked = self._tracker.follow(self._track, pair, self._header)
@@ -230,7 +225,7 @@ class ArrayReceiver:
     def _read_data(self, place: int, pair: FramePair) -> None:
         # a pair's sum shows all LEDs; data without inverses need decisions
         tracker: Tracker | DecisionDirectedTracker = self._tracker
-        if self._headers.format.mode == "single":
+        if self._is_single:
             track = self._track
             self._decisions = tracker = self._decisions or DecisionDirectedTracker(
                 self._tracker,
@@ -244,13 +239,6 @@ class ArrayReceiver:
         self._track = tracked.track
         if tracked.seen:
             self._observe(self._packet.add_pair(place, pair, tracked))
-            self._seen[place] = True
-
-    def _add_unpaired(self, place: int, unpaired: UnpairedFrame) -> None:
-        """Add the remaining frame of a pair if the array was in sight shortly before."""
-        self._frames.append(unpaired.frame.index)
-        if unpaired.frame.time_s - self._track.last_seen_s < 2 * MAX_DISTANCE_PAIRS * self._signal.pattern_period_s:
-            self._packet.add_unpaired(place, unpaired)
             self._seen[place] = True
 
     def _record_pair(self, pair: FramePair, tracked: TrackedPair) -> None:
@@ -270,7 +258,7 @@ class ArrayReceiver:
         # about half a pattern out of step no pair of a header alternates
         has_header = packet.header_score >= MIN_HEADER_SCORE or (self._clocked and not self._scores)
         # the next header may come in the place of the last pair
-        lacks_pair = self._slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1
+        lacks_pair = self._pairing.slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1
         is_certain = has_header and not lacks_pair and self._is_certain(packet, observations)
         decoded = self._submit(self._decoder.decode, observations, self._key, lacks_pair)
         learnt = self._submit(self._decoder.learn, self._key)

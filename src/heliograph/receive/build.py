@@ -48,13 +48,13 @@ def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: O
         return PlainPacket(identity, form, settings.plain.equaliser, options)
 
     def pairing(detection: Detection) -> Pairing:
-        return SynchronousPairing(detection.start_time_s, detection.time_s, signal)
+        return SynchronousPairing(detection.start_time_s, detection.time_s, detection.identity, signal)
 
     parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
     region = _search_region(parameters, settings, signal.side)
     search = HeaderSearch(parameters, signal, synchronous=True, region=region)
     track = _array_factory(signal, settings, observe, pairing, make_packet, is_plain=True)
-    return StreamReceiver(SynchronousClock(signal.pattern_period_s), search, track, signal, observe)
+    return StreamReceiver(SynchronousClock(signal.pattern_period_s), search, track, observe)
 
 
 def soft_receiver(
@@ -82,7 +82,7 @@ def soft_receiver(
     search = HeaderSearch(parameters, signal, region=_search_region(parameters, settings, signal.side))
     make_packet = make_packet or (lambda identity: SoftPacket(identity, signal, options))
     track = _array_factory(signal, settings, observe, pairing, make_packet)
-    return StreamReceiver(CameraClock(), search, track, signal, observe)
+    return StreamReceiver(CameraClock(), search, track, observe)
 
 
 def search_parameters(

@@ -12,14 +12,12 @@ from heliograph.base.threads import in_one_thread
 from heliograph.receive.array import ArrayReceiver, Confidence
 from heliograph.receive.decode.worker import PendingPacket
 from heliograph.receive.detect.budget import SearchLoad
-from heliograph.receive.detect.candidate import are_disjoint
-from heliograph.receive.detect.detection import Detection, shone_before
+from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.search import HeaderSearch
 from heliograph.receive.events import DetectEvent, DropEvent, LostEvent, MissedStartEvent, Observer
 from heliograph.receive.geometry.pose import UPRIGHT, Orientation
 from heliograph.receive.packet import Packet
 from heliograph.receive.sync.frame_clock import FrameClock
-from heliograph.signal.settings import SignalSettings
 
 
 class HeaderHypotheses:
@@ -118,13 +116,11 @@ class StreamReceiver:
         clock: FrameClock,
         search: HeaderSearch,
         track: Callable[[Detection], ArrayReceiver],
-        signal: SignalSettings,
         observe: Observer,
     ):
-        self._clock, self.search, self._track, self._signal, self._observe = clock, search, track, signal, observe
+        self._clock, self.search, self._track, self._observe = clock, search, track, observe
         self._arrays: list[HeaderHypotheses] = []
         self._orientation: Orientation | None = None
-        self._began_s: float | None = None
         self._read, self._missed = set[int](), dict[int, float]()
         self._last: Frame | None = None
         self._pending: deque[PendingPacket | LostEvent] = deque()
@@ -186,9 +182,8 @@ class StreamReceiver:
 
     def _take(self, frame: Frame) -> Iterator[PendingPacket]:
         """Track and search for arrays in a frame whose time is known."""
-        if self._began_s is None:
+        if not self.search.recent:
             self.search.start(self._clock.period_s)
-            self._began_s = frame.time_s
         for array in list(self._arrays):
             yield from self._push(array, frame)
         for array in [a for a in self._arrays if a.done]:
@@ -200,14 +195,14 @@ class StreamReceiver:
             if array.confidence > Confidence.CANDIDATE and not array.leading.has_outgrown_view(frame.time_s)
         ]
         before = self.load
-        for detection in self.search.push(frame, [array.leading.pose for array in kept]):
+        for detection in self.search.search(frame, [array.leading.pose for array in kept]):
             yield from self._handle_detection(detection)
         if self.load.left_out != before.left_out:
             self._observe(DropEvent(frame.time_s, self.load - before))
 
     def _handle_detection(self, detection: Detection) -> Iterator[PendingPacket]:
         """Start to track a detected array, unless a better track is at the same position."""
-        rivals = [a for a in self._arrays if not are_disjoint(a.leading.pose, detection.fit.pose, self._signal.side)]
+        rivals = [array for array in self._arrays if array.leading.overlaps(detection)]
         if any(self._rival_wins(rival, detection) for rival in rivals):
             return
         for rival in rivals:
@@ -228,10 +223,9 @@ class StreamReceiver:
         recent = tuple(self.search.recent)
         self._emit_losses()
         self._observe(DetectEvent(detection, recent))
-        missed = self._misses_start(detection, recent)
         for hypothesis in detection.hypotheses:
             self._missed.pop(hypothesis.identity, None)
-            if missed and hypothesis.identity not in self._read:
+            if detection.misses_start and hypothesis.identity not in self._read:
                 self._missed[hypothesis.identity] = detection.start_time_s
         settled = self._orientation is not None
         array = HeaderHypotheses([self._track(hypothesis) for hypothesis in detection.hypotheses], settled)
@@ -245,12 +239,6 @@ class StreamReceiver:
             self._read.add(packet.identity)
             if packet.identity in self._missed:
                 self._observe(MissedStartEvent(packet.identity, self._missed.pop(packet.identity)))
-
-    def _misses_start(self, detection: Detection, recent: Sequence[Frame]) -> bool:
-        """Return True if the array was sending before the header, in the first two packets of the film."""
-        assert self._began_s is not None
-        signal, began_s = self._signal, self._began_s
-        return detection.start_time_s - began_s < 2.5 * signal.packet_s and shone_before(detection, recent, signal)
 
     def _push(self, array: HeaderHypotheses, frame: Frame) -> Iterator[PendingPacket]:
         """Hand a frame to an array; the first decoded codeword settles the camera's orientation."""

@@ -160,7 +160,7 @@ def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
             shown = 1 - shown
         if k >= 300:
             pixels[540:572, 960:992] = 40 + (100 * shown).astype(np.uint8)
-        found += [one.fit.pose.x for one in search.push(Frame(k, 1e-3 * k, pixels))]
+        found += [one.fit.pose.x for one in search.search(Frame(k, 1e-3 * k, pixels))]
     assert found == pytest.approx([975.5], abs=0.5)
 
 
@@ -196,7 +196,7 @@ def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
             if first <= k < first + 4:
                 sign = 1 - 2 * (k % 2)
                 pixels[32:64, 48:80] = 100 + 60 * sign * np.kron(all_header_cells()[4], np.ones((8, 8)))
-            found += [one.identity for one in search.push(Frame(k, 1e-3 * k, pixels))]
+            found += [one.identity for one in search.search(Frame(k, 1e-3 * k, pixels))]
         assert (budget.load.fitted > 0) == (is_like or fits)
         assert (budget.load.dropped > 0) == counts or is_like
     assert found == ([4, 4] if fits else [4])
@@ -331,7 +331,7 @@ def test_a_busy_scene_costs_what_it_may() -> None:
     frames = flicker(400, 1)
     search = PyramidSearch(replace(PARAMETERS, cpu_share=0.01), SignalSettings())
     for frame in frames:
-        search.push(frame)
+        search.search(frame)
     # what was there, what came, and what the last search may overdraw: a block of places, and a fit begun
     assert search.budget.load.work < search.budget.capacity + len(frames) * 0.01 * WORK_PER_MS + 3e6
     assert search.budget.load.blocks > 1000

@@ -34,7 +34,7 @@ def detections(
     """What is found; as in the receiver, the detector knows for 50 ms what is followed."""
     detector, out = PyramidSearch(parameters, signal or SignalSettings()), list[Detection]()
     for frame in frames:
-        out += detector.push(frame, [d.fit.pose for d in out if frame.time_s - d.time_s < 0.05])
+        out += detector.search(frame, [d.fit.pose for d in out if frame.time_s - d.time_s < 0.05])
     return out
 
 
@@ -42,7 +42,7 @@ def first(frames: Iterable[Frame], number: int, signal: SignalSettings | None = 
     """The first detection of an identity, and how many false ones came before it."""
     detector, false = PyramidSearch(PLAIN, signal or SignalSettings()), 0
     for frame in frames:
-        for found in detector.push(frame):
+        for found in detector.search(frame):
             if found.identity == number:
                 return found, false
             false += 1
@@ -150,7 +150,7 @@ def test_followed_arrays_are_not_found_again() -> None:
     found, _ = first(frames, 0)
     assert found is not None
     detector = PyramidSearch(PLAIN, SignalSettings())
-    assert [d for f in frames for d in detector.push(f, [found.fit.pose])] == []
+    assert [d for f in frames for d in detector.search(f, [found.fit.pose])] == []
 
 
 def test_a_dark_array_is_found_only_with_a_lower_contrast() -> None:
@@ -258,7 +258,7 @@ def test_a_turned_array_is_found_wherever_its_packets_begin(start: int, data_pai
             shown = 1 - shown
         pixels = rng.integers(38, 43, (96, 96)).astype(np.uint8)
         pixels[30:62, 34:66] += (100 * shown[::-1, ::-1]).astype(np.uint8)
-        found += detector.push(Frame(k, k * 1e-3, cv2.GaussianBlur(pixels, (0, 0), 0.7).astype(np.uint8)))
+        found += detector.search(Frame(k, k * 1e-3, cv2.GaussianBlur(pixels, (0, 0), 0.7).astype(np.uint8)))
     whole = [one for one in found if one.is_clear and abs(one.fit.pose.pitch - 2) < 0.1]
     assert {(one.identity, one.orientation) for one in whole} == {(4, Orientation(2))}
     assert {round(1e3 * one.start_time_s) % patterns for one in whole} == {start}

@@ -34,7 +34,7 @@ def detector_with(budget: TokenBucket, min_novelty: float = 1.3) -> HalfPeriodDe
 
 def found(frames: list[Frame]) -> list[Detection]:
     detector = detector_with(TokenBucket(1e6, 1e-3))
-    return [one for frame in frames for one in detector.push(frame)]
+    return [one for frame in frames for one in detector.search(frame)]
 
 
 @pytest.mark.parametrize("phase", [0.46, 0.5, 0.54])
@@ -65,7 +65,7 @@ def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
         budget.charge(used := 0.1 * budget.capacity)
         detector, header = detector_with(budget, min_novelty), list[Detection]()
         for k, frame in enumerate(frames_at(phase, distance_m, identity, count=76, before=32)):
-            header += detector.push(frame)
+            header += detector.search(frame)
             if k == 30:
                 # none of its header is seen yet
                 work.append(budget.load.work - used)
@@ -81,7 +81,7 @@ def test_a_header_seen_first_is_found_with_a_bound(before: int) -> None:
     budget = TokenBucket(1.0, 1e-3)
     budget.charge(0.1 * budget.capacity)
     detector = detector_with(budget)
-    shown = [one for frame in frames_at(0.5, 50.0, count=12, before=before) for one in detector.push(frame)]
+    shown = [one for frame in frames_at(0.5, 50.0, count=12, before=before) for one in detector.search(frame)]
     assert [one.identity for one in shown] == [5]
 
 

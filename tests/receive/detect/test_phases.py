@@ -26,11 +26,11 @@ def streams(fps: float, frames: list[Frame], monkeypatch: pytest.MonkeyPatch) ->
         pushed[id(self)].append(frame)
         return []
 
-    monkeypatch.setattr(PyramidSearch, "push", push)
+    monkeypatch.setattr(PyramidSearch, "search", push)
     search = HeaderSearch(PARAMETERS, SignalSettings())
     search.start(1 / fps)
     for frame in frames:
-        assert search.push(frame) == []
+        assert search.search(frame) == []
     return list(pushed.values())
 
 
@@ -71,7 +71,7 @@ def test_frames_around_a_header_are_kept() -> None:
     search = HeaderSearch(PARAMETERS, SignalSettings())
     search.start(1 / 1500.0)
     for frame in film(1500.0, 100):
-        search.push(frame)
+        search.search(frame)
     # four patterns of header, and four on either side
     assert [frame.index for frame in search.recent] == list(range(82, 100))
 

@@ -96,7 +96,7 @@ def search_of(
 ) -> tuple[dict[int, Detection], int]:
     """What is found by its identity, and how many detections that were."""
     search = search or PyramidSearch(SEARCH, SignalSettings())
-    found = [one for frame in frames for one in search.push(frame, taken)]
+    found = [one for frame in frames for one in search.search(frame, taken)]
     return {one.identity: one for one in found}, len(found)
 
 
@@ -184,7 +184,7 @@ def test_candidates_of_all_levels_count(pose: Pose) -> None:
 def test_a_frame_after_a_gap_shows_an_array_once(pose: Pose) -> None:
     """The gap is searched first, and then the frame."""
     search = PyramidSearch(SEARCH, SignalSettings())
-    found = [search.push(frame) for frame in frames_of((pose, 11), count=12) if frame.index != 6]
+    found = [search.search(frame) for frame in frames_of((pose, 11), count=12) if frame.index != 6]
     assert max(map(len, found)) == 1
 
 
@@ -192,7 +192,7 @@ def test_the_last_frames_are_the_cameras_own() -> None:
     search, frames = HeaderSearch(SEARCH, SignalSettings(), synchronous=True), frames_of((NEAR, 11), count=16)
     search.start(1e-3)
     for frame in frames:
-        search.push(frame)
+        search.search(frame)
     # four patterns of header, and four on either side
     assert [one.index for one in search.recent] == list(range(4, 16))
     assert all(one.pixels is frames[one.index].pixels for one in search.recent)
@@ -245,7 +245,7 @@ def test_what_is_left_out_as_old_is_so_on_all_levels(level: int) -> None:
 def test_a_window_may_jump_while_blocks_are_left_out(jump: tuple[int, int]) -> None:
     search, rng = scarce_search(), np.random.default_rng(3)
     for k in range(60):
-        search.push(flickering_frame(k, rng, (200 + jump[0], 200 + jump[1]) if k >= 30 else (200, 200)))
+        search.search(flickering_frame(k, rng, (200 + jump[0], 200 + jump[1]) if k >= 30 else (200, 200)))
     assert search.budget.load.blocks > 0
 
 
@@ -263,7 +263,7 @@ def test_no_level_searches_what_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
             if 60 <= k < 64:
                 sign = 1 - 2 * (k % 2)
                 pixels[280:376, 400:496] = 100 + 60 * sign * np.kron(all_header_cells()[4], np.ones((24, 24)))
-            found += [one.identity for one in search.push(Frame(k, 1e-3 * k, pixels)) if one.is_clear]
+            found += [one.identity for one in search.search(Frame(k, 1e-3 * k, pixels)) if one.is_clear]
         assert search.budget.load.blocks > 0
     assert found == [4]
 
@@ -284,4 +284,4 @@ def test_frames_that_are_low_are_searched(rows: int, origin: tuple[int, int]) ->
     )
     for k in range(12):
         pixels = rng.integers(0, 256, (rows, 300)).astype(np.uint8)
-        assert not search.push(Frame(k, 1e-3 * k, pixels, origin=origin))
+        assert not search.search(Frame(k, 1e-3 * k, pixels, origin=origin))

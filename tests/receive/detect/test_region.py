@@ -79,7 +79,7 @@ def frames(count: int, origin: tuple[int, int] = (0, 0)) -> list[Frame]:
 def test_the_region_alone_is_searched_and_whole_frames_are_handed_on(searched: list[Frame]) -> None:
     search, seen = search_in((90, 70, 20, 16)), frames(5, (10, 20))
     for frame in seen:
-        assert search.push(frame) == []
+        assert search.search(frame) == []
     for part, frame in zip(searched, seen, strict=True):
         x, y = (at - of for at, of in zip(part.origin, frame.origin, strict=True))
         rows, columns = part.pixels.shape
@@ -93,9 +93,9 @@ def test_the_region_alone_is_searched_and_whole_frames_are_handed_on(searched: l
 def test_an_array_that_is_followed_is_looked_for_where_it_went(searched: list[Frame]) -> None:
     search = search_in((20, 20, 20, 20))
     first, second, third = frames(3)
-    search.push(first)
-    search.push(second, [Pose(150.0, 60.0, 2.0)])
-    search.push(third)
+    search.search(first)
+    search.search(second, [Pose(150.0, 60.0, 2.0)])
+    search.search(third)
     before, during, after = (part.origin[0] + part.pixels.shape[1] for part in searched)
     assert before < 100
     # an array of 2 * SIDE px, and so much of it about
@@ -106,13 +106,13 @@ def test_an_array_that_is_followed_is_looked_for_where_it_went(searched: list[Fr
 def test_a_region_beyond_the_frames_is_refused() -> None:
     search = search_in((300, 20, 20, 20))
     with pytest.raises(HeliographError, match=r"the region 300,20,20,20 .* beyond the frames, which are 200x100$"):
-        search.push(frames(1)[0])
+        search.search(frames(1)[0])
 
 
 def test_a_cameras_window_may_leave_the_region(searched: list[Frame]) -> None:
     search, (here, there, again) = search_in((20, 20, 20, 20)), frames(3)
     for frame in (here, replace(there, origin=(500, 0)), again):
-        search.push(frame)
+        search.search(frame)
     assert [part.index for part in searched] == [0, 2]
 
 
@@ -139,4 +139,4 @@ def header_film(pose: Pose) -> list[Frame]:
 
 def found_in(seen: list[Frame], parameters: SearchParameters) -> list[Detection]:
     search = PyramidSearch(parameters, SignalSettings())
-    return [one for frame in seen for one in search.push(frame)]
+    return [one for frame in seen for one in search.search(frame)]

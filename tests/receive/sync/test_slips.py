@@ -36,7 +36,7 @@ def numbers(frames: list[Frame], watch: SlipWatch, off_px: float) -> list[int]:
     released: list[Frame] = []
     for k, frame in enumerate(frames):
         wrong = POSE.moved(off_px * np.sin(k / 5), off_px * np.cos(k / 7))
-        released += watch.push(frame, 0.0, lambda _, pose=wrong: pose, True)  # type: ignore[misc]
+        released += watch.push(frame, 0.0, lambda _, pose=wrong: pose, False)  # type: ignore[misc]
     return [round(frame.time_s * 1e3) for frame in [*released, *watch.flush()]]
 
 
@@ -54,7 +54,7 @@ def test_poses_wrong_for_two_pairs_are_no_slips(seed: int) -> None:
     for k, frame in enumerate(before_a_sky(80, seed)):
         # as where the array passes fast and its motion is not known yet
         wrong = POSE.moved(1.8 * (-1) ** k, 1.2) if 24 <= k < 28 else POSE
-        found += watch.push(frame, 0.0, lambda _, pose=wrong: pose, True)  # type: ignore[misc]
+        found += watch.push(frame, 0.0, lambda _, pose=wrong: pose, False)  # type: ignore[misc]
     assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
 
 
@@ -65,7 +65,7 @@ def test_a_pose_that_comes_back_at_once_is_no_slip(seed: int) -> None:
     for k, frame in enumerate(before_a_sky(80, seed)):
         # as after a post: the pose has drifted off, and is found again between the two frames of a pair
         at = POSE.moved(1.8, -1.2) if 28 <= k <= 40 else POSE
-        found += watch.push(frame, 0.0, lambda _, pose=at: pose, True)  # type: ignore[misc]
+        found += watch.push(frame, 0.0, lambda _, pose=at: pose, False)  # type: ignore[misc]
     assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
 
 

@@ -8,7 +8,7 @@ from properties import examples
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, SynchronousPairing, UnpairedFrame, is_data
+from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, SynchronousPairing
 from heliograph.signal.settings import SignalSettings
 
 SIGNAL = SignalSettings(data_pairs=3)
@@ -21,11 +21,14 @@ def frame(number: int, start_s: float = 0.0) -> Frame:
     return Frame(number, start_s + number * 1e-3, np.zeros((4, 4), np.uint8))
 
 
-def paired(pairing: SynchronousPairing, frames: list[Frame]) -> list[tuple[int, FramePair | UnpairedFrame | None]]:
+def paired(pairing: SynchronousPairing, frames: list[Frame]) -> list[tuple[int, FramePair | None]]:
     """Numbers of pairs with their frames, as a receiver takes them, frame by frame."""
-    got: list[tuple[int, FramePair | UnpairedFrame | None]] = []
-    for one in frames:
-        pairing.push(one)
+    got: list[tuple[int, FramePair | None]] = []
+    for one in [*frames, None]:
+        if one is None:
+            pairing.flush()
+        else:
+            pairing.push(one, lambda _: POSE, False)
         while (due := pairing.next_pair(lambda _: POSE, np.ones((8, 8)), False)) is not None:
             number, pair = due
             assert not isinstance(pair, MeasuredHeader)
@@ -49,17 +52,13 @@ def test_each_pair_comes_once_in_order_with_its_frames(
         for k in range(-before, 60)
         if k not in dropped
     ]
-    got = paired(SynchronousPairing(start_s, start_s + 1.5e-3, SIGNAL), frames)
+    got = paired(SynchronousPairing(start_s, start_s + 1.5e-3, 0, SIGNAL), frames)
     kept = sorted(set(range(60)) - dropped)
     # a pair is read as soon as its last frame, or a later one, is there
     assert [number for number, _ in got] == list(range((max(kept, default=-1) + 1) // 2))
     for number, pair in got:
         there = {2 * number, 2 * number + 1} - dropped
-        if len(there) == 1 and is_data(number, SIGNAL):
-            assert isinstance(pair, UnpairedFrame)
-            assert {pair.frame.index - before} == there
-            assert pair.inverted == (2 * number not in there)
-        elif len(there) < 2:
+        if len(there) < 2:
             assert pair is None
         else:
             assert isinstance(pair, FramePair)
@@ -68,7 +67,7 @@ def test_each_pair_comes_once_in_order_with_its_frames(
 
 
 def test_the_light_of_data_comes_early_that_of_headers_does_not() -> None:
-    got = paired(SynchronousPairing(0.0, 1.5e-3, SIGNAL), [frame(k) for k in range(20)])
+    got = paired(SynchronousPairing(0.0, 1.5e-3, 0, SIGNAL), [frame(k) for k in range(20)])
     late = [pair.late_s for _, pair in got if pair is not None]
     # (15 1/2 + 11 3/2 + 5 5/2 + 1 7/2) / 32 slots of 0.25 ms, less half a pattern
     data = (15 * 0.5 + 11 * 1.5 + 5 * 2.5 + 3.5) / 32 * 0.25e-3 - 0.5e-3
@@ -76,7 +75,7 @@ def test_the_light_of_data_comes_early_that_of_headers_does_not() -> None:
 
 
 def test_times_of_the_pairing() -> None:
-    pairing = SynchronousPairing(0.1, 0.1015, SIGNAL)
+    pairing = SynchronousPairing(0.1, 0.1015, 0, SIGNAL)
     assert (pairing.origin_s, pairing.now_s) == (0.1, 0.1015)
     paired(pairing, [frame(0, 0.1)])
     assert pairing.now_s == 0.1015

@@ -137,4 +137,4 @@ def detections(film: ClutterFilm, smallest_px: float | None = None) -> list[Dete
         settings = replace(settings, detect=replace(settings.detect, min_side_px=smallest_px))
     signal = SignalSettings()
     detector = PyramidSearch(search_parameters(settings, signal, PLAIN_REGULARITY), signal)
-    return [one for frame in film.frames for one in detector.push(frame)]
+    return [one for frame in film.frames for one in detector.search(frame)]

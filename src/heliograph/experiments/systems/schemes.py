@@ -186,7 +186,7 @@ def _count(
         equaliser: Literal["none", "inverse"] = "none" if method == "plain" else "inverse"
         # a scale: signs do not depend on it
         gain = settings.channel.emitter.all_on * settings.channel.sensor.full_scale
-        luminances, _ = pair_luminances(event.frames, poses, gain, SIDE, equaliser)
+        luminances = pair_luminances(event.frames, poses, gain, SIDE, equaliser)
         wrong = (scheme.decode(luminances) < 0) != bits
         for name, part in scheme.parts.items():
             count = counts.setdefault((method, name), Count())

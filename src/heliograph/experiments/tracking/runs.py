@@ -157,7 +157,7 @@ class _TrackerGroup:
         """Take a pair; those held back until the array is found are followed then."""
         self._held = [*self._held[-HELD:], pair]
         if self.found is None:
-            hits = [hit for frame in pair[:2] for hit in self._detector.push(frame)]
+            hits = [hit for frame in pair[:2] for hit in self._detector.search(frame)]
             self.found = hits[0] if hits else None
         if self.found is None:
             return

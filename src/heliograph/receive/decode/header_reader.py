@@ -65,12 +65,11 @@ class HeaderReader:
 
     def read_frames(self, header: MeasuredHeader, gain: float) -> None:
         """Read the format from a complete header that a camera out of step recorded."""
-        if header.pair is None or header.frames is None:
+        if header.pair is None:
             return
-        pose = header.frames.pose
-        self.combined = take_cutout(header.pair, (pose, pose), self._signal.side)
+        self.combined = take_cutout(header.pair, (header.pose, header.pose), self._signal.side)
         if self.pairs:
-            self._format_reader.add_frames(header.frames, self._shining)
+            self._format_reader.add_frames(header, self._shining)
             self._read_format(gain)
 
     def next(self, learnt: LedGains | None) -> None:

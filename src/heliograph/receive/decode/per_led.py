@@ -64,11 +64,12 @@ def pair_luminances(
     gain: float,
     side: int,
     equaliser: Equaliser = "none",
-) -> tuple[Floats, Floats]:
-    """Normalised luminances x' = level - 2 of a data pair, and the sum of both frames at the LEDs in gray levels."""
+) -> Floats:
+    """Normalised luminances x' = level - 2 of a data pair."""
+    if equaliser == "inverse":
+        return unblurred(frames, poses, gain, side)
     up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
-    is_inverse = equaliser == "inverse"
-    return unblurred(frames, poses, gain, side) if is_inverse else normalised(up - down, gain), up + down
+    return normalised(up - down, gain)
 
 
 def normalised(change: NDArray[np.float64], gain: float) -> NDArray[np.float64]:

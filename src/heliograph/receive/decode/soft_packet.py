@@ -23,10 +23,8 @@ from heliograph.receive.events import ExtractEvent, Observer, ignore
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
 from heliograph.receive.packet import Words, with_raw
-from heliograph.receive.sync.pairing import FramePair, UnpairedFrame
-from heliograph.receive.track.kalman import PoseState
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import Track, TrackedPair, mask_occluded_retroactively
-from heliograph.receive.track.unpaired_frames import unpaired_cutout
 from heliograph.signal.formats import AGREED, UnreadableModeError, check_mode
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -42,10 +40,8 @@ class SoftPacket:
         self.form, self.mode = PacketFormat(signal), AGREED.number
         self._identity, self._signal, self._options = identity, signal, options
         self._late_s = data_late_s(signal)
-        # by number of the pair: cut-outs (in the single mode by pattern), complete pairs in step, unpaired frames
+        # by number of the pair, in the single mode of the pattern
         self._cutouts = dict[int, Cutout]()
-        self._complete = dict[int, tuple[PoseState, Cutout]]()
-        self._unpaired = dict[int, UnpairedFrame]()
         # gray levels of the array with all LEDs on in a difference, in the sum of a pair in step, and of the sensor
         self._gain, self._sum_gain, self._full_scale = 0.0, 0.0, math.inf
         # gains of the LEDs, and a header out of step, its frames combined to a pair; None if unknown
@@ -66,14 +62,10 @@ class SoftPacket:
             if not track.all_visible:
                 self._cutouts |= mask_occluded_retroactively(self._cutouts, place, track.visible)
             if pair.combination is None:
-                self._complete[place], self._sum_gain = (track.state, cutout), track.gain
+                self._sum_gain = track.gain
         self._full_scale = pair.pattern.full_scale
         poses = tuple(pose for cutout in cutouts for pose in cutout.poses)
         return ExtractEvent(self._identity, (pair.pattern, pair.inverted), poses)
-
-    def add_unpaired(self, place: int, unpaired: UnpairedFrame) -> None:
-        """Add the remaining frame of a pair; see `PacketObservations`."""
-        self._unpaired[place] = unpaired
 
     def end(self, headers: HeaderReader, track: Track, decisions: DecisionDirectedTracker | None) -> None:
         """Take format, light and LED gains of the array; see `PacketObservations`."""
@@ -81,9 +73,6 @@ class SoftPacket:
         self._gain, self._header = track.data_gain, headers.combined
         self._led_gains = headers.led_gains and headers.led_gains.without_evidence
         self._decided_noise = None if decisions is None else decisions.noise.lit
-        if not self._unpaired:
-            # the decoder does not use them
-            self._complete = {}
 
     @property
     def cutouts(self) -> list[Cutout | None]:
@@ -97,15 +86,13 @@ class SoftPacket:
             check_mode(self.mode, self._signal.data_pairs)
         except UnreadableModeError:
             return False
-        led_gains = self._led_gains or LedGains.sound(self._signal.side)
-        sampled = self._decode_samples(self._completed(led_gains), quick=True)
+        sampled = self._decode_samples(self.cutouts, quick=True)
         return sampled is not None and any(word.status == "ok" for by in sampled.values() for word in by)
 
     def renumbered(self, place: int) -> "SoftPacket":
         """Return the packet with a lost pair; see `PacketObservations`."""
-        moved, pairs = copy(self), self._signal.data_pairs
-        moved._cutouts, moved._complete = renumber(self._cutouts, place, pairs), renumber(self._complete, place, pairs)
-        moved._unpaired = renumber(self._unpaired, place, pairs)
+        moved = copy(self)
+        moved._cutouts = renumber(self._cutouts, place, self._signal.data_pairs)
         return moved
 
     @one_thread()
@@ -114,7 +101,7 @@ class SoftPacket:
         # the packet's header shows the visible LEDs
         self._led_gains = update_brightness(self._led_gains, led_gains)
         led_gains = self._led_gains or LedGains.sound(self._signal.side)
-        cutouts, earlier = self._completed(led_gains), buffer if self._options.combining else None
+        cutouts, earlier = self.cutouts, buffer if self._options.combining else None
         sampled = self._decode_samples(cutouts)
         if sampled is not None and not count_open(sampled):
             return Decoded(sampled, learn=lambda: self._learn_from_samples(cutouts, sampled))
@@ -129,13 +116,6 @@ class SoftPacket:
         words = attempt.words if sampled is None else with_raw(attempt.words, sampled)
         moved = None if attempt.observed.cutouts is first else tuple(attempt.observed.cutouts)
         return Decoded(words, lambda: self._learn(attempt), attempt.buffer, moved)
-
-    def _completed(self, led_gains: LedGains) -> Cutouts:
-        """All cut-outs, completed by estimates from unpaired frames."""
-        cutouts, values = self.cutouts, led_gains.values
-        for place, unpaired in self._unpaired.items():
-            cutouts[place] = unpaired_cutout(unpaired, place, self._complete, self._late_s, self._sum_gain, values)
-        return cutouts
 
     def _compensated(self, cutouts: Cutouts, led_gains: LedGains) -> Cutouts:
         """Cut-outs less the background's light that moves with the array: slow, and not needed for samples."""

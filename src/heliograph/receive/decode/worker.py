@@ -25,7 +25,7 @@ from heliograph.receive.events import DecodeEvent, Event, ExtractEvent, Observer
 from heliograph.receive.geometry.pose import Orientation
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Packet, Words, packet_status
-from heliograph.receive.sync.pairing import FramePair, UnpairedFrame
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.signal.formats import UnreadableModeError, check_mode
 from heliograph.signal.packet import PacketFormat
@@ -90,17 +90,6 @@ class PacketObservations(Protocol):
             Frames of a pattern and its inverse; in the single mode of two patterns.
         tracked
             The array in the frames.
-        """
-
-    def add_unpaired(self, place: int, unpaired: UnpairedFrame) -> None:
-        """Add the remaining frame of a pair of data.
-
-        Parameters
-        ----------
-        place
-            Number of the pair in the packet's data, from 0.
-        unpaired
-            The remaining frame.
         """
 
     def end(self, headers: HeaderReader, track: Track, decisions: DecisionDirectedTracker | None) -> None:

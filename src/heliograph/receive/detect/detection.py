@@ -41,6 +41,8 @@ class Detection:
     alternatives: tuple[Hypothesis, ...] = ()
     # Motion of the image along x and y, in px per second
     drift: tuple[float, float] = (0.0, 0.0)
+    # True if the array was sending before the header, in the first two packets of the film
+    misses_start: bool = False
 
     @property
     def hypotheses(self) -> "list[Detection]":
@@ -79,7 +81,7 @@ def distinct(detections: list[Detection], side: int) -> list[Detection]:
     return kept
 
 
-def shone_before(detection: Detection, frames: Sequence[Frame], signal: SignalSettings) -> bool:
+def is_sending_before(detection: Detection, frames: Sequence[Frame], signal: SignalSettings) -> bool:
     """Return True if the last frame before a header shows the array with a pattern as well."""
     start_s, period_s = detection.start_time_s, signal.pattern_period_s
     end_s = start_s + 2 * signal.header_pairs * period_s

@@ -363,7 +363,7 @@ class HalfPeriodDetector:
         self._baselines = [NoveltyFilter(min_novelty, min_novelty, window=3, repeats=False) for _ in range(2)]
         self._frames: deque[Frame] = deque(maxlen=detector.header_length + 1)
 
-    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
+    def search(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
         """Search with the next frame; see `HeaderSearch`."""
         detector, length = self._detector, self._detector.header_length
         last = self._frames[-1] if self._frames else None

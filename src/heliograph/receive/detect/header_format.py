@@ -27,7 +27,7 @@ from heliograph.receive.geometry.footprint import images_of
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, Window, cut_out, window_around
-from heliograph.receive.sync.pairing import FramePair, HeaderFrames
+from heliograph.receive.sync.pairing import FramePair, MeasuredHeader
 from heliograph.signal.formats import AGREED, ALL_MODES, DIMMED, readable, words
 from heliograph.signal.header import CELLS, header_cells
 
@@ -110,20 +110,20 @@ class FormatReader:
             # the gains of LEDs have improved
             self._evidence[0] = self._pair_evidence(1.0, *self._first, led_gains)
 
-    def add_frames(self, frames: HeaderFrames, led_gains: Floats) -> None:
+    def add_frames(self, header: MeasuredHeader, led_gains: Floats) -> None:
         """Replace the pairs by the frames of a header out of step, none of which is known to show no dimmed cells."""
-        rows, cols = frames.images.shape[1:]
-        a = self._cell_images(frames.pose, led_gains, (*frames.corner, cols, rows))
-        gram, matched = a @ a.T, frames.images.reshape(len(frames.images), -1) @ a.T
+        rows, cols = header.images.shape[1:]
+        a = self._cell_images(header.pose, led_gains, (*header.corner, cols, rows))
+        gram, matched = a @ a.T, header.images.reshape(len(header.images), -1) @ a.T
         # v_k = light + alternation / 2 of +-1
         full, dimmed = (
             light[:, None] + 0.5 * alternation[:, None] * self._cells
-            for light, alternation in zip(frames.light, frames.alternation, strict=True)
+            for light, alternation in zip(header.light, header.alternation, strict=True)
         )
         v = np.where(words(ALL_MODES)[:, None], dimmed, full)
         v -= v.mean(1, keepdims=True)
         moments = np.stack([np.einsum("fki,ki->f", v, matched), ((v @ gram) * v).sum((1, 2))])
-        changes = np.diff(frames.light, axis=0), 0.5 * np.diff(frames.alternation, axis=0)
+        changes = np.diff(header.light, axis=0), 0.5 * np.diff(header.alternation, axis=0)
         self._frames = moments, float(sum(change.var() * change.size for change in changes) * gram.diagonal().max())
 
     def decide_format(self, gain: float) -> int:

@@ -17,7 +17,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame, Pixels
 from heliograph.receive.detect.alternation import DETECT, Blocks, Change, SearchParameters
 from heliograph.receive.detect.budget import NoveltyFilter, SearchLoad, TokenBucket
-from heliograph.receive.detect.detection import Detection
+from heliograph.receive.detect.detection import Detection, is_sending_before
 from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
 from heliograph.receive.detect.frame_window import FrameWindow, FrameWindowBuffer, crop_to_common, first_present
 from heliograph.receive.detect.kernels import BLOCK_PX
@@ -48,7 +48,7 @@ class HeaderSearch:
         self._streams: list[tuple[float | None, PyramidSearch]] = []
         # last frames, oldest first, which hold the header of a new detection
         self.recent: deque[Frame] = deque()
-        self._number = 0
+        self._number, self._began_s = 0, 0.0
 
     @property
     def load(self) -> SearchLoad:
@@ -89,7 +89,7 @@ class HeaderSearch:
         for _, search in self._streams:
             search.set_orientation(orientation)
 
-    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
+    def search(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
         """Search with the next frame; arrays are not searched for at the poses of tracked arrays."""
         if not self.recent and self._given is not None and _crop(frame, self._given) is None:
             (x, y), (rows, columns) = frame.origin, frame.pixels.shape
@@ -98,6 +98,7 @@ class HeaderSearch:
                 f"the region {','.join(map(str, self._given))} that was given lies beyond the frames, which are "
                 f"{columns}x{rows}{where}"
             )
+        self._began_s = self._began_s if self.recent else frame.time_s
         self.recent.append(frame)
         if self._region is not None:
             self._region = _union(self._region, *(around(pose, self._signal.side) for pose in tracked))
@@ -108,8 +109,13 @@ class HeaderSearch:
                 # a camera's window may be elsewhere for a while
                 thinned = _crop(thinned, self._region)
             if thinned is not None:
-                detections += search.push(thinned, [*tracked, *(found.fit.pose for found in detections)])
-        return detections
+                detections += search.search(thinned, [*tracked, *(found.fit.pose for found in detections)])
+        return [replace(found, misses_start=self._misses_start(found)) for found in detections]
+
+    def _misses_start(self, detection: Detection) -> bool:
+        """Return True if the array was sending before the header, in the first two packets of the film."""
+        is_first = detection.start_time_s - self._began_s < 2.5 * self._signal.packet_s
+        return is_first and is_sending_before(detection, self.recent, self._signal)
 
     def _number_frame(self, frame: Frame) -> Frame:
         """Number a frame by the pattern; a dropped frame leaves a gap."""
@@ -164,14 +170,14 @@ class PyramidSearch:
         for _, detector in self._levels:
             detector.set_orientation(orientation)
 
-    def push(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
+    def search(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
         """Search with the next frame; see `HeaderSearch`."""
         self.budget.refill()
         detections = list[Detection]()
         for slots, with_turned in self._buffer.push(frame):
             detections += self._search(slots, [*tracked, *(found.fit.pose for found in detections)], with_turned)
         if self._half_period is not None:
-            detections += self._half_period.push(frame, [*tracked, *(found.fit.pose for found in detections)])
+            detections += self._half_period.search(frame, [*tracked, *(found.fit.pose for found in detections)])
         return detections
 
     def _search(self, slots: FrameWindow, tracked: Sequence[Pose], with_turned: bool) -> list[Detection]:

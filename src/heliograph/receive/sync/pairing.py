@@ -1,13 +1,12 @@
 """Pairing of the frames of an array to patterns and inverses.
 
 A synchronous camera takes a frame per pattern. For any other camera, the light clock times the patterns, and frames
-are combined. Pairs are numbered from the header of the detection. Both pairings take frames by `push` and `flush`, and
-return the complete pairs by `next_pair`, for the track after the previous pair.
+are combined. Pairs are numbered from the header of the detection. Both pairings take frames by `push` and `flush`,
+correct the times after slips, and return the complete pairs by `next_pair`, for the track after the previous pair.
 """
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -20,12 +19,10 @@ from heliograph.receive.geometry.window import window_around
 from heliograph.receive.sync.combine import Combination, combine_header, combine_pair
 from heliograph.receive.sync.frame_clock import frame_period
 from heliograph.receive.sync.light_clock import MIN_EXPLAINED, PATTERNS_AROUND, LightClock, measure_amplitudes
+from heliograph.receive.sync.slips import PoseAt, SlipWatch, is_data
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import light_centroids
 from heliograph.signal.settings import SignalSettings
-
-PoseAt = Callable[[float], Pose]
-"""Predicted pose of the array at a time in seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,52 +64,26 @@ class FramePair:
 
 
 @dataclass(frozen=True, slots=True)
-class UnpairedFrame:
-    """Remaining frame of a synchronous data pair after the loss of the other frame."""
-
-    # Camera frame, with the start of the exposure as time
-    frame: Frame
-    # True if the frame shows the inverse
-    inverted: bool
-    # Delay in seconds of the mean light of the array after the middle of the exposure
-    late_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class HeaderFrames:
-    """Frames of a header filmed by an asynchronous camera."""
-
-    # (frames, rows, columns) gray levels around the array
-    images: NDArray[np.float32]
-    # (x, y) on the sensor of the first pixel
-    corner: tuple[int, int]
-    # Pose of the array in the middle of the header
-    pose: Pose
-    # (2, frames) amplitude of the header less the inverse, -1 to 1: of full cells and of dimmed cells
-    alternation: Floats
-    # (2, frames) mean light of both, 0 to 1
-    light: Floats
-
-
-@dataclass(frozen=True, slots=True)
 class MeasuredHeader:
     """A complete header filmed by an asynchronous camera."""
 
     # Gray levels of the array with all LEDs on
     gain: float
-    # Combination of all header frames to a pair with an even sum; None if impossible
+    # Pose of the array in the middle of the header
+    pose: Pose
+    # Combination of all header frames to a pair with an even sum; None if impossible, then without the following
     pair: FramePair | None = None
-    # The frames for the format; None as `pair`
-    frames: HeaderFrames | None = None
+    # (frames, rows, columns) gray levels around the array, and (x, y) on the sensor of the first pixel
+    images: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0, 0), np.float32))
+    corner: tuple[int, int] = (0, 0)
+    # (2, frames) amplitude of the header less the inverse, -1 to 1, and mean light of both, 0 to 1, each of full cells
+    # and of dimmed cells
+    alternation: Floats = field(default_factory=lambda: np.zeros((2, 0)))
+    light: Floats = field(default_factory=lambda: np.zeros((2, 0)))
 
 
-DuePair = tuple[int, FramePair | UnpairedFrame | MeasuredHeader | None]
+DuePair = tuple[int, FramePair | MeasuredHeader | None]
 """Number of a complete pair and the frames, None if missing; before the first data pair also the measured header."""
-
-
-def is_data(number: int, signal: SignalSettings) -> bool:
-    """Return True if a pair holds data."""
-    return number % (signal.packet_patterns // 2) >= signal.header_pairs
 
 
 def sum_late_s(signal: SignalSettings) -> float:
@@ -124,8 +95,8 @@ def sum_late_s(signal: SignalSettings) -> float:
 class SynchronousPairing:
     """Pairs of a synchronous camera: frame 2 k shows a pattern, frame 2 k + 1 the inverse."""
 
-    def __init__(self, start_s: float, time_s: float, signal: SignalSettings):
-        self.lost = False
+    def __init__(self, start_s: float, time_s: float, identity: int, signal: SignalSettings):
+        self.lost, self.slips = False, SlipWatch(identity, signal)
         self.first_gain: float | None = None
         # start of pair 0, and time of the last frame
         self.origin_s, self.now_s, self._signal = start_s, time_s, signal
@@ -135,30 +106,32 @@ class SynchronousPairing:
         self._next = 0
         self._frames: dict[int, Frame] = {}
 
-    def push(self, frame: Frame) -> None:
+    def push(self, frame: Frame, pose_at: PoseAt, single: bool) -> None:
         """Add the next frame."""
+        for kept in self.slips.push(frame, self.origin_s, pose_at, single):
+            self._add(kept)
+
+    def flush(self) -> None:
+        """End the film."""
+        for kept in self.slips.flush():
+            self._add(kept)
+
+    def _add(self, frame: Frame) -> None:
         self.now_s = max(self.now_s, frame.time_s)
         number = round((frame.time_s - self.origin_s) / self._signal.pattern_period_s)
         if number >= 2 * self._next:
             self._frames[number] = frame
 
-    def flush(self) -> None:
-        """Do nothing: no pair is pending."""
-
     def next_pair(self, pose_at: PoseAt, led_gains: Floats, single: bool) -> DuePair | None:  # noqa: ARG002 - as in `AsynchronousPairing`
-        """Return the next pair, or the remaining frame of a data pair; None before the pair is complete."""
+        """Return the next pair, None for its frames if one is missing; None before the pair is complete."""
         number = self._next
         if not self._frames or max(self._frames) < 2 * number + 1:
             return None
         self._next += 1
         first, second = self._frames.pop(2 * number, None), self._frames.pop(2 * number + 1, None)
-        data = is_data(number, self._signal)
-        if first is not None and second is not None:
-            return number, FramePair(first, second, self._late_s if data else 0.0)
-        left = second if first is None else first
-        if left is None or single or not data:
+        if first is None or second is None:
             return number, None
-        return number, UnpairedFrame(left, first is None, self._late_s)
+        return number, FramePair(first, second, self._late_s if is_data(number, self._signal) else 0.0)
 
 
 class AsynchronousPairing:
@@ -175,7 +148,7 @@ class AsynchronousPairing:
         exposure_s: float | None,
         drift: tuple[float, float] = (0.0, 0.0),
     ):
-        self.lost = False
+        self.lost, self.slips = False, SlipWatch(identity, signal)
         self.first_gain: float | None = None
         self._start_s, self._time_s, self._pose, self._drift = start_s, time_s, pose, drift
         self._identity, self._led_gains, self._signal, self._exposure_s = identity, led_gains, signal, exposure_s
@@ -210,8 +183,12 @@ class AsynchronousPairing:
         """95 % interval of the exposure in T_b; None before the first header."""
         return None if self._clock is None else self._clock.exposure_range
 
-    def push(self, frame: Frame) -> None:
+    def push(self, frame: Frame, pose_at: PoseAt, single: bool) -> None:
         """Add the next frame."""
+        for kept in self.slips.push(frame, self.origin_s, pose_at, single):
+            self._add(kept)
+
+    def _add(self, frame: Frame) -> None:
         self._frames.append(frame)
         if self._clock is None:
             awaited = self._header + PATTERNS_AROUND + 1
@@ -222,13 +199,15 @@ class AsynchronousPairing:
 
     def flush(self) -> None:
         """End the film."""
+        for kept in self.slips.flush():
+            self._add(kept)
         if self._clock is None and len(self._frames) > self._header:
             self._clock = self._start_clock()
         if self._clock is not None and self._frames:
             self._end = self._clock.pattern_at(self._frames[-1].time_s) + self._clock.exposure
 
     def next_pair(self, pose_at: PoseAt, led_gains: Floats, single: bool) -> DuePair | None:
-        """Return the next pair, combined unless synchronous, or the remaining frame of a data pair.
+        """Return the next pair, combined unless synchronous, None for its frames if they are missing.
 
         Before the first data pair, the header corrects the clock, and an asynchronous camera gets the measured header.
         None before the pair is complete.
@@ -268,21 +247,19 @@ class AsynchronousPairing:
         middle = pose_at(clock.time_s(pattern + self._header / 2))
         window = self._window(inside, middle) if combination else None
         if combination is None or window is None:
-            return MeasuredHeader(clock.gain)
+            return MeasuredHeader(clock.gain, middle)
         combined = self._combine(clock, pattern, combination, inside, window)
         starts = clock.starts(inside) - pattern
         shown, lights = zip(clock.predict_header(starts, 0.0), clock.predict_header(starts, 1.0), strict=True)
-        frames = HeaderFrames(_cut(inside, window), window[:2], middle, np.stack(shown), np.stack(lights))
-        return MeasuredHeader(clock.gain, combined, frames)
+        images = _cut(inside, window)
+        return MeasuredHeader(clock.gain, middle, combined, images, window[:2], np.stack(shown), np.stack(lights))
 
-    def _get_pair(
-        self, clock: LightClock, number: int, pose_at: PoseAt, single: bool
-    ) -> FramePair | UnpairedFrame | None:
-        """Return the frames of a pair, combined unless synchronous, or the remaining frame of a data pair."""
+    def _get_pair(self, clock: LightClock, number: int, pose_at: PoseAt, single: bool) -> FramePair | None:
+        """Return the frames of a pair, combined unless synchronous; None if they are missing."""
         place, data = 2 * number, is_data(number, self._signal)
-        unpaired = self._unpaired(clock, place) if data and not single else None
-        if unpaired is not None:
-            return unpaired
+        if data and not single and len(self._frames_between(clock, place - 0.5, place + 1.5)) < 2:
+            # neighbouring pairs would stand for the missing frame
+            return None
         # frames that may overlap the pair
         near = self._frames_between(clock, place - 1, place + 3)
         combination = self._combination(clock, near, place)
@@ -301,19 +278,6 @@ class AsynchronousPairing:
             return FramePair(frames[0], frames[1], self._late_s if data else 0.0)
         window = self._window(frames, pose_at(clock.time_s(place + 1)))
         return self._combine(clock, first, combination, frames, window) if window else None
-
-    def _unpaired(self, clock: LightClock, place: int) -> UnpairedFrame | None:
-        """Return the only frame of a pair that begins with a pattern, if synchronous; else None."""
-        inside = self._frames_between(clock, place - 0.5, place + 1.5)
-        if len(inside) != 1:
-            return None
-        start = _rounded(clock.pattern_at(inside[0].time_s) - place)
-        inverted = start > 0.5
-        # test the combination with a frame in place of the missing frame
-        starts = (start - 1, start) if inverted else (start, start + 1)
-        combination = self._rounded_combination(clock, starts)
-        is_synchronous = self._is_synchronous(clock, combination)
-        return UnpairedFrame(inside[0], inverted, self._late_s) if is_synchronous else None
 
     def _start_clock(self) -> LightClock:
         """Start the clock with the header of the detection."""
@@ -342,11 +306,8 @@ class AsynchronousPairing:
             return None
         # round the first start and the steps: starts rounded separately would differ from pair to pair
         steps = np.rint((starts - starts[0]) / 5e-4) * 5e-4
-        return self._rounded_combination(clock, tuple((_rounded(starts[0] - pattern) + steps).tolist()))
-
-    def _rounded_combination(self, clock: LightClock, starts: tuple[float, ...]) -> Combination | None:
-        """Combine frames of rounded starts to a pair."""
-        return _pair_combination(starts, max(_rounded(clock.exposure), 0.002), self._signal.slot_order)
+        rounded = tuple((_rounded(starts[0] - pattern) + steps).tolist())
+        return _pair_combination(rounded, max(_rounded(clock.exposure), 0.002), self._signal.slot_order)
 
     def _is_synchronous(self, clock: LightClock, combination: Combination | None) -> bool:
         """Return True if two frames show pattern and inverse, within the error of the clock."""

@@ -9,7 +9,7 @@ collects more frames and pairs these frames at the least cost: epsilon for each 
 A lost pair leaves all pairs even, but the next header comes two patterns early.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from math import hypot, isnan, nan
@@ -20,9 +20,11 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.sync.kernels import means_at_leds
-from heliograph.receive.sync.pairing import PoseAt, is_data
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
+
+PoseAt = Callable[[float], Pose]
+"""Predicted pose of the array at a time in seconds."""
 
 MAX_EVEN = 0.4
 """Maximum epsilon of an even pair: 4 standard deviations below epsilon of 60 independent LEDs."""
@@ -32,6 +34,11 @@ MIN_CORRELATION = 0.7
 
 MAX_TIME_ERROR = 0.2
 """Maximum deviation from a synchronous frame time in T_b: epsilon is then 0.08 or less."""
+
+
+def is_data(number: int, signal: SignalSettings) -> bool:
+    """Return True if a pair holds data."""
+    return number % (signal.packet_patterns // 2) >= signal.header_pairs
 
 
 @dataclass(slots=True, eq=False)
@@ -71,14 +78,14 @@ class SlipWatch:
         self._number = 0
         self._even_before = True
 
-    def push(self, frame: Frame, origin_s: float, pose_at: PoseAt, paired: bool) -> Iterator[Frame]:
+    def push(self, frame: Frame, origin_s: float, pose_at: PoseAt, single: bool) -> Iterator[Frame]:
         """Add the next frame; yield the frames with final times."""
         period_s, last_s = self._period_s, self._last_s
         self._last_s = frame.time_s
         place = (frame.time_s + self.lost * period_s - origin_s) / period_s
         number = round(place) - self.lost
         is_step = last_s is None or frame.time_s - last_s > (1 - MAX_TIME_ERROR) * period_s
-        if not (paired and is_step and place > -0.5 and abs(place - round(place)) < MAX_TIME_ERROR):
+        if single or not (is_step and place > -0.5 and abs(place - round(place)) < MAX_TIME_ERROR):
             yield from self.flush()
             yield self._with_time(frame)
             return
