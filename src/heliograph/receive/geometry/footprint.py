@@ -52,7 +52,7 @@ def to_grid(values: Floats) -> Floats:
 def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
     """Render LEDs, (rows, columns); an unresolved array of levels 1 has the image 1."""
     image = np.zeros(shape)
-    kernels.add_image(by_squares(levels), *_footprints(pose, corner, shape, len(levels)), image)
+    kernels.add_image(by_squares(levels), *footprints(pose, corner, shape, len(levels)), image)
     return image
 
 
@@ -60,9 +60,7 @@ def images_of(
     levels: Floats, parts: NDArray[Any], count: int, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
 ) -> Floats:
     """Render each part of an array separately, (count, rows, columns)."""
-    images, numbers = np.zeros((count, *shape)), by_squares(parts).astype(np.int64)
-    kernels.add_parts(by_squares(levels), numbers, *_footprints(pose, corner, shape, len(levels)), images)
-    return images
+    return np.stack([image_of(np.where(parts == part, levels, 0.0), pose, corner, shape) for part in range(count)])
 
 
 def render_with_slopes(pose: Pose, levels: Floats, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
@@ -72,7 +70,8 @@ def render_with_slopes(pose: Pose, levels: Floats, corner: tuple[int, int], shap
     return images
 
 
-def _footprints(
+@lru_cache(maxsize=512)  # decoding needs the poses of a packet many times
+def footprints(
     pose: Pose, corner: tuple[int, int], shape: tuple[int, int], side: int, motion: tuple[float, float] = (0.0, 0.0)
 ) -> Footprints:
     """Compute the footprints of an array's LEDs."""
@@ -87,6 +86,3 @@ def _footprints(
     for part in (across, down, first):
         part.setflags(write=False)
     return Footprints(across, down, first)
-
-
-footprints = lru_cache(maxsize=512)(_footprints)  # decoding needs the poses of a packet many times
