@@ -24,7 +24,7 @@ class Posterior:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderCache:
+class DrawnSymbols:
     """How many disturbing symbols are drawn from -1 and +1."""
 
     # few, many: in the first evaluation, and in the second
@@ -38,7 +38,7 @@ class RenderCache:
     spread: float
 
 
-def lmmse(b: Floats, d: Floats, noise: Floats, mean: Floats, variance: Floats, drawn: RenderCache) -> Posterior:
+def lmmse(b: Floats, d: Floats, noise: Floats, mean: Floats, variance: Floats, drawn: DrawnSymbols) -> Posterior:
     """Linear MMSE estimate of symbols c of d = B c + n, gain and offset within B and d."""
     # K = B V B^T + N, m = c + V B^T K^-1 (d - B c), S = V - V B^T K^-1 B V
     k = (b * variance) @ b.T + np.diag(noise)
@@ -49,7 +49,9 @@ def lmmse(b: Floats, d: Floats, noise: Floats, mean: Floats, variance: Floats, d
     return Posterior(mean + gain @ rest, covariance, extrinsic)
 
 
-def _extrinsic(i: int, k: Floats, b: Floats, rest: Floats, mean: Floats, variance: Floats, drawn: RenderCache) -> float:
+def _extrinsic(
+    i: int, k: Floats, b: Floats, rest: Floats, mean: Floats, variance: Floats, drawn: DrawnSymbols
+) -> float:
     """LLR of symbol i by the matched filter in coloured noise: all others are noise, its own prior is taken out.
 
     The few that disturb it most are taken as the +-1 they are, the others as Gaussian; more where it is worth it.

@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 KNOWN = 1e-3
 """Variance below which a symbol counts as known."""
 
-DRAWN = reference.RenderCache(few=2, many=6, doubtful=3.0, sure=10.0, unmodelled=1e-20, spread=0.3)
+DRAWN = reference.DrawnSymbols(few=2, many=6, doubtful=3.0, sure=10.0, unmodelled=1e-20, spread=0.3)
 
 
 def pair_at_rest(distance_m: float) -> WholePair:

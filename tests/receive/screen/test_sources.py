@@ -25,13 +25,13 @@ SMALL = (
 )
 
 
-class RenderCache(Webcam):
+class FilterCamera(Webcam):
     """FFmpeg's device "lavfi": a chain of filters that gives pictures as a webcam does, in real time."""
 
     device = "lavfi"
 
 
-register_camera("screen-drawn", RenderCache)
+register_camera("screen-drawn", FilterCamera)
 
 
 @pytest.fixture(scope="module")
