@@ -1,7 +1,6 @@
 """Make the pictures of docs/receiver.md: each stage of the soft receiver on a packet, and how well it does."""
 
 from collections.abc import Mapping
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -113,30 +112,6 @@ def first_iteration(packet: Packet) -> Figure:
     return figure
 
 
-def disturbers(packet: Packet) -> Figure:
-    """The LLR by the statistic of a symbol: the strongest disturbers as +-1 against all of them as Gaussian."""
-    cutout = packet.cutouts[5]
-    gain, noise = 150.0, 4.5
-    statistics = whiten(cutout, Noise(noise, noise), SIDE).statistics
-    s = np.linalg.inv(gain**2 / noise * statistics.gram.astype(np.float64) + np.eye(SIDE * SIDE))
-    middle = range(SIDE**2 // 4, 3 * SIDE**2 // 4)
-    i = max(middle, key=lambda n: float(np.sort(np.abs(np.delete(s[n], n)))[-2] ** 2 / (s[n, n] * (1 - s[n, n]))))
-    k, u = 1 - s[i, i], np.linspace(-1.5, 1.5, 301)
-    figure = Figure(figsize=(6, 3.2))
-    axes = figure.subplots()
-    axes.plot(u, 2 * u / s[i, i], color="#8a929b", ls="--", label="all Gaussian: 2 u / S")
-    for count, style in ((2, ":"), (6, "-")):
-        others = np.sort(np.abs(np.delete(s[i], i)))[-count:]
-        rest, signs = k * s[i, i] - (others**2).sum(), np.array([*product((-1, 1), repeat=count)])
-        side = {c: np.logaddexp.reduce([-((u - c * k + others @ x) ** 2) / 2 / rest for x in signs]) for c in (1, -1)}
-        axes.plot(u, side[1] - side[-1], style, color=LAYER_COLOURS["middle"], label=f"the {count} strongest as +-1")
-    axes.set(xlabel="statistic u of a middle symbol", ylabel="LLR", ylim=(-9, 9))
-    axes.legend(frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.tight_layout()
-    return figure
-
-
 def iterations(packet: Packet) -> Figure:
     """Information on each layer by iteration."""
     figure = Figure(figsize=(6, 3.2))
@@ -177,7 +152,6 @@ def main() -> None:
         ("pair", pair(Packet(60))),
         ("gram", gram()),
         ("first-iteration", first_iteration(near)),
-        ("disturbers", disturbers(near)),
         ("iterations", iterations(far)),
         ("sites", sites(kinds)),
     ):

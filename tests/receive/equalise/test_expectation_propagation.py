@@ -91,19 +91,3 @@ def test_site_moves_by_the_damping() -> None:
     at, spread = propagation.priors(np.zeros((1, 1)), np.ones((1, 1)))
     assert 1 / spread[0, 0] == pytest.approx(1 + 0.7 * (precision - 1))
     assert at[0, 0] / spread[0, 0] == pytest.approx(0.7 * weighted)
-
-
-def test_first_llr_sums_over_the_strongest_neighbours() -> None:
-    """This is more exact than Gaussian neighbours; later the sites hold the same knowledge."""
-    rng = np.random.default_rng(3)
-    b, d = rng.normal(0, 0.8, (7, 9)), rng.normal(size=7)
-    propagation = ExpectationPropagation((1, 9))
-    first = equalise(pair_of(b, d), 1.0, 1.0, np.zeros(9), np.ones(9))
-    assert np.array_equal(propagation.take(0, first), first.llr)
-    priors = propagation.priors(np.zeros((1, 9)), np.ones((1, 9)))
-    second = equalise(pair_of(b, d), 1.0, 1.0, priors[0][0], priors[1][0])
-    # LLR = ln N(1) / N(-1) = 2 G
-    assert propagation.take(0, second) == pytest.approx(2 * second.extrinsic[1])
-    assert not np.allclose(first.llr, 2 * first.extrinsic[1])
-    propagation.forget()
-    assert np.array_equal(propagation.take(0, second), second.llr)

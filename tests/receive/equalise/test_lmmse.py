@@ -20,8 +20,6 @@ Floats = NDArray[np.float64]
 KNOWN = 1e-3
 """Variance below which a symbol counts as known."""
 
-DRAWN = reference.DrawnSymbols(few=2, many=6, doubtful=3.0, sure=10.0, unmodelled=1e-20, spread=0.3)
-
 
 def pair_at_rest(distance_m: float) -> WholePair:
     """A pair of an array at rest."""
@@ -31,15 +29,13 @@ def pair_at_rest(distance_m: float) -> WholePair:
 
 @pytest.mark.parametrize("scattered", [False, True])
 @pytest.mark.parametrize("unknown", [1, 63, 64, 128, 200])
-def test_covariance_of_any_number_of_symbols(unknown: int, scattered: bool) -> None:
-    """Sizes that are padded and sizes that are not."""
+def test_variances_of_any_number_of_symbols(unknown: int, scattered: bool) -> None:
     pair, symbols = whiten(pair_at_rest(90).cutout, Noise(4.0, 4.0), SIDE).statistics, random_levels()[0]
     which = np.sort(np.random.default_rng(8).permutation(SYMBOLS)[:unknown]) if scattered else np.arange(unknown)
     variance = np.where(np.isin(np.arange(SYMBOLS), which), 0.7, 0.0)
     got = equalise(pair, GAIN, 4.0, np.where(variance > 0, 0.0, symbols), variance)
     gram = pair.gram[np.ix_(which, which)].astype(np.float64)
     want = np.linalg.inv(GAIN**2 / 4.0 * gram + np.eye(unknown) / 0.7)
-    assert np.abs(got.covariance - want).max() < 1e-5
     assert got.spread == pytest.approx(np.diag(want), abs=1e-5)
     assert got.trace == pytest.approx(float(np.trace(gram @ want)), rel=1e-3)
 
@@ -86,7 +82,7 @@ def test_the_estimate_is_linear_mmse(distance_m: float, kind: str) -> None:
     mean, variance = priors(kind)
     with one_thread():
         got = equalise(by_matrices(b, d, o, w), GAIN, noise.lit, mean, variance)
-        want = reference.lmmse(GAIN * b, d - GAIN * o, noise.lit / w, mean, variance, DRAWN)
+        want = reference.lmmse(GAIN * b, d - GAIN * o, noise.lit / w, mean, variance)
     open_ = variance > 0
     assert got.mean == pytest.approx(want.mean, abs=2e-3)
     assert got.llr[open_] == pytest.approx(want.extrinsic[open_], abs=0.03, rel=0.01)

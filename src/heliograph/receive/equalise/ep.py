@@ -45,7 +45,5 @@ class ExpectationPropagation:
 
     def take(self, number: int, estimate: Estimate) -> Floats:
         """Store the cavities of an equalised pair and return the LLRs."""
-        first = not self.cavity[number].any()
         self.cavity[number], self.cavity_weighted[number] = estimate.extrinsic
-        # at first the sum over the strongest neighbours as +-1 is more exact
-        return estimate.llr if first else llr_of(self.cavity[number], self.cavity_weighted[number])
+        return llr_of(self.cavity[number], self.cavity_weighted[number])

@@ -9,11 +9,11 @@ from scipy.linalg import blas, lapack
 from scipy.special import entr, expit
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.equalise import kernels
-from heliograph.receive.equalise.kernels import OUTLIER_PROBABILITY, OUTLIER_SPREAD
 from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout
 
 LARGEST_LLR = 50.0  # bound of LLRs between equaliser and decoder: no model of the channel is right to e^-50
+OUTLIER_PROBABILITY = 1e-20  # of light that no model explains, such as posts and lamps: a Gaussian would be sure of it
+OUTLIER_SPREAD = 0.3  # mean distance of an outlier from the symbol, relative to the symbol: Laplace's distribution
 KNOWN_VARIANCE = 1e-3  # variance below which a symbol is known: subtracting its light leaves -30 dB
 
 
@@ -48,21 +48,17 @@ class Estimate:
     mean: Floats
     # (unknown,) numbers of the estimated symbols
     unknown: NDArray[np.intp]
-    # L of the posterior precision S^-1 = L L^T, lower triangular, (unknown, unknown) float32, with rows of padding
+    # L of the posterior precision S^-1 = L L^T, lower triangular, (unknown, unknown) float32
     factor: NDArray[np.float32]
     # G^2 / s^2, ratio of the squared gain to the noise variance
     scale: float
 
     @cached_property
-    def root(self) -> NDArray[np.float32]:
-        """R of the posterior covariance S = R R^T, upper triangular, (unknown, unknown) float32."""
-        # R = L^-T
-        return _inverse(self.factor).T[: self.unknown.size, : self.unknown.size]
-
-    @cached_property
     def spread(self) -> Floats:
         """(unknown,) posterior variances of the estimated symbols."""
-        return np.einsum("ij,ij->i", self.root, self.root).astype(np.float64)
+        # S = L^-T L^-1
+        inverse = _inverse(self.factor)
+        return np.einsum("ji,ji->i", inverse, inverse).astype(np.float64)
 
     @property
     def trace(self) -> float:
@@ -71,23 +67,9 @@ class Estimate:
         return float((1.0 - self.spread / self.variance[self.unknown]).sum()) / max(self.scale, TINY)
 
     @property
-    def covariance(self) -> NDArray[np.float32]:
-        """S of the estimated symbols, (unknown, unknown) float32."""
-        # the triangle of R R^T, in place of R
-        triangle, _ = lapack.slauum(np.array(self.root).T, lower=1, overwrite_c=1)
-        kernels.mirror(triangle.T, covariance := np.empty_like(self.root, order="C"))
-        return covariance
-
-    @property
     def llr(self) -> Floats:
         """(symbols,) extrinsic LLR = ln P(c=+1)/P(c=-1), without the prior; 0 for known symbols."""
-        u, llr = self.unknown, np.zeros_like(self.mean)
-        if not u.size:
-            return llr
-        part = np.empty(u.size)
-        kernels.extrinsic(self.covariance, self.mean[u], self.prior[u], self.variance[u], part)
-        llr[u] = part
-        return llr
+        return llr_of(*self.extrinsic)
 
     @property
     def extrinsic(self) -> tuple[Floats, Floats]:
@@ -108,10 +90,8 @@ def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, vari
     projected = pair.gram @ mean.astype(np.float32)
     # S = (g^2 / s^2 B^T B + V^-1)^-1 = (L L^T)^-1, m = c + S B^T (d - g (B c + o)) g / s^2
     factor = _factor(pair, unknown, ratio * gain, 1.0 / variance[unknown])
-    right = np.zeros((len(factor), 1), np.float32, order="F")
-    right[: unknown.size, 0] = ratio * (pair.matched - gain * (pair.offset + projected))[unknown]
-    solved, _ = lapack.spotrs(factor, right, lower=1, overwrite_b=1)
-    m[unknown] += solved[: unknown.size, 0]
+    right = ratio * (pair.matched - gain * (pair.offset + projected))[unknown]
+    m[unknown] += lapack.spotrs(factor, right.astype(np.float32), lower=1)[0]
     return Estimate(mean, variance, m, unknown, factor, ratio * gain)
 
 
@@ -123,18 +103,17 @@ def products(whitened: WhitenedCutout, images: Floats, unknown: NDArray[np.intp]
     if not unknown.size:
         return np.asarray(in_white_noise)
     factor = _factor(whitened.statistics, unknown, scale, np.ones(unknown.size))
-    matched = np.zeros((len(factor), len(images)), np.float32, order="F")
-    matched[: unknown.size] = whitened.correlate(images)[unknown]
-    half = blas.strsm(1.0, factor, matched, lower=1, overwrite_b=1)
+    half = blas.strsm(1.0, factor, whitened.correlate(images)[unknown].astype(np.float32), lower=1)
     return np.asarray(in_white_noise - scale * half.T.astype(np.float64) @ half)
 
 
 def _factor(pair: PairStatistics, unknown: NDArray[np.intp], scale: float, inverse: Floats) -> NDArray[np.float32]:
     """Factor scale B^T B + V^-1 = L L^T of the unknown symbols, V^-1 being the diagonal `inverse`."""
-    # padding: columns a multiple of 256 bytes apart would share cache lines
-    size = unknown.size + (4 if unknown.size % 64 == 0 else 0)
-    # 1e-9 keeps factors of hardly overlapping symbols from slow denormal numbers
-    matrix = kernels.precision(pair.gram, unknown, scale, inverse, 1e-9, size)
+    matrix = pair.gram.take(unknown, 0).take(unknown, 1)
+    matrix *= np.float32(scale)
+    # keeps factors of hardly overlapping symbols from slow denormal numbers
+    matrix += np.float32(1e-9)
+    matrix.ravel()[:: unknown.size + 1] += inverse.astype(np.float32)
     # the transpose has the order of LAPACK and needs no copy
     factor, failed = lapack.spotrf(matrix.T, lower=1, clean=0, overwrite_a=1)
     if failed:
@@ -145,7 +124,7 @@ def _factor(pair: PairStatistics, unknown: NDArray[np.intp], scale: float, inver
 def _inverse(lower: NDArray[np.float32]) -> NDArray[np.float32]:
     """Invert a lower triangular L by halves, in half the time of LAPACK, which multiplies zeros."""
     size = len(lower)
-    if size <= 65:  # a quarter of 256 symbols with padding
+    if size <= 64:
         return np.asarray(blas.strsm(1.0, lower, np.eye(size, dtype=np.float32).T, lower=1, overwrite_b=1))
     # [[A, 0], [C, D]]^-1 = [[A^-1, 0], [-D^-1 C A^-1, D^-1]]
     half, out = size // 2, np.zeros((size, size), np.float32, order="F")
