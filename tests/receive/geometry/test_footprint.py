@@ -1,4 +1,4 @@
-"""Footprints of LEDs: a blur matrix in two narrow arrays, against the matrix itself."""
+"""Footprints of LEDs: a blur matrix in two arrays, against the matrix itself."""
 
 import numpy as np
 import pytest
@@ -10,14 +10,13 @@ from properties import examples, poses
 from scenes import SIDE, draw, pitch_at
 
 from heliograph.receive import Pose
-from heliograph.receive.geometry.footprint import by_squares, footprints, image_of, images_of, to_grid
-from heliograph.receive.geometry.kernels import add_image
+from heliograph.receive.geometry.footprint import footprints, image_of, images_of, sum_of_leds, to_grid, to_quarters
 
 Floats = NDArray[np.float64]
 
 SHAPE = (40, 44)
 CUT = 5e-4
-"""Part of an LED's light beyond 3.7 standard deviations, both axes."""
+"""Part of an LED's light beyond 4 standard deviations, both axes."""
 
 POSES = [
     Pose(21.3, 19.6, pitch_at(100), 0.0, 0.51),
@@ -37,11 +36,11 @@ def test_blur_matrix_is_the_image_of_each_led(roll: float, tilt: tuple[float, fl
 
 
 @pytest.mark.parametrize("pose", POSES)
-def test_dense_footprints_are_the_blur_matrix(pose: Pose) -> None:
-    across, down = footprints(pose, (3, 2), SHAPE, SIDE).dense(SHAPE)
+def test_footprints_are_the_blur_matrix(pose: Pose) -> None:
+    across, down = footprints(pose, (3, 2), SHAPE, SIDE)
     got = np.einsum("ki,kj->kij", down, across).reshape(SIDE * SIDE, -1)
     want = reference.blur_matrix(pose, SIDE, (3, 2), SHAPE).T
-    order = by_squares(np.arange(SIDE * SIDE, dtype=float).reshape(SIDE, SIDE)).astype(int)
+    order = to_quarters(np.arange(SIDE * SIDE, dtype=float).reshape(SIDE, SIDE)).astype(int)
     assert np.abs(got - want[order]).max() < CUT * pose.pitch**2
 
 
@@ -52,9 +51,7 @@ def test_images_of_leds_in_motion(pose: Pose, motion: tuple[float, float]) -> No
     levels = np.random.default_rng(2).random((SIDE, SIDE))
     light = footprints(pose, (3, 2), SHAPE, SIDE, motion)
     want = (reference.blur_matrix(pose, SIDE, (3, 2), SHAPE, motion) @ levels.ravel()).reshape(SHAPE)
-    image = np.zeros(SHAPE)
-    add_image(by_squares(levels), *light, image)
-    assert image == pytest.approx(want, abs=4 * CUT)
+    assert sum_of_leds(to_quarters(levels), light) == pytest.approx(want, abs=4 * CUT)
     if motion == (0.0, 0.0):
         assert image_of(levels, pose, (3, 2), SHAPE) == pytest.approx(want, abs=4 * CUT)
 
@@ -68,12 +65,13 @@ def test_any_array_in_any_window(pose: Pose, corner: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("side", [4, 8, 16])
-def test_squares_of_leds_and_back(side: int) -> None:
+def test_quarters_of_leds_and_back(side: int) -> None:
     grid = np.arange(side * side, dtype=float).reshape(side, side)
-    ordered = by_squares(grid)
+    ordered = to_quarters(grid)
     assert np.array_equal(to_grid(ordered), grid)
-    # the first square, then the one to its right
-    assert ordered[:8].tolist() == [0, 1, side, side + 1, 2, 3, side + 2, side + 3]
+    # the first LED of each square, then the one to its right
+    assert ordered[:2].tolist() == [0, 2]
+    assert ordered[side * side // 4 :][:2].tolist() == [1, 3]
 
 
 def test_footprints_are_shared_and_so_not_writeable() -> None:

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 import render_oracle as reference
 from numpy.typing import NDArray
-from scenes import ALL_ON, SIDE, draw, pitch_at
+from scenes import ALL_ON, draw, pitch_at
 from scipy.special import ndtr
 
 from heliograph.receive import Pose
 from heliograph.receive.geometry import kernels
-from heliograph.receive.geometry.footprint import footprints
 from heliograph.receive.geometry.kernels import median, normal, smallest
 
 Floats = NDArray[np.float64]
@@ -118,16 +117,6 @@ def test_box_is_the_blurred_square(seed: int, half: float) -> None:
     assert np.abs(got[3] - want[3]).max() < 3 * slope * half * pose.pitch
     assert np.abs(got[4] - want[4]).max() < 3 * slope * 100
     assert not got[5].any()
-
-
-@pytest.mark.parametrize("motion", [(0.0, 0.0), (0.3, -0.2), (1.2, 0.6)])
-@pytest.mark.parametrize("pose", POSES)
-def test_squared_difference_of_two_blur_matrices(pose: Pose, motion: tuple[float, float]) -> None:
-    moved = pose.moved(*motion)
-    a, b = (reference.blur_matrix(p, SIDE, (0, 0), SHAPE) for p in (pose, moved))
-    parts = (footprints(p, (0, 0), SHAPE, SIDE) for p in (pose, moved))
-    got = kernels.squared_difference(*(array for part in parts for array in part))
-    assert got == pytest.approx(((a - b) ** 2).sum(), rel=0.01, abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))

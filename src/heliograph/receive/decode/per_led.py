@@ -49,7 +49,7 @@ def unblurred(
     change = (cut_out(frames[0], window) - cut_out(frames[1], window)) / max(gain, TINY)
     ones = np.ones((side, side))
     change -= 0.5 * (image_of(ones, poses[0], corner, shape) - image_of(ones, poses[1], corner, shape))
-    across, down = footprints(middle, corner, shape, side, motion).dense(shape)
+    across, down = footprints(middle, corner, shape, side, motion)
     # M^T M: <led_i, led_j> = <across_i, across_j> <down_i, down_j>
     gram = (across @ across.T) * (down @ down.T)
     gram[np.diag_indices_from(gram)] += loading

@@ -30,11 +30,10 @@ from scipy.linalg import solve, solve_triangular
 from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.geometry.fit import median_of
-from heliograph.receive.geometry.footprint import by_squares, to_grid
-from heliograph.receive.observe import kernels
+from heliograph.receive.geometry.footprint import to_grid, to_quarters
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, noise_beside
-from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, leds_of, symbols_of, whiten
+from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, leds_of, transform_quarters, whiten
 
 POSE_SPREADS = np.array([0.2, 0.2, 0.004, 0.02])
 """Standard deviations of errors of a pose in x, y (px), ln pitch and roll before a bright background."""
@@ -49,7 +48,7 @@ MAX_FAILED = 0.25
 """Gain by headers, or brightness, up to which an LED counts as failed."""
 
 # Evidence of decoded data on the brightness: sums over each half of the pairs of the normal equations' matrices,
-# (2, n n, n n), and right sides, (2, n n), ordered as by `by_squares`
+# (2, n n, n n), and right sides, (2, n n), ordered as by `to_quarters`
 DataEvidence = tuple[Floats, Floats]
 
 # A whitened cut-out, symbols (symbols,) of +-1 and 0 for undecoded symbols, and derivatives F (4, rows, columns) of the
@@ -124,7 +123,7 @@ class LedGains:
         count, used = self.brightness.size, 0
         before = self.data or (np.zeros((2, count, count)), np.zeros((2, count)))
         information, score = before[0].copy(), before[1].copy()
-        inverse = 1 / by_squares(self.brightness)
+        inverse = 1 / to_quarters(self.brightness)
         for k, pair in enumerate(pairs):
             try:
                 gram, matched = _without_nuisance(*pair, gain, noise)
@@ -133,7 +132,7 @@ class LedGains:
             # the statistics hold the light of the LEDs times the brightness so far
             levels = leds_of(pair[1]) * inverse
             # T T^T = 1/4: A^T W A = 16 T G T^T, A^T W d = 4 T B^T W d
-            kernels.add_information(gram, levels, gain**2 / noise, information[k % 2])
+            information[k % 2] += 16 * gain**2 / noise * np.outer(levels, levels) * leds_of(leds_of(gram).T)
             score[k % 2] += gain / noise * levels * 4 * leds_of(matched)
             used += 1
         if not used:
@@ -160,8 +159,8 @@ class LedGains:
         statistics = whitened.marginalised(slopes, np.diag(noise / (gain * POSE_SPREADS) ** 2))
         joint = statistics if self.headers is None else self.headers.plus(statistics)
         # for diag(w) (2 Y - 1) of variance s^2 the symbols have the variance 4 s^2, as T T^T = 1/4
-        signs, variance = by_squares(header), np.full(header.size, 4 * SPREAD**2)
-        mean = symbols_of(by_squares(header * self.brightness))
+        signs, variance = to_quarters(header), np.full(header.size, 4 * SPREAD**2)
+        mean = transform_quarters(to_quarters(header * self.brightness))
         for _ in range(2):
             symbols = equalise(joint, gain, noise, mean, variance).mean
             # a header shows no LED known to be dark from data

@@ -1,12 +1,11 @@
 """Footprints of LEDs: the light of each LED on the pixels of a window.
 
 An LED's image is a Gaussian integrated over pixels: the product of a function of x and a function of y, for any roll.
-Two narrow arrays, the light by column and by row, therefore represent a blur matrix A, (pixels, LEDs).
+Two arrays, the light by column and by row, therefore represent a blur matrix A, (pixels, LEDs).
 """
 
 from functools import lru_cache
-from math import ceil
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,45 +14,31 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.pose import Pose
 
-
-class Footprints(NamedTuple):
-    """A blur matrix A as products: LED k gives pixel (i, j) of the window ``down[k, i'] * across[k, j']``."""
-
-    # (n n, width) light by column, from ``first[k, 0]`` on
-    across: Floats
-    # (n n, width) light by row, from ``first[k, 1]`` on
-    down: Floats
-    # (n n, 2) int64, first column and row
-    first: NDArray[np.int64]
-
-    def dense(self, shape: tuple[int, int]) -> tuple[Floats, Floats]:
-        """Expand to the light by column (n n, columns) and by row (n n, rows) of a window."""
-        count = len(self.across)
-        across, down = np.zeros((count, shape[1])), np.zeros((count, shape[0]))
-        for wide, narrow, first in ((across, self.across, self.first[:, :1]), (down, self.down, self.first[:, 1:])):
-            index = first + np.arange(narrow.shape[1])
-            leds, pixels = np.nonzero((index >= 0) & (index < wide.shape[1]))
-            wide[leds, index[leds, pixels]] = narrow[leds, pixels]
-        return across, down
+Footprints = tuple[Floats, Floats]
+"""A blur matrix A: light of each LED by column (n n, columns) and by row (n n, rows), whose product is its image."""
 
 
-def by_squares(grid: NDArray[Any]) -> NDArray[Any]:
-    """Sort values of LEDs like `footprints`, by squares of 2 x 2, (n n,)."""
+def to_quarters(grid: NDArray[Any]) -> NDArray[Any]:
+    """Order LEDs like symbols, (n n,): those at (0, 0), (0, 1), (1, 0) and (1, 1) of all squares of 2 x 2."""
     half = len(grid) // 2
-    return np.ascontiguousarray(grid.reshape(half, 2, half, 2).transpose(0, 2, 1, 3)).ravel()
+    return np.ascontiguousarray(grid.reshape(half, 2, half, 2).transpose(1, 3, 0, 2)).ravel()
 
 
 def to_grid(values: Floats) -> Floats:
-    """Arrange values of LEDs as a grid, (n, n); the inverse of `by_squares`."""
+    """Arrange values of LEDs as a grid, (n, n); the inverse of `to_quarters`."""
     half = round(len(values) ** 0.5) // 2
-    return np.ascontiguousarray(values.reshape(half, half, 2, 2).transpose(0, 2, 1, 3)).reshape(2 * half, 2 * half)
+    return np.ascontiguousarray(values.reshape(2, 2, half, half).transpose(2, 0, 3, 1)).reshape(2 * half, 2 * half)
 
 
 def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
     """Render LEDs, (rows, columns); an unresolved array of levels 1 has the image 1."""
-    image = np.zeros(shape)
-    kernels.add_image(by_squares(levels), *footprints(pose, corner, shape, len(levels)), image)
-    return image
+    return sum_of_leds(to_quarters(levels), footprints(pose, corner, shape, len(levels)))
+
+
+def sum_of_leds(levels: Floats, light: Footprints) -> Floats:
+    """Add up the light of LEDs (n n,) in quarters, (rows, columns)."""
+    across, down = light
+    return np.asarray((levels[:, None] * down).T @ across)
 
 
 def images_of(
@@ -70,19 +55,16 @@ def render_with_slopes(pose: Pose, levels: Floats, corner: tuple[int, int], shap
     return images
 
 
-@lru_cache(maxsize=512)  # decoding needs the poses of a packet many times
+@lru_cache(maxsize=160)  # decoding needs the poses of a packet several times
 def footprints(
     pose: Pose, corner: tuple[int, int], shape: tuple[int, int], side: int, motion: tuple[float, float] = (0.0, 0.0)
 ) -> Footprints:
-    """Compute the footprints of an array's LEDs."""
+    """Compute the footprints of an array's LEDs, in quarters."""
     # sigma^2 = blur^2 + motion^2
     sigma = np.hypot(pose.blur, motion)
-    # beyond 3.7 standard deviations lies 2e-4 of an LED's light
-    width = 2 * ceil(3.7 * float(sigma.max()) + 0.5) + 1
-    across, down = np.empty((side * side, width)), np.empty((side * side, width))
-    first = np.empty((side * side, 2), np.int64)
+    across, down = np.empty((side * side, shape[1])), np.empty((side * side, shape[0]))
     where = np.array([pose.x - corner[0], pose.y - corner[1], *pose.axes.ravel(), pose.pitch, *sigma])
-    kernels.footprints(where, *shape, across, down, first)
-    for part in (across, down, first):
+    kernels.footprints(where, across, down)
+    for part in (across, down):
         part.setflags(write=False)
-    return Footprints(across, down, first)
+    return across, down

@@ -151,71 +151,33 @@ def render_box(pose, half_leds, x0, y0, out, smear_x, smear_y):
 
 
 @compiled()
-def footprints(pose, rows, cols, across, down, first):
+def footprints(pose, across, down):
     """Compute the light of each LED by column and row; an unresolved array with all LEDs on has the image 1.
 
-    LEDs come square by square of 2 x 2, in each (0, 0), (0, 1), (1, 0), (1, 1).
+    LEDs come in quarters, as in `footprint.to_quarters`.
     """
-    count, width = across.shape
-    side = round(math.sqrt(count))
+    side = round(math.sqrt(across.shape[0]))
     half = side // 2
-    pitch = pose[6]
-    reach = (width - 1) // 2
-    for k in range(count):
-        square, corner = k // 4, k % 4
+    for k in range(across.shape[0]):
+        corner, square = divmod(k, half * half)
         a = 2 * (square % half) + corner % 2 - (side - 1) / 2.0
         b = 2 * (square // half) + corner // 2 - (side - 1) / 2.0
-        x, y = pose[0] + pose[2] * a + pose[3] * b, pose[1] + pose[4] * a + pose[5] * b
-        first[k, 0], first[k, 1] = math.floor(x + 0.5) - reach, math.floor(y + 0.5) - reach
-        _row_of_light(x, pose[7], first[k, 0], cols, pitch, across[k])
-        _row_of_light(y, pose[8], first[k, 1], rows, pitch, down[k])
+        _row_of_light(pose[0] + pose[2] * a + pose[3] * b, pose[7], pose[6], across[k])
+        _row_of_light(pose[1] + pose[4] * a + pose[5] * b, pose[8], pose[6], down[k])
 
 
-@compiled(inline="always")
-def _row_of_light(centre, sigma, first, count, scale, out):
-    """Integrate a scaled Gaussian over each pixel from `first`; 0 beyond the `count` pixels of the window."""
+@compiled()
+def _row_of_light(centre, sigma, scale, out):
+    """Integrate a scaled Gaussian over each pixel."""
     # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
+    out[:] = 0.0
+    reach = LIGHT_REACH * sigma + 1.0
+    first, last = max(0, math.ceil(centre - reach)), min(out.shape[0] - 1, math.floor(centre + reach))
     cdf, _ = normal((first - 0.5 - centre) / sigma)
-    for j in range(out.shape[0]):
-        after, _ = normal((first + j + 0.5 - centre) / sigma)
-        out[j] = scale * (after - cdf) if 0 <= first + j < count else 0.0
+    for j in range(first, last + 1):
+        after, _ = normal((j + 0.5 - centre) / sigma)
+        out[j] = scale * (after - cdf)
         cdf = after
-
-
-@compiled()
-def add_image(leds, across, down, first, out):
-    """Add the image of LEDs to an image."""
-    width = across.shape[1]
-    rows, cols = out.shape
-    for n in range(leds.shape[0]):
-        if leds[n] == 0.0:
-            continue
-        x, y = first[n, 0], first[n, 1]
-        for i in range(max(0, -y), min(width, rows - y)):
-            w = leds[n] * down[n, i]
-            for j in range(max(0, -x), min(width, cols - x)):
-                out[y + i, x + j] += w * across[n, j]
-
-
-@compiled(inline="always")
-def _overlap(a, b, shift, width):
-    """Sum of a[i + shift] b[i]."""
-    total = 0.0
-    for i in range(max(0, -shift), min(width, width - shift)):
-        total += a[i + shift] * b[i]
-    return total
-
-
-@compiled()
-def squared_difference(across_1, down_1, first_1, across_2, down_2, first_2):
-    """Squared distance of two blur matrices, |A_1 - A_2|^2 over all LEDs and pixels."""
-    width, total = across_1.shape[1], 0.0
-    for k in range(across_1.shape[0]):
-        dx, dy = first_2[k, 0] - first_1[k, 0], first_2[k, 1] - first_1[k, 1]
-        total += _overlap(across_1[k], across_1[k], 0, width) * _overlap(down_1[k], down_1[k], 0, width)
-        total += _overlap(across_2[k], across_2[k], 0, width) * _overlap(down_2[k], down_2[k], 0, width)
-        total -= 2 * _overlap(across_1[k], across_2[k], dx, width) * _overlap(down_1[k], down_2[k], dy, width)
-    return total
 
 
 # Cumulative distribution and density of the normal distribution at 64 nodes a standard deviation, from -8 to 8

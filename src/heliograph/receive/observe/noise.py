@@ -7,9 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from heliograph.base.arrays import RCOND, Floats
-from heliograph.receive.geometry import kernels as geometry_kernels
 from heliograph.receive.geometry.fit import robust_std
-from heliograph.receive.geometry.footprint import footprints, image_of
+from heliograph.receive.geometry.footprint import Footprints, footprints, image_of
 from heliograph.receive.observe.cutout import Cutout
 
 MAX_BACKGROUND = 1e-3  # relative light of the array below which a pixel is background: a fraction of a gray level
@@ -84,11 +83,17 @@ def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None
     residual[rows, columns] = left * np.sqrt(rows.size / max(rows.size - 4, 1))
     first, last = (footprints(pose, *place, side) for pose in cutout.poses)
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
-    motion = gain**2 / 16 * geometry_kernels.squared_difference(*first, *last) / (side * cutout.middle.pitch) ** 2
+    power = _overlap(first, first) - 2 * _overlap(first, last) + _overlap(last, last)
+    motion = gain**2 / 16 * power / (side * cutout.middle.pitch) ** 2
     if cutout.combination is None:
         return residual, cutout.corner, float(motion)
     # in units of a sum of two frames; only a header's combined sum is even, and motion leaves no data in it
     return residual / np.sqrt(cutout.combination.sum_noise), cutout.corner, 0.0
+
+
+def _overlap(light: Footprints, other: Footprints) -> float:
+    """Compute the inner product of two blur matrices over all LEDs and pixels."""
+    return float(np.prod([np.einsum("kj,kj->k", *parts) for parts in zip(light, other, strict=True)], axis=0).sum())
 
 
 def _subtract(sum_1: _Unevenness, sum_2: _Unevenness) -> Floats:

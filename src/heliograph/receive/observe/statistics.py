@@ -13,18 +13,17 @@ With the pixels' weights W, the symbols depend on d only by B^T W d; B^T W B and
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.geometry import kernels as geometry_kernels
-from heliograph.receive.geometry.footprint import Footprints, by_squares, footprints, image_of
-from heliograph.receive.observe import kernels
+from heliograph.receive.geometry.footprint import Footprints, footprints, image_of, sum_of_leds, to_quarters
 from heliograph.receive.observe.cutout import RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.sync.combine import SIGNS, Combination
+from heliograph.receive.sync.combine import Combination
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,18 +108,16 @@ class WhitenedCutout:
 
     def correlate(self, images: Floats) -> Floats:
         """Correlate images (k, rows, columns) with the symbols' images: B^T W^(1/2), (symbols, k)."""
-        stack = np.ascontiguousarray(np.moveaxis(images, 0, -1))
-        parts = np.empty((len(self.frames), len(self.frames[0].across), len(images)))
-        for frame, part in zip(self.frames, parts, strict=True):
-            kernels.correlate(stack, *frame, part)
-        return np.asarray(parts.mean(0))
+        parts = []
+        for across, down in self.frames:
+            leds = np.einsum("knj,nj->nk", down @ images, across)
+            parts.append(0.25 * transform_quarters(leds))
+        return np.asarray(np.mean(parts, axis=0))
 
     def residual(self, gain: float, symbols: Floats) -> Floats:
         """Compute W^(1/2) (d - g (B c + o)), (rows, columns)."""
-        light = np.zeros_like(self.difference)
-        for frame in self.frames:
-            geometry_kernels.add_image(leds_of(symbols) / len(self.frames), *frame, light)
-        return self.difference - gain * (light + self.offset)
+        light = np.mean([sum_of_leds(leds_of(symbols), frame) for frame in self.frames], axis=0)
+        return np.asarray(self.difference - gain * (light + self.offset))
 
     def _statistics(self, gram: NDArray[np.float32], matched: Floats) -> PairStatistics:
         """Statistics with the correlations of difference and offset, (symbols, 2)."""
@@ -132,10 +129,9 @@ class WhitenedCutout:
 
     def _gram(self) -> NDArray[np.float32]:
         """Compute G, (symbols, symbols)."""
-        shape = self.cutout.shape
         if not self.cutout.apart:
-            return gram_of(self.frames[0], shape)
-        b = np.mean([light_of_symbols(frame, shape) for frame in self.frames], axis=0)
+            return gram_of(self.frames[0])
+        b = np.mean([light_of_symbols(frame) for frame in self.frames], axis=0)
         return np.asarray(b @ b.T, np.float32)
 
 
@@ -147,13 +143,10 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     """
     shape, corner = cutout.shape, cutout.corner
     gains = cutout.shining(np.ones((side, side)) if led_gains is None else led_gains)
-    leds, first, last = by_squares(gains), cutout.poses[0], cutout.poses[-1]
+    leds, first, last = to_quarters(gains)[:, None], cutout.poses[0], cutout.poses[-1]
     # B^T W B at the pose between the two, the blur widened by the motion: sigma^2 + (half the motion)^2
     middle = footprints(cutout.middle, corner, shape, side, (0.5 * (last.x - first.x), 0.5 * (last.y - first.y)))
-    across, down = (
-        kernels.weight_roots(part, middle.first[:, axis], noise.lit, noise.dark, int(RING_PX), shape[1 - axis])
-        for axis, part in enumerate(middle[:2])
-    )
+    across, down = (_weight_roots(part, noise) for part in middle)
     if cutout.covered is not None:
         across, down = across * cutout.covered[0], down * cutout.covered[1]
     across /= cutout.noise**0.5
@@ -165,35 +158,39 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     else:
         offset = image_of(gains, cutout.mean_light_pose, corner, shape)
     light = [footprints(pose, corner, shape, side) for pose in cutout.poses] if cutout.apart else [middle]
-    frames = tuple(Footprints._make((*kernels.weigh((*frame,), across, down, leds), frame.first)) for frame in light)
+    frames = tuple((leds * columns * across, rows * down) for columns, rows in light)
     return WhitenedCutout(cutout, root, root * cutout.difference, root * offset, frames)
 
 
-def leds_of(symbols: Floats) -> Floats:
-    """Transform symbols to levels of LEDs about the mean, (n n,): t = 1/4 H^T D H."""
-    return np.ascontiguousarray(0.25 * (SIGNS @ symbols.reshape(4, -1)).T).ravel()
+def _weight_roots(light: Floats, noise: Noise) -> Floats:
+    """Compute roots of weights of columns or rows, W = lit / s^2, s^2 = dark + (lit - dark) f, f the light 0 to 1."""
+    f = np.minimum(light.sum(0) / len(light) ** 0.5, 1.0)
+    roots = np.sqrt(noise.lit / (noise.dark + (noise.lit - noise.dark) * f))
+    ring = int(RING_PX)
+    roots[:ring] = roots[-ring:] = 0.0
+    return np.asarray(roots)
 
 
-def symbols_of(leds: Floats) -> Floats:
-    """Transform LEDs to symbols, (n n,), the inverse of `leds_of`: D = H t H^T."""
-    return (SIGNS @ leds.reshape(-1, 4).T).ravel()
+def transform_quarters(values: NDArray[Any]) -> NDArray[Any]:
+    """Transform quarters of LEDs to quarters of symbols along the first axis, H t H^T, or back."""
+    a, b, c, d = np.split(values, 4)
+    return np.concatenate([a + b + c + d, a - b + c - d, a + b - c - d, a - b - c + d])
 
 
-def light_of_symbols(light: Footprints, shape: tuple[int, int]) -> NDArray[np.float32]:
+def leds_of(symbols: NDArray[Any]) -> NDArray[Any]:
+    """Transform symbols to levels of LEDs about the mean, (n n, ...): t = 1/4 H^T D H."""
+    return 0.25 * transform_quarters(symbols)
+
+
+def light_of_symbols(light: Footprints) -> NDArray[np.float32]:
     """Compute B^T, the light of each symbol on each pixel, (symbols, pixels)."""
-    across, down = light.dense(shape)
-    leds = (down[:, :, None] * across[:, None, :]).reshape(len(across) // 4, 4, -1)
-    return np.asarray(0.25 * np.einsum("ij,qjp->iqp", SIGNS, leds).reshape(len(across), -1), np.float32)
+    across, down = light
+    leds = np.asarray(down[:, :, None] * across[:, None, :], np.float32)
+    return np.asarray(leds_of(leds.reshape(len(across), -1)))
 
 
-def gram_of(light: Footprints, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Compute B^T B, (symbols, symbols) float32."""
-    products = []
-    for axis, part in ((0, light.across), (1, light.down)):
-        wide = np.empty((len(part), shape[1 - axis]), np.float32)
-        kernels.spread(part, light.first[:, axis], wide)
-        # X X^T of NumPy takes six times as long; the transpose has the order of BLAS
-        products.append(blas.sgemm(1.0, wide.T, wide.T, trans_a=1).T)
-    across, down = products
-    kernels.gram(across, down, gram := np.empty_like(across))
-    return gram
+def gram_of(light: Footprints) -> NDArray[np.float32]:
+    """Compute B^T B, (symbols, symbols) float32: <led_i, led_j> = <across_i, across_j> <down_i, down_j>."""
+    # X X^T of NumPy takes six times as long; the transpose has the order of BLAS
+    across, down = (blas.sgemm(1.0, part.astype(np.float32).T, part.astype(np.float32).T, trans_a=1) for part in light)
+    return np.asarray(leds_of(leds_of(across * down).T))

@@ -1,17 +1,16 @@
-"""Kernels of observations, compared with full matrices."""
+"""Light of symbols, compared with full matrices."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from render_oracle import blur_matrix
 from scenes import SIDE, pitch_at
-from whole_pairs import CUT, SYMBOLS, T
+from whole_pairs import CUT, SYMBOLS, T, WholePair, moving, pair_of, random_levels
 
 from heliograph.receive import Pose
-from heliograph.receive.geometry.footprint import Footprints, footprints
-from heliograph.receive.geometry.kernels import add_image
-from heliograph.receive.observe import kernels
-from heliograph.receive.observe.statistics import gram_of, leds_of, light_of_symbols, symbols_of
+from heliograph.receive.geometry.footprint import Footprints, footprints, sum_of_leds
+from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.statistics import gram_of, leds_of, light_of_symbols, transform_quarters, whiten
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -50,34 +49,31 @@ def test_the_transform_is_that_of_the_signal() -> None:
 def test_symbols_to_leds_and_back() -> None:
     symbols = np.random.default_rng(1).normal(size=SYMBOLS)
     leds = leds_of(symbols)
-    squares = (T @ symbols).reshape(SIDE // 2, 2, SIDE // 2, 2).transpose(0, 2, 1, 3)
+    squares = (T @ symbols).reshape(SIDE // 2, 2, SIDE // 2, 2).transpose(1, 3, 0, 2)
     assert leds == pytest.approx(squares.ravel())
-    assert symbols_of(leds) == pytest.approx(symbols)
+    assert transform_quarters(leds) == pytest.approx(symbols)
 
 
 @pytest.mark.parametrize("pose", POSES)
 def test_light_of_symbols(pose: Pose) -> None:
     symbols = np.random.default_rng(2).normal(size=SYMBOLS)
-    image = np.zeros(SHAPE)
-    add_image(leds_of(symbols), *light_of(pose), image)
+    image = sum_of_leds(leds_of(symbols), light_of(pose))
     assert image.ravel() == pytest.approx(symbol_matrix(pose) @ symbols, abs=CUT * np.abs(symbols).max())
-    add_image(leds_of(symbols), *light_of(pose), image)
-    assert image.ravel() == pytest.approx(2 * symbol_matrix(pose) @ symbols, abs=2 * CUT * np.abs(symbols).max())
 
 
-@pytest.mark.parametrize("pose", POSES)
-def test_correlation_of_images_with_symbols(pose: Pose) -> None:
-    images, out = np.random.default_rng(3).normal(size=(*SHAPE, 5)), np.empty((SYMBOLS, 5))
-    kernels.correlate(images, *light_of(pose), out)
-    want = symbol_matrix(pose).T @ images.reshape(-1, 5)
-    assert out == pytest.approx(want, abs=2 * CUT)
-    assert np.abs(want).max() > 100 * CUT
+def test_correlation_of_images_with_symbols() -> None:
+    poses = moving(90, 0.02, (0.1, 0.05))
+    whole = WholePair(poses, pair_of(poses, random_levels()[1]), Noise(4.0, 4.0))
+    images = np.random.default_rng(3).normal(size=(5, *whole.cutout.shape))
+    got = whiten(whole.cutout, Noise(4.0, 4.0), SIDE).correlate(images)
+    want = (np.sqrt(whole.w)[:, None] * whole.b).T @ images.reshape(5, -1).T
+    assert got == pytest.approx(want, abs=0.02 * np.abs(want).max())
 
 
 @pytest.mark.parametrize("pose", POSES)
 def test_gram(pose: Pose) -> None:
-    out = gram_of(light_of(pose), SHAPE)
+    out = gram_of(light_of(pose))
     want = symbol_matrix(pose).T @ symbol_matrix(pose)
     assert np.abs(out - want).max() < 4 * CUT * want.max()
     assert np.abs(out - out.T).max() < 1e-6 * want.max()
-    assert np.abs(light_of_symbols(light_of(pose), SHAPE).T - symbol_matrix(pose)).max() < CUT
+    assert np.abs(light_of_symbols(light_of(pose)).T - symbol_matrix(pose)).max() < CUT
