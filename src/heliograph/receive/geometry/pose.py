@@ -171,15 +171,21 @@ def pose_of(corners: Sequence[float], side: int, blur: float) -> Pose:
     ]
     along = (upper_right - upper_left + lower_right - lower_left) / (2 * side)
     down = (lower_left - upper_left + lower_right - upper_right) / (2 * side)
-    # A = R(roll) P, P = pitch ((1 + stretch, shear), (shear, 1 - stretch)): the polar decomposition
-    u, sizes, vt = np.linalg.svd(np.stack([along, down], axis=1))
-    rotation, form = u @ vt, vt.T @ np.diag(sizes) @ vt
-    pitch, roll = float(np.trace(form)) / 2, float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-    stretch, shear = float(form[0, 0] - form[1, 1]) / (2 * pitch), float(form[0, 1]) / pitch
+    pose = pose_of_axes((x, y), np.stack([along, down], axis=1), blur)
     # with another corner first rows are columns, which turns a tilt's sign
-    quarters = round(roll / (np.pi / 2))
+    quarters = round(pose.roll / (np.pi / 2))
     sign = -1 if quarters % 2 else 1
-    return Pose(x, y, pitch, roll - quarters * np.pi / 2, blur, sign * stretch, sign * shear)
+    return replace(pose, roll=pose.roll - quarters * np.pi / 2, stretch=sign * pose.stretch, shear=sign * pose.shear)
+
+
+def pose_of_axes(centre: tuple[float, float], axes: NDArray[np.float64], blur: float) -> Pose:
+    """Compute the pose of an array from the centre and the steps between neighbouring LEDs, as in `Pose.axes`."""
+    # A = R(roll) P, P = pitch ((1 + stretch, shear), (shear, 1 - stretch)): the polar decomposition
+    u, sizes, vt = np.linalg.svd(axes)
+    rotation, pitch = u @ vt, float(sizes.mean())
+    form = vt.T @ np.diag(sizes / pitch) @ vt
+    roll = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    return Pose(*centre, pitch, roll, blur, float(form[0, 0]) - 1, float(form[0, 1]))
 
 
 def rim_distance(a: Pose, b: Pose, side: int) -> float:

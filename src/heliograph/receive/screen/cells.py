@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame, Pixels
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Pose, pose_of_axes
 
 SAMPLES_PER_S = 14e6
 """Samples that a core resamples and fits per second, on the machine of `docs/performance.md`."""
@@ -160,11 +160,8 @@ class Place:
         """Return the affine pose at the middle of an array."""
         middle = np.array([side / 2, side / 2])
         x, y = self.at(middle).tolist()
-        u, sizes, vt = np.linalg.svd(
-            np.column_stack([self.at(middle + d) - self.at(middle - d) for d in np.eye(2) / 2])
-        )
-        turn, stretch, pitch = u @ vt, vt.T @ np.diag(sizes / sizes.mean()) @ vt, float(sizes.mean())
-        return Pose(x, y, pitch, float(np.arctan2(turn[1, 0], turn[0, 0])), 0.6, *(stretch[0] - (1, 0)).tolist())
+        axes = np.column_stack([self.at(middle + d) - self.at(middle - d) for d in np.eye(2) / 2])
+        return pose_of_axes((x, y), axes, blur=0.6)
 
 
 @dataclass(frozen=True)

@@ -166,14 +166,9 @@ class ArraySearch:
         tried = [self._trial(fitter, best[1]) for fitter in fitters if fitter.blur_px < max_blur_px]
         return min(tried, key=lambda candidate: candidate[0], default=best)
 
-    @property
-    def _trial_frames(self) -> list[Frame]:
-        """The last frames, in which candidates are tried."""
-        return list(self._frames)[-PARAMETERS.trial_frames :]
-
     def _trial(self, fitter: CellFitter, place: Place) -> Candidate:
-        """Track cells through the trial frames from a place on."""
-        frames = self._trial_frames
+        """Track cells through the last frames from a place on."""
+        frames = list(self._frames)[-PARAMETERS.trial_frames :]
         try:
             start = fitter(frames[0], place, max_steps=10).place
         except np.linalg.LinAlgError:
