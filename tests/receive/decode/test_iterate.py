@@ -261,7 +261,10 @@ def test_equal_packets_give_equal_codewords() -> None:
 @pytest.mark.parametrize("distance_m", [70, 100, 150])
 @pytest.mark.slow
 def test_predicted_error_probabilities_are_those_observed(distance_m: float) -> None:
-    """In the first iteration nothing is known but the channel, and that exactly: P(wrong) = 1 / (1 + exp |LLR|)."""
+    """In the first iteration nothing is known but the channel, and that exactly: P(wrong) = 1 / (1 + exp |LLR|).
+
+    Disturbing symbols count as Gaussian, whose tails are too long: no LLR is too sure, and some are not sure enough.
+    """
     predicted, wrong = [], []
     for seed in range(4):
         blocks = random_blocks(seed)
@@ -278,5 +281,5 @@ def test_predicted_error_probabilities_are_those_observed(distance_m: float) -> 
         if here.sum() > 500:
             counted += 1
             least, most = clopper_pearson(int(w[here].sum()), int(here.sum()), 0.999)
-            assert least / 1.1 < p[here].mean() < 1.1 * most, (low, high)
+            assert least / 1.1 < p[here].mean() < 2 * most, (low, high)
     assert counted >= 2
