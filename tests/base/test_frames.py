@@ -116,10 +116,3 @@ def test_windows_may_change_their_size() -> None:
     noise = np.random.default_rng(0).integers(0, 99, (4, 32, 64), dtype=np.uint8)
     for k, pixels in enumerate(noise):
         assert not list(taker.push(Frame(k, k / 1000, pixels[k:, 1:], origin=(1, k))))
-
-
-def test_a_frame_at_another_time_is_the_same_otherwise() -> None:
-    frame = Frame(7, 0.5, GRAY.astype(np.uint16), 12, (3, 4))
-    assert frame.at_time(0.75) == replace(frame, time_s=0.75)
-    assert frame.at_time(0.75).pixels is frame.pixels
-    assert frame.numbered(9) == replace(frame, index=9)

@@ -7,7 +7,7 @@ packet decodes no codeword, the other hypotheses get the same frames.
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
-from heliograph.base.frames import Frame, check_next
+from heliograph.base.frames import Frame
 from heliograph.base.threads import in_one_thread
 from heliograph.receive.array import ArrayReceiver, Confidence
 from heliograph.receive.decode.worker import PendingPacket
@@ -17,7 +17,7 @@ from heliograph.receive.detect.search import HeaderSearch
 from heliograph.receive.events import DetectEvent, DropEvent, LostEvent, MissedStartEvent, Observer
 from heliograph.receive.geometry.pose import UPRIGHT, Orientation
 from heliograph.receive.packet import Packet
-from heliograph.receive.sync.frame_clock import FrameClock
+from heliograph.receive.sync.frame_clock import FrameClock, check_next
 
 
 class HeaderHypotheses:

@@ -123,7 +123,7 @@ class HeaderSearch:
             return frame
         last_s = self.recent[-2].time_s if len(self.recent) > 1 else 0.0
         self._number += max(1, round((frame.time_s - last_s) / self._signal.pattern_period_s))
-        return frame.numbered(self._number)
+        return replace(frame, index=self._number)
 
     def _nearest_frame(self, phase: float) -> Frame | None:
         """Return the frame of the last pattern that is nearest to a phase, once the next pattern begins."""
@@ -135,7 +135,8 @@ class HeaderSearch:
             return None
         of_pattern = takewhile(lambda frame: round(place(frame)) == number, islice(reversed(self.recent), 1, None))
         # of two equally near frames the earlier
-        return min(reversed([*of_pattern]), key=lambda frame: abs(place(frame) - number)).numbered(number)
+        nearest = min(reversed([*of_pattern]), key=lambda frame: abs(place(frame) - number))
+        return replace(nearest, index=number)
 
 
 class PyramidSearch:

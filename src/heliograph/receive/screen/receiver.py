@@ -8,7 +8,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
-from heliograph.base.frames import Frame, check_next, check_order
+from heliograph.base.frames import Frame
 from heliograph.base.threads import in_one_thread
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import (
@@ -28,6 +28,7 @@ from heliograph.receive.screen.cells import PARAMETERS, CellTracker, Sample, Sea
 from heliograph.receive.screen.locate import ArraySearch
 from heliograph.receive.screen.packets import PacketAssembler, ScreenHeader
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.sync.frame_clock import check_next, check_order
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.signal.settings import SignalSettings

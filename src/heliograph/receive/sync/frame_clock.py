@@ -1,13 +1,14 @@
 """Camera clocks: frame times despite jitter of the time stamps, missing frames and repeated frames."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY
 from heliograph.base.errors import HeliographError
-from heliograph.base.frames import Frame, check_order
+from heliograph.base.frames import Frame
 
 STEP_TOLERANCE = 0.02
 """Maximum relative deviation of the frame rate from the pattern rate of a synchronous camera."""
@@ -135,7 +136,7 @@ class CameraClock:
         self._time_s += steps * self.period_s + k0 * error
         self.period_s += k1 * error
         self._covariance = p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01
-        return frame.at_time(self._time_s)
+        return replace(frame, time_s=self._time_s)
 
 
 FrameClock = SynchronousClock | CameraClock
@@ -164,3 +165,35 @@ def _is_copy(last: Frame, frame: Frame) -> bool:
     place = len(a) // 2, slice(a.shape[1] // 2, a.shape[1] // 2 + 16)
     are_alike = a[place].tobytes() == b[place].tobytes() and np.array_equal(a[::16], b[::16])
     return bool(are_alike and np.array_equal(a, b) and a.min() != a.max())
+
+
+def check_next(frame: Frame, last: Frame | None) -> None:
+    """Raise a HeliographError unless this is a `Frame` with pixels, of the same camera as the last frame, if any."""
+    if not isinstance(frame, Frame):
+        raise HeliographError(
+            f"a receiver takes heliograph.Frame, not {type(frame).__name__}; write Frame(index, time_s, pixels)"
+        )
+    if not frame.pixels.size:
+        raise HeliographError(f"frame {frame.index} has no pixels: its shape is {frame.pixels.shape}; leave it out")
+    if last is None:
+        return
+    if frame.bits != last.bits or frame.pixels.dtype != last.pixels.dtype:
+        raise HeliographError(
+            f"all frames have the same bits: frame {frame.index} has {frame.bits} ({frame.pixels.dtype}), the one "
+            f"before {last.bits} ({last.pixels.dtype}); take a new receiver where the camera changes"
+        )
+    if frame.pixels.shape != last.pixels.shape and frame.origin == last.origin == (0, 0):
+        sizes = " after ".join(f"{item.pixels.shape[1]}x{item.pixels.shape[0]}" for item in (frame, last))
+        raise HeliographError(
+            f"all whole frames have the same size: frame {frame.index} has {sizes} pixels; give windows their origin "
+            f"on the sensor, or take a new receiver where the camera changes"
+        )
+
+
+def check_order(frame: Frame, last: Frame, by_index: bool = False) -> None:
+    """Raise a HeliographError if a frame does not follow the last one in time, or in number where that counts."""
+    if frame.time_s <= last.time_s or (by_index and frame.index <= last.index):
+        raise HeliographError(
+            f"frames must follow in time: frame {frame.index} at {frame.time_s:.6f} s came after "
+            f"frame {last.index} at {last.time_s:.6f} s"
+        )

@@ -10,7 +10,7 @@ A lost pair leaves all pairs even, but the next header comes two patterns early.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import hypot, isnan, nan
 
@@ -105,7 +105,7 @@ class SlipWatch:
 
     def _with_time(self, frame: Frame) -> Frame:
         """Correct the time of a frame for the lost frames."""
-        return frame.at_time(frame.time_s + self.lost * self._period_s) if self.lost else frame
+        return replace(frame, time_s=frame.time_s + self.lost * self._period_s) if self.lost else frame
 
     def _measure(self, frame: Frame, number: int, pose: Pose) -> _PendingFrame:
         """Measure the light of a frame at the LED positions of a pose."""
