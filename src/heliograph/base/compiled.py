@@ -11,7 +11,6 @@ import multiprocessing
 import os
 import shutil
 import sys
-import tempfile
 import uuid
 from collections.abc import Callable
 from functools import cache
@@ -25,9 +24,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCach
 from numba.misc.appdirs import AppDirs
 
 KEPT_FOLDERS = 8
-"""Cache folders that remain when a new one is made, as several environments may share the place."""
-
-_PACKAGE = Path(__file__).parents[1]
+"""Cache folders to keep, those used last, as several environments may share the place."""
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -35,7 +32,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(nogil=True, **{"error_model": "numpy", "no_cfunc_wrapper": True, **options})(function)
-        if cache_folder() and Path(function.__code__.co_filename).exists():
+        with contextlib.suppress(RuntimeError):  # no sources, or no writable folder
             dispatcher._cache = _Cache(function)
         return dispatcher
 
@@ -43,30 +40,26 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 @cache
-def cache_folder() -> Path | None:
-    """Return the cache folder of these sources, newly made if missing; None if it cannot be written."""
-    digest = hashlib.sha256(f"{sys.version} {numba.__version__} {np.__version__}".encode())
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
+def cache_folder() -> Path:
+    """Return the cache folder of these sources; a new folder replaces the oldest ones."""
+    package, digest = Path(__file__).parents[1], hashlib.sha256(sys.version.encode())
+    digest.update(f"{numba.__version__} {np.__version__}".encode())
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
     place = Path(vars(config)["CACHE_DIR"] or AppDirs(appname="heliograph", appauthor=False).user_cache_dir)
     folder = place / f"heliograph-{digest.hexdigest()[:16]}"
-    is_new = not folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-        os.utime(folder)
-    except OSError:
-        return None
-    if is_new:
-        with contextlib.suppress(OSError):  # another process may remove a folder
+    with contextlib.suppress(OSError):  # it cannot be written, or another process makes or removes a folder
+        if not folder.exists():
+            folder.mkdir(parents=True)
             for old in sorted(place.glob("heliograph-*"), key=os.path.getmtime)[:-KEPT_FOLDERS]:
                 shutil.rmtree(old, ignore_errors=True)
+        os.utime(folder)
     return folder
 
 
 class _Locator(InTreeCacheLocator):
     def get_cache_path(self) -> str:
-        return os.path.join(str(cache_folder()), self.get_suitable_cache_subpath(self._py_file))
+        return str(cache_folder() / self.get_suitable_cache_subpath(self._py_file))
 
 
 class _Files(CompileResultCacheImpl):
@@ -80,46 +73,40 @@ class _Cache(FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
+        base = self._impl.filename_base
         # Numba numbers the files of a function, so two processes could write machine code under the same name
-        self._cache_file._data_name = self._name_file  # type: ignore[method-assign]  # the index has no setting for it
-
-    def _name_file(self, _: int) -> str:
-        return f"{self._impl.filename_base}.{uuid.uuid4().hex}.nbc"
+        self._cache_file._data_name = lambda _: f"{base}.{uuid.uuid4().hex}.nbc"  # type: ignore[method-assign]
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         try:
             return super().load_overload(signature, target)
         except Exception:  # unpickling a damaged file may raise any error
-            self.flush()
+            with contextlib.suppress(OSError):
+                self.flush()
             return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
         with contextlib.suppress(OSError):
             super().save_overload(signature, result)
 
-    def flush(self) -> None:
-        with contextlib.suppress(OSError):
-            super().flush()
-
 
 class _Compilation(event.Listener):
     """Announce the first compilation on a terminal, and suspend garbage collection while Numba compiles."""
 
-    announced = False
-
     def __init__(self) -> None:
-        self._collecting: list[bool] = []
+        self._announced, self._collecting = False, list[bool]()
 
     def on_start(self, started: Any) -> None:
         # Numba keeps most of the million objects that it makes: searching them takes a sixth of the time
         self._collecting.append(gc.isenabled())
         gc.disable()
-        # of several worker processes only the first one announces it
-        worker = multiprocessing.parent_process() and not multiprocessing.current_process().name.endswith("-1")
-        own = started.data["dispatcher"].py_func.__module__.startswith("heliograph.")
-        if own and not (self.announced or worker) and sys.stderr is not None and sys.stderr.isatty():
-            self.announced = True
-            often = "first use only" if cache_folder() else "at each start: set NUMBA_CACHE_DIR to a writable folder"
+        dispatcher, process = started.data["dispatcher"], multiprocessing.current_process()
+        is_first = multiprocessing.parent_process() is None or process.name.endswith("-1")
+        is_own = dispatcher.py_func.__module__.startswith("heliograph.")
+        if is_own and is_first and not self._announced and sys.stderr is not None and sys.stderr.isatty():
+            self._announced = True
+            uncached = "at each start: set NUMBA_CACHE_DIR to a writable folder"
+            often = "first use only" if dispatcher.stats.cache_path else uncached
             print(f"compiling for this computer, about 30 s ({often})", file=sys.stderr, flush=True)
 
     def on_end(self, _: Any) -> None:
