@@ -12,32 +12,26 @@ from heliograph.base.errors import SettingsError, brief, shown
 MAX_DEPTH = 32
 """Tables within tables; settings have four."""
 
-_DEEP = f"tables or lists lie more than {MAX_DEPTH} deep"
+_DEEP = f"not valid TOML: tables or lists lie more than {MAX_DEPTH} deep"
+_LARGE = "not valid TOML: a whole number has more than 64 bits"
 
-_NO_KEY = re.compile(
-    r'"{3}(?:[^\\"]|\\.|"(?!""))*+(?:"{3,5}|\\?\Z)'
-    r"|'{3}.*?(?:'{3,5}|\Z)"
-    r'|"[^"\\\n]*(?:\\[^\n][^"\\\n]*)*"?'
-    r"|'[^'\n]*'?"
-    r"|#[^\n]*",
-    re.DOTALL,
-)
-"""Quoted text and comments of TOML, whose dots separate no keys. Unterminated text ends with the line or the document,
-so the search never backtracks."""
+_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
+_DEEP_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*+(?:{_PART}\.[ \t]*+){{{MAX_DEPTH + 1}}}", re.MULTILINE)
+"""Key of more than `MAX_DEPTH` parts, which takes tomllib quadratic time."""
 
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Parse TOML; raise a SettingsError for other text, too deep tables or numbers of more than 64 bits."""
-    if _has_deep_key(text):
-        raise SettingsError(f"not valid TOML: {_DEEP}")
+    if _DEEP_KEY.search(text):
+        raise SettingsError(_DEEP)
     try:
         tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"not valid TOML: {brief(error)}") from None
-    except ValueError:  # more digits than Python turns into a number
-        raise SettingsError("not valid TOML: a whole number has more than 64 bits") from None
     except RecursionError:
-        raise SettingsError(f"not valid TOML: {_DEEP}") from None
+        raise SettingsError(_DEEP) from None
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"not valid TOML: {brief(error)}") from error
+    except ValueError:  # more digits than Python turns into a number
+        raise SettingsError(_LARGE) from None
     _check_bounds(tree)
     return tree
 
@@ -59,19 +53,16 @@ def parse_assignment(text: str) -> dict[str, Any]:
 
 def parse_value(text: str) -> Any:
     """Read a value as TOML, or else as bare text; raise a SettingsError if it is too deep or too large."""
-    if _has_deep_key(text):
-        # only lists and tables hold keys: other text may have many dots, or a second line
-        return parse_toml(f"v = {text}") if text.lstrip().startswith(("[", "{")) else text.strip()
+    # only lists and tables hold keys: other text may have many dots
+    if _DEEP_KEY.search(text) and not text.lstrip().startswith(("[", "{")):
+        return text.strip()
     try:
-        tree = tomllib.loads(f"v = {text}")
-    except tomllib.TOMLDecodeError:
-        return text.strip()
-    except (ValueError, RecursionError):
-        tree = parse_toml(f"v = {text}")  # raises the error that tells the reason
-    if len(tree) > 1:  # a second line holds a second key
-        return text.strip()
-    _check_bounds(tree)
-    return tree["v"]
+        tree = parse_toml(f"v = {text}")
+    except SettingsError as error:
+        if isinstance(error.__cause__, tomllib.TOMLDecodeError):
+            return text.strip()
+        raise
+    return tree["v"] if len(tree) == 1 else text.strip()  # a second line holds a second key
 
 
 def to_toml(mapping: Mapping[str, Any]) -> str:
@@ -87,19 +78,11 @@ def _without_none(value: Any) -> Any:
     return [_without_none(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def _has_deep_key(text: str) -> bool:
-    """Return True if a key has more than `MAX_DEPTH` parts: tomllib would take quadratic time for it."""
-    return any(part.count(".") > MAX_DEPTH for part in re.split(r"[=\n,\[\]{}]", _NO_KEY.sub('""', text)))
-
-
-def _check_bounds(tree: Any) -> None:
+def _check_bounds(value: Any, depth: int = 0) -> None:
     """Raise a SettingsError if a tree is deeper, or an integer larger, than settings allow."""
-    layer, depth = [tree], 0
-    while layer:
-        if depth > MAX_DEPTH:
-            raise SettingsError(_DEEP)
-        if any(isinstance(value, int) and not -(1 << 63) <= value < 1 << 63 for value in layer):
-            raise SettingsError("a whole number has more than 64 bits")
-        inner = [value for value in layer if isinstance(value, (dict, list))]
-        layer = [item for value in inner for item in (value.values() if isinstance(value, dict) else value)]
-        depth += 1
+    if depth > MAX_DEPTH:
+        raise SettingsError(_DEEP)
+    if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        raise SettingsError(_LARGE)
+    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _check_bounds(item, depth + 1)
