@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from heliograph.base.errors import MediaError
-from heliograph.base.files import clear_write_errors, path_beside, whole_file, write_whole
+from heliograph.base.files import clear_write_errors, whole_file, write_whole
 
 
 def test_a_file_takes_its_place_when_all_went_well(tmp_path: Path) -> None:
@@ -75,14 +75,3 @@ def test_a_name_that_is_too_long_is_refused_before_anything_is_written(tmp_path:
         begun = True
     assert not begun
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("name", ["n" * 255, "n" * 246, "試" * 85, "\udce9" * 255])
-def test_a_long_name_leaves_room_for_the_file_that_belongs_to_it(name: str) -> None:
-    beside, other = (path_beside(Path("d") / one, ".truth.npz") for one in (name, name[:-1]))
-    assert beside.name.endswith(".truth.npz")
-    assert len(os.fsencode(beside.name)) <= 255
-    assert beside.name[:30] == name[:30] or "\udce9" in name
-    assert beside != other
-    assert path_beside(Path("d/n.h5"), ".truth.npz") == Path("d/n.h5.truth.npz")
-    assert path_beside(Path("n" * 245), ".truth.npz") == Path("n" * 245 + ".truth.npz")

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import os
 import tracemalloc
 import warnings
 import zipfile
@@ -42,6 +43,16 @@ def path(tmp_path: Path) -> Path:
 
 def test_the_name_is_the_films_with_a_suffix(tmp_path: Path) -> None:
     assert truth_path(tmp_path / "a.b.mkv") == tmp_path / "a.b.mkv.truth.npz"
+    assert truth_path(Path("n" * 245)) == Path("n" * 245 + ".truth.npz")
+
+
+@pytest.mark.parametrize("name", ["n" * 255, "n" * 246, "試" * 85, "\udce9" * 255])
+def test_the_name_of_the_truth_is_no_longer_than_file_systems_allow(name: str) -> None:
+    truth, other = truth_path(Path("d") / name), truth_path(Path("d") / name[:-1])
+    assert truth.name.endswith(".truth.npz")
+    assert len(os.fsencode(truth.name)) <= 255
+    assert truth.name[:30] == name[:30] or "\udce9" in name
+    assert truth != other
 
 
 def test_what_is_written_is_read_back(path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import hashlib
 import os
 import shutil
 import stat
@@ -15,6 +14,13 @@ from heliograph.base.errors import MediaError, printable
 LONGEST_NAME = 255
 """Bytes of a file name that usual file systems allow."""
 
+_CURES = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "make room or choose another place"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), "ask for the right to write there, or choose another place"),
+    errno.ENAMETOOLONG: f"choose a name of at most {LONGEST_NAME} bytes, or a shorter path",
+}
+"""Advice by the number of an error of writing."""
+
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
@@ -24,13 +30,12 @@ def whole_file(path: Path) -> Iterator[Path]:
     """
     with clear_write_errors(path):
         partial = partial_path(path)
-    try:
-        with clear_write_errors(path):
+        try:
             yield partial
             os.replace(partial, path)
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
+        finally:
+            with contextlib.suppress(OSError):
+                partial.unlink()
 
 
 def partial_path(path: Path, suffix: str = "") -> Path:
@@ -38,16 +43,6 @@ def partial_path(path: Path, suffix: str = "") -> Path:
     with contextlib.suppress(FileNotFoundError):
         path.lstat()
     return path.with_name(f".{uuid.uuid4().hex[:8]}.partial{suffix}")
-
-
-def path_beside(path: Path, ending: str) -> Path:
-    """Return the path of a file that belongs to another: the name with an ending, cut to the longest name allowed."""
-    name = os.fsencode(path.name)
-    if len(name) + len(ending) > LONGEST_NAME:
-        digest = hashlib.sha256(name).hexdigest()[:8]
-        kept = name[: LONGEST_NAME - len(ending) - len(digest) - 1].decode(errors="ignore")
-        return path.with_name(f"{kept}-{digest}{ending}")
-    return path.with_name(path.name + ending)
 
 
 def shown_name(path: str | os.PathLike[str]) -> str:
@@ -63,13 +58,12 @@ def write_whole(path: Path, data: bytes) -> None:
 
 def read_bounded(path: Path, most: int, cure: str = "is it the right file?") -> bytes:
     """Read a file or a pipe; raise an OSError for more than `most` bytes or for a pipe that has no writer."""
-    # opening a pipe that has no writer would block
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    with open(descriptor, "rb") as file:
-        if hasattr(os, "set_blocking"):
-            os.set_blocking(descriptor, True)
+    unblocked = getattr(os, "O_NONBLOCK", 0)  # opening a pipe that has no writer would block
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | unblocked)) as file:
+        if unblocked:
+            os.set_blocking(file.fileno(), True)
         data = file.read(most + 1)
-        if not data and stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+        if not data and stat.S_ISFIFO(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EPIPE, "a pipe that nobody writes to; save the text to a file first")
     if len(data) > most:
         raise OSError(errno.EFBIG, f"longer than {most:,} bytes; {cure}")
@@ -83,13 +77,8 @@ def room_for(path: Path, size: int) -> None:
     except OSError:  # writing the file reports the folder
         return
     if size > free:
-        raise MediaError(
-            f"cannot write {path}: it takes {_size(size)}, and {_size(free)} are free; write less, or elsewhere"
-        )
-
-
-def _size(size: int) -> str:
-    return f"{size / 1e9:,.1f} GB" if size >= 1e8 else f"{size / 1e6:,.1f} MB"
+        takes, left = (f"{n / 1e9:,.1f} GB" if n >= 1e8 else f"{n / 1e6:,.1f} MB" for n in (size, free))
+        raise MediaError(f"cannot write {path}: it takes {takes}, and {left} are free; write less, or elsewhere")
 
 
 @contextlib.contextmanager
@@ -100,15 +89,5 @@ def clear_write_errors(path: Path) -> Iterator[None]:
     except MediaError:
         raise
     except OSError as error:
-        raise MediaError(f"cannot write {path}: {error.strerror or error}; {_cure(error)}") from None
-
-
-def _cure(error: OSError) -> str:
-    """Return the advice for an error of writing."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return "make room or choose another place"
-    if error.errno in (errno.EACCES, errno.EPERM):
-        return "ask for the right to write there, or choose another place"
-    if error.errno == errno.ENAMETOOLONG:
-        return f"choose a name of at most {LONGEST_NAME} bytes, or a shorter path"
-    return "choose another place"
+        cure = _CURES.get(error.errno or 0, "choose another place")
+        raise MediaError(f"cannot write {path}: {error.strerror or error}; {cure}") from None

@@ -1,9 +1,11 @@
 """Truth of a simulated film, in a file beside it, and the check that film and truth agree."""
 
 import contextlib
+import hashlib
 import io
 import json
 import lzma
+import os
 import struct
 import tempfile
 import tokenize
@@ -21,7 +23,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.config import from_mapping, keys_of, merge, to_mapping
 from heliograph.base.errors import HeliographError, MediaError, brief
-from heliograph.base.files import clear_write_errors, path_beside, whole_file
+from heliograph.base.files import LONGEST_NAME, clear_write_errors, whole_file
 from heliograph.channel import NoiseModel, Truth
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
@@ -66,8 +68,12 @@ def row_type(arrays: int) -> np.dtype[Any]:
 
 
 def truth_path(film: Path) -> Path:
-    """Return the name of a film's truth file: FILM.truth.npz, cut where file systems allow no such length."""
-    return path_beside(film, ".truth.npz")
+    """Return the path of a film's truth file, FILM.truth.npz; a name too long for file systems is cut."""
+    name, ending = os.fsencode(film.name), ".truth.npz"
+    if len(name) + len(ending) <= LONGEST_NAME:
+        return film.with_name(film.name + ending)
+    ending = f"-{hashlib.sha256(name).hexdigest()[:8]}{ending}"
+    return film.with_name(name[: LONGEST_NAME - len(ending)].decode(errors="ignore") + ending)
 
 
 class TruthWriter:
