@@ -1,17 +1,7 @@
 """Errors for the user: a line with the problem and the remedy."""
 
 import unicodedata
-from collections.abc import Callable
 from numbers import Number
-
-MOST_SHOWN = 80
-"""Most characters of a wrong value in a message."""
-
-UNDECODED = range(0xDC80, 0xDD00)
-"""Characters that stand for the bytes of a file name that is not UTF-8 (PEP 383)."""
-
-JOINERS = "\u200c\u200d"
-"""Characters within words of some scripts and within emoji."""
 
 
 class HeliographError(Exception):
@@ -41,26 +31,25 @@ def printable(text: str) -> str:
 
 
 def _escape(character: str) -> str:
-    if character.isprintable() or character in JOINERS or unicodedata.category(character) == "Zs":
+    # the two joiners are part of words of some scripts and of emoji
+    if character.isprintable() or character in "\u200c\u200d" or unicodedata.category(character) == "Zs":
         return character
-    if ord(character) in UNDECODED:
+    if "\udc80" <= character <= "\udcff":  # a byte that is not UTF-8 (PEP 383)
         return f"\\x{ord(character) & 0xFF:02x}"
     return character.encode("unicode_escape").decode("ascii")
 
 
 def brief(value: object) -> str:
-    """Return the text of an error, a text or a wrong value on one line, cut to `MOST_SHOWN` characters."""
-    return _on_a_line(str if isinstance(value, (str, Exception)) else repr, value)
+    """Return the text of an error, a text or a wrong value on one line, cut to 80 characters."""
+    try:
+        text = " ".join((str if isinstance(value, (str, Exception)) else repr)(value).split())
+    except ValueError:  # a number of more digits than Python writes
+        return "a number of thousands of digits"
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def shown(value: object) -> str:
     """Return a wrong argument on one line: a number or text as Python writes it, else the type."""
-    return _on_a_line(repr, value) if isinstance(value, (str, Number)) else type(value).__name__
-
-
-def _on_a_line(write: Callable[[object], str], value: object) -> str:
-    try:
-        text = " ".join(write(value).split())
-    except ValueError:  # a number of more digits than Python writes
-        return "a number of thousands of digits"
-    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
+    if isinstance(value, str):
+        return brief(repr(value))
+    return brief(value) if isinstance(value, Number) else type(value).__name__
