@@ -11,24 +11,21 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from heliograph.base.errors import SettingsError, shown
 from heliograph.base.files import read_bounded
-
-MAX_SOURCE_BYTES = 1 << 24
-"""Longest file that `load_parts` reads."""
 
 T = TypeVar("T")
 
 _REGISTRIES: dict[str, "Registry[Any]"] = {}
 """Registries by entry-point group."""
 
-_FILES: dict[str, bytes] = {}
+_files: dict[str, bytes] = {}
 """Text of the files that `load_parts` ran."""
 
 _failures: list[str] | None = None
-"""Modules that a worker process could not import, with the reason; None outside of worker processes."""
+"""Reasons why a worker process could not register parts; None outside of worker processes."""
 
 
 class Registry(Generic[T]):
@@ -53,7 +50,7 @@ class Registry(Generic[T]):
         if name in self._built_in:
             raise SettingsError(f"the {self._kind} '{name}' is one of the package; choose another name")
         self._registered[name] = part
-        self.origins[name] = str(getattr(make, "__module__", ""))
+        self.origins[name] = getattr(make, "__module__", None) or "__main__"
 
     def __getitem__(self, name: str) -> T:
         """Return the part of a name; raise a SettingsError if it is unknown or cannot be loaded."""
@@ -61,14 +58,12 @@ class Registry(Generic[T]):
         if name in self._registered:
             return self._registered[name]
         if name in self._built_in:
-            built_in: T = EntryPoint(name, self._built_in[name], self._group).load()
-            return built_in
+            return cast(T, EntryPoint(name, self._built_in[name], self._group).load())
         entry = next(entry for entry in _entries(self._group) if entry.name == name)
         try:
-            offered: T = entry.load()
+            return cast(T, entry.load())
         except Exception as error:  # code of another package may raise any error
             raise SettingsError(f"the {self._kind} '{name}' of {entry.value} cannot be loaded: {error}") from error
-        return offered
 
     def check(self, name: str) -> str:
         """Return a known name; raise a SettingsError that names the nearest if it is unknown."""
@@ -109,7 +104,7 @@ def load_parts(file: Path | str) -> None:
         raise SettingsError(f"load_parts takes the path of a Python file, not {shown(file)}")
     path = Path(file).resolve()
     try:
-        source = read_bounded(Path(file), MAX_SOURCE_BYTES)
+        source = read_bounded(Path(file), 1 << 24)
     except OSError as error:
         raise SettingsError(f"cannot load {file}: {error.strerror or error}") from None
     if str(path.parent) not in sys.path:
@@ -118,55 +113,52 @@ def load_parts(file: Path | str) -> None:
     name = f"loaded_{path.stem}_{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}"
     module = sys.modules[name] = ModuleType(name)
     module.__file__ = str(path)
-    _FILES[str(path)] = source
     try:
         exec(compile(source, path, "exec"), module.__dict__)
     except Exception as error:  # code of another author may raise any error
-        del sys.modules[name], _FILES[str(path)]
+        del sys.modules[name]
         raise SettingsError(f"cannot load {file}: {type(error).__name__}: {error}") from error
+    _files[str(path)] = source
 
 
 def registered() -> tuple[str, ...]:
     """Return the files and the names of the modules that register parts, for `register_again` in a worker process."""
     modules = {module for registry in _REGISTRIES.values() for module in registry.origins.values()}
-    main = _find_file("__main__") if "__main__" in modules else None
-    named = sorted(module for module in modules if module not in ("", "__main__") and not module.startswith("loaded_"))
-    return (*_FILES, *([main] if main else []), *named)
+    imported = sorted(module for module in modules if not module.startswith("loaded_"))
+    sources = [_find_file(module) if module == "__main__" else module for module in imported]
+    return (*_files, *filter(None, sources))
 
 
 @lru_cache  # a worker of a cluster gets them with each task
 def register_again(sources: tuple[str, ...]) -> None:
     """Run files and import modules that register parts, in a worker process."""
     global _failures
-    failures = []
+    _failures = []
     for source in sources:
         try:
             if not source.endswith(".py"):
                 import_module(source)
-            # multiprocessing has run the main script
-            elif source not in _FILES and source != _find_file("__mp_main__"):
+            elif source not in _files and source != _find_file("__mp_main__"):  # multiprocessing runs the main script
                 load_parts(source)
         except Exception as error:  # code of another author may raise any error
-            failures.append(str(error))
-    _failures = failures
+            _failures.append(str(error))
 
 
 def digest() -> str:
     """Return a digest of all parts outside of the package, as results depend on them."""
     about = hashlib.sha256()
     for source in registered():
-        file = source if source.endswith(".py") else _find_file(source)
-        about.update(_FILES.get(source) or (Path(file).read_bytes() if file else b""))
+        file = _find_file(source)
+        about.update(_files.get(source) or (Path(file).read_bytes() if file else b""))
     for group, registry in _REGISTRIES.items():
-        about.update("".join(f"{group} {name}\n" for name in sorted(registry.origins)).encode())
-        for entry in _entries(group):
-            about.update(repr((group, entry.name, entry.value, entry.dist and entry.dist.version)).encode())
+        offered = [(entry.name, entry.value, entry.dist and entry.dist.version) for entry in _entries(group)]
+        about.update(repr((group, sorted(registry.origins), offered)).encode())
     return about.hexdigest()[:12]
 
 
-def _find_file(module: str) -> str | None:
-    """Return the file of an imported module; None if it has none."""
-    file = getattr(sys.modules.get(module), "__file__", None)
+def _find_file(source: str) -> str | None:
+    """Return the file of a source of parts, a file or an imported module; None if there is none."""
+    file = source if source.endswith(".py") else getattr(sys.modules.get(source), "__file__", None)
     return str(Path(file).resolve()) if file and Path(file).is_file() else None
 
 

@@ -15,20 +15,17 @@ Item = TypeVar("Item")
 
 _lock = threading.Lock()
 _blocks = 0
-_before: list[tuple[Any, int]] = []
+_limited: list[tuple[Any, int]] = []
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread in a ``with`` block. The last of simultaneous blocks restores the number of threads.
-
-    A BLAS built with OpenMP keeps a number for each thread, so that only the first thread is limited.
-    """
+    """Limit BLAS to one thread in a ``with`` block; the last of simultaneous blocks restores the number of threads."""
     global _blocks
     with _lock:
         if not _blocks:
-            _before[:] = [(library, count) for library in _libraries() if (count := library.num_threads) != 1]
-            for library, _ in _before:
+            _limited[:] = [(library, count) for library in _libraries() if (count := library.num_threads) != 1]
+            for library, _ in _limited:
                 _set_threads(library, 1)
         _blocks += 1
     try:
@@ -37,7 +34,7 @@ def one_thread() -> Iterator[None]:
         with _lock:
             _blocks -= 1
             if not _blocks:
-                for library, count in _before:
+                for library, count in _limited:
                     _set_threads(library, count)
 
 

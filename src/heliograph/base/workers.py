@@ -31,7 +31,7 @@ def worker_processes(count: int) -> ProcessPoolExecutor:
 @contextlib.contextmanager
 def worker_environment() -> Iterator[None]:
     """Start processes within this block: they inherit the thread limits, and Ctrl-C waits until they ignore it."""
-    before = {name: os.environ.get(name) for name in THREAD_LIMITS}
+    before = {name: os.environ[name] for name in THREAD_LIMITS if name in os.environ}
     os.environ.update(THREAD_LIMITS)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
     try:
@@ -39,11 +39,9 @@ def worker_environment() -> Iterator[None]:
     finally:
         if mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in THREAD_LIMITS:
+            os.environ.pop(name, None)
+        os.environ.update(before)
 
 
 def begin_worker(parts: tuple[str, ...] = ()) -> None:
