@@ -56,7 +56,7 @@ def own_settings(settings: ReceiveSettings) -> Any:
     Parameters
     ----------
     settings
-        Settings with the receiver's name, and the settings in ``own``.
+        Settings with the receiver's name, and the settings in ``custom``.
 
     Raises
     ------
@@ -93,10 +93,10 @@ def make_receiver(
     check_signal(signal)
     settings = ReceiveSettings() if settings is None else settings
     _check_settings(settings)
-    if not callable(observe or _ignore):
+    observe = (lambda _: None) if observe is None else observe
+    if not callable(observe):
         raise SettingsError(f"an observer is a function that takes an event, not {shown(observe)}")
-    receiver: Receiver = part_of(settings.receiver).make(signal, settings, observe or _ignore)
-    return receiver
+    return part_of(settings.receiver).make(signal, settings, observe)
 
 
 def receive_frames(
@@ -138,7 +138,3 @@ def _check_settings(settings: object) -> None:
             f"settings of a receiver are ReceiveSettings, not {shown(settings)}; those of a link are .receive, and "
             f"ReceiveSettings(receiver='soft') chooses another one"
         )
-
-
-def _ignore(event: Any, /) -> None:
-    """Ignore an event."""

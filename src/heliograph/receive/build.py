@@ -19,7 +19,6 @@ from heliograph.receive.detect.search import HeaderSearch, around
 from heliograph.receive.events import Observer
 from heliograph.receive.geometry.pose import pose_of
 from heliograph.receive.geometry.view import View
-from heliograph.receive.geometry.window import Window
 from heliograph.receive.receiver import StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.frame_clock import CameraClock, SynchronousClock
@@ -41,18 +40,13 @@ MakePacket = Callable[[int], PacketObservations]
 
 def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
     """Assemble the paper's receiver: a frame for each pattern, in step with the light."""
-    form = PacketFormat(signal)
     options = Decoding(settings.decode.algorithm or "max-log", settings.decode.iterations)
-
-    def make_packet(identity: int) -> PacketObservations:
-        return PlainPacket(identity, form, settings.plain.equaliser, options)
 
     def pairing(detection: Detection) -> Pairing:
         return SynchronousPairing(detection.start_time_s, detection.time_s, detection.identity, signal)
 
-    parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
-    region = _search_region(parameters, settings, signal.side)
-    search = HeaderSearch(parameters, signal, synchronous=True, region=region)
+    search = _header_search(settings, signal, PLAIN_REGULARITY, synchronous=True)
+    make_packet = partial(PlainPacket, form=PacketFormat(signal), equaliser=settings.plain.equaliser, options=options)
     track = _array_factory(signal, settings, observe, pairing, make_packet, is_plain=True)
     return StreamReceiver(SynchronousClock(signal.pattern_period_s), search, track, observe)
 
@@ -66,21 +60,14 @@ def soft_receiver(
     options = Decoding(decode.algorithm or "log-map", decode.iterations, soft.feedback, soft.led_by_led, soft.combining)
 
     def pairing(detection: Detection) -> Pairing:
-        exposure_s = settings.calibration.exposure_s
+        start_s, time_s, pose = detection.start_time_s, detection.time_s, detection.fit.pose
+        gains, exposure_s = detection.led_gains, settings.calibration.exposure_s
         return AsynchronousPairing(
-            detection.start_time_s,
-            detection.time_s,
-            detection.fit.pose,
-            detection.identity,
-            detection.led_gains,
-            signal,
-            exposure_s,
-            detection.drift,
+            start_s, time_s, pose, detection.identity, gains, signal, exposure_s, detection.drift
         )
 
-    parameters = search_parameters(settings, signal, SOFT_REGULARITY, impaired=True)
-    search = HeaderSearch(parameters, signal, region=_search_region(parameters, settings, signal.side))
-    make_packet = make_packet or (lambda identity: SoftPacket(identity, signal, options))
+    search = _header_search(settings, signal, SOFT_REGULARITY, synchronous=False)
+    make_packet = make_packet or partial(SoftPacket, signal=signal, options=options)
     track = _array_factory(signal, settings, observe, pairing, make_packet)
     return StreamReceiver(CameraClock(), search, track, observe)
 
@@ -91,8 +78,6 @@ def search_parameters(
     """Parameters of a receiver's search."""
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
-    # a film may take two cores; a given place has no bound
-    cpu_share = 2.0 if detect.cpu_share is None else detect.cpu_share
     return SearchParameters(
         min_side_px=settings.smallest_side_px,
         max_side_px=detect.max_side_px,
@@ -101,7 +86,8 @@ def search_parameters(
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
-        cpu_share=1e6 if given else cpu_share,
+        # a given place has no bound; a film may take two cores
+        cpu_share=1e6 if given else detect.cpu_share or 2.0,
         impaired=impaired,
         all_on=signal.header == "all_on",
         blur_px=blur_px,
@@ -110,17 +96,21 @@ def search_parameters(
     )
 
 
-def _search_region(parameters: SearchParameters, settings: ReceiveSettings, side: int) -> Window | None:
-    """Return the region of the settings, or about the corners, if given."""
-    start = parameters.start
+def _header_search(
+    settings: ReceiveSettings, signal: SignalSettings, regularity: float, synchronous: bool
+) -> HeaderSearch:
+    """Return the search in the region of the settings, or about the corners, if given."""
+    parameters = search_parameters(settings, signal, regularity, impaired=not synchronous)
+    start, region = parameters.start, settings.detect.region or None
     if start is not None:
-        size, (least, most) = side * start.pitch, (parameters.min_side_px, parameters.max_side_px)
+        size, (least, most) = signal.side * start.pitch, (parameters.min_side_px, parameters.max_side_px)
         if not least <= size <= most:
             raise SettingsError(
                 f"the array at receive.detect.corners is {size:.3g} px a side, and those from {least:g} to {most:g} px "
                 f"are looked for: set receive.detect.{'min' if size < least else 'max'}_side_px"
             )
-    return settings.detect.region or (None if start is None else around(start, side))
+        region = region or around(start, signal.side)
+    return HeaderSearch(parameters, signal, synchronous, region)
 
 
 def _array_factory(

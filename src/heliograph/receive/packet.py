@@ -158,14 +158,12 @@ class Packet:
         if self.reason:
             lines.append(self.reason)
         for name, words in self.layers.items():
-            failed = [word for word in words if word.status != "ok"]
-            line = f"{name} layer: {len(words) - len(failed)} of {len(words)} codewords"
-            known = [word for word in failed if not math.isnan(word.information)]
-            if known:
-                least = DECODING_RATIO * len(known[0].bits) / len(known[0].raw)
-                best = max(word.information for word in known)
-                line += f"; the others have at most {best:.2f} bit per coded bit, the code needs about {least:.2f}"
-            lines.append(line)
+            lines.append(f"{name} layer: {sum(word.status == 'ok' for word in words)} of {len(words)} codewords")
+            failed = [word for word in words if word.status != "ok" and not math.isnan(word.information)]
+            if failed:
+                least = DECODING_RATIO * len(failed[0].bits) / len(failed[0].raw)
+                best = max(word.information for word in failed)
+                lines[-1] += f"; the others have at most {best:.2f} bit per coded bit, the code needs about {least:.2f}"
         return "\n".join(lines)
 
     @property

@@ -40,17 +40,6 @@ RECEIVERS: Registry[Any] = Registry(
 
 
 def part_of(name: str) -> ReceiverPart:
-    """Receiver by name.
-
-    Parameters
-    ----------
-    name
-        Name of the receiver, such as "soft", as in the setting ``receive.receiver``.
-
-    Raises
-    ------
-    SettingsError
-        The name is unknown.
-    """
+    """Return the receiver of a name; raise a SettingsError if the name is unknown."""
     entry = RECEIVERS[name]
     return entry if isinstance(entry, ReceiverPart) else ReceiverPart(entry)

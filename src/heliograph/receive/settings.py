@@ -271,9 +271,7 @@ class ReceiveSettings:
     @property
     def smallest_side_px(self) -> float:
         """Minimum side of an array in px, by the settings or the receiver."""
-        if self.detect.min_side_px is not None:
-            return self.detect.min_side_px
-        return SMALLEST_SIDE_PX.get(self.receiver, min(SMALLEST_SIDE_PX.values()))
+        return self.detect.min_side_px or SMALLEST_SIDE_PX.get(self.receiver, SMALLEST_SIDE_PX["soft"])
 
     def with_live_limits(self) -> "ReceiveSettings":
         """Return the settings with the CPU share of a live camera, which does not wait."""
@@ -286,11 +284,7 @@ class ReceiveSettings:
         smallest, largest = self.smallest_side_px, self.detect.max_side_px
         if smallest >= largest:
             raise ValueError(f"detect.min_side_px must be below detect.max_side_px, not {smallest:g} and {largest:g}")
-        for key in _without_effect(self):
-            raise ValueError(
-                f"receive.{key} has no effect with receive.receiver = '{self.receiver}'; leave it out, or choose "
-                f"{_reader_of(key, self.receiver)}"
-            )
+        _check_effects(self)
         if self.custom and (kind := part_of(self.receiver).settings) is not None:
             from_mapping(kind, self.custom)
         return self
@@ -299,43 +293,27 @@ class ReceiveSettings:
 def _is_around(corners: Corners) -> bool:
     """Return True if four corners are in order around a convex area."""
     x, y = corners[0::2], corners[1::2]
-    sides = [(x[(k + 1) % 4] - x[k], y[(k + 1) % 4] - y[k]) for k in range(4)]
-    turns = [a * d - b * c for (a, b), (c, d) in zip(sides, sides[1:] + sides[:1], strict=True)]
-    return all(turn > 0 for turn in turns) or all(turn < 0 for turn in turns)
+    sides = [(x[k] - x[k - 1], y[k] - y[k - 1]) for k in range(4)]
+    turns = [sides[k - 1][0] * sides[k][1] - sides[k - 1][1] * sides[k][0] for k in range(4)]
+    return min(turns) > 0 or max(turns) < 0
 
 
-def _without_effect(settings: ReceiveSettings) -> list[str]:
-    """Dotted keys that were set although the receiver does not read them."""
-    name, keys = settings.receiver, list[str]()
-    for group, default in (("plain", PlainSettings()), ("soft", SoftSettings()), ("screen", ScreenSettings())):
-        if group != name:
-            keys += _changed(getattr(settings, group), default, f"{group}.")
-    if name != "soft" and RECEIVERS.is_built_in(name) and settings.calibration.exposure_s is not None:
-        keys.append("calibration.exposure_s")
-    if RECEIVERS.is_built_in(name):
-        return keys + [f"custom.{key}" for key in settings.custom]
-    part = part_of(name) if (changed := _changed_groups(settings)) or settings.custom else None
-    if part is None:  # without such settings the receiver is not loaded yet
-        return keys
-    keys += [key for key in changed if key.partition(".")[0] not in part.reads]
-    return keys + [f"custom.{key}" for key in settings.custom if part.settings is None]
-
-
-def _reader_of(key: str, name: str) -> str:
-    """Name the reader of a setting without effect."""
-    group = key.partition(".")[0]
-    if group in GROUPS and not RECEIVERS.is_built_in(name):
-        return f"a receiver that reads it (this one is registered without reads=['{group}'])"
-    return "the receiver it belongs to"
-
-
-def _changed_groups(settings: ReceiveSettings) -> list[str]:
-    """Dotted keys of the groups of several receivers that were changed."""
-    groups = {group: getattr(settings, group) for group in GROUPS}
-    return [key for group, value in groups.items() for key in _changed(value, type(value)(), f"{group}.")]
-
-
-def _changed(settings: Any, default: Any, prefix: str) -> list[str]:
-    assert is_dataclass(settings)
-    names = [entry.name for entry in fields(settings)]
-    return [f"{prefix}{name}" for name in names if getattr(settings, name) != getattr(default, name)]
+def _check_effects(settings: ReceiveSettings) -> None:
+    """Raise a ValueError if a setting was changed that the receiver does not read."""
+    name, changed = settings.receiver, [("custom", key) for key in settings.custom]
+    for entry in fields(settings):
+        if is_dataclass(group := getattr(settings, entry.name)):
+            changed += [(entry.name, key.name) for key in fields(group) if getattr(group, key.name) != key.default]
+    if not changed:  # a registered receiver is not loaded yet
+        return
+    part = None if RECEIVERS.is_built_in(name) else part_of(name)
+    reads = (*GROUPS, name) if part is None else (*part.reads, *(["custom"] if part.settings else []))
+    for group, key in changed:
+        if group in reads and (key != "exposure_s" or name == "soft" or part is not None):
+            continue
+        reader = "the receiver it belongs to"
+        if group in GROUPS and part is not None:
+            reader = f"a receiver that reads it (this one is registered without reads=['{group}'])"
+        raise ValueError(
+            f"receive.{group}.{key} has no effect with receive.receiver = '{name}'; leave it out, or choose {reader}"
+        )
