@@ -6,7 +6,7 @@ A settings class is a ``pydantic.dataclasses.dataclass(frozen=True, kw_only=True
 
 import contextlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields, is_dataclass
 from difflib import get_close_matches
 from textwrap import shorten
@@ -24,11 +24,8 @@ FocalM = Annotated[float, Field(ge=1e-4, le=10)]  # focal length, up to the long
 PixelM = Annotated[float, Field(ge=1e-7, le=1e-3)]  # side of a pixel: light makes no image below 0.1 um
 PitchM = Annotated[float, Field(ge=1e-4, le=10)]  # distance between LEDs
 
-_MIN_RATIO = 0.65
-"""Minimum similarity of the last parts of an unknown and a proposed key, by `difflib`."""
-
+# new names of settings by old name
 _RENAMED = {"beside": "in_background", "busy_part": "cpu_share", "own": "custom"}
-"""New names of settings by old name."""
 
 T = TypeVar("T")
 
@@ -70,7 +67,7 @@ def merge(base: Any, over: Any) -> Any:
     """
     if isinstance(base, Mapping) and isinstance(over, Mapping):
         return {**base, **{key: merge(base.get(key), value) for key, value in over.items()}}
-    if not (isinstance(base, Sequence) and not isinstance(base, str) and isinstance(over, Mapping)):
+    if not (isinstance(base, (list, tuple)) and isinstance(over, Mapping)):
         return over
     items = list(base)
     for key, value in over.items():
@@ -118,7 +115,7 @@ def _unknown_key(key: str, cls: type) -> SettingsError:
     tables = {known[: end.start()] for known in keys for end in re.finditer(r"\.", known)}
     names = {known: known.rpartition(".")[2] for known in {*keys, *tables}}
     with_unit = {name for name in names.values() if name.startswith(f"{leaf}_")}  # speed_m_s for speed
-    close = {leaf} & {*names.values()} or with_unit or get_close_matches(leaf, {*names.values()}, 1, _MIN_RATIO)
+    close = {leaf} & {*names.values()} or with_unit or get_close_matches(leaf, {*names.values()}, 1, cutoff=0.65)
     if near := get_close_matches(key, [known for known, name in names.items() if name in close], 1, cutoff=0):
         return SettingsError(f"unknown setting '{key}'; did you mean '{near[0]}'?")
     members = {known.removeprefix(parent + dot).partition(".")[0] for known in keys if known.startswith(parent + dot)}

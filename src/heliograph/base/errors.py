@@ -50,6 +50,5 @@ def brief(value: object) -> str:
 
 def shown(value: object) -> str:
     """Return a wrong argument on one line: a number or text as Python writes it, else the type."""
-    if isinstance(value, str):
-        return brief(repr(value))
-    return brief(value) if isinstance(value, Number) else type(value).__name__
+    written = repr(value) if isinstance(value, str) else value
+    return brief(written) if isinstance(value, (str, Number)) else type(value).__name__

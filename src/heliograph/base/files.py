@@ -24,10 +24,7 @@ _CURES = {
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a hidden path to write to; the file replaces `path` after the block, and is removed after an exception.
-
-    The folder must exist. A file that cannot be written raises a MediaError.
-    """
+    """Yield a hidden path to write to, which replaces `path` after the block; raise a MediaError if it cannot."""
     with clear_write_errors(path):
         partial = partial_path(path)
         try:

@@ -86,9 +86,7 @@ def _check_pixels(pixels: Any, bits: Any) -> None:
     if not isinstance(pixels, np.ndarray):
         raise HeliographError(f"a frame's pixels are a NumPy array, not {type(pixels).__name__}; use numpy.asarray")
     if pixels.ndim != 2:
-        raise HeliographError(
-            f"a frame's pixels have shape (rows, columns), not {pixels.shape}; turn colours into gray"
-        )
+        raise HeliographError(f"a frame's pixels are (rows, columns), not {pixels.shape}; turn colours into gray")
     if pixels.dtype not in BITS:
         raise HeliographError(f"a frame's pixels are uint8 or uint16, not {pixels.dtype}; scale them and use astype")
     least, most = BITS[pixels.dtype]

@@ -18,14 +18,9 @@ from heliograph.base.files import read_bounded
 
 T = TypeVar("T")
 
-_REGISTRIES: dict[str, "Registry[Any]"] = {}
-"""Registries by entry-point group."""
-
-_files: dict[str, bytes] = {}
-"""Text of the files that `load_parts` ran."""
-
-_failures: list[str] | None = None
-"""Reasons why a worker process could not register parts; None outside of worker processes."""
+_registries: dict[str, "Registry[Any]"] = {}  # by entry-point group
+_files: dict[str, bytes] = {}  # text of the files that load_parts ran
+_failures: list[str] | None = None  # why a worker process lacks parts; None outside of worker processes
 
 
 class Registry(Generic[T]):
@@ -34,15 +29,11 @@ class Registry(Generic[T]):
     def __init__(self, kind: str, group: str, built_in: Mapping[str, str]):
         self._kind, self._group, self._built_in = kind, group, dict(built_in)
         self._registered: dict[str, T] = {}
-        self.origins: dict[str, str] = {}
-        """Module in which the maker of each registered part is defined."""
-        _REGISTRIES[group] = self
+        self.origins: dict[str, str] = {}  # module of the maker of each registered part
+        _registries[group] = self
 
     def register(self, name: str, part: T, make: Any) -> None:
-        """Add a part made by a function or class, or replace a registered part.
-
-        Raise a SettingsError if the name belongs to the package or is not valid, or if `make` cannot be called.
-        """
+        """Add or replace a part and its maker; raise a SettingsError if the name or the maker is invalid."""
         if not callable(make):
             raise SettingsError(f"a {self._kind} is made by a function or a class, not by {shown(make)}")
         if not (isinstance(name, str) and re.fullmatch(r"[\w.-]+", name)):
@@ -74,8 +65,8 @@ class Registry(Generic[T]):
             reason = "; ".join(_failures) or cure
             raise SettingsError(f"the {self._kind} '{name}' is not registered in this worker process: {reason}")
         close = get_close_matches(name, self.names(), 1)
-        known = f"there are {', '.join(self.names())}; others come by --load"
-        raise SettingsError(f"unknown {self._kind} '{name}'; " + (f"did you mean '{close[0]}'?" if close else known))
+        hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.names())}; others come by --load"
+        raise SettingsError(f"unknown {self._kind} '{name}'; {hint}")
 
     def names(self) -> list[str]:
         """Return the names of all parts, built-in parts first."""
@@ -123,7 +114,7 @@ def load_parts(file: Path | str) -> None:
 
 def registered() -> tuple[str, ...]:
     """Return the files and the names of the modules that register parts, for `register_again` in a worker process."""
-    modules = {module for registry in _REGISTRIES.values() for module in registry.origins.values()}
+    modules = {module for registry in _registries.values() for module in registry.origins.values()}
     imported = sorted(module for module in modules if not module.startswith("loaded_"))
     sources = [_find_file(module) if module == "__main__" else module for module in imported]
     return (*_files, *filter(None, sources))
@@ -150,7 +141,7 @@ def digest() -> str:
     for source in registered():
         file = _find_file(source)
         about.update(_files.get(source) or (Path(file).read_bytes() if file else b""))
-    for group, registry in _REGISTRIES.items():
+    for group, registry in _registries.items():
         offered = [(entry.name, entry.value, entry.dist and entry.dist.version) for entry in _entries(group)]
         about.update(repr((group, sorted(registry.origins), offered)).encode())
     return about.hexdigest()[:12]

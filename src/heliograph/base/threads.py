@@ -4,7 +4,7 @@ A BLAS that shares matrices of 256 rows among threads is many times slower, and 
 """
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import Any, TypeVar
@@ -25,8 +25,7 @@ def one_thread() -> Iterator[None]:
     with _lock:
         if not _blocks:
             _limited[:] = [(library, count) for library in _libraries() if (count := library.num_threads) != 1]
-            for library, _ in _limited:
-                _set_threads(library, 1)
+            _set_threads((library, 1) for library, _ in _limited)
         _blocks += 1
     try:
         yield
@@ -34,8 +33,7 @@ def one_thread() -> Iterator[None]:
         with _lock:
             _blocks -= 1
             if not _blocks:
-                for library, count in _limited:
-                    _set_threads(library, count)
+                _set_threads(_limited)
 
 
 def in_one_thread(items: Iterator[Item]) -> Iterator[Item]:
@@ -56,9 +54,10 @@ def _libraries() -> list[Any]:
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)
 
 
-def _set_threads(library: Any, threads: int) -> None:
-    # from 3.8 on threadpoolctl obeys only one thread until that releases the control
-    release = getattr(library, "clear_controlling_thread", lambda **_: None)
-    release(force=True)
-    library.set_num_threads(threads)
-    release(force=True)
+def _set_threads(counts: Iterable[tuple[Any, int]]) -> None:
+    for library, count in counts:
+        # from 3.8 on threadpoolctl obeys only one thread until that releases the control
+        release = getattr(library, "clear_controlling_thread", lambda **_: None)
+        release(force=True)
+        library.set_num_threads(count)
+        release(force=True)

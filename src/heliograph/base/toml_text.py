@@ -9,9 +9,7 @@ import tomli_w
 
 from heliograph.base.errors import SettingsError, brief, shown
 
-MAX_DEPTH = 32
-"""Tables within tables; settings have four."""
-
+MAX_DEPTH = 32  # tables within tables; settings have four
 _DEEP = f"not valid TOML: tables or lists lie more than {MAX_DEPTH} deep"
 _LARGE = "not valid TOML: a whole number has more than 64 bits"
 

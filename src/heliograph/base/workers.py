@@ -11,21 +11,18 @@ import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from typing import Any
 
 from heliograph.base.registry import register_again, registered
 
-# not Numba: once its threads run, it fails if the variable has changed
 THREAD_LIMITS = {
     f"{name}_THREADS": "1" for name in ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMEXPR_NUM")
 }
-"""Environment of a worker, which has one core."""
+"""Environment of a worker. Numba is not in it: once its threads run, it fails if its variable changes."""
 
 
 def worker_processes(count: int) -> ProcessPoolExecutor:
     """Return worker processes that know the registered parts; submit work within `worker_environment`."""
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(count, mp_context=context, initializer=begin_worker, initargs=(registered(),))
+    return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), begin_worker, (registered(),))
 
 
 @contextlib.contextmanager
@@ -47,9 +44,7 @@ def worker_environment() -> Iterator[None]:
 def begin_worker(parts: tuple[str, ...] = ()) -> None:
     """Ignore Ctrl-C, end with the parent process, limit threads, and register the parts of the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     limit_threads()
     register_again(parts)
 
@@ -65,6 +60,7 @@ def limit_threads() -> None:
     numba.set_num_threads(1)
 
 
-def _end_with(parent: Any) -> None:
-    parent.join()
-    os._exit(1)
+def _end_with_parent() -> None:
+    if (parent := multiprocessing.parent_process()) is not None:
+        parent.join()
+        os._exit(1)
