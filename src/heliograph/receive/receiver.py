@@ -17,7 +17,7 @@ from heliograph.receive.detect.search import HeaderSearch
 from heliograph.receive.events import DetectEvent, DropEvent, LostEvent, MissedStartEvent, Observer
 from heliograph.receive.geometry.pose import UPRIGHT, Orientation
 from heliograph.receive.packet import Packet
-from heliograph.receive.sync.frame_clock import FrameClock, check_next
+from heliograph.receive.sync.frame_clock import FrameClock, check_next, owned
 
 
 class HeaderHypotheses:
@@ -139,7 +139,7 @@ class StreamReceiver:
         """Check and take a camera's frame."""
         check_next(frame, self._last)
         # the caller may fill the array again
-        self._last = frame = frame.copied()
+        self._last = frame = owned(frame)
         for timed in self._clock.push(frame):
             self._queue(self._take(timed))
         yield from self._finished_packets()

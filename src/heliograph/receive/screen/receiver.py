@@ -28,7 +28,7 @@ from heliograph.receive.screen.cells import PARAMETERS, CellTracker, Sample, Sea
 from heliograph.receive.screen.locate import ArraySearch
 from heliograph.receive.screen.packets import PacketAssembler, ScreenHeader
 from heliograph.receive.settings import ReceiveSettings
-from heliograph.receive.sync.frame_clock import check_next, check_order
+from heliograph.receive.sync.frame_clock import check_next, check_order, owned
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.signal.settings import SignalSettings
@@ -177,7 +177,7 @@ class ScreenReceiver:
             if gap_s > max(PARAMETERS.max_lost_s, 0.5 * self._signal.packet_s):
                 yield from self._end_array()
         # frames are kept, but the caller may reuse the pixels
-        self._last = frame = frame.copied()
+        self._last = frame = owned(frame)
         if self._array is not None:
             yield from self._track(frame, *self._array)
         if self._array is None and (acquired := self._search.push(frame)) is not None:

@@ -1,5 +1,6 @@
 """Camera clocks: frame times despite jitter of the time stamps, missing frames and repeated frames."""
 
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -165,6 +166,17 @@ def _is_copy(last: Frame, frame: Frame) -> bool:
     place = len(a) // 2, slice(a.shape[1] // 2, a.shape[1] // 2 + 16)
     are_alike = a[place].tobytes() == b[place].tobytes() and np.array_equal(a[::16], b[::16])
     return bool(are_alike and np.array_equal(a, b) and a.min() != a.max())
+
+
+_SAMPLE = Frame(0, 0.0, np.zeros((1, 1), np.uint8))
+# references to pixels to which only the frame refers
+_REFERENCES = sys.getrefcount(_SAMPLE.pixels)
+
+
+def owned(frame: Frame) -> Frame:
+    """Return the frame with pixels that the caller cannot fill again: a copy, unless only the frame refers to them."""
+    is_alone = frame.pixels.flags.owndata and sys.getrefcount(frame.pixels) <= _REFERENCES
+    return frame if is_alone and frame.pixels.flags.c_contiguous else frame.copied()
 
 
 def check_next(frame: Frame, last: Frame | None) -> None:
