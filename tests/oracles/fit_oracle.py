@@ -1,6 +1,6 @@
 """The fit of an array written for reading: plain NumPy, every pixel a row of one matrix.
 
-Nothing runs on this but the tests that hold `geometry.kernels.fit` to it.
+Nothing runs on this but the tests that hold `gauss_newton.py` to it.
 """
 
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ def fit(
         vector[:free] += np.clip(step[:free], -longest, longest)
         rim = 0.5 * len(weights) * np.exp(vector[2]) * np.abs(np.delete(step[2:free], 2)).max()
         moved = (np.abs(step[:2]).max() + rim, abs(step[4]), abs(step[free] / linear[0]))
-        if margins and np.less(moved, (0.1, 0.02, 0.1)).all():
+        if margins and np.less(moved, (0.02, 0.02, 0.1)).all():
             break
         shapes = _shapes(vector, weights, margins, corner, image.shape)
     return vector, matrix, linear

@@ -13,7 +13,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.geometry.kernels import PANEL_MARGINS
+from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.window import cut_out, window_around
 from heliograph.receive.sync.pairing import FramePair, sum_late_s
 from heliograph.receive.track.kalman import POSE, POSE_SIZE, MotionModel, PoseState
@@ -360,7 +360,7 @@ class _ArrayImages:
     def __init__(self, shape: tuple[int, ...], corner: tuple[int, int]):
         rows, cols = shape
         self._corner = float(corner[0]), float(corner[1])
-        self._shapes = np.zeros((4 + len(PANEL_MARGINS), 6, rows, cols))
+        self._shapes = np.zeros((4 + len(FIT.panel_margins), 6, rows, cols))
         self._shapes[-3, 0] = 1
         self._shapes[-2, 0] = np.linspace(-0.5, 0.5, cols)
         self._shapes[-1, 0] = np.linspace(-0.5, 0.5, rows)[:, None]
@@ -369,7 +369,7 @@ class _ArrayImages:
         from heliograph.receive.geometry import kernels
 
         kernels.render(vector, mean, *self._corner, self._shapes[0], 0.0, 0.0)
-        for shape, margin in zip(self._shapes[1:-3], PANEL_MARGINS, strict=True):
+        for shape, margin in zip(self._shapes[1:-3], FIT.panel_margins, strict=True):
             kernels.render_box(vector, 0.5 * len(mean) + margin, *self._corner, shape, 0.0, 0.0)
         return self._shapes
 

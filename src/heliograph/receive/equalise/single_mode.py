@@ -17,9 +17,9 @@ from scipy.optimize import minimize_scalar
 from heliograph.base.arrays import RCOND, Floats
 from heliograph.receive.equalise.lmmse import equalise, products
 from heliograph.receive.geometry import kernels as geometry_kernels
-from heliograph.receive.geometry.fit import Fit
+from heliograph.receive.geometry.fit import Fit, correlation
 from heliograph.receive.geometry.footprint import image_of, render_with_slopes, to_grid
-from heliograph.receive.geometry.kernels import MAX_STEPS
+from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, ImagePatch, covered, cut_out, plane, window_around
 from heliograph.receive.observe.cutout import RING_PX, Cutout, take_cutout
@@ -161,9 +161,8 @@ class DecisionDirectedTracker:
         matrix, rhs, score = self._build_equations(frame, state, start)
         step = np.linalg.solve(matrix + precision, rhs)
         # without an array, steps have any length
-        longest = np.array(MAX_STEPS[:POSE_SIZE])
-        longest[:2] = np.maximum(longest[:2], 0.5 * exp(expected[2]))
-        step[:POSE_SIZE] = np.clip(step[:POSE_SIZE], -longest, longest)
+        longest = [max(FIT.max_step_px, 0.5 * exp(expected[2]))] * 2 + [*FIT.max_steps[: POSE_SIZE - 2]]
+        step[:POSE_SIZE] = np.clip(step[:POSE_SIZE], np.negative(longest), longest)
         end = start + step
         # five frames of a changing scene count
         self._background = self._background + 0.2 * (end[POSE_SIZE + 1 :] - self._background)
@@ -188,7 +187,7 @@ class DecisionDirectedTracker:
         columns = 2 * whitened.root * np.concatenate([slopes, lit[:1], background[:, 0]])
         images = np.concatenate([columns, residual[None]])
         part = products(whitened, images, unknown, gain**2 / self.noise.lit) / self.noise.lit
-        score = geometry_kernels.correlation(whitened.difference.ravel(), (whitened.root * lit[0]).ravel())
+        score = correlation(whitened.difference, whitened.root * 2 * gain * lit[0])
         return part[:-1, :-1], part[:-1, -1], score
 
     def _decide_symbols(self, pair: PairStatistics, gain: float) -> tuple[Floats, NDArray[np.intp]]:

@@ -9,9 +9,9 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.footprint import image_of
-from heliograph.receive.geometry.kernels import PANEL_MARGINS
+from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import ImagePatch, cut_out, plane, window_around
+from heliograph.receive.geometry.window import ImagePatch, Window, cut_out, plane, window_around
 
 
 def robust_std(values: Floats) -> float:
@@ -25,6 +25,12 @@ def median_of(values: Floats) -> float:
     middle = [(values.size - 1) // 2, values.size // 2]
     low, high = np.partition(values, middle, axis=None)[middle]
     return 0.5 * float(low + high)
+
+
+def correlation(a: Floats, b: Floats) -> float:
+    """Compute the correlation of two images."""
+    x, y = (a - a.mean()).ravel(), (b - b.mean()).ravel()
+    return float(x @ y / np.sqrt(max((x @ x) * (y @ y), TINY)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +64,43 @@ class Prior:
     gain: float = 0.0
 
 
+class RenderCache:
+    """Rendered images of an array, which fits of nearby poses reuse."""
+
+    def __init__(self) -> None:
+        self.anchor, self.at = np.full(7, np.nan), np.full(7, np.nan)
+        self._corner, self._smear, self._weights = (0, 0), (0.0, 0.0), np.empty((0, 0))
+        self._shapes = np.empty((0, 0, 0, 0))
+        self._window: Window = (0, 0, 0, 0)
+        self._middle: tuple[float, float, float] | None = None
+
+    def window(self, pose: Pose, side: int, margin: float) -> Window:
+        """Window around an array; it stays while it holds the array, so that images are reused."""
+        x, y, half = pose.x, pose.y, 0.5 * side * pose.pitch
+        middle = self._middle
+        # twice the distance up to which images are moved by their slopes
+        if middle is None or max(abs(x - middle[0]), abs(y - middle[1])) + abs(half - middle[2]) > 0.2:
+            self._window, self._middle = window_around(pose, side, margin), (x, y, half)
+        return self._window
+
+    def images(
+        self, corner: tuple[int, int], smear: tuple[float, float], weights: Floats, shape: tuple[int, ...]
+    ) -> Floats:
+        """Images for a fit: cached, or empty if the fit has to render."""
+        wider = max(abs(a**2 - b**2) for a, b in zip(smear, self._smear, strict=True))
+        same = self._corner == corner and self._shapes.shape == shape
+        same = same and (weights is self._weights or np.array_equal(weights, self._weights))
+        # 1 % of a blur of 0.6 px
+        if not same or wider > 0.005:
+            self._shapes, self._corner, self._smear, self._weights = np.empty(shape), corner, smear, weights
+            self.forget()
+        return self._shapes
+
+    def forget(self) -> None:
+        """Make the next fit render the images."""
+        self.anchor.fill(np.nan)
+
+
 def fit_array(
     image: Floats,
     corner: tuple[int, int],
@@ -69,29 +112,42 @@ def fit_array(
     resolved: bool = True,
     open_pixels: Floats | None = None,
     smear: tuple[float, float] = (0.0, 0.0),
+    drawn: RenderCache | None = None,
 ) -> Fit:
     """Fit the pose of LEDs of known luminances by Gauss-Newton with robust weights."""
     if not isfinite(np.add.reduce(image, axis=None)):
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution: pixels are not finite")
-    margins = np.array(PANEL_MARGINS if panel else ())
+    free, margins = len(prior.covariance), np.array(FIT.panel_margins if panel else ())
+    background = plane(*image.shape)
+    if open_pixels is not None:
+        # a pixel that is 0 in all images has no effect
+        image, background = image * open_pixels, background * open_pixels
+    drawn = RenderCache() if drawn is None else drawn
+    shapes = drawn.images(corner, smear, weights, (1 + len(margins), 1 + free, *image.shape))
+    if open_pixels is not None:
+        # images are 0 in hidden pixels, which differ from pair to pair
+        drawn.forget()
     vector = (prior.vector if start is None else start).copy()
-    rows = np.empty((len(prior.covariance) + 1 + len(margins) + 3, image.size))
-    rows[-3:] = plane(*image.shape).reshape(3, -1)
     covariance, linear, score = kernels.fit(
         _contiguous(image),
-        np.ones(image.size, bool) if open_pixels is None else open_pixels.ravel() > 0,
+        background,
+        np.empty((0, 0)) if open_pixels is None else _contiguous(open_pixels),
         np.array(corner, np.float64),
         _contiguous(weights),
         margins,
         resolved,
         np.array(smear, np.float64),
-        _contiguous(prior.vector[: len(prior.covariance)]),
+        _contiguous(prior.vector),
         _contiguous(prior.covariance),
         float(prior.gain),
         iterations,
         vector,
-        rows,
+        shapes,
+        drawn.anchor,
+        drawn.at,
     )
+    if open_pixels is not None:
+        drawn.forget()
     if not all(map(isfinite, linear.tolist())):
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution")
     return Fit(vector, covariance, float(linear[0]), float(score))

@@ -1,9 +1,10 @@
-"""Compiled kernels: images of LEDs, medians, and the Gauss-Newton fit of a pose.
+"""Compiled kernels: images of LEDs, small linear systems, medians, and the Gauss-Newton fit of a pose.
 
 `tests/oracles/render_oracle.py` and `fit_oracle.py` state the same in plain NumPy.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +13,22 @@ from scipy.special import ndtr
 from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
 
-LIGHT_REACH = 4.0  # standard deviations beyond which an LED gives no light
+
+class FitParameters(NamedTuple):
+    """Tuning of images and fits; Numba compiles a named tuple into the kernels as constants."""
+
+    # Standard deviations beyond which an LED gives no light
+    light_reach: float = 4.0
+    # Rims in pitches of two squares around the LEDs, which together stand for a panel of unknown width and gray
+    panel_margins: tuple[float, float] = (0.75, 2.0)
+    # Longest step of the centre in px, or half a pitch if that is more
+    max_step_px: float = 0.8
+    # Longest steps of ln pitch, roll, ln blur, stretch and shear: about half a pitch at the rim of 16 LEDs
+    max_steps: tuple[float, float, float, float, float] = (0.1, 0.05, 0.2, 0.05, 0.05)
+
+
+FIT = FitParameters()
 LEAST_VARIANCE = 0.08  # variance of rounding to gray levels, 1/12
-
-PANEL_MARGINS = (0.75, 2.0)
-"""Rims in pitches of two squares around the LEDs, which together represent a panel of unknown width and gray."""
-
-MAX_STEPS = (0.8, 0.8, 0.1, 0.05, 0.2, 0.05, 0.05)
-"""Longest steps of x and y in px, ln pitch, roll, ln blur, stretch and shear: half a pitch at the rim of 16 LEDs."""
 
 
 @compiled()
@@ -58,7 +67,7 @@ def render(pose, weights, x0, y0, out, smear_x, smear_y):
     part_x, part_y = (blur / sigma_x) ** 2, (blur / sigma_y) ** 2
     c, s = math.cos(pose[3]), math.sin(pose[3])
     half = (side - 1) / 2.0
-    span = int(2 * LIGHT_REACH * max(sigma_x, sigma_y)) + 3
+    span = int(2 * FIT.light_reach * max(sigma_x, sigma_y)) + 3
     gx, dgx, sgx = np.empty(span), np.empty(span), np.empty(span)
     gy, dgy, sgy = np.empty(span), np.empty(span), np.empty(span)
     area = pitch * pitch
@@ -76,12 +85,12 @@ def render(pose, weights, x0, y0, out, smear_x, smear_y):
             tx, ty, hx, hy = c * p + s * q, s * p - c * q, c * q - s * p, s * q + c * p
             px, py = pose[0] + rx - x0, pose[1] + ry - y0
             left, right = (
-                max(0, math.ceil(px - LIGHT_REACH * sigma_x - 0.5)),
-                min(cols - 1, math.floor(px + LIGHT_REACH * sigma_x + 0.5)),
+                max(0, math.ceil(px - FIT.light_reach * sigma_x - 0.5)),
+                min(cols - 1, math.floor(px + FIT.light_reach * sigma_x + 0.5)),
             )
             top, bottom = (
-                max(0, math.ceil(py - LIGHT_REACH * sigma_y - 0.5)),
-                min(rows - 1, math.floor(py + LIGHT_REACH * sigma_y + 0.5)),
+                max(0, math.ceil(py - FIT.light_reach * sigma_y - 0.5)),
+                min(rows - 1, math.floor(py + FIT.light_reach * sigma_y + 0.5)),
             )
             nx, ny = right - left + 1, bottom - top + 1
             if nx <= 0 or ny <= 0:
@@ -105,6 +114,18 @@ def render(pose, weights, x0, y0, out, smear_x, smear_y):
 
 
 @compiled()
+def _edge(t, sigma):
+    """Phi(t / sigma) and its derivative by t."""
+    z = t / sigma
+    if z > FIT.light_reach:
+        return 1.0, 0.0
+    if z < -FIT.light_reach:
+        return 0.0, 0.0
+    cdf, pdf = normal(z)
+    return cdf, pdf / sigma
+
+
+@compiled()
 def render_box(pose, half_leds, x0, y0, out, smear_x, smear_y):
     """Render a blurred square of brightness 1 about the array's centre, and the derivatives by the pose.
 
@@ -123,7 +144,7 @@ def render_box(pose, half_leds, x0, y0, out, smear_x, smear_y):
     xx, xy, yy = (1.0 - stretch) / det, -shear / det, (1.0 + stretch) / det
     wide = math.hypot(sigma_x * (xx * c - xy * s), sigma_y * (xx * s + xy * c))
     high = math.hypot(sigma_x * (xy * c - yy * s), sigma_y * (xy * s + yy * c))
-    reach = LIGHT_REACH * max(wide, high)
+    reach = FIT.light_reach * max(wide, high)
     out[:] = 0.0
     for i in range(rows):
         for j in range(cols):
@@ -136,17 +157,17 @@ def render_box(pose, half_leds, x0, y0, out, smear_x, smear_y):
             if inside > reach:  # full light, no slope: most of a near array
                 out[0, i, j] = 1.0
                 continue
-            right, right_slope = normal((half - x) / wide)
-            left, left_slope = normal((half + x) / wide)
-            low, low_slope = normal((half - y) / high)
-            top, top_slope = normal((half + y) / high)
+            right, right_slope = _edge(half - x, wide)
+            left, left_slope = _edge(half + x, wide)
+            low, low_slope = _edge(half - y, high)
+            top, top_slope = _edge(half + y, high)
             bx, by = right + left - 1.0, low + top - 1.0
-            by_x, by_y = (left_slope - right_slope) / wide * by, (top_slope - low_slope) / high * bx
+            by_x, by_y = (left_slope - right_slope) * by, (top_slope - low_slope) * bx
             by_along, by_across = xx * by_x + xy * by_y, xy * by_x + yy * by_y
             out[0, i, j] = bx * by
             out[1, i, j] = -c * by_along + s * by_across
             out[2, i, j] = -s * by_along - c * by_across
-            out[3, i, j] = half * ((left_slope + right_slope) / wide * by + (top_slope + low_slope) / high * bx)
+            out[3, i, j] = half * ((left_slope + right_slope) * by + (top_slope + low_slope) * bx)
             out[4, i, j] = across * by_along - along * by_across
 
 
@@ -171,7 +192,7 @@ def _row_of_light(centre, sigma, scale, out):
     """Integrate a scaled Gaussian over each pixel."""
     # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
     out[:] = 0.0
-    reach = LIGHT_REACH * sigma + 1.0
+    reach = FIT.light_reach * sigma + 1.0
     first, last = max(0, math.ceil(centre - reach)), min(out.shape[0] - 1, math.floor(centre + reach))
     cdf, _ = normal((first - 0.5 - centre) / sigma)
     for j in range(first, last + 1):
@@ -194,6 +215,89 @@ def normal(z):
     # Taylor series about the nearest node: phi' = -z phi, phi'' = (z^2 - 1) phi
     curve = at * at - 1.0
     return _NORMAL[0, k] + pdf * h * (1.0 - h * (at / 2.0 - h * curve / 6.0)), pdf * (1.0 - h * (at - h * curve / 2.0))
+
+
+@compiled()
+def solve(matrix, rhs):
+    """Solve M x = b in place of b, by Cholesky."""
+    lower = np.empty(matrix.shape)
+    _factor(matrix, lower)
+    _substitute(lower, rhs)
+
+
+@compiled()
+def invert(matrix, out):
+    """Compute the first rows and columns of an inverse, to fill `out`."""
+    lower, column = np.empty(matrix.shape), np.empty(matrix.shape[0])
+    _factor(matrix, lower)
+    for k in range(out.shape[0]):
+        column[:] = 0.0
+        column[k] = 1.0
+        _substitute(lower, column)
+        for n in range(out.shape[0]):
+            out[n, k] = column[n]
+
+
+@compiled()
+def _factor(matrix, lower):
+    """Factor M = L L^T by Cholesky; L is not finite if M is not positive definite."""
+    for k in range(matrix.shape[0]):
+        for n in range(k + 1):
+            total = matrix[k, n]
+            for i in range(n):
+                total -= lower[k, i] * lower[n, i]
+            lower[k, n] = math.sqrt(total) if k == n and total > 0.0 else np.nan if k == n else total / lower[n, n]
+
+
+@compiled()
+def _substitute(lower, rhs):
+    """Solve L y = b, then L^T x = y, in place of b."""
+    size = lower.shape[0]
+    for k in range(size):
+        for i in range(k):
+            rhs[k] -= lower[k, i] * rhs[i]
+        rhs[k] /= lower[k, k]
+    for k in range(size - 1, -1, -1):
+        for i in range(k + 1, size):
+            rhs[k] -= lower[i, k] * rhs[i]
+        rhs[k] /= lower[k, k]
+
+
+@compiled()
+def rows_for_products(count, cols):
+    """Allocate rows of pixels for `add_products`, padded by zeros to a multiple of four."""
+    return np.zeros((-(-count // 4) * 4, cols))
+
+
+@compiled(fastmath={"reassoc", "contract"})
+def add_products(left, right, cols, out):
+    """Add the lower half of left right^T to `out`; four sums at a time do not wait for each other."""
+    for k in range(out.shape[0]):
+        for n in range(0, k + 1, 4):
+            a, b, c, d = 0.0, 0.0, 0.0, 0.0
+            for j in range(cols):
+                x = left[k, j]
+                a += x * right[n, j]
+                b += x * right[n + 1, j]
+                c += x * right[n + 2, j]
+                d += x * right[n + 3, j]
+            out[k, n] += a
+            if n + 1 <= k:
+                out[k, n + 1] += b
+            if n + 2 <= k:
+                out[k, n + 2] += c
+            if n + 3 <= k:
+                out[k, n + 3] += d
+
+
+@compiled()
+def split_products(products, matrix, rhs):
+    """Split sums of products into normal equations; the last row holds the products with the target."""
+    size = matrix.shape[0]
+    for k in range(size):
+        rhs[k] = products[size, k]
+        for n in range(k + 1):
+            matrix[k, n] = matrix[n, k] = products[k, n]
 
 
 @compiled()
@@ -234,87 +338,254 @@ def smallest(values: NDArray[np.float64], middle: int) -> float:
 
 
 @compiled()
-def correlation(a, b):
-    """Compute the correlation of two rows of pixels."""
-    x, y = a - a.mean(), b - b.mean()
-    return (x * y).sum() / math.sqrt(max((x * x).sum() * (y * y).sum(), TINY))
+def near(vector, anchor, side):
+    """True if images at an anchor pose, moved by their slopes, stand for a pose."""
+    step = np.empty(vector.shape[0])
+    for k in range(step.shape[0]):
+        step[k] = vector[k] - anchor[k]
+    # both are False for a pose that is not a number
+    return _rim_px(step, step.shape[0], vector, side) < 0.1 and abs(step[4]) < 0.02
 
 
 @compiled()
-def fit(image, is_open, corner, weights, margins, resolved, smear, prior, covariance, gain, steps, vector, rows):
-    """Fit the most probable pose to the open pixels by Gauss-Newton with robust weights.
+def shift(vector, shapes, drawn):
+    """Move images to another pose by the slopes."""
+    for n in range(shapes.shape[0]):
+        for k in range(1, shapes.shape[1]):
+            step = vector[k - 1] - drawn[k - 1]
+            for i in range(shapes.shape[2]):
+                for j in range(shapes.shape[3]):
+                    shapes[n, 0, i, j] += step * shapes[n, k, i, j]
+    for k in range(vector.shape[0]):
+        drawn[k] = vector[k]
 
-    `vector` is the start and becomes the result. Rows are the derivatives by the pose, the images of the array and of
-    squares around it, and the given images of the background.
-    """
-    pixels, free, images = image.ravel(), covariance.shape[0], 1 + margins.shape[0]
-    size, columns = len(rows), rows[free:]
-    shapes = np.empty((images, 1 + free, *image.shape))
-    precision, half = np.linalg.inv(covariance), 0.5 * len(weights)
-    matrix, linear, fitted = np.eye(size), np.empty(0), pixels
-    for number in range(steps):
-        if resolved:
-            render(vector, weights, corner[0], corner[1], shapes[0], smear[0], smear[1])
-        else:
-            render_box(vector, half, corner[0], corner[1], shapes[0], smear[0], smear[1])
-        for k in range(1, images):
-            render_box(vector, half + margins[k - 1], corner[0], corner[1], shapes[k], smear[0], smear[1])
-        for k in range(images):
-            columns[k] = shapes[k, 0].ravel()
-        if number == 0:
-            linear = _coefficients(pixels, is_open, columns, gain)
-        for k in range(free):
-            rows[k] = linear[0] * shapes[0, k + 1].ravel()
-            for n in range(1, images):
-                rows[k] += linear[n] * shapes[n, k + 1].ravel()
-        residual = pixels - linear @ columns
-        # Tukey's biweight of 95 % efficiency: median |x| / Phi^-1(3/4), and the largest error of rounding at least
-        rough = 4.685 * max(1.4826 * median(np.abs(residual[is_open])), 0.5)
-        weight = is_open * np.maximum(1.0 - (residual / rough) ** 2, 0.0) ** 2
-        noise = max((weight * residual**2).sum() / max(weight.sum() - size, 1.0), LEAST_VARIANCE)
+
+@compiled()
+def draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes, anchor, drawn):
+    """Draw the array and squares around it at a pose, the new anchor."""
+    for k in range(vector.shape[0]):
+        anchor[k] = drawn[k] = vector[k]
+    half = 0.5 * weights.shape[0]
+    if resolved:
+        render(vector, weights, corner[0], corner[1], shapes[0], smear[0], smear[1])
+    else:
+        render_box(vector, half, corner[0], corner[1], shapes[0], smear[0], smear[1])
+    for k in range(margins.shape[0]):
+        render_box(vector, half + margins[k], corner[0], corner[1], shapes[k + 1], smear[0], smear[1])
+    if open_pixels.size == 0:
+        return
+    for k in range(shapes.shape[0]):
+        for n in range(shapes.shape[1]):
+            for i in range(shapes.shape[2]):
+                for j in range(shapes.shape[3]):
+                    shapes[k, n, i, j] *= open_pixels[i, j]
+
+
+@compiled()
+def fit(
+    image,
+    plane,
+    open_pixels,
+    corner,
+    weights,
+    margins,
+    resolved,
+    smear,
+    prior,
+    covariance,
+    gain,
+    steps,
+    vector,
+    shapes,
+    anchor,
+    drawn,
+):
+    """Fit the most probable pose by Gauss-Newton with robust weights."""
+    free = covariance.shape[0]
+    precision = np.empty((free, free))
+    invert(covariance, precision)
+    size = free + shapes.shape[0] + 3
+    matrix, rhs = np.empty((size, size)), np.empty(size)
+    residual = np.empty(image.shape)
+    if near(vector, anchor, len(weights)):
+        shift(vector, shapes, drawn)
+    else:
+        draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes, anchor, drawn)
+    linear = _coefficients(image, shapes, plane, gain)
+    for _ in range(steps):
+        residuals(image, shapes, plane, linear, residual)
+        # Tukey's biweight of 95 % efficiency
+        rough = 4.685 * _noise_of(residual, open_pixels)
+        mass, loss = normal_equations(residual, shapes, plane, linear, rough, matrix, rhs)
+        mass -= (1.0 - open_pixels).sum()
+        noise = max(loss / max(mass - size, 1.0), LEAST_VARIANCE)
+        for k in range(size):
+            rhs[k] /= noise
+            for n in range(size):
+                matrix[k, n] /= noise
         # (J^T W J + P^-1) step = J^T W r + P^-1 (theta_0 - theta), and the same for the gain
-        weighed = rows * (weight / noise)
-        matrix, rhs = weighed @ rows.T, weighed @ residual
-        matrix[:free, :free] += precision
-        rhs[:free] += precision @ (prior - vector[:free])
+        for k in range(free):
+            for n in range(free):
+                matrix[k, n] += precision[k, n]
+                rhs[k] += precision[k, n] * (prior[n] - vector[n])
         if gain != 0.0:
             # a bright sky adds half to a dark panel's rim
-            matrix[free, free] += (0.5 * gain) ** -2
-            rhs[free] += (0.5 * gain) ** -2 * (gain - linear[0])
+            weight = (0.5 * gain) ** -2
+            matrix[free, free] += weight
+            rhs[free] += weight * (gain - linear[0])
         _load(matrix, 1e-9)
-        step = np.linalg.solve(matrix, rhs)
+        step = rhs.copy()
+        solve(matrix, step)
+        for k in range(linear.shape[0]):
+            linear[k] += step[free + k]
         pitch = math.exp(vector[2])
         for k in range(free):
-            limit = max(MAX_STEPS[k], 0.5 * pitch) if k < 2 else MAX_STEPS[k]
-            step[k] = min(max(step[k], -limit), limit)
-        vector[:free] += step[:free]
-        linear += step[free:]
-        fitted = pixels - residual + step @ rows
-        turn = max(abs(step[2]), abs(step[3]), np.abs(step[5:free]).max() if free > 5 else 0.0)
-        rim_px = max(abs(step[0]), abs(step[1])) + half * pitch * turn
-        # images are linear in so short a step; headers give the distance: pitch and blur need all steps
-        if images > 1 and rim_px < 0.1 and abs(step[4]) < 0.02 and abs(step[free]) < 0.1 * abs(linear[0]):
+            limit = max(FIT.max_step_px, 0.5 * pitch) if k < 2 else FIT.max_steps[k - 2]
+            vector[k] += min(max(step[k], -limit), limit)
+        close = _rim_px(step, free, vector, len(weights)) < 0.02 and abs(step[4]) < 0.02
+        # headers give the distance: pitch and blur need all steps
+        if len(margins) and close and abs(step[free]) < 0.1 * abs(linear[0]):
             break
-    posterior = np.linalg.inv(matrix)[:free, :free].copy()
-    return posterior, linear, correlation(pixels[is_open], fitted[is_open])
+        draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes, anchor, drawn)
+    residuals(image, shapes, plane, linear, residual)
+    posterior = np.empty((free, free))
+    invert(matrix, posterior)
+    return posterior, linear, _correlation(image, residual, open_pixels)
 
 
 @compiled()
-def _coefficients(pixels, is_open, columns, gain):
+def _coefficients(image, shapes, plane, gain):
     """Fit the coefficients of the images by least squares, near an expected gain unless that is 0."""
-    weighed = columns * is_open
-    matrix, rhs = weighed @ columns.T, weighed @ pixels
+    m, cols = shapes.shape[0], image.shape[1]
+    size = m + 3
+    products, values = np.zeros((size + 1, size + 1)), rows_for_products(size + 1, cols)
+    for i in range(image.shape[0]):
+        for n in range(m):
+            for j in range(cols):
+                values[n, j] = shapes[n, 0, i, j]
+        for n in range(3):
+            for j in range(cols):
+                values[m + n, j] = plane[n, i, j]
+        for j in range(cols):
+            values[size, j] = image[i, j]
+        add_products(values, values, cols, products)
+    matrix, rhs = np.empty((size, size)), np.empty(size)
+    split_products(products, matrix, rhs)
     if gain != 0.0:
-        rhs[0] += 1e3 * matrix[0, 0] * gain
-        matrix[0, 0] *= 1e3 + 1.0
+        weight = 1e3 * matrix[0, 0]
+        matrix[0, 0] += weight
+        rhs[0] += weight * gain
     # array and plane may be alike
     _load(matrix, 1e-6)
-    return np.linalg.solve(matrix, rhs)
+    solve(matrix, rhs)
+    return rhs
+
+
+@compiled(fastmath={"reassoc", "contract"})
+def normal_equations(residual, shapes, plane, linear, rough, matrix, vector):
+    """Build the normal equations of image = linear . (shapes(pose), plane), weighted by Tukey's biweight."""
+    rows, cols = residual.shape
+    m = shapes.shape[0]
+    p = shapes.shape[1] - 1
+    size = p + m + 3
+    # row by row of pixels; the residual follows the slopes
+    products = np.zeros((size + 1, size + 1))
+    slopes, weighed = rows_for_products(size + 1, cols), rows_for_products(size + 1, cols)
+    w = np.empty(cols)
+    mass = 0.0
+    for i in range(rows):
+        for j in range(cols):
+            r = residual[i, j]
+            q = r / rough
+            w[j] = 0.0 if abs(q) >= 1.0 else (1.0 - q * q) ** 2
+            mass += w[j]
+            slopes[size, j] = r
+        for k in range(p):
+            for j in range(cols):
+                slopes[k, j] = linear[0] * shapes[0, k + 1, i, j]
+            for n in range(1, m):
+                for j in range(cols):
+                    slopes[k, j] += linear[n] * shapes[n, k + 1, i, j]
+        # loops compile faster than the assignment of rows
+        for n in range(m):
+            for j in range(cols):
+                slopes[p + n, j] = shapes[n, 0, i, j]
+        for n in range(3):
+            for j in range(cols):
+                slopes[p + m + n, j] = plane[n, i, j]
+        for k in range(size + 1):
+            for j in range(cols):
+                weighed[k, j] = w[j] * slopes[k, j]
+        add_products(weighed, slopes, cols, products)
+    split_products(products, matrix, vector)
+    return mass, products[size, size]
+
+
+@compiled()
+def residuals(image, shapes, plane, linear, out):
+    """Compute the residuals image - linear . (shapes(pose), plane)."""
+    m = shapes.shape[0]
+    # image by image: consecutive pixels are fast
+    for i in range(image.shape[0]):
+        for j in range(image.shape[1]):
+            out[i, j] = image[i, j]
+        for n in range(m):
+            for j in range(image.shape[1]):
+                out[i, j] -= linear[n] * shapes[n, 0, i, j]
+        for n in range(3):
+            for j in range(image.shape[1]):
+                out[i, j] -= linear[m + n] * plane[n, i, j]
+
+
+@compiled()
+def _noise_of(residual, open_pixels):
+    """Estimate the standard deviation of residuals in open pixels from the median magnitude."""
+    sizes, count = np.empty(residual.size), 0
+    for i in range(residual.shape[0]):
+        for j in range(residual.shape[1]):
+            if open_pixels.size == 0 or open_pixels[i, j] > 0.0:
+                sizes[count] = abs(residual[i, j])
+                count += 1
+    # median |x| / Phi^-1(3/4), and the largest error of rounding at least
+    return max(1.4826 * median(sizes[:count]), 0.5) if count else 0.5
 
 
 @compiled()
 def _load(matrix, loading):
     """Load a diagonal in place: M + lambda (diag M + epsilon 1)."""
-    for k in range(len(matrix)):
+    for k in range(matrix.shape[0]):
         # images without light have no information
         matrix[k, k] += loading * (matrix[k, k] + 1e-3)
+
+
+@compiled()
+def _correlation(image, residual, open_pixels):
+    """Correlate an image and the fitted image over open pixels."""
+    rows, cols = image.shape
+    mean, rest, count = 0.0, 0.0, 0.0
+    for i in range(rows):
+        for j in range(cols):
+            if open_pixels.size == 0 or open_pixels[i, j] > 0.0:
+                mean += image[i, j]
+                rest += residual[i, j]
+                count += 1.0
+    mean, rest = mean / max(count, 1.0), rest / max(count, 1.0)
+    cross, power_x, power_y = 0.0, 0.0, 0.0
+    for i in range(rows):
+        for j in range(cols):
+            if open_pixels.size == 0 or open_pixels[i, j] > 0.0:
+                x = image[i, j] - mean
+                y = x - residual[i, j] + rest
+                cross += x * y
+                power_x += x * x
+                power_y += y * y
+    return cross / math.sqrt(max(power_x * power_y, TINY))
+
+
+@compiled()
+def _rim_px(step, free, vector, side):
+    """Distance in px by which a step of `free` pose parameters moves the rim of an array."""
+    turn = max(abs(step[2]), abs(step[3]))
+    for k in range(5, free):
+        turn = max(turn, abs(step[k]))
+    return max(abs(step[0]), abs(step[1])) + 0.5 * side * math.exp(vector[2]) * turn

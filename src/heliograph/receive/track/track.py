@@ -9,7 +9,7 @@ LEDs and along the lines just outside the array. Lines that change, from a side 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil, erf, exp, hypot, inf, pi, sqrt
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.geometry.fit import Fit
+from heliograph.receive.geometry.fit import Fit, RenderCache
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.track import kernels
@@ -158,6 +158,8 @@ class Track:
     lines: Floats | None = None
     # (n, n) 0 for LEDs covered from a side, 1 for other LEDs; None if no LED is covered
     clear: Floats | None = None
+    # Images of the array with all LEDs on, for the fits of sums
+    render_cache: RenderCache = field(default_factory=RenderCache, compare=False, repr=False)
 
     @cached_property
     def visible(self) -> Floats:

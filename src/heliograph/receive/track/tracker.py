@@ -55,7 +55,7 @@ class Tracker:
         """Fit the array in the sum of a pair and update the filter; coast while the array is hidden."""
         predicted = self.predict(track, pair.time_s)
         pose = predicted.pose
-        corner, up, down = _cut(pair, window_around(pose, self._side, _margin(pose)))
+        corner, up, down = _cut(pair, track.render_cache.window(pose, self._side, _margin(pose)))
         before = track
         difference, total, noise, track = preview_pair(track, up, down, corner, pose)
         uncovered, is_occluded = track.uncovered, track.is_occluded
@@ -83,7 +83,7 @@ class Tracker:
             open_pixels=open_pixels,
             smear=self._smear(predicted),
         )
-        fit = fit_sum(PARAMETERS.pair_steps)
+        fit = fit_sum(PARAMETERS.pair_steps, drawn=track.render_cache)
         if self._is_unsure(predicted) and (is_occluded or not _is_as_expected(track, pose, fit)):
             # a separate start saves a step
             start = self._unresolved_start(total, corner, prior, shining, open_pixels)
