@@ -76,7 +76,7 @@ def test_ctrl_c_amid_machine_code_is_ctrl_c() -> None:
         except SystemError as error:
             raise SystemError("around it") from error
 
-    items = in_one_thread(interrupted())
+    items = in_one_thread(interrupted)()
     assert next(items) == 1
     with pytest.raises(KeyboardInterrupt):
         next(items)
@@ -88,4 +88,4 @@ def test_other_system_errors_stay_what_they_are() -> None:
         yield 1
 
     with pytest.raises(SystemError, match="broken"):
-        next(in_one_thread(broken()))
+        next(in_one_thread(broken)())

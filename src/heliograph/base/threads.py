@@ -1,17 +1,15 @@
-"""Limit the algebra of receivers and panels to one thread.
-
-A BLAS that shares matrices of 256 rows among threads is many times slower, and rounds in another way.
-"""
+"""Limit the algebra of receivers and panels to one thread: BLAS shares small matrices slowly, and rounds otherwise."""
 
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import cache
-from typing import Any, TypeVar
+from functools import cache, wraps
+from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
 Item = TypeVar("Item")
+P = ParamSpec("P")
 
 _lock = threading.Lock()
 _blocks = 0
@@ -29,6 +27,12 @@ def one_thread() -> Iterator[None]:
         _blocks += 1
     try:
         yield
+    except SystemError as error:
+        # Ctrl-C in machine code that calls Python comes as the cause of a SystemError
+        cause: BaseException | None = error
+        while cause is not None and not isinstance(cause, KeyboardInterrupt):
+            cause = cause.__cause__
+        raise cause or error from None
     finally:
         with _lock:
             _blocks -= 1
@@ -36,17 +40,15 @@ def one_thread() -> Iterator[None]:
                 _set_threads(_limited)
 
 
-def in_one_thread(items: Iterator[Item]) -> Iterator[Item]:
-    """Limit BLAS to one thread during an iteration; Ctrl-C in machine code raises a KeyboardInterrupt."""
-    with one_thread():
-        try:
-            yield from items
-        except SystemError as error:
-            # Ctrl-C in machine code that calls Python comes as the cause of a SystemError
-            cause: BaseException | None = error
-            while cause is not None and not isinstance(cause, KeyboardInterrupt):
-                cause = cause.__cause__
-            raise cause or error from None
+def in_one_thread(make: Callable[P, Iterator[Item]]) -> Callable[P, Iterator[Item]]:
+    """Limit BLAS to one thread while a generator function runs."""
+
+    @wraps(make)
+    def iterate(*args: P.args, **kwargs: P.kwargs) -> Iterator[Item]:
+        with one_thread():
+            yield from make(*args, **kwargs)
+
+    return iterate
 
 
 @cache  # searching for the libraries takes some milliseconds

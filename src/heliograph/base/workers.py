@@ -1,7 +1,4 @@
-"""Worker processes of this machine: one core each, and Ctrl-C only for the parent process.
-
-A worker imports this module first and sets the limits of threads before it imports NumPy, so imports are light here.
-"""
+"""Worker processes of this machine: one core each, and Ctrl-C only for the parent; imports are light before NumPy's."""
 
 import contextlib
 import multiprocessing

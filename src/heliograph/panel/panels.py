@@ -169,7 +169,7 @@ def follow(frames: Iterable[AnyFrame], place: Place, rows: int, columns: int) ->
     assert shape is not None
     if not is_possible(start.corners, shape.rows, shape.columns):
         raise _no_panel(start.corners, "")
-    return in_one_thread(_followed(frames, start, shape))
+    return _followed(frames, start, shape)
 
 
 def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool = False, leakage: Any = None) -> Floats:
@@ -229,6 +229,7 @@ def _fitted_place(images: Sequence[Levels], candidate: Candidate, shape: Shape, 
     return fit._replace(corners=corners, score=candidate.score)
 
 
+@in_one_thread
 def _followed(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterator[Place]:
     last = before = place.corners
     held = Fitted(last, place.blur if place.blur > 0 else FIRST_BLUR * shape.pitch(last), 1.0)

@@ -131,12 +131,9 @@ class StreamReceiver:
         """Work that the search has done and skipped so far."""
         return self.search.load
 
+    @in_one_thread
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packets it completes; see `Receiver`."""
-        return in_one_thread(self._take_checked(frame))
-
-    def _take_checked(self, frame: Frame) -> Iterator[Packet]:
-        """Check and take a camera's frame."""
         check_next(frame, self._last)
         # the caller may fill the array again
         self._last = frame = owned(frame)
@@ -144,11 +141,9 @@ class StreamReceiver:
             self._queue(self._take(timed))
         yield from self._finished_packets()
 
+    @in_one_thread
     def finish(self) -> Iterator[Packet]:
         """End the film: yield the packets in progress that were visible for half of the data."""
-        return in_one_thread(self._finish())
-
-    def _finish(self) -> Iterator[Packet]:
         for timed in self._clock.flush():
             self._queue(self._take(timed))
         for array in self._arrays:

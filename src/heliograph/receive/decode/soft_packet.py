@@ -148,8 +148,7 @@ class SoftPacket:
         side, values = self._signal.side, led_gains.values
         if self._decided_noise is not None:
             return Noise(self._decided_noise, noise_beside([cutout for cutout in cutouts if cutout], side))
-        # a single frame of a pair shows no sum
-        pairs = [cutout for cutout in cutouts if cutout is not None and len(cutout.poses) > 1]
+        pairs = [cutout for cutout in cutouts if cutout is not None]
         # an occluder is uneven too
         whole = [cutout for cutout in pairs if cutout.in_sight is None]
         even = whole if len(whole) > 1 else pairs

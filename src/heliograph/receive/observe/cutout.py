@@ -17,7 +17,7 @@ RING_PX = 2.0  # pixels beyond the rim, where the difference shows changes of th
 
 @dataclass(frozen=True, slots=True)
 class Cutout:
-    """A pair of frames cropped to the array, a single frame of data without inverses, or the rest of a pair."""
+    """A pair of frames cropped to the array, or a single frame of data without inverses."""
 
     # Sum of pattern and inverse in gray levels, (rows, columns); for a single frame twice the frame less the background
     total: Floats
@@ -33,8 +33,6 @@ class Cutout:
     combination: Combination | None = None
     # 1 for columns (columns,) and rows (rows,) inside all frames, 0 outside; None if all are inside
     covered: tuple[Floats, Floats] | None = None
-    # Variance of a pixel of the difference, in units of that of a difference of two frames; above 0
-    noise: float = 1.0
     # (n, n) 1 for visible LEDs, 0 for occluded LEDs; None if all are visible
     in_sight: Floats | None = None
 

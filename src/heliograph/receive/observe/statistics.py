@@ -149,7 +149,6 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     across, down = (_weight_roots(part, noise) for part in middle)
     if cutout.covered is not None:
         across, down = across * cutout.covered[0], down * cutout.covered[1]
-    across /= cutout.noise**0.5
     root = np.outer(down, across)
     if cutout.mean_light_pose is None:
         # o = l_1 A_1 1 - l_2 A_2 1, 0 for an array at rest; the mean light of combined frames differs from a half

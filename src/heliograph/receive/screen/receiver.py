@@ -144,24 +144,18 @@ class ScreenReceiver:
         self._unseen_since: float | None = None
         self._periods: deque[float] = deque(maxlen=64)
 
-    def push(self, frame: Frame) -> Iterator[Packet]:
-        """Add the next frame; yield the completed packets; see `Receiver`."""
-        return in_one_thread(self._receive(frame))
-
+    @in_one_thread
     def finish(self) -> Iterator[Packet]:
         """End the film: yield the packet in progress if most of the packet was visible."""
-        return in_one_thread(self._finish())
-
-    def _finish(self) -> Iterator[Packet]:
-        """See `finish`."""
         if self._array is None and (acquired := self._search.find()) is not None:
             yield from self._start_array(*acquired)
         if self._array is None and self._last is not None:
             self._emit_unseen(self._last.time_s, 0.0)
         yield from self._end_array()
 
-    def _receive(self, frame: Frame) -> Iterator[Packet]:
-        """See `push`."""
+    @in_one_thread
+    def push(self, frame: Frame) -> Iterator[Packet]:
+        """Add the next frame; yield the completed packets; see `Receiver`."""
         check_next(frame, self._last)
         last = self._last
         if last is None:
