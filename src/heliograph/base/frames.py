@@ -31,7 +31,7 @@ class Frame:
     pixels
         Gray levels from 0 to full scale, shape (rows, columns), uint8 (8 bit) or uint16 (9 to 16 bit). A view of any
         array is allowed, in any order in memory. The frame shares the array; the receivers "plain", "soft" and
-        "screen" copy the pixels of each frame that they take, so the array may be filled again for the next frame.
+        "screen" copy pixels unless they are read-only, so the array may be filled again for the next frame.
     bits
         Bits of a gray level, 8 to 16; full scale is ``2**bits - 1``.
     origin

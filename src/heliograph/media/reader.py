@@ -127,7 +127,7 @@ def check_levels(path: Path, pixels: Pixels, bits: int, count: int) -> None:
 class FilmReader(ABC):
     """A film opened for reading: iterate it for its frames, one at a time; each iteration starts at the first frame.
 
-    Memory does not grow with the film. Use it as a context manager, or call `close`.
+    Memory does not grow with the film. Pixels are read-only. Use it as a context manager, or call `close`.
     """
 
     _decodes: ClassVar[bool] = False
@@ -184,6 +184,8 @@ class FilmReader(ABC):
             for count, frame in enumerate(frames):
                 if self._checks_levels:
                     check_levels(self.path, frame.pixels, frame.bits, count)
+                # receivers copy pixels that may change
+                frame.pixels.setflags(write=False)
                 yield frame
         finally:
             _stop(frames)

@@ -110,8 +110,8 @@ def receive_frames(
     Parameters
     ----------
     frames
-        Camera frames in the order of time. The receivers of this package copy the pixels, so the caller may fill the
-        same array again for each frame, as OpenCV's ``read(image)`` does.
+        Camera frames in the order of time. The receivers of this package copy pixels that are not read-only, so the
+        caller may fill the same array again for each frame, as OpenCV's ``read(image)`` does.
     signal, settings, observe
         The light's signal, the receiver's settings and an observer, as for `make_receiver`.
 

@@ -293,6 +293,7 @@ def _with_rim(frame: Frame, rim: int) -> Frame:
     pixels: Pixels = cv2.copyMakeBorder(  # type: ignore[assignment]  # OpenCV keeps the dtype
         frame.pixels, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=0
     )
+    pixels.setflags(write=False)
     x, y = frame.origin
     return replace(frame, pixels=pixels, origin=(x - rim, y - rim))
 

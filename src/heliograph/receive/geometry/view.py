@@ -112,6 +112,7 @@ def halved(frame: Frame) -> Frame:
     x, y = frame.origin
     pixels = frame.pixels[y % 2 :, x % 2 :]
     reduced: Pixels = cv2.pyrDown(np.ascontiguousarray(pixels))  # type: ignore[assignment]  # OpenCV keeps the dtype
+    reduced.setflags(write=False)
     return replace(frame, pixels=reduced, origin=((x + 1) // 2, (y + 1) // 2))
 
 

@@ -77,6 +77,7 @@ def common(frames: Sequence[Frame]) -> list[Frame]:
     for frame in frames:
         x, y = frame.origin
         pixels = frame.pixels[top - y : low - y, left - x : right - x].copy()
+        pixels.setflags(write=False)
         cropped.append(replace(frame, pixels=pixels, origin=(left, top)))
     return cropped
 

@@ -1,6 +1,5 @@
 """Camera clocks: frame times despite jitter of the time stamps, missing frames and repeated frames."""
 
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -168,15 +167,14 @@ def _is_copy(last: Frame, frame: Frame) -> bool:
     return bool(are_alike and np.array_equal(a, b) and a.min() != a.max())
 
 
-_SAMPLE = Frame(0, 0.0, np.zeros((1, 1), np.uint8))
-# references to pixels to which only the frame refers
-_REFERENCES = sys.getrefcount(_SAMPLE.pixels)
-
-
 def owned(frame: Frame) -> Frame:
-    """Return the frame with pixels that the caller cannot fill again: a copy, unless only the frame refers to them."""
-    is_alone = frame.pixels.flags.owndata and sys.getrefcount(frame.pixels) <= _REFERENCES
-    return frame if is_alone and frame.pixels.flags.c_contiguous else frame.copied()
+    """Return the frame with pixels that the caller cannot fill again: a copy unless NumPy holds them, read-only."""
+    flags = frame.pixels.flags
+    if not (flags.owndata and flags.c_contiguous) or flags.writeable:
+        frame = frame.copied()
+        # Numba compiles loops for read-only pixels apart
+        frame.pixels.setflags(write=False)
+    return frame
 
 
 def check_next(frame: Frame, last: Frame | None) -> None:
