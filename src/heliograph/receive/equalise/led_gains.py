@@ -33,7 +33,14 @@ from heliograph.receive.geometry.fit import median_of
 from heliograph.receive.geometry.footprint import to_grid, to_quarters
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, noise_beside
-from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, leds_of, transform_quarters, whiten
+from heliograph.receive.observe.statistics import (
+    PairStatistics,
+    WhitenedCutout,
+    leds_of,
+    transform_gram,
+    transform_quarters,
+    whiten,
+)
 
 POSE_SPREADS = np.array([0.2, 0.2, 0.004, 0.02])
 """Standard deviations of errors of a pose in x, y (px), ln pitch and roll before a bright background."""
@@ -132,7 +139,7 @@ class LedGains:
             # the statistics hold the light of the LEDs times the brightness so far
             levels = leds_of(pair[1]) * inverse
             # T T^T = 1/4: A^T W A = 16 T G T^T, A^T W d = 4 T B^T W d
-            information[k % 2] += 16 * gain**2 / noise * np.outer(levels, levels) * leds_of(leds_of(gram).T)
+            information[k % 2] += 16 * gain**2 / noise * np.outer(levels, levels) * transform_gram(gram)
             score[k % 2] += gain / noise * levels * 4 * leds_of(matched)
             used += 1
         if not used:

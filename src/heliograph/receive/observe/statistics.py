@@ -23,7 +23,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.geometry.footprint import Footprints, footprints, image_of, sum_of_leds, to_quarters
 from heliograph.receive.observe.cutout import RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.sync.combine import Combination
+from heliograph.receive.sync.combine import SIGNS, Combination
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,13 +172,19 @@ def _weight_roots(light: Floats, noise: Noise) -> Floats:
 
 def transform_quarters(values: NDArray[Any]) -> NDArray[Any]:
     """Transform quarters of LEDs to quarters of symbols along the first axis, H t H^T, or back."""
-    a, b, c, d = np.split(values, 4)
-    return np.concatenate([a + b + c + d, a - b + c - d, a + b - c - d, a - b - c + d])
+    signs = SIGNS.astype(values.dtype)
+    return np.asarray((signs @ values.reshape(4, -1)).reshape(values.shape))
 
 
 def leds_of(symbols: NDArray[Any]) -> NDArray[Any]:
     """Transform symbols to levels of LEDs about the mean, (n n, ...): t = 1/4 H^T D H."""
-    return 0.25 * transform_quarters(symbols)
+    return transform_quarters(0.25 * symbols)
+
+
+def transform_gram(gram: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Transform the inner products of LEDs to those of symbols on both sides, times 1/16, or back, (n n, n n)."""
+    one_side = leds_of(gram).reshape(len(gram), 4, -1)
+    return np.asarray((np.float32(0.25) * SIGNS.astype(np.float32) @ one_side).reshape(gram.shape))
 
 
 def light_of_symbols(light: Footprints) -> NDArray[np.float32]:
@@ -192,4 +198,4 @@ def gram_of(light: Footprints) -> NDArray[np.float32]:
     """Compute B^T B, (symbols, symbols) float32: <led_i, led_j> = <across_i, across_j> <down_i, down_j>."""
     # X X^T of NumPy takes six times as long; the transpose has the order of BLAS
     across, down = (blas.sgemm(1.0, part.astype(np.float32).T, part.astype(np.float32).T, trans_a=1) for part in light)
-    return np.asarray(leds_of(leds_of(across * down).T))
+    return transform_gram(across * down)
