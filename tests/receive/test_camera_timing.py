@@ -13,7 +13,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive import Packet, ReceiveSettings, make_receiver, receive_frames
 from heliograph.receive.events import ExtractEvent
-from heliograph.receive.sync.pairing import CombinedFrame
+from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.signal.settings import SignalSettings
 
 

@@ -12,9 +12,9 @@ from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.view import CAMERA, View
+from heliograph.receive.geometry.window import AnyFrame
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Packet
-from heliograph.receive.sync.pairing import AnyFrame
 from heliograph.receive.track.track import TrackedPair
 
 

@@ -16,8 +16,8 @@ from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose, ReceiveSettings, receive_frames
 from heliograph.receive.decode.per_led import luminances, pair_luminances, unblurred
 from heliograph.receive.events import ExtractEvent
+from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.settings import Equaliser, PlainSettings
-from heliograph.receive.sync.pairing import CombinedFrame
 
 Floats = NDArray[np.float64]
 

@@ -8,8 +8,9 @@ from scenes import SIDE, draw, pitch_at
 from heliograph.base.arrays import Floats
 from heliograph.receive import Pose
 from heliograph.receive.detect.header_bank import header_score, header_weights
+from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.sync.combine import combine_header
-from heliograph.receive.sync.pairing import CombinedFrame, FramePair
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_levels
 

@@ -17,7 +17,7 @@ from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import Packet
 from heliograph.receive.events import DecodeEvent, DetectEvent, ExtractEvent, LostEvent, TrackEvent
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.sync.pairing import AnyFrame
+from heliograph.receive.geometry.window import AnyFrame
 from heliograph.signal.block import Block
 from heliograph.signal.fountain.files import FileGatherer, SentFile, WholeFile
 from heliograph.signal.settings import SignalSettings

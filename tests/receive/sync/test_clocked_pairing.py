@@ -14,9 +14,9 @@ from scenes import film, link, pitch_at
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.geometry.fit import header_amplitudes
+from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.sync.pairing import (
     AsynchronousPairing,
-    CombinedFrame,
     DuePair,
     FramePair,
     MeasuredHeader,

@@ -29,7 +29,7 @@ from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import open_film
 from heliograph.receive import Pose
 from heliograph.receive.events import DetectEvent, Event, ExtractEvent, TrackEvent
-from heliograph.receive.geometry.window import ImagePatch, cut_out
+from heliograph.receive.geometry.window import AnyFrame, cut_out
 from heliograph.road.codec import Values, is_there, kind_of, mapem, road_values, road_words, updates
 from heliograph.road.junction import Junction, example
 from heliograph.signal.message import Message, Updates
@@ -241,7 +241,7 @@ def _show_cuts(page: Report, recorder: TrackRecorder) -> None:
         page.figure(plots.image_row(images, names, largest=largest), f"Pattern plus inverse, cut out {title}.")
 
 
-def _sum_at(pose: Pose, up: ImagePatch, down: ImagePatch) -> NDArray[np.float64]:
+def _sum_at(pose: Pose, up: AnyFrame, down: AnyFrame) -> NDArray[np.float64]:
     window = round(pose.x) - CUT_PX // 2, round(pose.y) - CUT_PX // 2, CUT_PX, CUT_PX
     return cut_out(up, window) + cut_out(down, window)
 

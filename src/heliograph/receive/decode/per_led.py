@@ -16,7 +16,7 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.geometry.footprint import footprints, image_of, to_grid
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import ImagePatch, cut_out, window_around
+from heliograph.receive.geometry.window import AnyFrame, cut_out, window_around
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
 from heliograph.receive.settings import Equaliser
@@ -27,7 +27,7 @@ ZERO_FORCING_LOADING = 1e-4
 
 
 def unblurred(
-    frames: tuple[ImagePatch, ImagePatch],
+    frames: tuple[AnyFrame, AnyFrame],
     poses: tuple[Pose, Pose],
     gain: float,
     side: int,
@@ -59,7 +59,7 @@ def unblurred(
 
 
 def pair_luminances(
-    frames: tuple[ImagePatch, ImagePatch],
+    frames: tuple[AnyFrame, AnyFrame],
     poses: tuple[Pose, Pose],
     gain: float,
     side: int,
@@ -78,7 +78,7 @@ def normalised(change: NDArray[np.float64], gain: float) -> NDArray[np.float64]:
     return 2 * change / max(gain, TINY)
 
 
-def luminances(frame: ImagePatch, pose: Pose, side: int) -> NDArray[np.float64]:
+def luminances(frame: AnyFrame, pose: Pose, side: int) -> NDArray[np.float64]:
     """Gray level at each LED's image position, by cubic interpolation. Returns (side, side) float64."""
     return at_leds(frame.pixels, frame.origin, pose, side)
 

@@ -21,11 +21,11 @@ from heliograph.receive.geometry.fit import Fit, correlation
 from heliograph.receive.geometry.footprint import image_of, render_with_slopes, to_grid
 from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import RIM_PX, ImagePatch, covered, cut_out, plane, window_around
+from heliograph.receive.geometry.window import RIM_PX, AnyFrame, covered, cut_out, plane, window_around
 from heliograph.receive.observe.cutout import RING_PX, Cutout, take_cutout
 from heliograph.receive.observe.noise import MAX_BACKGROUND, Noise, measure_noise
 from heliograph.receive.observe.statistics import PairStatistics, leds_of, whiten
-from heliograph.receive.sync.pairing import AnyFrame, FramePair
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, STATE_SIZE, Observation, PoseState
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
@@ -38,7 +38,7 @@ HeaderPair = tuple[FramePair, tuple[Pose, Pose]]
 DECIDED = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2)
 
 
-def surroundings(frame: ImagePatch, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
+def surroundings(frame: AnyFrame, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
     """Crop a frame around an array: corner (x, y) and pixels (rows, columns) in gray levels."""
     window = window_around(pose, side, RIM_PX + RING_PX)
     return (window[0], window[1]), cut_out(frame, window)

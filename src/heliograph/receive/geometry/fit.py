@@ -11,7 +11,7 @@ from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import ImagePatch, Window, cut_out, plane, window_around
+from heliograph.receive.geometry.window import AnyFrame, Window, cut_out, plane, window_around
 
 
 def robust_std(values: Floats) -> float:
@@ -158,7 +158,7 @@ def _contiguous(values: Floats) -> Floats:
     return np.ascontiguousarray(values, np.float64)
 
 
-def header_amplitudes(frames: Sequence[ImagePatch], pose: Pose, weights: Floats) -> Floats:
+def header_amplitudes(frames: Sequence[AnyFrame], pose: Pose, weights: Floats) -> Floats:
     """Measure the amplitude of a pattern in each of some frames."""
     # a margin of 1 px: more adds background, less loses the rim
     window = window_around(pose, weights.shape[0], 1.0)

@@ -1,10 +1,9 @@
 """Windows of frames about an array."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import ceil, floor
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +19,23 @@ RIM_PX = 2.0  # light of an array beyond the outer LEDs, in px: 4 standard devia
 HALF_LIT = 0.5  # relative light at a blurred edge; pixels within an array have more
 
 
-class ImagePatch(Protocol):
-    """Pixels with a position on the sensor: a `Frame`, or combined frames."""
+@dataclass(frozen=True, slots=True)
+class CombinedFrame:
+    """Frames combined to a pattern or to an inverse around an array."""
 
-    @property
-    def pixels(self) -> NDArray[Any]:
-        """Gray levels, (rows, columns)."""
+    # Number of the first or the last camera frame
+    index: int
+    # Time in seconds, half a pattern before the mean time of the light, as for a camera frame
+    time_s: float
+    # (rows, columns) float32 gray levels
+    pixels: NDArray[np.float32]
+    # Position (x, y) of the first pixel on the sensor
+    origin: tuple[int, int]
+    # Largest gray level of the camera
+    full_scale: int
 
-    @property
-    def origin(self) -> tuple[int, int]:
-        """Position (x, y) of the first pixel on the sensor."""
+
+AnyFrame = Frame | CombinedFrame
 
 
 def window_around(pose: Pose, side: int, margin: float) -> Window:
@@ -40,7 +46,7 @@ def window_around(pose: Pose, side: int, margin: float) -> Window:
     return x0, y0, ceil(pose.x + across) - x0 + 1, ceil(pose.y + down) - y0 + 1
 
 
-def cut_out(frame: ImagePatch, window: Window) -> Floats:
+def cut_out(frame: AnyFrame, window: Window) -> Floats:
     """Copy the pixels of a window; beyond the frame the border repeats."""
     x0, y0, width, height = window
     x, y = x0 - frame.origin[0], y0 - frame.origin[1]
@@ -53,7 +59,7 @@ def cut_out(frame: ImagePatch, window: Window) -> Floats:
 
 
 def covered(
-    frames: Sequence[ImagePatch], corner: tuple[int, int], shape: tuple[int, int]
+    frames: Sequence[AnyFrame], corner: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Floats, Floats] | None:
     """Mark columns and rows of a window inside all frames with 1; None if all are inside."""
     sides = []

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import window_around
+from heliograph.receive.geometry.window import AnyFrame, CombinedFrame, window_around
 from heliograph.receive.sync.combine import Combination, combine_header, combine_pair
 from heliograph.receive.sync.frame_clock import frame_period
 from heliograph.receive.sync.light_clock import MIN_EXPLAINED, PATTERNS_AROUND, LightClock, measure_amplitudes
@@ -23,25 +23,6 @@ from heliograph.receive.sync.slips import PoseAt, SlipWatch, is_data
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import light_centroids
 from heliograph.signal.settings import SignalSettings
-
-
-@dataclass(frozen=True, slots=True)
-class CombinedFrame:
-    """Frames combined to a pattern or to an inverse around an array."""
-
-    # Number of the first or the last camera frame
-    index: int
-    # Time in seconds, half a pattern before the mean time of the light, as for a camera frame
-    time_s: float
-    # (rows, columns) float32 gray levels
-    pixels: NDArray[np.float32]
-    # Position (x, y) of the first pixel on the sensor
-    origin: tuple[int, int]
-    # Largest gray level of the camera
-    full_scale: int
-
-
-AnyFrame = Frame | CombinedFrame
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry.fit import Fit, Prior, fit_array
 from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import Window, cut_out, window_around
-from heliograph.receive.sync.pairing import AnyFrame, FramePair
+from heliograph.receive.geometry.window import AnyFrame, Window, cut_out, window_around
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
     POSE_SIZE,

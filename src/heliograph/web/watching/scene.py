@@ -12,9 +12,9 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.events import DecodeEvent, DetectEvent, EqualiseEvent, ExtractEvent, LostEvent, TrackEvent
 from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.window import AnyFrame
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.settings import CalibrationSettings
-from heliograph.receive.sync.pairing import AnyFrame
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.watching.patterns import decided, equalised_by, grey, histograms, luminances_of, soft_by_layer
