@@ -3,6 +3,7 @@ import os
 import threading
 from base64 import b64decode
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,7 @@ def dark(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 if frame.index > 115:
                     random = np.random.default_rng(frame.index)
                     noisy = frame.pixels + random.normal(0, 90, frame.pixels.shape)
-                    frame.pixels[:] = np.clip(noisy, 0, 255).astype(np.uint8)
+                    frame = replace(frame, pixels=np.clip(noisy, 0, 255).astype(np.uint8))
                 copy.write(frame)
     return path
 

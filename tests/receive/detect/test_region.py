@@ -61,7 +61,7 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
         searched.append(frame)
         return []
 
-    monkeypatch.setattr(PyramidSearch, "push", push)
+    monkeypatch.setattr(PyramidSearch, "search", push)
     return searched
 
 

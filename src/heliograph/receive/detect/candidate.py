@@ -79,6 +79,14 @@ def fit_moving(header: list[Frame], fit: Fit, weights: Floats, tilt: float, moti
     return fit if smeared is None or smeared.score < fit.score else smeared
 
 
+def fit_first_pair(header: list[Frame], fit: Fit, weights: Floats, tilt: float) -> tuple[Fit, list[Frame]]:
+    """Fit a header's first pair, as a format may dim the later pairs unevenly."""
+    first = fit_near(alternation_of(header[:2]), header[0].origin, fit.pose, weights, tilt)
+    if first is None or first.score <= 0.9 * fit.score or first.gain <= 0.7 * fit.gain:
+        return fit, header
+    return replace(first, score=fit.score), header[:2]
+
+
 def fit_near(
     change: Change,
     origin: tuple[int, int],

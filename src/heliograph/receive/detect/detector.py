@@ -44,6 +44,7 @@ from heliograph.receive.detect.candidate import (
     cell_weights,
     estimate_drift,
     find_window,
+    fit_first_pair,
     fit_header,
     fit_moving,
     fit_near,
@@ -320,8 +321,11 @@ class Detector:
         if not is_in_range:
             return found
         tilt = DETECT.level_sigma if is_level else tilt
+        if None not in frames[:2] and parameters.impaired and len(header) > 2:
+            fit, header = fit_first_pair(header, fit, led_gains * weights, tilt)
         # the drift is fitted too, and the header with the smear
         self.budget.charge(2 * FIT_WORK)
+        time_s = 0.5 * (header[0].time_s + header[-1].time_s)
         present = [frame for frame in frames if frame is not None]
         drift = estimate_drift(present, fit.pose, time_s, led_gains * weights, self.period_s)
         fit = fit_moving(header, fit, led_gains * weights, tilt, (drift[0] * self.period_s, drift[1] * self.period_s))

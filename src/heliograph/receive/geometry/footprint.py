@@ -32,7 +32,8 @@ def to_grid(values: Floats) -> Floats:
 
 def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
     """Render LEDs, (rows, columns); an unresolved array of levels 1 has the image 1."""
-    return sum_of_leds(to_quarters(levels), footprints(pose, corner, shape, len(levels)))
+    # not kept: an array is hardly twice at the same pose
+    return sum_of_leds(to_quarters(levels), footprints.__wrapped__(pose, corner, shape, len(levels)))
 
 
 def sum_of_leds(levels: Floats, light: Footprints) -> Floats:

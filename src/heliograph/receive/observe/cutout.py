@@ -6,7 +6,7 @@ from math import hypot
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.geometry.footprint import image_of, render_with_slopes
+from heliograph.receive.geometry.footprint import footprints, render_with_slopes, sum_of_leds, to_quarters
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, covered, cut_out, window_around
 from heliograph.receive.sync.combine import Combination
@@ -62,12 +62,16 @@ class Cutout:
         """Derivatives of the image of LEDs by x, y, ln pitch and roll, (4, rows, columns)."""
         return render_with_slopes(self.middle, levels, self.corner, self.shape)[1:5]
 
+    def image_of(self, levels: Floats, pose: Pose) -> Floats:
+        """Render LEDs at a pose, (rows, columns)."""
+        return sum_of_leds(to_quarters(levels), footprints(pose, self.corner, self.shape, len(levels)))
+
     def motion_compensated(self, gain: float, led_gains: Floats) -> "Cutout":
         """Subtract the light of the background that does not cancel because the array moves between the frames."""
         if len(self.poses) != 2 or self.combination is not None:
             return self
         first, second = self.poses
-        lit = sum(image_of(self.shining(led_gains), pose, self.corner, self.shape) for pose in self.poses)
+        lit = sum(self.image_of(self.shining(led_gains), pose) for pose in self.poses)
         # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b, b = (r + r' - g (A_1 + A_2) 1 / 2) / 2
         down, right = np.gradient(0.5 * (self.total - 0.5 * gain * lit))
         return replace(self, difference=self.difference - (second.x - first.x) * right - (second.y - first.y) * down)

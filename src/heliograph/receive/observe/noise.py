@@ -8,7 +8,7 @@ import numpy as np
 
 from heliograph.base.arrays import RCOND, Floats
 from heliograph.receive.geometry.fit import robust_std
-from heliograph.receive.geometry.footprint import Footprints, footprints, image_of
+from heliograph.receive.geometry.footprint import Footprints, footprints
 from heliograph.receive.observe.cutout import Cutout
 
 MAX_BACKGROUND = 1e-3  # relative light of the array below which a pixel is background: a fraction of a gray level
@@ -54,7 +54,7 @@ def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
     """Measure the variance of a background pixel in a difference of two frames."""
     squares, count = 0.0, 0
     for cutout in cutouts:
-        dark = image_of(np.ones((side, side)), cutout.poses[0], cutout.corner, cutout.shape) < MAX_BACKGROUND
+        dark = cutout.image_of(np.ones((side, side)), cutout.poses[0]) < MAX_BACKGROUND
         power, pixels = float((cutout.difference[dark] ** 2).sum()), int(dark.sum())
         squares += power if cutout.combination is None else power / cutout.combination.noise
         count += pixels
@@ -70,8 +70,8 @@ def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None
     place = cutout.corner, cutout.shape
     visible = np.ones((side, side)) if cutout.in_sight is None else cutout.in_sight
     gains = visible if led_gains is None else cutout.shining(led_gains)
-    lit = np.mean([image_of(gains, pose, *place) for pose in cutout.poses], axis=0)
-    light = image_of(visible, cutout.poses[0], *place)
+    lit = np.mean([cutout.image_of(gains, pose) for pose in cutout.poses], axis=0)
+    light = cutout.image_of(visible, cutout.poses[0])
     if cutout.covered is not None:
         light *= np.outer(*cutout.covered[::-1])
     # without the slope of a blurred rim

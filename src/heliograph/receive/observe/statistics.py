@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.geometry.footprint import Footprints, footprints, image_of, sum_of_leds, to_quarters
+from heliograph.receive.geometry.footprint import Footprints, footprints, sum_of_leds, to_quarters
 from heliograph.receive.observe.cutout import RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.sync.combine import SIGNS, Combination
@@ -153,9 +153,9 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     if cutout.mean_light_pose is None:
         # o = l_1 A_1 1 - l_2 A_2 1, 0 for an array at rest; the mean light of combined frames differs from a half
         before, after = (0.5, 0.5) if cutout.combination is None else cutout.combination.levels
-        offset = image_of(before * gains, first, corner, shape) - image_of(after * gains, last, corner, shape)
+        offset = cutout.image_of(before * gains, first) - cutout.image_of(after * gains, last)
     else:
-        offset = image_of(gains, cutout.mean_light_pose, corner, shape)
+        offset = cutout.image_of(gains, cutout.mean_light_pose)
     light = [footprints(pose, corner, shape, side) for pose in cutout.poses] if cutout.apart else [middle]
     frames = tuple((leds * columns * across, rows * down) for columns, rows in light)
     return WhitenedCutout(cutout, root, root * cutout.difference, root * offset, frames)
