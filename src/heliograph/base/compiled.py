@@ -75,7 +75,7 @@ class _Cache(FunctionCache):
         super().__init__(function)
         base = self._impl.filename_base
         # Numba numbers the files of a function, so two processes could write machine code under the same name
-        self._cache_file._data_name = lambda _: f"{base}.{uuid.uuid4().hex}.nbc"  # type: ignore[method-assign]
+        self._cache_file._data_name = lambda _: f"{base}.{uuid.uuid4().hex}.nbc"  # type: ignore[method-assign]  # no setting
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         try:

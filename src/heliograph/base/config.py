@@ -35,7 +35,7 @@ to_mapping = asdict
 
 def clear_errors(cls: type[T]) -> type[T]:
     """Decorate a settings class so that the constructor raises a SettingsError of one line."""
-    cls.__init__ = _one_line_errors(cls)(cls.__init__)  # type: ignore[method-assign]
+    cls.__init__ = _one_line_errors(cls)(cls.__init__)  # type: ignore[method-assign]  # each class has its parameters
     return cls
 
 

@@ -55,7 +55,7 @@ def test_the_solution_is_that_of_the_normal_equations() -> None:
     a = blur_matrix(pose, SIDE, (x0, y0), (h, w))
     change = (first.pixels.astype(float) - second.pixels)[y0 : y0 + h, x0 : x0 + w].ravel() / GAIN
     expected = np.linalg.solve(a.T @ a + 1e-3 * np.eye(SIDE * SIDE), a.T @ change)
-    assert np.allclose(found.ravel(), 2 * expected, atol=1e-4)
+    assert np.allclose(found.ravel(), 2 * expected, atol=1e-5)
 
 
 def test_motion_between_the_frames_is_undone() -> None:
