@@ -2,14 +2,12 @@
 
 from dataclasses import replace
 
-import kalman_oracle as kalman_reference
 import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
-from heliograph.receive.track import kernels
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
     POSE,
@@ -74,7 +72,7 @@ def test_same_as_filterpy(observation: Observation) -> None:
         z, noise = rng.normal(size=5), random_covariance(rng)
         vector, covariance = fitted(state, z, noise, observation)
         # a model's error is noise of the measurement that the fit does not know of
-        other.update(z.reshape(-1, 1), R=noise + np.diag(observation.variances), H=observation.matrix)
+        other.update(z.reshape(-1, 1), R=noise + np.diag(observation[1]), H=observation[0])
         state = state.condition(vector, covariance, observation)
         assert state.time_s == time_s
         assert state.mean == pytest.approx(other.x.ravel(), rel=1e-6, abs=1e-6)
@@ -87,7 +85,7 @@ def test_errors_of_the_model_keep_the_state_from_trusting_a_sharp_fit() -> None:
     vector, covariance = fitted(state, np.ones(5), sharp, POSE)
     trusting = state.condition(vector, covariance, POSE)
     assert trusting.mean[:5] == pytest.approx(np.ones(5), abs=1e-4)
-    doubtful = Observation(POSE.matrix, np.array([0, 0, 0.2, 0, 0]) ** 2)
+    doubtful = POSE[0], np.array([0, 0, 0.2, 0, 0]) ** 2
     vector, covariance = fitted(state, np.ones(5), sharp, doubtful)
     careful = state.condition(vector, covariance, doubtful)
     # equal variances of state and model: half the way, half the variance
@@ -171,23 +169,3 @@ def test_the_tilt_is_kept_apart_and_grows_uncertain() -> None:
     upright = PoseState.start(0.0, vector[:5], covariance[:5, :5], MODEL)
     assert (upright.pose.stretch, upright.pose.shear) == (0, 0)
     assert upright.tilt_covariance == pytest.approx(1e-6 * np.eye(2))
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_kernels_do_what_the_reference_does(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    root, mean, dt = rng.normal(size=(10, 10)), rng.normal(size=10), float(rng.uniform(1e-4, 3.0))
-    covariance = root @ root.T + 0.1 * np.eye(10)
-    later = kernels.predict(mean, covariance, dt, *MODEL.noise_by_powers)
-    noise = np.sum([dt**k * term for k, term in enumerate(MODEL.noise_by_powers, 1)], axis=0)
-    for got, want in zip(later, kalman_reference.predict(mean, covariance, dt, noise), strict=True):
-        assert got == pytest.approx(want, rel=1e-12, abs=1e-12)
-    observation = Observation(rng.normal(size=(5, 10)) * (rng.random((5, 10)) < 0.5), rng.random(5))
-    shown = observation.matrix, observation.variances
-    found = kernels.expected(mean, covariance, *shown)
-    for got, want in zip(found, kalman_reference.expected(mean, covariance, *shown), strict=False):
-        assert got == pytest.approx(want, rel=1e-12, abs=1e-12)
-    fit = rng.normal(size=5), random_covariance(rng)
-    after = kernels.condition(mean, covariance, *shown, *fit)
-    for got, want in zip(after, kalman_reference.condition(mean, covariance, *shown, *fit), strict=True):
-        assert got == pytest.approx(want, rel=1e-8, abs=1e-8)

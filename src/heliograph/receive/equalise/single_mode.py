@@ -26,7 +26,7 @@ from heliograph.receive.observe.cutout import RING_PX, Cutout, take_cutout
 from heliograph.receive.observe.noise import MAX_BACKGROUND, Noise, measure_noise
 from heliograph.receive.observe.statistics import PairStatistics, leds_of, whiten
 from heliograph.receive.sync.pairing import FramePair
-from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, STATE_SIZE, Observation, PoseState
+from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, STATE_SIZE, PoseState
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
 
@@ -35,7 +35,7 @@ HeaderPair = tuple[FramePair, tuple[Pose, Pose]]
 
 
 # Errors of the image model in x, y (px), ln pitch, roll and ln blur
-DECIDED = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2)
+DECIDED = np.eye(POSE_SIZE, STATE_SIZE), np.array([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2
 
 
 def surroundings(frame: AnyFrame, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:

@@ -11,7 +11,6 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.track import kernels
 
 POSE_SIZE, RATE_STATES, STATE_SIZE = 5, slice(5, 8), 10
 """State: pose vector (x, y, ln pitch, roll, ln blur), rates per second of x, y and ln pitch, and systematic errors of
@@ -49,18 +48,8 @@ class MotionModel:
         return linear, quadratic, cubic
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
-    """Part of the state observed by a fit."""
-
-    # H, (5, 10): state to pose vector
-    matrix: Floats
-    # (5,) variances of independent model errors
-    variances: Floats
-
-    def __post_init__(self) -> None:
-        # uniformly read-only: Numba compiles kernels again for writable arrays
-        self.matrix.setflags(write=False)
+Observation = tuple[Floats, Floats]
+"""Part of the state that a fit observes: H (5, 10), the state to the pose vector, and variances (5,) of the model."""
 
 
 @lru_cache(maxsize=8)  # synchronous sums share one delay
@@ -70,13 +59,13 @@ def sum_observation(late_s: float) -> Observation:
     matrix[:3, RATE_STATES] = late_s * np.eye(3)
     matrix[2, 8] = matrix[4, 9] = 1.0
     # ln pitch and ln blur err by about the last step of a fit
-    return Observation(matrix, np.array([0.0, 0.0, 0.002, 0.0, 0.02]) ** 2)
+    return matrix, np.array([0.0, 0.0, 0.002, 0.0, 0.02]) ** 2
 
 
 # a header less the inverse: the array moves by about 0.5 px between both, hence x and y
-HEADER_OBSERVATION = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2)
+HEADER_OBSERVATION = np.eye(POSE_SIZE, STATE_SIZE), np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2
 # the pose itself
-POSE = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.zeros(POSE_SIZE))
+POSE = np.eye(POSE_SIZE, STATE_SIZE), np.zeros(POSE_SIZE)
 
 
 @dataclass(frozen=True)  # without slots, for the cached properties
@@ -121,28 +110,34 @@ class PoseState:
     def predict(self, time_s: float, model: MotionModel) -> "PoseState":
         """Predict the state at a later time: x = F x, P = F P F^T + Q."""
         dt = time_s - self.time_s
-        mean, covariance = kernels.predict(*self._arrays, dt, *model.noise_by_powers)
+        step, (linear, quadratic, cubic) = np.eye(STATE_SIZE), model.noise_by_powers
+        step[[0, 1, 2], [5, 6, 7]] = dt
+        noise = dt * (linear + dt * (quadratic + dt * cubic))
         # stretch and shear walk by 0.01 in 1000 patterns, and change by up to 0.3 for a turn by 1 rad. A turn goes on
         # for tau = 100 patterns: it adds tau^2, as a walk of the variance tau dt
         turn = 0.3 * hypot(self._numbers[5], self._numbers[6]) / model.focal_px
         variance = 0.01**2 * dt / (1000 * model.period_s) + turn**2 * 100 * model.period_s * dt
-        return PoseState(time_s, mean, covariance, self.tilt, self.tilt_covariance + variance * np.eye(2))
+        return PoseState(
+            time_s,
+            step @ self.mean,
+            step @ self.covariance @ step.T + noise,
+            self.tilt,
+            self.tilt_covariance + variance * np.eye(2),
+        )
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
         """Predict the mean (5,) and the covariance (5, 5) of a fit: H x, H P H^T + R."""
-        mean, covariance, _ = kernels.expected(*self._arrays, observation.matrix, observation.variances)
-        return mean, covariance
+        matrix, variances = observation
+        return matrix @ self.mean, matrix @ self.covariance @ matrix.T + np.diag(variances)
 
     def condition(self, vector: Floats, covariance: Floats, observation: Observation) -> "PoseState":
         """Update the state by a fit with the prior `expected` (an iterated Kalman update)."""
-        fit = np.ascontiguousarray(vector, np.float64), np.ascontiguousarray(covariance, np.float64)
-        mean, full = kernels.condition(*self._arrays, observation.matrix, observation.variances, *fit)
-        return PoseState(self.time_s, mean, full, self.tilt, self.tilt_covariance)
-
-    @property
-    def _arrays(self) -> tuple[Floats, Floats]:
-        """Mean and covariance in the memory layout of the kernels."""
-        return np.ascontiguousarray(self.mean, np.float64), np.ascontiguousarray(self.covariance, np.float64)
+        # the posterior C of the fit: K = P H^T S^-1, x += K (z - H x), P += K (C - S) K^T
+        expected, spread = self.expected(observation)
+        gain = np.linalg.solve(spread, observation[0] @ self.covariance).T
+        full = self.covariance + gain @ (covariance - spread) @ gain.T
+        mean = self.mean + gain @ (vector - expected)
+        return PoseState(self.time_s, mean, 0.5 * (full + full.T), self.tilt, self.tilt_covariance)
 
     @cached_property
     def pose(self) -> Pose:
