@@ -1,7 +1,7 @@
 """Receiver: detects arrays in a stream of frames, and hands each frame to all tracked arrays.
 
-A header may fit several identities and orientations. The most plausible hypothesis gets the frames first; if the first
-packet decodes no codeword, the other hypotheses get the same frames.
+A header may fit two identities and orientations. The more plausible hypothesis gets the frames first; if the first
+packet decodes no codeword, the other one gets the same frames.
 """
 
 from collections import deque
@@ -125,6 +125,7 @@ class StreamReceiver:
         self._last: Frame | None = None
         self._pending: deque[PendingPacket | LostEvent] = deque()
         self._newest: PendingPacket | None = None
+        self._load = SearchLoad()
 
     @property
     def load(self) -> SearchLoad:
@@ -189,11 +190,11 @@ class StreamReceiver:
             for array in self._arrays
             if array.confidence > Confidence.CANDIDATE and not array.leading.has_outgrown_view(frame.time_s)
         ]
-        before = self.load
         for detection in self.search.search(frame, [array.leading.pose for array in kept]):
             yield from self._handle_detection(detection)
-        if self.load.left_out != before.left_out:
-            self._observe(DropEvent(frame.time_s, self.load - before))
+        before, self._load = self._load, self.load
+        if self._load.left_out != before.left_out:
+            self._observe(DropEvent(frame.time_s, self._load - before))
 
     def _handle_detection(self, detection: Detection) -> Iterator[PendingPacket]:
         """Start to track a detected array, unless a better track is at the same position."""

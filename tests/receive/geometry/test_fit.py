@@ -10,7 +10,7 @@ from scenes import ALL_ON, SIDE, draw, pitch_at
 from scipy.special import ndtr
 
 from heliograph.receive import Pose
-from heliograph.receive.geometry.fit import Fit, Prior, RenderCache, fit_array
+from heliograph.receive.geometry.fit import Fit, RenderCache, fit_array
 from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.window import window_around
 from heliograph.signal.header import header_levels
@@ -34,12 +34,12 @@ def pixels(pose: Pose, weights: Floats) -> Floats:
     return GAIN * draw(pose, weights, corner, shape) + LEVEL + 0.3 * np.arange(shape[1])
 
 
-def start(pose: Pose, rng: np.random.Generator) -> Prior:
+def start(pose: Pose, rng: np.random.Generator) -> Fit:
     """A prior that is off by 0.3 px and a few percent, as its covariance says."""
-    return Prior(pose.vector() + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1]), BROAD)
+    return Fit(pose.vector() + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1]), BROAD)
 
 
-def fit(image: Floats, pose: Pose, weights: Floats, prior: Prior) -> Fit:
+def fit(image: Floats, pose: Pose, weights: Floats, prior: Fit) -> Fit:
     return fit_array(image, window(pose)[0], prior, weights, 8)
 
 
@@ -117,7 +117,7 @@ def test_bright_clutter_beside_the_panel_does_not_pull(distance_m: float, scene:
     panel = np.prod([ndtr((9 * pose.pitch - np.abs(t)) / 0.6) for t in (x, y)], axis=0)
     light = GAIN * draw(pose, ALL_ON, (x0, y0), shape) + 5 + clutter * (1 - panel)
     off = np.array([0.2, -0.15, 0.01, 0.0, 0.05])
-    prior = Prior(pose.vector() + off, np.diag([0.5, 0.5, 0.05, 0.02, 0.5]) ** 2, GAIN)
+    prior = Fit(pose.vector() + off, np.diag([0.5, 0.5, 0.05, 0.02, 0.5]) ** 2, GAIN)
     found = fit_array(light + rng.normal(0, 2.5, shape), (x0, y0), prior, ALL_ON, 5, panel=True)
     assert np.abs(error(found, pose))[:2].max() < 0.1
 
@@ -125,11 +125,11 @@ def test_bright_clutter_beside_the_panel_does_not_pull(distance_m: float, scene:
 def test_a_header_shows_the_tilt() -> None:
     rng = np.random.default_rng(2)
     pose = Pose(40.3, 30.8, pitch_at(50.0), 0.05, 0.55, -0.06, 0.04)
-    prior = Prior(np.append(start(pose, rng).vector, [0.0, 0.0]), np.diag([1.0, 1.0, 0.1, 0.1, 0.3, 0.1, 0.1]) ** 2)
+    prior = Fit(np.append(start(pose, rng).vector, [0.0, 0.0]), np.diag([1.0, 1.0, 0.1, 0.1, 0.3, 0.1, 0.1]) ** 2)
     found = fit(pixels(pose, HEADER), pose, HEADER, prior)
     assert found.vector == pytest.approx(pose.full_vector(), abs=2e-3)
     # a prior without tilt fixes the tilt
-    held = fit(pixels(pose, HEADER), pose, HEADER, Prior(pose.full_vector() + 0.01, BROAD))
+    held = fit(pixels(pose, HEADER), pose, HEADER, Fit(pose.full_vector() + 0.01, BROAD))
     assert held.vector[5:] == pytest.approx(pose.full_vector()[5:] + 0.01)
     assert len(held.covariance) == 5
 
@@ -140,7 +140,7 @@ def test_a_light_that_is_not_as_expected_does_not_end_the_fit_early(distance_m: 
     rng, pose, errors = np.random.default_rng(7), Pose(40.37, 31.81, pitch_at(distance_m), 0.0, 0.55), []
     for _ in range(20):
         off = rng.normal(0, [0.05, 0.05, 1e-3, 1e-3, 0.02])
-        prior = Prior(pose.vector() + off, np.diag([0.1, 0.1, 2e-3, 2e-3, 0.05]) ** 2, factor * GAIN)
+        prior = Fit(pose.vector() + off, np.diag([0.1, 0.1, 2e-3, 2e-3, 0.05]) ** 2, factor * GAIN)
         light = pixels(pose, ALL_ON) + rng.normal(0, 2.5, window(pose)[1])
         errors.append(error(fit_array(light, window(pose)[0], prior, ALL_ON, 3, panel=True), pose)[:2])
     assert np.sqrt(np.mean(np.square(errors))) < 0.01
@@ -151,7 +151,7 @@ def test_with_the_gain_expected_the_first_step_comes_near(panel: bool) -> None:
     """With a pose that is a little off, only the expected gain gives the brightness of the image."""
     pose = Pose(40.37, 31.81, pitch_at(60), 0.0, 0.55)
     off = np.array([0.2, -0.15, 0.005, 0.0, 0.02])
-    prior = Prior(pose.vector() + off, np.diag([0.5, 0.5, 0.02, 0.02, 0.1]) ** 2, GAIN)
+    prior = Fit(pose.vector() + off, np.diag([0.5, 0.5, 0.02, 0.02, 0.1]) ** 2, GAIN)
     found = fit_array(pixels(pose, ALL_ON), window(pose)[0], prior, ALL_ON, 1, panel=panel)
     # the rest is of the second order in the step
     assert np.abs(error(found, pose))[:2].max() < 0.1 * 0.2
@@ -166,7 +166,7 @@ def test_score_without_an_array_is_low() -> None:
 
 def test_prior_holds_without_an_array() -> None:
     rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
-    sharp = Prior(pose.vector(), 1e-6 * np.eye(5), GAIN)
+    sharp = Fit(pose.vector(), 1e-6 * np.eye(5), GAIN)
     found = fit_array(rng.normal(LEVEL, 2.5, window(pose)[1]), window(pose)[0], sharp, ALL_ON, 5)
     assert np.abs(error(found, pose)).max() < 5e-3
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx(np.full(5, 1e-3), rel=0.2)
@@ -182,7 +182,7 @@ def test_poses_are_found_within_their_covariance_but_for_one_percent_of_near_arr
         pose = Pose(*rng.uniform(low, high).tolist())
         # below a fifth of a pitch, so that most single LEDs do not match the neighbours
         spread = np.array([0.07 * pose.pitch, 0.07 * pose.pitch, 0.007, 0.007, 0.1, 0.007, 0.007])
-        prior = Prior(pose.full_vector() + rng.normal(0, spread), np.diag(spread**2))
+        prior = Fit(pose.full_vector() + rng.normal(0, spread), np.diag(spread**2))
         clean = pixels(pose, PATTERNS[kind])
         found = fit(clean + rng.normal(0, 2.5, clean.shape), pose, PATTERNS[kind], prior)
         off = found.vector - pose.full_vector()
@@ -200,7 +200,7 @@ def test_the_covariance_is_as_true_with_few_pixels_as_with_many() -> None:
     ratios = []
     for corner, shape in (((37, 28), (7, 7)), ((25, 16), (30, 31))):
         clean = GAIN * draw(pose, HEADER, corner, shape) + LEVEL
-        prior = Prior(pose.vector(), np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]) ** 2)
+        prior = Fit(pose.vector(), np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]) ** 2)
         found = [fit_array(clean + rng.normal(0, sigma, shape), corner, prior, HEADER, 2) for _ in range(200)]
         stated = np.mean([1 / one.covariance[0, 0] for one in found])
         # information on x and y of pixels of the noise sigma, gain and a plane unknown
@@ -247,7 +247,7 @@ def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> Non
     rows, cols = np.mgrid[: shape[0], : shape[1]].astype(float)
     columns = np.stack([draw(pose, ALL_ON, corner, shape), np.ones(shape), rows, cols]).reshape(4, -1)
     expected, shares = 1.6 * GAIN, []
-    prior = Prior(pose.vector(), 1e-8 * np.eye(5), expected)
+    prior = Fit(pose.vector(), 1e-8 * np.eye(5), expected)
     for _ in range(20):
         light = pixels(pose, ALL_ON) + rng.normal(0, sigma, shape)
         # half of the expected gain is its standard deviation
@@ -259,7 +259,7 @@ def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> Non
 
 
 def test_pixels_that_are_not_finite_give_no_pose() -> None:
-    prior = Prior(np.array([20.0, 20.0, 0.2, 0.0, -0.5]), np.diag([1.0, 1.0, 0.01, 0.01, 0.1]))
+    prior = Fit(np.array([20.0, 20.0, 0.2, 0.0, -0.5]), np.diag([1.0, 1.0, 0.01, 0.01, 0.1]))
     with pytest.raises(np.linalg.LinAlgError, match="no solution"):
         fit_array(np.full((40, 40), np.nan), (0, 0), prior, np.ones((16, 16)), 3)
 
@@ -281,7 +281,7 @@ def test_machine_code_fits_as_the_reference(seed: int, panel: bool, tilted: bool
     vector, matrix, linear = fit_reference.fit(
         image, corner, weights, margins, prior, np.linalg.inv(spread), gain, steps := 4
     )
-    got = fit_array(image, corner, Prior(prior, spread, gain), weights, steps, panel)
+    got = fit_array(image, corner, Fit(prior, spread, gain), weights, steps, panel)
     # the machine code leaves out light beyond 4 standard deviations
     assert got.vector == pytest.approx(vector, abs=2e-3)
     assert got.gain == pytest.approx(linear[0], rel=2e-3)
@@ -296,7 +296,7 @@ def test_images_drawn_near_a_pose_stand_for_it() -> None:
         pose = replace(first, x=first.x + 0.05 * k, y=first.y + 0.03 * k, pitch=first.pitch * (1 + 2e-4 * k))
         x, y, cols, rows = drawn.window(pose, SIDE, 4.0)
         anchor = drawn.anchor.copy()
-        prior = Prior(pose.vector() + np.append(rng.normal(0, 0.005, 2), np.zeros(3)), spread, GAIN)
+        prior = Fit(pose.vector() + np.append(rng.normal(0, 0.005, 2), np.zeros(3)), spread, GAIN)
         light = GAIN * draw(pose, ALL_ON, (x, y), (rows, cols)) + LEVEL + rng.normal(0, 1.5, (rows, cols))
         near, exact = (fit_array(light, (x, y), prior, ALL_ON, 3, panel=True, drawn=one) for one in (drawn, None))
         redrawn += not np.array_equal(anchor[:5], drawn.anchor[:5])
@@ -314,7 +314,7 @@ def test_images_of_other_leds_or_positions_are_rendered_again() -> None:
     drawn, pose, dim = RenderCache(), Pose(30.2, 28.7, 1.6, 0.015, 0.55), ALL_ON.copy()
     dim[:, :3] = 0.0
     (x, y), shape = window(pose)
-    prior = Prior(pose.vector(), 1e-4 * np.eye(5), GAIN)
+    prior = Fit(pose.vector(), 1e-4 * np.eye(5), GAIN)
     for weights, corner in ((ALL_ON, (x, y)), (dim, (x, y)), (dim, (x + 3, y)), (ALL_ON, (x, y))):
         light = GAIN * draw(pose, weights, corner, shape) + LEVEL
         got, exact = (fit_array(light, corner, prior, weights, 2, drawn=one) for one in (drawn, None))

@@ -6,7 +6,7 @@ from scenes import ALL_ON, draw
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.geometry.fit import Prior, fit_array
+from heliograph.receive.geometry.fit import Fit, fit_array
 from heliograph.receive.geometry.pose import ORIENTATIONS, Orientation
 from heliograph.receive.geometry.view import CAMERA, View
 
@@ -34,7 +34,7 @@ def test_frames_show_the_array_where_its_pose_is(orientation: Orientation, level
     view = View(level, orientation)
     frame, expected = view.frame(drawn(POSE, orientation.turned(upright)), POSE, 16), view.pose_in(POSE)
     spread = np.diag(np.array([0.5, 0.5, 0.05, 0.02, 0.2, 0.01, 0.01]) ** 2)
-    fit = fit_array(frame.pixels.astype(float), frame.origin, Prior(expected.full_vector(), spread), upright, 8)
+    fit = fit_array(frame.pixels.astype(float), frame.origin, Fit(expected.full_vector(), spread), upright, 8)
     assert fit.score > 0.995
     np.testing.assert_allclose(fit.vector[:4], expected.full_vector()[:4], atol=0.02)
     assert fit.pose.blur == pytest.approx(expected.blur, rel=0.05)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scenes import SIDE, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
-from heliograph.receive.geometry.fit import Prior, fit_array
+from heliograph.receive.geometry.fit import Fit, fit_array
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track import kernels
 from heliograph.receive.track.track import TrackParameters, square_leds, visible_pixels
@@ -82,7 +82,7 @@ def test_pixels_that_something_hides_do_not_move_a_fit() -> None:
     seen = np.ones((SIDE, SIDE))
     seen[:, :5] = 0
     spread = np.diag(np.array([1.0, 1.0, 0.05, 0.02, 0.1]) ** 2)
-    prior = Prior(pose.full_vector() + np.array([0.3, -0.2, 0.01, 0, 0, 0, 0]), spread, 0.8 * 255)
+    prior = Fit(pose.full_vector() + np.array([0.3, -0.2, 0.01, 0, 0, 0, 0]), spread, 0.8 * 255)
     clear = visible_pixels(seen, pose, (0, 0), SHAPE)
     found = fit_array(total, (0, 0), prior, seen, 6, panel=True, open_pixels=clear)
     pulled = fit_array(total, (0, 0), prior, np.ones((SIDE, SIDE)), 6, panel=True)

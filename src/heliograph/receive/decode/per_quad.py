@@ -21,7 +21,7 @@ from heliograph.receive.decode.per_led import at_leds, normalised
 from heliograph.receive.equalise.symbols import SymbolMapper
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
-from heliograph.receive.sync.combine import ObservedSymbols, UnsynchronisedPacket
+from heliograph.receive.sync.combine import Moments, UnsynchronisedPacket
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
@@ -49,12 +49,12 @@ def decode_per_quad(
         before = np.concatenate([layer.is_open for layer in layers])
         means = [layer.mean() for layer in layers]
         mean, _ = mapper.expected(means, [layer.variances() for layer in layers])
-        expected = packet.expected(mean)
-        cleaned = _cancel_neighbours(symbols, np.where(seen[:, None], expected.mean + expected.leak, 0.0))
+        own, leak = packet.expected(mean)
+        cleaned = _cancel_neighbours(symbols, np.where(seen[:, None], own[0] + leak[0], 0.0))
         # twelve pairs show an amplitude to a few percent
         pairs = np.flatnonzero(seen)[::4]
-        amplitude, noise = _estimate_scale(cleaned, packet, expected, mean, pairs)
-        llrs = packet.llrs(cleaned / amplitude, noise / amplitude**2, expected, mean)
+        amplitude, noise = _estimate_scale(cleaned, packet, leak, mean, pairs)
+        llrs = packet.llrs(cleaned / amplitude, noise / amplitude**2, leak, mean)
         parts = mapper.bits(np.where(seen[:, None], llrs, 0.0), means)
         for layer, part in zip(layers, parts, strict=True):
             layer.equalise(part)
@@ -82,11 +82,11 @@ def _observed_symbols(cutouts: Sequence[Cutout | None], gain: float, form: Packe
 
 
 def _estimate_scale(
-    symbols: Floats, packet: UnsynchronisedPacket, expected: ObservedSymbols, mean: Floats, pairs: NDArray[np.intp]
+    symbols: Floats, packet: UnsynchronisedPacket, leaked: Moments, mean: Floats, pairs: NDArray[np.intp]
 ) -> tuple[Floats, Floats]:
     """Amplitude a and variance of n by symbol, (symbols,), estimated from observed symbols y of some pairs."""
     y, prior = symbols[pairs], mean[pairs]
-    leak, leak_variance = expected.leak[pairs], expected.leak_variance[pairs]
+    leak, leak_variance = (moment[pairs] for moment in leaked)
     a, noise = np.ones(y.shape[1]), np.full(y.shape[1], 0.1)
     for _ in range(2):
         error = noise / a**2 + leak_variance

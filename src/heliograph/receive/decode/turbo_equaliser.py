@@ -227,8 +227,8 @@ class TurboEqualiser:
         priors = self._propagation.priors(mean, variance) if self._propagation else (mean, variance)
         if unsynchronised is not None:
             # observed symbols: functions of the four symbols of a square, and light of the neighbouring pairs
-            expected = unsynchronised.expected(mean)
-            priors = expected.mean + expected.leak, expected.variance + expected.leak_variance
+            own, leak = unsynchronised.expected(mean)
+            priors = own[0] + leak[0], own[1] + leak[1]
         precision, weighted = np.zeros((2, *mean.shape))
         for number, pair in enumerate(self._statistics):
             if pair is None:
@@ -248,7 +248,7 @@ class TurboEqualiser:
         if unsynchronised is not None:
             # the symbols follow square by square
             bounded = np.maximum(precision, LEAST_PRECISION)
-            squares = unsynchronised.llrs(weighted / bounded, 1 / bounded, expected, mean)
+            squares = unsynchronised.llrs(weighted / bounded, 1 / bounded, leak, mean)
             llr = np.where(precision.any(1)[:, None], squares, 0.0)
         combined = unsynchronised is not None
         self.gain, self.noise = update_channel(self.gain, self.noise, moments, self._full_scale, combined)

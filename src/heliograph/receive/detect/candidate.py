@@ -22,7 +22,7 @@ from heliograph.receive.detect.alternation import (
     alternation_of,
     size_limits,
 )
-from heliograph.receive.geometry.fit import Fit, Prior, fit_array
+from heliograph.receive.geometry.fit import Fit, fit_array
 from heliograph.receive.geometry.footprint import images_of, render_with_slopes
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
 from heliograph.receive.geometry.pose import Pose
@@ -111,7 +111,7 @@ def fit_near(
     # of x, y, ln pitch, roll, ln blur, stretch and shear
     spread = np.diag(np.array([reach, reach, 0.1, 0.05, 0.2, tilt, tilt]) ** 2)
     try:
-        return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, DETECT.max_steps, smear=smear)
+        return fit_array(image, (x0, y0), Fit(start.full_vector(), spread), weights, DETECT.max_steps, smear=smear)
     except np.linalg.LinAlgError:
         # no pose, no array
         return None

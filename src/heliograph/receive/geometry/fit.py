@@ -35,33 +35,21 @@ def correlation(a: Floats, b: Floats) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Fitted image of an array."""
+    """Image of an array, as expected before a fit or as fitted."""
 
-    # Pose vector, (5,) or with the tilt (7,)
+    # Pose vector, (5,) or with the tilt (7,); a fit starts at the expected one
     vector: Floats
-    # Posterior covariance of the fitted parameters, (5, 5) or (7, 7)
+    # Covariance of the vector, (5, 5) or (7, 7); with (5, 5) a fit leaves the tilt
     covariance: Floats
-    # Gray levels of the unresolved array with all weights 1
-    gain: float
+    # Gray levels of the unresolved array with all weights 1; 0 if unknown before a fit
+    gain: float = 0.0
     # Correlation of pixels and fitted image, -1 to 1
-    score: float
+    score: float = 0.0
 
     @property
     def pose(self) -> Pose:
         """The pose."""
         return Pose.from_vector(self.vector)
-
-
-@dataclass(frozen=True, slots=True)
-class Prior:
-    """Expected pose and gain before a fit."""
-
-    # Pose vector, (5,) or, with the tilt, (7,); the fit starts there
-    vector: Floats
-    # Covariance of the vector, (5, 5) or (7, 7); with (5, 5) the tilt is fixed
-    covariance: Floats
-    # Expected gain in gray levels, or 0 if unknown
-    gain: float = 0.0
 
 
 class RenderCache:
@@ -104,7 +92,7 @@ class RenderCache:
 def fit_array(
     image: Floats,
     corner: tuple[int, int],
-    prior: Prior,
+    prior: Fit,
     weights: Floats,
     iterations: int,
     panel: bool = False,

@@ -46,7 +46,10 @@ def images_of(
     levels: Floats, parts: NDArray[Any], count: int, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
 ) -> Floats:
     """Render each part of an array separately, (count, rows, columns)."""
-    return np.stack([image_of(np.where(parts == part, levels, 0.0), pose, corner, shape) for part in range(count)])
+    across, down = footprints.__wrapped__(pose, corner, shape, len(levels))
+    numbers, lit = to_quarters(parts), to_quarters(levels)
+    leds = [np.flatnonzero(numbers == part) for part in range(count)]
+    return np.stack([sum_of_leds(lit[of], (across[of], down[of])) for of in leds])
 
 
 def render_with_slopes(pose: Pose, levels: Floats, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:

@@ -328,16 +328,8 @@ def _centroid(weights: Floats, light: Floats, middle: Floats) -> float:
     return float((weights @ (light * middle)).sum() / max((weights @ light).sum(), TINY))
 
 
-@dataclass(frozen=True, slots=True)
-class ObservedSymbols:
-    """Expected observed symbols of a packet, (pairs, symbols) each."""
-
-    # mean, variance: light of the symbols of the pair
-    mean: Floats
-    variance: Floats
-    # leak, leak_variance: light of the previous and the next pair
-    leak: Floats
-    leak_variance: Floats
+Moments = tuple[Floats, Floats]
+"""Mean and variance of the observed symbols of a packet, (pairs, symbols) each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,11 +367,8 @@ class UnsynchronisedPacket:
         """True if each pair shows exactly the symbols of the pair."""
         return not self.before.any() and not self.after.any() and bool((self.response == VALUES).all())
 
-    def expected(self, mean: Floats) -> ObservedSymbols:
-        """Predict the observed symbols from the means of the true symbols."""
-        if self.is_synchronous:
-            return ObservedSymbols(mean, 1 - mean**2, self.headers.copy(), np.zeros_like(mean))
-        own, spread = moments(self.response, mean)
+    def expected(self, mean: Floats) -> tuple[Moments, Moments]:
+        """Predict the light of the pairs' own symbols and that of the neighbouring pairs from the symbols' means."""
         leak, leak_variance = self.headers.copy(), np.zeros_like(mean)
         later, earlier = slice(1, None), slice(-1)
         for pairs, sources, response in ((later, earlier, self.before), (earlier, later, self.after)):
@@ -387,11 +376,12 @@ class UnsynchronisedPacket:
                 leak_mean, variance = moments(response[pairs], mean[sources])
                 leak[pairs] += leak_mean
                 leak_variance[pairs] += variance
-        return ObservedSymbols(own, spread, leak, leak_variance)
+        own = (mean, 1 - mean**2) if self.is_synchronous else moments(self.response, mean)
+        return own, (leak, leak_variance)
 
-    def llrs(self, observed: Floats, variance: Floats, expected: ObservedSymbols, mean: Floats) -> Floats:
+    def llrs(self, observed: Floats, variance: Floats, leak: Moments, mean: Floats) -> Floats:
         """Compute extrinsic LLRs of the symbols from estimates of the observed symbols."""
-        own, noise = observed - expected.leak, variance + expected.leak_variance
+        own, noise = observed - leak[0], variance + leak[1]
         if self.is_synchronous:
             # y = c + n: ln P(c=+1)/P(c=-1) = 2 y / s^2
             return 2 * own / noise

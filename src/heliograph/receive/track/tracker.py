@@ -9,7 +9,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.geometry.fit import Fit, Prior, fit_array
+from heliograph.receive.geometry.fit import Fit, fit_array
 from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import AnyFrame, Window, cut_out, window_around
@@ -68,7 +68,7 @@ class Tracker:
         # (pattern) + (inverse) = every LED on, Fig. 9
         observation = sum_observation(pair.late_s)
         mean, covariance = predicted.expected(observation)
-        prior = Prior(np.append(mean, predicted.tilt), covariance, track.gain)
+        prior = Fit(np.append(mean, predicted.tilt), covariance, track.gain)
         shining = track.shining
         if header is not None and pair.combination is None:
             left = self._header_residue(predicted, pair, corner, total.shape, header * shining)
@@ -116,7 +116,7 @@ class Tracker:
         mean, covariance = state.expected(HEADER_OBSERVATION)
         both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
         both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, state.tilt_covariance
-        prior = Prior(np.append(mean, state.tilt), both)
+        prior = Fit(np.append(mean, state.tilt), both)
         fit = fit_array(
             up - down, corner, prior, weights * track.shining, PARAMETERS.pair_steps, smear=self._smear(state)
         )
@@ -165,7 +165,7 @@ class Tracker:
         return pitch > 1 and spread > 0.2 * pitch
 
     def _unresolved_start(
-        self, total: Floats, corner: tuple[int, int], prior: Prior, led_gains: Floats, open_pixels: Floats | None
+        self, total: Floats, corner: tuple[int, int], prior: Fit, led_gains: Floats, open_pixels: Floats | None
     ) -> Floats:
         """Find the start of a fit on blurred pixels, which resolve no LEDs."""
         pose = Pose.from_vector(prior.vector)
@@ -176,7 +176,7 @@ class Tracker:
         smooth = np.asarray(cv2.GaussianBlur(total, (0, 0), sigma), np.float64)
         # an even square represents an array with all LEDs on
         failed = bool((led_gains < 1).any())
-        wide = Prior(vector, covariance, prior.gain)
+        wide = Fit(vector, covariance, prior.gain)
         # one step suffices for a start
         fit = fit_array(smooth, corner, wide, led_gains, 1, panel=True, resolved=failed, open_pixels=open_pixels)
         start = fit.vector.copy()
