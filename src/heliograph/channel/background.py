@@ -30,13 +30,6 @@ class Footage:
             raise ValueError(f"footage has a rate above 0, not {self.rate_hz:g}")
 
 
-_ROUND_LAMPS = 0.5
-"""Probability of a drawn lamp to be round. Chosen by eye."""
-
-_LIT_WINDOWS = 0.3
-"""Probability of a drawn window to be lit. Chosen by eye, as are the sizes and gray levels of the whole drawing."""
-
-
 def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
     """Draw a street at dusk: sky, road, buildings with windows, round and rectangular lamps.
 
@@ -55,7 +48,8 @@ def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
     for _ in range(rng.integers(12, 24)):
         x, y = int(rng.integers(width)), int(rng.integers(height // 6, height * 5 // 6))
         w, h, shade = int(rng.integers(2, 20)), int(rng.integers(2, 16)), int(rng.integers(160, 256))
-        if rng.random() < _ROUND_LAMPS:
+        # Probability of a drawn lamp to be round. Chosen by eye
+        if rng.random() < 0.5:
             cv2.circle(scene, (x, y), max(w // 2, 1), shade, -1, cv2.LINE_AA)
         else:
             cv2.rectangle(scene, (x, y), (x + w, y + h), shade, -1)
@@ -69,15 +63,10 @@ def _draw_building(scene: Gray, left: int, horizon: int, rng: np.random.Generato
     shade = int(rng.integers(20, 90))
     cv2.rectangle(scene, (left, horizon - tall), (left + width, horizon), shade, -1)
     for x, y in itertools.product(range(left + 5, left + width - 6, 12), range(horizon - tall + 6, horizon - 8, 16)):
-        lit = int(rng.integers(120, 220)) if rng.random() < _LIT_WINDOWS else shade + 15
+        # Probability of a drawn window to be lit. Chosen by eye, as are the sizes and gray levels of the whole drawing
+        lit = int(rng.integers(120, 220)) if rng.random() < 0.3 else shade + 15
         cv2.rectangle(scene, (x, y), (x + 5, y + 8), lit, -1)
 
-
-EYE_M = 1.3
-"""Height of the camera above the road."""
-
-FOCAL = 2.85
-"""Focal length in widths of the picture: that of the reference camera."""
 
 NEAR_M, FAR_M = 12.0, 320.0
 """Distances between which the street is drawn."""
@@ -98,7 +87,8 @@ class _Canvas:
     def __init__(self, size: tuple[int, int]):
         self.height, self.width = (FINER * one for one in size)
         self.pixels = np.zeros((self.height, self.width), np.uint8)
-        self._focal = FOCAL * self.width
+        # focal length in widths of the picture: that of the reference camera
+        self._focal = 2.85 * self.width
 
     @property
     def horizon(self) -> int:
@@ -119,7 +109,8 @@ class _Canvas:
         """Pixels of points, kept within what the filling takes."""
         corners = np.array(points, float)
         scale = self._focal / corners[:, 2]
-        places = np.stack([self.width / 2 + corners[:, 0] * scale, self.horizon - (corners[:, 1] - EYE_M) * scale], 1)
+        # height of the camera above the road
+        places = np.stack([self.width / 2 + corners[:, 0] * scale, self.horizon - (corners[:, 1] - 1.3) * scale], 1)
         return np.clip(places, -30_000, 30_000).round().astype(np.int32)
 
 
@@ -238,10 +229,6 @@ SCENE_DEPTH_M = 300.0
 """Distance of a drawn scene, which expands by depth / (depth - distance driven). Chosen as that of buildings at the end
 of a street: a drive of 55 m expands it by 22 %; 58 % at half the value, 10 % at twice."""
 
-LEAST_ZOOM = 0.05
-"""Least scale from sensor to scene, reached 15 m before a scene 300 m away, where the expansion would be infinite.
-Chosen; the reference drive ends at 0.82."""
-
 STILL = ("flat", "synthetic", "street", "street-night")
 """Kinds of background that change with the camera's pose alone; others may change with time."""
 
@@ -312,7 +299,9 @@ def image_motion(
     driven).
     """
     pitch, yaw, roll, driven = (a[index] for a in (pose.pitch_rad, pose.yaw_rad, pose.roll_rad, pose.travelled_m))
-    zoom = max(1 - driven / depth_m, LEAST_ZOOM)
+    # Least scale from sensor to scene, reached 15 m before a scene 300 m away, where the expansion would be infinite.
+    # Chosen; the reference drive ends at 0.82
+    zoom = max(1 - driven / depth_m, 0.05)
     turn = zoom * np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
     middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
     shift = camera.focal_px * np.array([yaw, -pitch])

@@ -22,15 +22,13 @@ BLOCK_FRAMES = 64
 """Frames whose poses are computed together. Chosen: a window of the reference link takes 310 us of CPU time per frame,
 as at half the value; 285 us at twice."""
 
-_LENGTH_SLACK = 1e-6
-"""Frame periods by which a film may be too short for its last frame: far above rounding errors, far below a slot."""
-
 
 def frame_count(settings: ChannelSettings) -> int:
     """Return the number of frames whose exposure ends within the film; dropped frames count."""
     camera = settings.camera
     room = film_duration(settings) - camera.start_s - camera.exposure_s
-    return max(0, math.floor(room / camera.frame_period_s + _LENGTH_SLACK) + 1)
+    # frame periods by which a film may be too short for its last frame: far above rounding errors, far below a slot
+    return max(0, math.floor(room / camera.frame_period_s + 1e-6) + 1)
 
 
 def film(

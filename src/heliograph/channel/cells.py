@@ -21,12 +21,6 @@ SAMPLES = 3
 """Samples of a pixel's side: an edge of a cell is right to a ninth of its height, and blurred by the lens after that.
 At half the value, 2, the error of an edge is twice as large; at twice a frame takes four times as long."""
 
-SETTLED = 8.0
-"""Time constants after which a response has ended: 3e-4 of a step is left."""
-
-_REACH_SIGMA = 4.0
-"""Standard deviations of the blur by which cells reach beyond their edge: 6e-5 of the light is lost at an edge."""
-
 
 @dataclass(frozen=True)
 class CellLight:
@@ -42,7 +36,8 @@ def cell_light(lighting: Lighting, emitter: EmitterSettings, starts_s: Floats, e
     """Return the light of all cells as rows of pixels see it."""
     n, period = lighting.feed.side, lighting.period_s
     scan = emitter.scan_s * np.arange(n) / n if emitter.scan_s else np.zeros(1)
-    reach = SETTLED * emitter.response_s + scan[-1]
+    # time constants after which a response has ended: 3e-4 of a step is left
+    reach = 8.0 * emitter.response_s + scan[-1]
     first = int(np.floor((starts_s.min() - reach - lighting.start_s) / period))
     last = int(np.floor((starts_s.max() + exposure_s - lighting.start_s) / period))
     numbers = [k for k in range(first, last + 1) if lighting.feed.at(k) is not None]
@@ -106,7 +101,8 @@ def add_screen(
     psf: PointSpread,
 ) -> None:
     """Add the light of a screen's cells to a window of the image, in place."""
-    margin = int(np.ceil(_REACH_SIGMA * float(psf.sigma_px.max() + np.abs(psf.shift_px).max()))) + 1
+    # standard deviations of the blur by which cells reach beyond their edge: 6e-5 of the light is lost at an edge
+    margin = int(np.ceil(4.0 * float(psf.sigma_px.max() + np.abs(psf.shift_px).max()))) + 1
     sharp = np.zeros((box[3] - box[1] + 1 + 2 * margin, box[2] - box[0] + 1 + 2 * margin), np.float32)
     fill_cells(sharp, margin, (box[0], box[1]), inverses, cells, pitch_m)
     left, top = box[0] - margin - corner[0], box[1] - margin - corner[1]

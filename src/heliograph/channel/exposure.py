@@ -20,12 +20,6 @@ HELD_PATTERNS = 64
 """Patterns kept: an exposure is at most T_b long and reads two, or three where the clocks differ. The rows of a rolling
 shutter and the response of a screen reach further back: 15 ms of response by up to 30 patterns of 4 ms."""
 
-_NO_LIGHT_S = 1e-30
-"""Least time an LED is lit, for a division: above 0, and below any piece of an exposure."""
-
-_PARTS_SLACK = 1e-9
-"""Excess of a piece over a whole number of parts that counts as a rounding error."""
-
 
 class PatternFeed:
     """The patterns of one array, read in step with time."""
@@ -82,7 +76,8 @@ class Lit:
 
     def split(self, longest_s: float) -> "Lit":
         """Return the same exposure with each piece cut into equal parts."""
-        count = np.maximum(np.ceil((self.end_s - self.start_s) / longest_s - _PARTS_SLACK), 1).astype(int)
+        # excess of a piece over a whole number of parts that counts as a rounding error
+        count = np.maximum(np.ceil((self.end_s - self.start_s) / longest_s - 1e-9), 1).astype(int)
         part = np.concatenate([np.arange(c) for c in count])
         length = np.repeat((self.end_s - self.start_s) / count, count)
         start = np.repeat(self.start_s, count) + part * length
@@ -98,7 +93,8 @@ def _moments(start_s: Floats, end_s: Floats, middle_s: float) -> Floats:
 
 def _central(sums: Floats, exposure_s: float) -> tuple[Floats, Floats, Floats]:
     """Fraction of the exposure, centroid and variance of each LED's light of its moments, (3, n, n)."""
-    total = np.maximum(sums[0], _NO_LIGHT_S)
+    # least time an LED is lit, for a division: above 0, and below any piece of an exposure
+    total = np.maximum(sums[0], 1e-30)
     late = sums[1] / total
     return sums[0] / exposure_s, late, np.maximum(sums[2] / total - late**2, 0)
 

@@ -21,13 +21,6 @@ STEP_M = 0.0125
 """Distance between samples: a twentieth of the shortest wave, of which straight lines cut off 1.2 % at most; 4.9 % at
 twice the value."""
 
-SHORTEST_M = 204.8
-"""Least length of a profile in m: 2^14 samples, twice the longest wave, so that the lines of its spectrum are at most
-0.005 cycle/m apart."""
-
-_WHOLE = 1e-9
-"""Excess over a power of two that counts as a rounding error."""
-
 
 @dataclass(frozen=True)
 class RoadProfile:
@@ -50,7 +43,10 @@ def roughness(road_class: str, per_m: ArrayLike) -> NDArray[np.float64]:
 
 def road_profile(road_class: str, length_m: float, rng: np.random.Generator) -> RoadProfile:
     """Draw a random road: a sum of sine waves of random phase with the spectrum of ISO 8608."""
-    samples = 1 << int(np.ceil(np.log2(max(length_m, SHORTEST_M) / STEP_M - _WHOLE)))
+    # least length of a profile in m: 2^14 samples, twice the longest wave, so that the lines of its spectrum are at
+    # most 0.005 cycle/m apart
+    # excess over a power of two that counts as a rounding error
+    samples = 1 << int(np.ceil(np.log2(max(length_m, 204.8) / STEP_M - 1e-9)))
     per_m = np.fft.rfftfreq(samples, STEP_M)
     band = (per_m >= BAND_PER_M[0]) & (per_m <= BAND_PER_M[1])
     # a wave of amplitude A has the power A^2 / 2 = G_d(n) dn

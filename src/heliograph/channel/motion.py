@@ -25,29 +25,8 @@ RUN_IN_S = 5.0
 as exp(-1.76 t): 2e-4 is left. On a road of class D the image at time 0 is right to 0.001 px; at half the value to 0.09
 px, at twice to 1e-6 px."""
 
-STEERING_HZ = 0.3
-"""Corner of the high-pass for recorded angles: slower turns are the driver's steering and the drift of the integrated
-gyro, not shake. Chosen: the recorded trace moves the image of the reference link by 10.4 px rms in pitch and 1.6 px in
-yaw; at half the value by 14.9 and 3.5 px, at twice by 8.6 and 0.8 px."""
-
-_FILTER_ORDER = 2
-"""Order of that high-pass (Butterworth); run forward and backward it counts twice. Chosen: of order 1 and of order 4
-the recorded trace moves the image within 3 % as far in pitch and 30 % in yaw."""
-
-_MARGIN_S = 0.1
-"""Time for which the half-car drives on after the film, so that the last exposure is not at the spline's end."""
-
-_MARGIN_M = 10.0
-"""Road beyond the distance driven, for the axles before and behind the centre of mass, 2.76 m apart."""
-
 _LEAST_SAMPLES = 32
 """Least samples of a trace. Chosen: shorter columns are taken for a mistake; the splines need 4."""
-
-_TIME_ERROR_S = 1e-12
-"""Largest error of the time at which a distance is driven: 1e-10 m at any speed of the settings."""
-
-_LONGEST_S = 3600.0
-"""Longest drive whose end is searched for. Chosen: an hour."""
 
 
 @dataclass(frozen=True)
@@ -118,13 +97,15 @@ class Travel:
         # ds = (v(t_k) + v(t)) / 2 dt on a line of speed
         return start[k] + (self.speed_m_s[k] + self.speed(times_s)) / 2 * (times_s - self.time_s[k])
 
-    def time_of(self, distance_m: float, longest_s: float = _LONGEST_S) -> float:
+    # Longest drive whose end is searched for. Chosen: an hour
+    def time_of(self, distance_m: float, longest_s: float = 3600.0) -> float:
         """Return the time in s at which a distance has been driven."""
         from scipy.optimize import brentq
 
         if float(self.distance(longest_s)) < distance_m:
             raise SettingsError(f"the vehicle does not drive {distance_m:g} m within {longest_s:g} s; set duration_s")
-        return float(brentq(lambda t: float(self.distance(t)) - distance_m, 0.0, longest_s, xtol=_TIME_ERROR_S))
+        # largest error of the time at which a distance is driven: 1e-10 m at any speed of the settings
+        return float(brentq(lambda t: float(self.distance(t)) - distance_m, 0.0, longest_s, xtol=1e-12))
 
 
 @dataclass(frozen=True)
@@ -154,7 +135,8 @@ def road_shake(travel: Travel, road: RoadProfile, start_s: float, end_s: float, 
     from scipy.interpolate import CubicSpline
 
     car = car or HalfCar()
-    times = np.arange(start_s - RUN_IN_S, end_s + _MARGIN_S, STEP_S)
+    # time for which the half-car drives on after the film, so that the last exposure is not at the spline's end
+    times = np.arange(start_s - RUN_IN_S, end_s + 0.1, STEP_S)
     distance = travel.distance(times + STEP_S / 2)
     q = car.ride(np.stack([road.at(distance + car.front_m), road.at(distance - car.rear_m)], -1), STEP_S)
     zero = np.zeros(len(q))
@@ -178,7 +160,12 @@ def imu_shake(trace: ImuTrace, trace_start_s: float, start_s: float, end_s: floa
     turned = np.abs((times + trace_start_s + length) % (2 * length) - length)  # triangle wave: the mirrored trace
     rates = CubicSpline(trace.t_s, trace.gyro_rad_s)(turned)
     angles = CubicSpline(times, rates).antiderivative()(times)
-    angles = sosfiltfilt(butter(_FILTER_ORDER, STEERING_HZ, "highpass", fs=rate_hz, output="sos"), angles, axis=0)
+    # Corner of the high-pass for recorded angles: slower turns are the driver's steering and the drift of the
+    # integrated gyro, not shake. Chosen: the recorded trace moves the image of the reference link by 10.4 px rms in
+    # pitch and 1.6 px in yaw; at half the value by 14.9 and 3.5 px, at twice by 8.6 and 0.8 px
+    # Order of that high-pass (Butterworth); run forward and backward it counts twice. Chosen: of order 1 and of order 4
+    # the recorded trace moves the image within 3 % as far in pitch and 30 % in yaw
+    angles = sosfiltfilt(butter(2, 0.3, "highpass", fs=rate_hz, output="sos"), angles, axis=0)
     roll, pitch, yaw = angles.T
     return CubicSpline(times, np.stack([np.zeros_like(roll), pitch, yaw, roll], -1))
 
@@ -219,7 +206,8 @@ def no_motion(drive: Drive) -> None:  # noqa: ARG001 - all motions are made of a
 def road_motion(drive: Drive) -> Shake | None:
     """Return the shake of a half-car on a random road."""
     travel = drive.travel
-    length = float(travel.distance(drive.end_s) - travel.distance(drive.start_s - RUN_IN_S)) + _MARGIN_M
+    # road beyond the distance driven, for the axles before and behind the centre of mass, 2.76 m apart
+    length = float(travel.distance(drive.end_s) - travel.distance(drive.start_s - RUN_IN_S)) + 10.0
     road = road_profile(drive.settings.road_class, length, drive.rng)
     return road_shake(travel, road, drive.start_s, drive.end_s)
 
@@ -238,16 +226,6 @@ def motion(settings: ChannelSettings, imu: ImuTrace | None, rng: np.random.Gener
     return Motion(travel, MOTIONS[settings.shake](drive))
 
 
-SWAY_HZ = (0.1, 1.5)
-"""Frequencies of the sway. Chosen: arms and breath move a phone slowly; what is slower is a user who walks."""
-
-TREMOR_HZ = (6.0, 12.0)
-"""Frequencies of the tremor: physiological tremor of a hand lies at 8 to 12 Hz, of a loaded one a little below."""
-
-TREMOR = 0.1
-"""Amplitude of the tremor by that of the sway. Chosen: at the default sway 0.5 px rms of a phone's 1000 px of focal
-length, a quarter of a cell of the smallest array that is read."""
-
 WAVES = 24
 """Sines of each band. Chosen: the sum of 24 of random phases is normal to a few per cent."""
 
@@ -257,9 +235,13 @@ def hand_motion(drive: "Drive") -> "Shake | None":
     rms, rng = np.deg2rad(drive.settings.hand_deg), drive.rng
     if not rms:
         return None
-    hz = np.concatenate([rng.uniform(*band, (3, WAVES)) for band in (SWAY_HZ, TREMOR_HZ)], axis=1)
+    # Frequencies of the sway. Chosen: arms and breath move a phone slowly; what is slower is a user who walks
+    # frequencies of the tremor: physiological tremor of a hand lies at 8 to 12 Hz, of a loaded one a little below
+    hz = np.concatenate([rng.uniform(*band, (3, WAVES)) for band in ((0.1, 1.5), (6.0, 12.0))], axis=1)
     phase = rng.uniform(0, 2 * np.pi, hz.shape)
-    size = rms * np.sqrt(2 / WAVES) * np.repeat([1.0, TREMOR], WAVES)
+    # Amplitude of the tremor by that of the sway. Chosen: at the default sway 0.5 px rms of a phone's 1000 px of focal
+    # length, a quarter of a cell of the smallest array that is read
+    size = rms * np.sqrt(2 / WAVES) * np.repeat([1.0, 0.1], WAVES)
 
     def shake(times_s: Floats) -> Floats:
         angles = [

@@ -87,20 +87,6 @@ max |Phi''| / (8 512^2) = 1.2e-7; 4.6e-7 at half the value."""
 LIMIT_SIGMA = 6
 """Standard deviations to which Phi is tabulated: beyond, it is 0 or 1 to 1e-9."""
 
-ONE_GAUSSIAN = 0.4
-"""Largest resolution, radius of a disc by the blur, at which one Gaussian stands for the disc: right to 0.03 % (see
-`disc_cubature`, as for the next three)."""
-
-FOUR_GAUSSIANS = 0.65
-"""Largest resolution at which four Gaussians stand for the disc: right to 0.05 %."""
-
-SIX_GAUSSIANS = 1.6
-"""Largest resolution at which six Gaussians stand for the disc: right to 0.2 %."""
-
-RING_SIGMA = 0.8
-"""Largest width of a ring of Gaussians beyond, in standard deviations of the blur: right to 0.5 % up to a resolution of
-4."""
-
 
 @cache
 def normal_table() -> Floats:
@@ -119,14 +105,20 @@ def disc_cubature(resolution: float) -> tuple[Floats, float]:
     """
     # the disc has kappa_4 = -R^4 / 16; a ring of radius q has -3 q^4 / 8: equal at q = R / 6^(1/4);
     # a square of corners (+-q, +-q) has -2 q^4: equal at q = R / 32^(1/4) along the axes
-    if resolution <= ONE_GAUSSIAN:
+    # largest resolution, radius of a disc by the blur, at which one Gaussian stands for the disc: right to 0.03 % (see
+    # `disc_cubature`, as for the next three)
+    if resolution <= 0.4:
         points = np.zeros((1, 2))
-    elif resolution <= FOUR_GAUSSIANS:  # four Gaussians at the corners of a square
+    # largest resolution at which four Gaussians stand for the disc: right to 0.05 %
+    elif resolution <= 0.65:  # four Gaussians at the corners of a square
         points = _ring(2**0.5 / 32**0.25, 4)
-    elif resolution <= SIX_GAUSSIANS:
+    # largest resolution at which six Gaussians stand for the disc: right to 0.2 %
+    elif resolution <= 1.6:
         points = _ring(6**-0.25, 6)
     else:
-        rings = math.ceil(resolution / RING_SIGMA)
+        # largest width of a ring of Gaussians beyond, in standard deviations of the blur: right to 0.5 % up to a
+        # resolution of 4
+        rings = math.ceil(resolution / 0.8)
         points = np.vstack([_ring(*_sectors(k, rings)) for k in range(rings)])
     return points, 0.25 - float((points**2).sum(1).mean()) / 2
 

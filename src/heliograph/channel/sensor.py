@@ -20,9 +20,6 @@ SKEW_LIMIT = 0.2236
 and skewness stands for the sum of shot and dark noise (the excess kurtosis left out is at most 0.05); above it the
 Poisson variable is drawn exactly, at several times the cost."""
 
-BRIGHTEST = 64.0
-"""Light above this many full scales is cut. Chosen: it saturates in any case, and its electrons still fit float32."""
-
 _LEAST_NORMAL_DARK_E = np.float32(1.8)
 """Dark noise in electrons from which the skewness mu / (mu + sigma^2)^1.5 stays below `SKEW_LIMIT` at any light: it is
 at most 0.385 / sigma, reached at mu = 2 sigma^2, so from 1.72 on."""
@@ -30,9 +27,6 @@ at most 0.385 / sigma, reached at mu = 2 sigma^2, so from 1.72 on."""
 _MOST_POISSON_E = 64
 """Electrons above which no Poisson variable is drawn. The skewness is below 1 / sqrt(mu), so from 20 on the first test
 decides; this one is cheaper and comes before it."""
-
-_MOST_COUNT = 1000
-"""Bound on the steps of `_poisson`; a mean of `_MOST_POISSON_E` reaches it with a probability below 1e-300."""
 
 _TINY = np.float32(1e-20)
 """Variance in squared electrons that replaces smaller ones in a division: where there is neither light nor dark
@@ -113,7 +107,8 @@ def _poisson(mean: float, key: np.uint64, column: int) -> int:
     # 53 bits to a uniform variable in (0, 1)
     left = (float(bits >> np.uint64(11)) + 0.5) * 2.0**-53
     probability, count = math.exp(-mean), 0
-    while left > probability and count < _MOST_COUNT:
+    # bound on the steps of `_poisson`; a mean of `_MOST_POISSON_E` reaches it with a probability below 1e-300
+    while left > probability and count < 1000:
         left -= probability
         count += 1
         probability *= mean / count
@@ -139,7 +134,9 @@ def fill_levels(
         key = _row_key(seed, frame, i + corner[1])
         row, source = out[i], light[i]
         for j in range(width):
-            mu = min(max(source[j], zero), np.float32(BRIGHTEST)) * well
+            # Light above this many full scales is cut. Chosen: it saturates in any case, and its electrons still fit
+            # float32
+            mu = min(max(source[j], zero), np.float32(64.0)) * well
             total = mu + variance
             # sigma_e^2 = sigma_d^2 + mu_e; third cumulant mu_e by the Cornish-Fisher term (z^2 - 1) skew / 6
             z = _normal(key, j + corner[0])

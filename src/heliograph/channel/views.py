@@ -15,12 +15,6 @@ from heliograph.channel.scene import CameraPose, centre_scale, homography, proje
 from heliograph.channel.settings import NEAREST_M, CameraSettings, ChannelSettings
 from heliograph.channel.transfer import LARGEST_JITTER
 
-_PANEL_REACH_SIGMA = 7.0
-"""Standard deviations beyond the panel's corners for which it is drawn: beyond `LIMIT_SIGMA`, where it is 0."""
-
-_BOX_VARIANCE = 1 / 12
-"""Variance of a pixel's box in px^2."""
-
 _FARTHEST_PX = 2**31
 """Pixels to which the places of panels are cut, so that they fit integers; they lie far off the sensor."""
 
@@ -162,13 +156,15 @@ def panel_view(
     """Edges of a rectangle in a block of frames, and the pixels they reach."""
     maps = np.where(ahead[:, None, None], maps, np.eye(3))  # the others are not drawn
     # the pixel's box enters by its variance alone here: edges have no more contrast than the background
-    sigma = math.hypot(blur_px, math.sqrt(_BOX_VARIANCE))
+    # variance of a pixel's box in px^2
+    sigma = math.hypot(blur_px, math.sqrt(1 / 12))
     metres: Floats = (
         np.asarray(np.linalg.norm(np.linalg.inv(centre_scale(maps)), axis=-1), float) * sigma
     )  # a sigma across the panel's edges in m, (b, 2)
     inverse = np.asarray(np.linalg.inv(maps), float)
     inverse[:, :2] /= metres[..., None]
-    reach = np.array([[-1], [1]]) * (_PANEL_REACH_SIGMA * sigma + 1)
+    # standard deviations beyond the panel's corners for which it is drawn: beyond `LIMIT_SIGMA`, where it is 0
+    reach = np.array([[-1], [1]]) * (7.0 * sigma + 1)
     box = np.clip(np.round(bounds + reach), -_FARTHEST_PX, _FARTHEST_PX).astype(np.int64)
     return PanelView(inverse, half_m / metres, box.reshape(-1, 4))
 

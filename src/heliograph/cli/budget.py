@@ -25,14 +25,8 @@ DISTANCES_M = (25, 40, 60, 80, 100, 125, 150, 200)
 AT_REST = {"channel": {"speed_m_s": 0.0, "speed_profile": []}}
 """What a budget is of, whatever the preset: then the end of a drive does not bound distances."""
 
-LEDS_LOOKED_AT = 16
-"""LEDs whose own flicker is measured, along the array's diagonal."""
-
 NUMBER = re.compile(r"[-+]?\d[\d.e+-]*")
 """A number within a note."""
-
-FLICKER_S = 1.0
-"""Time of light whose flicker is measured, rounded up to whole packets; 1 Hz of bandwidth."""
 
 
 def run_budget(
@@ -95,7 +89,8 @@ def _flicker(link: "LinkSettings") -> "dict[str, tuple[Flicker, float]]":
     from heliograph.signal.formats import MODES, Format
 
     found: dict[str, tuple[Flicker, float]] = {}
-    packets = max(1, math.ceil(FLICKER_S / link.signal.packet_s))
+    # time of light whose flicker is measured, rounded up to whole packets; 1 Hz of bandwidth
+    packets = max(1, math.ceil(1.0 / link.signal.packet_s))
     formats = link.transmit.formats
     # the short mode has the light of the paired one
     for mode in MODES if formats else ("paired", "single"):
@@ -114,7 +109,8 @@ def _flicker(link: "LinkSettings") -> "dict[str, tuple[Flicker, float]]":
             [pwm.lit_slots(levels, link.signal.slot_order) for levels in islice(sender.packets(), packets)]
         )
         slots, slot_s = slots.reshape(-1, *slots.shape[2:]), link.signal.pattern_period_s / pwm.SLOTS
-        alone = (slots[:, k, k] for k in range(min(LEDS_LOOKED_AT, link.signal.side)))
+        # LEDs whose own flicker is measured, along the array's diagonal
+        alone = (slots[:, k, k] for k in range(min(16, link.signal.side)))
         led_s = max(metrics.flickering_period(flux, slot_s) for flux in alone)
         found[mode] = metrics.measure(slots.mean((1, 2)), slot_s), led_s
     return found

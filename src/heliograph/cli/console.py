@@ -23,9 +23,6 @@ LONGEST = 600
 
 BACKSLASH, QUOTE = "\\", "'"
 
-NARROWEST = 40
-"""Least characters of a line of prose on a terminal."""
-
 
 def say(text: str) -> None:
     """Write a line of the result; a file name with a line break in it stays on that line."""
@@ -41,7 +38,8 @@ def say_lines(text: str) -> None:
 def say_prose(text: str) -> None:
     """A line of text as a result; on a terminal it is broken between words, and the lines that follow are set in."""
     if sys.stdout.isatty():
-        width = max(NARROWEST, shutil.get_terminal_size().columns - 1)
+        # least characters of a line of prose on a terminal
+        width = max(40, shutil.get_terminal_size().columns - 1)
         say_lines(textwrap.fill(printable(text), width, subsequent_indent=" " * 4, break_on_hyphens=False))
     else:
         say(text)

@@ -10,9 +10,6 @@ from heliograph.cli import console
 if TYPE_CHECKING:
     from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
 
-STEP = 0.1
-"""Fraction of a file after which its progress is said again. Chosen."""
-
 
 class Files:
     """Says how far files have come, and writes whole ones."""
@@ -44,7 +41,8 @@ class Files:
         if progress.whole is not None:
             self._whole(progress)
         elif self._aloud and part >= self._said.get(key, 0.0):
-            self._said[key] = part + STEP
+            # Fraction of a file after which its progress is said again. Chosen
+            self._said[key] = part + 0.1
             console.say(_words(progress))
 
     def finish(self, files: "FileGatherer") -> MediaError | None:

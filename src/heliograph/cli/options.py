@@ -29,9 +29,6 @@ STDIN, TEXT = "-", "text:"
 UNDECODED = re.compile("[\ud800-\udfff]")
 """Bytes of a file name that are not UTF-8: the name goes over the air as text."""
 
-MOST_SETTINGS = 1 << 20
-"""Most bytes of a file of settings: all that there are, with their meanings, take 12 kB."""
-
 Load = Annotated[
     list[Path] | None,
     typer.Option("--load", metavar="FILE", show_default=False,
@@ -301,7 +298,8 @@ def read_toml(file: Path) -> dict[str, Any]:
     """Settings of a TOML file; a SettingsError where it cannot be read or is wrong."""
     try:
         # some editors begin UTF-8 with a mark of the order of bytes
-        return parse_toml(read_bounded(file, MOST_SETTINGS).decode("utf-8-sig"))
+        # most bytes of a file of settings: all that there are, with their meanings, take 12 kB
+        return parse_toml(read_bounded(file, (1 << 20)).decode("utf-8-sig"))
     except OSError as error:
         raise SettingsError(f"cannot read the settings {file}: {error.strerror}") from None
     except UnicodeDecodeError:

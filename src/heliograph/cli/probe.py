@@ -21,12 +21,6 @@ if TYPE_CHECKING:
 PAGE = "probe.html"
 """Name of the page in the folder of the results."""
 
-LIVE_FRAMES = 2048
-"""Frames of a live camera that are looked at where nobody says how many: two seconds of the reference link."""
-
-SHORT_STRETCHES = 8
-"""Stretches of a film in which no array was found that are looked at once more, spread over it."""
-
 
 def run_probe(
     film: Path,
@@ -52,7 +46,8 @@ def run_probe(
     settings = options.settings_from(preset, file, changes)
     base, signal_changes = options.settings_from(preset, None, None), options.signal_changes(file, changes)
     cv2.setNumThreads(1)  # as `receive`
-    frames = LIVE_FRAMES if frames is None and is_camera(film) else frames
+    # frames of a live camera that are looked at where nobody says how many: two seconds of the reference link
+    frames = 2048 if frames is None and is_camera(film) else frames
     with open_film(film, **seen.keywords(), camera=camera or ()) as source:
         signal, departure = signal_of(source, base.signal, signal_changes)
         if departure:
@@ -110,7 +105,8 @@ def why_unread(
     refused = isinstance(ending, HeliographError) and not isinstance(ending, MediaError)
     if found_array(report) or not (ending is None or refused):
         return None
-    most, every = SHORT_STRETCHES * MOST_FRAMES, 1
+    # stretches of a film in which no array was found that are looked at once more, spread over it
+    most, every = 8 * MOST_FRAMES, 1
     if source.frame_count is not None:
         every, most = max(1, source.frame_count // most), source.frame_count
     with contextlib.nullcontext(silent) if quiet else console.progress("asking why", most) as advance:

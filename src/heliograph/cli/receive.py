@@ -17,14 +17,8 @@ from heliograph.cli import console, options
 from heliograph.cli.files import Files
 from heliograph.cli.live import LiveOptions, News, Told, Watch, watched
 
-LONG_READING_S = 2.0
-"""Seconds of reading from which on a faster container is worth a word. Chosen."""
-
 FILES = "files"
 """Folder of whole files in that of all results, where none is named."""
-
-LONG_FRAMES = 4000
-"""Frames of a film from which on another process decodes its packets. Chosen: it takes two seconds to begin."""
 
 PARTIAL_LOG = ".packets.jsonl.partial"
 """What the packet log is called until it is whole."""
@@ -177,7 +171,8 @@ def _on_all_cores(settings: "LinkSettings", source: "FilmReader") -> "LinkSettin
 
     receive = settings.receive
     asked = receive.decode.in_background is not None or not RECEIVERS.is_built_in(receive.receiver)
-    long = live_of(source) is not None or (source.frame_count or 0) >= LONG_FRAMES
+    # Frames of a film from which on another process decodes its packets. Chosen: it takes two seconds to begin
+    long = live_of(source) is not None or (source.frame_count or 0) >= 4000
     if asked or not long or (os.cpu_count() or 1) < 2:
         return settings
     return replace(settings, receive=replace(receive, decode=replace(receive.decode, in_background=True)))
@@ -318,7 +313,8 @@ def _show_why(why: "Findings | None", film: Path) -> None:
 def _show_reading(source: "FilmReader", report: dict[str, Any]) -> None:
     """Say so once where the container is what takes the time."""
     reading_s = report["reading_seconds"]
-    slow = reading_s > max(LONG_READING_S, report["frames"] / source.rate_hz)
+    # Seconds of reading from which on a faster container is worth a word. Chosen
+    slow = reading_s > max(2.0, report["frames"] / source.rate_hz)
     if slow and reading_s > 0.5 * report["seconds"] and source.faster:
         is_are = "is" if len(source.faster) == 1 else "are"
         faster = source.path.parent / f"{source.path.stem or 'film'}.h5"

@@ -15,9 +15,6 @@ from heliograph.cli import console, options
 LED_PX = 16
 """Pixels of a side of an LED in a film of patterns."""
 
-LEAST_PICTURE = 64
-"""Least bytes of a picture in a video file: FFV1 and MJPEG take more for their headers alone."""
-
 
 def run_transmit(
     output: Path,
@@ -66,7 +63,8 @@ def run_transmit(
 def _least_bytes(output: Path, count: int, side: int) -> int:
     """Least bytes that patterns take: a film's codec makes them smaller, but keeps its marks of each frame."""
     kinds = {".npy": side * side, ".csv": 2 * side * side, ".h5": (LED_PX * side) ** 2, ".hdf5": (LED_PX * side) ** 2}
-    return count * kinds.get(output.suffix.lower(), LEAST_PICTURE)
+    # least bytes of a picture in a video file: FFV1 and MJPEG take more for their headers alone
+    return count * kinds.get(output.suffix.lower(), 64)
 
 
 def _write(

@@ -153,9 +153,6 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 PLAN, TABLE, SHEET = "dataset.json", "films.csv", "DATASHEET.md"
 """Files beside the films: all that they follow from, their list, and what the data set is."""
 
-MOST_PLAN = 1 << 26
-"""Most bytes of a plan that is read: 10 000 combinations of values take 60 MB."""
-
 
 def write_dataset(
     folder: str | Path,
@@ -263,7 +260,8 @@ def _plain(plan: DatasetPlan) -> Any:
 def _read_plan(path: Path) -> Any:
     """The plan of a folder; None where it has none, and something else where it is none."""
     try:
-        return json.loads(path.read_bytes()) if path.stat().st_size <= MOST_PLAN else {}
+        # most bytes of a plan that is read: 10 000 combinations of values take 60 MB
+        return json.loads(path.read_bytes()) if path.stat().st_size <= (1 << 26) else {}
     except (FileNotFoundError, NotADirectoryError):
         return None
     except ValueError:

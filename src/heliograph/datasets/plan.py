@@ -23,18 +23,8 @@ SPLITS = ("train", "validation", "test")
 SEEDS = 1_000_000
 """Seeds of a data set, and the most films it has: those of two data sets of different seeds are apart."""
 
-MOST_SEED = 1 << 40
-"""Above the largest seed: times `SEEDS` it is held by 64 bits."""
-
 CUTOUT_SIDES = 1.5
 """Side of a cut-out in sides of the largest image of an array in its film."""
-
-CUTOUT_MARGIN_PX = 8
-"""Pixels that a cut-out has more: a far array's blur and its surroundings."""
-
-
-LEAST_DISTANCE_M = 0.1
-"""Distance that an array is taken to have at least, for the size of its cut-outs: nearer it fills the frame."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +100,8 @@ def planned(
     imu: Path | None = None,
 ) -> DatasetPlan:
     """Plan a data set; see `write_dataset`."""
-    _check_whole("seed", seed, 0, MOST_SEED - 1)
+    # above the largest seed: times `SEEDS` it is held by 64 bits
+    _check_whole("seed", seed, 0, (1 << 40) - 1)
     _check_whole("number of films", films, 1, SEEDS)
     if packets is not None:
         _check_whole("number of packets", packets, 1, 10_000)
@@ -149,9 +140,11 @@ def _cutout_px(settings: LinkSettings) -> int:
     """Side of a film's cut-outs, by the array's image where it is nearest."""
     channel, signal = settings.channel, settings.signal
     last_m = min(channel.distance_m, channel.stop_m) if channel.moves else channel.distance_m
-    nearest_m = max(last_m + min(one.z_offset_m for one in channel.arrays), LEAST_DISTANCE_M)
+    # distance that an array is taken to have at least, for the size of its cut-outs: nearer it fills the frame
+    nearest_m = max(last_m + min(one.z_offset_m for one in channel.arrays), 0.1)
     side = signal.side * channel.emitter.pitch_m * channel.camera.focal_px / nearest_m
-    size = math.ceil(min(CUTOUT_SIDES * side, 1e6)) + CUTOUT_MARGIN_PX
+    # pixels that a cut-out has more: a far array's blur and its surroundings
+    size = math.ceil(min(CUTOUT_SIDES * side, 1e6)) + 8
     return min(size, max(channel.camera.width, channel.camera.height))
 
 

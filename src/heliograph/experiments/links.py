@@ -9,9 +9,6 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import lasting, placed_within_pixel
 from heliograph.receive import Pose
 
-FOCAL_PX = 2917
-"""Focal length of the reference camera in px, rounded: 35 mm by 12 um."""
-
 
 def static_link(distance_m: float, rng: np.random.Generator, **changes: Any) -> LinkSettings:
     """The reference link at rest for one packet, the array anywhere within a pixel of its place."""
@@ -22,7 +19,8 @@ def static_link(distance_m: float, rng: np.random.Generator, **changes: Any) -> 
 
 def centred_link(distance_m: float, rng: np.random.Generator, brightness: float = 1.0) -> LinkSettings:
     """The reference link at rest, the array within a pixel of the sensor's middle."""
-    x, y = (float(rng.uniform(-0.5, 0.5)) * distance_m / FOCAL_PX for _ in range(2))
+    # focal length of the reference camera in px, rounded: 35 mm by 12 um
+    x, y = (float(rng.uniform(-0.5, 0.5)) * distance_m / 2917 for _ in range(2))
     over: dict[str, Any] = {"distance_m": distance_m, "arrays": [{"x_m": x, "y_m": y, "brightness": brightness}]}
     return load_settings("static", {"channel": over})
 

@@ -122,9 +122,6 @@ th:first-child, td:first-child { text-align: left } pre { background: #f4f5f7; p
 BADGES = {"holds": "badge good", "differs": "badge bad", "shown": "badge"}
 """Classes of the style for the words that are set in colour."""
 
-FEWEST_LISTED = 3
-"""Fewest sections of a page that get a list of contents. Chosen."""
-
 
 class Report:
     """Collects parts of a page."""
@@ -189,7 +186,8 @@ class Report:
 
     def _contents(self) -> str:
         """A list of the sections, where there are several."""
-        if len(self._headings) < FEWEST_LISTED:
+        # Fewest sections of a page that get a list of contents. Chosen
+        if len(self._headings) < 3:
             return ""
         links = (f"<a href=#part-{k}>{escape(text)}</a>" for k, text in enumerate(self._headings, 1))
         return f"<nav aria-label=Contents>{''.join(links)}</nav>"

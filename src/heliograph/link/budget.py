@@ -23,9 +23,6 @@ MOST_LIGHT = 1.0
 """Light of the array with every LED on, in full scales, above which no ranges are given: its brightest levels would be
 one and the same."""
 
-LIGHT_AIMED_AT = 0.8
-"""Light that is advised where it is too much: that of the reference link."""
-
 SEEN_LEDS, RESOLVED_PX = 6, 32.0
 """LEDs of a side by which an array's brightness is judged, and pitch in px above which it is judged at that pitch.
 Chosen: an LED is then 16 standard deviations of the reference link's blur from the next."""
@@ -254,7 +251,8 @@ def _notes(settings: LinkSettings, light: LightSettings, spot: Spot) -> Iterator
     """What keeps the link from its budget, or the budget from holding."""
     camera, period_s = settings.channel.camera, settings.signal.pattern_period_s
     if spot.light > MOST_LIGHT:
-        stop = light.f_number * math.sqrt(spot.light / LIGHT_AIMED_AT)
+        # light that is advised where it is too much: that of the reference link
+        stop = light.f_number * math.sqrt(spot.light / 0.8)
         yield (
             f"the array saturates, {spot.light:.3g} full scales with every LED on: close the lens to f/{stop:.2g}, or "
             "expose for a shorter time; no ranges are given"

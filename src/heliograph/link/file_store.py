@@ -19,9 +19,6 @@ LONGEST = 80
 PARTS = ".part-{key}-*.npz"
 """Names of the files that hold symbols."""
 
-MOST_PART = 1 << 26
-"""Most bytes of such a file: a file's symbols are 17 MB at most."""
-
 MOST_PARTS = 1000
 """Most such files that are read. Chosen."""
 
@@ -99,7 +96,8 @@ class FileStore:
         """Symbols that an earlier passage left; what is no such file is passed over."""
         for path in sorted(self.folder.glob(PARTS.format(key=key)))[:MOST_PARTS]:
             with contextlib.suppress(*_NO_SUCH_FILE):
-                yield path, *_unpacked(read_bounded(path, MOST_PART))
+                # most bytes of such a file: a file's symbols are 17 MB at most
+                yield path, *_unpacked(read_bounded(path, (1 << 26)))
 
 
 def _packed(key: FileKey, symbols: Mapping[int, bytes]) -> bytes:

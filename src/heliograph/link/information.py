@@ -41,10 +41,6 @@ LARGEST = 16
 """LEDs of a side, at most, that are looked at: of a larger array a part, whose symbols are as well seen. Chosen: 16 x
 16 are the reference link's; four times as many symbols take 64 times as long."""
 
-NEAREST_PX = 4.0
-"""Largest pitch that is looked at: what is nearer is seen better. Chosen: LEDs stand apart, by 8 standard deviations of
-the reference link's blur."""
-
 LOOKS_PX = tuple(((0.5 + 0.7548777 * k) % 1 - 0.5, (0.5 + 0.5698403 * k) % 1 - 0.5) for k in range(5))
 """Places of the array on the pixel grid over which information is averaged: five that fill it evenly (the steps are 1/g
 and 1/g^2, g^3 = g + 1). The low layer's information at 105 to 125 m is that of twelve random places to 0.02."""
@@ -218,7 +214,9 @@ class Reach:
         self._channel, self._signal = channel, settings.signal
         light = all_on * channel.arrays[0].brightness
         self._snr = light / noise_share(channel, light)
-        self._nearest_m = channel.camera.focal_px * channel.emitter.pitch_m / NEAREST_PX
+        # Largest pitch that is looked at: what is nearer is seen better. Chosen: LEDs stand apart, by 8 standard
+        # deviations of the reference link's blur
+        self._nearest_m = channel.camera.focal_px * channel.emitter.pitch_m / 4.0
         self._looks: dict[float, Looks] = {}
         self._known: dict[tuple[Kind, Mode, str, float], float] = {}
 

@@ -27,9 +27,6 @@ LAST_WORDS_S = 2.0
 OWN_PAGES = re.compile(r"http://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 """Pages whose scripts may listen at the WebSocket: those of this machine."""
 
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-"""Hosts that no other machine reaches."""
-
 FORMS = "udp://HOST:PORT or ws://127.0.0.1:PORT"
 """Addresses that are known."""
 
@@ -147,7 +144,8 @@ class WebSocket:
 
 
 def _web_socket(parts: SplitResult, port: int) -> WebSocket:
-    if parts.hostname not in LOOPBACK:
+    # hosts that no other machine reaches
+    if parts.hostname not in ("127.0.0.1", "localhost", "::1"):
         raise SettingsError(
             f"a WebSocket is open to this machine alone: write ws://127.0.0.1:{port}, not ws://{parts.hostname}:{port}"
         )

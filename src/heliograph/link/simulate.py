@@ -17,9 +17,6 @@ from heliograph.link.settings import LinkSettings
 from heliograph.media import open_film
 from heliograph.transmit import Content, Transmitter
 
-MOST_TRACE = 1 << 28
-"""Most bytes of a motion file: an hour at 1000 samples a second takes 220 MB."""
-
 IMU_COLUMNS = ("t_s", "gyro_fwd_rad_s", "gyro_right", "gyro_down", "speed_m_s")
 """Columns of a motion file, by name in its first line: time, rates about forward, right and down axis, car speed."""
 
@@ -53,7 +50,8 @@ def load_imu(path: Path) -> ImuTrace:
 def _table(path: Path) -> Any:
     """A CSV file's columns by name, NaN where there is no number."""
     try:
-        text = read_bounded(path, MOST_TRACE).decode()
+        # most bytes of a motion file: an hour at 1000 samples a second takes 220 MB
+        text = read_bounded(path, (1 << 28)).decode()
     except OSError as error:
         raise MediaError(f"cannot read the motion file {path}: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -338,9 +338,6 @@ SIGNAL_TAG = "heliograph_signal"
 TRUTH_TAG = "heliograph_simulation"
 """Metadata of a simulated film that names its truth file: a random id both have."""
 
-RATE_TOLERANCE = 1e-3
-"""Relative departure of a film's rate from its truth's that a container's rounding explains."""
-
 
 def signal_note(signal: SignalSettings) -> dict[str, str]:
     """Return what a film notes of its signal, as metadata."""
@@ -415,7 +412,8 @@ def check_truth(film: FilmReader, truth: TruthFile, signal: SignalSettings) -> N
         differs = "they come from different simulations"
     elif size != (film.width, film.height):
         differs = f"it has frames of {size[0]}x{size[1]} pixels, the film of {film.width}x{film.height}"
-    elif abs(rate / film.rate_hz - 1) > RATE_TOLERANCE:
+    # relative departure of a film's rate from its truth's that a container's rounding explains
+    elif abs(rate / film.rate_hz - 1) > 1e-3:
         differs = f"it has {rate:g} frames/s, the film {film.rate_hz:g}"
     elif departures := _differences(signal, truth.settings.signal):
         key, ours, sent = departures[0]

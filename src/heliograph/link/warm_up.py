@@ -18,13 +18,6 @@ PITCH, MARGIN = 3, 16
 DARK, BRIGHT = 0.1, 0.6
 """Levels of an LED that is off and on, as fractions of full scale. Chosen."""
 
-NOISE = 0.006
-"""Standard deviation of the pixels, as a fraction of full scale: 1.5 levels of 8 bits, that of the reference link."""
-
-
-MOST_PAIRS = 48
-"""Most pairs of data in that packet: those of the reference link, which take half a second once all is loaded."""
-
 
 def warm_up(signal: SignalSettings, settings: ReceiveSettings, bits: int) -> bool:
     """Receive a packet of drawn frames, so that all that a receiver loads or compiles is there."""
@@ -38,12 +31,15 @@ def warm_up(signal: SignalSettings, settings: ReceiveSettings, bits: int) -> boo
 
 def _frames(signal: SignalSettings, bits: int) -> Iterator[Frame]:
     """A packet as a camera in step sees it: squares for LEDs, and noise."""
-    signal = replace(signal, data_pairs=min(signal.data_pairs, MOST_PAIRS))
+    # most pairs of data in that packet: those of the reference link, which take half a second once all is loaded
+    signal = replace(signal, data_pairs=min(signal.data_pairs, 48))
     random, full = np.random.default_rng(0), (1 << bits) - 1
     margins = (MARGIN, MARGIN)
     for index, levels in enumerate(encode({}, 0, signal)):
         lit = np.kron(DARK + (BRIGHT - DARK) * levels / 4, np.ones((PITCH, PITCH)))
         seen = np.pad(lit, (margins, margins), constant_values=DARK)
-        noisy = np.clip(full * (seen + random.normal(0, NOISE, seen.shape)), 0, full)
+        # standard deviation of the pixels, as a fraction of full scale: 1.5 levels of 8 bits, that of the reference
+        # link
+        noisy = np.clip(full * (seen + random.normal(0, 0.006, seen.shape)), 0, full)
         pixels = noisy.astype(np.uint8) if bits == 8 else noisy.astype(np.uint16)
         yield Frame(index, index * signal.pattern_period_s, pixels, bits)

@@ -22,9 +22,6 @@ from heliograph.signal.formats import AGREED
 from heliograph.signal.packet import LayerFormat, PacketFormat
 from heliograph.signal.settings import LAYERS
 
-BENCH_MARGIN_PX = 12
-"""Least margin of the window about the arrays: room for the tracker and for the motion within a header."""
-
 
 def run_block(
     settings: LinkSettings, seed: int, recordings: Recordings | None = None, max_packets: int | None = None
@@ -104,7 +101,8 @@ def window_margin_px(settings: LinkSettings) -> int:
     channel = settings.channel
     nearest = min(channel.distance_m, channel.stop_m) if channel.moves else channel.distance_m
     side = settings.signal.side * channel.emitter.pitch_m * channel.camera.focal_px / nearest
-    return max(BENCH_MARGIN_PX, math.ceil(min(side, settings.receive.detect.max_side_px) / 2))
+    # least margin of the window about the arrays: room for the tracker and for the motion within a header
+    return max(12, math.ceil(min(side, settings.receive.detect.max_side_px) / 2))
 
 
 def _counts(reception: Reception, settings: LinkSettings) -> BlockCounts:

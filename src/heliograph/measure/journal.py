@@ -22,9 +22,6 @@ Row = Mapping[str, Any]
 """What happened, as plain values; its `event` is "found", "missed_start", "packet", "message", "lights", "file" or
 "lost"."""
 
-SPEED_PACKETS = 8
-"""Most packets over which a speed is averaged: 0.8 s of the reference link. Chosen."""
-
 FEWEST_PACKETS = 3
 """Fewest packets that tell a speed. Chosen."""
 
@@ -55,7 +52,8 @@ class Journal:
 
     def read(self, packet: Packet, messages: Sequence[Message], files: Sequence[FileProgress] = ()) -> None:
         """Tell a packet, the messages that it completes, and how far files have come with it."""
-        way = self._ways.setdefault(packet.identity, deque(maxlen=SPEED_PACKETS))
+        # Most packets over which a speed is averaged: 0.8 s of the reference link. Chosen
+        way = self._ways.setdefault(packet.identity, deque(maxlen=8))
         way.append((packet.start_time_s, packet.distance_m))
         self._orientations[packet.identity] = str(packet.orientation)
         if packet.has_codeword:

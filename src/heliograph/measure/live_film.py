@@ -12,11 +12,6 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import FrameTruth
 
-AHEAD = 64
-"""Windows rendered before the first of them is taken. Chosen: channel and receiver by turns, frame by frame, take 15 %
-more time of both, as each finds the processor's caches full of the other; at half and at twice the value it is the
-same."""
-
 
 class LiveFilm:
     """Frames as they are rendered, and the truth of each frame.
@@ -37,7 +32,10 @@ class LiveFilm:
         self.settings = settings
         self.messages = messages
         self._rendered = simulate(settings, messages, seed, recordings, margin_px)
-        self._ahead = 1 if margin_px is None else AHEAD
+        # Windows rendered before the first of them is taken. Chosen: channel and receiver by turns, frame by frame,
+        # take 15 % more time of both, as each finds the processor's caches full of the other; at half and at twice the
+        # value it is the same
+        self._ahead = 1 if margin_px is None else 64
         self._truths: deque[FrameTruth] = deque()
 
     def __iter__(self) -> Iterator[Frame]:

@@ -17,22 +17,6 @@ PIXEL_VARIANCE_PX2 = 1 / 12
 REACH = 4.0
 """Standard deviations up to which an LED's image is taken: beyond is 1e-4 of its light."""
 
-MARGIN = 0.6
-"""Pitches about the LED area that are looked at: what lies beyond a panel's rim is not known."""
-
-MARGIN_OF_EDGE = 2.5
-"""Standard deviations from the picture's edge from which on an LED's image lies within it: 1 % of its light may not."""
-
-NEIGHBOUR = 1e-5
-"""Least overlap of two LEDs' images that counts, as a fraction of that of one with itself. A tolerance."""
-
-RIDGE = 1e-4
-"""Added to the overlap of an LED with itself, as a fraction of it: LEDs that are alike share their light then.
-
-It bounds by how much undoing the blur can multiply noise. Of panels with 1.4 to 4 standard deviations of blur a pitch
-1e-4 left the fewest bits wrong, 1e-2 up to twice as many, 1e-1 ten times as many.
-"""
-
 LEAST_BLUR_PX, MOST_BLUR = 0.3, 1.2
 """Least blur in px, and the most in pitches: narrower images fall between pixels, wider ones tell LEDs no longer."""
 
@@ -62,7 +46,8 @@ class Shape:
 
     def mask(self, corners: Floats, size: tuple[int, int]) -> Levels:
         """Pixels that count: 1 within the LED area and a little about it, 0 beyond. Returns (rows, columns)."""
-        return mask_of(grown(corners, MARGIN * self.pitch(corners)), size)
+        # pitches about the LED area that are looked at: what lies beyond a panel's rim is not known
+        return mask_of(grown(corners, 0.6 * self.pitch(corners)), size)
 
 
 class Fitted(NamedTuple):
@@ -151,7 +136,9 @@ class Lattice:
     def _plane_on_leds(self) -> Floats:
         """A^T P, (n, 3): the plane at each LED, but for LEDs at the picture's edge, of which a part lies beyond."""
         size = np.array(self.mask.shape[::-1])
-        if (np.abs(self.points - (size - 1) / 2) <= (size - 1) / 2 - MARGIN_OF_EDGE * self.sigma).all():
+        # standard deviations from the picture's edge from which on an LED's image lies within it: 1 % of its light may
+        # not
+        if (np.abs(self.points - (size - 1) / 2) <= (size - 1) / 2 - 2.5 * self.sigma).all():
             return np.column_stack([np.ones(len(self.points)), self.points / np.maximum(size - 1, 1) - 0.5])
         return self.gathered(self._plane)[..., 0].T
 
@@ -161,7 +148,8 @@ class Lattice:
         places = self.points.reshape(rows, columns, 2)
         # the nearest that two LEDs are, along rows and along columns
         near = [np.linalg.norm(np.diff(places, axis=k), axis=-1).min(initial=np.inf) for k in (0, 1)]
-        far = 2 * self.sigma * np.sqrt(-np.log(NEIGHBOUR))
+        # Least overlap of two LEDs' images that counts, as a fraction of that of one with itself. A tolerance
+        far = 2 * self.sigma * np.sqrt(-np.log(1e-5))
         reach = [int(far / max(one, TINY)) for one in near]
         down, across = min(reach[0], rows - 1), min(reach[1], columns - 1)
         band = np.zeros((down * columns + across + 1, rows * columns))
@@ -173,7 +161,10 @@ class Lattice:
                 square = ((other - first) ** 2).sum(axis=-1)
                 overlap[: rows - u, max(-v, 0) : columns - max(v, 0)] = np.exp(-square / (4 * self.sigma**2))
                 band[u * columns + v] += overlap.ravel()
-        band[0] += RIDGE
+        # Added to the overlap of an LED with itself, as a fraction of it: LEDs that are alike share their light then.
+        # It bounds by how much undoing the blur can multiply noise. Of panels with 1.4 to 4 standard deviations of blur
+        # a pitch 1e-4 left the fewest bits wrong, 1e-2 up to twice as many, 1e-1 ten times as many
+        band[0] += 1e-4
         try:
             return np.asarray(cholesky_banded(band / (4 * np.pi * self.sigma**2), lower=True, check_finite=False))
         except np.linalg.LinAlgError:
@@ -203,17 +194,8 @@ def plane(mask: Levels) -> Levels:
 STEPS = 12
 """Most steps of a fit. Chosen: it bounds the time of what does not converge."""
 
-ENOUGH_PX = 0.01
-"""Step of a corner in px that ends a fit. A tolerance: it moves an LED's peak by 1e-4 of itself."""
-
-ENOUGH_BLUR = 3e-3
-"""Step of ln blur that ends a fit. A tolerance: it changes an LED's peak by 0.6 %."""
-
 LONGEST_STEP = 0.3
 """Longest step of a corner in pitches, and of ln blur: farther the image is not linear in it."""
-
-HOLD = 1e-3
-"""Added to each change's power, as a fraction of it: what the picture does not show stays as it is."""
 
 SAME_SIZE_PX, SAME_BLUR = 0.1, 1e-3
 """Change of a corner in px and of ln blur within which the overlap of LEDs is not computed again.
@@ -222,7 +204,8 @@ A side of 100 px then changes by 1e-3 of itself, as sigma does. With the overlap
 """
 
 
-def fitted(image: Levels, start: Fitted, shape: Shape, steps: int = STEPS, enough_px: float = ENOUGH_PX) -> Fitted:
+# Step of a corner in px that ends a fit. A tolerance: it moves an LED's peak by 1e-4 of itself
+def fitted(image: Levels, start: Fitted, shape: Shape, steps: int = STEPS, enough_px: float = 0.01) -> Fitted:
     """Fit a panel's corners and blur to a picture whatever its LEDs show, by Gauss-Newton."""
     mask = shape.mask(start.corners, (image.shape[0], image.shape[1]))
     best = _Seen(image, mask, start, shape)
@@ -230,7 +213,8 @@ def fitted(image: Levels, start: Fitted, shape: Shape, steps: int = STEPS, enoug
     fresh = start.hessian is None
     change = _change(hessian, best.gradient, LONGEST_STEP * shape.pitch(start.corners))
     for _ in range(steps):
-        if np.abs(change[:-1]).max() < enough_px and abs(change[-1]) < ENOUGH_BLUR:
+        # Step of ln blur that ends a fit. A tolerance: it changes an LED's peak by 0.6 %
+        if np.abs(change[:-1]).max() < enough_px and abs(change[-1]) < 3e-3:
             break
         # neighbours stay as far apart as they are while the blur stays
         same = np.abs(change[:-1]).max() < SAME_SIZE_PX and abs(change[-1]) < SAME_BLUR
@@ -280,7 +264,8 @@ class _Seen:
 
 def _change(hessian: Floats, gradient: Floats, longest_px: float) -> Floats:
     """Step (9,) of corners and ln sigma, no longer than the image is linear in it."""
-    held = np.diag(np.diag(hessian)) * HOLD
+    # added to each change's power, as a fraction of it: what the picture does not show stays as it is
+    held = np.diag(np.diag(hessian)) * 1e-3
     # what shows no light has no change either
     change = np.linalg.lstsq(hessian + held, gradient, rcond=RCOND)[0]
     return np.asarray(change / max(np.abs(change[:-1]).max() / longest_px, abs(change[-1]) / LONGEST_STEP, 1.0))

@@ -44,23 +44,8 @@ MOST_LEDS = 1 << 16
 LEAST_SIDE_PX = 8.0
 """Least side of a panel in px: of less nothing is told."""
 
-LEAST_VISIBLE = 0.5
-"""Smallest share of a panel within the frame: of less neither grid nor outline tells."""
-
 ACCEPTED = 0.75
 """Least score of a place that is taken for right. Chosen from `benchmarks/panel_places.py`."""
-
-SURE = 0.9
-"""Score that a fit may fall to: beyond it the fit's corners are more exact than the phases'."""
-
-SEEN = 0.5
-"""Least correlation of the pixels with the fitted image of a panel whose grid does not show. Chosen."""
-
-BLUR_WORSE = 1.5
-"""Ratio of what a fit leaves unexplained to what the frame's before did, above which another start is tried. Chosen."""
-
-FOLLOW_STEPS = 4
-"""Most steps of a fit from frame to frame: it starts within a tenth of a pitch where the grid shows."""
 
 PLAIN_WIDTH, LEAST_WIDTH_PX = 0.15, 0.6
 """Width in pitches, and the least in px, of the Gaussian with which pixels about an LED are weighted.
@@ -224,7 +209,8 @@ def _fitted_place(images: Sequence[Levels], candidate: Candidate, shape: Shape, 
     fit = fit._replace(corners=fit.corners + moved)
     again = settled(images, fit.corners, shape, hand, shift=False)
     is_near = np.abs(fit.corners - corners).max() < shape.pitch(corners)
-    if is_near and again.score >= min(candidate.score, SURE):
+    # score that a fit may fall to: beyond it the fit's corners are more exact than the phases'
+    if is_near and again.score >= min(candidate.score, 0.9):
         return fit._replace(score=again.score)
     return fit._replace(corners=corners, score=candidate.score)
 
@@ -257,16 +243,20 @@ def _found_on(picture: Picture, starts: Sequence[Floats], held: Fitted, shape: S
     if near.score >= ACCEPTED:
         at = near.corners
         if held.hessian is not None:  # an earlier fit leaves little to do
-            found = fitted(image, held._replace(corners=at), shape, FOLLOW_STEPS)
+            # most steps of a fit from frame to frame: it starts within a tenth of a pitch where the grid shows
+            found = fitted(image, held._replace(corners=at), shape, 4)
         else:
             found = _afresh(image, at, shape)
     else:
         found = held._replace(score=-1.0)
         for start in [*(one - moved for one in starts), near.corners]:
             # what is as well explained as before is right
-            if 1 - found.score > BLUR_WORSE * (1 - held.score):
+            # Ratio of what a fit leaves unexplained to what the frame's before did, above which another start is tried.
+            # Chosen
+            if 1 - found.score > 1.5 * (1 - held.score):
                 found = max(found, _afresh(image, start, shape), key=lambda one: one.score)
-        if found.score < SEEN:
+        # Least correlation of the pixels with the fitted image of a panel whose grid does not show. Chosen
+        if found.score < 0.5:
             return held, 0.0
     score = settled([image], found.corners, shape, near.corners, shift=False).score
     if near.score >= ACCEPTED > score:
@@ -334,7 +324,8 @@ def _is_there(corners: Floats, picture: Picture, shape: Shape | None = None) -> 
     if abs(area(corners)) < LEAST_SIDE_PX**2:
         return False
     x, y = mapped(homographies(corners), grid(8, 8)).T
-    return bool(((x > -0.5) & (x < columns - 0.5) & (y > -0.5) & (y < rows - 0.5)).mean() >= LEAST_VISIBLE)
+    # smallest share of a panel within the frame: of less neither grid nor outline tells
+    return bool(((x > -0.5) & (x < columns - 0.5) & (y > -0.5) & (y < rows - 0.5)).mean() >= 0.5)
 
 
 def _check_there(corners: Floats, picture: Picture, shape: Shape | None) -> None:

@@ -23,30 +23,8 @@ SMOOTHING = (0.1, 0.05)
 Chosen: LEDs of a panel of 16 a side then show as an even area; the first finds corners that are off by a tenth of it.
 """
 
-EVEN = 0.9
-"""Distance of the points that stand for an even area, in widths of the smoothing: it ripples by 1e-5 then."""
-
-REDUCED_PX = 1.5
-"""Smoothing in px that is left when an image is reduced: Gaussians that are wider are sampled without loss."""
-
-STEPS = 8
-"""Most steps at each smoothing. Chosen: it bounds the time of what does not converge."""
-
-ENOUGH = 0.02
-"""Step of a corner, in widths of the smoothing, that ends a fit. A tolerance."""
-
-HELD = 0.5
-"""Prior standard deviation of a step of a corner, in widths of the smoothing: farther the image is not linear in it."""
-
-SPREAD = 0.02
-"""Standard deviation of the smoothing in which a quadrilateral is searched, as a fraction of the region's side: it
-closes the gaps between the LEDs of a panel of 20 a side that fills the region."""
-
 LEAST_CHANGE = 2.0
 """Least gray levels by which an area differs from what surrounds it. Chosen: noise that is smoothed has far less."""
-
-LEAST_AREA = 0.005
-"""Least part of the region that a quadrilateral fills. Chosen."""
 
 FOUR = 4
 """Corners of a quadrilateral."""
@@ -59,7 +37,9 @@ def evidence(images: Sequence[Levels]) -> Levels:
 
 def quadrilateral(image: Levels, region: Region | None) -> Floats:
     """Find the largest bright quadrilateral of an image."""
-    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), SPREAD * min(image.shape), borderType=cv2.BORDER_REPLICATE))
+    # standard deviation of the smoothing in which a quadrilateral is searched, as a fraction of the region's side: it
+    # closes the gaps between the LEDs of a panel of 20 a side that fills the region
+    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.02 * min(image.shape), borderType=cv2.BORDER_REPLICATE))
     low, high = float(smooth.min()), float(smooth.max())
     if high - low < LEAST_CHANGE:
         raise nothing_shows(region)
@@ -67,7 +47,8 @@ def quadrilateral(image: Levels, region: Region | None) -> Floats:
     _, lit = cv2.threshold(scaled, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     outlines, _ = cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     hulls = sorted((cv2.convexHull(one) for one in outlines), key=cv2.contourArea)
-    if not hulls or cv2.contourArea(hulls[-1]) < LEAST_AREA * image.size:
+    # Least part of the region that a quadrilateral fills. Chosen
+    if not hulls or cv2.contourArea(hulls[-1]) < 0.005 * image.size:
         raise HeliographError(
             f"no area that is bright or changes{_where(region)} is as large as a panel: give corners="
         )
@@ -113,12 +94,14 @@ def outlined(image: Levels, corners: Floats, widths: Sequence[float]) -> Floats:
 
 def _fitted(image: Levels, corners: Floats, width: float) -> Floats:
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), width, borderType=cv2.BORDER_REPLICATE))
-    every = max(1, int(width / REDUCED_PX))
+    # smoothing in px that is left when an image is reduced: Gaussians that are wider are sampled without loss
+    every = max(1, int(width / 1.5))
     small, at, sigma = np.ascontiguousarray(smooth[::every, ::every]), corners / every, width / every
     mask = mask_of(grown(at, 3 * sigma), (small.shape[0], small.shape[1]))
     inside = mask.ravel() > 0
     seen, flat = small.ravel()[inside].astype(np.float64), plane(mask).reshape(3, -1).T[inside]
-    for _ in range(STEPS):
+    # Most steps at each smoothing. Chosen: it bounds the time of what does not converge
+    for _ in range(8):
         lit, moved = _even(at, sigma, mask.shape)
         # light may rise along the area, and what is behind it too
         shown = np.column_stack([flat * lit.ravel()[inside, None], flat])
@@ -128,11 +111,14 @@ def _fitted(image: Levels, corners: Floats, width: float) -> Floats:
         noise = max(float((seen - shown @ found).std()), TINY)
         columns = np.column_stack([found[0] * moved.reshape(8, -1).T[inside], shown])
         prior = np.zeros((8, columns.shape[1]))
-        prior[:, :8] = np.eye(8) * noise / (HELD * sigma)
+        # prior standard deviation of a step of a corner, in widths of the smoothing: farther the image is not linear in
+        # it
+        prior[:, :8] = np.eye(8) * noise / (0.5 * sigma)
         step = np.linalg.lstsq(np.vstack([columns, prior]), np.append(seen, np.zeros(8)), rcond=RCOND)[0][:8]
         step /= max(np.abs(step).max() / (2 * sigma), 1.0)
         at = at + step.reshape(4, 2)
-        if np.abs(step).max() < ENOUGH * sigma:
+        # Step of a corner, in widths of the smoothing, that ends a fit. A tolerance
+        if np.abs(step).max() < 0.02 * sigma:
             break
     return at * every
 
@@ -142,7 +128,8 @@ def _even(corners: Floats, sigma: float, size: tuple[int, ...]) -> tuple[Levels,
     from heliograph.panel import kernels  # Numba is slow to import
 
     longest = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).max()
-    count = int(np.ceil(longest / (EVEN * sigma)))
+    # distance of the points that stand for an even area, in widths of the smoothing: it ripples by 1e-5 then
+    count = int(np.ceil(longest / (0.9 * sigma)))
     unit, map_ = grid(count, count), homographies(corners)
     points, moves = mapped(map_, unit), slopes(corners, unit)
     # a surface is as bright near as far: each point stands for its area, det(H) / w^3

@@ -18,20 +18,11 @@ from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import alternation_means
 from heliograph.receive.detect.kernels import BLOCK_PX
 
-MOST_BYTES = 192 << 20
-"""Most bytes of frames in a stretch: 380 frames of 1024 x 512 pixels of 8 bits. Two stretches are held at a time."""
-
 MOST_FRAMES = 256
 """Most frames in a stretch: two packets and a half of the reference link, so that one is whole whatever the phase."""
 
 LEAST_FRAMES = 8
 """Least frames in a stretch, of however large frames: the fewest that show a rate."""
-
-PARTS = 8
-"""Parts of a stretch: where something is in each tells how it moves."""
-
-COMPARED_EVERY = 8
-"""Every so many frames the finest detail is looked at: noise hardly changes within a stretch."""
 
 ROUNDED = 0.29
 """Standard deviation in gray levels that rounding leaves: less noise than that is not told from it."""
@@ -42,26 +33,8 @@ ALTERNATION_NOISE = 1.118 * 0.798
 CHANGE_NOISE = 1.414 * 0.798
 """The same of the change from frame to frame."""
 
-GROUPS = 16
-"""Groups of blocks by their gray level, in which the quiet quarter tells the noise of that level."""
-
-SHORT = 0.25
-"""Part of a stretch's length below which the last one of a film says too little."""
-
 QUIET = 0.25
 """Part of the blocks that is taken to be quiet."""
-
-LEAST_APART = 1.0
-"""Gray levels by which two groups must differ to tell how noise rises with the level."""
-
-BUSY = 1.35
-"""Alternation of a busy block over that of noise, and over that of the quiet quarter of all blocks.
-
-Over 250 frames noise alone scatters by 2 % from block to block.
-"""
-
-BUSY_PART = 2.5
-"""The same of a part of a stretch, in which noise scatters more, and through which something may pass."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +63,10 @@ class Stretch:
         excess = self.excess
         whole = excess.mean(0)
         quiet = max(1.0, float(np.quantile(whole, QUIET)))
-        return np.asarray((whole > BUSY * quiet) | (excess.max(0) > BUSY_PART * quiet), bool)
+        # Alternation of a busy block over that of noise, and over that of the quiet quarter of all blocks. Over 250
+        # frames noise alone scatters by 2 % from block to block
+        # the same of a part of a stretch, in which noise scatters more, and through which something may pass
+        return np.asarray((whole > 1.35 * quiet) | (excess.max(0) > 2.5 * quiet), bool)
 
     @property
     def score(self) -> float:
@@ -111,7 +87,9 @@ class Stretches:
     def add(self, frame: Frame) -> None:
         """Take the next frame."""
         if not self._frames:
-            room = MOST_BYTES // max(frame.pixels.nbytes, 1)
+            # Most bytes of frames in a stretch: 380 frames of 1024 x 512 pixels of 8 bits. Two stretches are held at a
+            # time
+            room = (192 << 20) // max(frame.pixels.nbytes, 1)
             self._length = max(LEAST_FRAMES, min(MOST_FRAMES, room))
         elif not _alike(self._frames[-1], frame):
             self._end()
@@ -130,7 +108,8 @@ class Stretches:
         number, self._number = self._number, self._number + 1
         if len(frames) < 4 or number % self._every or min(frames[0].pixels.shape) < 1:
             return
-        if self._best is not None and len(frames) < SHORT * self._length:
+        # part of a stretch's length below which the last one of a film says too little
+        if self._best is not None and len(frames) < 0.25 * self._length:
             return
         stretch = stretch_of(frames)
         if self._best is None or stretch.score * len(frames) > self._best.score * len(self._best.frames):
@@ -139,7 +118,8 @@ class Stretches:
 
 def stretch_of(frames: Sequence[Frame]) -> Stretch:
     """What changes in frames that follow each other."""
-    count = max(1, min(PARTS, len(frames) // 8))
+    # parts of a stretch: where something is in each tells how it moves
+    count = max(1, min(8, len(frames) // 8))
     bounds = np.linspace(0, len(frames), count + 1).round().astype(int)
     parts, changes = list[Floats](), list[Floats]()
     for first, end in itertools.pairwise(bounds):
@@ -148,7 +128,8 @@ def stretch_of(frames: Sequence[Frame]) -> Stretch:
         parts.append(np.mean([alternation_means(frames[k : k + 4]) for k in starts], axis=0, dtype=np.float64))
         changes.append(np.mean([alternation_means(frames[k : k + 2]) for k in starts], axis=0, dtype=np.float64))
     # the finest detail costs more than both, and noise is as even as the light
-    compared = range(0, len(frames) - 1, COMPARED_EVERY)
+    # every so many frames the finest detail is looked at: noise hardly changes within a stretch
+    compared = range(0, len(frames) - 1, 8)
     detail = np.mean([finest_detail(frames[k], frames[k + 1], parts[0].shape) for k in compared], axis=0)
     gray = cv2.resize(
         frames[len(frames) // 2].pixels.astype(np.float32), parts[0].shape[::-1], interpolation=cv2.INTER_AREA
@@ -160,13 +141,15 @@ def stretch_of(frames: Sequence[Frame]) -> Stretch:
 def noise_of(detail: Floats, gray: Floats) -> Floats:
     """Noise of blocks: by their finest detail, but no more than blocks of their gray level usually have."""
     order = np.argsort(gray, axis=None)
-    groups = [one for one in np.array_split(order, GROUPS) if one.size]
+    # groups of blocks by their gray level, in which the quiet quarter tells the noise of that level
+    groups = [one for one in np.array_split(order, 16) if one.size]
     levels = np.array([float(np.median(gray.ravel()[one])) for one in groups])
     variances = np.array([float(np.quantile(detail.ravel()[one], QUIET)) ** 2 for one in groups])
     # photons: variance rises evenly with the level; the median slope heeds no few groups that blink (Theil and Sen)
     i, j = np.triu_indices(len(groups), 1)
     apart = levels[j] - levels[i]
-    clear = apart > LEAST_APART
+    # gray levels by which two groups must differ to tell how noise rises with the level
+    clear = apart > 1.0
     slopes = (variances[j] - variances[i])[clear] / apart[clear]
     slope = max(float(np.median(slopes)), 0.0) if slopes.size > QUIET * apart.size else 0.0
     base = float(np.median(variances - slope * levels))

@@ -24,15 +24,6 @@ from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.receive.track.track import Track
 from heliograph.signal.settings import SignalSettings
 
-START_ERROR = 0.02
-"""Standard deviation in patterns of a packet's start by the soft receiver's clock: 0.005 to 0.02."""
-
-TOLD_PPM = 200.0
-"""Standard error of a clock's rate above which it is not told: quartz clocks differ by less."""
-
-OUT_OF_STEP = 0.1
-"""Phase in patterns from which on frames show two patterns."""
-
 
 @dataclass(frozen=True, slots=True)
 class Clock:
@@ -48,7 +39,8 @@ class Clock:
     @property
     def in_step(self) -> bool:
         """Whether frames show one pattern each, if a pattern lasts a frame."""
-        return abs(self.phase) <= OUT_OF_STEP
+        # phase in patterns from which on frames show two patterns
+        return abs(self.phase) <= 0.1
 
 
 def clock_of(packets: Sequence[Packet], frames: Sequence[Frame], signal: SignalSettings) -> Clock:
@@ -62,9 +54,11 @@ def clock_of(packets: Sequence[Packet], frames: Sequence[Frame], signal: SignalS
     if len(starts) < 2 or numbers[-1] < 1:
         return Clock(float(phase), None, None)
     spread = float(np.sqrt(((numbers - numbers.mean()) ** 2).sum()))
-    error = START_ERROR * signal.pattern_period_s / (spread * signal.packet_s) * 1e6
+    # standard deviation in patterns of a packet's start by the soft receiver's clock: 0.005 to 0.02
+    error = 0.02 * signal.pattern_period_s / (spread * signal.packet_s) * 1e6
     slope = float(np.polyfit(numbers, starts, 1)[0])
-    told = error <= TOLD_PPM
+    # standard error of a clock's rate above which it is not told: quartz clocks differ by less
+    told = error <= 200.0
     return Clock(float(phase), (slope / signal.packet_s - 1) * 1e6 if told else None, error if told else None)
 
 

@@ -28,14 +28,8 @@ Kind = Literal[
 ]  # fmt: skip
 """What is the matter, in a word or two; "array" where nothing is. Those of the last line are told of screens."""
 
-LIKE_HEADER = 0.75
-"""Correlation from which on size, contrast and blur of the header's fit are told in place of the region's."""
-
 LOST, REPEATED = 0.005, 0.02
 """Parts of the frames that are lost, or come twice, from which on it is told."""
-
-STANDS_STILL = 0.9
-"""Part of the frames that show what the one before did from which on nothing moves or blinks at all."""
 
 OVEREXPOSED, DARK = 0.15, 0.15
 """Part of a film's pixels at full scale, and brightest level over full scale, that are told."""
@@ -122,7 +116,8 @@ class RegionSeen:
     @property
     def header_like(self) -> HeaderSeen | None:
         """Its header, where it shows enough of one that size and blur are those of an array."""
-        return self.header if self.header is not None and self.header.score >= LIKE_HEADER else None
+        # correlation from which on size, contrast and blur of the header's fit are told in place of the region's
+        return self.header if self.header is not None and self.header.score >= 0.75 else None
 
     @property
     def like_array(self) -> bool:
@@ -160,7 +155,8 @@ def film_causes(
             "lost frames", f"{times.lost} of {most} frames are missing at {counted(times.gaps, 'place')}",
             ("look for what drops them: the disk, the cable, the computer's load; receivers read on, but less",),
         ))  # fmt: skip
-    if times.repeated > STANDS_STILL * times.count:
+    # part of the frames that show what the one before did from which on nothing moves or blinks at all
+    if times.repeated > 0.9 * times.count:
         out.append(Cause(
             "still", f"all {times.count} frames but {times.count - times.repeated} show what the one before did",
             ("film the array while it blinks: one picture over and over, as of a camera that stopped, holds no data",),
@@ -215,20 +211,11 @@ def other_settings(differing: Sequence[tuple[str, Any, Any]]) -> Cause:
     return Cause("other settings", why, advice)
 
 
-LAMP = 0.05
-"""Pattern part below which a region goes on and off as one, unless it shows a header: arrays have 0.06 and more."""
-
-STILL_BLINKS = 0.45
-"""Least ratio of what alternates to what changes of a region that blinks; of an edge that passes it is about 0.2."""
-
 SATURATED = 0.3
 """Overexposed part of a region's pixels above which levels are lost. LEDs that are resolved take a fifth of it."""
 
 FAST_PX = 0.5
 """Motion in px a frame from which on detection fails at times: headers of four frames are smeared by 0.7 px."""
-
-OBLONG = 1.35
-"""Ratio of width and height from which on something hides a part: that of an array turned by 42 degrees."""
 
 NO_CHANGE = "nothing to change, if it is no array"
 """What is advised where a region need not be an array."""
@@ -241,9 +228,11 @@ def region_causes(seen: RegionSeen, asked: Asked, full_scale: int) -> tuple[Caus
     if seen.found is not None:
         return tuple(_proven(seen, seen.found, asked, full_scale))
     header = seen.header.score if seen.header else 0.0
-    if seen.pattern_part < LAMP and not (seen.like_array and header >= SURE_HEADER):
+    # pattern part below which a region goes on and off as one, unless it shows a header: arrays have 0.06 and more
+    if seen.pattern_part < 0.05 and not (seen.like_array and header >= SURE_HEADER):
         return (_lamp(seen, asked),)
-    if seen.region.blinks < STILL_BLINKS and not seen.like_array:
+    # least ratio of what alternates to what changes of a region that blinks; of an edge that passes it is about 0.2
+    if seen.region.blinks < 0.45 and not seen.like_array:
         return (Cause("moves", "it moves or changes slowly, and does not blink", (NO_CHANGE,)),)
     # size and contrast are no fault of what does not look like an array
     causes = tuple(_measured(seen, asked, full_scale)) if seen.like_array else ()
@@ -348,7 +337,8 @@ def _hidden(seen: RegionSeen) -> bool:
     """Whether a region is no square, though nothing else explains it."""
     region = seen.region
     oblong = max(region.width, region.height) / max(min(region.width, region.height), 1.0)
-    return oblong > OBLONG and not region.at_border and region.speed_px <= FAST_PX
+    # ratio of width and height from which on something hides a part: that of an array turned by 42 degrees
+    return oblong > 1.35 and not region.at_border and region.speed_px <= FAST_PX
 
 
 def _partly_hidden(seen: RegionSeen) -> Cause:

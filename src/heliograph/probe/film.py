@@ -42,14 +42,6 @@ from heliograph.receive.settings import DetectSettings
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
-LARGER = 1.5
-"""Side of a region over that of the largest array that receivers look for from which on no header is looked for: the
-scene itself moves."""
-
-
-NO_ARRAY_AT_ALL = ("lamp", "moves", "no header")
-"""Kinds of causes of what need not be an array."""
-
 
 class Film(Protocol):
     """An open film, or frames in its place."""
@@ -140,11 +132,12 @@ class Findings:
         """What to change, the gravest first, each line once."""
         causes = [*(cause for one in self.regions for cause in one.causes), *self.causes]
         # what reads a region goes before what would only help, and what may be no array comes last
+        # kinds of causes of what need not be an array
         causes.sort(
             key=lambda cause: (
                 not cause.proven,
                 cause.kind not in ("other settings", "short"),
-                cause.kind in NO_ARRAY_AT_ALL,
+                cause.kind in ("lamp", "moves", "no header"),
             )
         )
         return list(dict.fromkeys(line for cause in causes for line in cause.advice))
@@ -311,7 +304,9 @@ def _looked_into(
     part = pattern_part(stretch.frames, region, quiet)
     patterns, step = _a_pattern_each(frames, rate.frames if rate is not None else asked.frames_a_pattern)
     speed = step * region.speed[0], step * region.speed[1]
-    largest = LARGER * max(asked.settings.detect.max_side_px, DetectSettings().max_side_px)
+    # side of a region over that of the largest array that receivers look for from which on no header is looked for: the
+    # scene itself moves
+    largest = 1.5 * max(asked.settings.detect.max_side_px, DetectSettings().max_side_px)
     header = None
     if region.side < largest and len(patterns) >= 4:
         header = header_seen(patterns, (region.x, region.y), region.side, asked.signal.side, speed)

@@ -7,18 +7,9 @@ import numpy as np
 
 from heliograph.base.frames import Frame
 
-MOST_STEPS = 4096
-"""Most steps between stamps that are kept: beyond it every second one is left out, so that memory is bounded.
-
-A median of so many is right to 2 % of their spread.
-"""
-
 MOST_KINDS, MANY = 256, 2
 """Different steps between frames' numbers that are counted, and what further ones count as: so that memory is
 bounded."""
-
-SAMPLED_ROWS = 16
-"""Every so many rows of two frames are compared first: nearly all frames differ there already."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +73,9 @@ class FrameWatch:
         self._numbers[number if number in self._numbers or len(self._numbers) < MOST_KINDS else MANY] += 1
         if self._count % self._every == 0:
             self._steps.append((frame.time_s - last.time_s) / number)
-        if len(self._steps) > MOST_STEPS:
+        # Most steps between stamps that are kept: beyond it every second one is left out, so that memory is bounded. A
+        # median of so many is right to 2 % of their spread
+        if len(self._steps) > 4096:
             self._steps, self._every = self._steps[::2], 2 * self._every
         copied = same_pixels(last, frame)
         self._repeated += copied
@@ -116,5 +109,6 @@ def same_pixels(one: Frame, other: Frame) -> bool:
     """Whether two frames show the very same."""
     if one.pixels.shape != other.pixels.shape:
         return False
-    some = slice(None, None, SAMPLED_ROWS)
+    # every so many rows of two frames are compared first: nearly all frames differ there already
+    some = slice(None, None, 16)
     return bool(np.array_equal(one.pixels[some], other.pixels[some]) and np.array_equal(one.pixels, other.pixels))

@@ -31,44 +31,11 @@ from heliograph.receive.geometry.pose import ORIENTATIONS, Pose
 from heliograph.receive.geometry.view import View, halved, reduced_blur
 from heliograph.receive.geometry.window import cut_out, window_around
 
-LEVEL_SIDE_PX = 48.0
-"""Largest side in px in which a header is looked for: larger regions are looked at in reduced frames."""
-
 SIZES = np.geomspace(0.7, 1.45, 8)
 """Sizes that are tried, over that of the region: hidden or blurred arrays seem smaller or larger."""
 
-LEAST_COARSE = 0.2
-"""Least correlation of a place that is fitted."""
-
-LEAST_CONTRAST = 0.002
-"""Least contrast of a place that is looked at as a fraction of full scale: half a gray level of 8 bits."""
-
 BLURS = (0.55, 1.3, 2.5, 5.0)
 """First guesses of the blur in px: an array out of focus is found only from near its own."""
-
-FITTED = 4
-"""Times whose best places are fitted."""
-
-APART_FRAMES = 3
-"""Frames by which these times differ."""
-
-AROUND_PX = 1.0
-"""Pixels about an array in which a header's amplitude is measured, as the receivers do."""
-
-SHOWN = 0.6
-"""Least amplitude of a header over that of its best frames, for a frame to belong to it: a format dims some to 0.75."""
-
-MOST_TIMES = 256
-"""Most frames that are looked through."""
-
-WORTH_TIMING = 0.6
-"""Least correlation with a header from which on it is asked when headers come."""
-
-SEARCHED = 48
-"""Times that are searched, those at which most alternates: a header has more than twice the light of data."""
-
-REACH = 0.4
-"""Part of the region's side by which an array's centre may lie off its own: it may be hidden in part."""
 
 LIKE, UNLIKE = 0.55, 1.8
 """Least and largest size of a header's fit over the region's: what is smaller or larger is another thing."""
@@ -109,8 +76,10 @@ def header_seen(
     speed: tuple[float, float] = (0.0, 0.0),
 ) -> HeaderSeen | None:
     """Look for the header that a region shows best."""
-    level = max(0, int(np.ceil(np.log2(max(size_px, 1.0) / LEVEL_SIDE_PX))))
-    frames = frames[:MOST_TIMES]
+    # largest side in px in which a header is looked for: larger regions are looked at in reduced frames
+    level = max(0, int(np.ceil(np.log2(max(size_px, 1.0) / 48.0))))
+    # most frames that are looked through
+    frames = frames[:256]
     reduced = list(frames)
     for _ in range(level):
         reduced = [halved(one) for one in reduced]
@@ -126,7 +95,8 @@ def header_seen(
             best = one
     if best is None:
         return None
-    if best.score >= WORTH_TIMING:
+    # least correlation with a header from which on it is asked when headers come
+    if best.score >= 0.6:
         best = _timed(reduced, best, side, (speed[0] / 2**level, speed[1] / 2**level))
     return replace(best, fit=View(level).fit_out(best.fit))
 
@@ -145,8 +115,10 @@ class _Row:
 
 def _coarse(frames: Sequence[Frame], centres: Floats, size: float, pad: int) -> list[_Row]:
     """The best places near centres (times, 2), each of another time."""
+    # least correlation of a place that is fitted
+    # least contrast of a place that is looked at as a fraction of full scale: half a gray level of 8 bits
     parameters = SearchParameters(
-        min_side_px=3.0, max_side_px=max(2 * size, 6.0), min_contrast=LEAST_CONTRAST, coarse_score=LEAST_COARSE,
+        min_side_px=3.0, max_side_px=max(2 * size, 6.0), min_contrast=0.002, coarse_score=0.2,
         score=0.0, regularity=0.0, candidates=1, blur_px=BLURS[0],
     )  # fmt: skip
     cells, sizes = headers(ORIENTATIONS).cells, np.maximum(size * SIZES, 2.5)
@@ -157,11 +129,13 @@ def _coarse(frames: Sequence[Frame], centres: Floats, size: float, pad: int) -> 
         four = zip(ALTERNATION, frames[k : k + 4], strict=True)
         strength[k] = float(np.square(sum(weight * cut_out(one, box) for weight, one in four)).mean())
     found = list[_Row]()
-    for k in np.argsort(-strength)[:SEARCHED]:
+    # times that are searched, those at which most alternates: a header has more than twice the light of data
+    for k in np.argsort(-strength)[:48]:
         change = _padded(alternation_of(frames[k : k + 4]), pad)
         x, y = frames[k].origin[0] - pad, frames[k].origin[1] - pad
         busy = np.zeros([-(-length // BLOCK_PX) + 1 for length in change.shape], bool)
-        reach = REACH * size
+        # part of the region's side by which an array's centre may lie off its own: it may be hidden in part
+        reach = 0.4 * size
         first, last = (centres[k] - (x, y) - reach) // BLOCK_PX, (centres[k] - (x, y) + reach) // BLOCK_PX
         busy[_from(first[1]) : _from(last[1]) + 1, _from(first[0]) : _from(last[0]) + 1] = True
         rows, *_ = coarse_search(
@@ -170,7 +144,9 @@ def _coarse(frames: Sequence[Frame], centres: Floats, size: float, pad: int) -> 
         found += [_Row(int(k), row[0], row[1] + x, row[2] + y, row[3], int(row[4])) for row in rows]
     kept = list[_Row]()
     for row in sorted(found, key=lambda one: -abs(one.score)):
-        if len(kept) < FITTED and all(abs(row.place - other.place) > APART_FRAMES for other in kept):
+        # times whose best places are fitted
+        # frames by which these times differ
+        if len(kept) < 4 and all(abs(row.place - other.place) > 3 for other in kept):
             kept.append(row)
     return kept
 
@@ -217,7 +193,9 @@ def _timed(frames: Sequence[Frame], seen: HeaderSeen, side: int, speed: tuple[fl
     best = float(np.abs(shown[seen.place : seen.place + 4]).max())
     runs, first = list[tuple[int, int]](), 0
     for k in range(1, len(shown) + 1):
-        on = k < len(shown) and min(abs(shown[k]), abs(shown[k - 1])) > SHOWN * best and shown[k] * shown[k - 1] < 0
+        # least amplitude of a header over that of its best frames, for a frame to belong to it: a format dims some to
+        # 0.75
+        on = k < len(shown) and min(abs(shown[k]), abs(shown[k - 1])) > 0.6 * best and shown[k] * shown[k - 1] < 0
         if not on:
             if k - first >= 2:
                 runs.append((first, k - first))
@@ -235,7 +213,8 @@ def _timed(frames: Sequence[Frame], seen: HeaderSeen, side: int, speed: tuple[fl
 
 def _amplitudes(frames: Sequence[Frame], poses: Sequence[Pose], weights: Floats) -> Floats:
     """How much of a pattern each frame shows about what frames usually show, (frames,) in gray levels."""
-    x0, y0, width, height = window_around(poses[0], len(weights), AROUND_PX)
+    # pixels about an array in which a header's amplitude is measured, as the receivers do
+    x0, y0, width, height = window_around(poses[0], len(weights), 1.0)
     corners = [(x0 + round(one.x - poses[0].x), y0 + round(one.y - poses[0].y)) for one in poses]
     pixels = np.array([cut_out(one, (*at, width, height)) for one, at in zip(frames, corners, strict=True)])
     pixels -= np.median(pixels, axis=0)

@@ -10,18 +10,6 @@ from heliograph.base.frames import Frame
 SAMPLED_FRAMES = 64
 """Frames of a film whose levels are counted, spread over it: a film's exposure hardly changes between them."""
 
-PERCENTILES = (1, 50, 99)
-"""Percentiles of the gray levels that are told."""
-
-PILED = 20.0
-"""How many times as many pixels have the largest level seen as one below: then the sensor is cut off there.
-
-Of light that falls off towards bright levels fewer have the largest; noise alone makes it the rarest.
-"""
-
-MOST_CEILING = 0.9
-"""Fraction of the full scale below which such a level says that the film's bits are not those of its levels."""
-
 
 @dataclass(frozen=True, slots=True)
 class PileUp:
@@ -119,11 +107,13 @@ class LevelWatch:
         there = np.flatnonzero(counts)
         brightest = int(there[-1]) if there.size else 0
         ceiling = self._full_scale
-        if 1 < brightest < MOST_CEILING * self._full_scale and _piled(counts, brightest):
+        # fraction of the full scale below which such a level says that the film's bits are not those of its levels
+        if 1 < brightest < 0.9 * self._full_scale and _piled(counts, brightest):
             ceiling = brightest
+        # percentiles of the gray levels that are told
         return Levels(
             full_scale=self._full_scale,
-            percentiles={p: float(np.searchsorted(places, p / 100)) for p in PERCENTILES},
+            percentiles={p: float(np.searchsorted(places, p / 100)) for p in (1, 50, 99)},
             brightest=brightest,
             at_full_scale=float(counts[-1]) / total,
             at_zero=float(counts[0]) / total,
@@ -138,4 +128,6 @@ def _piled(counts: NDArray[np.int64], level: int) -> bool:
     if 2 * counts[level] > counts.sum():
         # an even picture
         return False
-    return bool(counts[level] > PILED * max(float(below.mean()), 1.0))
+    # How many times as many pixels have the largest level seen as one below: then the sensor is cut off there. Of light
+    # that falls off towards bright levels fewer have the largest; noise alone makes it the rarest
+    return bool(counts[level] > 20.0 * max(float(below.mean()), 1.0))

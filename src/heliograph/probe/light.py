@@ -28,9 +28,6 @@ LAGS = (1, 2, 3)
 SEGMENT = 24
 """Frames of a piece within which a rate need not be exact: 1 % off shifts its ends by an eighth of a pattern."""
 
-MOST_SEGMENTS = 10
-"""Most pieces that are looked at, spread over the stretch."""
-
 LEAST_RATE, MOST_RATE, RATE_STEP = 0.6, 8.0, 0.02
 """Frames to a pattern that are tried: fewest, most, and the step from one to the next as a fraction.
 
@@ -50,39 +47,17 @@ Of arrays it is 0.65 to 0.95, but 0.2 to 0.3 of tiny, blurred and saturated ones
 slow rates.
 """
 
-IN_STEP = 0.02
-"""Departure from one frame to a pattern that is none."""
-
 LEAST_VARIANCE = 0.01
 """Least variance of a frame's light that is expected, an LED's being 1 when on: of a whole pair's there is none."""
-
-FINE_STEPS = 31
-"""Rates that are tried about a good one over the whole stretch: two thousandths apart, a quarter of a pattern in 250
-from the nearest."""
 
 TRIED, ENOUGH = 2, 0.6
 """Good rates that are looked at closely, and what one of them must explain for no other to be."""
 
-WORTH_IT = 0.12
-"""Least part that a rate must explain within pieces to be looked at closely."""
-
 MOST_PIXELS = 4096
 """Pixels of a region that are compared: more say no more of its LEDs."""
 
-LIVELY = 0.5
-"""Least power of what LEDs show about their mean over that of noise, for a frame to be correlated with others."""
-
 UNSATURATED, LEAST_CLEAR = 0.99, 0.1
 """Part of the frames in which a pixel is not saturated, to be looked at; and least part of the pixels that are."""
-
-MOST_COMPARED = 64
-"""Frames that are compared to tell a lamp from a pattern."""
-
-PEAK = 0.4
-"""Least autocorrelation of a lamp's brightness at its period."""
-
-FIRST_PEAK = 0.7
-"""Part of the highest peak that the first one must have: half a frame off the period a short flash loses a quarter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,12 +83,15 @@ def light_rate(
         return None
     order = tuple(slot_order)
     rates, table = _table(order)
-    starts = np.unique(np.linspace(0, max(len(seen) - SEGMENT, 0), MOST_SEGMENTS).round().astype(int))
+    # most pieces that are looked at, spread over the stretch
+    starts = np.unique(np.linspace(0, max(len(seen) - SEGMENT, 0), 10).round().astype(int))
     scores = np.mean([_explained(seen[k : k + SEGMENT], table).max(1) for k in starts], axis=0)
-    best = _finest(seen, rates, scores, order) if scores.max() >= WORTH_IT else None
+    # least part that a rate must explain within pieces to be looked at closely
+    best = _finest(seen, rates, scores, order) if scores.max() >= 0.12 else None
     if best is None:
         return None
-    least = EXPLAINED_IN_STEP if abs(best.frames - 1) < IN_STEP else EXPLAINED
+    # departure from one frame to a pattern that is none
+    least = EXPLAINED_IN_STEP if abs(best.frames - 1) < 0.02 else EXPLAINED
     return best if best.explained >= least else None
 
 
@@ -135,7 +113,8 @@ def correlations(frames: Sequence[Frame], region: Region, noise: float, ceiling:
     rest -= rest @ shape @ shape.T
     freedom = rest.shape[1] - shape.shape[1]
     power = (rest**2).sum(1) - noise**2 * freedom
-    power[power <= LIVELY * noise**2 * freedom] = np.nan
+    # least power of what LEDs show about their mean over that of noise, for a frame to be correlated with others
+    power[power <= 0.5 * noise**2 * freedom] = np.nan
     places = {int(number): k for k, number in enumerate(numbers)}
     for number, k in places.items():
         for column, lag in enumerate(LAGS):
@@ -149,7 +128,8 @@ def pattern_part(frames: Sequence[Frame], region: Region, noise: float) -> float
     """How much of what a region's pixels do they do apart from each other."""
     count = len(frames)
     step = max(1, int(np.ceil((region.width * region.height / MOST_PIXELS) ** 0.5)))
-    some = range(0, count, max(1, count // MOST_COMPARED))
+    # frames that are compared to tell a lamp from a pattern
+    some = range(0, count, max(1, count // 64))
     pixels = np.array([thinned(frames[k], region.box_at(k, count), step).ravel() for k in some])
     rest = pixels - pixels.mean(0)
     # the strongest image that goes up and down as one
@@ -168,10 +148,12 @@ def lamp_period(brightness: Floats) -> float | None:
     auto[1:] *= len(x) / np.arange(len(x) - 1, 0, -1)
     auto = auto[: len(x) // 2]
     peaks = [k for k in range(2, len(auto) - 1) if auto[k] >= auto[k - 1] and auto[k] >= auto[k + 1]]
-    strong = [k for k in peaks if auto[k] >= PEAK]
+    # least autocorrelation of a lamp's brightness at its period
+    strong = [k for k in peaks if auto[k] >= 0.4]
     if not strong:
         return None
-    k = next(k for k in strong if auto[k] >= FIRST_PEAK * max(auto[j] for j in strong))
+    # part of the highest peak that the first one must have: half a frame off the period a short flash loses a quarter
+    k = next(k for k in strong if auto[k] >= 0.7 * max(auto[j] for j in strong))
     left, middle, right = auto[k - 1 : k + 2]
     bend = left - 2 * middle + right
     return float(k + (0.5 * (left - right) / bend if bend < 0 else 0.0))
@@ -249,7 +231,9 @@ def _finest(seen: Floats, rates: Floats, scores: Floats, slot_order: tuple[int, 
         if any(abs(np.log(rates[k] / one)) < 2.5 * RATE_STEP for one in tried):
             continue
         tried.append(float(rates[k]))
-        fine = rates[k] * np.exp(np.linspace(-1.5 * RATE_STEP, 1.5 * RATE_STEP, FINE_STEPS))
+        # rates that are tried about a good one over the whole stretch: two thousandths apart, a quarter of a pattern in
+        # 250 from the nearest
+        fine = rates[k] * np.exp(np.linspace(-1.5 * RATE_STEP, 1.5 * RATE_STEP, 31))
         phases = 2 * np.arange(PHASES) / PHASES
         found = _explained(seen, _expected(fine, phases, len(seen), slot_order))
         i, j = np.unravel_index(int(np.argmax(found)), found.shape)

@@ -22,40 +22,11 @@ BLOCK_PX = 8
 SAMPLED_PAIRS = 32
 """Pairs of frames that are looked at, spread over the film."""
 
-SAMPLED_BLOCKS = 8192
-"""Blocks of a pair that are looked at: those of a frame of 1024 x 512."""
-
-BINS = 16
-"""Groups of blocks by their gray level, of equally many blocks at most."""
-
-NARROW = 0.01
-"""Largest span of gray levels within a group, as a fraction of full scale: a quarter of its noise is not that of
-another level."""
-
-PATCHY = 2.0
-"""Variance of a block over that of its finest detail from which on it is no noise: of white noise one in twenty has
-it."""
-
 ENOUGH = 40
 """Least blocks of a group: its quarter is then right to 7 %."""
 
-QUIET = 0.25
-"""Part of a group's blocks that is taken to be quiet. The whole group is where nothing moves."""
-
 QUARTER, HALF = 0.8791, 0.9894
 """What a quarter and half of the variances of 64 pixels of white noise lie below, chi-square of 63 over 63."""
-
-UNEVEN = 1.35
-"""Ratio of half to quarter, over that of white noise, from which on a group is taken to move: it then says nothing."""
-
-LEAST_SPAN = 0.02
-"""Least span of gray levels of the groups as a fraction of full scale, 5 gray levels of 8 bits, to tell a slope."""
-
-SURE = 4.0
-"""Standard errors by which a slope must differ from 0."""
-
-WIPED = 0.25
-"""Part of the blocks of which the variance is below that of rounding, from which on compression has wiped noise out."""
 
 ROUNDING = 1 / 12
 """Variance in squared gray levels that rounding adds."""
@@ -142,7 +113,8 @@ def block_noise(one: Frame, other: Frame) -> Floats:
     """Mean, variance and extremes of the blocks of two frames."""
     rows, cols = (size // BLOCK_PX for size in one.pixels.shape)
     # of large frames whole rows of blocks are left out
-    some = np.arange(0, rows, -(-rows * cols // SAMPLED_BLOCKS))
+    # blocks of a pair that are looked at: those of a frame of 1024 x 512
+    some = np.arange(0, rows, -(-rows * cols // 8192))
     kept = (some[:, None] * BLOCK_PX + np.arange(BLOCK_PX)).ravel()
     rows = len(some)
     a, b = (frame.pixels[kept, : cols * BLOCK_PX].astype(np.float32) for frame in (one, other))
@@ -167,18 +139,25 @@ def photon_transfer(blocks: Floats, ceiling: int) -> NoiseFound:
     whole = blocks[(blocks[:, 2] > 0) & (blocks[:, 3] < ceiling)]
     if len(whole) < 2 * ENOUGH:
         return NoiseFound(None, None, None, None, None, "few")
-    if np.mean(whole[:, 1] < ROUNDING / 2) > WIPED:
+    # part of the blocks of which the variance is below that of rounding, from which on compression has wiped noise out
+    if np.mean(whole[:, 1] < ROUNDING / 2) > 0.25:
         return NoiseFound(None, None, None, *_middle(whole), "wiped")
-    points, errors = _groups(whole[whole[:, 1] <= PATCHY * whole[:, 4]], NARROW * ceiling)
+    # largest span of gray levels within a group, as a fraction of full scale: a quarter of its noise is not that of
+    # another level
+    # variance of a block over that of its finest detail from which on it is no noise: of white noise one in twenty has
+    # it
+    points, errors = _groups(whole[whole[:, 1] <= 2.0 * whole[:, 4]], 0.01 * ceiling)
     if len(points) < 1:
         return NoiseFound(None, None, None, None, None, "moving")
     level, deviation = float(np.median(points[:, 0])), float(np.median(points[:, 1])) ** 0.5
     kept = tuple((float(x), float(y)) for x, y in points)
     span = float(np.ptp(points[:, 0]))
-    if len(points) < 2 or span < LEAST_SPAN * ceiling:
+    # least span of gray levels of the groups as a fraction of full scale, 5 gray levels of 8 bits, to tell a slope
+    if len(points) < 2 or span < 0.02 * ceiling:
         return NoiseFound(None, None, None, level, deviation, "one level", kept)
     base, slope, slope_error = _line(points, errors)
-    if not (slope > SURE * slope_error and base > 0):
+    # standard errors by which a slope must differ from 0
+    if not (slope > 4.0 * slope_error and base > 0):
         return NoiseFound(None, None, None, level, deviation, "no slope", kept)
     dark_e = max(base - ROUNDING, 0.0) ** 0.5 / slope
     return NoiseFound(slope, slope_error, dark_e, level, deviation, "", kept, (base, slope))
@@ -195,12 +174,16 @@ def _groups(blocks: Floats, narrow: float) -> tuple[Floats, Floats]:
     points, errors = list[tuple[float, float]](), list[float]()
     level, first = order[:, 0], 0
     while first < len(order):
-        end = min(first + max(len(order) // BINS, ENOUGH), int(np.searchsorted(level, level[first] + narrow, "right")))
+        # groups of blocks by their gray level, of equally many blocks at most
+        end = min(first + max(len(order) // 16, ENOUGH), int(np.searchsorted(level, level[first] + narrow, "right")))
         group, first = order[first:end], end
         if len(group) < ENOUGH:
             continue
-        quarter, half = np.quantile(group[:, 1], [QUIET, 0.5])
-        if half / max(quarter, 1e-9) * QUARTER / HALF > UNEVEN:
+        # Part of a group's blocks that is taken to be quiet. The whole group is where nothing moves
+        quarter, half = np.quantile(group[:, 1], [0.25, 0.5])
+        # ratio of half to quarter, over that of white noise, from which on a group is taken to move: it then says
+        # nothing
+        if half / max(quarter, 1e-9) * QUARTER / HALF > 1.35:
             continue
         variance = quarter / QUARTER
         if variance < ROUNDING / 2:  # wiped out at this level: it would weigh as if it were known exactly

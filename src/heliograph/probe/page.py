@@ -30,18 +30,9 @@ WIDE = 11.0
 TALLEST, LOWEST = 7.5, 1.4
 """Most and least height of the frame's picture in inches."""
 
-SURROUNDINGS = 1.8
-"""Side of a cut-out over that of its region."""
-
-LEAST_CUT_PX = 24
-"""Least side of a cut-out in px."""
-
 ROOM = 0.85
 """Part of the frame from its left, or from its bottom, within which there is room for a label to the right, or
 above."""
-
-MOST_SHOWN_PX = 1600
-"""Most pixels of a row or a column of the frame that are drawn: of larger frames every second one, and so on."""
 
 
 def colour_of(seen: RegionSeen) -> str:
@@ -57,7 +48,8 @@ def frame_with_regions(stretch: Stretch, regions: Sequence[RegionSeen]) -> Figur
     """The middle frame of the stretch that was looked into, its regions marked and numbered."""
     frame = stretch.frames[len(stretch.frames) // 2]
     rows, cols = frame.pixels.shape
-    step = max(1, -(-max(rows, cols) // MOST_SHOWN_PX))
+    # most pixels of a row or a column of the frame that are drawn: of larger frames every second one, and so on
+    step = max(1, -(-max(rows, cols) // 1600))
     figure = Figure(figsize=(WIDE, float(np.clip(WIDE * rows / cols + 0.5, LOWEST, TALLEST))))
     axes = figure.add_subplot()
     left, top = frame.origin
@@ -163,7 +155,9 @@ def _surroundings(region: Region, number: float, frames: int, frame: Frame) -> W
     centre, wanted = region.centre_at(number, frames), (region.width, region.height)
     corner, size = [], []
     for at, length, first, most in zip(centre, wanted, frame.origin, frame.pixels.shape[::-1], strict=True):
-        size.append(int(min(max(round(SURROUNDINGS * length), LEAST_CUT_PX), most)))
+        # side of a cut-out over that of its region
+        # least side of a cut-out in px
+        size.append(int(min(max(round(1.8 * length), 24), most)))
         corner.append(int(np.clip(round(at - 0.5 * (size[-1] - 1)), first, first + most - size[-1])))
     return corner[0], corner[1], size[0], size[1]
 

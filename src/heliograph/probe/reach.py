@@ -48,10 +48,6 @@ NEAR_PITCH_PX = 3.0
 OFF_CENTRE = 0.29
 """Place in px of the array's centre off that of a pixel: neither on a pixel nor between two."""
 
-NOISE_IMAGES = 64
-"""Images of noise that tell how much of it sampling at LEDs leaves: of the mean over a layer's symbols 3 % off at
-most."""
-
 
 @dataclass(frozen=True, slots=True)
 class Reach:
@@ -166,7 +162,9 @@ def _plain(pose: Pose, gain: float, noise: Noise, signal: SignalSettings) -> dic
     own = np.diag(seen_of)
     others = (seen_of**2).sum(1) - own**2
     # LEDs that are near each other share pixels, and so their noise
-    white = np.random.default_rng(0).standard_normal((NOISE_IMAGES, *seen.shape))
+    # images of noise that tell how much of it sampling at LEDs leaves: of the mean over a layer's symbols 3 % off at
+    # most
+    white = np.random.default_rng(0).standard_normal((64, *seen.shape))
     sampled = np.array([at_leds(one, seen.corner, pose, side).ravel() for one in white])
     rest = noise.lit / gain**2 * ((sampled @ back.T) ** 2).mean(0)
     snr = np.maximum(own, 0.0) ** 2 / np.maximum(others + rest, TINY)

@@ -16,15 +16,9 @@ from heliograph.receive.detect.alternation import ALTERNATION
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.window import Window, covered, cut_out
 
-MOST_SPOTS = 4096
-"""Most spots that are put together: their distances are all compared."""
-
 DOTS = 9
 """Least number of blinking spots that are taken for one array: LEDs that lie so far apart that nothing blinks
 between."""
-
-DOTS_APART = 4.0
-"""Largest gap between two such spots, in their sides. An LED takes a quarter of its pitch in the reference link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +39,8 @@ def groups_of(busy: NDArray[np.bool_]) -> list[Group]:
         return []
     boxes = stats[1:, :4].astype(float)
     sizes = np.sqrt(stats[1:, cv2.CC_STAT_AREA])
-    chained = _chained(boxes, sizes) if DOTS <= count - 1 <= MOST_SPOTS else np.arange(count - 1)
+    # most spots that are put together: their distances are all compared
+    chained = _chained(boxes, sizes) if DOTS <= count - 1 <= 4096 else np.arange(count - 1)
     out = list[Group]()
     for one in np.unique(chained):
         spots = np.flatnonzero(chained == one)
@@ -61,18 +56,10 @@ def _chained(boxes: Floats, sizes: Floats) -> NDArray[np.intp]:
     first, end = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
     gaps = np.maximum(np.maximum(first[:, None] - end[None], first[None] - end[:, None]), 0.0).max(-1)
     alike = np.maximum(sizes[:, None], sizes) <= 2 * np.minimum(sizes[:, None], sizes)
-    near = (gaps <= DOTS_APART * np.minimum(sizes[:, None], sizes)) & alike
+    # Largest gap between two such spots, in their sides. An LED takes a quarter of its pitch in the reference link
+    near = (gaps <= 4.0 * np.minimum(sizes[:, None], sizes)) & alike
     return np.asarray(connected_components(near, directed=False)[1], np.intp)
 
-
-MOST_REGIONS = 6
-"""Most regions that are looked into, those that blink most: each takes up to a second."""
-
-SMALLEST_PX = 1.5
-"""Side in px up to which a region is a pixel that blinks: a hot one, or what compression leaves."""
-
-MOST_TIMES = 256
-"""Most times at which a region's pixels are looked at."""
 
 MOST_SIDE_PX = 256
 """Most rows and columns of a region that are looked at: of larger ones every second pixel, or every third, and so
@@ -90,12 +77,6 @@ it, but no more of the largest than the last."""
 
 ROOM = 1.15
 """Window in which a region is measured, over what its blocks take: its blurred rim must not reach the window's."""
-
-BRIGHTEST = 0.98
-"""Part of the times that have less contrast than is told: headers, which show all of it, take 4 % of the time."""
-
-LIVELY = 0.15
-"""Part of a stretch's strongest part from which on a part tells where a region is."""
 
 BORDER_PX = 2.0
 """Pixels from the frame's border within which a region is taken to be cut by it."""
@@ -204,9 +185,11 @@ def regions_of(stretch: Stretch, ceiling: int) -> tuple[list[Region], int]:
     strength = np.maximum(stretch.alternation.mean(0) - ALTERNATION_NOISE * stretch.noise, 0.0)
     groups.sort(key=lambda group: -float(strength[group.blocks].sum()))
     found = list[Region]()
-    for group in groups[:MOST_REGIONS]:
+    # most regions that are looked into, those that blink most: each takes up to a second
+    for group in groups[:6]:
         one = _region(stretch, group, ceiling)
-        if one is not None and one.side > SMALLEST_PX and not any(_within(one, other) for other in found):
+        # side in px up to which a region is a pixel that blinks: a hot one, or what compression leaves
+        if one is not None and one.side > 1.5 and not any(_within(one, other) for other in found):
             found.append(one)
     return found, len(groups)
 
@@ -250,7 +233,8 @@ def _motion(
     times: Floats, places: Floats, power: Floats, middle: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Place (x, y) at a time and motion in px a frame of a line through places (parts, 2), by their power (parts,)."""
-    lively = power > LIVELY * power.max()
+    # part of a stretch's strongest part from which on a part tells where a region is
+    lively = power > 0.15 * power.max()
     t, p = times[lively] - middle, places[lively]
     if len(t) < 2:
         x, y = p[0]
@@ -284,13 +268,14 @@ def _measured(begun: Region, frames: Sequence[Frame], noise: float, ceiling: int
     x, y = (begun.x, begun.y) if step > 1 else (begun.x + dx - 0.5 * (width - 1), begun.y + dy - 0.5 * (height - 1))
     if step == 1 and begun.speed_px * count < 1:
         x, y = window[0] + dx, window[1] + dy
+    # part of the times that have less contrast than is told: headers, which show all of it, take 4 % of the time
     measured = replace(
         begun,
         x=x,
         y=y,
         width=size[0] * step,
         height=size[1] * step,
-        contrast=float(np.quantile(shown, BRIGHTEST)) / full,
+        contrast=float(np.quantile(shown, 0.98)) / full,
         power=float(np.sqrt(power[smooth > CORE**2 * smooth.max()].mean())) / full,
         evenness=float(np.median(even[shown >= np.median(shown)])),
     )
@@ -328,7 +313,8 @@ def _placed(region: Region, frames: Sequence[Frame], ceiling: int) -> Region:
 
 def _spread(count: int, pixels: int) -> list[int]:
     """Times that are looked at: all, or evenly spread ones where there are many or they have many pixels."""
-    most = max(min(MOST_TIMES, MOST_PIXELS // max(pixels, 1)), 16)
+    # most times at which a region's pixels are looked at
+    most = max(min(256, MOST_PIXELS // max(pixels, 1)), 16)
     return [*map(int, np.unique(np.linspace(0, max(count, 1) - 1, min(most, max(count, 1))).round()))]
 
 

@@ -13,7 +13,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import PRESETS
 from heliograph.probe.activity import LEAST_FRAMES, Stretch, stretch_of
 from heliograph.probe.arrays import Asked
-from heliograph.probe.causes import Cause, Kind, RegionSeen
+from heliograph.probe.causes import Cause, RegionSeen
 from heliograph.probe.headers import HeaderSeen
 from heliograph.probe.levels import Levels
 from heliograph.probe.light import light_rate
@@ -32,9 +32,6 @@ AREA_PX = 672
 
 CELL_FRAMES = 24
 """Frames that are compared, of a few seconds. Chosen: each shows other edges."""
-
-WIDTH = 0.18
-"""Standard deviation of a line in cells, which the lens' blur makes. Chosen: of 0.1 to 0.3 all tell the same."""
 
 LEAST_LIKE, LEAST_LIKE_8 = 0.3, 0.45
 """Least correlation with evenly spaced lines. At 30 frames a second, 120 px for 16 cells and more, the right number had
@@ -72,7 +69,8 @@ def _like(lines: Floats, side: int) -> float:
     """Correlation of steps with lines between so many cells, those within the outer two cells left out."""
     cell = AREA_PX / side
     places = np.arange(1, AREA_PX) / cell
-    drawn = np.exp(-0.5 * ((places - np.round(places)) / WIDTH) ** 2)
+    # Standard deviation of a line in cells, which the lens' blur makes. Chosen: of 0.1 to 0.3 all tell the same
+    drawn = np.exp(-0.5 * ((places - np.round(places)) / 0.18) ** 2)
     inner = slice(AREA_PX // 16, -AREA_PX // 16)
     a, b = lines[inner] - lines[inner].mean(), drawn[inner] - drawn[inner].mean()
     return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), TINY))
@@ -150,16 +148,14 @@ USUAL_HZ = [display / max(1, round(display / rate)) for display in DISPLAYS_HZ f
 NEAR = 0.01
 """Departure from a usual rate, as a fraction, that is taken for the measurement's. Chosen: three times that of 7 s."""
 
-THINNED = (1, 4)
-"""Every so many frames are looked at: a pattern of 1 s lasts 30 frames, more than `light_rate` tries."""
-
 CEILING = 255
 """Full scale of 8 bits."""
 
 
 def patterns_per_s(frames: Sequence[Frame]) -> float | None:
     """Return how many patterns a second some frames show; None where nothing blinks as patterns do."""
-    told = [one for step in THINNED for one in _told(frames[::step])]
+    # every so many frames are looked at: a pattern of 1 s lasts 30 frames, more than `light_rate` tries
+    told = [one for step in (1, 4) for one in _told(frames[::step])]
     return usual(max(told)[1]) if told else None
 
 
@@ -185,13 +181,6 @@ def usual(rate_hz: float) -> float:
     return rate_hz
 
 
-LOOKED_AT = 32
-"""Frames whose changes show where the array is. Chosen: a second of a phone's."""
-
-RIM_CELLS = 1.0
-"""Cells between the array and the picture's border below which the array is not found: the receiver asks that nothing
-changes beside it. Of 16 x 16 cells that were cut 0.6 cells beside the array nothing was read."""
-
 SLANTED = 1.6
 """Ratio of the sides, or of the diagonals, from which on the array is seen from a side. Chosen: at 45 degrees it is
 1.5, and all is read still; a phone can nearly always do better."""
@@ -199,30 +188,15 @@ SLANTED = 1.6
 CELL_PX = 5.0
 """Px a cell below which more would help: see `docs/how-to/film-a-screen.md`. In good light 2.3 px were read."""
 
-BLURRED = 0.7
-"""Blur of the header's fit over the pitch from which on focus would help: in focus it is 0.4, as cells are square; at
-0.66 all is read, at 0.8 half of the codewords, at 1 hardly any."""
-
 WEAK = 0.2
 """Light of the array over full scale below which it is glare, or a dim screen. Chosen: of one in a lit room it is
 0.5."""
-
-MILKY = 0.5
-"""Mean gray level of a weak array over full scale from which on something shines on it; below it is dark. Chosen."""
-
-BURNT = 0.25
-"""Overexposed part of the array above which levels are lost: with the two upper ones of five (PWM, eq. (1)) it
-is 5 of 16 cells of random data. All was read at 0.34 in good light, an eighth at 0.8."""
 
 FEWEST_FRAMES = 1.7
 """Frames to a pattern below which the rate is too high: rows see two patterns in nearly all frames."""
 
 SAME_RATE = 0.02
 """Departure from a rate that the receiver tries, as a fraction, up to which it is that one: the receiver's own."""
-
-PART = 0.6
-"""Size of the area that changes over the region's below which it is a part of it. Chosen: of arrays that nearly fill
-the picture a few cells may stand out of the rest."""
 
 CLEAR, MOST_LIGHT = 0.9, 1.2
 """Correlation with a header, and light over full scale, of a fit that is believed: in strong noise, and of an array
@@ -237,12 +211,6 @@ BRIGHT, DARK = 0.8, 0.15
 
 PHONES_HZ = 20.0, 250.0
 """Frames a second of phones' films."""
-
-SCREEN_CELL_PX = 3.0
-"""Least px a cell of a screen that is recognised without being asked for: LEDs of arrays lie 1 to 3 px apart."""
-
-FILM_KINDS: tuple[Kind, ...] = ("lost frames", "repeated frames", "still", "other bits", "short")
-"""What is told of a screen's film as of any other; the rest is told by the array itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,7 +266,9 @@ class _Shown:
     @property
     def is_burnt(self) -> bool:
         """True if it is overexposed."""
-        return self.seen.region.saturated > BURNT
+        # Overexposed part of the array above which levels are lost: with the two upper ones of five (PWM, eq. (1)) it
+        # is 5 of 16 cells of random data. All was read at 0.34 in good light, an eighth at 0.8
+        return self.seen.region.saturated > 0.25
 
     @property
     def moves(self) -> bool:
@@ -314,7 +284,9 @@ class _Shown:
     @property
     def is_cut(self) -> bool:
         """Whether it reaches the picture's border, or nearly."""
-        rim = RIM_CELLS * self.area_px / self.asked.signal.side
+        # Cells between the array and the picture's border below which the array is not found: the receiver asks that
+        # nothing changes beside it. Of 16 x 16 cells that were cut 0.6 cells beside the array nothing was read
+        rim = self.area_px / self.asked.signal.side
         inside = (self.corners > rim) & (self.corners < np.array(self.size) - 1 - rim)
         return self.seen.region.at_border or not bool(inside.all())
 
@@ -357,7 +329,9 @@ class ScreenLook:
         assert self.stretch is not None
         assert self.corners is not None
         frames, corners, region = self.stretch.frames, self.corners, seen.region
-        if _side_px(corners) < PART * region.side:
+        # Size of the area that changes over the region's below which it is a part of it. Chosen: of arrays that nearly
+        # fill the picture a few cells may stand out of the rest
+        if _side_px(corners) < 0.6 * region.side:
             corners = region.corners
         rate = patterns_per_s(frames) if frames[0].bits == 8 else None
         rows, columns = frames[0].pixels.shape
@@ -375,7 +349,8 @@ def screen_cause(frames: Sequence[Frame], rate_hz: float) -> Cause | None:
     if not PHONES_HZ[0] <= rate_hz <= PHONES_HZ[1] or frames[0].bits != 8 or (area := area_of(frames)) is None:
         return None
     cells = cells_of_a_side(frames)
-    if cells is None or _side_px(area) < SCREEN_CELL_PX * cells:
+    # least px a cell of a screen that is recognised without being asked for: LEDs of arrays lie 1 to 3 px apart
+    if cells is None or _side_px(area) < 3.0 * cells:
         return None
     patterns_hz = patterns_per_s(frames)
     if patterns_hz is None or rate_hz < FEWEST_FRAMES * patterns_hz:
@@ -393,7 +368,10 @@ def screen_cause(frames: Sequence[Frame], rate_hz: float) -> Cause | None:
 
 def films_causes(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Of what is the matter with a film that which is told of a screen's, too."""
-    return tuple(one for one in causes if one.kind in FILM_KINDS)
+    # what is told of a screen's film as of any other; the rest is told by the array itself
+    return tuple(
+        one for one in causes if one.kind in ("lost frames", "repeated frames", "still", "other bits", "short")
+    )
 
 
 def _side_px(corners: Floats) -> float:
@@ -402,7 +380,8 @@ def _side_px(corners: Floats) -> float:
 
 def area_of(frames: Sequence[Frame]) -> Floats | None:
     """Return where most changes as patterns do: (4, 2) corners in px, clockwise; None where nothing does."""
-    some = frames[:: max(1, len(frames) // LOOKED_AT)]
+    # Frames whose changes show where the array is. Chosen: a second of a phone's
+    some = frames[:: max(1, len(frames) // 32)]
     if len(some) < 2:
         return None
     changes = mean_change([np.asarray(one.pixels / one.full_scale, np.float32) for one in some])
@@ -453,7 +432,8 @@ def _light(shown: _Shown) -> Iterator[Cause]:
         yield Cause("exposure", f"{part:.0f} % of the patterns are white blots, whose levels are lost", (
             "lower the brightness of the screen, or the exposure by touching the patterns in the phone's picture",
         ))  # fmt: skip
-    elif shown.light < WEAK and level > MILKY:
+    # Mean gray level of a weak array over full scale from which on something shines on it; below it is dark. Chosen
+    elif shown.light < WEAK and level > 0.5:
         yield Cause("glare", f"the patterns' light is {100 * shown.light:.0f} % of full scale, on a bright ground", (
             "turn off lamps behind you, turn the screen from windows, and make it brighter",))  # fmt: skip
     elif shown.light < WEAK:
@@ -475,7 +455,9 @@ def _sharpness(shown: _Shown) -> Iterator[Cause]:
 
 
 def _is_blurred(header: HeaderSeen) -> bool:
-    return header.fit.pose.blur > BLURRED * header.fit.pose.pitch
+    # blur of the header's fit over the pitch from which on focus would help: in focus it is 0.4, as cells are square;
+    # at 0.66 all is read, at 0.8 half of the codewords, at 1 hardly any
+    return header.fit.pose.blur > 0.7 * header.fit.pose.pitch
 
 
 def _number(shown: _Shown) -> Iterator[Cause]:

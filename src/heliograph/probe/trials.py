@@ -25,36 +25,11 @@ from heliograph.signal.settings import SignalSettings
 SIDES = (8, 16, 32, 12, 24, 4, 20, 48, 64)
 """LEDs in a row that are tried where a header is found but no codeword is right, the usual ones first."""
 
-LEAST_PITCH_PX = 0.3
-"""Least pitch in px of a side that is tried: LEDs nearer to each other are not read, however many there are."""
-
-LEAST_SCORE = 0.7
-"""Least correlation with a header that is worth a trial."""
-
 SURE_HEADER = 0.85
 """Correlation with a header from which on a region has one: clutter seldom exceeds 0.8."""
 
 BLURRED, BLURRED_PX = 1.2, 1.2
 """Blur over the pitch, and in px, from which on a lens is out of focus: of the reference lens it is 0.5 px."""
-
-FAR_BLUR = 2.5
-"""Blur of a header over the first guess of the settings from which on that is to be set: a fit finds twice of it."""
-
-NEAR_BLUR = 0.5
-"""Blur over the pitch up to which it hides nothing of a header, whose cells are four LEDs wide or more."""
-
-MOST_HEADER_PAIRS = 16
-"""Most pairs of a header that the signal's settings allow."""
-
-RESOLVED_PX = 1.0
-"""Least pitch in px of an array that is tried without a model of what it holds."""
-
-WORTH = 0.8
-"""Least information of the high layer over its rate, as the model of `reach` has it, for a receiver to be tried: 1.3
-are needed, and the model errs a little on the careful side."""
-
-AROUND = 8
-"""Patterns before and after a packet that are tried with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +50,8 @@ def what_reads(
     frames: Sequence[Frame], asked: Asked, rate: LightRate | None, header: HeaderSeen, noise: Noise, whole: bool
 ) -> Found | None:
     """Look for settings with which a region is read."""
-    if header.score < LEAST_SCORE or asked.signal.header != "m_sequence":
+    # least correlation with a header that is worth a trial
+    if header.score < 0.7 or asked.signal.header != "m_sequence":
         return None
     other = rate is not None and abs(rate.frames / asked.frames_a_pattern - 1) > STEP_TOLERANCE
     seen = retimed(frames, rate, asked.signal) if other and rate is not None else frames
@@ -84,7 +60,8 @@ def what_reads(
     some = one_packet(seen, header, frames_a_pattern, asked.changed({"signal": form}).signal)
     size, full = header.fit.pose.pitch * asked.signal.side, frames[0].full_scale
     pose, sure = header.fit.pose, header.score >= SURE_HEADER
-    sides = [one for one in SIDES if one != asked.signal.side and size / one > LEAST_PITCH_PX]
+    # least pitch in px of a side that is tried: LEDs nearer to each other are not read, however many there are
+    sides = [one for one in SIDES if one != asked.signal.side and size / one > 0.3]
     sides = sides if whole and sure and not is_blurred(pose) else []
     # a frame of each pattern may miss a pair of a header: packets as long as the settings' are first taken for those
     as_long = bool(form) and round(header.period / frames_a_pattern) == asked.signal.packet_patterns
@@ -135,18 +112,22 @@ def _hopeless(header: HeaderSeen, receiver: str, noise: Noise, signal: SignalSet
     pose = replace(pose, pitch=pose.pitch * header.side / signal.side)
     if signal.side > MOST_SIDE or signal.modulation != "haar":
         # the soft receiver's matrices take minutes
-        return pose.pitch < RESOLVED_PX or (receiver == "soft" and signal.side > MOST_SIDE)
+        # least pitch in px of an array that is tried without a model of what it holds
+        return pose.pitch < 1.0 or (receiver == "soft" and signal.side > MOST_SIDE)
     while pose.pitch > NEAR_PITCH_PX:
         pose = replace(pose, pitch=pose.pitch / 2, blur=pose.blur / 2)
     held = layer_information(receiver, pose, header.fit.gain, noise, signal)
-    return held["high"] < WORTH * signal.rate.high
+    # least information of the high layer over its rate, as the model of `reach` has it, for a receiver to be tried: 1.3
+    # are needed, and the model errs a little on the careful side
+    return held["high"] < 0.8 * signal.rate.high
 
 
 def other_packets(header: HeaderSeen, signal: SignalSettings, frames_a_pattern: float) -> dict[str, int]:
     """Pairs of header and data that headers show, where they are others than the settings'; else nothing."""
     patterns = round(header.period / frames_a_pattern)
     right = header.pairs == signal.header_pairs and patterns in (0, signal.packet_patterns)
-    if right or not 1 <= header.pairs <= MOST_HEADER_PAIRS or patterns % 2 or patterns <= 2 * header.pairs:
+    # most pairs of a header that the signal's settings allow
+    if right or not 1 <= header.pairs <= 16 or patterns % 2 or patterns <= 2 * header.pairs:
         return {}
     return {"header_pairs": header.pairs, "data_pairs": patterns // 2 - header.pairs}
 
@@ -155,7 +136,8 @@ def one_packet(
     frames: Sequence[Frame], header: HeaderSeen, frames_a_pattern: float, signal: SignalSettings
 ) -> Sequence[Frame]:
     """Frames of the first packet that is whole, and some about it; all where no header's start is seen."""
-    around = round(AROUND * frames_a_pattern)
+    # patterns before and after a packet that are tried with it
+    around = round(8 * frames_a_pattern)
     length = round(signal.packet_patterns * frames_a_pattern) + around
     for start in header.starts:
         first = round(start * frames_a_pattern)
@@ -180,7 +162,9 @@ def needed(
     if detect:
         out["detect"] = detect
     pose = header.fit.pose
-    if pose.blur > max(FAR_BLUR * asked.calibration.blur_px, NEAR_BLUR * pose.pitch):
+    # blur of a header over the first guess of the settings from which on that is to be set: a fit finds twice of it
+    # blur over the pitch up to which it hides nothing of a header, whose cells are four LEDs wide or more
+    if pose.blur > max(2.5 * asked.calibration.blur_px, 0.5 * pose.pitch):
         out["calibration"] = {"blur_px": min(round(header.fit.pose.blur, 1), 5.0)}
     return out
 
@@ -216,12 +200,6 @@ def _flat(name: str, tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield f"{name}.{key}", value
 
 
-EDGE = 0.5
-"""Change from frame to frame at an array's edge over that within it: blur halves it there."""
-
-MOST_TIMES = 64
-"""Most pairs of frames of which the change is taken: LEDs then change by a tenth more or less than their mean."""
-
 CLOSED = 5
 """Pixels across gaps that are closed between LEDs. An array of larger gaps is not found turned."""
 
@@ -234,13 +212,15 @@ Corners = tuple[float, ...]
 
 def outline(frames: Sequence[Frame], centre: tuple[float, float]) -> tuple[Corners, float, float] | None:
     """Find the rectangle that holds what changes about a place."""
-    step = max(1, (len(frames) - 1) // MOST_TIMES)
+    # most pairs of frames of which the change is taken: LEDs then change by a tenth more or less than their mean
+    step = max(1, (len(frames) - 1) // 64)
     pairs = [(frames[k].pixels, frames[k + 1].pixels) for k in range(0, len(frames) - 1, step)]
     power = np.mean([(b.astype(np.float32) - a) ** 2 for a, b in pairs], axis=0)
     change = cv2.blur(np.sqrt(power).astype(np.float32), (3, 3))
     bright = float(np.quantile(change, 0.98))
     dark = float(np.median([change[0].mean(), change[-1].mean(), change[:, 0].mean(), change[:, -1].mean()]))
-    lit = (change > dark + EDGE * (bright - dark)).astype(np.uint8)
+    # change from frame to frame at an array's edge over that within it: blur halves it there
+    lit = (change > dark + 0.5 * (bright - dark)).astype(np.uint8)
     lit = cv2.morphologyEx(lit, cv2.MORPH_CLOSE, np.ones((CLOSED, CLOSED), np.uint8))
     shapes, _ = cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not shapes:

@@ -13,9 +13,6 @@ from heliograph.probe.noise import NoiseFound
 from heliograph.probe.reach import Reach
 from heliograph.probe.trials import options
 
-MOST_SHORT = 3
-"""Most regions that `in_short` tells of."""
-
 UNTOLD = {
     "one level": "all that stands still has about one gray level",
     "moving": "nothing stands still",
@@ -59,7 +56,8 @@ def in_short(found: Findings) -> Iterator[str]:
     """Why no array was found, in few lines."""
     for cause in found.causes:
         yield f"film: {cause_words(cause)}"
-    for number, seen in enumerate(found.regions[:MOST_SHORT], 1):
+    # most regions that `in_short` tells of
+    for number, seen in enumerate(found.regions[:3], 1):
         yield f"region {number}: {place(seen)}: {cause_words(seen.causes[0])}" if seen.causes else place(seen)
     yield from (f"  - {line}" for line in found.advice)
 

@@ -15,15 +15,6 @@ SPATEM, MAPEM = 4, 5
 
 NAMES = {SPATEM: "SPATEM", MAPEM: "MAPEM"}
 
-VERSION = 1
-"""Version of the header that is written."""
-
-VERSIONS = (1, 2)
-"""Versions that are read: the messages of both are alike."""
-
-HEADER_BYTES = 6
-"""Bytes of the header: version, message, station."""
-
 MOST_BYTES = 8192
 """Most bytes of a message that is read. Chosen: a MAPEM of 100 lanes has about 3000."""
 
@@ -37,7 +28,9 @@ class UnreadableError(ValueError):
 
 def kind_of(data: bytes) -> str | None:
     """Return "SPATEM" or "MAPEM" by a message's header; None of another one."""
-    if len(data) <= HEADER_BYTES or data[0] not in VERSIONS:
+    # versions that are read: the messages of both are alike
+    # bytes of the header: version, message, station
+    if len(data) <= 6 or data[0] not in (1, 2):
         return None
     return NAMES.get(data[1])
 
@@ -53,7 +46,8 @@ def is_there() -> bool:
 
 def packed(message: int, station: int, content: Mapping[str, Any]) -> bytes:
     """Return a message as UPER."""
-    header = {"protocolVersion": VERSION, "messageID": message, "stationID": station}
+    # version of the header that is written
+    header = {"protocolVersion": 1, "messageID": message, "stationID": station}
     with _LOCK:
         kind = _type(message)
         kind.set_val({"header": header, "spat" if message == SPATEM else "map": dict(content)})
@@ -103,12 +97,6 @@ STATES: dict[Phase, str] = {
 }
 """What a light shows, by the name that the standard has for it."""
 
-EVENTS = 2
-"""Phases that a SPATEM tells of each group: that of now and the next."""
-
-NODES = (("node-XY1", 9), ("node-XY2", 10), ("node-XY3", 11), ("node-XY4", 12), ("node-XY5", 13), ("node-XY6", 15))
-"""Kinds of a step from point to point, and the bits of its size in cm."""
-
 
 def spatem(junction: Junction, time_s: float) -> bytes:
     """Return what the lights show, with the time of the message, as UPER."""
@@ -148,7 +136,8 @@ def updates(junction: Junction, duration_s: float) -> tuple[tuple[float, bytes],
 
 def _movement(junction: Junction, group: GroupSettings, time_s: float) -> dict[str, Any]:
     events: list[dict[str, Any]] = []
-    for phase, end_s in group.following(time_s, EVENTS):
+    # phases that a SPATEM tells of each group: that of now and the next
+    for phase, end_s in group.following(time_s, 2):
         timing: dict[str, int] = {"minEndTime": _mark(junction, end_s), "maxEndTime": _mark(junction, end_s)}
         if events:
             timing["startTime"] = events[-1]["timing"]["minEndTime"]
@@ -184,7 +173,22 @@ def _nodes(lane: LaneSettings) -> Sequence[dict[str, Any]]:
     for point in lane.points_m:
         place = (round(point[0] * 100), round(point[1] * 100))
         step = (place[0] - at[0], place[1] - at[1])
-        kind = next((name for name, bits in NODES if all(-(1 << bits) <= s < 1 << bits for s in step)), None)
+        # kinds of a step from point to point, and the bits of its size in cm
+        kind = next(
+            (
+                name
+                for name, bits in (
+                    ("node-XY1", 9),
+                    ("node-XY2", 10),
+                    ("node-XY3", 11),
+                    ("node-XY4", 12),
+                    ("node-XY5", 13),
+                    ("node-XY6", 15),
+                )
+                if all(-(1 << bits) <= s < 1 << bits for s in step)
+            ),
+            None,
+        )
         if kind is None:
             raise SettingsError(f"lane {lane.lane}: points lie at most 327 m apart; add points between")
         nodes.append({"delta": (kind, {"x": step[0], "y": step[1]})})
@@ -210,11 +214,6 @@ PHASES = {
 """What a light shows by the standard's name."""
 
 HOUR_S = 3600.0
-UNKNOWN_MARK = 36001
-"""Times in a message count tenths of a second in the hour; this one stands for none."""
-
-NO_PLACE = (900000001, 1800000001)
-"""Latitude and longitude that stand for none."""
 
 
 def road_values(data: bytes) -> Values | None:
@@ -282,12 +281,14 @@ def _group(movement: Mapping[str, Any], stamp_s: float | None) -> dict[str, Any]
 
 def _end(timing: Mapping[str, Any]) -> float | None:
     mark = timing.get("minEndTime")
-    return None if mark is None or mark >= UNKNOWN_MARK else mark / 10
+    # times in a message count tenths of a second in the hour; this one stands for none
+    return None if mark is None or mark >= 36001 else mark / 10
 
 
 def _map(geometry: Mapping[str, Any]) -> dict[str, Any]:
     place, width = geometry["refPoint"], geometry.get("laneWidth")
-    known = (place["lat"], place["long"]) != NO_PLACE
+    # latitude and longitude that stand for none
+    known = (place["lat"], place["long"]) != (900000001, 1800000001)
     return {
         "id": geometry["id"]["id"],
         "name": geometry.get("name"),

@@ -4,9 +4,6 @@ from typing import Any
 
 from heliograph.road.codec import HOUR_S, Values, left_s
 
-STALE_S = 10.0
-"""Seconds without a message after which a light is not counted down any more. Chosen."""
-
 
 class Countdown:
     """Lights of the junctions that an array tells of.
@@ -36,7 +33,8 @@ class Countdown:
         """Return what the lights show at a time: junctions with `id` and `groups` of `group`, `phase` and `left_s`."""
         out = []
         for number, (seen_s, junction) in self._lights.items():
-            if time_s - seen_s <= STALE_S:
+            # Seconds without a message after which a light is not counted down any more. Chosen
+            if time_s - seen_s <= 10.0:
                 now_s = (time_s - self._ahead_s[number]) % HOUR_S
                 out.append({"id": number, "groups": [_now(group, now_s) for group in junction["groups"]]})
         return out

@@ -19,9 +19,6 @@ from heliograph.base.workers import limit_threads, worker_environment, worker_pr
 Work = TypeVar("Work")
 Result = TypeVar("Result")
 
-CONNECT_S = 10.0
-"""How long to wait for a scheduler."""
-
 
 class Workers(Protocol):
     """Computes jobs."""
@@ -40,13 +37,10 @@ class Workers(Protocol):
         """Stop at once; what is not finished is lost."""
 
 
-MOST_PER_CORE = 2
-"""Most worker processes for each core: more begin late, as they share the cores, and compute no faster."""
-
-
 def enough_workers(count: int) -> int:
     """Worker processes to start where some are asked for: no more than the cores can feed."""
-    return min(count, MOST_PER_CORE * cores())
+    # most worker processes for each core: more begin late, as they share the cores, and compute no faster
+    return min(count, 2 * cores())
 
 
 def fewer_workers(count: int | None) -> str:
@@ -166,7 +160,8 @@ class Cluster:
         if not re.fullmatch(r"\w+://.+:\d+", address):
             raise HeliographError(f"'{address}' is no address of a scheduler; write one such as tcp://127.0.0.1:8786")
         try:
-            self._client = Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]  # dask has no types
+            # how long to wait for a scheduler
+            self._client = Client(address, timeout=10.0, set_as_default=False)  # type: ignore[no-untyped-call]  # dask has no types
         except (OSError, ValueError, TypeError) as error:  # a timeout is an OSError
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise HeliographError(

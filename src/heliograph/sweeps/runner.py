@@ -13,9 +13,6 @@ from heliograph.sweeps.points import build, run_job
 from heliograph.sweeps.store import Store
 from heliograph.sweeps.tally import PointTally
 
-LOSSES = 4
-"""Times in a row that workers may be lost without a block done in between."""
-
 PointProgress = Callable[[Sequence[PointTally]], None]
 
 
@@ -39,7 +36,8 @@ def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress:
         ended, _ = wait(flying, return_when=FIRST_COMPLETED)
         lost = [_take(future, *flying.pop(future), store) for future in ended]
         losses = losses + 1 if all(lost) else 0
-        if losses >= LOSSES:
+        # times in a row that workers may be lost without a block done in between
+        if losses >= 4:
             raise HeliographError(
                 f"worker processes died {losses} times in a row; is memory short? Take fewer workers, and in a script "
                 "call sweep() under 'if __name__ == \"__main__\":'"
@@ -118,9 +116,6 @@ def _recall(tally: PointTally, store: Store) -> bool:
 SCALE = 1000
 """Parts of a point in the progress bar."""
 
-SPEED_PERIOD_S = 3600.0
-"""Time in s over which the speed is averaged that the time left is estimated from."""
-
 
 def on_a_terminal() -> bool:
     """Whether somebody sees what is written to standard error."""
@@ -139,7 +134,8 @@ def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     # a block may take longer than Rich's half a minute, without which it has no speed
     screen = Console(stderr=True, force_terminal=True)
-    period = SPEED_PERIOD_S
+    # time in s over which the speed is averaged that the time left is estimated from
+    period = 3600.0
     with Progress(*columns, console=screen, transient=True, speed_estimate_period=period) as progress:
         task = progress.add_task("sweeping", total=SCALE * points)
 

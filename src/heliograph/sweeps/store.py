@@ -21,9 +21,6 @@ NAME = "results.sqlite"
 FORMAT = 1
 """Number of the tables' form, in the file's user_version."""
 
-PATIENCE_S = 60.0
-"""How long to wait for another sweep's transaction."""
-
 _TABLES = """
 CREATE TABLE IF NOT EXISTS points (
     key TEXT PRIMARY KEY, version TEXT NOT NULL, seed INTEGER NOT NULL,
@@ -47,7 +44,8 @@ class Store:
         with self._clear():
             if folder:
                 folder.mkdir(parents=True, exist_ok=True)
-            self._db = sqlite3.connect(self.path or ":memory:", timeout=PATIENCE_S, isolation_level=None)
+            # how long to wait for another sweep's transaction
+            self._db = sqlite3.connect(self.path or ":memory:", timeout=60.0, isolation_level=None)
             try:
                 self._open()
             except BaseException:  # Ctrl-C too must not leave the file open

@@ -14,9 +14,6 @@ from heliograph.sweeps.points import Point
 
 _NUMBER = (int, float, np.integer, np.floating)
 
-EMPTY_BLOCKS = 3
-"""Blocks without any codeword after which a point is given up: its films hold no whole packet."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class StopRule:
@@ -77,7 +74,8 @@ class PointTally:
             return "errors"
         if all(self._layer_fraction(layer) >= 1 for layer in layers) or self.blocks >= rule.max_codewords:
             return "codewords"
-        if self.blocks >= EMPTY_BLOCKS and not self.total.codewords:
+        # blocks without any codeword after which a point is given up: its films hold no whole packet
+        if self.blocks >= 3 and not self.total.codewords:
             return "empty"
         return "seconds" if rule.max_seconds is not None and self.seconds >= rule.max_seconds else None
 

@@ -21,10 +21,6 @@ LEAST_SIDE, MOST_SIDE = 32, 2048
 MOST_WAITING = 96
 """Frames that wait at most; a page that follows the rules has fewer on their way. Chosen: three seconds."""
 
-LAST_S = 8.0
-"""Time in s for the frames that wait when a camera is stopped; what is left then is let go. Where an array is followed
-three seconds of frames take one, while one that is looked for in vain takes a tenth of a second a frame and more."""
-
 
 class MessageError(HeliographError):
     """A message that no page of ours sends."""
@@ -68,7 +64,10 @@ class CameraFrames:
             self._waiting.append(frame)
             self._changed.notify()
 
-    def end(self, seconds: float = LAST_S) -> None:
+    # Time in s for the frames that wait when a camera is stopped; what is left then is let go. Where an array is
+    # followed three seconds of frames take one, while one that is looked for in vain takes a tenth of a second a frame
+    # and more
+    def end(self, seconds: float = 8.0) -> None:
         """Say that no more come; those that wait are still taken, as long as there is time."""
         with self._changed:
             until_s = time.monotonic() + seconds

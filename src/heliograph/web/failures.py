@@ -72,12 +72,6 @@ async def bundle(name: str, kept: Annotated[Bundles, Depends(bundles_of)]) -> Fi
     return FileResponse(path, media_type="application/x-hdf5", filename="failed.h5")
 
 
-MOST_HELD = 256 << 20
-"""Most bytes of frames that are held in memory. Chosen: 0.5 s of 1024 x 512 pixels at 1000 frames/s."""
-
-MOST_WRITTEN = 1 << 30
-"""Most bytes of frames in a film of what failed. Chosen; what fails after it is full is left out."""
-
 BEFORE, AFTER = 1.2, 0.2
 """Packets' times kept before a packet that failed begins, so that its array is found and followed as it was, and after
 its end. Chosen."""
@@ -102,10 +96,12 @@ class Form:
 class Failures:
     """Holds the last frames, and writes those about packets that failed; frames of one thread, saving in any."""
 
-    def __init__(self, folder: Path, form: Form, most: int = MOST_WRITTEN):
+    # Most bytes of frames in a film of what failed. Chosen; what fails after it is full is left out
+    def __init__(self, folder: Path, form: Form, most: int = (1 << 30)):
         self._folder, self._form, self._lock = folder, form, threading.Lock()
         size = form.width * form.height * (1 if form.bits == 8 else 2)
-        self._size, self._most, self._most_written = size, max(2, MOST_HELD // size), most
+        # Most bytes of frames that are held in memory. Chosen: 0.5 s of 1024 x 512 pixels at 1000 frames/s
+        self._size, self._most, self._most_written = size, max(2, (256 << 20) // size), most
         self._frames: deque[Frame] = deque()
         self._film: FilmWriter | None = None
         self._error: MediaError | None = None
@@ -193,10 +189,6 @@ class Failures:
         return max((last.index - first.index) / max(last.time_s - first.time_s, 1e-3), 1.0)
 
 
-MOST_SAVED = 256 << 20
-"""Most bytes of frames of a film that is saved: 40 s of 480 x 480 pixels at 30 frames a second. Chosen."""
-
-
 class Saver:
     """Keeps frames while they are read; of the reader's thread, but `save` of any."""
 
@@ -222,7 +214,8 @@ class Saver:
             assert self._signal is not None
             rows, columns = frame.pixels.shape
             form = Form(width=columns, height=rows, bits=frame.bits, rate_hz=None, signal=self._signal)
-            self._failures = Failures(self._folder, form, MOST_SAVED)
+            # Most bytes of frames of a film that is saved: 40 s of 480 x 480 pixels at 30 frames a second. Chosen
+            self._failures = Failures(self._folder, form, (256 << 20))
         self._failures.saw(frame)
 
     def read(self, packet: Packet) -> None:

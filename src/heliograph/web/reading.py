@@ -26,21 +26,11 @@ LOOK_S = 7.0
 LOOK_BYTES = 160 << 20
 """Most bytes of frames that are looked at: 170 frames of 1280 x 720 pixels."""
 
-MOST_PIXELS = 1_300_000
-"""Pixels of a frame above which squares of pixels are replaced by their means. Chosen: a film of 1920 x 1080 pixels is
-read three times as fast so, and LEDs of an array of 50 px of it are still 1.5 px apart."""
-
 TELL_S = 0.25
 """Seconds from one word about progress to the next. Chosen."""
 
-AGAIN_S = 2.0
-"""Seconds of new frames after which a light that was not found is looked for again. Chosen."""
-
 PATIENCE_S = 12.0
 """Seconds without a codeword after which it is said why, and the light is looked for anew: three packets. Chosen."""
-
-MOST_MISSING = 8
-"""Frames that may be missing among those by which a light is looked for. Chosen: a quarter of a second."""
 
 WHY_FRAMES = 128
 """Frames that are looked at to tell why nothing is read. Chosen: some seconds of work."""
@@ -148,7 +138,8 @@ def _awaited(frames: Iterator[Frame], asked: Asked, tell: Tell) -> Iterator[Fram
     """The first frames that show a light; all that there were where the camera ends before."""
     window, next_s, why_s = list[Frame](), None, None
     for frame in frames:
-        if window and frame.index - window[-1].index > MOST_MISSING:
+        # Frames that may be missing among those by which a light is looked for. Chosen: a quarter of a second
+        if window and frame.index - window[-1].index > 8:
             window.clear()
         window.append(frame)
         if next_s is None or why_s is None:
@@ -157,7 +148,8 @@ def _awaited(frames: Iterator[Frame], asked: Asked, tell: Tell) -> Iterator[Fram
             window.pop(0)
         if frame.time_s < next_s:
             continue
-        next_s = frame.time_s + AGAIN_S
+        # Seconds of new frames after which a light that was not found is looked for again. Chosen
+        next_s = frame.time_s + 2.0
         if shows_light(window, asked):
             break
         tell({"event": "light", "rate_hz": None})
@@ -227,7 +219,9 @@ def _binnings(path: Path) -> tuple[int, ...]:
     if first is None:
         raise MediaError("the film holds no frames: record it again")
     binning = 1
-    while first.pixels.size > MOST_PIXELS * binning**2:
+    # Pixels of a frame above which squares of pixels are replaced by their means. Chosen: a film of 1920 x 1080 pixels
+    # is read three times as fast so, and LEDs of an array of 50 px of it are still 1.5 px apart
+    while first.pixels.size > 1_300_000 * binning**2:
         binning += 1
     return tuple(dict.fromkeys((binning, 1)))
 

@@ -21,9 +21,6 @@ from heliograph.web.sending import LEAST_RATE_HZ, MOST_RATE_HZ
 from heliograph.web.shared import Shared, named_as, shared_of
 from heliograph.web.told import GoneError, Told
 
-FIRST_WORD_S = 10.0
-"""Longest time in s in which a page says what it wants. Chosen."""
-
 Take = Callable[[bytes | str], Awaitable[dict[str, Any] | None]]
 """Takes a page's message; what it returns is told."""
 
@@ -69,7 +66,8 @@ async def receive(socket: WebSocket, shared: Here) -> None:
 
 async def _wish(socket: WebSocket) -> Wish:
     try:
-        text = await asyncio.wait_for(socket.receive(), FIRST_WORD_S)
+        # Longest time in s in which a page says what it wants. Chosen
+        text = await asyncio.wait_for(socket.receive(), 10.0)
     except TimeoutError:
         raise GoneError from None
     if text["type"] == "websocket.disconnect":

@@ -31,9 +31,6 @@ TOKEN_PROTOCOL = "token."
 DATA = "/api/"
 """Paths below it hold data and ask for the token; all others are the package's own pages."""
 
-UPLOAD = "PUT"
-"""Method of uploads, which count their bytes themselves."""
-
 HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
@@ -110,7 +107,8 @@ class Guard:
             return 403, "only the pages of this server may ask for that"
         if scope["path"].startswith(DATA) and not self._door.lets_in(_tokens(scope, headers)):
             return 401, "the token is missing or wrong: open the whole address that 'heliograph serve' printed"
-        if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD", UPLOAD):
+        # method of uploads, which count their bytes themselves
+        if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD", "PUT"):
             return self._too_long(headers)
         return None
 

@@ -24,8 +24,6 @@ from heliograph.transmit import Transmitter
 LEAST_RATE_HZ, MOST_RATE_HZ = 0.5, 240.0
 """Patterns a second that the pages take: from remote desktops to the fastest displays."""
 
-PRESET = "phone"
-
 SMALL_SIDE, SMALL_RATE = 8, 3 / 4
 """Rate of packets of 8 x 8 cells: at 1/2 a codeword holds four bytes of a file, at 3/4 ten. Chosen: of a screen nearby
 the cells' noise is small."""
@@ -37,18 +35,11 @@ def screen_settings(side: int, rate_hz: float) -> LinkSettings:
     over: dict[str, Mapping[str, Any]] = {"signal": signal}
     if side == SMALL_SIDE:
         over["transmit"] = {"formats": [{"mode": "short", **dict.fromkeys(LAYERS, SMALL_RATE)}]}
-    return load_settings(PRESET, over)
+    return load_settings("phone", over)
 
 
 MOST_SENT = 256 << 10
 """Most bytes of a text or file: at the rates of screens it takes an hour, and its code less than 2 s to be made."""
-
-MOST_TURNS = 4
-"""Most packets that a text may need in its largest layer to be sent as a message. Longer ones are sent as a file: of
-a file any packets will do, while a message waits a whole turn for one that was lost. Chosen."""
-
-TEXT_NAME = "text.txt"
-"""Name of a text that is sent as a file."""
 
 MOST_KEPT = 16
 """Most sendings that a server knows. The one that was asked for longest ago is forgotten first. Chosen."""
@@ -133,10 +124,13 @@ def sending_of(data: bytes, name: str | None, side: int, rate_hz: float) -> Send
     formats = settings.transmit.formats
     bare = Transmitter(settings.signal, 0, {}, formats).format
     most = max(layer.payload_bytes * layer.codewords for layer in bare.layers.values())
-    if name is None and len(data) <= MOST_TURNS * most:
+    # Most packets that a text may need in its largest layer to be sent as a message. Longer ones are sent as a file: of
+    # a file any packets will do, while a message waits a whole turn for one that was lost. Chosen
+    if name is None and len(data) <= 4 * most:
         content: Any = {layer: [data] for layer in LAYERS}
     else:
-        file = SentFile(_short(safe_name(name or TEXT_NAME)), data)
+        # name of a text that is sent as a file
+        file = SentFile(_short(safe_name(name or "text.txt")), data)
         content = {layer: [file] for layer in LAYERS}
     as_file = isinstance(content["high"][0], SentFile)
     return Sending(Transmitter(settings.signal, 0, content, formats), rate_hz, len(data), as_file)

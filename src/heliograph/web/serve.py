@@ -38,13 +38,6 @@ def patient_for(seconds: float) -> type[H11Protocol]:
     return Patient
 
 
-EVERYWHERE = ("0.0.0.0", "::")
-"""Hosts that stand for all addresses of this machine."""
-
-LAST_WORDS_S = 2
-"""Longest time in s that the end of the server waits for connections. Chosen."""
-
-
 @dataclass(frozen=True, slots=True)
 class Address:
     """Where a server waits."""
@@ -75,7 +68,8 @@ class Address:
 
     def url(self, port: int, token: str | None) -> str:
         """Return what is opened in a browser; the token stands behind #, which browsers keep to themselves."""
-        host = _own_address() if self.host in EVERYWHERE else self.host
+        # hosts that stand for all addresses of this machine
+        host = _own_address() if self.host in ("0.0.0.0", "::") else self.host
         host = f"[{host}]" if ":" in host else host
         return f"{'https' if self.is_secure else 'http'}://{host}:{port}/" + (f"#token={token}" if token else "")
 
@@ -112,6 +106,7 @@ def run(app: FastAPI, waiting: socket.socket, address: Address, limits: Limits) 
 
 def configured(app: FastAPI, address: Address, limits: Limits) -> uvicorn.Config:
     """How the server runs."""
+    # Longest time in s that the end of the server waits for connections. Chosen
     return uvicorn.Config(
         app,
         log_level="critical",  # of a connection that does not end in time nothing need be said
@@ -124,7 +119,7 @@ def configured(app: FastAPI, address: Address, limits: Limits) -> uvicorn.Config
         ws_per_message_deflate=False,
         limit_concurrency=limits.connections,
         timeout_keep_alive=5,
-        timeout_graceful_shutdown=LAST_WORDS_S,
+        timeout_graceful_shutdown=2,
         ssl_certfile=address.certificate,
         ssl_keyfile=address.key,
     )

@@ -27,18 +27,13 @@ from heliograph.web.sending import (
 )
 from heliograph.web.shared import Places, shared_of
 
-MOST_FILM_S = 600.0
-"""Longest film of patterns in s: larger files come in parts, as any packets will do."""
-
 MOST_FILM_PATTERNS = 36_000
 """Most patterns of a film: ten minutes at 60 a second, half a minute's work."""
 
-FILMS_AT_ONCE = 2
-"""Films that are written at once; whoever asks for more is told to come again."""
-
 router = APIRouter(prefix="/api/transmit")
 
-_films = Places(FILMS_AT_ONCE, "films of patterns")
+# films that are written at once; whoever asks for more is told to come again
+_films = Places(2, "films of patterns")
 
 
 def sendings_of(request: Request) -> Sendings:
@@ -88,12 +83,13 @@ async def packets(
     return Response(levels, media_type="application/octet-stream")
 
 
+# longest film of patterns in s: larger files come in parts, as any packets will do
 @router.get("/{name}/film")
 async def film(
     request: Request,
     name: str,
     known: Known,
-    seconds: Annotated[float, Query(gt=0, le=MOST_FILM_S, allow_inf_nan=False)] = 30.0,
+    seconds: Annotated[float, Query(gt=0, le=600.0, allow_inf_nan=False)] = 30.0,
     gamma: Annotated[float, Query(ge=1, le=4, allow_inf_nan=False)] = 2.2,
 ) -> FileResponse:
     """Give the patterns as a video, for any screen that plays one."""

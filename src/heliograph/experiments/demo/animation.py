@@ -20,20 +20,10 @@ WIDTH, HEIGHT = 640, 304
 CUT = (12, 12, 240)
 """Left, top and side of the array's place in px."""
 
-PICTURE = (268, 12, 360, 240)
-"""Left, top, width and height of the picture's place in px."""
-
-CUT_PITCHES = 22.0
-"""Side of what is cut out, in pitches of the array, which has 16."""
-
 RATE_HZ = 10
 """Frames a second: one for each packet of the reference link."""
 
-QUALITY = 60
-"""Quality of the animation as WebP, 0 to 100."""
-
 Colour = tuple[int, int, int]
-GROUND: Colour = (24, 27, 32)
 PALE: Colour = (201, 206, 214)
 DIM: Colour = (110, 118, 128)
 LIGHTS: Mapping[str, Colour] = {
@@ -112,7 +102,8 @@ def pixels_of(data: bytes) -> Rgb | None:
 def cut_out_of(pose: Pose, frame: Frame) -> NDArray[np.uint8]:
     """Return the array and its surroundings, always as large, with the camera's own pixels."""
     side = CUT[2]
-    scale = side / (CUT_PITCHES * pose.pitch)
+    # side of what is cut out, in pitches of the array, which has 16
+    scale = side / (22.0 * pose.pitch)
     x, y = pose.x - frame.origin[0], pose.y - frame.origin[1]
     place = np.array([[scale, 0, side / 2 - scale * x], [0, scale, side / 2 - scale * y]])
     pixels = (frame.pixels.astype(np.float32) * (255 / frame.full_scale)).astype(np.uint8)
@@ -122,11 +113,12 @@ def cut_out_of(pose: Pose, frame: Frame) -> NDArray[np.uint8]:
 def drawn(moment: Moment) -> Rgb:
     """Return a moment as an image, (304, 640, 3) uint8 red, green, blue."""
     image = np.empty((HEIGHT, WIDTH, 3), np.uint8)
-    image[:] = GROUND
+    image[:] = (24, 27, 32)
     left, top, side = CUT
     if moment.cut is not None:
         image[top : top + side, left : left + side] = moment.cut[..., None]
-    x, y, width, height = PICTURE
+    # left, top, width and height of the picture's place in px
+    x, y, width, height = (268, 12, 360, 240)
     picture = pixels_of(moment.picture) if moment.picture else None
     if picture is None:
         cv2.rectangle(image, (x, y), (x + width - 1, y + height - 1), (44, 48, 56), -1)
@@ -154,7 +146,8 @@ def animated(moments: Sequence[Moment]) -> bytes:
     with av.open(out, "w", format="webp", options={"loop": "0"}) as container:
         stream = container.add_stream("libwebp_anim", rate=RATE_HZ)
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-        stream.options = {"quality": str(QUALITY)}
+        # quality of the animation as WebP, 0 to 100
+        stream.options = {"quality": str(60)}
         last = drawn(moments[-1])
         for image in [*map(drawn, moments), *[last] * RATE_HZ]:  # it rests at its end for a second
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))

@@ -43,15 +43,13 @@ LIGHTS = {
 }  # fmt: skip
 """Colour of what a light shows."""
 
-POINTS_A_METRE = 3.2
-"""Width of a line by the lane's width in m, as the picture is scaled. Chosen by eye."""
-
 
 def junction_picture(junction: Values, groups: Mapping[int, Mapping[str, Any]]) -> Figure:
     """Draw a junction."""
     figure = Figure(figsize=(7.5, 6.2))
     axes = figure.subplots()
-    width = POINTS_A_METRE * (junction["lane_width_m"] or 3.0)
+    # Width of a line by the lane's width in m, as the picture is scaled. Chosen by eye
+    width = 3.2 * (junction["lane_width_m"] or 3.0)
     for lane in junction["lanes"]:
         if not lane["points_m"]:
             continue
@@ -274,16 +272,6 @@ def _show_errors(page: Report, reception: Reception) -> None:
     )
 
 
-FILM_CRF = 18
-"""Quality of the film as H.264. Before the drawn street the paper's drive takes 34 MB, and 66 high, 118 middle and 45
-low codewords are read; 338 MB at 12, with as many high, one middle and two low ones more."""
-
-FILM_BYTES_PER_PIXEL = 0.01
-"""Bytes of a pixel in the film: 0.0097 over the whole drive before the drawn street."""
-
-CUT_OUTS = 8
-"""Moments at which the array is cut out for the report."""
-
 SIZES = ((48, 32), (96, 64), (288, 192))
 """Widths and heights in px of the picture that the low layer sends: 29 codewords, 2.9 s, all together."""
 
@@ -328,7 +316,8 @@ def pictures() -> list[bytes]:
 def film_bytes(settings: LinkSettings) -> int:
     """About how large the film of the demonstration becomes, in bytes."""
     camera = settings.channel.camera
-    return round(frames_of(settings) * camera.width * camera.height * FILM_BYTES_PER_PIXEL)
+    # bytes of a pixel in the film: 0.0097 over the whole drive before the drawn street
+    return round(frames_of(settings) * camera.width * camera.height * 0.01)
 
 
 @dataclass(frozen=True)
@@ -346,10 +335,13 @@ def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings,
     """Simulate, receive and report."""
     film = folder / "drive.mp4"
     with bar("simulating", frames_of(settings)) as advance:
-        count = write_film(film, settings, demo_messages(settings), seed, recordings, advance, crf=FILM_CRF)
+        # Quality of the film as H.264. Before the drawn street the paper's drive takes 34 MB, and 66 high, 118 middle
+        # and 45 low codewords are read; 338 MB at 12, with as many high, one middle and two low ones more
+        count = write_film(film, settings, demo_messages(settings), seed, recordings, advance, crf=18)
     truth = open_truth(truth_path(film))
     filmed = Filmed()
-    recorder = TrackRecorder([int(k) for k in np.linspace(0.02, 0.98, CUT_OUTS) * count])
+    # moments at which the array is cut out for the report
+    recorder = TrackRecorder([int(k) for k in np.linspace(0.02, 0.98, 8) * count])
     reception = Reception(truth)
     messages: list[Message] = []
     began = time.perf_counter()

@@ -158,12 +158,6 @@ def _sign(rng: np.random.Generator) -> Lamp:
 
 HeaderKind = Literal["m_sequence", "all_on"]
 
-LEAD = (2, 3)
-"""Frames of a film before the header's four: the packet's end, of either phase."""
-
-MOST_PAIRS = 32
-"""Places of a clip that are used, evenly spread: each costs 1.5 MB."""
-
 
 @dataclass(frozen=True, slots=True)
 class ClutterFilm:
@@ -231,7 +225,8 @@ def _clip_pairs(clip: ClipVersion, reach: int) -> tuple[float, list[tuple[Gray, 
     from heliograph.channel.background import cover_size
 
     source = load_footage(clip.path)
-    step = max(2, -(-reach // MOST_PAIRS))
+    # places of a clip that are used, evenly spread: each costs 1.5 MB
+    step = max(2, -(-reach // 32))
     held: dict[int, Gray] = {}
     for k, frame in enumerate(islice(source.frames(), reach)):
         if k % step < 2:
@@ -266,7 +261,8 @@ def film_moment(
     )
     firsts, lights = [], []
     for identity in identities:
-        firsts.append(int(rng.choice(LEAD)))
+        # frames of a film before the header's four: the packet's end, of either phase
+        firsts.append(int(rng.choice((2, 3))))
         lights.append(_patterns(header, identity, firsts[-1], rng) if distance_m else [])
     lights = lights if distance_m else []
     shots = list(film(settings, lights, rng, pattern_period_s=1e-3, footage=moment.footage, imu=imu))

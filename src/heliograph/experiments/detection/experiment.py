@@ -35,9 +35,6 @@ from heliograph.signal.header import IDENTITIES
 COLOURS = (plots.PINK, plots.ORANGE, plots.GREEN, plots.BLUE)
 """Colour of each variant."""
 
-WIDTHS = (8.0, 5.5, 3.2, 1.4)
-"""Width of each variant's line, so that each shows where the next lies over it."""
-
 
 def pictures(
     measured: DetectionTrials, alone: Mapping[float, Confusion], beside: Mapping[float, Confusion]
@@ -75,7 +72,8 @@ def _example(score: float, film: ClutterFilm, pose: Pose) -> Figure:
 def _roc(measured: DetectionTrials) -> Figure:
     figure = Figure(figsize=(12, 5))
     for axes, distance in zip(figure.subplots(1, 3, sharey=True), DISTANCES, strict=True):
-        for variant, colour, width in zip(VARIANTS, COLOURS, WIDTHS, strict=True):
+        # width of each variant's line, so that each shows where the next lies over it
+        for variant, colour, width in zip(VARIANTS, COLOURS, (8.0, 5.5, 3.2, 1.4), strict=True):
             scores = measured.scores[variant.name]
             alarms, found = ablation.curve(scores.all_false(), scores.all_true(distance))
             least = 0.5 / scores.all_false().size

@@ -18,17 +18,8 @@ from heliograph.signal.formats import DIMMED, words
 from heliograph.signal.header import CELLS, IDENTITIES, all_header_cells
 
 SIDE = 16
-PITCH_PX_M = 58.3
-"""Pitch of the LEDs in the image in px times the distance in m: 35 mm lens, 20 mm pitch, 12 um pixels."""
-EMITTER = 0.25
-"""Diameter of an emitter by the pitch: 5 mm by 20 mm."""
-BLUR_PX = 0.5
 AMPLITUDE = 0.8
-NOISE = 0.006
-"""Noise of a pixel in a frame, by full scale."""
 DISTANCES_M = (25.0, 40.0, 60.0, 80.0, 100.0, 120.0, 150.0, 180.0, 220.0)
-REACH_CELLS = 1.5
-"""Largest shift in cells."""
 
 TEXT = (
     "Headers of all identities under the reference link's blur, by computation: the largest correlation of two of them "
@@ -62,7 +53,8 @@ def blur_overlap(t: Floats, pitch_px: float) -> Floats:
     The autocorrelation of box * Gaussian: a triangle of half width 1, blurred by a Gaussian of variance 2 sigma^2.
     """
     # a disc of radius r has the variance r^2 / 4 along an axis
-    variance = 2 * (BLUR_PX**2 + (EMITTER * pitch_px / 2) ** 2 / 4)
+    # diameter of an emitter by the pitch: 5 mm by 20 mm
+    variance = 2 * (0.5**2 + (0.25 * pitch_px / 2) ** 2 / 4)
 
     def second_integral(x: Floats) -> Floats:
         # of the Gaussian: x Phi(x) + sigma^2 phi(x)
@@ -95,8 +87,10 @@ def header_products(shifts_px: Floats, pitch_px: float) -> Floats:
 
 def separation(distance_m: float, steps: int = 60) -> Separation:
     """Likeness of the headers at a distance."""
-    pitch_px = PITCH_PX_M / distance_m
-    shifts = np.linspace(-1, 1, 2 * steps + 1) * REACH_CELLS * SIDE / CELLS * pitch_px
+    # pitch of the LEDs in the image in px times the distance in m: 35 mm lens, 20 mm pitch, 12 um pixels
+    pitch_px = 58.3 / distance_m
+    # largest shift in cells
+    shifts = np.linspace(-1, 1, 2 * steps + 1) * 1.5 * SIDE / CELLS * pitch_px
     products = header_products(shifts, pitch_px)
     energy = np.diagonal(products[steps, steps])
     correlation = products / np.sqrt(energy[:, None] * energy)
@@ -127,7 +121,8 @@ def format_separation(pitch_px: float) -> float:
 def _noises(squared: Floats) -> float:
     """Least distance by the noise, of squared distances."""
     # a difference of two frames has twice the variance of a frame
-    return float(np.sqrt(squared.min() / 2) / NOISE)
+    # noise of a pixel in a frame, by full scale
+    return float(np.sqrt(squared.min() / 2) / 0.006)
 
 
 def tables(found: Sequence[Separation]) -> list[Table]:

@@ -20,9 +20,6 @@ from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
 
-SMALLEST_PX = 5.0
-"""Least side in px that is searched for: an array 150 m away has 6.2 px, less than the receiver's default of 8."""
-
 BESIDE_M = (0.5, 1.2)
 """Range of the distance in m between the centres of two arrays in one view; their panels are 0.36 m wide."""
 
@@ -125,7 +122,8 @@ def small_camera(places: Sequence[Placement]) -> ChannelSettings:
 
 def identities_seen(film: ClutterFilm) -> list[int]:
     """Identity that the detector gives each of the film's arrays; 30 where it misses one."""
-    every = detections(film, SMALLEST_PX)
+    # least side in px that is searched for: an array 150 m away has 6.2 px, less than the receiver's default of 8
+    every = detections(film, 5.0)
     near = ([one for one in every if same(one.fit.pose, truth)] for truth in film.truths)
     return [max(found, key=lambda one: one.score).identity if found else IDENTITIES for found in near]
 

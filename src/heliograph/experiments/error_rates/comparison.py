@@ -18,9 +18,6 @@ about 3 m."""
 RISK = 0.05
 """Level of significance of the tests; intervals cover 1 less this."""
 
-FEWEST = 30
-"""Raw errors of both together below which a bin is not compared."""
-
 RESAMPLES = 4000
 """Draws of a bootstrap, and turnings of signs of a test."""
 
@@ -71,7 +68,8 @@ def compare(
         for place in (*np.unique(bins), None):
             here = np.flatnonzero(_read(driving, static, layer) & ((bins == place) | (place is None)))
             one, other = (_rates([side[int(i)] for i in here], layer) for side in (driving, static))
-            if len(here) >= 3 and one[1] + other[1] >= FEWEST:
+            # raw errors of both together below which a bin is not compared
+            if len(here) >= 3 and one[1] + other[1] >= 30:
                 found.append(
                     (layer, None if place is None else float(place), _paired(one[0], other[0], films[here], rng))
                 )

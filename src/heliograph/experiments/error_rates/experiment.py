@@ -86,10 +86,6 @@ def plain_values(
     }
 
 
-LEAST_SHOWN = 1e-6
-"""Least bit error rate that is drawn; intervals may reach lower. Chosen."""
-
-
 def pictures(
     static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance, found: Sequence[Comparison]
 ) -> list[tuple[Figure, str]]:
@@ -121,7 +117,8 @@ def _rates_picture(static: CountsByDistance, driving: CountsByDistance, keyed: C
             axes.set_title(f"{name}, {title} the turbo code", fontsize=11)
             plots.tidy(axes)
         row[0].set_ylabel("bit error rate")
-        row[0].set_ylim(max(row[0].get_ylim()[0], LEAST_SHOWN), 1.5)
+        # Least bit error rate that is drawn; intervals may reach lower. Chosen
+        row[0].set_ylim(max(row[0].get_ylim()[0], 1e-6), 1.5)
     for axes in places[1]:
         axes.set_xlabel("distance (m)")
     entries = [legend_entries(axes) for axes in places.flat]
@@ -178,14 +175,8 @@ def _of(layer: str, kind: str, layers: Layers) -> Clustered:
     return layers[layer].raw if kind == "raw" else layers[layer].decoded
 
 
-LOST_MARGIN = 0.05
-"""Difference of the fractions of packets lost up to which driving and static count as alike."""
-
 RARE = 1e-2
 """Bound of the rate of wrong codewords below which a layer without a wrong one counts as free of error."""
-
-TOO_MUCH = 0.13
-"""Raw error rate from which on the code may be the reason of wrong codewords; rate 1/3 corrects about 0.15."""
 
 
 def alike(found: Sequence[Comparison], driving: Count, static: Count) -> Finding:
@@ -216,7 +207,8 @@ def _loss(driving: Count, static: Count) -> Literal["alike", "apart", "open"]:
         return "apart"
     # bound of the difference: Newcombe 1998
     up, down = driving.interval()[1] - driving.rate, static.rate - static.interval()[0]
-    return "alike" if driving.rate - static.rate + float(np.hypot(up, down)) < LOST_MARGIN else "open"
+    # difference of the fractions of packets lost up to which driving and static count as alike
+    return "alike" if driving.rate - static.rate + float(np.hypot(up, down)) < 0.05 else "open"
 
 
 def _judged(single: Sequence[Comparison], pooled: Sequence[Comparison], loss: str) -> tuple[Verdict, str]:
@@ -258,7 +250,8 @@ def error_free(driving: CountsByDistance) -> Iterator[Finding]:
 def _reasons(wrong: int, missed: int, raw: Count) -> str:
     """Why codewords are wrong: their packets were missed; too many raw errors where the first of them are."""
     reasons = [f"{missed} of the {wrong} wrong codewords are of packets not received."] if missed else []
-    if missed < wrong and raw.rate > TOO_MUCH:
+    # raw error rate from which on the code may be the reason of wrong codewords; rate 1/3 corrects about 0.15
+    if missed < wrong and raw.rate > 0.13:
         reasons.append(f"The raw error rate is {raw.text()} where the first are wrong, too much for rate 1/3.")
     return " ".join(reasons)
 

@@ -17,9 +17,6 @@ from heliograph.measure.statistics import Count
 from heliograph.receive import Packet, make_receiver
 from heliograph.signal.packet import PacketFormat
 
-PLACES = (("low", 130.0), ("middle", 160.0), ("middle", 180.0), ("high", 220.0), ("high", 240.0))
-"""Layers and the distances in m at which a single reception is not enough."""
-
 RECEPTIONS = 4
 QUICK_FILMS, FULL_FILMS = 1, 12
 
@@ -86,7 +83,8 @@ def _one_packet(settings: LinkSettings, seed: int) -> Messages:
 def run(context: Context) -> ExperimentResult:
     """Count repeated packets where a single reception is not enough."""
     films, found = QUICK_FILMS if context.quick else FULL_FILMS, {}
-    for layer, z in PLACES:
+    # layers and the distances in m at which a single reception is not enough
+    for layer, z in (("low", 130.0), ("middle", 160.0), ("middle", 180.0), ("high", 220.0), ("high", 240.0)):
         found[f"{layer}, {z:g} m"] = measure(film_settings(z, RECEPTIONS), layer, RECEPTIONS, films, context)
     head = ["layer, distance", *(f"reception {k}" for k in range(1, RECEPTIONS + 1))]
     rows = [[place, *(f"{c.errors}/{c.trials}" for c in counts)] for place, counts in found.items()]

@@ -15,7 +15,6 @@ SVM_EXPONENT = 3.7
 SVM_LIMIT = 0.4
 """Largest SVM the EU's ecodesign rules allow; 1 is the threshold of an average observer."""
 
-SVM_TOP_HZ = 2000.0
 MFTP_S = 5e-3
 """Maximum flickering time period of IEEE 802.15.7: changes of the light that last no longer are not seen."""
 
@@ -73,7 +72,7 @@ def measure(flux: ArrayLike, slot_s: float) -> Flicker:
     )
 
 
-def spectrum(flux: ArrayLike, slot_s: float, top_hz: float = SVM_TOP_HZ) -> Spectrum:
+def spectrum(flux: ArrayLike, slot_s: float, top_hz: float = 2000.0) -> Spectrum:
     """Fourier components of a light that holds each value for a slot and then repeats, without its mean."""
     f = np.asarray(flux, float)
     hz = np.arange(1, int(top_hz * f.size * slot_s + 1e-9) + 1) / (f.size * slot_s)

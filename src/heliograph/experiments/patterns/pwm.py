@@ -18,8 +18,6 @@ DISTANCE_M = 60.0
 """Far enough that no LED saturates the sensor."""
 
 LEVELS = np.arange(5, dtype=np.uint8)
-STRAIGHT = 0.02
-"""Largest deviation from a straight line, by the highest level, that counts as none."""
 
 EXPOSURES_S = (1e-3, 0.5e-3)
 
@@ -60,12 +58,13 @@ def judge(light: Luminances) -> list[Finding]:
     whole, half = (light[tau] for tau in EXPOSURES_S)
     off = np.abs(whole.mean(0) - LEVELS / 4).max()
     lost = _lost_steps(half.mean(0))
+    # largest deviation from a straight line, by the highest level, that counts as none
     return [
         Finding(
             "Fig. 4: an LED lit for a fraction of T_b has that fraction of the luminance.",
             f"Levels 0 to 4 give {_numbers(whole.mean(0))} of the light ({len(whole)} films of each); largest "
             f"deviation from a straight line {off:.2%}, from film to film {whole.std(0).max():.2%}.",
-            "holds" if off < STRAIGHT else "differs",
+            "holds" if off < 0.02 else "differs",
         ),
         Finding(
             "Section II-B allows an exposure shorter than T_b.",

@@ -10,7 +10,6 @@ from heliograph.experiments.report import Context, ExperimentResult, Finding, Ta
 from heliograph.receive.sync import combine as partial_exposure
 from heliograph.receive.sync.combine import Combination, combine_pair
 
-ORDER = (0, 1, 2, 3)
 PAIRS = 20
 """Pairs in a row through which a camera is followed."""
 
@@ -76,7 +75,7 @@ def _combinations(rate: float, exposure: float, phase: float) -> list[Combinatio
     """Best combinations for some pairs in a row; frame 0 begins `phase` after a pair."""
     starts = phase + np.arange(-2 * rate, (2 * PAIRS + 2) * rate) / rate
     near = [starts[(starts >= 2 * k - 1) & (starts <= 2 * k + 3)] - 2 * k for k in range(PAIRS)]
-    return [combine_pair(part, exposure, ORDER) for part in near]
+    return [combine_pair(part, exposure, (0, 1, 2, 3)) for part in near]
 
 
 def _row(combination: Combination | None) -> Floats:

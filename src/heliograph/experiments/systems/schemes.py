@@ -30,9 +30,6 @@ SIDE = 16
 ENOUGH = 200
 """Errors after which no more are counted: their rate is known to about 15 %."""
 
-SILENT = 4
-"""Films in which the array is not found after which it counts as out of reach."""
-
 ReadMethod = Literal["plain", "inverse", "known"]
 """The luminance at each LED's position; the blur inverted; the blur inverted with the true pose and blur."""
 
@@ -116,7 +113,8 @@ class BitCounts:
 
     def settled(self, target: int) -> bool:
         """Whether every count has bits or errors enough, or the array is out of reach."""
-        if self.films >= SILENT and not self.found:
+        # films in which the array is not found after which it counts as out of reach
+        if self.films >= 4 and not self.found:
             return True
         return bool(self.counts) and all(c.trials >= target or c.errors >= ENOUGH for c in self.counts.values())
 

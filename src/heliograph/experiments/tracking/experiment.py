@@ -17,9 +17,6 @@ from heliograph.link.settings import load_settings
 NEAR_PX = 0.25
 """Largest error in px that counts as near."""
 
-FEWEST = 10
-"""Least pairs of a packet from which a straight line is taken out."""
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrackingScore:
@@ -71,7 +68,8 @@ def _shake(run: TrackingRun, errors: Floats) -> float:
     rests = []
     for packet in np.unique(run.packet):
         part = run.packet == packet
-        if part.sum() >= FEWEST:
+        # least pairs of a packet from which a straight line is taken out
+        if part.sum() >= 10:
             line = np.vander(run.times_s[part] - run.times_s[part][0], 2)
             way = np.linalg.lstsq(line, errors[part], rcond=None)[0]
             rests.append(errors[part] - line @ way)

@@ -42,14 +42,6 @@ TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
 }
 """Trackers by name."""
 
-CUTS = 8
-ROI_PX = 24
-"""Pixels rendered around the array for the known pattern: its window needs no more while it is not lost, and they are
-the pixels of whole frames."""
-
-HELD = 16
-"""Pairs kept until the array is found: more than its header and what the detector waits for."""
-
 Pair = tuple[Frame, Frame, ArrayTruth, ArrayTruth]
 """A pattern and the one after it, and the array's truth in both."""
 
@@ -112,12 +104,14 @@ def run_trackers(job: TrackingFilm) -> TrackingRun:
 def _moments(settings: LinkSettings) -> list[int]:
     channel = settings.channel
     length = channel.duration_s or (channel.distance_m - channel.stop_m) / channel.speed_m_s
-    return [int(k) for k in np.linspace(0.02, 0.97, CUTS) * length * channel.camera.fps]
+    return [int(k) for k in np.linspace(0.02, 0.97, 8) * length * channel.camera.fps]
 
 
 def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Frame, Any]]:
     """The same drive, scene and noise with the light of the known pattern."""
     settings, signal = job.settings, job.settings.signal
+    # pixels rendered around the array for the known pattern: its window needs no more while it is not lost, and they
+    # are the pixels of whole frames
     return film(
         settings.channel,
         [known_light(settings, settings.transmit.identities[0], job.seed)],
@@ -126,7 +120,7 @@ def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Fra
         slot_order=signal.slot_order,
         footage=recordings.footage,
         imu=recordings.imu,
-        roi_margin_px=ROI_PX,
+        roi_margin_px=24,
     )
 
 
@@ -155,7 +149,8 @@ class _TrackerGroup:
 
     def push(self, pair: Pair) -> None:
         """Take a pair; those held back until the array is found are followed then."""
-        self._held = [*self._held[-HELD:], pair]
+        # pairs kept until the array is found: more than its header and what the detector waits for
+        self._held = [*self._held[-16:], pair]
         if self.found is None:
             hits = [hit for frame in pair[:2] for hit in self._detector.search(frame)]
             self.found = hits[0] if hits else None

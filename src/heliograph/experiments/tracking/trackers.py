@@ -86,10 +86,6 @@ def in_header(settings: LinkSettings, since_s: float) -> bool:
     return round(since_s / signal.pattern_period_s) % signal.packet_patterns < 2 * signal.header_pairs
 
 
-FEATURES = 120
-KEY_PAIRS = 10
-"""Background features, and pairs after which they are chosen again."""
-
 REACH_PX = 3
 """Largest motion in px from pair to pair that is searched; in the drives here it is up to 2 px."""
 
@@ -119,7 +115,8 @@ class BackgroundMotion:
         self._age += 1
         if len(self._old):
             self._follow(self._stretched(both))
-        if self._age >= KEY_PAIRS or not len(self._old):
+        # background features, and pairs after which they are chosen again
+        if self._age >= 10 or not len(self._old):
             self._renew(both)
         return self._pose
 
@@ -143,7 +140,7 @@ class BackgroundMotion:
         mask, half = np.full(self._key.shape, 255, np.uint8), self._side + 4
         rows, cols = (slice(max(0, int(c - half)), max(0, int(c + half))) for c in (self._pose.y, self._pose.x))
         mask[rows, cols] = 0
-        found = cv2.goodFeaturesToTrack(self._key, FEATURES, 0.02, 12, mask=mask)
+        found = cv2.goodFeaturesToTrack(self._key, 120, 0.02, 12, mask=mask)
         self._old = np.zeros((0, 1, 2), np.float32) if found is None else np.asarray(found, np.float32)
 
     def _stretched(self, both: NDArray[np.float32]) -> Gray:
@@ -238,9 +235,6 @@ KNOWN_SPREAD = 0.25
 GROWTH = (0.5, 5.0)
 """Least and largest pitch, by the one found, of an array that is not lost; in a drive it grows by less than 4."""
 
-KNOWN_MARGIN_PX = 3.0
-KNOWN_STEPS = 3
-
 
 def known_leds(side: int) -> NDArray[np.bool_]:
     """Which LEDs are known, (side, side)."""
@@ -318,11 +312,11 @@ class KnownPattern:
     def _fit(self, frame: Frame, mean: Floats, data: Floats) -> tuple[Floats, Floats]:
         """Posterior pose and covariance by Gauss-Newton; noise and light of data LEDs weight the pixels."""
         start, prior = self._state.mean[:5], np.linalg.inv(self._state.covariance[:5, :5])
-        window = window_around(self._state.pose, self._side, KNOWN_MARGIN_PX)
+        window = window_around(self._state.pose, self._side, 3.0)
         (x0, y0), image = window[:2], cut_out(frame, window)
         trust, scene = self._trust(image, data, (x0, y0)), _ArrayImages(image.shape, (x0, y0))
         vector = start.copy()
-        for _ in range(KNOWN_STEPS):
+        for _ in range(3):
             shapes = scene.place(vector, mean)
             linear = self._light(image, shapes, trust)
             slopes = np.tensordot(linear[:-3], shapes[:-3, 1:], 1)

@@ -14,9 +14,6 @@ from heliograph.receive.packet import Words
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 
-BARS = 31
-"""Bars of a histogram of soft values, the middle one about 0. Chosen."""
-
 
 def luminances_of(cutouts: tuple[Cutout | None, ...], side: int) -> tuple[Floats, NDArray[np.bool_]]:
     """Read cut-outs LED by LED."""
@@ -92,7 +89,8 @@ def histograms(form: PacketFormat, soft: Mapping[str, Floats], words: Words) -> 
 
 
 def _bars(values: Floats, scale: float) -> list[int]:
-    counts, _ = np.histogram(np.clip(values, -scale, scale), BARS, (-scale, scale))
+    # Bars of a histogram of soft values, the middle one about 0. Chosen
+    counts, _ = np.histogram(np.clip(values, -scale, scale), 31, (-scale, scale))
     return [int(one) for one in counts]
 
 

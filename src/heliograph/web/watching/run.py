@@ -27,9 +27,6 @@ from heliograph.web.watching.stages import SEARCH, Stages
 SCENE_S = 1 / 30
 """Least time in s from one scene to the next: a screen shows few more."""
 
-STATE_S = 0.5
-"""Time in s from one row of counts to the next. Chosen."""
-
 
 @dataclass(frozen=True, slots=True)
 class Teller:
@@ -173,7 +170,8 @@ class Run:
             # in step with the screen, unless frames come more slowly
             self._shown = now if now >= self._shown + 2 * SCENE_S else self._shown + SCENE_S
             self._teller.show(seen.scene(self._newest))
-        if now >= self._counted + STATE_S or held:
+        # Time in s from one row of counts to the next. Chosen
+        if now >= self._counted + 0.5 or held:
             self._counted = now
             self._teller.tell(self._counts(reception))
 

@@ -22,9 +22,6 @@ from heliograph.web.watching.patterns import decided, equalised_by, grey, histog
 WIDEST = 960
 """Most columns of a picture that is sent. Chosen: a page shows no more."""
 
-QUALITY = 80
-"""Quality of a picture as JPEG, 0 to 100. Chosen by eye: noise of the sensor still shows."""
-
 CUT_SIDE, CUT_PITCHES = 72, 1.3
 """Rows and columns of a cut-out that is sent, and how many sides of the array it shows."""
 
@@ -48,7 +45,8 @@ class Scene:
         if columns > WIDEST:
             pixels = cv2.resize(pixels, (WIDEST, max(1, round(rows * WIDEST / columns))), interpolation=cv2.INTER_AREA)
         shown = np.asarray(pixels if frame.bits == 8 else pixels >> (frame.bits - 8), np.uint8)
-        picture = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+        # Quality of a picture as JPEG, 0 to 100. Chosen by eye: noise of the sensor still shows
+        picture = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
         about = {
             "time_s": round(frame.time_s, 6), "frame": frame.index, "width": columns, "height": rows,
             "boxes": self.boxes, "cuts": self.cuts,

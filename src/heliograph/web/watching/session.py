@@ -23,24 +23,12 @@ from heliograph.web.watching.sources import Asked
 MOST_WAITING = 16 << 20
 """Most bytes of rows that wait for a page; one that takes them more slowly is let go. Chosen: minutes of packets."""
 
-MOST_ROW = 1 << 20
-"""Most bytes of a row; a longer one goes without its content. Chosen."""
-
 ROWS_IN_FLIGHT = 1 << 20
 """Bytes of rows that may be on their way to a page; it says how many it has. So nothing piles up between server and
 page, however slowly the page reads. Chosen."""
 
 IN_FLIGHT = 2
 """Scenes that may be on their way to a page; it says when it has drawn one. Chosen: one is drawn while one comes."""
-
-MOST_WRONG = 20
-"""Commands that are none before a page is let go. Chosen."""
-
-IDLE_S = 900.0
-"""Time in s without a command after which a page that watches nothing is let go. Chosen."""
-
-LAST_WORDS_S = 1.0
-"""Longest time in s that a page that is let go is told so. Chosen."""
 
 IDLE, WRONG, TOO_SLOW = 1000, 1008, 1013
 """Codes with which a WebSocket is closed (RFC 6455, section 7.4.1, and the registry of codes)."""
@@ -70,7 +58,8 @@ class Outbox:
     def tell(self, row: Row) -> None:
         """Put a row behind the others."""
         text = json.dumps(row)
-        if len(text) > MOST_ROW:
+        # Most bytes of a row; a longer one goes without its content. Chosen
+        if len(text) > (1 << 20):
             text = json.dumps({k: v for k, v in row.items() if k not in ("data", "text")} | {"too_long": True})
         with self._lock:
             self.full |= self._bytes + len(text) > MOST_WAITING
@@ -147,13 +136,15 @@ class Session:
             await self._end()  # the reception holds its frames, and its place, until it has ended
         for code, reason in filter(None, let_go):
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._socket.close(code, reason), LAST_WORDS_S)
+                # Longest time in s that a page that is let go is told so. Chosen
+                await asyncio.wait_for(self._socket.close(code, reason), 1.0)
 
     async def _hear(self) -> tuple[int, str] | None:
         """Take commands until the page goes, or says what is none too often; why it is let go, if it is."""
         while True:
             try:
-                wait_s = None if self._run is not None and not self._run.is_over else IDLE_S
+                # Time in s without a command after which a page that watches nothing is let go. Chosen
+                wait_s = None if self._run is not None and not self._run.is_over else 900.0
                 message = await asyncio.wait_for(self._socket.receive(), wait_s)
             except TimeoutError:
                 return IDLE, "nothing is watched"
@@ -163,7 +154,8 @@ class Session:
                 command = Command.model_validate_json(message.get("text") or "")
             except (ValidationError, UnicodeError):
                 self._wrong += 1
-                if self._wrong > MOST_WRONG:
+                # Commands that are none before a page is let go. Chosen
+                if self._wrong > 20:
                     return WRONG, "these are no commands"
                 self._outbox.tell({"event": "refused", "reason": "that is no command of these pages"})
                 continue
