@@ -1,5 +1,5 @@
 # make install | install-docs | demo | test | test-quick | test-lowest | test-wheel | lint | docs | settings | web | check-web |
-# bench | bench-all | vectors
+# bench | vectors
 # (PYTHON picks the interpreter that makes .venv)
 PYTHON ?= python3
 BIN := .venv/bin
@@ -11,7 +11,7 @@ WHEEL := .wheel
 export PYTHONDONTWRITEBYTECODE :=
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/bytecode
 
-.PHONY: install install-docs demo test test-quick test-lowest test-wheel lint docs settings web check-web bench bench-all vectors clean
+.PHONY: install install-docs demo test test-quick test-lowest test-wheel lint docs settings web check-web bench vectors clean
 
 install: $(STAMP)
 
@@ -88,10 +88,6 @@ lint: install
 bench: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m benchmarks.table $(BENCH)
-
-# all benchmarks
-bench-all: install
-	$(BIN)/python -m benchmarks
 
 vectors: install
 	$(BIN)/python scripts/make_vectors.py

@@ -1,1 +1,1 @@
-"""Speed, measured: `python -m benchmarks` runs all, `python -m benchmarks.turbo` one."""
+"""Codewords received and speed: `python -m benchmarks.behaviour` and `make bench`."""

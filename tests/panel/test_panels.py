@@ -197,7 +197,6 @@ def test_leds_beyond_the_frame_are_no_numbers() -> None:
 
 @pytest.mark.slow
 def test_a_panel_of_64_x_64_in_three_colours_is_read() -> None:
-    """As `python -m benchmarks.panels` measures it at length."""
     film = PanelFilm(moving(keystone((280.0, 280.0), 430.0, 1.0, 0.06, 0.15)), blur=2.0)
     shown = list(film.film(4))
     start = heliograph.locate(shown[:2], rows=64, columns=64)

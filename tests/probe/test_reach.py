@@ -34,7 +34,7 @@ def test_information_of_bits_in_white_noise_is_that_of_the_books() -> None:
 
 
 def test_what_is_expected_of_the_reference_link_is_what_is_measured_of_it() -> None:
-    """docs/measured.md: plain reads the low layer to about 60 m and the middle one to 70 m, soft all to 105 m."""
+    """plain reads the low layer to about 60 m and the middle one to 70 m, soft all to 105 m."""
     plain, soft = reaches(NEAR, 204.0, Noise(4.8, 2.0), 50.0, SignalSettings())
     assert plain.distance_m["low"] == pytest.approx(60, rel=0.15)
     assert plain.distance_m["middle"] == pytest.approx(72, rel=0.15)

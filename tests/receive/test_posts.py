@@ -1,25 +1,41 @@
-"""Posts that pass before an array, drawn as the benchmark of them draws them."""
+"""Posts that pass in front of an array, drawn like those of `benchmarks.behaviour`."""
 
-from itertools import takewhile
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.poles import Passage, draw, receive, whole
+from benchmarks.scenarios import draw_passage
 
-from heliograph.receive import Packet
+from heliograph.link.simulate import default_messages, simulate
+from heliograph.receive import Packet, make_receiver
 
 
-def read(number: int, until_s: float, seed: int = 1) -> tuple[Passage, list[Packet]]:
-    """A passage of a seed, and what the soft receiver reads of it up to a time."""
-    passage = draw(np.random.default_rng((seed, number)))
-    return passage, receive(passage, list(takewhile(lambda frame: frame.time_s < until_s, passage.frames())), "soft")
+def read(number: int, until_s: float, seed: int = 1) -> tuple[int, list[Packet]]:
+    """Number of the first packet after the post, and the packets of the soft receiver up to a time."""
+    settings, post, film_seed = draw_passage(np.random.default_rng((seed, number)))
+    rng, receiver = (
+        np.random.default_rng(film_seed),
+        make_receiver(settings.signal, replace(settings.receive, receiver="soft")),
+    )
+    packets = list[Packet]()
+    for frame, truth in simulate(settings, default_messages(settings), film_seed, None, 40):
+        if frame.time_s >= until_s:
+            break
+        packets += receiver.push(post.draw(frame, truth, rng))
+    return math.ceil(post.end_s / settings.signal.packet_s), [*packets, *receiver.finish()]
+
+
+def numbers_of(packets: list[Packet]) -> list[int]:
+    """Numbers of the packets decoded completely."""
+    return [round(packet.start_time_s / 0.1) for packet in packets if packet.status == "ok"]
 
 
 @pytest.mark.slow
 def test_the_first_packet_in_clear_sight_is_read() -> None:
     # its header at 0.5 s was found with a half hidden, and taken for tilted
-    passage, packets = read(1, 1.0)
-    assert whole(passage, packets)
+    first, packets = read(1, 1.0)
+    assert first in numbers_of(packets)
 
 
 @pytest.mark.slow
@@ -33,16 +49,16 @@ def test_a_post_beside_the_array_pulls_no_packet_away() -> None:
 @pytest.mark.xfail(strict=True, reason="a track 7 % too narrow is trusted after one packet; the next is lost")
 def test_an_array_found_behind_the_edge_of_a_post_is_found_again() -> None:
     # its header at 0.3 s showed it 7 % too narrow; read LED by LED its packet is right all the same, the next one not
-    passage, packets = read(4, 0.505, seed=11)
-    assert [round(packet.start_time_s / 0.1) for packet in packets if packet.status == "ok"][-2:] == [3, 4]
-    assert whole(passage, packets)
+    first, packets = read(4, 0.505, seed=11)
+    assert numbers_of(packets)[-2:] == [3, 4]
+    assert first in numbers_of(packets)
 
 
 @pytest.mark.slow
 def test_a_packet_whose_header_is_measured_too_narrow_is_decoded_per_led() -> None:
     # the edge of a post makes the header at 0.3 s 7 % too narrow
     _, packets = read(4, 0.405, seed=11)
-    assert [round(packet.start_time_s / 0.1) for packet in packets if packet.status == "ok"] == [0, 1, 3]
+    assert numbers_of(packets) == [0, 1, 3]
 
 
 @pytest.mark.slow

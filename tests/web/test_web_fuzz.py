@@ -1,7 +1,7 @@
 import asyncio
 
 import pytest
-from benchmarks.web_fuzz import GOOD, answer, fuzz, served
+from web_fuzz import GOOD, answer, fuzz, served
 
 
 @pytest.mark.slow

@@ -231,7 +231,7 @@ def _time_base(suffix: str, rate_hz: float) -> Fraction:
 
 
 def _coding(codec: VideoCodec, spec: FilmSpec) -> tuple[str, dict[str, str]]:
-    """Return pixel format and options of the encoder: the fastest that benchmarks/media.py measured."""
+    """Return pixel format and options of the encoder, the fastest of those measured."""
     if codec.name == "ffv1":
         # Golomb-Rice codes 8 bits at nearly twice the speed of the range coder; more bits need the latter
         coder = "0" if spec.bits == 8 else "1"

@@ -18,7 +18,7 @@ from heliograph.base.frames import Frame, Pixels
 from heliograph.receive.geometry.pose import Pose, pose_of_axes
 
 SAMPLES_PER_S = 14e6
-"""Samples that a core resamples and fits per second, on the machine of `docs/performance.md`."""
+"""Samples that a core resamples and fits per second."""
 
 
 class SearchBudget:

@@ -1,30 +1,19 @@
-"""Damaged and made-up input for every parser: each case ends in a value or a HeliographError, in time and in memory."""
+"""Damaged and random input for every parser: each case ends in a value or a HeliographError."""
 
 import argparse
-import contextlib
-import faulthandler
 import io
 import json
-import multiprocessing
 import random
-import resource
 import signal
-import sys
-import tempfile
-import time
 import warnings
 import zipfile
 import zlib
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fuzz_films import FRAMES_READ, MARK, Parser, Seeds, film_seeds
 
-from benchmarks._fuzz_films import FRAMES_READ, MARK, Parser, Seeds, film_seeds
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import HeliographError
 from heliograph.base.toml_text import parse_assignment, parse_toml, to_toml
@@ -42,9 +31,6 @@ from heliograph.sweeps.plan import grid, parse_vary
 
 LIMIT_S = 10.0
 """Longest time of a case: a hundred times that of a whole film of the size used."""
-
-LIMIT_BYTES = 3 << 30
-"""Address space of a worker beyond what it begins with."""
 
 WORDS = [
     b"nan", b"inf", b"-1", b"0", b"1e308", b"1e-308", b"true", b"null", b"[", b"]", b"{", b"}", b'"', b"=", b".", b",",
@@ -195,10 +181,6 @@ ROAD = (
 )
 """Two SPATEMs, of one light and of two, each with its next phase in the second."""
 
-SHARES = {"settings": 0.02, "film.mp4": 0.04, "film.mkv": 0.04, "film.nut": 0.04, "film.avi": 0.04, "truth": 0.04,
-          "film.h5": 0.12, "trace": 0.04}  # fmt: skip
-"""Part of the cases of the slow parsers; the others share the rest."""
-
 
 class _Late(BaseException):
     """A case took longer than `LIMIT_S`; no parser can take it for an error of its own."""
@@ -208,21 +190,9 @@ def _late(*_: object) -> None:
     raise _Late
 
 
-@contextlib.contextmanager
-def limited() -> Iterator[None]:
-    """Bound the memory of this process from now on, and let `signal.setitimer` end what lasts too long."""
-    pages = int(Path("/proc/self/statm").read_text().split()[0]) if Path("/proc/self/statm").exists() else 0
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + LIMIT_BYTES, hard))
-    before = signal.signal(signal.SIGALRM, _late)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGALRM, before)
-
-
 def outcome(parser: Parser, data: bytes, folder: Path) -> str:
-    """What becomes of a case: "value", "error", or what it should not be."""
+    """Outcome of a case: "value", "error", or a description of a fault."""
+    before = signal.signal(signal.SIGALRM, _late)
     signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
     try:
         with warnings.catch_warnings():
@@ -236,69 +206,5 @@ def outcome(parser: Parser, data: bytes, folder: Path) -> str:
         return f"{type(error).__name__}: {str(error)[:90]}"
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
     return "value"
-
-
-def fuzz(name: str, cases: int, seed: int, keep: Path | None) -> tuple[str, Counter[str], float, int]:
-    """Run the cases of a parser; what should not be is kept in a folder. Gives counts, seconds, and growth in bytes."""
-    with tempfile.TemporaryDirectory() as there, limited():
-        folder = Path(there)
-        parser, good = seeds(folder)[name]
-        rng, counts = random.Random(f"{name} {seed}"), Counter[str]()
-        for data in good:
-            assert outcome(parser, data, folder) == "value", name
-        began, size = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        for _ in range(cases):
-            data = mutated(rng.choice(good), rng)
-            if keep is not None:
-                (keep / f"{name}-last").write_bytes(data)
-            # where a library written in C hangs, no signal is heard: the process ends
-            faulthandler.dump_traceback_later(3 * LIMIT_S, exit=True)
-            found = outcome(parser, data, folder)
-            counts[found] += 1
-            if found not in ("value", "error") and keep is not None and counts[found] == 1:
-                (keep / f"{name}-{len(counts)}").write_bytes(data)
-        faulthandler.cancel_dump_traceback_later()
-        grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - size)
-        return name, counts, time.perf_counter() - began, grown
-
-
-def shares(cases: int, names: Sequence[str]) -> dict[str, int]:
-    rest = [name for name in names if name not in SHARES]
-    left = cases * (1 - sum(SHARES[name] for name in names if name in SHARES))
-    return {name: max(1, round(cases * SHARES[name] if name in SHARES else left / len(rest))) for name in names}
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="+", default=[], help="these parsers alone, the same number of cases each")
-    parser.add_argument("--keep", type=Path, help="folder for the cases that end in something else")
-    chosen = parser.parse_args()
-    with tempfile.TemporaryDirectory() as there:
-        names = list(seeds(Path(there)))
-    if chosen.keep is not None:
-        chosen.keep.mkdir(parents=True, exist_ok=True)
-    wrong = 0
-    plan = {name: chosen.cases // len(chosen.only) for name in chosen.only} or shares(chosen.cases, names)
-    print(f"{'parser':10} {'cases':>7} {'values':>7} {'errors':>7} {'s':>6} {'MB more':>8}")
-    for name, count in plan.items():
-        # a process of its own: a crash of a library ends that one alone
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-            try:
-                _, counts, seconds, grown = pool.submit(fuzz, name, count, chosen.seed, chosen.keep).result()
-            except BrokenProcessPool:
-                counts, seconds, grown = Counter({"the process crashed or hung, at the last case kept": 1}), 0.0, 0
-        print(f"{name:10} {counts.total():7} {counts['value']:7} {counts['error']:7} {seconds:6.1f} {grown / 1e6:8.1f}")
-        for what, times in counts.items():
-            if what not in ("value", "error"):
-                wrong += times
-                print(f"    {times} x {what}")
-        sys.stdout.flush()
-    print(f"{wrong} of {sum(plan.values())} cases end in something else than a value or a clear error")
-    sys.exit(1 if wrong else 0)
-
-
-if __name__ == "__main__":
-    main()

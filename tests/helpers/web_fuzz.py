@@ -1,22 +1,18 @@
 """Malformed requests, uploads and socket messages for the server of the pages: each is answered, refused, or let go."""
 
-import argparse
 import asyncio
 import json
 import random
-import resource
-import sys
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Awaitable, Iterable, MutableMapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
+from fuzz_films import RATE_HZ, film_seeds
+from parser_fuzz import mutated
 
-from benchmarks._fuzz_films import RATE_HZ, film_seeds
-from benchmarks.fuzz import mutated
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
 from heliograph.web.failures import MOST
@@ -300,26 +296,3 @@ async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
 
 GOOD = ("2xx", "3xx", "4xx", "5xx", "ended", "let go", "end", "failed")
 """What may become of a case; 5xx is 503, all places taken."""
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-    chosen = parser.parse_args()
-    began, wrong = time.process_time(), 0
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for name, counts in asyncio.run(fuzz(chosen.cases, chosen.seed)).items():
-        print(f"{name:10} " + ", ".join(f"{counts[what]} {what}" for what in GOOD if counts[what]))
-        for what, times in counts.items():
-            if what not in GOOD:
-                wrong += times
-                print(f"    {times} x {what}")
-    grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
-    print(f"{time.process_time() - began:.0f} s of processor time, {grown / 1e6:.0f} MB more")
-    print(f"{wrong} of {chosen.cases} cases end in something else than an answer, a refusal or an end")
-    sys.exit(1 if wrong else 0)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,5 @@
-"""Parsers of films for `benchmarks.fuzz`, each with small films that it reads well."""
+"""Parsers of films for `parser_fuzz`, each with small films that it reads."""
 
-import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -8,13 +7,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+from made_recordings import noise, write_cine, write_imagej, write_mraw, write_tiff, write_y4m
 
 from heliograph.base.frames import Frame
 from heliograph.link.truth import noted_signal
 from heliograph.media import create_film, open_film
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
-from made_recordings import noise, write_cine, write_imagej, write_mraw, write_tiff, write_y4m
 
 FRAMES_READ = 200
 """Most frames read of a film: a damaged one may claim more than there are."""
