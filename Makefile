@@ -3,6 +3,7 @@
 # (PYTHON picks the interpreter that makes .venv)
 PYTHON ?= python3
 BIN := .venv/bin
+DEMO_STAMP := .venv/.installed-demo
 STAMP := .venv/.installed
 DOCS_STAMP := .venv/.installed-docs
 LOWEST := .venv-lowest
@@ -15,12 +16,17 @@ export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/bytecode
 
 install: $(STAMP)
 
-$(STAMP): pyproject.toml
+$(DEMO_STAMP): pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --editable .
+	touch $@
+
+# what the tests, the examples and the tools need beyond the package
+$(STAMP): $(DEMO_STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,examples]'
 	touch $@
 
-demo: install
+demo: $(DEMO_STAMP)
 	$(BIN)/heliograph demo --output demo
 
 # two processes, a file of tests each: what a file's tests share is made once
