@@ -25,6 +25,7 @@ nitpicky = False
 # names in docstrings stand in single backticks
 default_role = "code"
 myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_default_options = {"members": True, "show-inheritance": False}
