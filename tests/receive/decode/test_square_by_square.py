@@ -36,7 +36,7 @@ def decoded(words: Words | None, layer: str) -> list[bool]:
     return [word.status == "ok" for word in words[layer]]
 
 
-NEAR = [(phase, distance_m) for phase in (0.07, 0.3, 0.5, 0.62, 0.9) for distance_m in (30.0, 45.0)]
+NEAR = [(0.07, 30.0), (0.3, 45.0), (0.5, 30.0), (0.5, 45.0), (0.62, 30.0), (0.9, 45.0)]
 
 
 @pytest.mark.parametrize(("phase", "distance_m"), [*NEAR, (0.2, 65.0), (0.8, 65.0)])

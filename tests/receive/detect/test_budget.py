@@ -103,8 +103,7 @@ def test_the_dearer_blocks_were_the_fewer_are_searched() -> None:
     assert budget.affordable_blocks() < before / 5
 
 
-@pytest.mark.parametrize("dark", [0, 20, 90], ids=["at its header", "early in a packet", "late in a packet"])
-@pytest.mark.parametrize("kind", ["plain", "soft"])
+@pytest.mark.parametrize(("kind", "dark"), [("plain", 0), ("plain", 90), ("soft", 0), ("soft", 20)])
 def test_an_array_beside_what_flickers_for_long_is_found(kind: str, dark: int) -> None:
     """It comes into sight after the patterns of a packet that were dark, and shows data until its next header."""
     settings = ReceiveSettings(receiver=kind, detect=DetectSettings(cpu_share=0.3))

@@ -73,8 +73,7 @@ def two_packets(distance_m: float, shaken: bool) -> tuple[Frame, ...]:
     return tuple(film(link("signal.data_pairs=16", distance_m=distance_m, **shake), 2 * PACKET + 16, seed=3))
 
 
-@pytest.mark.parametrize("shaken", [False, True])
-@pytest.mark.parametrize("distance_m", [30.0, 80.0])
+@pytest.mark.parametrize(("distance_m", "shaken"), [(30.0, True), (80.0, False), (80.0, True)])
 @pytest.mark.slow
 def test_start_is_right_wherever_the_film_begins(distance_m: float, shaken: bool) -> None:
     whole, false_in_all = two_packets(distance_m, shaken), 0
@@ -92,8 +91,7 @@ def test_start_is_right_wherever_the_film_begins(distance_m: float, shaken: bool
     assert false_in_all <= 2
 
 
-@pytest.mark.parametrize("pairs", [1, 3])
-@pytest.mark.parametrize("distance_m", [30.0, 60.0])
+@pytest.mark.parametrize(("pairs", "distance_m"), [(1, 30.0), (1, 60.0), (3, 30.0)])
 @pytest.mark.slow
 def test_other_lengths_of_the_header(pairs: int, distance_m: float) -> None:
     settings = link(f"signal.header_pairs={pairs}", "transmit.identities=[13]", distance_m=distance_m)
@@ -142,7 +140,7 @@ def texture(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
 @pytest.mark.slow
 def test_nothing_is_found_where_nothing_is(light: Light) -> None:
     rng = np.random.default_rng(4)
-    assert detections(frame_of(light(k, rng), k, rng) for k in range(120)) == []
+    assert detections(frame_of(light(k, rng), k, rng) for k in range(80)) == []
 
 
 def test_followed_arrays_are_not_found_again() -> None:
@@ -243,7 +241,7 @@ def test_cells_dimmed_by_a_format_change_neither_gain_nor_tilt(mode: str) -> Non
 
 
 @pytest.mark.parametrize("data_pairs", [18, 19])
-@pytest.mark.parametrize("start", range(8, 16))
+@pytest.mark.parametrize("start", [8, 9, 14, 15])
 def test_a_turned_array_is_found_wherever_its_packets_begin(start: int, data_pairs: int) -> None:
     """Packets last a whole number of searches, odd or even, and turned headers are looked for in every other one."""
     signal = SignalSettings(data_pairs=data_pairs)

@@ -146,12 +146,11 @@ def searched(
 @pytest.mark.parametrize(("pixels", "sides", "count"), [(2, (8.3, 9.1), 5), (4, (11.3, 15.8), 1)])
 @pytest.mark.parametrize("quiet", [(0, slice(None)), (slice(None), 4), (slice(2, 4), slice(3, None))])
 @pytest.mark.parametrize("apart", [coarse.DETECT.min_distance, coarse.DETECT.min_distance_turned])
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.slow
 def test_search_finds_what_the_reference_finds(
-    seed: int, apart: float, quiet: tuple[int | slice, ...], pixels: int, sides: tuple[float, ...], count: int
+    apart: float, quiet: tuple[int | slice, ...], pixels: int, sides: tuple[float, ...], count: int
 ) -> None:
-    image, cells = headers(seed, pixels), all_header_cells().reshape(-1, 16).astype(float)
+    image, cells = headers(1, pixels), all_header_cells().reshape(-1, 16).astype(float)
     busy = np.ones((6, 7), dtype=bool)
     busy[quiet] = False
     found, best = searched(image, busy, sides, count, contrast=3.0, threshold=0.35, apart=apart)
@@ -163,7 +162,7 @@ def test_search_finds_what_the_reference_finds(
     # where enough is busy, as many as asked for
     assert found == count or quiet[0] != 0
     assert best[:found] == pytest.approx(np.array(want), rel=1e-6)
-    assert best[0, 4] == 7 * seed + 2
+    assert best[0, 4] == 9
     assert abs(best[0, 1] - 8 - 2 * pixels) < 1
     assert abs(best[0, 2] - 10 - 2 * pixels) < 1
 
