@@ -32,7 +32,7 @@ def passing(receiver: str, distance_m: float, speed_m_s: float, yaw_deg: float) 
     ],
 )
 def test_an_array_that_passes_is_read(receiver: str, distance_m: float, speed_m_s: float, yaw_deg: float) -> None:
-    """Above 1.5 px per frame, motion resembled a phase shift, blur or stretch."""
+    """At 1.5 px per frame, motion resembled a phase shift, blur or stretch."""
     settings, recorder = passing(receiver, distance_m, speed_m_s, yaw_deg), Recorder()
     frames = [frame for frame, _ in simulate(settings, default_messages(settings), 3, None, 40)]
     packets = list(receive_frames(frames, settings.signal, settings.receive, recorder))

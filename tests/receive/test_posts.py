@@ -27,7 +27,6 @@ def read(number: int, until_s: float, seed: int = 1) -> tuple[int, list[Packet]]
 
 
 def numbers_of(packets: list[Packet]) -> list[int]:
-    """Return the numbers of fully decoded packets."""
     return [round(packet.start_time_s / 0.1) for packet in packets if packet.status == "ok"]
 
 

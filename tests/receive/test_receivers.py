@@ -23,8 +23,6 @@ NUMBERS = itertools.count()
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Every:
-    """Settings for a custom receiver."""
-
     frames: int = 3
 
 
@@ -50,7 +48,6 @@ class Counting:
 
 
 def counting() -> str:
-    """Register the receiver under a new name."""
     name = f"counting-{next(NUMBERS)}"
     register_receiver(name, Counting, Every)
     return name

@@ -12,14 +12,11 @@ from heliograph.receive import ReceiveSettings, register_receiver
 
 @dataclass(frozen=True)
 class Every:
-    """Settings for a custom receiver."""
-
     frames: int = 1
 
 
 @pytest.fixture(autouse=True)
 def mine() -> None:
-    """Register the receiver "mine", which must not be created."""
     register_receiver("mine", lambda *_: pytest.fail("no receiver is asked for"), Every, ["calibration"])
 
 

@@ -25,7 +25,6 @@ def sized(side: int, receiver: str, distance_m: float, *changes: str, **channel:
 
 
 def assert_all_read(settings: LinkSettings, packets: int = 1, seed: int = 1) -> None:
-    """Check that all codewords decode."""
     counts = run_block(settings, seed, max_packets=packets)
     assert {name: (c.codewords, c.codeword_errors) for name, c in counts.layers.items()} == {
         "high": (packets, 0),

@@ -19,7 +19,6 @@ def blas_threads() -> int:
 
 @pytest.fixture
 def two_threads() -> Iterator[None]:
-    """BLAS with two threads, as users may configure."""
     with threadpool_limits(limits=2, user_api="blas"):
         yield
 

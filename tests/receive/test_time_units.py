@@ -16,8 +16,6 @@ ReadPair = FramePair | MeasuredHeader | None
 
 
 class PairCount:
-    """Count pairs processed by arrays."""
-
     def __init__(self, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
         self.count, take = 0, ArrayReceiver._take
 

@@ -76,7 +76,6 @@ def test_iterations_reach_the_optimum_of_a_toy_code() -> None:
 @pytest.mark.parametrize("blocks", [3, 35])
 @pytest.mark.slow
 def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64], stop: Stop, blocks: int) -> None:
-    """LLRs for information and coded bits."""
     rng = np.random.default_rng(5)
     k = len(order)
     bits = rng.integers(0, 2, (blocks, k), dtype=np.uint8)

@@ -263,7 +263,7 @@ def test_equal_packets_give_equal_codewords() -> None:
 def test_predicted_error_probabilities_are_those_observed(distance_m: float) -> None:
     """The first iteration knows only the channel: P(wrong) = 1 / (1 + exp |LLR|).
 
-    The Gaussian interference model has heavier tails, so LLRs may be too small but never too large.
+    The Gaussian interference model overestimates the tails, so LLRs may be too small but never too large.
     """
     predicted, wrong = [], []
     for seed in range(4):

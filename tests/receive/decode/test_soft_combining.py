@@ -143,7 +143,7 @@ def test_a_codeword_that_contradicts_makes_another_packet() -> None:
 
 @pytest.mark.slow
 def test_packets_that_share_a_codeword_are_told_apart() -> None:
-    """Also for weak second packets: no codeword from the first packet may pass as theirs."""
+    """Also for weak second packets: no first packet codeword passes for a different codeword in the second."""
     count = 0
     for distance_m, pairs in ((150, 3), (180, 5), (180, 24), (240, 10)):
         first = random_blocks(50)

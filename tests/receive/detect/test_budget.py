@@ -40,7 +40,6 @@ EVERYTHING = np.ones((20, 30), bool)
 
 
 def started(budget: TokenBucket, busy: NDArray[np.bool_] = EVERYTHING) -> bool:
-    """True if a novel block starts a search."""
     return bool(budget.start_search(NoveltyFilter(), np.ones((20, 30), np.float32), busy, FRAME).any())
 
 
@@ -219,7 +218,6 @@ def test_a_camera_switched_on_amid_a_packet_does_not_wait_for_its_data(
 
 
 def alone(duration_s: float, modulation: str = "haar", **place: float) -> LinkSettings:
-    """Return a link with an array at rest, always visible."""
     here = {"x_m": 0.0, "y_m": 0.0, **{name: one for name, one in place.items() if name != "distance_m"}}
     channel = {"distance_m": place["distance_m"], "duration_s": duration_s, "arrays": [here]}
     sent = {"signal": {"modulation": modulation}, "transmit": {"identities": [29]}}

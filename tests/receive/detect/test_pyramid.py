@@ -70,7 +70,6 @@ def test_levels_begin_with_the_blur_that_they_show() -> None:
 
 
 def header_of(identity: int) -> NDArray[np.float64]:
-    """Return header luminances, 0 to 1."""
     return header_levels(identity) / 4.0
 
 
@@ -94,7 +93,6 @@ def frames_of(
 def search_of(
     frames: list[Frame], taken: tuple[Pose, ...] = (), search: PyramidSearch | None = None
 ) -> tuple[dict[int, Detection], int]:
-    """Return detections by identity and the number of detections."""
     search = search or PyramidSearch(SEARCH, SignalSettings())
     found = [one for frame in frames for one in search.search(frame, taken)]
     return {one.identity: one for one in found}, len(found)
@@ -206,8 +204,6 @@ def flickering_frame(k: int, rng: np.random.Generator, origin: tuple[int, int] =
 
 
 class NoRefill(TokenBucket):
-    """A budget without refill."""
-
     def refill(self) -> None:
         pass
 

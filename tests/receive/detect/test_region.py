@@ -131,7 +131,6 @@ def test_a_header_turned_by_40_degrees_is_found_with_the_tilt_that_was_given(
 
 
 def header_film(pose: Pose) -> list[Frame]:
-    """Return two header pairs, then dark frames."""
     rng, lit = np.random.default_rng(3), header_levels(7) / 4.0
     shown = [lit, 1 - lit, lit, 1 - lit, *[np.zeros((SIDE, SIDE))] * 4]
     return [frame_of(0.1 + 0.25 * draw(pose, one, (0, 0), (160, 200)), k, rng) for k, one in enumerate(shown)]

@@ -33,7 +33,6 @@ SMALL = (
 
 
 def link(preset: str, packets: float, *changes: str) -> LinkSettings:
-    """Return link settings with a small frame."""
     base = load_settings(preset)
     readout = base.channel.camera.row_time_s * base.channel.camera.height
     rows = f"channel.camera.row_time_s={readout / 270}"

@@ -43,7 +43,6 @@ def seen(clock: Clock, frames: int, noise: float = 0.02) -> Samples:
 
 
 def search_clocks(samples: Samples, periods: list[float], row_s: float | None) -> list[RatedClock]:
-    """Return clocks for given pattern periods, best first."""
     return ClockFitter(samples, FRAME_S, HEIGHT, row_s, SearchBudget()).search(periods)
 
 

@@ -28,7 +28,7 @@ SIGNAL = SETTINGS.signal
 POSE = Pose(79.5, 59.5, pitch_at(50.0), 0.0, 0.52)
 
 RATES = [(1000.0, 2.0e-3), (1000.0, 2.3e-3), (1500.0, 2.2e-3), (2500.0, 2.7e-3)]
-"""Frame rate and light start; only the first cases are synchronous."""
+"""Frame rate and light start; only the first entry is synchronous."""
 
 
 @cache
@@ -56,7 +56,6 @@ def taken(pairing: AsynchronousPairing, frames: Iterable[Frame], single: bool = 
 def paired(
     pairing: AsynchronousPairing, frames: list[Frame], single: bool = False
 ) -> list[tuple[int, FramePair | None]]:
-    """Return pair numbers and frames."""
     due = list(taken(pairing, frames, single))
     pairing.flush()
     while (last := pairing.next_pair(lambda _: POSE, np.ones((16, 16)), single)) is not None:

@@ -142,7 +142,7 @@ def test_in_step_a_combination_is_two_frames() -> None:
 
 @pytest.mark.parametrize("late", [0.0, 0.02, 0.1, -0.25])
 def test_the_departure_is_half_of_the_light_that_is_misplaced(late: float) -> None:
-    """Late frames miss the pattern's start and include the inverse's start; the second frame misses that start."""
+    """Late frames miss the pattern's start and include the inverse's start, which the second frame then misses."""
     combination = combine_pair(late + np.arange(-1.0, 4.0), 1.0, (0, 1, 2, 3))
     assert combination is not None
     if len(combination.difference) == 2:

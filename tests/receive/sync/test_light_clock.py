@@ -209,7 +209,6 @@ def test_a_header_that_is_not_seen_leaves_the_clock_alone() -> None:
 
 
 def unseen(pattern: int) -> HeaderAmplitudes:
-    """Return dark frames around a header."""
     return HeaderAmplitudes(1e-3 * (pattern + np.arange(-2.0, 7.0)), np.full(9, 1e-3), np.zeros(9))
 
 

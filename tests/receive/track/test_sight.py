@@ -22,7 +22,6 @@ def pose_at(distance_m: float) -> Pose:
 
 
 def data(rng: np.random.Generator) -> Floats:
-    """Return random LED luminances."""
     return rng.binomial(4, 0.5, (SIDE, SIDE)) / 4
 
 
@@ -52,7 +51,6 @@ def changed(before: Floats, pair: FramePair, pose: Pose) -> Floats:
 @pytest.mark.parametrize("distance_m", [25.0, 50.0, 95.0])
 def test_what_a_post_hides_does_not_change(distance_m: float) -> None:
     rng, pose = np.random.default_rng(3), pose_at(distance_m)
-    # left half of the array
     post = slice(0, round(pose.x))
     change = np.ones((SIDE, SIDE))
     for _ in range(30):
