@@ -1,1 +1,1 @@
-"""Codewords received and speed: `python -m benchmarks.behaviour` and `make bench`."""
+"""Reception and speed benchmarks: `python -m benchmarks.behaviour` and `make bench`."""

@@ -1,12 +1,11 @@
-"""Codewords received in fixed scenarios: the reference table for every change of the receivers.
+"""Codewords received in fixed scenarios: the reference table for receiver changes.
 
     python -m benchmarks.behaviour [SCENARIO ...] [--write | --films N] [--workers 2]
 
-The films of a scenario are drawn by fixed seeds, and every receiver of the scenario gets the same frames. Prints a
-table of codewords right of sent by layer, undetected errors, and packets that were never sent. The reference in
-`benchmarks/behaviour.csv` stands in brackets beside counts that differ. The exit status is 1 if a count lies outside
-the 95 % interval of the reference; --write replaces the reference. --films draws another number of films of each
-scenario, without a reference.
+Fixed seeds define the films, and all receivers in a scenario read the same frames. The table lists correct and sent
+codewords per layer, undetected errors and false packets. If a count differs from `benchmarks/behaviour.csv`, the
+reference follows in brackets. The exit status is 1 if a count lies outside the reference's 95 % interval. --write
+replaces the reference. --films changes the number of films per scenario and disables the comparison.
 """
 
 import argparse
@@ -23,7 +22,7 @@ from pathlib import Path
 
 from heliograph.base.workers import THREAD_LIMITS, limit_threads
 
-os.environ.update(THREAD_LIMITS)  # before NumPy is imported
+os.environ.update(THREAD_LIMITS)  # before importing NumPy
 
 import numpy as np
 
@@ -42,7 +41,7 @@ REFERENCE = Path(__file__).with_suffix(".csv")
 
 
 class RenderedFilm:
-    """Frames kept in memory with the truth of each; a `FrameSource` and a `TruthSource`."""
+    """Frames with ground truth in memory; a `FrameSource` and a `TruthSource`."""
 
     path = "the film"
 
@@ -84,7 +83,7 @@ Row = dict[str, int]
 
 
 def count(name: str, number: int) -> dict[str, Row]:
-    """Counts of one film by receiver: codewords sent and right by layer, undetected errors, foreign packets."""
+    """Count sent and correct codewords per layer, undetected errors and false packets in a film, by receiver."""
     limit_threads()
     one = SCENARIOS[name]
     seed = zlib.crc32(f"{name} {number}".encode())
@@ -95,7 +94,7 @@ def count(name: str, number: int) -> dict[str, Row]:
         reception = Reception(rendered)
         deque(receive_film(rendered, settings.signal, settings, reception), maxlen=0)
         errors = reception.errors
-        assert errors is not None  # the truth is known
+        assert errors is not None  # ground truth is available
         row = {"undetected errors": errors.false_codewords, "foreign packets": errors.false_packets}
         for layer in LAYERS:
             counts = [layers[layer] for layers in errors.bins().values()]
@@ -106,7 +105,7 @@ def count(name: str, number: int) -> dict[str, Row]:
 
 
 def run(names: Iterable[str], workers: int, count_films: int | None) -> Iterator[tuple[str, str, Row]]:
-    """Counts of each scenario and receiver, all films together."""
+    """Yield summed counts for each scenario and receiver."""
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         films = {
             name: [pool.submit(count, name, k) for k in range(count_films or SCENARIOS[name].films)] for name in names
@@ -118,14 +117,14 @@ def run(names: Iterable[str], workers: int, count_films: int | None) -> Iterator
 
 
 def read_reference() -> dict[tuple[str, str], Row]:
-    """The reference by scenario and receiver."""
+    """Read the reference by scenario and receiver."""
     with REFERENCE.open(newline="") as file:
         rows = list(csv.DictReader(file))
     return {(row.pop("scenario"), row.pop("receiver")): {key: int(n) for key, n in row.items()} for row in rows}
 
 
 def differs(row: Row, before: Row) -> bool:
-    """True if right codewords lie outside the reference's 95 % interval, or more errors are undetected."""
+    """True if correct codewords lie outside the reference's 95 % interval, or undetected errors increased."""
     for layer in LAYERS:
         sent, right = before[f"{layer} sent"], before[f"{layer} right"]
         low, high = clopper_pearson(right, sent) if sent else (0.0, 1.0)
@@ -136,7 +135,7 @@ def differs(row: Row, before: Row) -> bool:
 
 
 def format_row(name: str, receiver: str, row: Row, before: Row) -> str:
-    """A row of the table in Markdown; differing references stand in brackets."""
+    """Format a Markdown table row, with differing references in brackets."""
 
     def cell(right: str, sent: str | None = None) -> str:
         was = before.get(right, row[right])
@@ -147,7 +146,7 @@ def format_row(name: str, receiver: str, row: Row, before: Row) -> str:
 
 
 def main() -> int:
-    """Print the table; 1 if it differs from the reference."""
+    """Print the table; return 1 if a row differs from the reference."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="beginnings of names; default: all")
     parser.add_argument("--write", action="store_true")

@@ -1,7 +1,7 @@
-"""What `heliograph budget` rests on, and how far off it is.
+"""Check the assumptions and accuracy of `heliograph budget`.
 
-python -m benchmarks.budget needs     information that the code needs, by rate: NEEDED of heliograph.link.information
-python -m benchmarks.budget points    predicted and measured: codewords lost at points of distance, receiver, mode, blur
+python -m benchmarks.budget needs     mutual information required by code rate: NEEDED in heliograph.link.information
+python -m benchmarks.budget points    predicted and measured codeword loss by distance, receiver, mode and blur
 """
 
 import argparse
@@ -20,10 +20,10 @@ from heliograph.signal.formats import SIGNALLED_RATES
 from heliograph.signal.turbo.code import turbo_plan
 
 CODED_BITS = 3072
-"""Bits of a codeword of the reference link."""
+"""Codeword length in the reference link."""
 
 LOST = 0.01
-"""Share of wrong codewords at which a range ends."""
+"""Codeword error rate at maximum range."""
 
 POINTS = (
     (60.0, "plain", "paired", 0.5), (70.0, "plain", "paired", 0.5), (80.0, "plain", "paired", 0.5),
@@ -32,11 +32,11 @@ POINTS = (
     (80.0, "soft", "paired", 0.8), (90.0, "soft", "paired", 0.8), (105.0, "soft", "paired", 0.8),
     (125.0, "soft", "paired", 0.8),
 )  # fmt: skip
-"""Distance in m, receiver, mode and blur in px, about where the budget ends the layers' ranges."""
+"""Distance in m, receiver, mode and blur in px near the predicted maximum range."""
 
 
 def needs(blocks: int) -> None:
-    """Print, by rate, the information at which a share LOST of the codewords is wrong."""
+    """Print the mutual information required for codeword error rate LOST, by rate."""
     print("rate    information at which 1 % of the codewords are wrong")
     for rate in (1 / 3, *SIGNALLED_RATES):
         code, found = turbo_plan(CODED_BITS, rate).code, []
@@ -51,7 +51,7 @@ def needs(blocks: int) -> None:
 
 
 def _lost(code: Code, information: float, blocks: int) -> float:
-    """Share of the codewords that are wrong where each bit has so much information."""
+    """Return the codeword error rate for a given mutual information per bit."""
     ratio = brentq(lambda r: float(binary_information(np.array([r]))[0]) - information, 1e-4, 40.0)
     rng = np.random.default_rng(1)
     bits = rng.integers(0, 2, (blocks, code.k), dtype=np.uint8)
@@ -61,7 +61,7 @@ def _lost(code: Code, information: float, blocks: int) -> float:
 
 
 def point(distance_m: float, receiver: str, mode: str, blur_px: float) -> LinkSettings:
-    """Settings of a point: the reference link at rest."""
+    """Return reference link settings for a point at rest."""
     over = {
         "channel": {"distance_m": distance_m, "camera": {"blur_px": blur_px}},
         "receive": {"receiver": receiver},
@@ -71,7 +71,7 @@ def point(distance_m: float, receiver: str, mode: str, blur_px: float) -> LinkSe
 
 
 def points(films: int, chosen: Sequence[tuple[float, str, str, float]] = POINTS) -> None:
-    """Print, for each point and layer, what the budget says and what was lost."""
+    """Print predicted and measured codeword loss for each point and layer."""
     print("distance  receiver  mode    blur    layer   reads to  at most  information here  needed  lost (95 %)")
     for distance_m, receiver, mode, blur_px in chosen:
         settings = point(distance_m, receiver, mode, blur_px)

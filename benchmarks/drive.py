@@ -1,12 +1,12 @@
-"""Whole frames of the paper's drive, 80 m to 25 m, from memory: `python -m benchmarks.drive FILM [--seconds 6.6]`.
+"""Receiver speed on the paper's drive, 80 m to 25 m: `python -m benchmarks.drive FILM [--seconds 6.6]`.
 
-FILM is simulated if it does not exist; the frames of the whole drive take 3.5 GB. --preset and --set choose another
-link, --rate another frame rate.
+The benchmark simulates FILM if the file does not exist. Full-size frames for the complete drive need 3.5 GB of
+memory. --preset and --set select another link, --rate another frame rate.
 
-First each receiver reads the drive on one core, compilation excluded: medians of three runs of processor time per
-frame, beside an inverse of 256 x 256 float32 and a Gaussian blur of the frame in the same run. Then the frames come at
-a camera's rate, and packets are decoded in this process or in a second one: the delay of a packet is the time from its
-last frame to its bytes; a frame waits while the receiver is busy with earlier frames.
+The first part measures processor time per frame on one core, compilation excluded: the median over three runs for
+each receiver, with two yardsticks from the same run (inverse of 256 x 256 float32, Gaussian blur of the frame). The
+second part delivers frames at camera rate and decodes packets in the same or a second process. It reports packet
+delay, from the last frame to the decoded bytes, and the waiting time for frames while the receiver is busy.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from pathlib import Path
 
 from heliograph.base.workers import THREAD_LIMITS, limit_threads
 
-os.environ.update(THREAD_LIMITS)  # before NumPy is imported: algebra in one thread
+os.environ.update(THREAD_LIMITS)  # before importing NumPy: single-threaded BLAS
 
 import cv2
 import numpy as np
@@ -33,11 +33,11 @@ from heliograph.receive import Packet, make_receiver
 
 RUNS = 3
 WARM_FRAMES = 330
-"""Frames read before the measurement, three packets, so that all machine code is loaded."""
+"""Warm-up frames, three packets, to load compiled code."""
 
 
 def film(path: Path, settings: LinkSettings, seconds: float) -> list[Frame]:
-    """Return the frames of the first seconds of the drive."""
+    """Return frames from the first seconds of the drive."""
     if not path.exists():
         camera = settings.channel.camera
         with create_film(
@@ -61,7 +61,7 @@ def read(settings: LinkSettings, frames: Sequence[Frame]) -> list[Packet]:
 
 
 def median_ms(work: Callable[[], object], runs: int = 40) -> float:
-    """Median processor time of a call in ms."""
+    """Return the median processor time per call in ms."""
     times = []
     for _ in range(runs):
         start = time.process_time()

@@ -1,11 +1,10 @@
 """Sustained live reception: `python -m benchmarks.live [RATE ...] [--receiver soft] [--seconds 20] [--queue-s 5]`.
 
-For each rate a process of its own films a simulated light of so many patterns a second, and serves its frames by
-Aravis' fake GigE Vision camera on loopback (`examples/fake_camera.py`); this process receives them live. A line tells
-how many frames a second the camera gave, how many were lost on the way, left out by the camera or dropped before the
-receiver, and how many packets that were seen whole were read. Processor time is that of this process: the library's
-thread, that of the camera, and the receiver. Beside it stands the time for the same frames without a camera, from
-memory. It needs libaravis-0.8.
+For each pattern rate, a second process simulates the light and serves frames through Aravis' fake GigE Vision camera on
+loopback (`examples/fake_camera.py`). This process receives the frames live. Each line lists the camera's frame rate,
+frames lost in transit, skipped by the camera or dropped before the receiver, and the number of completely visible
+packets decoded. Processor time covers this process: library thread, camera thread and receiver. The last column gives
+the processor time for the same frames from memory. The benchmark requires libaravis-0.8.
 """
 
 import argparse

@@ -1,8 +1,8 @@
-"""Right and wrong places of LED panels, and bits read through crosstalk: `python -m benchmarks.panel_places`.
+"""Accuracy of panel location and colour unmixing: `python -m benchmarks.panel_places`.
 
-The scenes of `tests/helpers/panel_scenes.py` have none of the code that is measured. Family 0 served for tuning,
-family 1 has other clutter, noise and motion. A place is right if no LED is off by 0.4 pitches or more. "Another
-count" searches a row or a column too many or too few at corners given by hand: each such place is wrong.
+The scenes in `tests/helpers/panel_scenes.py` are independent of the measured code. Family 0 served for tuning; family 1
+differs in clutter, noise and motion. A place is correct if every LED error is below 0.4 pitches. "Another count"
+searches a wrong number of rows or columns from corners given by hand, so every place found is wrong.
 """
 
 import argparse
@@ -22,14 +22,14 @@ from panel_scenes import Scene, draw_scene
 RIGHT_PITCHES = 0.4
 ACCEPTED = 0.75
 HAND_PITCHES = (0.25, 0.2)
-"""Standard deviation in pitches of the error of each corner by hand, and of the error all corners share."""
+"""Standard deviations in pitches: independent error per hand-marked corner, and common error."""
 
 WAYS = ("one frame", "six frames", "by hand, one frame", "by hand, another count")
 RESULTS = ("right, accepted", "right, rejected", "wrong, accepted", "wrong, rejected", "not found")
 
 
 def outcomes(seed: int, family: int) -> dict[str, str]:
-    """Results of one scene, way by way."""
+    """Return results for one scene by method."""
     scene = draw_scene(seed, family)
     rng = np.random.default_rng(seed)
     each, shared = HAND_PITCHES
@@ -47,7 +47,7 @@ def outcomes(seed: int, family: int) -> dict[str, str]:
 def outcome(
     scene: Scene, frames: list[NDArray[np.uint8]], hand: NDArray[np.float64] | None, count: tuple[int, int]
 ) -> str:
-    """Result of one call."""
+    """Return the result of one call."""
     try:
         place = heliograph.locate(frames, hand, rows=count[0], columns=count[1])
     except heliograph.HeliographError:
@@ -57,7 +57,7 @@ def outcome(
 
 
 def measure_colours(seeds: int) -> None:
-    """Print bits that are wrong by a threshold and by `unmix_colours`, for random crosstalk."""
+    """Print bit errors for a threshold and for `unmix_colours` under random crosstalk."""
     print("\n| lit | crosstalk up to | bits | wrong by a threshold | wrong by unmix_colours |")
     print("| --- | --- | --- | --- | --- |")
     for lit in (0.05, 0.1, 0.3, 0.5, 0.8):

@@ -1,4 +1,4 @@
-"""Scenarios of `benchmarks.behaviour`: films drawn one by one from generators of fixed seeds, and their receivers."""
+"""Scenarios for `benchmarks.behaviour`: seeded random films and their receivers."""
 
 import math
 import os
@@ -26,7 +26,7 @@ Alter = Callable[[Frame, Truth], Frame]
 
 @dataclass(frozen=True)
 class Film:
-    """One film of a scenario: whole packets (or the length in the settings), and a change made to each frame."""
+    """A film in a scenario: number of packets (None: duration from settings) and a per-frame modification."""
 
     settings: LinkSettings
     packets: int | None = 4
@@ -38,7 +38,7 @@ class Film:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Films drawn one by one from generators of fixed seeds, and the receivers that read them."""
+    """Seeded random films and the receivers to test."""
 
     draw: Callable[[Generator, int], Film]
     films: int
@@ -59,18 +59,18 @@ def scenario(name: str, films: int, receivers: Sequence[str] = BOTH) -> Callable
 
 
 def link(preset: str, *changes: str, **channel: Any) -> LinkSettings:
-    """Settings of a preset with changes; keywords are keys of the channel."""
+    """Load a preset with changes; keywords set channel keys."""
     return load_settings(preset, None, [*(f"channel.{key}={value}" for key, value in channel.items()), *changes])
 
 
 @dataclass(frozen=True)
 class Post:
-    """A post with upright edges that passes in front of an array."""
+    """A post with vertical edges passing in front of an array."""
 
     # First and last contact with the array in seconds
     start_s: float
     end_s: float
-    # Width in sides of the array
+    # Width relative to the array side
     width: float
     # Gray level, 0 to 255
     level: float
@@ -78,13 +78,13 @@ class Post:
     side: int
 
     def draw(self, frame: Frame, truth: Truth, rng: Generator) -> Frame:
-        """Draw the post, with noise, in front of the array in a frame."""
+        """Draw the noisy post in front of the array."""
         array, leds = truth.arrays[0], 16
         length = leds * array.pitch_px
         travelled = (frame.time_s - self.start_s) / (self.end_s - self.start_s) * (1 + self.width) * length
         centre = array.x + self.side * (travelled - 0.5 * length - 0.5 * self.width * length)
         columns = np.arange(frame.pixels.shape[1]) + frame.origin[0]
-        # the covered part of each column of pixels
+        # covered fraction per pixel column
         reach = 0.5 * self.width * length + 0.5
         hides = np.clip(reach - np.abs(columns - centre), 0, 1)
         if not hides.any():
@@ -95,7 +95,7 @@ class Post:
 
 
 def draw_passage(rng: Generator) -> tuple[LinkSettings, Post, int]:
-    """Draw link, post and seed of a film: 0.1 to 1 s from the first contact to the last, even in the logarithm."""
+    """Draw link, post and film seed; the passage lasts 0.1 to 1 s, log-uniform."""
     start_s, span_s = rng.uniform(0.11, 0.21), math.exp(rng.uniform(*np.log((0.1, 1.0))))
     post = Post(start_s, start_s + span_s, rng.uniform(1, 3), rng.uniform(5, 150), int(rng.choice([-1, 1])))
     channel = {
@@ -111,7 +111,7 @@ def draw_passage(rng: Generator) -> tuple[LinkSettings, Post, int]:
 
 
 def draw_phone(preset: str, rng: Generator) -> LinkSettings:
-    """Draw the conditions of a screen filmed by a phone."""
+    """Draw settings for a phone filming a screen."""
     base = load_settings(preset)
     fps, period = base.channel.camera.fps, base.signal.pattern_period_s
     side = float(np.exp(rng.uniform(*np.log((50.0, 800.0)))))
@@ -119,7 +119,7 @@ def draw_phone(preset: str, rng: Generator) -> LinkSettings:
     width = 16 * height // 9
     focal_px, pitch = 0.75 * width, 0.32 / 16
     distance = 0.32 * focal_px / side
-    # the array stays in the picture while the hand sways
+    # keep the array inside the frame despite hand shake
     room = np.maximum((np.array([width, height]) - 1.5 * side) / 2 - 30, 0) / focal_px * distance
     tilt, roll = (20, 15) if side < 0.55 * height else (8, 4)
     x, y = rng.uniform(-room, room)
@@ -158,13 +158,13 @@ def draw_phone(preset: str, rng: Generator) -> LinkSettings:
         "channel.emitter.backlight_hz": rng.uniform(180, 1000) if pwm else 0.0,
         "channel.emitter.backlight_duty": rng.uniform(0.3, 0.9) if pwm else 1.0,
         "channel.emitter.scan_s": rng.uniform(0, 0.016),
-        # below full scale everywhere
+        # below full scale
         "channel.emitter.all_on": rng.uniform(0.3, 0.85) / (1 + swing),
         "channel.emitter.panel_level": rng.uniform(0.005, 0.05),
         "channel.background.level": rng.uniform(0.0, 0.3),
         "channel.sensor.gamma": rng.uniform(1.8, 2.6),
     }
-    rng.random(2)  # the reference was drawn with a codec at this place
+    rng.random(2)  # keeps later draws equal to the reference, which drew a codec here
     values |= {
         "channel.camera.white_balance_swing": rng.uniform(0, 0.25),
         "channel.camera.white_balance_period_s": rng.uniform(1.5, 8),
@@ -175,7 +175,7 @@ def draw_phone(preset: str, rng: Generator) -> LinkSettings:
 
 
 def _tinted(rng: np.random.Generator) -> list[float]:
-    """Draw a colour between those of a warm lamp and a cold display."""
+    """Draw a colour between a warm lamp and a cold display."""
     warmth = rng.uniform(-0.4, 0.4)
     return [1 + warmth, 1.0, 1 - warmth]
 

@@ -1,9 +1,9 @@
-"""One table of speeds: ours, a peer or yardstick timed in turn with it, their ratio: `python -m benchmarks.table`.
+"""Speed table: each stage and a peer or yardstick, timed alternately: `python -m benchmarks.table`.
 
-    --json FILE    write the rows, and frames/s by stage, to a file too
-    --keep         add them, with the commit and the machine's facts, to benchmarks/history.jsonl
+    --json FILE    write rows and frames/s by stage to a file
+    --keep         append rows, commit and machine data to benchmarks/history.jsonl
 
-One core. A row's two times are medians of runs that alternate, so that other work on the machine slows both.
+The benchmark uses one core. Each row compares medians of alternating runs, so that background load affects both.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from typing import Any
 
 from heliograph.base.workers import THREAD_LIMITS, limit_threads
 
-os.environ.update(THREAD_LIMITS)  # before NumPy is imported: one core, and no threads that wait for each other
+os.environ.update(THREAD_LIMITS)  # before importing NumPy: one core, no waiting threads
 
 import cv2
 import numpy as np
@@ -47,7 +47,7 @@ from heliograph.signal import haar
 from heliograph.signal.turbo import TurboCode
 
 HISTORY = Path(__file__).with_name("history.jsonl")
-"""One line of JSON a run: commit, time, machine, rows."""
+"""JSON lines, one run per line: commit, time, machine, rows."""
 
 RUNS = 7
 FRAMES = 212
@@ -62,20 +62,20 @@ Call = Callable[[], object]
 
 @dataclass(frozen=True)
 class Row:
-    """A stage beside a peer.
+    """Times of a stage and a peer.
 
     Attributes
     ----------
     stage
-        What was timed.
+        Measured stage.
     ours_ms
-        Median time of one item in ms.
+        Median time per item in ms.
     peer
-        What it is compared with, timed in the same run.
+        Peer measured in the same run.
     peer_ms
-        Median time of one item of the peer in ms.
+        Median time per item for the peer in ms.
     frames
-        Frames that an item stands for; 0 where none.
+        Frames per item, or 0.
     """
 
     stage: str
@@ -86,25 +86,17 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """Ours over the peer's."""
+        """Time relative to the peer."""
         return self.ours_ms / self.peer_ms
 
     @property
     def frames_s(self) -> float:
-        """Frames per second of ours; 0 where an item is no frame."""
+        """Frames per second, or 0 for items other than frames."""
         return 1e3 * self.frames / self.ours_ms
 
 
 def in_turn(ours: Call, peer: Call, runs: int = RUNS) -> tuple[float, float]:
-    """Median times in ms of two calls that alternate, after one of each to warm up.
-
-    Parameters
-    ----------
-    ours, peer
-        The calls.
-    runs
-        Times that each is called.
-    """
+    """Return median times in ms for two alternating calls, after a warm-up call each."""
     times: list[list[float]] = [[], []]
     for run in range(runs + 1):
         for call, taken in zip((ours, peer), times, strict=True):
@@ -117,28 +109,14 @@ def in_turn(ours: Call, peer: Call, runs: int = RUNS) -> tuple[float, float]:
 
 
 def film(receiver: str, background: str) -> tuple[LinkSettings, list[Frame]]:
-    """Whole frames of an array at rest.
-
-    Parameters
-    ----------
-    receiver
-        Name of the receiver in the settings.
-    background
-        Kind of the background: "flat" or "synthetic".
-    """
+    """Simulate full frames with an array at rest on a "flat" or "synthetic" background."""
     channel = {"distance_m": DISTANCE_M, "duration_s": FRAMES * 1e-3, "background": {"kind": background}}
     settings = load_settings("static", {"channel": channel, "receive": {"receiver": receiver}})
     return settings, [frame for frame, _ in simulate(settings, default_messages(settings), 1)]
 
 
 def searching(background: str) -> Iterator[Row]:
-    """Looking for headers in whole frames: where an array is followed, and where each frame shows one to be found.
-
-    Parameters
-    ----------
-    background
-        Kind of the background: "flat" or "synthetic".
-    """
+    """Time the header search in full frames, with a tracked array and with a header in each frame."""
     settings, frames = film("plain", background)
     pose = _first_detection(settings, frames).fit.pose
 
@@ -157,7 +135,7 @@ def searching(background: str) -> Iterator[Row]:
 
 
 def following() -> Row:
-    """Following an array from pair to pair, beside OpenCV's tracker MIL."""
+    """Time tracking from pair to pair against OpenCV's MIL tracker."""
     settings, frames = film("plain", "flat")
     detection = _first_detection(settings, frames)
     tracker = Tracker(settings.signal.side, MotionModel(settings.signal.pattern_period_s, 0.1))
@@ -168,7 +146,7 @@ def following() -> Row:
         for pair in pairs:
             track = tracker.follow(track, pair).track
 
-    # what the peer sees is what is tracked: the sum of pattern and inverse
+    # the peer gets the sum of pattern and inverse, as the tracker does
     sums = [cv2.cvtColor(cv2.addWeighted(a.pixels, 0.5, b.pixels, 0.5, 0), cv2.COLOR_GRAY2BGR) for a, b in _two(frames)]
     pose = detection.fit.pose
     half = 0.5 * settings.signal.side * pose.pitch
@@ -180,14 +158,9 @@ def following() -> Row:
 
 
 def whole(name: str, peer: str) -> Row:
-    """A receiver over whole frames, beside a yardstick.
+    """Time a receiver on full frames against a yardstick.
 
-    Parameters
-    ----------
-    name
-        Name of the receiver.
-    peer
-        "blur" for a Gaussian blur 5 x 5 of a frame, "inverse" for NumPy's inverse of 256 x 256 in single precision.
+    The yardstick is "blur", a 5 x 5 Gaussian blur, or "inverse", NumPy's inverse of a 256 x 256 float32 matrix.
     """
     settings, frames = film(name, "flat")
 
@@ -208,7 +181,7 @@ def whole(name: str, peer: str) -> Row:
 
 
 def turbo() -> Iterator[Row]:
-    """Decoding turbo codes, 8 iterations at 1 dB, beside scikit-commpy where it is installed, else the reference."""
+    """Time turbo decoding, 8 iterations at 1 dB, against scikit-commpy if installed, otherwise the reference."""
     rng, code = np.random.default_rng(1), TurboCode(k=1024)
     _, llr = noisy_blocks(code, 64, 1.0, rng)
     title, peer = _commpy(code.k, rng) or ("NumPy reference", partial(_reference, llr[:4]))
@@ -219,20 +192,14 @@ def turbo() -> Iterator[Row]:
 
 
 def transform() -> Row:
-    """The fast Haar transform of 48 patterns, beside PyWavelets'."""
+    """Time the fast Haar transform of 48 patterns against PyWavelets."""
     x = np.random.default_rng(0).normal(size=(48, 16, 16))
     ours, peer = in_turn(partial(_many, partial(haar.decode, x), 50), partial(_many, partial(pywt.dwt2, x, "haar"), 50))
     return Row("Haar transform of 48 patterns", ours / 50, "PyWavelets", peer / 50, frames=0)
 
 
 def reading(suffix: str) -> Row:
-    """Reading a film, beside OpenCV's reader of the same file.
-
-    Parameters
-    ----------
-    suffix
-        Of the film, ".mkv" for FFV1 or ".mp4" for H.264.
-    """
+    """Time reading a film, ".mkv" (FFV1) or ".mp4" (H.264), against OpenCV's reader."""
     _, frames = film("plain", "synthetic")
     height, width = frames[0].pixels.shape
     with tempfile.TemporaryDirectory() as folder:
@@ -245,7 +212,7 @@ def reading(suffix: str) -> Row:
 
 
 def rows() -> Iterator[Row]:
-    """All rows, one after another."""
+    """Yield all rows."""
     yield from searching("flat")
     yield from searching("synthetic")
     yield following()
@@ -258,7 +225,7 @@ def rows() -> Iterator[Row]:
 
 
 def facts() -> dict[str, Any]:
-    """Facts of the machine and of the commit."""
+    """Return machine and commit data."""
     model = next((line.split(":")[1].strip() for line in _lines("/proc/cpuinfo") if "model name" in line), "")
     commit = subprocess.run(
         ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
@@ -275,7 +242,7 @@ def facts() -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print the table; keep it if asked to."""
+    """Print the table; append to the history with --keep."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--keep", action="store_true")
@@ -317,7 +284,7 @@ def _many(call: Call, times: int) -> None:
 
 
 def _first_detection(settings: LinkSettings, frames: Sequence[Frame]) -> Detection:
-    """The array as the receiver finds it."""
+    """Return the receiver's first detection."""
     found: list[Detection] = []
 
     def observe(event: object) -> None:
@@ -333,7 +300,7 @@ def _first_detection(settings: LinkSettings, frames: Sequence[Frame]) -> Detecti
 
 
 def _commpy(k: int, rng: np.random.Generator) -> tuple[str, Call] | None:
-    """Its decoder of one block of the same constituent code, polynomials 13 and 15; None where it is not installed."""
+    """Return scikit-commpy's decoder for an equivalent block, polynomials 13 and 15, or None if not installed."""
     try:
         from commpy.channelcoding import RandInterlv, Trellis
         from commpy.channelcoding.turbo import turbo_decode, turbo_encode

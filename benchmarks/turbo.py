@@ -1,8 +1,8 @@
-"""Turbo decoder: speed on one core, and block error rates.
+"""Turbo decoder: speed on one core and block error rates.
 
-``python -m benchmarks.turbo`` prints medians of processor time beside two yardsticks measured in the same run: a
-memory copy and the NumPy reference. ``python -m benchmarks.turbo bler`` measures block error rates (a minute); Eb
-counts the tail, so the rate is K / (3 K + 12), 0.017 dB harder at K = 1024 than counting 1/3.
+``python -m benchmarks.turbo`` prints median processor times with two yardsticks from the same run: memory copy and
+NumPy reference. ``python -m benchmarks.turbo bler`` measures block error rates (a minute). Eb includes the tail: the
+rate is K / (3 K + 12), 0.017 dB harder at K = 1024 than rate 1/3.
 """
 
 import sys
@@ -29,7 +29,7 @@ ITERATIONS = 8
 def noisy_blocks(
     code: TurboCode, blocks: int, ebn0_db: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Random blocks and their LLRs after BPSK in white Gaussian noise."""
+    """Return random blocks and LLRs after BPSK in white Gaussian noise."""
     bits = rng.integers(0, 2, (blocks, code.k), dtype=np.uint8)
     variance = 1 / (2 * code.rate * 10 ** (ebn0_db / 10))
     noise = rng.standard_normal((blocks, code.length), dtype=np.float32)
@@ -38,7 +38,7 @@ def noisy_blocks(
 
 
 def medians_s(calls: list[Callable[[], object]], repeats: int) -> list[float]:
-    """Median processor time of each call; they are made in turn, after one to warm up."""
+    """Return the median processor time per call, for alternating calls after a warm-up."""
     times = np.empty((repeats + 1, len(calls)))
     for row in times:
         for column, call in enumerate(calls):
@@ -81,7 +81,7 @@ def _speed_row(code: TurboCode, blocks: int, rng: np.random.Generator) -> str:
 
 
 def _ratio_row(code: TurboCode, blocks: int, rng: np.random.Generator) -> str:
-    """All iterations, and as the soft receiver calls it: stopped early, with LLRs of the coded bits."""
+    """Time full iterations, and soft receiver use: early stopping and LLRs for coded bits."""
     _, llr = noisy_blocks(code, blocks, 1.0, rng)
     algorithms: list[Algorithm] = ["max-log", "log-map"]
     whole = [partial(code.decode, llr, algorithm=algorithm, stop="none") for algorithm in algorithms]
@@ -93,7 +93,7 @@ def _ratio_row(code: TurboCode, blocks: int, rng: np.random.Generator) -> str:
 
 
 def bler() -> None:
-    """Block error rates at K = 1024, mother rate, with 95 % Clopper-Pearson intervals."""
+    """Print block error rates at K = 1024, mother rate, with 95 % Clopper-Pearson intervals."""
     points: list[tuple[Algorithm, Stop, float, int]] = [
         ("max-log", "none", 0.5, 20_480),
         ("max-log", "agreement", 0.5, 20_480),

@@ -1,8 +1,8 @@
-"""A panel of another system, read by hand: 32 x 24 LEDs in three colours, without this project's packets.
+"""Read a panel from another system: 32 x 24 LEDs in three colours, without Heliograph packets.
 
-Run it as it is: `python examples/any_panel.py` draws a film of such a panel into a folder of pictures, as a camera
-might have taken it, finds the panel, follows it, reads what its LEDs show, counts wrong bits, and draws the first frame
-with the LEDs and what was read into any_panel.png. `read` is all that a film of yours needs.
+Run `python examples/any_panel.py`. The script simulates a film as a folder of pictures, locates and tracks the panel,
+reads the LEDs and counts bit errors. any_panel.png shows the first frame with LED positions and bits. For other films,
+`read` suffices.
 """
 
 import sys
@@ -19,7 +19,7 @@ ROWS, COLUMNS = 24, 32
 
 
 def read(film: Path) -> tuple[np.ndarray, list[heliograph.Place]]:
-    """Read which LEDs are on: (frames, rows, columns, 3) of red, green and blue; and where the panel was."""
+    """Read LED states (frames, rows, columns, 3) as red, green and blue, and panel places."""
     with heliograph.open_colours(film, rate_hz=100) as opened:
         frames = list(opened)
     start = heliograph.locate(frames[:2], rows=ROWS, columns=COLUMNS)
@@ -30,7 +30,7 @@ def read(film: Path) -> tuple[np.ndarray, list[heliograph.Place]]:
 
 
 def draw(folder: Path, bits: np.ndarray) -> None:
-    """Draw a film: LEDs as dots on a board, seen aslant by a camera that shakes, blurred and with noise."""
+    """Draw a film: LEDs on a board, with perspective, camera shake, blur and noise."""
     rng, size = np.random.default_rng(1), 10
     y, x = np.mgrid[:size, :size] - (size - 1) / 2
     dot = np.hypot(x, y) < 0.3 * size
@@ -45,7 +45,7 @@ def draw(folder: Path, bits: np.ndarray) -> None:
 
 
 def main(few: bool) -> None:
-    """Draw a film, read it, and show both."""
+    """Draw a film, read the film, and plot both."""
     sent = np.random.default_rng(0).random((12 if few else 40, ROWS, COLUMNS, 3)) < 0.5
     with tempfile.TemporaryDirectory() as folder:
         draw(Path(folder), sent)

@@ -1,8 +1,8 @@
-"""A data set to train on: films of an array with truth and cut-outs, in three splits.
+"""Create and use a training data set: films with ground truth and cut-outs, in three splits.
 
-Run it as it is: `python examples/data_set.py` writes a small data set into data_set/, trains a linear decoder on the
-cut-outs of its split "train", counts wrong LEDs on "test", which shares no seed with it, and draws a frame with the
-true corners, a cut-out, and what was decoded of it into data_set.png. `read` is all that your own training needs.
+Run `python examples/data_set.py`. The script writes a small data set to data_set/, trains a linear decoder on cut-outs
+from the split "train" and counts LED errors on "test"; the splits share no seed. data_set.png shows a frame with true
+corners, a cut-out, and decoded LEDs. For training on other data sets, `read` suffices.
 """
 
 import sys
@@ -20,7 +20,7 @@ SMALL = ["channel.camera.width=96", "channel.camera.height=80", "channel.arrays.
 
 
 def read(split: str) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Read a split frame by frame: frame, corners, cut-out and levels sent by the first array."""
+    """Read a split frame by frame: frame, corners, cut-out and transmitted levels for the first array."""
     for path in sorted((FOLDER / split).glob("*.h5")):
         with h5py.File(path) as film:
             sent, patterns = film["sent/0/levels"][:], film["truth/patterns"][:, 0, 0]
@@ -30,14 +30,14 @@ def read(split: str) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
 
 
 def examples(split: str) -> tuple[np.ndarray, np.ndarray]:
-    """What a decoder takes, cut-outs with a 1 behind, and what it should give, luminances from 0 to 1."""
+    """Return decoder inputs (cut-outs with an appended 1) and targets (luminances from 0 to 1)."""
     cutouts, levels = zip(*((cutout, sent) for _, _, cutout, sent in read(split)), strict=True)
     pixels = np.reshape(cutouts, (len(cutouts), -1)) / 255
     return np.column_stack([pixels, np.ones(len(pixels))]), np.reshape(levels, (len(levels), -1)) / 4
 
 
 def main(few: bool) -> None:
-    """Write, train, try and draw."""
+    """Write the data set, train, test and plot."""
     films = 12 if few else 40
     plan = heliograph.write_dataset(FOLDER, {"channel.distance_m": [30]}, set=SMALL, films=films, splits=(8, 1, 1))
     print(f"{len(plan.films)} films, {plan.frames} frames, {plan.bytes / 1e6:.1f} MB")

@@ -1,8 +1,8 @@
-"""An array of 8 x 8 LEDs, such as the small matrix modules of hobby shops, from message to picture.
+"""Use an 8 x 8 LED array, such as a hobby matrix module, from message to plot.
 
-Run it as it is: `python examples/eight_by_eight.py` writes the patterns for a panel (eight_by_eight.csv), films the
-panel with the simulated camera, receives the film, and draws the first patterns, a frame and the reach of each layer
-into eight_by_eight.png. It needs `pip install xarray pandas h5netcdf`.
+Run `python examples/eight_by_eight.py`. The script writes patterns for a panel (eight_by_eight.csv), simulates a film
+and receives the message. eight_by_eight.png shows the first patterns, a frame and the range of each layer. The script
+requires `pip install xarray pandas h5netcdf`.
 """
 
 import sys
@@ -20,13 +20,13 @@ SMALL = [
     "channel.duration_s=0.25",
     "receive.receiver='soft'",
 ]
-"""Settings of the panel and of a film of it. A packet has a quarter of the bits of one of 16 x 16 LEDs."""
+"""Panel and film settings. A packet holds a quarter of the bits for 16 x 16 LEDs."""
 
 MESSAGE = {"high": [b"stop"], "middle": [b"lift 3 is free"], "low": [b"the museum closes at six"]}
 
 
 def write_patterns(settings: heliograph.LinkSettings) -> np.ndarray:
-    """Write the levels of the first packet, a pattern a line; return them, (patterns, 8, 8)."""
+    """Write the first packet, one pattern per line; return the levels (patterns, 8, 8)."""
     light = heliograph.Transmitter(settings.signal, 5, MESSAGE)
     levels = np.stack(list(islice(light.levels(), settings.signal.packet_patterns)))
     np.savetxt("eight_by_eight.csv", levels.reshape(len(levels), -1), fmt="%d", delimiter=",")
@@ -34,7 +34,7 @@ def write_patterns(settings: heliograph.LinkSettings) -> np.ndarray:
 
 
 def film_and_receive(settings: heliograph.LinkSettings) -> heliograph.Frame:
-    """Film the panel, print what the receiver reads, and return a frame."""
+    """Simulate a film, print decoded packets, and return a frame."""
     frames = [frame for frame, _ in heliograph.simulate(settings, [MESSAGE], seed=1)]
     for packet in heliograph.receive_frames(frames, settings.signal, settings.receive):
         words = {layer: "".join("." if word.status == "ok" else "x" for word in found)
@@ -44,7 +44,7 @@ def film_and_receive(settings: heliograph.LinkSettings) -> heliograph.Frame:
 
 
 def main(few: bool) -> None:
-    """Go from message to picture."""
+    """Transmit, receive and plot."""
     settings = heliograph.load_settings("static", assignments=SMALL)
     levels = write_patterns(settings)
     frame = film_and_receive(settings)

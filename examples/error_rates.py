@@ -1,11 +1,11 @@
-"""Error rates over distance: a sweep as a notebook of cells."""
+"""Error rates over distance: a sweep as a notebook."""
 
 # %% [markdown]
 # # Error rates over distance
 #
-# How far can each priority layer be read? A sweep sends random packets through the simulated channel at several
-# distances, receives them and counts errors. Run this file as it is, or cell by cell in an editor that knows `# %%`.
-# It needs `pip install xarray pandas h5netcdf`.
+# A sweep sends random packets through the simulated channel at several distances, decodes the packets and counts errors
+# per priority layer. Run this file as a script, or cell by cell in an editor with `# %%` support. The notebook requires
+# `pip install xarray pandas h5netcdf`.
 
 # %%
 import json
@@ -13,14 +13,14 @@ import sys
 
 from heliograph import sweep
 
-FEW = "--few" in sys.argv  # a shorter run, to see that all works
+FEW = "--few" in sys.argv  # a shorter run for tests
 
 # %% [markdown]
 # ## The sweep
 #
-# The preset "static" stands still; only the distance varies. A point ends when each layer has `min_errors` wrong
-# codewords or `max_codewords` in all. With `output="folder"` it could be broken off and resumed, and `workers=None`
-# takes all cores (in a script, under `if __name__ == "__main__":`).
+# In the preset "static" the scene is at rest; the sweep varies the distance. A point ends when each layer has
+# `min_errors` codeword errors or `max_codewords` codewords. `output="folder"` allows interrupting and resuming.
+# `workers=None` uses all cores (in a script, under `if __name__ == "__main__":`).
 
 # %%
 data = sweep(
@@ -36,9 +36,8 @@ print(data)
 # %% [markdown]
 # ## Rates with their intervals
 #
-# Every number comes with a 95 % Clopper-Pearson interval, that of the bit error rate at the effective number of bits,
-# since bits of a packet fail together. Where no error was met (`fer_is_bound`), its upper end is the result: the rate
-# is below about 3 / n.
+# Every rate has a 95 % Clopper-Pearson interval. Bit errors within a packet are correlated, so the bit error rate uses
+# an effective number of bits. If no error occurred (`fer_is_bound`), the upper limit is the result, about 3 / n.
 
 # %%
 for distance in data["channel.distance_m"].values:
@@ -50,7 +49,7 @@ for distance in data["channel.distance_m"].values:
 # %% [markdown]
 # ## The reach of a layer
 #
-# Hierarchical coding does its work: the high layer is read where the others are not any more.
+# With hierarchical coding, the high layer remains decodable beyond the range of the other layers.
 
 # %%
 right = data.codewords - data.codeword_errors
@@ -66,7 +65,8 @@ assert set(reach["low"]) <= set(reach["high"])
 # %% [markdown]
 # ## Units and provenance
 #
-# A Dataset knows its units, and what it was made with; `data.to_netcdf("sweep.nc", engine="h5netcdf")` keeps all that.
+# A Dataset stores units, settings, version and seed; `data.to_netcdf("sweep.nc", engine="h5netcdf")` preserves these
+# attributes.
 
 # %%
 print(data["channel.distance_m"].attrs["units"], data["net_bits_per_second"].attrs["units"])

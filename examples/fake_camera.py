@@ -1,13 +1,13 @@
-"""A GigE Vision camera that is none: Aravis' fake camera on loopback, which films a simulated light.
+"""Simulate a GigE Vision camera on loopback: Aravis' fake camera filming a simulated light.
 
-Run it in one shell, and receive it in another:
+Run the camera in one shell and receive in another:
 
     python examples/fake_camera.py
     heliograph receive camera:aravis --receiver soft --set signal.pattern_period_s=0.01 --duration 10
 
-What it serves are frames of `heliograph.simulate`, by the protocol of real cameras: discovery, control, packets by UDP,
-stamps and frame numbers. Its exposures begin at whole multiples of its frame period, as a real camera's clock has it,
-and the light runs on while no frame is taken. It needs libaravis-0.8 (Debian: apt-get install libaravis-0.8-0).
+The camera serves frames from `heliograph.simulate` through the GigE Vision protocol: discovery, control, UDP packets,
+timestamps and frame numbers. Exposures start at multiples of the frame period, and the light continues between
+frames. The script requires libaravis-0.8 (Debian: apt-get install libaravis-0.8-0).
 """
 
 import argparse
@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 import heliograph
 
 PHASES = 8
-"""Times of a pattern at which it is filmed: a frame shows the light as it was within a sixteenth of a pattern."""
+"""Simulated phases per pattern; frame timing is accurate to a sixteenth of a pattern."""
 
 FILL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32)
-"""Called for each frame with the buffer to fill, data of ours, exposure, gain and pixel format."""
+"""Frame callback: buffer to fill, user data, exposure, gain and pixel format."""
 
 
 def link(period_s: float, phase: int, packets: int, arguments: argparse.Namespace) -> heliograph.LinkSettings:
-    """A camera of so many pixels before an array at rest, `phase` eighths of a pattern out of step with it."""
+    """Return settings for an array at rest, `phase` eighths of a pattern out of step with the camera."""
     signal = heliograph.SignalSettings(pattern_period_s=period_s, data_pairs=arguments.data_pairs)
     changes = {
         "signal.pattern_period_s": period_s,
@@ -48,7 +48,7 @@ def link(period_s: float, phase: int, packets: int, arguments: argparse.Namespac
 
 
 def filmed(period_s: float, packets: int, arguments: argparse.Namespace) -> NDArray[np.uint8]:
-    """The light at all phases of all patterns, (patterns * PHASES, rows, columns)."""
+    """Simulate all phases of all patterns, (patterns * PHASES, rows, columns)."""
     films = []
     for phase in range(PHASES):
         settings = link(period_s, phase, packets, arguments)
@@ -59,7 +59,7 @@ def filmed(period_s: float, packets: int, arguments: argparse.Namespace) -> NDAr
 
 
 def aravis() -> Any:
-    """Libaravis with the calls that are needed here."""
+    """Load libaravis and declare the functions used here."""
     library = ctypes.CDLL("libaravis-0.8.so.0")
     pointer, text = ctypes.c_void_p, ctypes.c_char_p
     for name, result, *taken in (
@@ -81,11 +81,11 @@ def aravis() -> Any:
 
 
 WIDTH, HEIGHT, FRAME_PERIOD = 0x100, 0x104, 0x138
-"""Registers of the fake camera: columns and rows of its frames, and the time from one to the next in us."""
+"""Fake camera registers: frame columns, frame rows, and frame period in us."""
 
 
 def serve(film: NDArray[np.uint8], period_s: float, arguments: argparse.Namespace) -> int:
-    """Serve frames until the time is over or Ctrl-C; return how many were asked for."""
+    """Serve frames until timeout or Ctrl-C; return the number of frames requested."""
     library, served, last_ns = aravis(), 0, 0
     frame_us = ctypes.c_uint32()
 
@@ -94,7 +94,7 @@ def serve(film: NDArray[np.uint8], period_s: float, arguments: argparse.Namespac
         nonlocal served, last_ns
         library.arv_fake_camera_read_register(inside, FRAME_PERIOD, ctypes.byref(frame_us))
         step_ns = 1000 * frame_us.value
-        # the library wakes up some ms too late, or too early for a period to be over
+        # the library wakes up a few ms late, or before the period ends
         exposed_ns = last_ns = max(time.time_ns() // step_ns * step_ns, last_ns // step_ns * step_ns + step_ns)
         picture = film[round((exposed_ns * 1e-9 / period_s + arguments.phase) * PHASES) % len(film)]
         room = library.arv_fake_camera_get_payload(inside)

@@ -1,7 +1,7 @@
-"""A channel code of one's own: an LDPC code from the library `ldpc` in place of the turbo code.
+"""Register a custom channel code: an LDPC code from the library `ldpc` in place of the turbo code.
 
-Run it as it is: `python examples/own_code.py` prints codeword error rates of both codes over distance, and draws them
-into own_code.png. It needs `pip install xarray pandas h5netcdf ldpc`.
+Run `python examples/own_code.py`. The script prints codeword error rates for both codes over distance and plots the
+rates in own_code.png. The script requires `pip install xarray pandas h5netcdf ldpc`.
 """
 
 import sys
@@ -18,12 +18,12 @@ import heliograph
 from heliograph.signal.code import Algorithm, Check, CodePlan
 
 WEIGHT = 4
-"""Checks of an information bit."""
+"""Checks per information bit."""
 
 
 @dataclass(frozen=True)
 class Decoded:
-    """What a decoder says of n blocks; see `heliograph.signal.code.DecodedBlocks`."""
+    """Decoding results for n blocks; see `heliograph.signal.code.DecodedBlocks`."""
 
     bits: NDArray[np.uint8]
     llr: NDArray[np.float32]
@@ -33,14 +33,14 @@ class Decoded:
 
 @dataclass(frozen=True)
 class RepeatAccumulate:
-    """A repeat-accumulate code: each parity bit is the sum of the one before and of a few information bits."""
+    """A repeat-accumulate code: each parity bit is the sum of the previous parity bit and a few information bits."""
 
     k: int
     length: int
 
     @property
     def distinguishing(self) -> NDArray[np.bool_]:
-        """Parity bits differ by chance in different codewords."""
+        """Mark bits that differ by chance between codewords: the parity bits."""
         return np.arange(self.length) >= self.k
 
     def encode(self, bits: ArrayLike) -> NDArray[np.uint8]:
@@ -65,7 +65,7 @@ class RepeatAccumulate:
                             input_vector_type="received_vector")  # fmt: skip
         after, used = np.empty_like(given), []
         for row, found in zip(given, after, strict=True):
-            # the library takes hard decisions and their error probabilities, and gives LLRs of the errors
+            # the library takes hard decisions and error probabilities, and returns error LLRs
             decoder.update_channel_probs(np.clip(1 / (1 + np.exp(np.abs(row))), 1e-9, 0.5 - 1e-9))
             decoder.decode((row < 0).astype(np.uint8))
             found[:] = np.clip(np.array(decoder.log_prob_ratios), -50, 50) * np.where(row < 0, -1, 1)
@@ -76,7 +76,7 @@ class RepeatAccumulate:
 
 @lru_cache
 def _checks(code: RepeatAccumulate) -> scipy.sparse.csr_matrix:
-    """Information bits in each check, (checks, k), the same in every process."""
+    """Return information bits per check, (checks, k), identical in every process."""
     count, rng = code.length - code.k, np.random.default_rng([code.k, code.length])
     sockets = np.concatenate([rng.permutation(count) for _ in range(-(-WEIGHT * code.k // count))])[: WEIGHT * code.k]
     found = scipy.sparse.csr_matrix(
@@ -88,14 +88,14 @@ def _checks(code: RepeatAccumulate) -> scipy.sparse.csr_matrix:
 
 @lru_cache
 def _parity(code: RepeatAccumulate) -> scipy.sparse.csr_matrix:
-    """Parity check matrix, (checks, length)."""
+    """Return the parity check matrix, (checks, length)."""
     count = code.length - code.k
     accumulate = scipy.sparse.diags([1, 1], [0, -1], (count, count), dtype=np.uint8)
     return scipy.sparse.hstack([_checks(code), accumulate]).tocsr().astype(np.uint8)
 
 
 def plan(bits: int, rate: float) -> CodePlan:
-    """One codeword a layer's quarter; information in whole bytes."""
+    """Plan one codeword per quarter, with information in bytes."""
     return CodePlan(1, RepeatAccumulate(8 * int(bits * rate / 8), bits))
 
 

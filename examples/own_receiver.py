@@ -1,7 +1,8 @@
-"""A receiver of one's own: a threshold, a bounding box and a resize by OpenCV, beside the package's two receivers.
+"""Register a custom receiver: threshold, bounding box and resize with OpenCV.
 
-Run it as it is: `python examples/own_receiver.py` counts codeword errors of all three over distance, and draws them
-into own_receiver.png. It needs `pip install xarray pandas h5netcdf`. The same file serves the command line:
+Run `python examples/own_receiver.py`. The script counts codeword errors for this receiver and both built-in receivers
+over distance and plots the rates in own_receiver.png. The script requires `pip install xarray pandas h5netcdf`. The
+file also extends the command line:
 `heliograph --load examples/own_receiver.py receive film.mkv --receiver threshold`.
 """
 
@@ -27,10 +28,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ThresholdSettings:
-    """What may be tuned: `--set receive.custom.level=0.2`, or `--vary receive.custom.level=0.1,0.2,0.4` in a sweep."""
+    """Settings for `--set receive.custom.level=0.2`, or `--vary receive.custom.level=0.1,0.2,0.4` in a sweep."""
 
     level: float = 0.2
-    """Fraction of the largest change from which on a pixel belongs to the array."""
+    """Threshold for array pixels, as a fraction of the largest change."""
 
 
 class Threshold:

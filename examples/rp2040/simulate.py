@@ -1,11 +1,11 @@
-"""Prove the timing of slots.pio: run it cycle by cycle, and look at what a chain of shift registers would show.
+"""Verify the timing in slots.pio: simulate the program cycle by cycle, with a chain of shift registers.
 
     heliograph transmit patterns.h --packets 10
     python simulate.py patterns.h
 
-The state machine is that of the RP2040 datasheet, chapter 3, with the instructions that slots.pio uses. An instruction
-takes a cycle and then its delay; side-set pins change with its first cycle, also where it stalls. The output register
-is refilled by itself as section 3.5.4.2 says.
+The state machine follows the RP2040 datasheet, chapter 3, for the instructions used in slots.pio. An instruction takes
+one cycle plus a delay. Side-set pins change in the first cycle, even during a stall. The output register refills
+automatically (section 3.5.4.2).
 """
 
 import re
@@ -22,18 +22,18 @@ import heliograph
 
 HERE = Path(__file__).parent
 SYSTEM_HZ = 125e6
-"""System clock that main.c sets."""
+"""System clock set in main.c."""
 
 FIFO = 8
-"""Entries of a transmit FIFO that has the receive FIFO's place too."""
+"""Transmit FIFO depth, joined with the receive FIFO."""
 
 PULL_AFTER = 8
-"""Bits after which the output register is refilled: DMA writes bytes."""
+"""Bits per output register refill: DMA writes bytes."""
 
 
 @dataclass(frozen=True)
 class Instruction:
-    """A line of a program: `set`, `out`, `jmp` or `nop`, its operands, side-set pins and delay in cycles."""
+    """A program line: `set`, `out`, `jmp` or `nop`, operands, side-set pins and delay in cycles."""
 
     name: str
     operands: tuple[str, ...]
@@ -43,7 +43,7 @@ class Instruction:
 
 @dataclass
 class Program:
-    """A PIO program: instructions, places of its labels, wrap, side-set pins, and values it defines for C."""
+    """A PIO program: instructions, labels, wrap, side-set pins and values exported to C."""
 
     instructions: list[Instruction] = field(default_factory=list)
     labels: dict[str, int] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Program:
 
 
 def assemble(text: str) -> Program:
-    """Read a program, and check that its numbers fit into the instructions' fields."""
+    """Parse a program and check that all numbers fit the instruction fields."""
     program = Program()
     for line in (line.partition(";")[0].strip() for line in text.splitlines()):
         words = line.split()
@@ -84,7 +84,7 @@ def _instruction(line: str, side_pins: int) -> Instruction:
     if not match:
         raise ValueError(f"not understood: {line}")
     side, delay = int(match[3], 0), int(match[4] or 0)
-    # 5 bits hold side-set pins and delay
+    # side-set and delay share 5 bits
     if side >= 1 << side_pins or delay >= 1 << 5 - side_pins:
         raise ValueError(f"side-set or delay too large: {line}")
     operands = tuple(match[2].replace(",", " ").split())
@@ -96,7 +96,7 @@ def _instruction(line: str, side_pins: int) -> Instruction:
 
 @dataclass
 class Pins:
-    """Levels of the pins in a cycle, and whether the machine waited for data in it."""
+    """Pin levels in a cycle; `stalled` marks a wait for data."""
 
     cycle: int
     data: int
@@ -106,13 +106,13 @@ class Pins:
 
 
 def run(program: Program, data: Iterable[int], dma_cycles: int = 1) -> Iterator[Pins]:
-    """Yield the pins in each PIO cycle, until a bit is missing for a slot's time.
+    """Yield pins for each PIO cycle, until the data end for a slot's duration.
 
-    DMA needs `dma_cycles` PIO cycles for a byte, and begins with a full FIFO, as main.c does.
+    DMA needs `dma_cycles` PIO cycles per byte and starts with a full FIFO, as in main.c.
     """
     waiting = iter(data)
     fifo = deque(islice(waiting, FIFO))
-    register, shifted = 0, 32  # the output register is empty at first
+    register, shifted = 0, 32  # the output register starts empty
     scratch = {"x": 0, "y": 0}
     place, out, left, stalls, cycle = 0, 0, 0, 0, 0
     while stalls < program.values["CYCLES"]:
@@ -126,7 +126,7 @@ def run(program: Program, data: Iterable[int], dma_cycles: int = 1) -> Iterator[
             else:
                 out, register, shifted = register >> 31, register << 1 & 0xFFFFFFFF, shifted + 1
         if shifted >= PULL_AFTER and fifo:
-            # a byte is written to all four bytes of the word
+            # a byte write fills all four bytes in the word
             register, shifted = fifo.popleft() * 0x01010101, 0
         stalls = stalls + 1 if stalled else 0
         yield Pins(cycle, out, instruction.side & 1, instruction.side >> 1, stalled)
@@ -150,17 +150,17 @@ def run(program: Program, data: Iterable[int], dma_cycles: int = 1) -> Iterator[
 
 @dataclass
 class Shown:
-    """What a chain of registers showed: slots, cycles at which each began, and cycles in which data were waited for."""
+    """Register chain output: slots, start cycle of each slot, and cycles stalled for data."""
 
     slots: list[np.ndarray]
     began: list[int]
     stalls: int
     steady: tuple[int, int]
-    """Fewest cycles for which data were steady before and after the shift clock rose."""
+    """Minimum data setup and hold times around the shift clock edge, in cycles."""
 
 
 def shown_by(pins: Iterable[Pins], leds: int = 256) -> Shown:
-    """Shift bits in at the rising shift clock, show them at the rising storage clock, as 74HC595 do."""
+    """Shift bits in at the rising shift clock and show them at the rising storage clock, as 74HC595 do."""
     chain = deque([0] * leds, maxlen=leds)
     slots, began, stalls, changed, rose, steady = [], [], 0, -1, -1, [1 << 30, 1 << 30]
     before = Pins(-1, 0, 0, 0, False)
@@ -169,7 +169,7 @@ def shown_by(pins: Iterable[Pins], leds: int = 256) -> Shown:
             changed = now.cycle
             steady[1] = min(steady[1], changed - rose) if rose >= 0 else steady[1]
         if now.clock and not before.clock:
-            chain.appendleft(now.data)  # the first output of the first register takes the bit
+            chain.appendleft(now.data)  # the first output holds the newest bit
             rose = now.cycle
             steady[0] = min(steady[0], rose - changed)
         if now.latch and not before.latch:
@@ -181,7 +181,7 @@ def shown_by(pins: Iterable[Pins], leds: int = 256) -> Shown:
 
 
 def main() -> None:
-    """Simulate the first slots of a C header, and say whether they come in time and order."""
+    """Simulate the first slots in a C header; report order and timing."""
     try:
         light = heliograph.open_slots(sys.argv[1] if len(sys.argv) > 1 else "patterns.h")
         slots = list(islice(light, 400))

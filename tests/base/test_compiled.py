@@ -1,4 +1,4 @@
-"""The cache of machine code: it follows the sources, and neither a damaged nor an unwritable file stops a program."""
+"""Machine code cache: source changes invalidate entries; damaged or unwritable files are tolerated."""
 
 import gc
 import os
@@ -40,7 +40,7 @@ CALL = (
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A package of the same name that has two modules with kernels."""
+    """Create a stand-in package with two kernel modules."""
     folder = tmp_path / "heliograph"
     (folder / "base").mkdir(parents=True)
     for name in ("__init__.py", "base/__init__.py"):
@@ -52,7 +52,7 @@ def package(tmp_path: Path) -> Path:
 
 
 def write_helper(folder: Path, factor: int, term: int) -> None:
-    """Write the second module; as in a wheel its date stays the same."""
+    """Write the second module with a fixed modification time, as a wheel does."""
     (folder / "helper.py").write_text(HELPER.format(factor=factor, term=term))
     os.utime(folder / "helper.py", (1_600_000_000, 1_600_000_000))
 
@@ -64,7 +64,7 @@ def environment(package: Path, **changes: str) -> dict[str, str]:
 
 
 def call(package: Path, **changes: str) -> list[str]:
-    """Return what a new process prints: the sum, the number of cache hits, whether it has a cache."""
+    """Run a new process and return the sum, the number of cache hits, and whether a cache exists."""
     command = [sys.executable, "-P", "-c", CALL]
     done = subprocess.run(
         command, env=environment(package, **changes), capture_output=True, text=True, timeout=HANG_S, check=False
@@ -76,7 +76,7 @@ def call(package: Path, **changes: str) -> list[str]:
 
 @pytest.mark.slow
 def test_a_change_in_another_file_compiles_again(package: Path) -> None:
-    """A function and a constant; date and size of the file stay the same."""
+    """Change a function and a constant, but keep file date and size."""
     assert call(package) == ["9.0", "0", "True"]
     assert call(package) == ["9.0", "1", "True"]
     write_helper(package, 3, 2)
@@ -96,7 +96,7 @@ def test_an_unwritable_folder_only_costs_time(package: Path) -> None:
 
 @pytest.mark.slow
 def test_numba_cache_dir_is_used_and_old_folders_are_removed(package: Path, tmp_path: Path) -> None:
-    """The folders used last remain; a damaged file is written again."""
+    """The most recent folders remain; a damaged file is rewritten."""
     cache = tmp_path / "own"
     for number in range(KEPT_FOLDERS + 3):
         (cache / f"heliograph-{number}").mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""Settings from mappings, TOML and assignments: what is right goes in, what is wrong is one clear line."""
+"""Settings from mappings, TOML and assignments, with one-line errors for invalid input."""
 
 import dataclasses
 import tomllib

@@ -1,4 +1,4 @@
-"""Settings as text and back: what is merged, assigned or written as TOML comes back as it was."""
+"""Round trips: merged, assigned and TOML settings keep their values."""
 
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
@@ -25,7 +25,7 @@ TREES = st.recursive(
 
 
 def leaves(tree: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Path and value of each leaf of nested mappings; a mapping without keys is a leaf."""
+    """Yield path and value of each leaf; an empty mapping counts as a leaf."""
     for key, value in tree.items():
         if isinstance(value, Mapping) and value:
             yield from leaves(value, (*path, key))
@@ -34,7 +34,7 @@ def leaves(tree: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[tupl
 
 
 def at(tree: Any, path: tuple[str, ...]) -> Any:
-    """What stands at a path; None where the path ends before."""
+    """Return the value at a path, or None if the path does not exist."""
     for key in path:
         tree = tree.get(key) if isinstance(tree, Mapping) else None
     return tree
@@ -42,7 +42,7 @@ def at(tree: Any, path: tuple[str, ...]) -> Any:
 
 NESTED = st.recursive(LEAVES, lambda inner: st.dictionaries(KEYS, inner, max_size=4), max_leaves=12)
 MAPPINGS = st.dictionaries(KEYS, NESTED, max_size=4)
-"""Trees without lists: on these a mapping is laid by the items' numbers."""
+"""Trees without lists; merging a mapping into a list changes list items by number."""
 
 
 @examples(200)
@@ -56,14 +56,14 @@ def test_toml_and_back(tree: dict[str, Any]) -> None:
 @given(base=MAPPINGS, over=MAPPINGS)
 @pytest.mark.slow
 def test_what_is_laid_over_stands_and_the_rest_stays(base: dict[str, Any], over: dict[str, Any]) -> None:
-    # a mapping that is laid on a list would be changes of its items
+    # exclude lists: a mapping merged into a list changes list items
     base = {k: v for k, v in base.items() if not any(isinstance(value, list) for _, value in leaves({k: v}))}
     before = deepcopy((base, over))
     merged = merge(base, over)
     assert (base, over) == before
     for path, value in leaves(over):
         under = at(base, path)
-        # an empty mapping changes nothing of one that is there
+        # merging an empty mapping keeps an existing mapping
         assert at(merged, path) == (under if value == {} and isinstance(under, Mapping) else value)
     for path, value in leaves(base):
         above = [at(over, path[: k + 1]) for k in range(len(path))]
@@ -84,7 +84,7 @@ def test_a_mapping_laid_on_a_list_changes_items_by_number(
     changes = {k: change for k, change in changes.items() if k < len(items)}
     expected = [{**item, **changes.get(k, {})} for k, item in enumerate(items)]
     assert merge(items, {str(k): change for k, change in changes.items()}) == expected
-    # the number after the last adds an item
+    # index len(items) appends an item
     assert merge(items, {str(len(items)): {"a": 1}}) == [*items, {"a": 1}]
 
 
@@ -144,7 +144,7 @@ def test_settings_of_the_link_and_back(over: dict[str, Any]) -> None:
 
 
 def assignments(tree: Any, path: str = "") -> list[str]:
-    """Texts that assign each leaf of a tree; items of a list by their numbers."""
+    """Return assignments for all leaves; list items are addressed by number."""
     if isinstance(tree, list):
         tree = {str(k): item for k, item in enumerate(tree)}
     if not isinstance(tree, Mapping):

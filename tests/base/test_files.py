@@ -1,4 +1,4 @@
-"""Files appear whole or not at all."""
+"""Atomic file creation."""
 
 import errno
 import os

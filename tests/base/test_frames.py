@@ -1,4 +1,4 @@
-"""A frame checks itself, and a receiver that frames are of one camera: one clear line in place of an error of NumPy."""
+"""Frame validation: one-line errors for invalid frames and mixed cameras."""
 
 import timeit
 from collections.abc import Callable
@@ -75,7 +75,7 @@ def test_a_copy_of_a_frame_lies_row_after_row_in_memory() -> None:
 
 
 def test_the_check_takes_microseconds() -> None:
-    """Levels are not looked at: a frame of 4 million pixels takes no longer, 2 us here."""
+    """The check ignores pixel values: a frame with 4 million pixels takes 2 us here."""
     pixels = np.zeros((2048, 2048), np.uint8)
     assert min(timeit.repeat(lambda: Frame(0, 0.0, pixels), number=100, repeat=5)) / 100 < 50e-6
 
@@ -106,7 +106,7 @@ def test_frames_of_one_receiver_are_of_one_camera(receiver: str, change: Callabl
         list(taker.push(frame))
     with pytest.raises(HeliographError, match=says):
         list(taker.push(change(frames[3])))
-    # what was wrong is forgotten
+    # the receiver ignores the rejected frame
     assert not list(taker.push(frames[4]))
     assert not list(taker.finish())
 

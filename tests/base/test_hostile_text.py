@@ -1,4 +1,4 @@
-"""Text of settings that is too deep, too long or too large, and values that no scene has: one clear line, at once."""
+"""Hostile settings text (deep, long or huge) and impossible scenes fail at once with a one-line error."""
 
 import os
 from pathlib import Path
@@ -40,7 +40,7 @@ def test_text_of_no_settings(text: str) -> None:
 @pytest.mark.parametrize("quotes", ['"', "'", '"""', "'''", '\\""""'])
 def test_dots_that_part_no_key(quotes: str) -> None:
     dots = "." * 40_000
-    opened = quotes.lstrip("\\")[:3]  # an escaped quote is the text's own, and so is a fourth at the end
+    opened = quotes.lstrip("\\")[:3]  # an escaped or fourth closing quote belongs to the string
     text = f"# {dots}\na.b = {opened}{dots}{quotes} # {dots}\nc = [{'1.5, ' * 40}]"
     assert parse_toml(text)["a"]["b"].startswith(dots)
     assert parse_value(dots) == dots
@@ -124,7 +124,7 @@ def test_an_array_behind_the_camera() -> None:
         SettingsError, match=r"array 0 lies 10 m behind the camera.*raise channel\.arrays\.0\.z_offset_m"
     ):
         load_settings("static", None, [behind])
-    load_settings("static", None, [behind, "channel.arrays.0.vz_m_s=20"])  # it overtakes the camera
+    load_settings("static", None, [behind, "channel.arrays.0.vz_m_s=20"])  # the array overtakes the camera
 
 
 NEAR = ("channel.distance_m=1", "channel.camera.focal_m=1", "channel.camera.pixel_m=1e-6")
@@ -137,7 +137,7 @@ def test_a_fast_array_before_a_long_lens(axis: str) -> None:
     with pytest.raises(SettingsError, match=says):
         load_settings("static", None, [*NEAR, f"{fast}1000"])
     load_settings("static", None, [*NEAR, f"{fast}0.99"])
-    load_settings("static", None, [f"{fast}1000"])  # the lens of the reference link, 50 m away
+    load_settings("static", None, [f"{fast}1000"])  # lens of the reference link at 50 m
 
 
 UNSEEN = {

@@ -1,4 +1,4 @@
-"""The package as a whole: light to import, every module says what it is, public names are what they seem."""
+"""Package structure: import time, module docstrings and public names."""
 
 import ast
 import subprocess
@@ -42,7 +42,7 @@ def test_public_names_are_there_and_described() -> None:
 
 @pytest.mark.slow
 def test_public_names_mean_the_same_the_second_time() -> None:
-    """A name that is also a folder's (receive) must not turn into that folder once it is loaded."""
+    """A function named like a subpackage (receive) must not become the subpackage after import."""
     names = ", ".join(f"'{name}'" for name in heliograph.__all__)
     code = f"import heliograph as h\nfor n in [{names}]:\n    assert getattr(h, n) is getattr(h, n), n\n"
     code += "    assert callable(getattr(h, n)), n"

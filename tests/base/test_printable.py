@@ -1,4 +1,4 @@
-"""Any text, such as a file name, is shown on one line."""
+"""Arbitrary text, such as a file name, prints on a single line."""
 
 import pickle
 

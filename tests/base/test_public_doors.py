@@ -1,4 +1,4 @@
-"""What a public name does not take is a HeliographError of one line that says what it takes, raised at the call."""
+"""Invalid arguments of public functions raise a one-line HeliographError at the call."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,8 +29,6 @@ def opened(path: Path, rate_hz: Any) -> None:
 
 
 Anything: Any = h
-"""The package, whose functions are given what they do not take."""
-
 DOORS: dict[str, tuple[Callable[[Path], object], str]] = {
     "receive no signal": (lambda _: Anything.receive_frames([], None), "SignalSettings, not NoneType"),
     "receive a mapping": (lambda _: Anything.receive_frames([], {}), "SignalSettings, not dict"),
@@ -103,7 +101,7 @@ DOORS: dict[str, tuple[Callable[[Path], object], str]] = {
 @pytest.mark.parametrize("door", DOORS)
 def test_every_public_door_says_what_it_takes(door: str, tmp_path: Path) -> None:
     call, says = DOORS[door]
-    with pytest.raises(h.HeliographError) as caught:  # at the call, not where the first packet is asked for
+    with pytest.raises(h.HeliographError) as caught:  # at the call, before the first packet
         call(tmp_path)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)

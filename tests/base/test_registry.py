@@ -1,4 +1,4 @@
-"""Parts by name, and how another process gets those of one's own."""
+"""Component registries, and registered components in worker processes."""
 
 import subprocess
 import sys
@@ -196,7 +196,7 @@ offered-gone = offered_parts:Gone
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A package that offers receivers by entry points, as pip would have installed it."""
+    """Install a stand-in package with receiver entry points, as pip would."""
     about = tmp_path / "offered-1.5.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: offered\nVersion: 1.5\n")
@@ -236,7 +236,7 @@ def test_a_part_that_cannot_be_loaded_is_one_line(name: str, message: str) -> No
     with pytest.raises(SettingsError, match=message) as caught:
         RECEIVERS[name]
     assert "\n" not in str(caught.value)
-    # it stands in nobody's way who does not ask for it
+    # a broken entry point leaves built-in receivers usable
     assert RECEIVERS["plain"]
 
 
@@ -260,7 +260,7 @@ def test_an_offered_receiver_has_the_settings_of_its_own_that_it_names() -> None
         assert receiver.exposure_s == 5e-4
     with pytest.raises(SettingsError, match=r"unknown .*patiense.*; did you mean 'patience'"):
         from_mapping(ReceiveSettings, {"receiver": "offered-patient", "custom": {"patiense": 2.0}})
-    # a class alone has none
+    # a bare class has no settings
     receiver = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, {"receiver": "offered"}))
     assert receiver.own is None
     with pytest.raises(SettingsError, match=r"receive\.custom\.patience has no effect"):

@@ -40,7 +40,7 @@ def test_warp_is_bilinear_interpolation(turn: NDArray[np.float64], shift: tuple[
 
 
 def test_background_moves_with_the_arrays() -> None:
-    # far points move by K R K^-1: to first order the background's shift
+    # a distant point moves by K R K^-1, to first order the background shift
     camera = ChannelSettings().camera
     pitch, yaw, roll = 2e-3, -1e-3, 3e-3
     pose = CameraPose(*(np.array([v]) for v in (0.0, 0.0, pitch, yaw, roll)))
@@ -90,7 +90,7 @@ def test_broken_footage_is_refused() -> None:
 
 def test_footage_covers_the_frame_without_distortion() -> None:
     frame = np.zeros((90, 160), np.uint8)
-    frame[35:55, 70:90] = 255  # a square stays a square
+    frame[35:55, 70:90] = 255  # a square stays square
     scaled = cover_size(frame, (640, 1152)) > 128
     assert scaled.shape == (640, 1152)
     assert scaled.any(0).sum() == pytest.approx(scaled.any(1).sum(), abs=2)

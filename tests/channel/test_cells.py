@@ -1,4 +1,4 @@
-"""A screen's cells, and a rolling shutter: what rows of pixels see at times of their own."""
+"""Display cells and the row timing of a rolling shutter."""
 
 import itertools
 from collections.abc import Iterable
@@ -24,13 +24,12 @@ STILL = {
 }
 CAMERA = {"fps": 30, "exposure_s": 0.01, "width": 80, "height": 80, "focal_m": 0.005, "pixel_m": 1e-5, "blur_px": 0.3}
 SCREEN = {"pitch_m": 0.02, "shape": "cell", "all_on": 0.8, "panel_level": 0.0}
-"""Cells of 10 px."""
 
 
 def shoot(
     patterns: Iterable[int], frames: int, camera: dict[str, Any], emitter: dict[str, Any], **more: Any
 ) -> list[Floats]:
-    """Light of a film of an array whose cells all show one level after the other, in full scales."""
+    """Render films in which all cells show the same level sequence; full scale is 1."""
     tree = {
         **STILL,
         "duration_s": frames / 30,
@@ -50,7 +49,6 @@ def shoot(
 
 
 def middle(image: NDArray[np.float64]) -> float:
-    """Light of the middle row."""
     return float(image[38:42, 30:50].mean())
 
 
@@ -62,7 +60,7 @@ def test_a_level_is_a_luminance(level: int) -> None:
 
 
 def test_a_slow_display_nears_a_level() -> None:
-    # 4 until 0.1 s, then 0: an exposure from 0.1 s on sees the mean of exp(-t / tau)
+    # level 4 until 0.1 s, then 0: an exposure starting at 0.1 s averages exp(-t / tau)
     tau = 0.02
     images = shoot([4, 4, 0, 0, 0], 9, {"start_s": 0.2 - 4 / 30 + 1e-9}, {"response_s": tau})
     seen = middle(images[4])
@@ -73,7 +71,7 @@ def test_a_switched_backlight_shows_as_bands() -> None:
     rolled = {"row_time_s": 2e-4, "exposure_s": 1e-3}
     (image,) = shoot(itertools.repeat(4), 1, rolled, {"backlight_hz": 250.0, "backlight_duty": 0.5})
     rows = image[25:55, 30:50].mean(1)
-    # 4 ms are 20 rows; the mean stays
+    # 4 ms span 20 rows; the mean is unchanged
     assert rows.min() < 0.05
     assert np.ptp(rows) > 0.9
     whole = shoot(itertools.repeat(4), 1, {"exposure_s": 0.012}, {"backlight_hz": 250.0, "backlight_duty": 0.5})[0]
@@ -85,14 +83,14 @@ def test_a_row_sees_a_pattern_at_its_own_time(shape: str) -> None:
     rolled = {"row_time_s": 4e-4, "exposure_s": 1e-3, "start_s": 0.1 - 0.4 * 0.04}
     (image,) = shoot([4, 0, 0, 0, 0], 1 + 3, rolled, {"shape": shape})[:1]
     rows = image[20:60, 20:60].mean(1)
-    # row 40 is exposed from 0.1 s on, when level 4 has ended
+    # row 40 starts exposure at 0.1 s, when level 4 has ended
     assert (rows[21:] < 0.01).all()
     assert rows[:18].max() > 0.1
 
 
 def test_the_display_takes_a_pattern_row_by_row() -> None:
     (image,) = shoot([0, 4, 4, 4], 4, {"exposure_s": 1e-3, "start_s": 0.1 + 0.025}, {"scan_s": 0.04})[:1]
-    # rows of cells take it after 0, 10, 20 and 30 ms
+    # cell rows update after 0, 10, 20 and 30 ms
     levels = [float(image[y - 2 : y + 3, 30:50].mean()) for y in (25, 35, 45, 55)]
     assert levels == pytest.approx([0.8, 0.8, 0.8, 0.0], abs=0.02)
 
@@ -112,7 +110,7 @@ def test_automatic_exposure_swings() -> None:
 def test_white_balance_changes_light_by_its_colour() -> None:
     camera = {"white_balance_swing": 0.3, "white_balance_period_s": 1.0, "gain_swing": 0.1, "gain_period_s": 0.5}
     exposure = 1 + 0.1 * np.sin(4 * np.pi * (np.arange(30) / 30 + 0.005))
-    # red is amplified as the swing says, green not at all, blue the other way
+    # red gain follows the swing, blue the opposite swing, green stays constant
     swing = 0.3 * np.sin(2 * np.pi * (np.arange(30) / 30 + 0.005))
     for colour, gain in (((1, 0, 0), 1 + swing), ((0, 2, 0), 1 + 0 * swing), ((0, 0, 0.5), 1 - swing)):
         images = shoot(
@@ -126,7 +124,7 @@ def test_white_balance_hardly_changes_what_is_white() -> None:
     camera = {"white_balance_swing": 0.2, "white_balance_period_s": 1.0}
     sensor = {**STILL["sensor"], "gamma": 2.2}  # type: ignore[dict-item]
     light = np.array([middle(one) ** 2.2 for one in shoot(itertools.repeat(2), 30, camera, {}, sensor=sensor)])
-    # luma takes 0.21 of red and 0.07 of blue
+    # luma weights: 0.21 red, 0.07 blue
     assert 0.02 < np.ptp(light) / 0.4 < 0.08
 
 
@@ -150,7 +148,7 @@ def test_a_hand_sways() -> None:
     lights = [itertools.repeat(np.full((SIDE, SIDE), 2, np.uint8))]
     shot = film(from_mapping(ChannelSettings, tree), lights, np.random.default_rng(3), pattern_period_s=PERIOD_S)
     x = np.array([truth.arrays[0].x for _, truth in shot])
-    # 500 px of focal length by 0.5 degrees
+    # 500 px focal length times 0.5 degrees
     assert 1.5 < x.std() < 9
 
 

@@ -1,4 +1,4 @@
-"""When LEDs are lit in an exposure: parts, centroids and variances against light counted in fine steps."""
+"""Light within an exposure: fraction, centroid and variance against numerical integration."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ FINE = 4000
 
 
 def by_steps(lit: Lit, start_s: float, end_s: float) -> tuple[Floats, Floats, Floats]:
-    """Part of the exposure each LED is lit, the centroid from its middle, and the variance, by fine steps."""
+    """Return lit fraction, centroid from mid-exposure and variance per LED by numerical integration."""
     at = start_s + (end_s - start_s) * (np.arange(FINE) + 0.5) / FINE
     shines = ((at >= lit.start_s[:, None]) & (at < lit.end_s[:, None])).astype(float)
     light = np.tensordot(lit.on, shines, (0, 0))

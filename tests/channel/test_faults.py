@@ -1,4 +1,4 @@
-"""What keeps an array from being seen: failed LEDs, something before it, times off, its own motion."""
+"""Impaired arrays: failed LEDs, occlusion, timing offsets and array motion."""
 
 import itertools
 from collections.abc import Iterator
@@ -14,11 +14,11 @@ from heliograph.channel import ChannelSettings, film
 
 SIDE = 16
 NEAR = {"distance_m": 10, "camera": {"width": 160, "height": 160}, "sensor": {"full_well_e": 1e7, "dark_noise_e": 0}}
-"""LEDs 5.8 px apart, each with its light to itself."""
+"""LED pitch 5.8 px, so that LED images do not overlap."""
 
 
 def shoot(level: int, frames: int = 1, **place: Any) -> list[NDArray[np.float64]]:
-    """Light of films of an array that shows one level all the time, gray levels."""
+    """Render an array at a constant level, in gray levels."""
     lights: Iterator[NDArray[np.uint8]] = itertools.repeat(np.full((SIDE, SIDE), level, np.uint8))
     settings = from_mapping(
         ChannelSettings,
@@ -35,7 +35,7 @@ def shoot(level: int, frames: int = 1, **place: Any) -> list[NDArray[np.float64]
 
 
 def leds(image: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which LEDs shine, by the pixels at their places."""
+    """Return the mask of lit LEDs from pixels at LED centres."""
     pitch = 35 / 12 * 20 / 10
     at = np.round(79.5 + (np.arange(SIDE) - 7.5) * pitch).astype(int)
     return np.asarray(image[np.ix_(at, at)] > 20)
@@ -54,7 +54,6 @@ def test_dead_leds_stay_dark_and_stuck_ones_lit() -> None:
 
 
 def test_leds_differ_by_their_spread() -> None:
-    """Each has a light of its own, which stays."""
     pitch = 35 / 12 * 20 / 10
     at = np.round(79.5 + (np.arange(SIDE) - 7.5) * pitch).astype(int)
     even, first, second = (shoot(4, 2, spread=spread)[k] for spread, k in ((0.0, 0), (0.2, 0), (0.2, 1)))

@@ -1,4 +1,4 @@
-"""The channel as a whole: timing, windows, truth, and what a film is refused for."""
+"""Channel: timing, windows, ground truth and rejected settings."""
 
 import itertools
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from heliograph.channel.settings import BackgroundSettings, CameraSettings, Emit
 
 T_B = 1e-3
 FINE = SensorSettings(full_well_e=1e7, dark_noise_e=0, bits=12)
-"""A sensor almost without noise, to look at the light."""
+"""A nearly noiseless sensor."""
 
 
 def patterns(seed: int = 0, side: int = 16) -> Iterator[NDArray[np.uint8]]:
@@ -95,7 +95,7 @@ def test_levels_are_fractions_of_the_exposure() -> None:
 
 
 def test_short_exposure_reads_the_slots_it_sees() -> None:
-    # a quarter of T_b from 0.5 ms on sees slot 2 alone: dark at level 2, lit at level 3
+    # an exposure of T_b / 4 from 0.5 ms covers slot 2: dark at level 2, lit at level 3
     camera = CameraSettings(exposure_s=0.25e-3, start_s=0.5e-3)
     settings = replace(still(arrays=[{"x_m": 0, "y_m": 0}]), camera=camera, sensor=FINE)
     light = [float(shoot(settings, constant(level))[0][0].pixels.astype(float).sum()) for level in range(5)]
@@ -147,7 +147,7 @@ def test_truth_is_where_the_light_is() -> None:
 
 
 def test_an_array_that_comes_too_near_for_its_speed_is_refused() -> None:
-    # nothing moves sideways: the settings cannot tell, as they know neither the array's size nor the shake
+    # without lateral motion the settings cannot bound the image: array size and shake are unknown
     camera = CameraSettings(width=32, height=32, focal_m=0.5)
     settings = still(distance_m=2, arrays=(Placement(x_m=0, y_m=0, vz_m_s=-1000),), camera=camera)
     with pytest.raises(SettingsError, match=r"array 0 moves .* px in the exposure at 0 s, at most 1000: .*vz_m_s"):
@@ -158,15 +158,15 @@ def test_an_array_that_comes_too_near_for_its_speed_is_refused() -> None:
 @pytest.mark.parametrize("vx_m_s", [2.0, 12.0])
 @pytest.mark.slow
 def test_long_exposure_is_the_mean_of_short_ones(vx_m_s: float, level: int) -> None:
-    # (6): the integral over the open shutter, along the motion (0.2 and 1.2 px) and over the PWM slots
+    # (6): integral over the open shutter, along the motion (0.2 and 1.2 px) and over PWM slots
     parts = 20
     small = CameraSettings(width=128, height=96)
     base = replace(
         still(distance_m=30, duration_s=1.5e-3),
-        arrays=(Placement(x_m=0, y_m=0, vx_m_s=vx_m_s, vy_m_s=1, brightness=0.3),),  # no pixel saturates
+        arrays=(Placement(x_m=0, y_m=0, vx_m_s=vx_m_s, vy_m_s=1, brightness=0.3),),  # avoid saturation
         camera=small,
         sensor=FINE,
-        background=BackgroundSettings(level=0.02),  # as the panel, which is drawn at its middle pose
+        background=BackgroundSettings(level=0.02),  # as bright as the panel, which is drawn at mid-exposure pose
     )
     whole = shoot(base, constant(level))[0][0].pixels
     mean = np.zeros(whole.shape)

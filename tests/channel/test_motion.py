@@ -1,4 +1,4 @@
-"""Road, half-car and IMU trace against their theory."""
+"""Road, half-car and IMU traces against theory."""
 
 from pathlib import Path
 
@@ -32,10 +32,10 @@ def test_road_is_smooth_between_samples_and_repeats() -> None:
 @pytest.mark.parametrize("hz", [0.8, 3.0, 11.0, 20.0])
 def test_half_car_follows_its_transfer_function(hz: float) -> None:
     car, time = HalfCar(), np.arange(0, 15, STEP_S)
-    delay = (car.front_m + car.rear_m) / 8.0  # the rear axle rolls over the same road later
+    delay = (car.front_m + car.rear_m) / 8.0  # the rear axle follows with a delay
     middle = time + STEP_S / 2
     road = 0.01 * np.stack([np.sin(2 * np.pi * hz * middle), np.sin(2 * np.pi * hz * (middle - delay))], -1)
-    q = car.ride(road, STEP_S)[-2500:]  # whole periods
+    q = car.ride(road, STEP_S)[-2500:]  # an integer number of periods
     wave = np.exp(-2j * np.pi * hz * time[-2500:])
     reached = 2j * (q * wave[:, None]).mean(0)
     mass, damping, stiffness, tyres = car.matrices()
@@ -46,7 +46,7 @@ def test_half_car_follows_its_transfer_function(hz: float) -> None:
 
 
 def test_car_settles_on_a_slope() -> None:
-    # a long triangle of slope 2 %: far from its corners the car climbs with the slope, camera and all
+    # a long triangle with slope 2 %: far from the corners, car and camera pitch with the slope
     way = STEP_M * np.arange(1 << 16)
     road = RoadProfile(0.02 * np.minimum(way, way[-1] - way))
     late = road_shake(Travel(np.zeros(1), np.array([20.0])), road, 6, 12)(np.array([12.0]))[0]

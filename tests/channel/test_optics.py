@@ -1,4 +1,4 @@
-"""Light on the pixels against brute force: the disc sampled finely, each sample blurred by the exact erf."""
+"""Pixel irradiance against brute force: finely sampled disc, each sample blurred by the exact erf."""
 
 import numpy as np
 import pytest
@@ -20,14 +20,14 @@ def view(settings: ChannelSettings, placement: Placement) -> tuple[Floats, Float
 
 
 def shares(edges: Floats, centre: Floats, sigma: float) -> Floats:
-    """(points, pixels): integral of Gaussians over pixels."""
+    """Integrate Gaussians over pixels, (points, pixels)."""
     return np.diff(0.5 * (1 + erf((edges - centre[:, None]) / (sigma * np.sqrt(2)))), axis=1)
 
 
 def brute_force(
     settings: ChannelSettings, one: Floats, eye: Floats, level: Floats, canvas: Canvas, over: int = 70
 ) -> Floats:
-    """The light of `add_array` for an array at rest, every emitter as some thousand points (0.79 over^2)."""
+    """Reference for `add_array` at rest: each emitter as 0.79 over^2 points."""
     emitter, camera = settings.emitter, settings.camera
     grid = (np.arange(over) + 0.5) / over * 2 - 1
     disc = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
@@ -79,7 +79,7 @@ def test_leds_equal_brute_force(distance_m: float, share_of_peak: float, tilt_de
 @pytest.mark.parametrize("roll_rad", [0.0, 0.02])
 @pytest.mark.parametrize("distance_m", [60.0, 100.0])
 def test_equals_the_blur_matrix_of_the_reference_link(distance_m: float, roll_rad: float) -> None:
-    # the formula of bound.py: Gaussians of variance blur^2 + radius^2 / 4, integrated over pixels, times pitch^2
+    # formula from bound.py: Gaussians with variance blur^2 + radius^2 / 4, integrated over pixels, times pitch^2
     settings = ChannelSettings(distance_m=distance_m, emitter=EmitterSettings(half_angle_deg=89.999))
     one, eye = view(settings, Placement(x_m=0, y_m=0, roll_deg=-np.degrees(roll_rad)))
     level = np.random.default_rng(0).random((16, 16))

@@ -1,4 +1,4 @@
-"""Pinhole geometry against SciPy's rotations, a pinhole computed point by point, and differences of images."""
+"""Pinhole geometry against SciPy rotations, a pointwise pinhole camera and numerical derivatives."""
 
 from dataclasses import replace
 
@@ -47,12 +47,12 @@ def pose_of(travelled: float, heave: float, *turn: float) -> CameraPose:
 
 
 def turned(pitch: float, yaw: float, roll: float) -> Rotation:
-    """The turn by SciPy: about down, then about the new right, then about the new forward axis."""
+    """Rotate with SciPy: about down, then the new right, then the new forward axis."""
     return Rotation.from_euler("YXZ", (yaw, pitch, roll))
 
 
 def in_space(pose: CameraPose, placement: Placement, distance_m: float, points: Floats) -> tuple[Floats, Rotation]:
-    """Points of the array from the camera at `TIME`, in the world's axes; and the array's turn."""
+    """Return array points relative to the camera at `TIME` in world axes, and the array rotation."""
     p, t = placement, TIME[0]
     turn = turned(*np.radians((p.pitch_deg, p.yaw_deg, p.roll_deg)))
     centre = np.array([p.x_m, p.y_m, distance_m + p.z_offset_m]) + t * np.array([p.vx_m_s, p.vy_m_s, p.vz_m_s])
@@ -148,7 +148,7 @@ def test_scale_is_the_slope_of_the_map(pose: CameraPose, placement: Placement, d
 def test_a_square_goes_round_its_centre(half_m: float) -> None:
     corners = square(half_m)
     assert np.abs(corners) == pytest.approx(np.full((4, 2), half_m))
-    # each corner is the one before, a quarter turn on
+    # adjacent corners differ by a quarter turn
     assert np.roll(corners, -1, 0) == pytest.approx(corners @ np.array([[0.0, 1.0], [-1.0, 0.0]]))
 
 
@@ -177,7 +177,7 @@ def test_turns_move_the_image_as_they_are_named() -> None:
         return np.asarray(project(one[0], np.zeros((1, 2)))[0][0])
 
     rest = image()
-    assert image(pitch=small) - rest == pytest.approx([0, 2.917], abs=0.01)  # nose up: the array sinks in the image
+    assert image(pitch=small) - rest == pytest.approx([0, 2.917], abs=0.01)  # nose up: the array moves down
     assert image(yaw=small) - rest == pytest.approx([-2.917, 0], abs=0.01)
-    assert image(roll=small) - rest == pytest.approx([-58.3e-3, -87.5e-3], abs=1e-3)  # turns against the clock
+    assert image(roll=small) - rest == pytest.approx([-58.3e-3, -87.5e-3], abs=1e-3)  # counterclockwise rotation
     assert image(heave=0.01) - rest == pytest.approx([0, 0.583], abs=1e-3)

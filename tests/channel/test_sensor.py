@@ -1,4 +1,4 @@
-"""Sensor against EMVA 1288 and Poisson, and against its NumPy reference."""
+"""Sensor model against EMVA 1288, Poisson statistics and a NumPy reference."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def mix32(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def normals(seed: int, frame: int, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """The sensor's standard normal variables, in double precision."""
+    """Return the sensor's standard normal variables in double precision."""
     golden = U64(0x9E3779B97F4A7C15)
     frame_key = mix64(np.array([seed], U64) + golden * np.array([frame + 1], U64))
     key = mix64(frame_key + golden * np.arange(1, shape[0] + 1, dtype=U64))[:, None]
@@ -49,7 +49,7 @@ def test_kernel_is_its_reference() -> None:
     gray = np.clip(np.floor(sensor.gain_dn_per_e * electrons + 0.5), 0, 255)
     got = read_out(light, sensor, 99, 3)
     assert np.abs(got - gray).max() <= 1
-    assert (got != gray).mean() < 1e-4  # rounding of float32 at the edge of a gray level
+    assert (got != gray).mean() < 1e-4  # float32 rounding at gray level boundaries
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12])
@@ -105,7 +105,7 @@ def test_few_photons_are_poisson(mean: float) -> None:
     expected = stats.poisson(mean).pmf(np.arange(80)) * 512 * 1024
     many = expected > 50
     chi2 = ((counts - expected) ** 2 / expected)[many].sum() / many.sum()
-    assert chi2 < (2.0 if mean < 20 else 60)  # from 20 on a normal variable with the same three moments
+    assert chi2 < (2.0 if mean < 20 else 60)  # from mean 20, a normal variable with the same three moments
     samples = np.repeat(np.arange(80), counts)
     assert stats.skew(samples) == pytest.approx(mean**-0.5, rel=0.05)
 

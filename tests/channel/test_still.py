@@ -1,4 +1,4 @@
-"""Scenes in which nothing moves, as sums of LEDs' images, against the same scenes rendered frame by frame."""
+"""Static scenes as sums of LED images, against frame-by-frame rendering."""
 
 import itertools
 from collections.abc import Iterator
@@ -68,7 +68,7 @@ def test_sums_are_the_light_rendered_frame_by_frame(changes: dict[str, Any], roi
     block = frame_block(scene, np.arange(4))
     parts, still = windows(block, scene.settings.camera, roi), StillLight(scene)
     assert still.take(block, parts)
-    assert still.take(block, parts)  # the same again: nothing is rendered anew
+    assert still.take(block, parts)  # cached: no second rendering
     x, y, last_x, last_y = map(int, parts[0])
     for k in range(4):
         made, exact = (Canvas(np.empty((last_y - y + 1, last_x - x + 1), np.float32), (x, y)) for _ in range(2))
@@ -84,7 +84,7 @@ def test_sums_are_the_light_rendered_frame_by_frame(changes: dict[str, Any], roi
         {"speed_m_s": 10.0, "distance_m": 60.0},
         {"arrays": [{"vx_m_s": 1.0}]},
         {"camera": {"row_time_s": 1e-6}},
-        {"arrays": [{"x_m": 0, "y_m": 0}, {"x_m": 0.05, "y_m": 0, "z_offset_m": 3.0}]},  # one hides the other
+        {"arrays": [{"x_m": 0, "y_m": 0}, {"x_m": 0.05, "y_m": 0, "z_offset_m": 3.0}]},  # overlapping arrays
     ],
 )
 def test_what_is_no_such_sum_is_rendered_frame_by_frame(changes: dict[str, Any]) -> None:

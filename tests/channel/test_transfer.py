@@ -1,4 +1,4 @@
-"""Frames lost, repeated and stamped late on their way from the camera."""
+"""Frame loss, repetition and late timestamps between camera and receiver."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -30,7 +30,7 @@ def test_nothing_happens_unless_asked_for() -> None:
 
 def test_dropped_frames_leave_gaps() -> None:
     out = deliver(CameraSettings(dropped=0.1), 5000)
-    # five standard deviations of a share of 0.1
+    # five standard deviations at loss probability 0.1
     assert len(out) / 5000 == pytest.approx(0.9, abs=5 * np.sqrt(0.09 / 5000))
     assert all(f.pixels[0, 0] == f.index % 251 and f.time_s == f.index / 1000 for f in out)
 
@@ -45,7 +45,7 @@ def test_a_repeated_frame_is_the_one_delivered_before() -> None:
     out = deliver(CameraSettings(repeated=0.1, dropped=0.05), 5000)
     copies = [(a, b) for a, b in pairwise(out) if np.array_equal(a.pixels, b.pixels)]
     assert len(copies) / 5000 == pytest.approx(0.1, abs=0.02)
-    # with stamps of their own, where the pixels come from
+    # repeated frames keep new timestamps and the source window
     assert all(b.time_s == b.index / 1000 and a.origin == b.origin for a, b in copies)
 
 

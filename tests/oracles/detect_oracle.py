@@ -1,7 +1,4 @@
-"""The detector's hot steps written for reading: plain NumPy, no tricks.
-
-Nothing runs on these but the tests that hold `kernels.py` and `coarse.py` to them.
-"""
+"""Reference for the detector kernels in `kernels.py` and `coarse.py`, in plain NumPy."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,40 +14,40 @@ ScoredSquare = tuple[float, float, float, float, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """What `search` looks for and where."""
+    """Search grid of `search`."""
 
-    # (sizes,) sides of arrays looked for, in px
+    # (sizes,) array sides in px
     sides: Floats
-    # Least rms alternation in gray levels
+    # Minimum rms alternation in gray levels
     contrast: float
-    # Least correlation, 0 to 1
+    # Minimum correlation, 0 to 1
     threshold: float
-    # Width of the ring around a candidate, as a fraction of its side
+    # Ring width as a fraction of the side
     ring: float
-    # Step of the places as a fraction of the side
+    # Position step as a fraction of the side
     step: float
-    # Least distance of two candidates along x or y, as a fraction of the larger one's side
+    # Minimum candidate distance along x or y, as a fraction of the larger side
     apart: float
-    # Largest number of candidates that are kept
+    # Maximum number of candidates
     count: int
 
 
 def combined(frames: Floats, weights: Floats) -> Floats:
-    """Weighted sum of frames, (rows, columns)."""
+    """Return the weighted sum of frames, (rows, columns)."""
     return np.asarray(np.tensordot(weights, frames, 1))
 
 
 def block_means(image: Floats, size: int) -> Floats:
-    """Mean magnitude of blocks, (blocks down, blocks across)."""
+    """Return mean magnitudes of blocks, (blocks down, blocks across)."""
     rows, cols = image.shape
     return np.asarray(np.abs(image).reshape(rows // size, size, cols // size, size).mean(axis=(1, 3)))
 
 
 def busy(means: Floats, free: NDArray[np.bool_], least: float, ratio: float) -> NDArray[np.bool_]:
-    """Blocks that alternate more than the others, and those around, (blocks down, blocks across)."""
+    """Mark blocks with above-median alternation and their neighbours, (blocks down, blocks across)."""
     if not free.any():
         return np.zeros(means.shape, bool)
-    # of an even number the upper one of the two in the middle
+    # upper median for an even count
     median = np.sort(means[free])[np.count_nonzero(free) // 2]
     found = np.pad(free & (means > max(least, ratio * median)), 1)
     rows, columns = means.shape
@@ -58,10 +55,9 @@ def busy(means: Floats, free: NDArray[np.bool_], least: float, ratio: float) -> 
 
 
 def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, grid: Grid) -> list[ScoredSquare]:
-    """Best candidates over scale and position, best first."""
+    """Return the best candidates over scale and position, best first."""
     kept: list[ScoredSquare] = []
     places = [place for side in map(float, grid.sides) for place in _places(image.shape, block, side, grid)]
-    # block by block
     for (down, across), x, y, side in sorted(places, key=lambda place: place[0]):
         for number, score in _scores(image, cells, x, y, side, grid) if busy[down, across] else ():
             if abs(score) >= grid.threshold:
@@ -72,7 +68,7 @@ def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, gr
 def _places(
     shape: tuple[int, ...], block: int, side: float, grid: Grid
 ) -> Iterator[tuple[tuple[int, int], float, float, float]]:
-    """Block of the centre, upper left corner and side of squares a step apart, the ring around inside."""
+    """Return centre block, upper left corner and side of each square whose ring lies inside the image."""
     step, ring = max(1.0, grid.step * side), grid.ring * side
     for y in np.arange(ring, shape[0] - 1 - side - ring, step).tolist():
         for x in np.arange(ring, shape[1] - 1 - side - ring, step).tolist():
@@ -80,7 +76,7 @@ def _places(
 
 
 def _scores(image: Floats, cells: Floats, x: float, y: float, side: float, grid: Grid) -> list[tuple[int, float]]:
-    """Correlation with each header of what lies in a square, its ring counted as light that should not be there."""
+    """Correlate a square with each header; light in the ring lowers the score."""
     cell, ring = side / 4, grid.ring * side
     energy = _box(image**2, x - ring, y - ring, side + 2 * ring)
     if energy < grid.contrast**2 * side**2:
@@ -91,18 +87,18 @@ def _scores(image: Floats, cells: Floats, x: float, y: float, side: float, grid:
 
 
 def _box(image: Floats, x: float, y: float, size: float) -> float:
-    """Sum over a square whose borders cut pixels, which then count in part; pixel (0, 0) begins at 0."""
+    """Integrate over a square with fractional pixels; pixel (0, 0) begins at 0."""
     return float(_overlap(y, size, image.shape[0]) @ image @ _overlap(x, size, image.shape[1]))
 
 
 def _overlap(start: float, size: float, count: int) -> Floats:
-    """Part of each of `count` pixels within [start, start + size]."""
+    """Return the fraction of each pixel within [start, start + size]."""
     first = np.arange(count)
     return np.clip(np.minimum(start + size, first + 1) - np.maximum(start, first), 0, 1)
 
 
 def _merge(kept: list[ScoredSquare], new: ScoredSquare, grid: Grid) -> list[ScoredSquare]:
-    """Take a candidate in unless a better one lies on the same place; it replaces worse ones there."""
+    """Add a candidate unless a better candidate overlaps; drop worse overlapping candidates."""
     near = [old for old in kept if max(abs(old[1] - new[1]), abs(old[2] - new[2])) < grid.apart * max(new[3], old[3])]
     if any(abs(old[0]) >= abs(new[0]) for old in near):
         return kept

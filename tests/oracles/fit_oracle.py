@@ -1,7 +1,4 @@
-"""The fit of an array written for reading: plain NumPy, every pixel a row of one matrix.
-
-Nothing runs on this but the tests that hold `gauss_newton.py` to it.
-"""
+"""Reference for `gauss_newton.py`: pose fit in plain NumPy, one matrix row per pixel."""
 
 from collections.abc import Sequence
 
@@ -21,20 +18,20 @@ def fit(
     gain: float,
     steps: int,
 ) -> tuple[Floats, Floats, Floats]:
-    """Most probable pose of LEDs in pixels, by Gauss-Newton with robust weights."""
+    """Return the most probable pose by robust Gauss-Newton."""
     vector, free = prior.copy(), len(precision)
     shapes = _shapes(vector, weights, margins, corner, image.shape)
     linear = _first(image, shapes, gain)
     for _ in range(steps):
         values, slopes = shapes[:, 0], np.tensordot(linear[: len(shapes)], shapes[:, 1:], 1)
         columns = np.concatenate([values, _plane(image.shape)])
-        # one row for each pixel: derivatives by the pose, then by the coefficients
+        # one row per pixel: derivatives by pose, then by coefficients
         rows = np.concatenate([slopes, columns]).reshape(free + len(columns), -1).T
         residual = (image - np.tensordot(linear, columns, 1)).ravel()
         spread = max(float(np.median(np.abs(residual))) / 0.674490, 0.5)
-        # Tukey's biweight of 95 % efficiency
+        # Tukey's biweight with 95 % efficiency
         weight = np.clip(1 - (residual / (4.685 * spread)) ** 2, 0, None) ** 2
-        # at least the variance of rounding to whole gray levels
+        # lower bound: rounding noise
         noise = max(float(weight @ residual**2) / max(float(weight.sum()) - rows.shape[1], 1.0), 0.08)
         matrix, rhs = (rows.T * weight) @ rows / noise, (rows.T * weight) @ residual / noise
         # (J^T W J + P^-1) step = J^T W r + P^-1 (theta_0 - theta), and the same for the gain
@@ -60,20 +57,20 @@ def fit(
 def _shapes(
     vector: Floats, weights: Floats, margins: Sequence[float], corner: Corner, shape: tuple[int, ...]
 ) -> Floats:
-    """Images of the LEDs and of the squares around them, each with its derivatives."""
+    """Return images and derivatives for LEDs and enclosing squares."""
     size = (shape[0], shape[1])
     boxes = [render_box(vector, 0.5 * len(weights) + margin, corner, size) for margin in margins]
     return np.stack([render(vector, weights, corner, size), *boxes])
 
 
 def _plane(shape: tuple[int, ...]) -> Floats:
-    """A constant, and slopes in x and y."""
+    """Return a constant and slopes in x and y."""
     y, x = np.mgrid[: shape[0], : shape[1]]
     return np.stack([np.ones(shape), (x - x.mean()) / shape[1], (y - y.mean()) / shape[0]])
 
 
 def _first(image: Floats, shapes: Floats, gain: float) -> Floats:
-    """Least squares coefficients, those of the LEDs all but held where their gain is expected."""
+    """Return least-squares coefficients; a gain prior constrains the LED coefficient."""
     a = np.concatenate([shapes[:, 0], _plane(image.shape)]).reshape(len(shapes) + 3, -1)
     matrix, rhs = a @ a.T, a @ image.ravel()
     if gain:

@@ -1,7 +1,4 @@
-"""The algebra of pairs written for reading: whole matrices, textbook formulas, no tricks.
-
-Nothing runs on it but the tests that hold `kernels.py` and `statistics.py` to it.
-"""
+"""Reference for `kernels.py` and `statistics.py`: dense matrices and textbook formulas."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,32 +7,32 @@ from heliograph.base.arrays import RCOND, Floats
 
 
 def transform(side: int) -> Floats:
-    """T, (n n LEDs row by row, n n symbols): 2 x - 1 = T c."""
+    """Return T, (n n LEDs row by row, n n symbols): 2 x - 1 = T c."""
     half = side // 2
-    # symbols: the quarters D11, D12, D21, D22 of the data matrix, each row by row
+    # symbols: D11, D12, D21, D22, each row by row
     quarters = np.eye(side * side).reshape(-1, 2, 2, half, half)
     d = quarters.transpose(0, 1, 3, 2, 4).reshape(-1, side, side)
-    # (9) H: sums of neighbours in its upper half, differences in its lower half
+    # (9) H: sums in the upper half, differences in the lower half
     h = np.vstack([np.kron(np.eye(half), [1, 1]), np.kron(np.eye(half), [1, -1])])
     # (8) x' = 4 x - 2 = 1/2 H^T D H
     x = 0.5 * h.T @ d @ h
-    # 2 x - 1 = x' / 2; matrix k is the pattern of symbol k alone, which becomes column k
+    # 2 x - 1 = x' / 2; column k is the pattern for symbol k
     return np.asarray(0.5 * x.reshape(side * side, -1).T)
 
 
 def pair_model(a_1: Floats, a_2: Floats, t: Floats) -> tuple[Floats, Floats]:
-    """B and o of a pair: d = g (B c + o) + n. Returns (pixels, symbols) and (pixels,)."""
+    """Return B (pixels, symbols) and o (pixels,) for a pair d = g (B c + o) + n."""
     # g (A_1 x - A_2 (1 - x)) with x = (1 + T c) / 2
     return 0.5 * (a_1 + a_2) @ t, 0.5 * (a_1 - a_2).sum(1)
 
 
 def weights(a: Floats, pitch: float, lit: float, dark: float, ring: int, shape: tuple[int, int]) -> Floats:
-    """W, (pixels,): lit over the variance of each pixel's noise, as a product of its row and its column."""
+    """Return W (pixels,): lit over pixel noise variance, as row times column factors."""
     side = round(np.sqrt(a.shape[1]))
     image = a.sum(1).reshape(shape)
     parts = []
     for axis, count in ((1, shape[0]), (0, shape[1])):
-        # what all LEDs together give a row or a column, 1 inside the array
+        # row or column profile with all LEDs on, 1 inside the array
         f = np.clip(image.sum(axis) / (side * pitch), 0, 1)
         part = lit / (dark + (lit - dark) * f)
         inside = (np.arange(count) >= ring) & (np.arange(count) < count - ring)
@@ -44,7 +41,7 @@ def weights(a: Floats, pitch: float, lit: float, dark: float, ring: int, shape: 
 
 
 def uneven(total: Floats, lit: Floats, inside: NDArray[np.bool_]) -> Floats:
-    """Residual of a sum about the array's light and a plane on the pixels inside, (pixels inside,)."""
+    """Return the residual after fitting array light and a plane, (pixels inside,)."""
     y, x = np.nonzero(inside)
     columns = np.stack([lit[inside], np.ones(len(x)), x - x.mean(), y - y.mean()], axis=1)
     fitted = columns @ np.linalg.lstsq(columns, total[inside], rcond=RCOND)[0]

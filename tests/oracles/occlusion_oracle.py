@@ -1,7 +1,4 @@
-"""Changes from pattern to inverse, written for reading.
-
-Nothing runs on this but the tests that hold `kernels.py` to it.
-"""
+"""Reference for the change statistics in `kernels.py`."""
 
 import numpy as np
 
@@ -10,19 +7,19 @@ from heliograph.receive.geometry.fit import robust_std
 
 
 def noise_outside(change: Floats, x: float, y: float, least: float) -> float:
-    """Standard deviation about 0 of the pixels beside a square; 0 where there are none."""
+    """Return the robust standard deviation outside a square, or 0 if no pixels remain."""
     around = change[_away(change, x, y) > least]
     return robust_std(around) if around.size else 0.0
 
 
 def power_within(change: Floats, x: float, y: float, most: float) -> tuple[float, int]:
-    """Sum of the squares of the pixels in a square, and their number."""
+    """Return sum of squares and pixel count within a square."""
     inner = change[_away(change, x, y) <= most]
     return float(inner @ inner), inner.size
 
 
 def power_around(change: Floats, noise: float, x: float, y: float, axes: Floats, width: int, side: int) -> Floats:
-    """Mean power of a change over the squares about LEDs, less that of its noise, (n, n)."""
+    """Return mean excess power over noise around each LED, (n, n)."""
     power = np.pad(np.maximum(change**2 - noise**2, 0.0), ((0, 1), (0, 1)), "edge")
     at_leds = np.empty((side, side))
     for u, v in np.ndindex(side, side):
@@ -36,12 +33,12 @@ def power_around(change: Floats, noise: float, x: float, y: float, axes: Floats,
 
 
 def recent_change(before: Floats, around: Floats, least: float, bright: int, most: float, rate: float) -> Floats:
-    """Recent change of each LED, with that of one more pair, (n, n)."""
+    """Update the recent change at each LED with a new pair, (n, n)."""
     others = max(float(np.sort(around, axis=None)[bright]), least)
     return before + rate * (np.minimum(around / others, most) - before)
 
 
 def _away(change: Floats, x: float, y: float) -> Floats:
-    """Distance of each pixel from a point, along a row or a column, whichever is larger."""
+    """Return the Chebyshev distance from a point to each pixel."""
     rows, cols = np.indices(change.shape)
     return np.maximum(np.abs(rows - y), np.abs(cols - x))

@@ -1,7 +1,4 @@
-"""The images of LEDs written for reading: plain NumPy, no tricks.
-
-Nothing runs on these but the tests that hold `kernels.py` to them.
-"""
+"""Reference for the LED image kernels in `kernels.py`, in plain NumPy."""
 
 import numpy as np
 
@@ -9,23 +6,10 @@ from heliograph.base.arrays import Floats
 
 
 def shapes(point: Floats, sigma: float, reach: float, size: tuple[int, int]) -> Floats:
-    """Image of an LED of the light 1, and its derivatives.
+    """Return a unit LED image and derivatives, (4, rows, columns).
 
-    Parameters
-    ----------
-    point
-        (2,) place (x, y) of the LED in px.
-    sigma
-        Standard deviation of its image in px.
-    reach
-        Distance in px along x and y beyond which it is 0.
-    size
-        Rows and columns of the image.
-
-    Returns
-    -------
-    (4, rows, columns): g = exp(-r^2 / 2 sigma^2) / (2 pi sigma^2), its derivatives by x and y of the place, and by
-    ln sigma.
+    The image is g = exp(-r^2 / 2 sigma^2) / (2 pi sigma^2), truncated at `reach` px along x and y. Derivatives follow
+    by x, y and ln sigma.
     """
     y, x = np.mgrid[: size[0], : size[1]] - point[::-1, None, None]
     g = np.exp(-(x**2 + y**2) / (2 * sigma**2)) / (2 * np.pi * sigma**2)
@@ -34,41 +18,11 @@ def shapes(point: Floats, sigma: float, reach: float, size: tuple[int, int]) -> 
 
 
 def gathered(image: Floats, points: Floats, sigma: float, reach: float) -> Floats:
-    """Inner products of an image with each LED's image and its derivatives.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels.
-    points
-        (n, 2) places of the LEDs in px.
-    sigma, reach
-        Standard deviation of an LED's image, and how far it is taken, in px.
-
-    Returns
-    -------
-    (n, 4).
-    """
+    """Return inner products between an image and each LED image with derivatives, (n, 4)."""
     return np.array([(shapes(one, sigma, reach, image.shape) * image).sum(axis=(1, 2)) for one in points])
 
 
 def drawn(amounts: Floats, points: Floats, sigma: float, reach: float, size: tuple[int, int]) -> Floats:
-    """Sum of the images of LEDs and of their derivatives.
-
-    Parameters
-    ----------
-    amounts
-        (n, 4) how much of each.
-    points
-        (n, 2) places of the LEDs in px.
-    sigma, reach
-        Standard deviation of an LED's image, and how far it is taken, in px.
-    size
-        Rows and columns of the image.
-
-    Returns
-    -------
-    (rows, columns).
-    """
+    """Return the weighted sum of LED images and derivatives; `amounts` holds weights (n, 4)."""
     pairs = zip(amounts, points, strict=True)
     return np.asarray(sum(np.tensordot(amount, shapes(one, sigma, reach, size), 1) for amount, one in pairs))

@@ -1,7 +1,4 @@
-"""The plain receiver's kernel written for reading.
-
-Nothing runs on it but the test that holds `kernels.py` to it.
-"""
+"""Reference for the plain receiver's kernel in `kernels.py`."""
 
 import numpy as np
 
@@ -9,7 +6,7 @@ from heliograph.base.arrays import Floats
 
 
 def sample_cubic(image: Floats, points: Floats) -> Floats:
-    """Image between its pixels by Keys' cubic convolution, (n,); the border repeats."""
+    """Interpolate an image by Keys' cubic convolution, (n,); the border repeats."""
     out = np.empty(len(points))
     for k, (x, y) in enumerate(points):
         j, i = int(np.floor(x)), int(np.floor(y))

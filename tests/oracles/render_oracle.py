@@ -1,7 +1,4 @@
-"""The kernels of images written for reading: plain NumPy, no bounds on the light's reach, no tricks.
-
-Nothing runs on these but the tests that hold `kernels.py` to them.
-"""
+"""Reference for the rendering kernels in `kernels.py`: plain NumPy, unbounded PSF."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,27 +11,27 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.geometry.pose import Pose
 
 Corner = tuple[float, float]
-"""(x, y) on the sensor of a window's first pixel."""
+"""Sensor position (x, y) of a window's first pixel."""
 
 DIFFERENCE_STEP = 1e-5
-"""Step of the central differences, in px, rad or as a logarithm: rounding and curvature err alike, by 1e-10."""
+"""Central difference step in px, rad or log units; rounding and truncation errors are both near 1e-10."""
 
 
 Smear = tuple[float, float]
-"""Standard deviations in px along x and y of a motion while the light shone."""
+"""Standard deviations in px along x and y for motion blur."""
 
 
 def render(
     vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
 ) -> Floats:
-    """Image of LEDs and its derivatives by the pose. Returns (6 or 8, rows, columns)."""
+    """Return LED image and pose derivatives, (6 or 8, rows, columns)."""
     return _with_derivatives(lambda v: array_image(v, weights, corner, shape, smear), vector)
 
 
 def array_image(
     vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
 ) -> Floats:
-    """Image of LEDs, (rows, columns)."""
+    """Return the LED image, (rows, columns)."""
     x, y, log_pitch, roll, log_blur = vector[:5]
     stretch, shear = vector[5:] if len(vector) == 7 else (0.0, 0.0)
     pitch, blur = np.exp(log_pitch), np.exp(log_blur)
@@ -54,7 +51,7 @@ def array_image(
 def render_box(
     vector: Floats, half_leds: float, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
 ) -> Floats:
-    """Image of a blurred square and its derivatives, (6 or 8, rows, columns); those by blur and tilt are left 0."""
+    """Return a blurred square and derivatives, (6 or 8, rows, columns); blur and tilt derivatives stay 0."""
     out = _with_derivatives(lambda v: box_image(v, half_leds, corner, shape, smear), vector)
     out[5:] = 0.0
     return out
@@ -63,9 +60,9 @@ def render_box(
 def box_image(
     vector: Floats, half_leds: float, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
 ) -> Floats:
-    """Image of a blurred square about the array's centre, (rows, columns)."""
+    """Return a blurred square about the array centre, (rows, columns)."""
     half, roll = half_leds * np.exp(vector[2]), vector[3]
-    # a pixel's box has the variance 1/12
+    # pixel integration adds variance 1/12
     sigma = np.sqrt(np.exp(vector[4]) ** 2 + 1 / 12 + np.square(smear))
     dy, dx = np.mgrid[: shape[0], : shape[1]] + np.reshape([corner[1] - vector[1], corner[0] - vector[0]], (2, 1, 1))
     stretch, shear = vector[5:] if len(vector) == 7 else (0.0, 0.0)
@@ -79,13 +76,13 @@ def box_image(
 
 
 def _with_derivatives(image: Callable[[Floats], Floats], vector: Floats) -> Floats:
-    """An image and its central differences (f(v + h) - f(v - h)) / 2 h by each parameter."""
+    """Append central differences (f(v + h) - f(v - h)) / 2 h by each parameter."""
     steps = DIFFERENCE_STEP * np.eye(len(vector))
     return np.stack([image(vector), *((image(vector + h) - image(vector - h)) / (2 * DIFFERENCE_STEP) for h in steps)])
 
 
 def pixel_light(pixels: NDArray[Any], centres: Floats, sigma: float) -> Floats:
-    """Part of a Gaussian on each pixel. Returns (centres, pixels)."""
+    """Return the fraction of each Gaussian on each pixel, (centres, pixels)."""
     # g(t) = Phi((t + 1/2) / sigma) - Phi((t - 1/2) / sigma)
     t = pixels - centres[:, None]
     return np.asarray(ndtr((t + 0.5) / sigma) - ndtr((t - 0.5) / sigma))
@@ -94,9 +91,9 @@ def pixel_light(pixels: NDArray[Any], centres: Floats, sigma: float) -> Floats:
 def blur_matrix(
     pose: Pose, side: int, corner: tuple[int, int], shape: tuple[int, int], motion: tuple[float, float] = (0.0, 0.0)
 ) -> Floats:
-    """A, (pixels, n n LEDs row by row): each LED's Gaussian integrated over each pixel of a window."""
+    """Return A, (pixels, n n LEDs row by row): each LED's Gaussian integrated over window pixels."""
     points = pose.leds(side).reshape(-1, 2)
     across = pixel_light(np.arange(shape[1]) + corner[0], points[:, 0], float(np.hypot(pose.blur, motion[0])))
     down = pixel_light(np.arange(shape[0]) + corner[1], points[:, 1], float(np.hypot(pose.blur, motion[1])))
-    # an unresolved array with all LEDs on has the image 1: each LED has the light of its square, pitch^2
+    # each LED emits pitch^2, so that an unresolved array with all LEDs on has image 1
     return np.asarray(pose.pitch**2 * np.einsum("ki,kj->ijk", down, across).reshape(-1, side * side))

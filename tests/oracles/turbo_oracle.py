@@ -1,7 +1,7 @@
-"""The turbo decoder written for reading: plain NumPy in double precision, all blocks at once.
+"""Reference turbo decoder in plain double-precision NumPy, all blocks at once.
 
-Tests compare the kernel with it, and it with the enumeration of all codewords of a toy code. Source of the algorithm:
-Bahl, Cocke, Jelinek, Raviv, IEEE Trans. Inf. Theory 20 (1974) 284; Robertson, Villebrun, Hoeher, ICC 1995.
+Tests compare the kernel with this reference, and the reference with exhaustive enumeration for a toy code.
+Algorithm: Bahl, Cocke, Jelinek, Raviv, IEEE Trans. Inf. Theory 20 (1974) 284; Robertson, Villebrun, Hoeher, ICC 1995.
 """
 
 from typing import NamedTuple
@@ -14,24 +14,24 @@ from heliograph.signal.code import Algorithm, Check
 from heliograph.signal.turbo import DecoderOptions
 
 G0 = np.array([1, 0, 1, 1])
-"""Feedback of the constituent code, 1 + D^2 + D^3 (TS 36.212, section 5.1.3.2.1)."""
+"""Feedback polynomial 1 + D^2 + D^3 (TS 36.212, section 5.1.3.2.1)."""
 
 G1 = np.array([1, 1, 0, 1])
-"""Feed-forward, 1 + D + D^3."""
+"""Feed-forward polynomial 1 + D + D^3."""
 
 TAIL_BITS = 6
-"""Coded bits that terminate one constituent code: three steps of x and z."""
+"""Termination bits per constituent code: three steps with x and z."""
 
 
 def _step(register: NDArray[np.int64], x: int) -> tuple[NDArray[np.int64], int]:
-    """Return the register after the bit x, the newest first, and the parity bit z, independently of the package."""
+    """Return the next register (newest bit first) and parity bit z, implemented separately from the package."""
     # g0: a_k = x_k + sum_(i > 0) g0_i a_(k-i);  g1: z_k = sum_i g1_i a_(k-i)
     a = np.array([(x + G0[1:] @ register) % 2, *register])
     return a[:-1], int(G1 @ a) % 2
 
 
 def _tail(register: NDArray[np.int64]) -> list[int]:
-    """Return the bits x, z, x, z, x, z that lead to the register 0, 0, 0: each x cancels the feedback."""
+    """Return termination bits x, z, x, z, x, z; each x cancels the feedback."""
     bits: list[int] = []
     while len(bits) < TAIL_BITS:
         x = int(G0[1:] @ register) % 2
@@ -41,37 +41,27 @@ def _tail(register: NDArray[np.int64]) -> list[int]:
 
 
 _REGISTERS = np.array(list(np.ndindex(2, 2, 2)))
-"""Shape (8, 3): the register in each state, the newest bit first; state 0 is the empty one."""
+"""Shape (8, 3): register per state, newest bit first; state 0 is empty."""
 
 STATES = len(_REGISTERS)
 
 _STEPS = [[_step(register, x) for x in (0, 1)] for register in _REGISTERS]
 
 NEXT_STATE = np.array([[int(np.ravel_multi_index(tuple(after), (2, 2, 2))) for after, _ in row] for row in _STEPS])
-"""Shape (8, 2): state after each bit."""
+"""Shape (8, 2): next state per bit."""
 
 PARITY = np.array([[z for _, z in row] for row in _STEPS])
-"""Shape (8, 2): parity bit of each bit."""
+"""Shape (8, 2): parity bit per bit."""
 
 TAIL = np.array([_tail(register) for register in _REGISTERS])
-"""Shape (8, 6): tail bits of each final state."""
+"""Shape (8, 6): tail bits per final state."""
 
 _INTO = np.argsort(NEXT_STATE.ravel(), kind="stable").reshape(STATES, 2)
-"""Shape (8, 2): the two branches, by the flat index 2 state + bit, that end in each state."""
+"""Shape (8, 2): branches 2 state + bit ending in each state."""
 
 
 class ConstituentLlrs(NamedTuple):
-    """A-posteriori LLRs of one constituent code.
-
-    Attributes
-    ----------
-    info : ndarray of float64, shape (B, K)
-        Of the information bits, in the order of this trellis.
-    parity : ndarray of float64, shape (B, K)
-        Of the parity bits.
-    tail : ndarray of float64, shape (B, 6)
-        Of the termination x, z, x, z, x, z.
-    """
+    """A-posteriori LLRs from one constituent code: info (B, K), parity (B, K), tail (B, 6)."""
 
     info: Floats
     parity: Floats
@@ -79,19 +69,7 @@ class ConstituentLlrs(NamedTuple):
 
 
 class ReferenceResult(NamedTuple):
-    """Results of B blocks.
-
-    Attributes
-    ----------
-    llr : ndarray of float64, shape (B, K)
-        A-posteriori LLRs of the information bits.
-    mother_llr : ndarray of float64, shape (B, 3 K + 12)
-        A-posteriori LLRs of the mother codeword.
-    iterations : ndarray of int32, shape (B,)
-        Full iterations that each block took, at least 1.
-    stopped : ndarray of bool, shape (B,)
-        Whether the stopping rule was met.
-    """
+    """Results for B blocks: info LLRs (B, K), mother code LLRs (B, 3 K + 12), iterations and stop flags (B,)."""
 
     llr: Floats
     mother_llr: Floats
@@ -102,25 +80,12 @@ class ReferenceResult(NamedTuple):
 def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> ConstituentLlrs:
     """Decode one constituent code, soft-in soft-out.
 
-    Parameters
-    ----------
-    info : ndarray of float64, shape (B, K)
-        Channel and a-priori LLRs of the information bits, in the order of this trellis.
-    parity : ndarray of float64, shape (B, K)
-        LLRs of the parity bits.
-    tail : ndarray of float64, shape (B, 6)
-        LLRs of the termination x, z, x, z, x, z.
-    algorithm : {"max-log", "log-map"}
-        How the paths through a state are added.
-
-    Returns
-    -------
-    ConstituentLlrs
-        LLRs of every bit given all inputs, of the inputs' shapes.
+    Inputs are LLRs in trellis order: info and parity (B, K), tail (B, 6) as x, z, x, z, x, z. `algorithm` selects how
+    paths through a state are added. The a-posteriori LLRs have the same shapes.
     """
     add = np.max if algorithm == "max-log" else np.logaddexp.reduce
     blocks, k = info.shape
-    # gamma = ln P(branch) = (1 - u) L_u + (1 - z) L_z, up to a constant; shape (K, B, 8, 2)
+    # gamma = ln P(branch) = (1 - u) L_u + (1 - z) L_z + constant; shape (K, B, 8, 2)
     zero_bit = np.array([1.0, 0.0])
     gamma = info.T[:, :, None, None] * zero_bit + parity.T[:, :, None, None] * (1 - PARITY)
 
@@ -148,7 +113,7 @@ def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> Co
 
 
 def _centred(metrics: Floats) -> Floats:
-    """Subtract the largest metric: only differences matter, and the sums stay small."""
+    """Subtract the largest metric to keep sums bounded."""
     centred: Floats = metrics - np.max(metrics, axis=-1, keepdims=True)
     return centred
 
@@ -159,23 +124,10 @@ def decode(
     options: DecoderOptions,
     check: Check | None = None,
 ) -> ReferenceResult:
-    """Decode mother codewords by passing extrinsic LLRs between the two constituent decoders.
+    """Decode mother codewords by exchanging extrinsic LLRs between both constituent decoders.
 
-    Parameters
-    ----------
-    mother_llr : ndarray of float64, shape (B, 3 K + 12)
-        LLRs in the order of `encode_mother`.
-    order : ndarray of int, shape (K,)
-        Interleaver, ``x_itl = x_nat[order]``.
-    options : DecoderOptions
-        Algorithm, iterations, scale, stopping rule.
-    check : callable, optional
-        The check of ``stop="crc"``.
-
-    Returns
-    -------
-    ReferenceResult
-        The parity and tail LLRs come from one more pass of both decoders over the final extrinsic LLRs.
+    LLRs (B, 3 K + 12) follow `encode_mother`; the interleaver is ``x_itl = x_nat[order]``. Parity and tail LLRs come
+    from a final pass over the extrinsic LLRs. ``stop="crc"`` requires `check`.
     """
     blocks, k = len(mother_llr), len(order)
     info_nat = mother_llr[:, : 3 * k : 3]
@@ -225,7 +177,7 @@ def _mother_posterior(
     orders: list[NDArray[np.int64]],
     options: DecoderOptions,
 ) -> Floats:
-    """Run both decoders once more, for the LLRs of the parity and tail bits."""
+    """Run both decoders again for parity and tail LLRs."""
     k = llr_nat.shape[-1]
     mother = np.empty((len(llr_nat), 3 * k + 2 * TAIL_BITS))
     mother[:, : 3 * k : 3] = llr_nat

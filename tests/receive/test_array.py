@@ -1,4 +1,4 @@
-"""One array's reception: hidden arrays, missing frames, films cut within a packet."""
+"""Reception of a single array: occlusion, missing frames, films that end within a packet."""
 
 import itertools
 from collections.abc import Iterable
@@ -72,7 +72,7 @@ def test_a_long_gap_keeps_packets_apart(missing: range) -> None:
     settings = link()
     packets, _ = read((f for f in film(settings, 400) if f.index not in missing), settings)
     for packet in packets:
-        # frames of one packet only, and of that which its start names
+        # all frames belong to the packet identified by the start time
         first = round(packet.start_time_s * 1000)
         assert first % 100 == 0
         assert first <= packet.first_frame <= packet.last_frame < first + 100
@@ -87,7 +87,7 @@ def test_a_long_gap_keeps_packets_apart(missing: range) -> None:
 def test_a_film_cut_within_a_packet(frames: int, packets: int) -> None:
     settings = link()
     got, _ = read(film(settings, frames), settings)
-    # of 48 data pairs after 2 of header, 24 are enough to try
+    # 24 of 48 data pairs, after 2 header pairs, suffice for an attempt
     assert len(got) == packets
     rest = min((frames % 100) // 2 - 2, 48)
     if packets and rest > 0:

@@ -1,4 +1,4 @@
-"""The receivers "plain" and "soft" as they are assembled."""
+"""Assembly of the plain and soft receivers."""
 
 from dataclasses import replace
 from types import ModuleType
@@ -62,7 +62,7 @@ def test_near_both_receivers_read_all() -> None:
 
 
 def test_where_no_receiver_reads_none_is_advised() -> None:
-    """Too few frames a pattern are too few for the soft receiver, too."""
+    """The frame rate is too low for the soft receiver too."""
     frames = [Frame(k, 0.04 * k, np.full((40, 40), k, np.uint8)) for k in range(20)]
     plain = make_receiver(SignalSettings())
     with pytest.raises(HeliographError, match="needs one frame a pattern") as caught:
@@ -71,7 +71,7 @@ def test_where_no_receiver_reads_none_is_advised() -> None:
 
 
 def test_receivers_are_chosen_by_name() -> None:
-    """The plain one wants a frame a pattern, the soft one takes any rate from there on."""
+    """The plain receiver needs one frame per pattern; the soft receiver accepts any higher rate."""
     frames = [Frame(k, 0.6e-3 * k, np.full((40, 40), k, np.uint8)) for k in range(20)]
     plain, soft = make_receiver(SignalSettings()), make_receiver(SignalSettings(), ReceiveSettings(receiver="soft"))
     with pytest.raises(HeliographError, match="the plain receiver needs one frame a pattern"):
@@ -92,7 +92,7 @@ def test_another_light_is_refused_in_one_line(setting: str, read: str, other: st
 @pytest.mark.parametrize("room", [iterate, led_gains, decision_directed])
 @pytest.mark.slow
 def test_its_algebra_runs_in_one_thread(room: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever calls it: many threads share small matrices slowly."""
+    """Multithreaded BLAS is slow for small matrices."""
     threads: list[int] = []
 
     def counting(*given: Any) -> Estimate:
@@ -110,19 +110,19 @@ def test_its_algebra_runs_in_one_thread(room: ModuleType, monkeypatch: pytest.Mo
 @pytest.mark.parametrize("cut_px", [0, 1])
 @pytest.mark.slow
 def test_an_array_at_the_rim_of_the_picture_is_read(cut_px: int) -> None:
-    """Pixels that are not there count for nothing."""
+    """Missing pixels have no weight."""
     settings = scene("receive.receiver=soft", distance_m=80.0)
     frames = film(settings, 205)
     first = next(iter(receive_frames(frames, settings.signal, settings.receive)))
     right = round(first.pose.x + 8 * pitch_at(80.0) - cut_px)
-    # from then on windows of the sensor
+    # from here on, frames are sensor windows
     frames = [replace(f, pixels=f.pixels[:, 1:right].copy(), origin=(1, 0)) if f.index > 101 else f for f in frames]
     packets = list(receive_frames(frames, settings.signal, settings.receive))
     assert [p.status for p in packets] == ["ok", "ok"]
 
 
 def content(packet: Packet) -> list[Any]:
-    """What was read of a packet, but for its times."""
+    """Return packet content except times."""
     words = [word for by in packet.layers.values() for word in by]
     bits = [(w.status, w.block, w.iterations, w.bits.tobytes(), w.raw.tobytes()) for w in words]
     return [packet.identity, packet.status, packet.first_frame, packet.last_frame, packet.pairs_seen, bits]
@@ -131,7 +131,7 @@ def content(packet: Packet) -> list[Any]:
 @pytest.mark.parametrize(("receiver", "exposed_slots"), [("plain", 4), ("soft", 4), ("soft", 3)])
 @pytest.mark.slow
 def test_times_count_in_patterns(receiver: str, exposed_slots: int) -> None:
-    """A film is read alike in slow motion, where its light is as slow. The array moves, and is hidden for a while."""
+    """Slow motion gives equal packets if patterns slow down equally. The array moves and is hidden for a while."""
 
     def path(t: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.stack([40.3 + 100 * t, 48.8 - 60 * t], -1)
@@ -140,7 +140,7 @@ def test_times_count_in_patterns(receiver: str, exposed_slots: int) -> None:
     settings = scene(f"receive.receiver={receiver}", "signal.data_pairs=24")
     signal = settings.signal
     slow_signal = replace(signal, pattern_period_s=slower * signal.pattern_period_s)
-    # two packets of 52 patterns, of four slots each
+    # two packets with 52 patterns, four slots each
     count, hidden = 448 // exposed_slots, 336 // exposed_slots
     frames = drawn_film(settings, count, path, hidden=[range(hidden, hidden + 6)], exposed_slots=exposed_slots)
     slow_frames = [replace(frame, time_s=slower * frame.time_s) for frame in frames]

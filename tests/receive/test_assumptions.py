@@ -1,4 +1,4 @@
-"""Packets that are read more than once: which assumptions are tried, and what is kept of them."""
+"""Repeated packet decoding under different assumptions."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,13 +27,13 @@ CUTOUT = Cutout(np.zeros((9, 9)), np.zeros((9, 9)), (0, 0), (Pose(4.0, 4.0, 1.0,
 
 
 def words(read: str) -> Words:
-    """Codewords of the high layer, decoded where there is an x."""
+    """Return high layer codewords; x marks decoded codewords."""
     bits = np.zeros(8, np.uint8)
     return {"high": tuple(Codeword("ok" if one == "x" else "crc_fail", None, bits, bits, 1, 0.0) for one in read)}
 
 
 def decoded(read: str, led_gains: LedGains = SEEMS_DEAD) -> TurboEqualiser:
-    """An equalised packet of which some codewords are decoded."""
+    """Return an equalised packet with some decoded codewords."""
     observed = ObservedPacket([None], Noise(1.0, 1.0), FORM, led_gains)
     packet = TurboEqualiser(observed, 1.0, 1.0, 0, Decoding(), None, 255.0)
     packet.words = words(read)
@@ -41,7 +41,7 @@ def decoded(read: str, led_gains: LedGains = SEEMS_DEAD) -> TurboEqualiser:
 
 
 def moved(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list[Cutout | None], float]:
-    """Cut-outs whose poses are pulled."""
+    """Return cut-outs with shifted poses."""
     return [None if one is None else one.moved(np.array([1.0, 0.0, 0.0, 0.0])) for one in cutouts], 1.0
 
 
@@ -50,7 +50,7 @@ def moved(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list[Cut
     [
         (["xxx"], 0, 0),
         (["xx-", "xxx"], 0, 1),
-        # no better alone, but what it reads counts
+        # no better individually, but the decoded codewords count
         (["xx-", "--x"], 0, 0),
         (["x--", "-x-", "--x"], 0, 0),
         (["---", "x--", "xx-"], 1, 2),
@@ -73,12 +73,12 @@ def test_a_packet_is_read_until_nothing_is_open(
     assert count_open(reading.words) == open_
     assert reading is packets[best]
     assert all(led_gains is SEEMS_DEAD or (led_gains.values == 1).all() for _, led_gains in tried)
-    # other poses are assumed last
+    # shifted poses come last
     assert [cutouts[0] is CUTOUT for cutouts, _ in tried] == [True, True, False][: len(tried)]
 
 
 def attempts(led_gains: LedGains, known: Words | None) -> list[tuple[LedGains, Words | None]]:
-    """Assumptions that a packet is equalised with which is never decoded."""
+    """Record the assumptions tried for a packet that never decodes."""
     tried = list[tuple[LedGains, Words | None]]()
 
     def equalise(_cutouts: Sequence[Cutout | None], led_gains: LedGains, known: Words | None) -> TurboEqualiser:

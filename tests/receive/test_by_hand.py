@@ -1,4 +1,4 @@
-"""Arrays that are not found by themselves, where somebody says they are, end to end."""
+"""Arrays located by given corners or region, end to end."""
 
 from functools import cache
 
@@ -15,7 +15,7 @@ from heliograph.receive import receive_frames
 
 DISTANCE_M = 40.0
 TURNED = "[78,43,96,58,81,76,63,61]"
-"""Corners of an array turned by 40 degrees, in whole pixels."""
+"""Corners, in whole pixels, for an array rotated by 40 degrees."""
 
 
 def seen(**array: float) -> LinkSettings:
@@ -42,7 +42,7 @@ def test_a_turned_array_is_read_at_its_corners(receiver: str) -> None:
 
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
 def test_an_array_upside_down_is_read_at_its_corners(receiver: str) -> None:
-    """Corners do not say which of them is the array's first: its header does."""
+    """Corners do not identify the array's first corner; the header does."""
     frames = film(roll_deg=220.0 - 360.0)
     assert received(frames, f"receive.receiver={receiver}", f"receive.detect.corners={TURNED}") == ["ok"]
 
@@ -56,14 +56,14 @@ def test_a_faint_array_is_read_in_its_region(receiver: str) -> None:
 
 
 def test_an_array_that_half_of_the_frame_outshines_is_read_in_its_region() -> None:
-    """What blinks all over the frame leaves no block that alternates more than others."""
+    """Flicker over half the frame hides the array from the alternation threshold."""
     frames = [blinking(frame) for frame in film(brightness=0.2)]
     assert received(frames) == []
     assert received(frames, "receive.detect.region=[62,42,36,36]") == ["ok"]
 
 
 def blinking(frame: Frame) -> Frame:
-    """A frame beside whose middle stripes blink."""
+    """Add blinking stripes at the left and right border."""
     pixels = frame.pixels.copy()
     light = np.random.default_rng(frame.index).integers(0, 2, (120, 16)).repeat(3, axis=1) * 200
     pixels[:, :48], pixels[:, -48:] = light, light

@@ -1,4 +1,4 @@
-"""The soft receiver with cameras of any rate, phase and exposure, and clocks that differ."""
+"""Soft receiver with arbitrary frame rate, phase, exposure and clock offset."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,7 +26,7 @@ def test_a_camera_slower_than_the_light_is_refused() -> None:
 
 
 def test_a_clipped_array_in_step_is_read_as_in_step() -> None:
-    """At 25 m single LEDs are at full scale, so that the brightness says nothing of the phase."""
+    """At 25 m some LEDs saturate, so brightness carries no phase information."""
     settings, recorder = link("receive.receiver=soft", distance_m=25.0), Recorder()
     list(receive_frames(film(settings, 101, roi_margin_px=30), settings.signal, settings.receive, recorder))
     frames = [frame for event in recorder.of(ExtractEvent) for frame in event.frames]
@@ -37,14 +37,14 @@ def test_a_clipped_array_in_step_is_read_as_in_step() -> None:
 def soft_packets(
     changes: Sequence[str], patterns: int = 90, start_s: float = 0.0, distance_m: float = 50.0, **camera: Any
 ) -> list[Packet]:
-    """What the soft receiver reads of an array that starts at a time, in packets of 36 patterns."""
+    """Return soft receiver packets, 36 patterns each, for an array starting at a given time."""
     settings = link("receive.receiver=soft", "signal.data_pairs=16", *changes, distance_m=distance_m)
     channel = replace(
         settings.channel,
         camera=replace(settings.channel.camera, **camera),
         arrays=(replace(settings.channel.arrays[0], start_s=start_s),),
     )
-    # `film` counts frames of 1 ms
+    # `film` counts 1 ms frames
     frames = film(replace(settings, channel=channel), patterns)
     return list(receive_frames(frames, settings.signal, settings.receive))
 
@@ -68,7 +68,7 @@ def test_any_phase_and_rate_is_read(fps: float, exposure_s: float, start_s: floa
 @pytest.mark.parametrize("start_s", [2.49e-3, 2.5e-3, 2.51e-3])
 @pytest.mark.slow
 def test_half_a_pattern_out_of_step_is_read(start_s: float) -> None:
-    """A header then shows only where it begins and ends."""
+    """Only the first and last header frames show the header."""
     assert_read(soft_packets([], start_s=start_s), start_s, 2)
 
 
@@ -89,14 +89,14 @@ def test_dropped_repeated_and_jittered_frames() -> None:
 @pytest.mark.parametrize("fps", [1000.0, 1300.0])
 @pytest.mark.slow
 def test_clocks_that_differ_are_followed(fps: float) -> None:
-    # 800 ppm stand for 400 ppm in a film twice as long
+    # 800 ppm represent 400 ppm over twice the duration
     packets = soft_packets(
         ["channel.arrays.0.clock_ppm=-400"], 400, start_s=2.05e-3, fps=fps, exposure_s=0.75e-3, clock_ppm=400.0
     )
     whole = [p for p in packets if p.pairs_seen > 0.9]
     assert len(whole) >= 10
     assert [p.status for p in whole] == ["ok"] * len(whole)
-    # by the camera's clock
+    # in camera time
     spacing = np.diff([p.start_time_s for p in whole])
     assert spacing[3:] == pytest.approx(np.full(len(spacing) - 3, 0.036 * (1 - 800e-6)), abs=1e-5)
 
@@ -117,7 +117,7 @@ def test_any_chunking_gives_the_same() -> None:
 
 @pytest.mark.slow
 def test_the_exposure_may_be_given() -> None:
-    # exposures of half a pattern in the middle of it, or of the whole pattern, show the same of a header
+    # central half-pattern and full-pattern exposures give the same header amplitudes
     given = soft_packets(["receive.calibration.exposure_s=0.0005"], start_s=0.3e-3, exposure_s=0.5e-3)
     assert given[0].start_time_s == pytest.approx(0.3e-3, abs=3e-5)
     assert abs(soft_packets([], start_s=0.3e-3, exposure_s=0.5e-3)[0].start_time_s - 0.3e-3) > 1e-4
@@ -137,14 +137,14 @@ def test_a_packet_whose_header_is_dark_is_read_by_the_clock(fps: float, start_s:
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
 @pytest.mark.slow
 def test_late_stamps_and_missing_frames_say_nothing_of_the_rate(receiver: str) -> None:
-    """Stamps alone tell of the missing frame, as in films whose numbers run on."""
+    """Only timestamps reveal the missing frame, as in films with consecutive numbers."""
     settings = link(f"receive.receiver={receiver}", "signal.data_pairs=24")
     jitter = np.random.default_rng(4).normal(0, 6e-5, 170)
     frames = [replace(frame, time_s=frame.time_s + jitter[k]) for k, frame in enumerate(film(settings, 170)) if k != 31]
     frames = [replace(frame, index=k) for k, frame in enumerate(frames)]
     packets = list(receive_frames(frames, settings.signal, settings.receive))
     assert [packet.status for packet in packets] == ["ok", "ok", "ok"]
-    # the soft receiver has other frames of the pair
+    # the soft receiver combines other frames from the pair
     assert [packet.pairs_seen for packet in packets[1:]] == [1, 1]
 
 
@@ -172,7 +172,7 @@ def test_a_light_of_ten_patterns_per_second_is_read_from_an_ordinary_camera() ->
 @pytest.mark.parametrize("phase", [0.47, 0.475, 0.5, 0.53])
 @pytest.mark.slow
 def test_half_a_pattern_out_of_step_far_arrays_stay_upright(phase: float) -> None:
-    """Light of data beside such a header looks like a tilt, which no later header would put right."""
+    """Data adjacent to the header resemble a tilt, which later headers would not correct."""
     packets = soft_packets(["signal.data_pairs=48"], patterns=112, start_s=phase * 1e-3, distance_m=80.0)
     assert packets[0].status == "ok"
     assert (packets[0].pose.stretch, packets[0].pose.shear) == pytest.approx((0, 0), abs=5e-3)
@@ -180,7 +180,7 @@ def test_half_a_pattern_out_of_step_far_arrays_stay_upright(phase: float) -> Non
 
 @pytest.mark.slow
 def test_half_a_pattern_out_of_step_layers_end_at_the_distances_of_the_documentation() -> None:
-    """All is read at 70 m and the high layer alone at 95 m; of what is lost nothing wrong is passed."""
+    """At 70 m all layers decode, at 95 m only the high layer; lost codewords never pass as valid."""
     assert [packet.status for packet in soft_packets([], 80, 0.5e-3 - 0.036, 70.0)] == ["ok", "ok"]
     far = soft_packets([], 80, 0.5e-3, 95.0)
     assert far

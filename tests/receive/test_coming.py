@@ -1,4 +1,4 @@
-"""Packets decoded beside the frames that follow."""
+"""Background packet decoding in parallel with tracking."""
 
 import itertools
 import os
@@ -44,7 +44,7 @@ from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
 PACKET = 100
-"""Frames of a packet."""
+"""Frames per packet."""
 
 
 def settings_of(receiver: str, beside: bool) -> LinkSettings:
@@ -58,7 +58,7 @@ def settings_of(receiver: str, beside: bool) -> LinkSettings:
 
 
 def known(packet: Packet) -> tuple[Any, ...]:
-    """All that a packet says."""
+    """Return all packet content."""
     words = [(w.status, w.bits.tobytes(), w.raw.tobytes(), w.margin) for by in packet.layers.values() for w in by]
     return (
         packet.identity,
@@ -90,7 +90,7 @@ def test_the_packets_are_those_decoded_at_once(receiver: str, frames: list[Frame
 
 
 def test_what_is_handed_over_is_pixels_and_little_else(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What has shown the LEDs stays where it was learnt: of 256 LEDs it takes a megabyte."""
+    """LED statistics, a megabyte for 256 LEDs, stay in the process that learnt the gains."""
     handed = list[tuple[SoftPacket, int]]()
 
     def noted(call: Callable[..., Any], /, *args: Any) -> Future[Any]:
@@ -111,7 +111,7 @@ def test_what_is_handed_over_is_pixels_and_little_else(frames: list[Frame], monk
 
 
 def test_nothing_is_left_to_do_when_a_film_is_over(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the other process sends while this one ends, Python prints an error of."""
+    """Python prints an error for results sent during interpreter exit."""
     asked = list[Future[Any]]()
 
     class Slow(ThreadPoolExecutor):
@@ -132,7 +132,7 @@ def test_nothing_is_left_to_do_when_a_film_is_over(frames: list[Frame], monkeypa
 
 
 def in_a_thread(monkeypatch: pytest.MonkeyPatch, before: Callable[[int], None]) -> None:
-    """Packets are decoded in a thread, and a function is called with the number of each before."""
+    """Decode packets in a thread; call a function with the packet number before each."""
     decode, calls = SoftPacket.decode, itertools.count(1)
 
     def late(self: SoftPacket, *arguments: Any) -> Any:
@@ -171,7 +171,7 @@ def test_frames_are_taken_while_a_packet_is_decoded(monkeypatch: pytest.MonkeyPa
 
 
 class WhenAsked(Future[Any]):
-    """Work that is done when its result is asked for, and all that was handed in before it."""
+    """A future that computes pending work up to this item when its result is requested."""
 
     def __init__(self, handed: list["WhenAsked"], work: Callable[[], Any]) -> None:
         super().__init__()
@@ -186,7 +186,7 @@ class WhenAsked(Future[Any]):
 
 @dataclass
 class OnDemand:
-    """Does work when it is asked for."""
+    """An executor that works on demand."""
 
     handed: list[WhenAsked] = field(default_factory=list)
 
@@ -199,12 +199,12 @@ class OnDemand:
     ("change", "orientation", "waits"),
     [
         ("transmit.identities=[7]", UPRIGHT, False),
-        # turned, its header would be another one's: a quick check of its LEDs tells, if they are sampled
+        # the rotated header has another identity: LED sampling, if enabled, resolves the ambiguity
         ("transmit.identities=[3]", UPRIGHT, False),
         ("transmit.identities=[7]", ORIENTATIONS[1], False),
         ("transmit.identities=[3]; receive.soft.led_by_led=false", UPRIGHT, True),
         ("transmit.identities=[7]; receive.soft.led_by_led=false", ORIENTATIONS[1], True),
-        # what does not shine may be hidden, or no LED
+        # dark areas may be hidden LEDs or no LEDs
         ("channel.arrays.0.hidden=[0,0,0.5,0.5]", UPRIGHT, True),
     ],
 )
@@ -222,7 +222,7 @@ def test_following_waits_for_a_first_packet_where_its_header_leaves_a_doubt(
 
 
 def test_half_a_pattern_out_of_step_following_waits_for_the_first_packet_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No pair of a header alternates there, but the light's clock measures it."""
+    """No header pair alternates half a pattern out of step, but the light clock measures the header."""
     array = {"x_m": 0.0, "y_m": 0.0, "start_s": 0.0025}
     settings, demand = link("receive.receiver=soft", arrays=[array], distance_m=40.0), OnDemand()
     frames = film(settings, 3 * PACKET + 80)
@@ -235,7 +235,7 @@ def test_half_a_pattern_out_of_step_following_waits_for_the_first_packet_alone(m
 
 
 def test_what_a_packet_teaches_reaches_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where following does not know it yet: the next packet is not read as that of an array just found."""
+    """The next packet uses the learnt LED gains even before tracking receives them."""
     packet_decode, seen = SoftPacket.decode, list[int]()
 
     def noted(self: SoftPacket, led_gains: LedGains | None, *arguments: Any) -> Any:
@@ -262,7 +262,7 @@ KEY: ArrayKey = (3, UPRIGHT, 0)
 
 @dataclass
 class Scripted:
-    """Observations that decode to a given result, and record the state they are decoded with."""
+    """Observations with a scripted decoding result; they record decoder states."""
 
     decoded: Decoded
     form: PacketFormat = field(default_factory=lambda: PacketFormat(SignalSettings()))
@@ -276,7 +276,7 @@ class Scripted:
 
 
 def decode(decoder: PacketDecoder, decoded: Decoded, key: ArrayKey = KEY) -> tuple[LedGains | None, SoftBuffer]:
-    """LED gains and buffer that a packet is decoded with."""
+    """Return LED gains and buffer used for a packet."""
     packet = Scripted(decoded)
     decoder.decode(cast(Any, packet), key)
     return packet.states[0]
@@ -319,7 +319,7 @@ def test_a_decoder_keeps_the_states_of_the_arrays_and_the_buffers_of_the_identit
     assert [gains is not None for gains, _ in states] == [False] * 2 + [True] * MAX_ARRAYS
     kept = [bool(buffer.codewords) for _, buffer in states]
     assert kept == [False] * (MAX_ARRAYS + 2 - MAX_BUFFERS) + [True] * MAX_BUFFERS
-    # an array that is detected again goes on with its buffer, and starts with a new state
+    # a redetected array keeps its buffer and starts with a new state
     gains, buffer = decode(decoder, Decoded({}), (*keys[-1][:2], -1))
     assert buffer is states[-1][1]
     assert gains is None
@@ -355,7 +355,7 @@ def test_a_packet_without_a_solution_is_lost_alone(monkeypatch: pytest.MonkeyPat
 
 
 def test_the_led_brightness_of_a_packet_reaches_the_next_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a packet teaches is taken over by the reader that followed meanwhile."""
+    """Tracking receives LED gains learnt in the background."""
     updated = list[tuple[LedGains, LedGains]]()
 
     def noted(led_gains: LedGains | None, learnt: LedGains | None) -> LedGains | None:
@@ -384,7 +384,7 @@ def test_a_process_that_dies_is_told_in_a_line_and_begun_anew() -> None:
 
 
 def test_what_another_process_has_seen_before_stays_there() -> None:
-    """Soft values of a packet too dim to be read are added to those of the next one, as in one process."""
+    """Soft combining works across processes for packets too dim to decode individually."""
     read = []
     for beside in (False, True):
         changes = (

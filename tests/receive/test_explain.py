@@ -1,4 +1,4 @@
-"""Why a packet was not decoded, in numbers."""
+"""Diagnosis for undecoded packets."""
 
 import math
 

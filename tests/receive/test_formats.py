@@ -1,4 +1,4 @@
-"""Packets of formats that the soft receiver learns from their headers alone."""
+"""Packet formats signalled in headers."""
 
 import pytest
 from scenes import film, link
@@ -10,11 +10,11 @@ from heliograph.signal.formats import Format
 
 @pytest.mark.slow
 def test_a_receiver_needs_no_rates() -> None:
-    """Packets take three formats in turn; the receiver knows only what format 0 means."""
+    """Packets alternate between three formats; the receiver knows only format 0."""
     formats = "[{high='3/4', middle='1/2', low='2/5'}, {}, {high='9/10', middle='9/10', low='9/10'}]"
     settings = link(f"transmit.formats={formats}", "receive.receiver=soft", distance_m=40.0)
     counts = run_block(settings, 1, max_packets=3)
-    # codewords are longer at higher rates, not more
+    # higher rates give longer codewords, not more
     assert {name: (c.codewords, c.codeword_errors) for name, c in counts.layers.items()} == {
         "high": (3, 0),
         "middle": (6, 0),
@@ -32,7 +32,7 @@ def test_a_receiver_needs_no_rates() -> None:
 )
 @pytest.mark.slow
 def test_formats_are_read_out_of_step(fps: float, start_s: float) -> None:
-    """Dimmed cells make a header neither early nor late, and combined frames show them otherwise than pairs do."""
+    """Dimmed cells must not shift the light clock, and combined frames scale cells differently from pairs."""
     settings = link(
         "transmit.formats=[{high='1/2', middle='2/5', low='2/5'}]",
         "receive.receiver=soft",
@@ -54,10 +54,10 @@ def test_formats_are_read_out_of_step(fps: float, start_s: float) -> None:
 def test_a_packet_of_a_mode_that_cannot_be_read_is_ignored(
     receiver: str, mode: int, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its data may mean anything, even if they look like those of data pairs."""
+    """Data of an unknown mode must be ignored even if they resemble data pairs."""
     settings = link(f"receive.receiver={receiver}", "transmit.formats=[{}, {high='1/2'}]")
     with monkeypatch.context() as sent:
-        # the second packet names a mode of the future, but is coded as ever
+        # the second packet signals a future mode but uses current coding
         sent.setattr(Format, "number", property(lambda form: 512 * mode if form.high else 0))
         sent.setattr(Format, "rates", lambda _, agreed: (agreed.high, agreed.middle, agreed.low))
         frames = film(settings, 304)

@@ -1,4 +1,4 @@
-"""Gaps in the times of frames, of any length: reception goes on with the next packet."""
+"""Time gaps between frames: reception resumes with the next packet."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ from heliograph.receive import Packet, make_receiver
 from heliograph.web.sending import screen_settings, sending_of
 
 ENDLESS_S = 1e6
-"""A gap of eleven days, such as of a clock that was set."""
+"""A gap of eleven days, as after a clock change."""
 
 
 @cache
@@ -36,13 +36,13 @@ def screens_film() -> tuple[LinkSettings, list[Frame]]:
 
 
 def received(settings: LinkSettings, receiver: str, frames: Sequence[Frame]) -> list[Packet]:
-    """Packets, each frame pushed as a live camera's are."""
+    """Return packets from a receiver with live limits."""
     live = make_receiver(settings.signal, replace(settings.receive, receiver=receiver).with_live_limits())
     return [packet for frame in frames for packet in live.push(frame)] + list(live.finish())
 
 
 def lacking(packets: Sequence[Packet], starts: Sequence[float], packet_s: float) -> list[float]:
-    """Starts of packets that were not read."""
+    """Return start times of undecoded packets."""
     read = [packet.start_time_s for packet in packets if packet.status == "ok"]
     return [start for start in starts if not any(abs(one - start) < 0.1 * packet_s for one in read)]
 
@@ -75,7 +75,7 @@ def test_whole_packets_of_a_screen_between_gaps_are_read(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("gap_s", [0.9, 7.0, 12.0])
 def test_a_gap_while_a_screen_is_followed_loses_one_packet(gap_s: float) -> None:
-    """The light of this film pauses too: its phase jumps."""
+    """The light pauses too, so its phase jumps."""
     settings, frames = screens_film()
     late = [replace(one, time_s=one.time_s + gap_s * (one.index >= 100)) for one in frames]
     packets = received(settings, "screen", late)
@@ -85,7 +85,7 @@ def test_a_gap_while_a_screen_is_followed_loses_one_packet(gap_s: float) -> None
 
 @pytest.mark.slow
 def test_a_camera_that_stands_still_is_a_gap() -> None:
-    """One picture again and again, for a minute of time stamps."""
+    """Repeat one frame for a minute of timestamps."""
     settings, frames = screens_film()
     copies = [replace(frames[99], index=99 + k, time_s=frames[99].time_s + k / 30) for k in range(1, 1800)]
     after = [replace(one, index=one.index + 1800, time_s=one.time_s + 60.0) for one in frames[100:]]

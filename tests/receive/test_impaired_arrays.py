@@ -1,4 +1,4 @@
-"""The soft receiver where arrays are tilted, partly hidden, failed in part, dim, in the sun, off, or many."""
+"""Soft receiver with impaired arrays: tilt, occlusion, failed LEDs, low light, sunlight, pauses, several arrays."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ def soft(distance_m: float, place: dict[str, Any] | None = None, **channel: Any)
 
 
 def wrong(counts: BlockCounts) -> list[int]:
-    """Codewords wrong in the high, middle and low layer; none may be false."""
+    """Return codeword errors in the high, middle and low layer; no codeword may be false."""
     assert counts.false_codewords == 0
     return [layer.codeword_errors for layer in counts.layers.values()]
 
@@ -77,7 +77,7 @@ def test_lost_while_off_and_found_by_the_next_header() -> None:
 @pytest.mark.parametrize("distance_m", [80.0, 110.0])
 @pytest.mark.slow
 def test_noise_is_no_dim_array(distance_m: float) -> None:
-    """Ten times dimmer and off: lost within the time that arrays are coasted, and nothing of noise is kept."""
+    """A dim array switches off: tracking ends within the coasting time, and noise yields no packet."""
     night = {"emitter": {"all_on": 0.08, "panel_level": 0.0}, "background": {"level": 0.1}}
     settings, recorder = soft(distance_m, {"off_s": [(0.103, 0.403)]}, **night), Recorder()
     packets = list(receive_frames(film(settings, 410), settings.signal, settings.receive, recorder))
@@ -98,7 +98,7 @@ def test_an_array_switched_off_amid_its_header(off_s: float, distance_m: float) 
 
 @pytest.mark.slow
 def test_an_array_passes_before_another() -> None:
-    # the nearer one is right before the other at 0.25 s
+    # at 0.25 s the nearer array occludes the other
     near = {"x_m": -0.6, "y_m": 0.0, "z_offset_m": -15.0, "vx_m_s": 2.4}
     settings = link(
         "receive.receiver=soft",
@@ -122,11 +122,11 @@ def test_six_arrays_begin_at_once() -> None:
 def test_the_tilt_is_found_and_does_not_change_the_distance() -> None:
     settings = soft(40.0, {"yaw_deg": 30.0})
     packet = next(iter(receive_frames(film(settings, 101), settings.signal, settings.receive)))
-    # the longest and the shortest pitch are as 1 to cos 30 degrees
+    # pitch ratio 1 : cos 30 degrees
     assert (1 + packet.pose.stretch) / (1 - packet.pose.stretch) == pytest.approx(np.cos(np.radians(30)), abs=0.005)
     assert packet.distance_m == pytest.approx(40.0, rel=0.005)
 
 
 def starts(packets: list[Packet], identity: int) -> list[float]:
-    """When the packets of an array that were read rightly began."""
+    """Return start times of decoded packets from an array."""
     return [round(p.start_time_s, 3) for p in packets if p.identity == identity and p.status == "ok"]

@@ -1,4 +1,4 @@
-"""An array among many lamps that flicker: it is found, hardly anything else is, and the search keeps to its bound."""
+"""An array among many flickering lamps: detection, false candidates and search budget."""
 
 from dataclasses import replace
 
@@ -35,13 +35,13 @@ def test_an_array_among_lamps_is_found_within_the_bound_of_films(kind: str) -> N
     detected = [event.detection.identity for event in events if isinstance(event, DetectEvent)]
     assert link.transmit.identities[0] in detected
     assert len(detected) <= 3
-    # the last search may overdraw it by its last block and fit
+    # the last search may overdraw by one block and one fit
     bound = TokenBucket(2.0, 1e-3).capacity + count * 2.0 * WORK_PER_MS + 5e6
     assert receiver.load.work < bound  # type: ignore[attr-defined]  # of those that search
 
 
 def test_a_film_is_searched_alike_every_time() -> None:
-    """The bound counts work, not time."""
+    """The budget counts work, not time."""
     scene, loads = LampScene(lamps=30, seed=1, duration_s=0.03, size=(128, 96)), []
     for _ in range(2):
         receiver = make_receiver(SignalSettings(), scene.link().receive)
@@ -60,7 +60,7 @@ def test_lamps_smaller_than_half_an_array_are_not_compared_with_headers() -> Non
     busy, frame = np.ones((12, 16), bool), Frame(0, 0.0, np.zeros((96, 128), np.uint8))
     region, sought = SearchRegion(change, busy, frame), headers((UPRIGHT,)).cells
     assert coarse_search(region, PARAMETERS, sought, np.array([12.0, 16.0, 24.0]))[3] == 0
-    # one header among them is
+    # one real header among the lamps
     change[32:64, 40:72] = 60 * np.kron(all_header_cells()[4], np.ones((8, 8)))
     rows, *_ = coarse_search(region, PARAMETERS, sought, np.array([32.0]))
     assert rows[0, 4] == 4
@@ -68,12 +68,12 @@ def test_lamps_smaller_than_half_an_array_are_not_compared_with_headers() -> Non
 
 @pytest.mark.parametrize(("within", "count"), [(0.5, 1), (0.0, 0)], ids=["an array", "lamps"])
 def test_half_a_pattern_out_of_step_the_array_is_lit_within_its_header(within: float, count: int) -> None:
-    """Lamps that shine before and after, and are dark between, are no array."""
+    """Lamps lit before and after, but dark between, are no array."""
     header, found = np.kron(all_header_cells()[4], np.ones((8, 8))), 0
     detector = HalfPeriodDetector(Detector(PARAMETERS, SignalSettings(), TokenBucket(1e6, 1e-3)))
     for k, light in enumerate([0.5 + 0.5 * header, *[np.full_like(header, within)] * 3, 0.5 - 0.5 * header]):
         pixels = np.full((96, 128), 20, np.uint8)
-        # half of the header, and half of even data
+        # half a header contrast, plus half uniform data
         shown = light if k in (1, 2, 3) else 0.5 * light + 0.25
         pixels[32:64, 48:80] = 20 + np.rint(160 * shown)
         found += len(detector.search(Frame(k, 1e-3 * k, pixels)))

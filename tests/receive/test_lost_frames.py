@@ -1,4 +1,4 @@
-"""Lost frames, with and without a gap in their stamps, of films of which three packets are whole."""
+"""Lost frames, with and without timestamp gaps, in films with three packets."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,12 +13,12 @@ from heliograph.receive import Packet, receive_frames
 
 
 def renumbered(frames: Sequence[Frame]) -> list[Frame]:
-    """Frames numbered and timed as a camera does that knows of none lost."""
+    """Renumber frames as a camera unaware of lost frames."""
     return [replace(frame, index=k, time_s=k * 1e-3) for k, frame in enumerate(frames)]
 
 
 def read(receiver: str, lost: Sequence[int], distance_m: float, stamped: bool) -> list[Packet]:
-    """What is read of packets of 52 patterns without some of their frames."""
+    """Return packets, 52 patterns each, with some frames lost."""
     settings = link(f"receive.receiver={receiver}", "signal.data_pairs=24", distance_m=distance_m)
     left = [frame for frame in film(settings, 160, 3, 12) if frame.index not in set(lost)]
     return list(receive_frames(left if stamped else renumbered(left), settings.signal, settings.receive))
@@ -67,7 +67,7 @@ def test_a_header_without_one_of_its_frames_is_found(lost: set[int]) -> None:
 def test_frames_lost_without_a_gap(receiver: str, lost: list[int]) -> None:
     packets = read(receiver, lost, 35.0 if receiver == "plain" else 60.0, stamped=False)
     assert [packet.status for packet in packets] == ["ok"] * 3
-    # by the camera's clock, which knows of none lost
+    # in camera time, which ignores lost frames
     before = [sum(k < 52 * packet for k in lost) for packet in range(3)]
     starts = [52 * packet - before[packet] for packet in range(3)]
     assert [1e3 * packet.start_time_s for packet in packets] == pytest.approx(starts, abs=1.2 if lost == [53] else 0.2)

@@ -1,4 +1,4 @@
-"""A packet that began before the first header found is reported, once."""
+"""A packet starting before the first detected header is reported once."""
 
 from dataclasses import replace
 from functools import cache
@@ -41,7 +41,7 @@ def received(film: tuple[Frame, ...], receiver: str) -> tuple[list[Row], Recepti
 
 
 def torn(film: tuple[Frame, ...]) -> tuple[Frame, ...]:
-    """The second frame shows rows of the first one, and the first header cannot be found."""
+    """The second frame repeats rows from the first, so that the first header is undetectable."""
     pixels = film[1].pixels.copy()
     pixels[:32] = film[0].pixels[:32]
     return film[0], replace(film[1], pixels=pixels), *film[2:]

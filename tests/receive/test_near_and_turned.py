@@ -1,4 +1,4 @@
-"""Arrays that are near, upside-down or seen in a mirror, end to end."""
+"""Near, rotated and mirrored arrays, end to end."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def test_near_arrays_of_other_sizes_are_read(side: int) -> None:
 @pytest.mark.parametrize(("receiver", "from_m"), [("plain", 7.0), ("soft", 9.8), ("soft", 4.9)])
 @pytest.mark.slow
 def test_an_approach_changes_the_level_without_a_loss(receiver: str, from_m: float) -> None:
-    """The soft receiver waits for frames after a packet: meanwhile the header that finds the array again goes by."""
+    """The soft receiver waits for frames after a packet, while the header needed for redetection passes."""
     settings = near(from_m, receiver, "channel.speed_m_s=8.33", "channel.stop_m=1.5", "channel.duration_s=0.3")
     settings, recorder = block_settings(settings, 3), Recorder()
     receiver_of_it = make_receiver(settings.signal, settings.receive, recorder)
@@ -100,7 +100,7 @@ def test_what_a_turned_header_shifted_looks_like_is_fitted_too() -> None:
 
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
 def test_an_array_that_fills_the_frame_is_found(receiver: str) -> None:
-    """The light of LEDs at the frame's border was repeated beyond it, and took a tenth of the correlation."""
+    """Border replication once extended LEDs at the frame edge and reduced the correlation by 10 %."""
     settings, recorder = near(1.88, receiver, "signal.data_pairs=16", identity=15), Recorder()
     packets = receive_frames(frames_of(settings)[:14], settings.signal, settings.receive, recorder)
     assert not list(packets)
@@ -115,7 +115,7 @@ ROLLS_DEG = np.random.default_rng(5).uniform(-180, 180, 4).round(1).tolist()
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
 @pytest.mark.parametrize("roll_deg", [-45.0, 30.0, 60.0, *ROLLS_DEG])
 def test_an_array_of_any_roll_is_read(roll_deg: float, receiver: str) -> None:
-    """Half way between two of its eight orientations too, from its second header on at the latest."""
+    """Includes angles midway between two orientations; decoding starts with the second header at the latest."""
     camera = {"width": 96, "height": 96}
     settings = link(
         f"receive.receiver={receiver}", f"channel.arrays.0.roll_deg={roll_deg}", distance_m=30, camera=camera

@@ -1,4 +1,4 @@
-"""Several receivers of one array, of which the first right codeword leaves one."""
+"""Competing receivers for one array: the first valid codeword selects a receiver."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ FRAME = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
 
 @dataclass
 class Scripted:
-    """Stands for an array's receiver: each frame, or every so many, and the end give a packet of its name."""
+    """Scripted receiver: returns a named packet every few frames and at the end."""
 
     name: str
     orientation: Orientation
@@ -56,7 +56,7 @@ def test_until_its_first_packet_the_first_reads_alone() -> None:
         assert len(a.frames) == min(k + 1, 6)
         assert len(b.frames) == (k + 1 if k >= 2 else 0)
     assert cast(list[Any], told) == ["a3", "b6"]
-    # the others get the same frames, each once
+    # the other receivers get each frame exactly once
     assert [one.index for one in b.frames] == list(range(7))
 
 
@@ -103,7 +103,7 @@ def test_the_one_whose_codeword_is_right_is_left_alone() -> None:
     b.proves_at = 2
     array = array_of(a, b, c)
     assert pushed(array) == ["a1"]
-    # the packet that proves it is its own, and those less plausible are not asked any more
+    # the selected receiver returns its packet, and less plausible receivers stop
     assert pushed(array) == ["b2"]
     assert pushed(array) == ["b3"]
     assert (len(a.frames), len(b.frames), len(c.frames)) == (2, 3, 1)
@@ -131,7 +131,7 @@ def test_turned_arrays_are_believed_by_a_right_codeword(
 ) -> None:
     array = array_of(Scripted("a", orientation, has_codeword=proven), settled=settled)
     assert array.is_credible == credible
-    # what is not believed is read in silence
+    # implausible packets are dropped silently
     assert pushed(array) == (["a1"] if credible else [])
 
 

@@ -1,4 +1,4 @@
-"""The soft receiver's reader: when a pair's data were lit, and LEDs taken for dead by mistake."""
+"""Packet reader of the soft receiver: pose times for data, and LEDs mistaken for dead."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 @pytest.mark.parametrize(("order", "centroid"), [((2, 0, 1, 3), 0.375), ((0, 1, 2, 3), 0.5), ((0, 3, 1, 2), 0.625)])
 @pytest.mark.slow
 def test_poses_of_a_pair_are_those_at_the_middle_of_its_data(order: tuple[int, ...], centroid: float) -> None:
-    """What differs between levels is lit in the slots that come second and third; in motion poses are taken then."""
+    """Level-dependent light falls into the second and third slot; poses refer to these slots."""
 
     def even(t: Floats) -> Floats:
         return np.stack([40.3 + 200 * t, 48.8 - 200 * t], -1)
@@ -33,22 +33,22 @@ def test_poses_of_a_pair_are_those_at_the_middle_of_its_data(order: tuple[int, .
     frames = drawn_film(settings, 57, even, distance_m=60.0)
     packets = list(receive_frames(frames, settings.signal, settings.receive, recorder))
     assert [packet.status for packet in packets] == ["ok"]
-    # at first the rates are still learnt
+    # skip the velocity transient
     events = recorder.of(ExtractEvent)[8:]
     times = np.array([frame.time_s + centroid * 1e-3 for event in events for frame in event.frames])
     places = np.array([(pose.x, pose.y) for event in events for pose in event.poses])
     off = places - even(times)
-    # the array goes 0.025 px in an eighth of a pattern
+    # 0.025 px: motion during an eighth of a pattern
     assert np.abs(off.mean(0)).max() < 0.0125
     assert len(recorder.of(DecodeEvent)[0].cutouts) == 24
 
 
 @pytest.mark.slow
 def test_poses_of_a_combined_pair_are_those_at_the_middle_of_its_data() -> None:
-    """Two frames show a pattern and two its inverse.
+    """Two frames show the pattern and two the inverse.
 
-    A level k lights the first k slots: slot r is lit at k where slot 3 - r is dark at 4 - k. Random data have both
-    levels equally often. So the two halves of a pattern follow the data alike, and their light is in the middle.
+    A level k lights the first k slots: slot r is lit at k if slot 3 - r is dark at 4 - k. Random data use both levels
+    equally often, so both halves of a pattern follow the data alike, and data light is centred.
     """
 
     def even(t: Floats) -> Floats:
@@ -63,11 +63,11 @@ def test_poses_of_a_combined_pair_are_those_at_the_middle_of_its_data() -> None:
         assert cutout is not None
         assert cutout.combination is not None
         assert len(cutout.combination.frames) == 4
-        # the packet began at 0 with two pairs of the header
+        # the packet starts at 0 with two header pairs
         middles = 1e-3 * (2 * (2 + number) + np.array([0.5, 1.5]))
         off.append([(pose.x, pose.y) for pose in cutout.poses] - even(middles))
     assert len(off) == 24
-    # at first the rates are still learnt; the array goes 0.025 px in an eighth of a pattern
+    # skip the velocity transient; 0.025 px is the motion during an eighth of a pattern
     assert np.abs(np.mean(off[8:], 0)).max() < 0.0125
 
 
@@ -90,7 +90,7 @@ def test_leds_taken_for_dead_by_mistake_cost_nothing(monkeypatch: pytest.MonkeyP
 def test_leds_are_not_learnt_where_light_smears(
     px_a_frame: float, learnt: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """LEDs of an array that passes sideways seemed dim, its pose was found without them, and more seemed so."""
+    """For a fast lateral pass, smeared LEDs seemed dim, which biased poses and made more LEDs seem dim."""
 
     def passing(t: Floats) -> Floats:
         return np.stack([40.3 + 1e3 * px_a_frame * t, np.full_like(t, 48.8)], -1)
@@ -127,7 +127,7 @@ def test_what_headers_have_shown_stays_unless_other_leds_are_in_sight(mistaken: 
     if mistaken:
         assert after.headers is None
     else:
-        # the next packet trusts the headers of this one less
+        # the next packet gives this packet's headers less weight
         assert after.headers is not None
         faded = before.faded().headers
         assert faded is not None

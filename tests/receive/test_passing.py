@@ -1,4 +1,4 @@
-"""Arrays that pass sideways, and frames that shake: the image moves by pixels from frame to frame."""
+"""Fast lateral motion and camera shake: the image moves by pixels per frame."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from heliograph.signal.header import header_levels
 
 
 def passing(receiver: str, distance_m: float, speed_m_s: float, yaw_deg: float) -> LinkSettings:
-    """A passage of three packets across the middle of the sensor."""
+    """Return settings for three packets during a pass across the sensor centre."""
     half_m = 0.5 * speed_m_s * 0.305
     array = {"x_m": -half_m, "y_m": 0.2, "vx_m_s": speed_m_s, "yaw_deg": yaw_deg}
     channel = {"distance_m": distance_m, "duration_s": 0.305, "arrays": [array]}
@@ -32,7 +32,7 @@ def passing(receiver: str, distance_m: float, speed_m_s: float, yaw_deg: float) 
     ],
 )
 def test_an_array_that_passes_is_read(receiver: str, distance_m: float, speed_m_s: float, yaw_deg: float) -> None:
-    """Both receivers took its motion for another phase, a blur or a stretch, and lost it at 1.5 px a frame."""
+    """At 1.5 px per frame, motion resembled a phase shift, blur or stretch."""
     settings, recorder = passing(receiver, distance_m, speed_m_s, yaw_deg), Recorder()
     frames = [frame for frame, _ in simulate(settings, default_messages(settings), 3, None, 40)]
     packets = list(receive_frames(frames, settings.signal, settings.receive, recorder))
@@ -41,13 +41,13 @@ def test_an_array_that_passes_is_read(receiver: str, distance_m: float, speed_m_
 
 
 def test_a_background_that_moves_past_does_not_mislead_the_clock() -> None:
-    """The array's brightness was told against its surroundings: a bright edge that comes near made it seem to fall."""
+    """An approaching bright edge lowered the apparent array brightness relative to its surroundings."""
     rng, header = np.random.default_rng(2), header_levels(5, SIDE) / 2.0 - 1.0
     frames, poses = [], []
     for k in range(8):
         pose = Pose(40.0, 40.0, 2.0, 0.0, 0.55)
         levels = 0.5 * np.ones((SIDE, SIDE)) + (0.5 * (-1) ** k * header if 2 <= k < 6 else 0.0)
-        # a wall behind, whose edge moves towards the array
+        # background wall with an approaching edge
         behind = 0.1 + 0.6 * (np.arange(80) < 8 + 2 * k)
         panel = draw(pose, np.ones((SIDE, SIDE)), (0, 0), (80, 80))
         frames.append(frame_of((1 - panel) * behind + 0.3 * draw(pose, levels, (0, 0), (80, 80)), k, rng))

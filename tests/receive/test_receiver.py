@@ -1,4 +1,4 @@
-"""A receiver as a whole: one algorithm with several entrances."""
+"""Receiver API: equivalent entry points."""
 
 import gc
 import tracemalloc
@@ -28,7 +28,7 @@ def two_and_a_half_packets() -> tuple[Frame, ...]:
 
 
 def plain(packets: Iterable[Packet]) -> list[Any]:
-    """Packets as values that compare, arrays as bytes."""
+    """Convert packets to comparable values, arrays to bytes."""
     return [
         replace(
             p,
@@ -95,7 +95,7 @@ def test_observers_see_all_stages_and_change_nothing() -> None:
     frames, recorder = two_and_a_half_packets(), Recorder()
     watched = plain(receive_frames(frames, SIGNAL, observe=recorder))
     assert watched == plain(receive_frames(frames, SIGNAL))
-    # two packets of 50 pairs, 48 of them data, and one of 30 pairs
+    # two packets with 50 pairs (48 data pairs) and one with 30 pairs
     counts = {kind: len(recorder.of(kind)) for kind in (DetectEvent, TrackEvent, ExtractEvent, DecodeEvent)}
     assert counts == {DetectEvent: 1, TrackEvent: 130, ExtractEvent: 124, DecodeEvent: 3}
     assert sum(counts.values()) == len(recorder.events)
@@ -126,7 +126,7 @@ def test_frames_that_go_back_are_refused(index: int, time_s: float, words: str) 
     with pytest.raises(HeliographError, match=words) as error:
         list(receiver.push(Frame(index, time_s, pixels)))
     assert "\n" not in str(error.value)
-    # and the receiver goes on from the last good frame
+    # the receiver resumes after the last valid frame
     assert list(receiver.push(Frame(6, 0.006, pixels))) == []
 
 
@@ -144,7 +144,7 @@ def test_bits_of_the_camera(bits: int) -> None:
 @pytest.mark.slow
 def test_windows_give_what_whole_frames_give(margin: int, shake: str) -> None:
     drive = {"shake": "road", "speed_m_s": 20.0, "road_class": "C", "stop_m": 1.0} if shake == "road" else {}
-    # an array off the axis wanders through the picture as it comes near
+    # an off-axis array drifts through the image while approaching
     settings = link(distance_m=45.0, arrays=[{"x_m": 0.6, "y_m": -0.4}], **drive)
     whole = film(settings, 230, seed=2)
     parts = film(settings, 230, seed=2, roi_margin_px=margin)
@@ -173,13 +173,13 @@ def test_two_arrays_are_read_side_by_side() -> None:
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_film() -> None:
-    # 432 frames of 19,200 bytes each
+    # 432 frames with 19,200 bytes each
     assert run_alone(receive_and_trace) < 100_000
 
 
 def receive_and_trace() -> int:
-    """Growth of the receiver's memory over twelve packets, in bytes."""
-    # the same two packets over and over, renumbered: the film itself stays as it is
+    """Return the receiver's memory growth in bytes over twelve packets."""
+    # repeat two packets with new numbers, so that the film needs no further memory
     frames = film(link("signal.data_pairs=16"), 72)
     signal = SignalSettings(data_pairs=16)
     receiver = make_receiver(signal)
@@ -194,7 +194,7 @@ def receive_and_trace() -> int:
     assert run(0, 72 * 2) == 4
     tracemalloc.start()
     run(72 * 2, 72 * 3)
-    gc.collect()  # reference cycles are freed at any time
+    gc.collect()  # collect reference cycles
     early = tracemalloc.get_traced_memory()[0]
     assert run(72 * 3, 72 * 9) == 12
     gc.collect()
@@ -203,10 +203,10 @@ def receive_and_trace() -> int:
 
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
 def test_times_may_jump_by_any_length(receiver: str) -> None:
-    """A clock that is set in mid-film: the array is lost, its packet given, and the next header found at once."""
+    """A clock jump ends the packet and the track; the next header gives a new detection."""
     settings = link(f"receive.receiver={receiver}", "signal.data_pairs=8", distance_m=40.0)
     jump = 10**12
-    # the jump comes after three quarters of the second packet
+    # the jump occurs after three quarters of the second packet
     frames = [
         replace(f, index=f.index + jump * (k >= 35), time_s=f.time_s + 1e-3 * jump * (k >= 35))
         for k, f in enumerate(film(settings, 65))
@@ -229,10 +229,10 @@ def test_frames_smaller_than_any_array() -> None:
 
 @pytest.mark.slow
 def test_a_search_for_blinking_squares_passes_nobody_elses_data_as_its_own() -> None:
-    # it finds a filled square; whatever it follows it must not pass as data of identity 0
+    # the receiver finds a filled square and must not report data for identity 0
     frames = film(link("transmit.identities=[9]", distance_m=45.0), 120)
     packets = list(receive_frames(frames, SignalSettings(header="all_on")))
-    # it does follow the array, under the wrong number, and reads whole packets: one high, two middle, one low codeword
+    # tracking succeeds with the wrong identity, and packets hold one high, two middle and one low codeword
     assert packets
     assert {p.identity for p in packets} == {0}
     assert {p.status for p in packets} <= {"no_header", "no_array"}

@@ -1,4 +1,4 @@
-"""Receivers by name: those of the package, and others that are registered."""
+"""Receiver registry: built-in and custom receivers."""
 
 import itertools
 from collections.abc import Iterator
@@ -23,13 +23,11 @@ NUMBERS = itertools.count()
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Every:
-    """Settings of a receiver of one's own."""
-
     frames: int = 3
 
 
 class Counting:
-    """Takes every so many frames for a packet, and the rest for one at the end."""
+    """Return a packet every few frames, and the remainder at the end."""
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Any):
         assert signal == SIGNAL
@@ -50,7 +48,6 @@ class Counting:
 
 
 def counting() -> str:
-    """Name under which the receiver is registered, another one each time."""
     name = f"counting-{next(NUMBERS)}"
     register_receiver(name, Counting, Every)
     return name

@@ -1,4 +1,4 @@
-"""Arrays of the caller, filled again for each frame or shared in other ways: what is read is as if each had its own."""
+"""Reused or shared pixel buffers give the same packets as separate arrays."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -15,12 +15,12 @@ from heliograph.receive import make_receiver, receive_frames
 from heliograph.web.sending import screen_settings, sending_of
 
 RING = 6
-"""Frames in a buffer that a camera fills in turn."""
+"""Frames in the camera's ring buffer."""
 
 
 @cache
 def small_film(receiver: str) -> tuple[LinkSettings, tuple[Frame, ...]]:
-    """A film of one packet and a bit."""
+    """Return a film slightly longer than one packet."""
     if receiver != "screen":
         settings = link(f"receive.receiver={receiver}", "signal.data_pairs=24", distance_m=30.0)
         return settings, tuple(film(settings, 75, 3, 12))
@@ -38,7 +38,7 @@ def one_array(frames: tuple[Frame, ...]) -> Iterator[Pixels]:
 
 
 def ring(frames: tuple[Frame, ...]) -> Iterator[Pixels]:
-    """Read-only views into a buffer that the camera fills again."""
+    """Yield read-only views into a ring buffer."""
     buffer = bytearray(RING * frames[0].pixels.nbytes)
     slots = np.frombuffer(buffer, np.uint8).reshape(RING, *frames[0].pixels.shape)
     views = np.frombuffer(memoryview(buffer).toreadonly(), np.uint8).reshape(slots.shape)
@@ -48,7 +48,7 @@ def ring(frames: tuple[Frame, ...]) -> Iterator[Pixels]:
 
 
 def flipped(frames: tuple[Frame, ...]) -> Iterator[Pixels]:
-    """A view that is turned upright of one array whose rows come in the other order."""
+    """Yield flipped views of a single bottom-up image."""
     image = np.empty_like(frames[0].pixels)
     for frame in frames:
         image[:] = frame.pixels[::-1]
@@ -63,7 +63,7 @@ def columns_first(frames: tuple[Frame, ...]) -> Iterator[Pixels]:
 
 
 def a_colour(frames: tuple[Frame, ...]) -> Iterator[Pixels]:
-    """The green of a picture in colour: every third byte."""
+    """Yield the green channel of a colour image: every third byte."""
     image = np.zeros((*frames[0].pixels.shape, 3), np.uint8)
     for frame in frames:
         image[..., 1] = frame.pixels
@@ -109,7 +109,7 @@ def test_no_array_of_the_caller_is_kept(receiver: str, preset: str) -> None:
 
 
 def _arrays(value: object, known: set[int]) -> list[np.ndarray]:
-    """All arrays that an object of the package holds, through whatever it holds."""
+    """Return all arrays reachable from a package object."""
     if id(value) in known:
         return []
     known.add(id(value))

@@ -1,4 +1,4 @@
-"""The receiver's settings: what has no effect is refused."""
+"""Receiver settings: rejection of settings without effect."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,14 +12,11 @@ from heliograph.receive import ReceiveSettings, register_receiver
 
 @dataclass(frozen=True)
 class Every:
-    """Settings of a receiver of one's own."""
-
     frames: int = 1
 
 
 @pytest.fixture(autouse=True)
 def mine() -> None:
-    """Register the receiver "mine", which is never made."""
     register_receiver("mine", lambda *_: pytest.fail("no receiver is asked for"), Every, ["calibration"])
 
 
@@ -51,7 +48,7 @@ def test_a_key_without_effect_is_refused(settings: dict[str, Any], key: str) -> 
         {"receiver": "soft", "soft": {"feedback": "none", "combining": False}},
         {"receiver": "soft", "calibration": {"exposure_s": 5e-4}},
         {"receiver": "mine", "custom": {"frames": 3}, "calibration": {"exposure_s": 5e-4}},
-        # a default that is written out changes nothing
+        # an explicit default value has no effect
         {"receiver": "soft", "plain": {"equaliser": "none"}},
     ],
 )

@@ -1,4 +1,4 @@
-"""Packets without inverses at the soft receiver."""
+"""Soft receiver with packets without inverses."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def test_packets_without_inverses_are_read(rates: str, distance_m: float) -> Non
 
 
 def test_rates_of_167_kb_s_are_read_at_80_m() -> None:
-    """Near the limit of the channel: a clock off by some hundredths of a pattern would lose most of it."""
+    """Near channel capacity: a clock error of a few hundredths of a pattern would lose most codewords."""
     formats = "[{mode='single', high='9/10', middle='3/4', low='1/2'}]"
     counts = run_block(link(f"transmit.formats={formats}", "receive.receiver=soft", distance_m=80.0), 1, max_packets=1)
     assert [(c.codewords, c.codeword_errors) for c in counts.layers.values()] == [(1, 0), (2, 0), (1, 0)]
@@ -34,7 +34,7 @@ def test_rates_of_167_kb_s_are_read_at_80_m() -> None:
 
 @pytest.mark.slow
 def test_a_moving_array_is_followed_without_inverses() -> None:
-    """At 50 km/h on a rough road, packet after packet; the dimmed header leaves the gain as it is."""
+    """50 km/h on a rough road, over consecutive packets; the dimmed header leaves the gain unchanged."""
     settings = link(
         "transmit.formats=[{mode='single', high='1/2', middle='1/2', low='1/2'}]",
         "receive.receiver=soft",
@@ -67,7 +67,7 @@ def test_tilt_and_dead_leds_are_known_from_headers(place: dict[str, float]) -> N
 @pytest.mark.parametrize("seed", [2, 7])
 @pytest.mark.slow
 def test_dimmed_headers_do_not_turn_the_array(seed: int) -> None:
-    """A tilt and dead LEDs were seen where the header's second pair is dimmed on one side."""
+    """A second header pair dimmed on one side resembled a tilt and dead LEDs."""
     formats = "[{mode='single', high='9/10', middle='3/4', low='1/2'}]"
     settings = link(f"transmit.formats={formats}", "receive.receiver=soft", distance_m=70.0)
     counts = run_block(settings, seed, max_packets=1)

@@ -1,4 +1,4 @@
-"""Arrays of other sizes than 16 x 16, end to end."""
+"""Array sizes other than 16 x 16, end to end."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from heliograph.measure.bench import run_block
 from heliograph.receive import receive_frames
 
 DATA_PAIRS = {4: 100, 8: 48, 32: 8}
-"""Pairs in which each layer has bits for a codeword of its own."""
+"""Data pairs for at least one codeword per layer."""
 
 
 def sized(side: int, receiver: str, distance_m: float, *changes: str, **channel: Any) -> LinkSettings:
@@ -25,7 +25,6 @@ def sized(side: int, receiver: str, distance_m: float, *changes: str, **channel:
 
 
 def assert_all_read(settings: LinkSettings, packets: int = 1, seed: int = 1) -> None:
-    """Check that every codeword of so many packets is right."""
     counts = run_block(settings, seed, max_packets=packets)
     assert {name: (c.codewords, c.codeword_errors) for name, c in counts.layers.items()} == {
         "high": (packets, 0),

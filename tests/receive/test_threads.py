@@ -1,4 +1,4 @@
-"""Receivers in several threads of one process."""
+"""Receivers in several threads."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -13,20 +13,19 @@ from heliograph.receive import Packet, receive_frames
 
 
 def blas_threads() -> int:
-    """The most of any library; some are built for one thread."""
+    """Return the largest thread count; some BLAS builds are single-threaded."""
     return max(int(info["num_threads"]) for info in threadpool_info() if info["user_api"] == "blas")
 
 
 @pytest.fixture
 def two_threads() -> Iterator[None]:
-    """BLAS with two threads, as a user may have it."""
     with threadpool_limits(limits=2, user_api="blas"):
         yield
 
 
 @pytest.mark.usefixtures("two_threads")
 def test_who_leaves_first_takes_no_thread_from_those_that_stay() -> None:
-    """In two threads blocks end in any order, not the last one first."""
+    """Blocks in different threads may end in any order."""
     first, second = one_thread(), one_thread()
     with first:
         second.__enter__()
@@ -51,7 +50,7 @@ def content(packet: Packet) -> list[Any]:
 @pytest.mark.usefixtures("two_threads")
 @pytest.mark.slow
 def test_four_receivers_in_four_threads_read_what_one_after_the_other_reads() -> None:
-    """Two plain and two soft ones, each with a film of its own."""
+    """Two plain and two soft receivers with separate films."""
     settings = [link(f"receive.receiver={name}", "signal.data_pairs=16") for name in ("plain", "soft") * 2]
     films = [film(one, 100, seed) for seed, one in enumerate(settings)]
 
@@ -67,7 +66,7 @@ def test_four_receivers_in_four_threads_read_what_one_after_the_other_reads() ->
 
 
 def test_ctrl_c_amid_machine_code_is_ctrl_c() -> None:
-    """There it comes as the cause of a SystemError, or of one more."""
+    """In compiled code, KeyboardInterrupt appears as the cause of a (possibly nested) SystemError."""
 
     def interrupted() -> Iterator[int]:
         yield 1

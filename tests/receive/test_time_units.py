@@ -1,4 +1,4 @@
-"""Times in another unit than seconds end in one line, and no frame costs more work because of them."""
+"""Timestamps in other units give a one-line error, at no extra cost per frame."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,8 +16,6 @@ ReadPair = FramePair | MeasuredHeader | None
 
 
 class PairCount:
-    """Counts pairs that arrays go through."""
-
     def __init__(self, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
         self.count, take = 0, ArrayReceiver._take
 

@@ -1,4 +1,4 @@
-"""Blocks: fields and checksum against zlib, errors of the channel and of the caller."""
+"""Blocks: fields, CRC against zlib, channel errors and invalid arguments."""
 
 import zlib
 from dataclasses import replace
@@ -46,7 +46,7 @@ def test_round_trip_and_layout(case: tuple[Block, int]) -> None:
 
 
 def test_crc_is_that_of_ieee_802_3() -> None:
-    """By its residue: CRC-32 of data and its CRC in reflected (little-endian) order is always 0x2144DF1C."""
+    """CRC-32 residue: data followed by a reflected (little-endian) CRC gives 0x2144DF1C."""
     data = np.packbits(pack(SMALL, 104)).tobytes()
     assert zlib.crc32(data[:-4] + data[-4:][::-1]) == 0x2144DF1C
 
@@ -126,7 +126,7 @@ def test_sizes_that_hold_no_block(k: int) -> None:
 
 
 def test_whitening_is_the_m_sequence_from_each_start() -> None:
-    """x^15 + x^14 + 1 stepped chip by chip, period 2^15 - 1."""
+    """Step x^15 + x^14 + 1 chip by chip, period 2^15 - 1."""
     g = [1] * 15
     while len(g) < 3 * 32767:
         g.append(g[-1] ^ g[-15])
@@ -141,6 +141,6 @@ def test_whitened_idle_blocks_are_balanced_and_unlike() -> None:
     chips = np.stack([whitening(3072, layer, i) for layer in LAYERS for i in range(4)])
     signs = 1 - 2 * chips.astype(float)
     likeness = signs @ signs.T / 3072
-    # 5 standard deviations of random chips
+    # 5 standard deviations for random chips
     assert np.abs(signs.mean(1)).max() < 5 / np.sqrt(3072)
     assert np.abs(likeness - np.eye(len(chips))).max() < 5 / np.sqrt(3072)

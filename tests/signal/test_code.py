@@ -1,4 +1,4 @@
-"""What the receiver asks of a channel code: checks that stop it, and bits by which codewords are told apart."""
+"""Channel code interface: stopping checks and distinguishing bits."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_a_check_stops_the_decoder_unless_it_is_said_otherwise() -> None:
 
 @pytest.mark.parametrize("coded_bits", [None, 312, 150])
 def test_distinguishing_bits_differ_by_chance_however_alike_the_blocks_are(coded_bits: int | None) -> None:
-    """Blocks that differ in a few bits: the second encoder sees them interleaved, and half of its bits differ."""
+    """Blocks differ in a few bits; the interleaved second encoder then changes half its output bits."""
     rng, code = np.random.default_rng(1), TurboCode(k=104, coded_bits=coded_bits)
     assert code.distinguishing.shape == (code.length,)
     block = rng.integers(0, 2, 104)
@@ -35,5 +35,5 @@ def test_distinguishing_bits_differ_by_chance_however_alike_the_blocks_are(coded
         parts.append(code.encode(block) != code.encode(other))
     differ = np.array([part for part in parts if part.any()])
     assert differ[:, code.distinguishing].mean() > 1.5 * differ[:, ~code.distinguishing].mean()
-    # a third of the mother code's bits, and some are left at higher rates
+    # a third of the mother code bits; higher rates puncture some
     assert 0.1 < code.distinguishing.mean() < 0.4

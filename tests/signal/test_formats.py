@@ -1,4 +1,4 @@
-"""Formats: numbers, words, and the header that names them."""
+"""Packet formats: numbers, words and signalling headers."""
 
 from typing import Any
 
@@ -31,7 +31,7 @@ def test_words_are_apart_and_the_first_is_empty() -> None:
     assert not found[0].any()
     apart = (found[:, None] ^ found[None]).sum(-1)
     assert apart[~np.eye(len(found), dtype=bool)].min() == 4
-    # linear: the sum of two words is a word
+    # linear code: the sum of two words is a word
     assert np.array_equal(found[0o700] ^ found[0o065], found[0o765])
 
 
@@ -49,12 +49,11 @@ def test_dimmed_cells_keep_their_sign() -> None:
 
 
 def test_a_detector_of_the_plain_header_finds_all() -> None:
-    """Both pairs together, as the four frames of a detector combine them, are the header's but for 1 %."""
+    """The sum over both pairs, as a four-frame detector combines them, correlates above 0.989 with the header."""
     cells = all_header_cells().reshape(IDENTITIES, 1, 16).astype(float)
     shown = cells * (1 + np.where(words(), 0.5, 1.0))
     own = (shown * cells).sum(-1) / np.linalg.norm(shown, axis=-1) / 4
     assert own.min() > 0.989
-    # and are no other's
     others = (
         np.abs(shown @ all_header_cells().reshape(IDENTITIES, 16).T) / np.linalg.norm(shown, axis=-1)[..., None] / 4
     )

@@ -1,4 +1,4 @@
-"""The hierarchical code against the double sums of the paper's (8) and (10), and against PyWavelets."""
+"""Hierarchical code against the double sums in (8) and (10) and against PyWavelets."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def test_double_sums_of_the_paper(n: int) -> None:
 def test_same_as_pywavelets(half: int, seed: int) -> None:
     x = np.random.default_rng(seed).normal(size=(3, 2 * half, 2 * half))
     mean, (horizontal, vertical, diagonal) = pywt.dwt2(x, "haar", mode="periodization")
-    # PyWavelets names a detail by its edges: vertical edges are differences along a row, D12
+    # PyWavelets names details by edge direction: vertical edges are differences along a row, D12
     theirs = np.block([[mean, vertical], [horizontal, diagonal]])
     # both are orthonormal, 1 / sqrt 2 along each axis
     assert np.allclose(haar.decode(x), theirs)
@@ -70,9 +70,8 @@ def test_levels_and_round_trip(half: int, seed: int) -> None:
     x = levels.astype(float) - 2
     assert np.array_equal(haar.decode(x), d)
     assert np.array_equal(haar.decide(haar.decode(x)), d)
-    # the inverse of a pattern is the pattern of -D
+    # the inverse pattern encodes -D
     assert np.array_equal(haar.encode(-d), 4 - levels)
-    # one matrix alone is coded as it is within a batch
     assert np.array_equal(haar.encode(d[1, 2]), levels[1, 2])
 
 
@@ -89,12 +88,12 @@ def test_linear(half: int, seed: int, a: float, b: float) -> None:
     x, y = np.random.default_rng(seed).normal(size=(2, 2 * half, 2 * half))
     assert np.allclose(haar.decode(a * x + b * y), a * haar.decode(x) + b * haar.decode(y))
     assert np.allclose(haar.decode(haar.inverse_transform(x)), x)
-    # energy is kept: 1/2 H . H^T is orthonormal
+    # 1/2 H . H^T is orthonormal and preserves energy
     assert np.isclose(np.sum(haar.decode(x) ** 2), np.sum(x**2))
 
 
 def test_blur_over_a_pair_takes_the_low_layer_only() -> None:
-    """The mean of each LED with its neighbour of the pair leaves the sums: D11 (and D21 if along v)."""
+    """Averaging neighbouring LEDs preserves the sums: D11, and D21 for averaging along v."""
     d = data(1, 8, 8)
     x = haar.inverse_transform(d).reshape(8, 4, 2)
     blurred = np.broadcast_to(x.mean(2, keepdims=True), x.shape).reshape(8, 8)

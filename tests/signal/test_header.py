@@ -1,4 +1,4 @@
-"""The header: half lit, orthogonal, apart at every shift."""
+"""Headers: half lit, orthogonal, low cross-correlation at every shift."""
 
 from pathlib import Path
 
@@ -25,12 +25,12 @@ ROOT = Path(__file__).parents[2]
 
 
 def half_cells(number: int) -> NDArray[np.int64]:
-    """An identity's header by half cells, in the middle of dark surroundings (0)."""
+    """Return an identity's header in half cells, padded with dark cells (0)."""
     return np.pad(np.kron(header_cells(number).astype(np.int64), np.ones((2, 2), np.int64)), 8)
 
 
 def correlations(a: int, b: int) -> NDArray[np.float64]:
-    """By shift of b in half cells down and right, -7 to 7; 1 for equal ones at shift 0."""
+    """Return correlations for shifts -7 to 7 half cells down and right; 1 for equal headers at shift 0."""
     still, moved = half_cells(a), half_cells(b)
     shifts = range(-7, 8)
     return np.array([[np.sum(still * np.roll(moved, (s, t), (0, 1))) / 64 for t in shifts] for s in shifts])
@@ -43,7 +43,6 @@ def test_half_of_the_array_is_lit(number: int, side: int) -> None:
     assert levels.shape == (side, side)
     assert set(np.unique(levels)) == {0, 4}
     assert levels.mean() == invert(levels).mean() == 2
-    # each cell is uniform
     cells = levels.reshape(4, side // 4, 4, side // 4)
     assert np.all(cells == cells[:, :1, :, :1])
     assert np.array_equal(np.where(cells[:, 0, :, 0] > 0, 1, -1), header_cells(number))
@@ -58,7 +57,7 @@ def test_identity_numbers() -> None:
 
 
 def test_chips_run_to_and_fro() -> None:
-    # x^4 + x^3 + 1 from 1000: the sequence of the paper, written along the path by hand
+    # x^4 + x^3 + 1 from 1000: the paper's sequence, arranged by hand
     assert (header_cells(0) > 0).astype(int).tolist() == [[1, 0, 0, 0], [1, 1, 1, 1], [0, 1, 0, 1], [0, 0, 0, 1]]
     assert all(header_cells(number)[3, 0] == -1 for number in range(IDENTITIES))
 
@@ -68,7 +67,7 @@ def test_identities_of_a_polynomial_are_orthogonal() -> None:
     gram = flat @ flat.T
     assert np.array_equal(gram[:CHIPS, :CHIPS], 16 * np.eye(CHIPS))
     assert np.array_equal(gram[CHIPS:, CHIPS:], 16 * np.eye(CHIPS))
-    # those of different polynomials: at most half alike
+    # different polynomials: correlation at most 1/2
     assert np.abs(gram[:CHIPS, CHIPS:]).max() <= 8
 
 
@@ -84,7 +83,7 @@ def test_identities_stay_apart_at_every_shift() -> None:
 
 
 def image(number: int, x: float, y: float, pitch: float) -> NDArray[np.float64]:
-    """Header less inverse on 40 x 40 pixels, in full scales: the reference link's blur by the error function."""
+    """Render header minus inverse on 40 x 40 pixels with the reference link's blur; full scale is 1."""
     sigma = np.sqrt(0.5**2 + (pitch / 8) ** 2 / 4)
     edges = np.arange(41) - 20.0
 
@@ -98,12 +97,12 @@ def image(number: int, x: float, y: float, pitch: float) -> NDArray[np.float64]:
 
 @pytest.mark.slow
 def test_separation_under_the_blur() -> None:
-    """The document's table is the experiment's, which agrees with images made one by one."""
+    """The documented table matches the experiment and independently rendered images."""
     row = tables([separation(80.0)])[0].markdown().splitlines()[-1]
     assert row in (ROOT / "docs" / "air-interface.md").read_text(encoding="utf-8")
     pitch = 58.3 / 80
     still = image(6, 0.2, 0.3, pitch)
-    # around the worst shift of the closest two
+    # search around the worst shift for the closest pair
     near = [(x, y) for x in np.arange(-0.3, 0.6, 0.1) for y in np.arange(3.4, 4.3, 0.1)]
     apart = min(np.linalg.norm(image(28, 0.2 + x * pitch, 0.3 + y * pitch, pitch) - still) for x, y in near)
     assert apart / np.sqrt(2) / 0.006 == pytest.approx(695, abs=1)

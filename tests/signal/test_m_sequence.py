@@ -1,4 +1,4 @@
-"""M-sequences: their defining properties, and SciPy's as an oracle."""
+"""M-sequences: defining properties and SciPy as an oracle."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from scipy.signal import max_len_seq
 
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence, periodic_correlation
 
-# primitive polynomials, Peterson and Weldon, Error-Correcting Codes, appendix C (octal there)
+# primitive polynomials: Peterson and Weldon, Error-Correcting Codes, appendix C (octal)
 PRIMITIVE = [0o7, 0o13, 0o23, 0o45, 0o103, 0o211, 0o435, 0o1021, 0o2011, 0o4005, 0o10123]
 
 
@@ -30,7 +30,7 @@ def test_autocorrelation_of_every_phase(polynomial: int) -> None:
         assert periodic_correlation(chips, chips).tolist() == [15] + [-1] * 14
         assert chips.sum() == 8
         seen.add(chips.tobytes())
-    # all states: all phases, each once
+    # each nonzero state selects a distinct phase
     assert seen == phases(m_sequence(polynomial))
 
 
@@ -47,7 +47,7 @@ def test_period_and_runs_of_other_degrees(polynomial: int) -> None:
     m = polynomial.bit_length() - 1
     chips = m_sequence(polynomial)
     assert len(chips) == 2**m - 1
-    # every state but zero occurs once in a period: the window property, which implies the period
+    # window property: each nonzero state occurs once per period
     windows = {np.roll(chips, -s)[:m].tobytes() for s in range(len(chips))}
     assert len(windows) == 2**m - 1
     assert chips.sum() == 2 ** (m - 1)
@@ -62,7 +62,7 @@ def test_same_as_scipy(polynomial: int) -> None:
 
 
 def test_every_polynomial_of_small_degree_is_accepted_just_if_primitive() -> None:
-    """Euler: phi(2^m - 1) / m polynomials of degree m are primitive."""
+    """Euler: phi(2^m - 1) / m polynomials with degree m are primitive."""
     for m, count in {2: 1, 3: 2, 4: 2, 5: 6, 6: 6, 7: 18, 8: 16}.items():
         good = 0
         for polynomial in range(1 << m, 2 << m):

@@ -1,4 +1,4 @@
-"""Messages cut into segments and put together again, whatever the order of arrival."""
+"""Message segmentation and reassembly in any order."""
 
 from random import Random
 
@@ -27,7 +27,7 @@ def received(blocks: list[Block], reassembler: Reassembler | None = None) -> lis
 @given(st.lists(messages, max_size=6, unique_by=lambda m: (m.identity, m.layer, m.stream)), st.integers(1, 20),
        st.randoms(use_true_random=False))  # fmt: skip
 def test_any_order_with_repeats(sent: list[Message], room: int, random: Random) -> None:
-    """Interleaved messages of several arrays, layers and streams each come out once."""
+    """Interleaved messages from several arrays, layers and streams each appear exactly once."""
     blocks = [block for message in sent for block in segments(message, room)]
     blocks += random.choices(blocks, k=len(blocks)) if blocks else []
     random.shuffle(blocks)
@@ -72,7 +72,7 @@ def test_new_content_under_a_new_stream_number() -> None:
 
 @pytest.mark.parametrize("text", [b"green after that", b"green light now", b"red until 13:30"])
 def test_a_number_that_has_come_round(text: bytes) -> None:
-    """After 256 messages a number returns, with another message of any length, the same one too."""
+    """After 256 messages a number repeats, with a different or equal message."""
     old, new = Message(0, "high", 4, b"red until 12:00"), Message(0, "high", 4, text)
     reassembler = Reassembler()
     assert received(segments(old, 4) * 2, reassembler) == [old]
@@ -136,13 +136,13 @@ def test_carousel_has_256_numbers() -> None:
 def test_cuts_of_different_size_do_not_mix() -> None:
     message = Message(0, "low", 3, bytes(range(50)))
     reassembler = Reassembler()
-    # what is had of one cut must neither help nor hurt the other
+    # segments with different sizes must not be combined
     halves = [segments(message, 10)[:3], segments(message, 20)[:2]]
     for room, blocks in zip((10, 20), halves, strict=True):
         assert [reassembler.add(block, room) for block in blocks] == [None] * len(blocks)
     assert reassembler.add(segments(message, 20)[2], 20) == message
-    # it came out once, whichever cut is completed next
+    # already delivered: completing the other segmentation gives no duplicate
     assert [reassembler.add(block, 10) for block in segments(message, 10)] == [None] * 5
-    # a new message under its number comes out again
+    # a reused number with new content is delivered
     other = Message(0, "low", 3, bytes(50))
     assert [reassembler.add(block, 10) for block in segments(other, 10)][-1] == other

@@ -1,4 +1,4 @@
-"""Packets: places of the bits, sizes of the codewords, and the way back from patterns to blocks."""
+"""Packets: bit placement, codeword sizes and decoding from patterns to blocks."""
 
 from itertools import product
 from typing import Any, Literal
@@ -43,7 +43,7 @@ def random_blocks(form: PacketFormat, identity: int, seed: int = 1) -> dict[str,
 
 
 def read(form: PacketFormat, patterns: NDArray[Any], gain: float = 1.0) -> dict[str, list[AnyBlock | None]]:
-    """Blocks of a packet's patterns without noise: data pairs' differences, Haar, places, turbo decoder."""
+    """Decode noiseless patterns: pair differences, Haar transform, deinterleaving, turbo decoder."""
     data = patterns[2 * form.settings.header_pairs :].astype(float)
     soft = form.split(form.soft_data(gain * (data[0::2] - data[1::2])))
     found = {}
@@ -66,7 +66,7 @@ def test_patterns_give_the_blocks_back(side: int, pairs: int, rate: float) -> No
     assert patterns.dtype == np.uint8
     assert patterns.max() <= 4
     assert read(form, patterns) == blocks
-    # any gain of the camera
+    # gain invariance
     assert read(form, patterns, 0.3) == blocks
 
 
@@ -96,7 +96,7 @@ def test_each_pair_sums_to_all_on(side: int, pairs: int, rate: float) -> None:
     form = make(side, pairs, rate)
     patterns = form.patterns(3, random_blocks(form, 3))
     assert np.all(patterns[0::2] + patterns[1::2] == 4)
-    # the whole source: the same light in every pair, header and data
+    # constant flux in every pair, header and data
     flux = waveform(patterns).reshape(-1, 8).sum(1)
     assert np.allclose(flux, 4)
 
@@ -137,7 +137,7 @@ def test_split_undoes_join(side: int, pairs: int, seed: int) -> None:
     d = form.join(symbols)
     parts = form.split(d.astype(float))
     assert np.array_equal(np.concatenate([parts[name] for name in LAYERS], axis=1), symbols)
-    # the quarters of the paper: D11 high, D12 then D21 middle, D22 low
+    # paper's quarters: D11 high, D12 then D21 middle, D22 low
     h = side // 2
     assert np.array_equal(parts["high"][0], d[0, :h, :h].ravel())
     assert np.array_equal(parts["middle"][0], np.concatenate([d[0, :h, h:].ravel(), d[0, h:, :h].ravel()]))
@@ -146,7 +146,7 @@ def test_split_undoes_join(side: int, pairs: int, seed: int) -> None:
 
 @pytest.mark.parametrize("modulation", ["haar", "ook"])
 def test_layers_are_where_blur_leaves_them(modulation: Literal["haar", "ook"]) -> None:
-    """Of the hierarchical code, the means of 2 x 2 LEDs carry the high layer whole; of on-off keying nothing whole."""
+    """Means over 2 x 2 LEDs preserve the high layer for Haar coding, and no layer for on-off keying."""
     form = make(16, 48, modulation=modulation)
     blocks = random_blocks(form, 0)
     patterns = form.patterns(0, blocks).astype(float)
@@ -158,7 +158,7 @@ def test_layers_are_where_blur_leaves_them(modulation: Literal["haar", "ook"]) -
 
 
 def systematic(layer: LayerFormat, codeword: int) -> Bits:
-    """1 where the packet holds a systematic bit of the codeword: (pairs, symbols)."""
+    """Return marks (pairs, symbols): 1 for systematic bits in the codeword."""
     marks = np.zeros((layer.codewords, layer.code.length), np.uint8)
     assert isinstance(layer.code, TurboCode)
     positions = layer.code.positions
@@ -190,7 +190,7 @@ def test_a_burst_of_lost_pairs_takes_its_share(name: str, lost: int) -> None:
 
 
 def test_a_lost_quarter_of_the_array_or_of_the_packet_is_decoded() -> None:
-    """A rate of 1/3 leaves room for a quarter of the bits to be lost, wherever they are."""
+    """Rate 1/3 tolerates the loss of any quarter."""
     form = make()
     for name, layer in form.layers.items():
         info = np.random.default_rng(3).integers(0, 2, (layer.codewords, layer.code.k), dtype=np.uint8)
@@ -213,17 +213,17 @@ def test_codewords_fill_the_packet_at_about_the_rate(side: int, pairs: int, rate
         assert layer.codewords * layer.code.length == quarters * quarter
         assert layer.code.k in QPP_SIZES
         assert layer.code.k / layer.code.length <= 0.9
-        # half the widest step between sizes, a whole one at the highest rate
+        # half the largest step between sizes, or a full step at the highest rate
         assert abs(layer.code.k - rate * layer.code.length) <= (64 if rate > 0.88 else 32)
     assert layers["middle"].codewords == 2 * layers["high"].codewords == 2 * layers["low"].codewords
     assert layers["middle"].code == layers["high"].code
 
 
 def test_codewords_are_as_long_as_may_be() -> None:
-    # 16 x 16, 48 pairs: 3072 bits a quarter, one codeword of 1024 bits at 1/3
+    # 16 x 16, 48 pairs: 3072 bits per quarter, one codeword with 1024 bits at rate 1/3
     high = make().layers["high"]
     assert (high.codewords, high.code.k, high.code.length, high.payload_bytes) == (1, 1024, 3072, 116)
-    # 32 x 32, 101 pairs at 0.9: 25856 = 2^8 * 101 bits; a quarter of it would need K = 5818, a half 11635
+    # 32 x 32, 101 pairs at 0.9: 25856 = 2^8 * 101 bits; a quarter needs K = 5818, a half K = 11635
     assert make(32, 101, 0.9).layers["high"].codewords == 4
 
 
@@ -237,7 +237,7 @@ def test_layers_may_differ_in_rate() -> None:
 @pytest.mark.parametrize("pairs", [16, 31, 44, 51, 104])
 @pytest.mark.parametrize("side", [4, 8, 16])
 def test_highest_rate_never_exceeds_what_the_code_allows(side: int, pairs: int) -> None:
-    """Where the nearest size lies just above 9/10, the next below is taken."""
+    """If the nearest size exceeds rate 9/10, the next smaller size applies."""
     try:
         layers = make(side, pairs, 0.9).layers
     except SettingsError as error:
@@ -248,7 +248,7 @@ def test_highest_rate_never_exceeds_what_the_code_allows(side: int, pairs: int) 
 
 
 def test_whitening_is_in_the_light() -> None:
-    """Idle blocks, all but empty, still light half of the LEDs: levels near 1 4 6 4 1."""
+    """Nearly empty idle blocks light half the LEDs: levels follow 1 4 6 4 1."""
     form = make()
     idle = {name: [Block(name, 0, 0, 0, 0, b"")] * layer.codewords for name, layer in form.layers.items()}
     shares = np.bincount(form.data_patterns(idle).ravel(), minlength=5) / (48 * 256)
@@ -262,7 +262,7 @@ def test_encode_is_pack_code_whiten_place() -> None:
     assert symbols.shape == (48, 128)
     coded = np.stack([layer.code.encode(pack(block, layer.code.k)) for block in blocks]) ^ layer.chips
     for j in (0, 1, 47, 48, 3071, 3072, 6143):
-        # the formula of the air interface
+        # formula from the air interface
         pair = j % 48
         assert symbols[pair, (j // 48 + 23 * pair) % 128] == coded[j // 3072, j % 3072]
 

@@ -1,4 +1,4 @@
-"""The single mode's balance of light, and packets of that mode."""
+"""Single mode: light balance and packets."""
 
 from itertools import islice
 from typing import Any
@@ -31,7 +31,7 @@ def test_data_come_back_and_polarities_are_what_was_done(half: int, count: int, 
     assert d11.shape == (count, half, half)
     assert set(np.unique(d11)) <= {-1, 1}
     assert np.array_equal(unbalance(d11), data)
-    # row 0 is always as it is
+    # row 0 keeps its polarity
     assert np.array_equal(d11[:, 0, 1:], data[:, 0])
 
 
@@ -39,7 +39,7 @@ def test_the_running_sum_stays_at_zero() -> None:
     sums = np.cumsum(balance(random_data(8, 20_000, 1)).sum((1, 2)))
     assert np.abs(sums).max() <= 8
     assert np.mean(sums == 0) > 0.98
-    # random data without balance are off by more than 8 in almost a third of the patterns, and do not come back
+    # unbalanced random data exceed 8 in almost a third of patterns
     assert np.mean(np.abs(random_data(8, 20_000, 1).sum((1, 2))) > 8) > 0.2
 
 
@@ -50,7 +50,7 @@ def test_what_was_ahead_is_taken_back() -> None:
 
 
 def test_even_the_worst_data_are_balanced_over_two_patterns() -> None:
-    """All rows alike, all ones: seven polarities of rows of eight, and a row without."""
+    """Identical rows, all ones: seven polarities per eight rows; the eighth row has none."""
     data = np.ones((40, 8, 7), np.int8)
     sums = np.cumsum(balance(data).sum((1, 2)))
     assert np.abs(sums).max() <= 8
@@ -70,7 +70,7 @@ def test_patterns_give_the_blocks_back() -> None:
     form = sender.format
     for number, packet in enumerate(islice(sender.packets(), 3)):
         assert packet.shape == (46, 8, 8)
-        # a receiver without noise: levels about their mean, Haar, polarities removed
+        # noiseless receiver: subtract mean level, Haar transform, remove polarity
         soft = form.soft_data(packet[4:].astype(float) - 2)
         symbols = {name: layer.reshape(len(soft), -1) for name, layer in form.split(soft).items()}
         symbols["high"] = (
@@ -85,7 +85,7 @@ def test_a_transmitter_gives_the_same_light_in_every_pattern() -> None:
     formats = [SINGLE, Format(), Format(mode="single", high=0.9)]
     packets = np.concatenate(list(islice(Transmitter(SignalSettings(), 7, MESSAGES, formats).packets(), 30)))
     given = np.cumsum(packets.mean((1, 2)) / 4 - 0.5)
-    # ahead of the mean after every second pattern, in patterns of full light: inverses come second
+    # mean excess after every second pattern, in units of full light
     assert np.abs(given[1::2]).max() < 0.02
     assert np.abs(given[99::100]).max() < 0.02
     inverted = [p.inverted for p in islice(Transmitter(SignalSettings(), 7, MESSAGES, formats).patterns(), 200)]

@@ -1,4 +1,4 @@
-"""Pulse width modulation: pulses in slots, and what an exposure integrates."""
+"""Pulse width modulation: slots and exposure integrals."""
 
 from itertools import permutations
 
@@ -13,7 +13,7 @@ orders = st.permutations(range(4))
 
 
 def test_waveforms_of_the_paper() -> None:
-    """Figure 4: level k/4 lights the LED for k/4 of T_b, from its beginning."""
+    """Figure 4: level k/4 lights the LED for the first k/4 T_b."""
     levels = np.arange(5).reshape(5, 1, 1)
     expected = [[0, 0, 0, 0], [1, 0, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0], [1, 1, 1, 1]]
     assert pwm.lit_slots(levels)[..., 0, 0].tolist() == np.array(expected, bool).tolist()
@@ -44,7 +44,7 @@ def test_pattern_and_inverse_make_a_constant(order: list[int], seed: int) -> Non
     assert np.all(levels + inverse == 4)
     both = np.stack([levels, inverse], 1).reshape(-1, 4, 4)
     flux = pwm.waveform(both, order).reshape(5, 8)
-    # eight slots, every LED lit in four of them
+    # eight slots, each LED lit in four
     assert np.allclose(flux.sum(1), 4)
     assert np.array_equal(pwm.invert(inverse), levels)
 

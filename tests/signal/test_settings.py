@@ -1,4 +1,4 @@
-"""Settings of the signal: what is refused, and with which words."""
+"""Signal settings: rejected values and error messages."""
 
 from typing import Any
 
@@ -54,7 +54,7 @@ def test_rates_may_be_fractions(text: Any, rate: float) -> None:
         ({"rate": {"high": 0.95}}, r"rate\.high"),
         ({"rate": {"high": "1/0"}}, r"rate\.high"),
         ({"rate": {"high": "one third"}}, r"rate\.high"),
-        # larger than any float: an error of its own in Python
+        # overflows float; Python raises a different exception
         ({"rate": {"high": "1e400"}}, r"rate\.high"),
         ({"rates": {"high": 0.5}}, "unknown setting 'rates'; did you mean"),
     ],
@@ -73,7 +73,7 @@ def test_whatever_is_accepted_makes_a_format_or_says_what_to_raise(side: int, ra
         try:
             layers = PacketFormat(settings).layers
         except SettingsError as error:
-            # a block of 104 bits at rate 9/10 needs 116 bits; at most that is too little
+            # a block with 104 bits needs 116 bits at rate 9/10
             assert "raise signal.data_pairs or the rate" in str(error)  # noqa: PT017  # either outcome is right
             assert (side // 2) ** 2 * pairs * rate < 108.1
         else:

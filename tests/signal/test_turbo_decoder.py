@@ -1,4 +1,4 @@
-"""Turbo decoder: reference against enumeration of all codewords, kernel against reference, and behaviour."""
+"""Turbo decoder: reference against exhaustive enumeration, kernel against reference, and behaviour."""
 
 import subprocess
 import sys
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 
 def noisy(code: TurboCode, blocks: int, ebn0_db: float, seed: int) -> tuple[NDArray[np.uint8], Floats]:
-    """Random blocks and their LLRs after BPSK in white noise."""
+    """Return random blocks and LLRs after BPSK in white noise."""
     rng = np.random.default_rng(seed)
     bits = rng.integers(0, 2, (blocks, code.k), dtype=np.uint8)
     variance = 1 / (2 * code.rate * 10 ** (ebn0_db / 10))
@@ -38,7 +38,7 @@ def all_words(k: int) -> NDArray[np.uint8]:
 
 
 def by_enumeration(words: NDArray[np.uint8], llr: Floats, algorithm: Algorithm) -> Floats:
-    """A-posteriori LLR of each bit of a code given by its list of words, straight from the definition."""
+    """Compute a-posteriori bit LLRs by enumerating all codewords."""
     log_p = llr @ (1.0 - words.T)
     total: Any = np.max if algorithm == "max-log" else logsumexp
     columns = [
@@ -50,7 +50,7 @@ def by_enumeration(words: NDArray[np.uint8], llr: Floats, algorithm: Algorithm) 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("spread", [0.5, 3.0, 30.0])
 def test_one_siso_is_the_exact_posterior(algorithm: Algorithm, spread: float) -> None:
-    """Every bit, tail included, against the enumeration of all 256 words of the terminated constituent code."""
+    """All bits, tail included, against enumeration of 256 words from the terminated constituent code."""
     info_words = all_words(8)
     words = np.concatenate([info_words, *encode_constituent(info_words)], axis=1)
     llr = np.random.default_rng(3).normal(scale=spread, size=(20, 22))
@@ -59,7 +59,7 @@ def test_one_siso_is_the_exact_posterior(algorithm: Algorithm, spread: float) ->
 
 
 def test_iterations_reach_the_optimum_of_a_toy_code() -> None:
-    """At 4 dB the iterative decisions are nearly always those of the exact a-posteriori decoder."""
+    """At 4 dB, iterative decisions nearly always match exact a-posteriori decisions."""
     words = encode_mother(all_words(8), TOY_ORDER)
     rng = np.random.default_rng(4)
     sent = words[rng.integers(0, 256, 500)]
@@ -76,7 +76,6 @@ def test_iterations_reach_the_optimum_of_a_toy_code() -> None:
 @pytest.mark.parametrize("blocks", [3, 35])
 @pytest.mark.slow
 def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64], stop: Stop, blocks: int) -> None:
-    """LLRs of information bits and of coded bits."""
     rng = np.random.default_rng(5)
     k = len(order)
     bits = rng.integers(0, 2, (blocks, k), dtype=np.uint8)
@@ -86,7 +85,7 @@ def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64],
     options = DecoderOptions(algorithm=algorithm, iterations=4, stop=stop)
     fast = decode_blocks(llr, np.arange(mother.shape[1]), order, options, coded_output=True)
     slow = reference.decode(llr.astype(np.float64), order, options)
-    # the kernel's ln(1 + exp(-x)) is good to 0.032, each of a few hundred times, mostly alike in all states
+    # kernel ln(1 + exp(-x)) has error 0.032, accumulated a few hundred times, mostly common to all states
     atol = 1.5 if algorithm == "log-map" else 0.01
     assert np.allclose(fast.llr, slow.llr, rtol=1e-3, atol=atol)
     assert fast.coded_llr is not None
@@ -97,7 +96,7 @@ def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64],
 
 
 def test_correction_of_log_map() -> None:
-    """ln(exp a + exp b) within 0.032, whichever is the larger, also where one is impossible."""
+    """ln(exp a + exp b) within 0.032 for either order and for impossible states."""
     from heliograph.signal.turbo.kernel import IMPOSSIBLE, add
 
     a = np.float32(3.0)
@@ -110,7 +109,7 @@ def test_correction_of_log_map() -> None:
 @pytest.mark.real_data
 @pytest.mark.parametrize("k", [40, 112, 168, 432])
 def test_sionna_decisions(data: Path, k: int) -> None:
-    """Sionna's own decisions after ten iterations at Eb/N0 0 dB, rate 1/3: N0 = 3, LLR = 4 y / N0 (0 is sent as +1)."""
+    """Sionna's decisions after ten iterations at Eb/N0 0 dB, rate 1/3: N0 = 3, LLR = 4 y / N0 (0 maps to +1)."""
     bits, samples, theirs = (np.load(data / "turbo" / f"ref_k{k}_{name}.npy") for name in ("u", "y", "uhat"))
     llr = 4.0 * samples / 3
     options = DecoderOptions(algorithm="log-map", iterations=10, stop="none")
@@ -119,7 +118,7 @@ def test_sionna_decisions(data: Path, k: int) -> None:
     ours = TurboCode(k=k).decode(llr, algorithm="log-map", iterations=10, stop="none").bits
     right = (theirs == bits).all(axis=1)
     assert np.array_equal(ours[right], bits[right])
-    # of words that neither reads, the kernel's shorter correction leaves single bits apart: 47 of 4320 at K = 432
+    # undecodable words differ in single bits through the shorter correction: 47 of 4320 at K = 432
     assert (ours != theirs).mean() < 0.02
 
 
@@ -135,7 +134,7 @@ def test_without_noise_nothing_changes(algorithm: Algorithm, rate: float | None,
 
 
 def test_every_size_at_the_highest_rate() -> None:
-    """No size's puncturing at rate 9/10 leaves information bits that noiseless decoding cannot find."""
+    """Puncturing at rate 9/10 leaves all information bits decodable for every size."""
     from heliograph.signal.turbo import QPP_SIZES
 
     for k in QPP_SIZES:
@@ -147,7 +146,7 @@ def test_every_size_at_the_highest_rate() -> None:
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("stop", ["none", "agreement"])
 def test_blocks_do_not_see_each_other(algorithm: Algorithm, stop: Stop) -> None:
-    """Any batching gives identical output, though blocks stop at different iterations and are moved together."""
+    """Batching does not change results, although blocks stop at different iterations and are compacted."""
     code = TurboCode(k=104, coded_bits=300)
     _, llr = noisy(code, 600, 1.0, 6)
     whole = code.decode(llr, algorithm=algorithm, stop=stop, coded_output=True)
@@ -161,7 +160,7 @@ def test_blocks_do_not_see_each_other(algorithm: Algorithm, stop: Stop) -> None:
 
 
 def test_check_stops_blocks_one_by_one() -> None:
-    """With a perfect check, a block stops at the first iteration that has it right."""
+    """With a perfect check, a block stops at the first correct iteration."""
     code = TurboCode(k=104)
     bits, llr = noisy(code, 100, 1.0, 7)
     known = {word.tobytes() for word in bits}
@@ -182,7 +181,7 @@ def test_check_stops_blocks_one_by_one() -> None:
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_soft_outputs_fit_together(algorithm: Algorithm) -> None:
-    """llr = channel + extrinsic; a repeated bit has one posterior, its extrinsic holds the other copy."""
+    """llr = channel + extrinsic; a repeated bit has one posterior, and each extrinsic includes the other copy."""
     code = TurboCode(k=40, coded_bits=200)
     _, llr = noisy(code, 3, 0.0, 8)
     result = code.decode(llr, algorithm=algorithm, coded_output=True, stop="none")
@@ -200,7 +199,7 @@ def test_soft_outputs_fit_together(algorithm: Algorithm) -> None:
 
 
 def test_coded_llrs_are_calibrated() -> None:
-    """ln P(b=0)/P(b=1): among coded bits given an LLR near 1, the share of zeros is near e / (1 + e)."""
+    """Among coded bits with LLR near 1, the fraction of zeros is near e / (1 + e)."""
     code = TurboCode(k=1024)
     bits, llr = noisy(code, 100, -1.0, 10)
     result = code.decode(llr, algorithm="log-map", iterations=1, stop="none", coded_output=True)
@@ -216,7 +215,7 @@ def test_coded_llrs_are_calibrated() -> None:
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("size", [1e-30, 1e-6, 1e4, 1e6, 1e300, np.inf])
 def test_extreme_llrs(algorithm: Algorithm, size: float) -> None:
-    """Sure and very unsure channels: finite LLRs, right bits, no warning."""
+    """Very large and small LLRs give finite output, correct bits and no warning."""
     code = TurboCode(k=1024, coded_bits=1600)
     bits = np.random.default_rng(12).integers(0, 2, (3, 1024), dtype=np.uint8)
     llr = np.where(code.encode(bits) == 0, size, -size)
@@ -224,7 +223,7 @@ def test_extreme_llrs(algorithm: Algorithm, size: float) -> None:
     assert np.isfinite(result.llr).all()
     assert result.coded_llr is not None
     assert np.isfinite(result.coded_llr).all()
-    # log-MAP counts paths too, and those outweigh evidence of 1e-6 where the bit itself was punctured
+    # log-MAP also counts paths, which outweigh LLRs near 1e-6 for punctured bits
     if size > 1 or algorithm == "max-log":
         assert np.array_equal(result.bits, bits)
 
@@ -294,7 +293,7 @@ def test_options_out_of_range(options: dict[str, Any], message: str) -> None:
 )
 @pytest.mark.slow
 def test_block_error_rate(algorithm: Algorithm, stop: Stop, blocks: int, limit: float) -> None:
-    """K = 1024 at 0.5 dB: no more errors than the promised rate allows, save once in 10,000, nor half as many."""
+    """K = 1024 at 0.5 dB: error rate between half the limit and the limit, with a 1e-4 tail on each side."""
     code = TurboCode(k=1024)
     bits, llr = noisy(code, blocks, 0.5, 15)
     errors = int((code.decode(llr, algorithm=algorithm, stop=stop).bits != bits).any(axis=1).sum())
@@ -302,7 +301,7 @@ def test_block_error_rate(algorithm: Algorithm, stop: Stop, blocks: int, limit: 
 
 
 def test_scaling_pays() -> None:
-    """Unscaled max-log loses most blocks at 0.5 dB, scaled a sixth: 0.58 against 0.15 for aff3ct's decoder."""
+    """Block error rate at 0.5 dB: unscaled max-log 0.58, scaled 0.15 (aff3ct)."""
     code = TurboCode(k=1024)
     bits, llr = noisy(code, 256, 0.5, 16)
     errors = [(code.decode(llr, scale=scale).bits != bits).any(axis=1).mean() for scale in (1.0, 0.75)]

@@ -1,4 +1,4 @@
-"""Turbo encoder, interleaver and rate matching against vectors made by others."""
+"""Turbo encoder, interleaver and rate matching against external vectors."""
 
 import csv
 import re
@@ -26,7 +26,7 @@ def read_bits(path: Path) -> Bits:
 
 
 def in_block_order(mother: Bits) -> Bits:
-    """d0 d1 d2 interleaved -> the streams S, P1, P2 one after another, as MATLAB's lteTurboEncode puts them."""
+    """Reorder interleaved d0 d1 d2 into consecutive streams S, P1, P2, as in MATLAB's lteTurboEncode."""
     return mother.reshape(-1, 3).T.ravel()
 
 
@@ -41,9 +41,9 @@ def test_every_interleaver_is_a_permutation_with_the_qpp_property() -> None:
     for k in QPP_SIZES:
         order = interleaver(k)
         assert np.array_equal(np.sort(order), np.arange(k))
-        # f1 is coprime to K: needed for a permutation polynomial (Sun and Takeshita, 2005)
+        # permutation polynomial: f1 is coprime to K (Sun and Takeshita, 2005)
         assert gcd(coefficients(k)[0], k) == 1
-        # even positions stay even: what lets the standard's decoders work without memory conflicts
+        # parity-preserving: contention-free parallel memory access
         assert np.array_equal(order % 2, np.arange(k) % 2)
 
 
@@ -56,7 +56,7 @@ def test_sionna_vectors(data: Path, k: int) -> None:
 
 @pytest.mark.real_data
 def test_matlab_k40(data: Path) -> None:
-    """The first 40 input bits (the file goes on) give the 132 coded bits, in block order S P1 P2."""
+    """The first 40 input bits give 132 coded bits in block order S P1 P2; the file holds more."""
     folder = data / "turbo" / "matlab"
     bits = read_bits(folder / "test_turboCode.infile")[:40]
     expected = read_bits(folder / "test_turboCode.outfile.ground")
@@ -65,7 +65,7 @@ def test_matlab_k40(data: Path) -> None:
 
 @pytest.mark.real_data
 def test_matlab_k5504(data: Path) -> None:
-    """`infile` is lteTurboEncode's output in block order S P1 P2, `ground` its 5504 information bits."""
+    """`infile` is lteTurboEncode output in block order S P1 P2, `ground` the 5504 information bits."""
     folder = data / "turbo" / "matlab"
     coded, bits = (read_bits(folder / f"test_decodeTurbo.{end}") for end in ("infile", "outfile.ground"))
     assert np.array_equal(in_block_order(TurboCode(k=5504).encode(bits)), coded)
@@ -73,19 +73,18 @@ def test_matlab_k5504(data: Path) -> None:
     assert np.array_equal(decoded.bits, bits)
 
 
-# (stream length D, coded bits E, redundancy version) of each call, in file order
+# (stream length D, coded bits E, redundancy version) per call, in file order
 MATLAB_CALLS = [(8, 10, 0), (8, 100, 2), (24, 60, 1), (24, 600, 0), (836, 5796, 0)]
 
 
 @pytest.mark.real_data
 def test_matlab_rate_matching(data: Path) -> None:
-    """Five calls of the rate matcher, one after another in both files; those of redundancy version 0 are compared.
+    """Compare rate matching for redundancy version 0 in five consecutive calls.
 
-    The input is one 32-bit pattern over and over (its line ends mean nothing; 2700 of the 4160 bits are used).
-    Each call takes the next 3 D bits as the streams S, P1, P2 in block order and yields E bits: MATLAB_CALLS,
-    whose E add up to the 6566 bits of the ground. They are the calls of test_rateMatchTurbo.m in
-    microsoft/OTP4LTE-U, where the files come from; D need not be K + 4 of a code. All have Ncb = Kw, and they
-    cover puncturing, repetition and dummy bits (D = 8, 24, 836 fill no rectangle).
+    Source: test_rateMatchTurbo.m in microsoft/OTP4LTE-U. The input repeats a 32-bit pattern; the calls use 2700 of
+    4160 bits. Each call reads 3 D bits as streams S, P1, P2 in block order and yields E bits (6566 in total, see
+    MATLAB_CALLS). D need not equal K + 4. All calls have Ncb = Kw and cover puncturing, repetition and dummy bits:
+    D = 8, 24 and 836 leave rectangles incomplete.
     """
     folder = data / "turbo" / "matlab"
     pattern = read_bits(folder / "test_rateMatchTurbo.infile")
@@ -102,7 +101,7 @@ def test_matlab_rate_matching(data: Path) -> None:
 
 @given(st.lists(st.integers(0, 1), min_size=3, max_size=60))
 def test_constituent_encoder_is_the_shift_register(bits: list[int]) -> None:
-    """The loop-free encoder against the figure 5.1.3-2, walked bit by bit."""
+    """Loop-free encoder against figure 5.1.3-2, stepped bit by bit."""
     parity, tail = encode_constituent(np.array(bits, dtype=np.uint8))
     state, walked = 0, []
     for bit in bits:
@@ -122,7 +121,7 @@ def test_tail_leads_home() -> None:
 
 
 def test_impulse_response_of_the_parity_has_period_seven() -> None:
-    """1 + D^2 + D^3 is primitive, so a single one rings with period 2^3 - 1."""
+    """1 + D^2 + D^3 is primitive: an impulse gives period 2^3 - 1."""
     parity, _ = encode_constituent(np.eye(1, 64, dtype=np.uint8)[0])
     assert np.array_equal(parity[1:50], parity[8:57])
     assert parity[1:8].sum() == 4
@@ -137,7 +136,7 @@ def test_code_is_linear() -> None:
 
 @given(st.sampled_from(QPP_SIZES), st.floats(0.1, 0.9))
 def test_rate_matching_fills_any_length(k: int, rate: float) -> None:
-    """Exactly E bits, every mother bit once before any is repeated."""
+    """Output has exactly E bits; repetition starts after all mother bits."""
     coded_bits, mother_bits = int(np.ceil(k / rate)), 3 * k + 12
     positions = selection(k + 4, coded_bits)
     assert np.array_equal(TurboCode(k=k, coded_bits=coded_bits).positions, positions)

@@ -1,4 +1,4 @@
-"""How sure an LLR may be: up to 1e4 it counts as it is, beyond as 1e4."""
+"""Input LLR saturation at 1e4."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ LIMIT = 1e4
 
 
 def llrs(size: float) -> tuple[TurboCode, NDArray[np.float64]]:
-    """Noisy LLRs of a codeword, their mean magnitude `size`."""
+    """Return noisy codeword LLRs with mean magnitude `size`."""
     rng, code = np.random.default_rng(0), TurboCode(k=104, coded_bits=312)
     signs = 1.0 - 2.0 * code.encode(rng.integers(0, 2, 104))
     return code, size * (signs + rng.normal(0, 0.5, 312))
@@ -18,7 +18,7 @@ def llrs(size: float) -> tuple[TurboCode, NDArray[np.float64]]:
 
 @pytest.mark.parametrize("size", [10.0, 100.0, 1000.0])
 def test_max_log_is_linear_in_its_llrs(size: float) -> None:
-    """Twice the signal and the noise are the same words, twice as sure."""
+    """Doubled input LLRs give equal bits and doubled output LLRs."""
     code, llr = llrs(size)
     once, twice = (code.decode(factor * llr, algorithm="max-log", iterations=2, coded_output=True) for factor in (1, 2))
     assert np.array_equal(once.bits, twice.bits)

@@ -1,6 +1,6 @@
-"""The published vectors against the code, and against a second implementation written from the document alone.
+"""Published vectors against the package and an independent implementation from docs/air-interface.md.
 
-The second one, below, is pure Python, and takes its tables from the text of docs/air-interface.md.
+The independent implementation is pure Python and parses the document's tables.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ LAYERS = ["high", "middle", "low"]
 
 Matrix = list[list[int]]
 
-# The document's tables.
+# Tables from the document
 
 QPP = {int(k): (int(f1), int(f2)) for k, f1, f2 in re.findall(r"(\d+): (\d+) (\d+)", DOCUMENT)}
 RATES = [float(Fraction(r)) for r in re.findall(r"\d+/\d+", re.findall(r"(?m)^   \| rate \|.*$", DOCUMENT)[0])]
@@ -31,16 +31,16 @@ COLUMNS = [int(c) for c in re.findall(r"T = ([\d ]+)", DOCUMENT)[0].split()]
 
 
 def cells_of_the_document() -> list[str]:
-    # three groups of four lines, each with a row of ten cells
+    # three groups with four lines, each with ten cells
     lines = [line.split() for line in re.findall(r"(?m)^(?: +[#.]{4}){10}$", DOCUMENT)]
     return ["/".join(lines[first + r][i] for r in range(4)) for first in (0, 4, 8) for i in range(10)]
 
 
-# The document's rules, section by section.
+# Rules by section
 
 
 def header(identity: int) -> Matrix:
-    """Section 4: the cells, 1 lit."""
+    """Section 4: cells, 1 lit."""
     q, s = divmod(identity, 15)
     a = [1, 0, 0, 0]
     while len(a) < 15:
@@ -56,7 +56,7 @@ def header_pattern(identity: int, n: int) -> Matrix:
 
 
 def word(form: int) -> Matrix:
-    """Section 4.1: the word by cell."""
+    """Section 4.1: word per cell."""
     f = [form >> bit & 1 for bit in range(11)]
     cells = []
     for i in range(4):
@@ -71,7 +71,7 @@ def word(form: int) -> Matrix:
 
 
 def dimmed_pattern(identity: int, form: int, n: int) -> Matrix:
-    """Section 4.1: the later header pairs."""
+    """Section 4.1: later header pairs."""
     dim, full = word(form), header_pattern(identity, n)
     return [
         [{0: 1, 4: 3}[full[u][v]] if dim[u * 4 // n][v * 4 // n] else full[u][v] for v in range(n)] for u in range(n)
@@ -84,7 +84,7 @@ def inverse(pattern: Matrix) -> Matrix:
 
 
 def haar(d: Matrix) -> Matrix:
-    """Section 6.1, the formula of a level."""
+    """Section 6.1: levels."""
     n, h = len(d), len(d) // 2
 
     def level(u: int, v: int) -> int:
@@ -106,7 +106,7 @@ def crc32(data: bytes) -> int:
     for byte in data:
         register ^= byte
         for _ in range(8):
-            # 0xEDB88320 is 0x04C11DB7 read backwards
+            # 0xEDB88320 is 0x04C11DB7 bit-reversed
             register = register >> 1 ^ (0xEDB88320 if register & 1 else 0)
     return register ^ 0xFFFFFFFF
 
@@ -121,7 +121,7 @@ def block(layer: str, identity: int, stream: int, sequence: int, length: int, pa
 
 
 def product(a: int, b: int) -> int:
-    """Section 8.1: of elements of GF(2^16)."""
+    """Section 8.1: product in GF(2^16)."""
     out = 0
     for bit in range(16):
         out ^= a * (b >> bit & 1)
@@ -130,7 +130,7 @@ def product(a: int, b: int) -> int:
 
 
 def reciprocal(a: int) -> int:
-    """The power 2^16 - 2 of an element."""
+    """Return a^(2^16 - 2)."""
     out, square = 1, a
     for _ in range(15):
         square = product(square, square)
@@ -154,7 +154,7 @@ def symbol(sent: bytes, size: int, number: int) -> bytes:
 
 
 def file_block(sent: bytes, number: int, size: int, k: int) -> bytes:
-    """Section 7.1, of array 7's low layer."""
+    """Section 7.1, array 7, low layer."""
     head = bytes([16 + 4 + 2, 7, 0]) + number.to_bytes(3, "big") + len(sent).to_bytes(3, "big")
     body = head + size.to_bytes(2, "big") + crc32(sent).to_bytes(4, "big")
     body += b"".join(symbol(sent, size, number + i) for i in range((k // 8 - 19) // size))
@@ -163,7 +163,7 @@ def file_block(sent: bytes, number: int, size: int, k: int) -> bytes:
 
 
 def small_file_block(sent: bytes, number: int, size: int, k: int, notice: bool) -> bytes:
-    """Section 7.2, of array 7's low layer."""
+    """Section 7.2, array 7, low layer."""
     check = crc32(sent).to_bytes(4, "big")
     if notice:
         body = bytes([16 + 12 + 2, 7]) + len(sent).to_bytes(3, "big") + check
@@ -197,7 +197,7 @@ def plan(h: int, pairs: int, quarters: int, rate: float, column: int = 0) -> tup
 
 
 def constituent(c: list[int]) -> tuple[list[int], list[int]]:
-    """Section 9.2: inputs and parities of K + 3 steps."""
+    """Section 9.2: inputs and parities for K + 3 steps."""
     w, x, z = [0, 0, 0], [], []
     for step in range(len(c) + 3):
         feedback = w[-2] ^ w[-3]
@@ -222,7 +222,7 @@ def mother(c: list[int]) -> list[list[int]]:
 
 
 def rate_match(d: list[list[int]], e: int) -> list[int]:
-    """Section 9.3; None marks an empty place."""
+    """Section 9.3; None marks a dummy position."""
     rows = -(-len(d[0]) // 32)
     size = 32 * rows
     y = [[None] * (size - len(stream)) + stream for stream in d]
@@ -262,7 +262,7 @@ def place(j: int, pairs: int, cells: int) -> tuple[int, int]:
 
 
 def cell_of(layer: int, c: int, h: int) -> tuple[int, int]:
-    """Section 5: row and column of D."""
+    """Section 5: row and column in D."""
     row, column = c % (h * h) // h, c % h
     if layer == 0:
         return row, column
@@ -272,7 +272,7 @@ def cell_of(layer: int, c: int, h: int) -> tuple[int, int]:
 
 
 def balanced(data: list[list[list[int]]], ahead: int) -> tuple[list[Matrix], int]:
-    """Section 6.3: D11 of each pattern from its data, rows of h - 1, and the sum of all D11 after them."""
+    """Section 6.3: return D11 per pattern from rows with h - 1 data, and the running D11 sum."""
     found = []
     for rows in data:
         ahead += sum(rows[0])
@@ -290,7 +290,7 @@ def balanced(data: list[list[list[int]]], ahead: int) -> tuple[list[Matrix], int
 
 
 def blocks_of(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -> list[list[bytes]]:
-    """Section 8: by layer, the blocks of packet `number` of packets that take formats in turn."""
+    """Section 8: return blocks per layer for packet `number`, with formats in rotation."""
     form, found = forms[number % len(forms)], []
     for layer, name in enumerate(LAYERS):
         sizes = [sizes_of(case, one, layer) for one in forms]
@@ -302,7 +302,7 @@ def blocks_of(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0
 
 
 def sizes_of(case: dict[str, Any], form: int, layer: int) -> tuple[int, int, int]:
-    """Section 9.1: W, K and E of a layer in a packet of a format."""
+    """Section 9.1: return W, K and E for a layer and format."""
     single, rate = form >> 9 == 1, rates_of(case, form)[layer]
     assert form >> 9 != 2 or case["data_pairs"] == 13
     pairs = case["data_pairs"] * (1 + single)
@@ -315,13 +315,13 @@ def messages_of(case: dict[str, Any], name: str) -> list[bytes]:
 
 
 def rates_of(case: dict[str, Any], form: int) -> list[float]:
-    """Section 4.1: rates of the high, middle and low layer."""
+    """Section 4.1: rates for the high, middle and low layer."""
     codes = [form >> place & 7 for place in (6, 3, 0)]
     return [RATES[code - 1] if code else agreed for code, agreed in zip(codes, case["rate"], strict=True)]
 
 
 def packet(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -> list[Matrix]:
-    """Section 12; of the single mode packets before this one are of this mode too."""
+    """Section 12; in single mode, earlier packets use the same mode."""
     n, form = case["side"], forms[number % len(forms)]
     single = form >> 9 == 1
     h, pairs = n // 2, case["data_pairs"] * (1 + single)
@@ -348,7 +348,7 @@ def packet(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -
     return [both for pattern in head for both in (pattern, inverse(pattern))] + [haar(matrix) for matrix in d]
 
 
-# Reading the files.
+# Vector files
 
 
 def load(name: str) -> dict[str, Any]:
@@ -368,7 +368,7 @@ def test_files_are_what_the_code_gives() -> None:
     made: dict[str, str] = runpy.run_path(str(ROOT / "scripts" / "make_vectors.py"))["vectors"]()
     assert {path.name for path in FOLDER.glob("*.json")} == set(made)
     for name, text in made.items():
-        # not a plain comparison: pytest would print the difference of thousands of digits
+        # avoid pytest's diff over thousands of digits
         same = (FOLDER / name).read_text(encoding="utf-8") == text
         assert same, f"docs/vectors/{name} is out of date; run scripts/make_vectors.py"
         assert json.loads(text)["about"]

@@ -1,4 +1,4 @@
-"""One decoding of soft data: calibrated LLRs, erasures, blocks of others, garbage."""
+"""Packet decoding from soft data: LLR calibration, erasures, foreign blocks and noise."""
 
 from functools import cache
 
@@ -23,7 +23,7 @@ ALL = np.ones(48, dtype=bool)
 
 @cache
 def sent() -> tuple[PacketFormat, dict[str, list[AnyBlock]], Floats]:
-    """A packet's format, blocks and luminances x' = level - 2 of identity 0."""
+    """Return packet format, blocks and luminances x' = level - 2 for identity 0."""
     settings = link()
     stream = levels(settings)
     patterns = np.stack([next(stream) for _ in range(100)])[4::2]
@@ -48,7 +48,7 @@ def test_llrs_are_calibrated(esn0_db: float) -> None:
     llr = soft_to_llr(3.7 * (1 - 2 * bits + rng.normal(0, sigma, bits.shape)), np.ones(800, dtype=bool))
     predicted, wrong = 1 / (1 + np.exp(np.abs(llr))), (llr < 0) != bits
     assert predicted.mean() == pytest.approx(wrong.mean(), rel=0.2)
-    # of the weak, the middling and the strong ones too, where there are errors enough to count
+    # calibrated for small, medium and large LLRs, given enough errors
     parts = np.array_split(np.argsort(np.abs(llr), axis=None), 3)
     counted = [part for part in parts if wrong.ravel()[part].sum() > 300]
     assert counted
@@ -68,7 +68,7 @@ def test_pairs_not_seen_are_erased() -> None:
     rng = np.random.default_rng(0)
     form, blocks, x = sent()
     seen = rng.permutation(48) >= 14
-    # whatever stands in them must not matter
+    # erased values must not matter
     spoilt = np.where(seen[:, None, None], x, rng.normal(0, 100, x.shape))
     layers = decode_packet(spoilt, seen, form, 0, OPTIONS)
     assert [w.block for name in LAYERS for w in layers[name]] == [b for name in LAYERS for b in blocks[name]]
@@ -108,7 +108,7 @@ def test_a_block_of_another_layer_is_no_block() -> None:
 
 @pytest.mark.parametrize("kind", ["noise", "strong", "constant sign"])
 def test_garbage_is_never_ok(kind: str) -> None:
-    # short codewords, 20 a packet: K = 104 is the shortest block, where the CRC has least to stand on
+    # short codewords, 20 per packet: K = 104 is the shortest block and the hardest case for the CRC
     form = PacketFormat(SignalSettings(data_pairs=5))
     words = sum(layer.codewords for layer in form.layers.values())
     rng, count = np.random.default_rng(3), 0

@@ -1,4 +1,4 @@
-"""The inverse of the channel, against the matrix itself and against reading at the LEDs' positions."""
+"""Channel inverse against the explicit matrix and against sampling at LED positions."""
 
 from dataclasses import replace
 from typing import Any
@@ -26,7 +26,7 @@ SIZE = 44
 
 
 def shown(pose: Pose, x: Floats, index: int = 0) -> CombinedFrame:
-    """A frame without noise: no sensor, its gray levels as they are."""
+    """Render a noiseless frame without quantisation."""
     light = 30.0 + GAIN * draw(pose, x, (0, 0), (SIZE, SIZE))
     return CombinedFrame(index, index * 1e-3, light.astype(np.float32), (0, 0), 255)
 
@@ -48,7 +48,7 @@ def test_the_solution_is_that_of_the_normal_equations() -> None:
     rng = np.random.default_rng(2)
     first, second = (Frame(k, 0.0, rng.integers(0, 255, (SIZE, SIZE)).astype(np.uint8)) for k in range(2))
     found = unblurred((first, second), (pose, pose), GAIN, SIDE, loading=1e-3)
-    # the window of the receiver: 2.5 px beyond the array
+    # receiver window: 2.5 px beyond the array
     half = 8 * pose.pitch * (np.cos(0.02) + np.sin(0.02)) + 2.5
     x0, y0 = int(np.floor(pose.x - half)), int(np.floor(pose.y - half))
     w, h = int(np.ceil(pose.x + half)) - x0 + 1, int(np.ceil(pose.y + half)) - y0 + 1
@@ -88,7 +88,7 @@ def test_an_unknown_equaliser_is_refused() -> None:
 
 
 def wrong_leds(settings: LinkSettings, equaliser: Equaliser, sent: list[NDArray[np.bool_]]) -> float:
-    """Fraction of LEDs that the receiver reads wrongly."""
+    """Return the receiver's LED error rate."""
     errors: list[float] = []
 
     def observe(event: Any) -> None:
@@ -105,7 +105,7 @@ def wrong_leds(settings: LinkSettings, equaliser: Equaliser, sent: list[NDArray[
 @pytest.mark.parametrize("distance_m", [50.0, 57.0])
 @pytest.mark.slow
 def test_the_inverse_beats_reading_at_the_positions(distance_m: float) -> None:
-    """In the link: pose and blur as the receiver finds them, noise as it is."""
+    """Full link: estimated pose and blur, sensor noise."""
     settings = link("signal.modulation=ook", distance_m=distance_m)
     sent = [pattern > 2 for pattern, _ in zip(levels(settings), range(60), strict=False)]
     equalisers: tuple[Equaliser, ...] = ("none", "inverse")

@@ -1,4 +1,4 @@
-"""Equaliser, interference cancellation and turbo decoder together, on packets whose channel is known."""
+"""Iterative equalisation, interference cancellation and turbo decoding for known channels."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -44,16 +44,16 @@ Floats = NDArray[np.float64]
 
 @pytest.mark.slow
 def test_layers_are_read_one_after_the_other() -> None:
-    """Each iteration reads a layer, whose light the next one subtracts."""
+    """Each iteration decodes a layer; the next iteration cancels this layer."""
     for seed in range(3):
         blocks, events = random_blocks(seed), list[EqualiseEvent]()
         packet = KnownPoses(statistics_of(blocks, 100, seed))
         words = decoded(packet, observe=events.append)
-        # of symbols that are known the equaliser says nothing
+        # known symbols have LLR 0
         known = [[name for name, llr in event.llr.items() if not llr.any()] for event in events]
         assert known == [[], ["high"], ["high", "middle"]]
         assert right(words, blocks) == [True, True, True, True]
-        # as each iteration helps, no pose need be refined
+        # every iteration makes progress, so no pose refinement follows
         assert packet.known == []
 
 
@@ -84,7 +84,7 @@ def test_too_far_nothing_is_taken_for_right() -> None:
 def test_each_kind_of_feedback_reads_farther(
     feedback: Literal["none", "decoded", "soft", "propagation"], distance_m: float, expected: list[int]
 ) -> None:
-    """Codewords of the high, middle and low layer that three packets give."""
+    """Count high, middle and low layer codewords decoded from three packets."""
     read = np.zeros(4, int)
     for seed in range(3):
         blocks = random_blocks(seed)
@@ -95,7 +95,7 @@ def test_each_kind_of_feedback_reads_farther(
 @pytest.mark.parametrize(("distance_m", "number"), [(148, 1), (212, 0)])
 @pytest.mark.slow
 def test_symbols_that_are_not_decoded_have_two_values(distance_m: float, number: int) -> None:
-    """Where Gaussian symbols leave codewords of a layer unread, symbols of -1 and +1 leave fewer."""
+    """A binary symbol prior leaves fewer codewords undecoded than a Gaussian prior."""
     read, gaussian = 0, 0
     for seed in range(8):
         blocks = random_blocks(seed)
@@ -110,7 +110,7 @@ def test_pairs_not_seen_are_erased() -> None:
     packet = statistics_of(blocks, 80, 2)
     words = decoded([None if number % 4 == 1 else pair for number, pair in enumerate(packet)])
     assert all(right(words, blocks))
-    # an LLR of 0 is no bit
+    # LLR 0 is an erasure
     erased = sum(int((w.raw == ERASED).sum()) for w in words["high"])
     assert erased == FORM.layers["high"].symbols * len(packet) // 4
 
@@ -127,11 +127,11 @@ def test_the_gain_is_estimated_along_with_the_symbols(factor: float) -> None:
     blocks, events, buffer = random_blocks(0), list[EqualiseEvent](), [SoftBuffer()]
     packet = KnownPoses(statistics_of(blocks, 120))
     words = decoded(packet, channel=(factor * GAIN, NOISE), buffer=buffer, observe=events.append)
-    # the low layer is not read, so the packet is kept, in units of its gain
+    # the low layer fails, so the buffer keeps the packet, in units of the gain
     assert right(words, blocks) == [True, True, True, False]
     kept = buffer[-1].same_packet(FORM.format, [llr for layer in events[0].llr.values() for llr in layer])
     assert kept is not None
-    # with each layer that is known it comes nearer
+    # each decoded layer improves the gain estimate
     errors = [abs(gain / GAIN - 1) for gain in (*(gain for gain, _ in packet.channels), kept.gain)]
     assert len(errors) == 2
     assert errors == sorted(errors, reverse=True)
@@ -140,7 +140,7 @@ def test_the_gain_is_estimated_along_with_the_symbols(factor: float) -> None:
 
 
 def against_its_symbols(symbols: Floats, rng: np.random.Generator) -> PairStatistics:
-    """Statistics of a pair at 100 m that moves by 0.4 px, of four ways the one that most resembles its symbols."""
+    """Return statistics at 100 m with 0.4 px motion, in the direction that best resembles the symbols."""
     x, y = (float(v) for v in rng.uniform(12, 13, 2))
     pose = Pose(x, y, pitch_at(100), 0.0, 0.505)
     ways = [pose.moved(dx, dy) for dx, dy in ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))]
@@ -153,7 +153,7 @@ def against_its_symbols(symbols: Floats, rng: np.random.Generator) -> PairStatis
 @pytest.mark.parametrize(("late", "distance_m"), [(0.25, 110), (0.5, 80)])
 @pytest.mark.slow
 def test_pairs_of_combined_frames_are_read(late: float, distance_m: float) -> None:
-    """Each contains products of its symbols, and light of the pairs or the header beside it."""
+    """Each observation contains symbol products and leakage from adjacent pairs or the header."""
     combination = combine_pair(late + np.arange(-2.0, 5.0), 1.0, (0, 1, 2, 3))
     assert combination is not None
     blocks = random_blocks(2)
@@ -172,7 +172,7 @@ def test_motion_that_resembles_the_symbols_does_not_change_the_gain() -> None:
 
 def test_gain_and_noise_maximise_the_likelihood() -> None:
     rng = np.random.default_rng(8)
-    # d = g l + n of known light l: <d, l>, |l|^2, |d|^2 and the number of pixels
+    # d = g l + n with known light l: <d, l>, |l|^2, |d|^2 and the number of pixels
     light = rng.normal(size=5000)
     d = 3.0 * light + rng.normal(0, 0.7, 5000)
     moments = np.array([d @ light, light @ light, d @ d, 5000.0])
@@ -180,7 +180,7 @@ def test_gain_and_noise_maximise_the_likelihood() -> None:
     gain, noise = update_channel(2.0, 1.0, moments, combined=True)
     assert gain == pytest.approx(3.0, rel=0.01)
     assert noise == pytest.approx(np.mean((d - gain * light) ** 2))
-    # without light the gain stays; noise is that of rounding, 2 / 12, at least
+    # without light the gain is unchanged; noise is at least rounding noise, 2 / 12
     dark = update_channel(2.0, 1.0, np.array([0.0, 0.0, 0.0, 10.0]), combined=True)
     assert dark == pytest.approx((2.0, 1 / 6))
 
@@ -188,7 +188,7 @@ def test_gain_and_noise_maximise_the_likelihood() -> None:
 @pytest.mark.parametrize(("match", "gain"), [(600.0, 255.0), (250.0, 250.0), (-40.0, 200.0)])
 @pytest.mark.parametrize("combined", [False, True])
 def test_no_gain_exceeds_what_a_sensor_can_show(match: float, gain: float, combined: bool) -> None:
-    """Pairs that hardly show the array may have any quotient, and any sign."""
+    """Weak pairs give arbitrary quotients of either sign."""
     assert update_channel(200.0, 1.0, np.array([match, 1.0, 1e5, 1e3]), 255.0, combined)[0] == gain
 
 
@@ -208,7 +208,7 @@ def test_a_pair_without_a_solution_is_left_out(caplog: pytest.LogCaptureFixture)
 @pytest.mark.parametrize(("distance_m", "moves", "asked"), [(160, 0, 1), (160, 2, 3), (100, 0, 0)])
 @pytest.mark.slow
 def test_poses_are_refined_while_something_may_come_of_it(distance_m: float, moves: int, asked: int) -> None:
-    """At 160 m only the high layer can be read: once, or until the poses stay; at 100 m all, each layer by the last."""
+    """At 160 m only the high layer is decodable: refine once, or until poses converge. At 100 m all layers are."""
     packet = KnownPoses(statistics_of(random_blocks(0), distance_m), moves)
     decoded(packet)
     assert len(packet.known) == asked
@@ -233,7 +233,7 @@ def test_codewords_of_another_array_are_not_used() -> None:
 
 
 def test_raw_bits_are_those_of_the_first_equalisation_and_final_ones_those_of_the_last() -> None:
-    """Codewords that are decoded no longer disturb the others: what is read last has the fewest errors at last."""
+    """Decoded codewords no longer interfere: the last layer has the fewest final errors."""
     blocks = random_blocks(3)
     iterations: list[EqualiseEvent] = []
     words = decoded(statistics_of(blocks, 90, 3), observe=iterations.append)
@@ -261,9 +261,9 @@ def test_equal_packets_give_equal_codewords() -> None:
 @pytest.mark.parametrize("distance_m", [70, 100, 150])
 @pytest.mark.slow
 def test_predicted_error_probabilities_are_those_observed(distance_m: float) -> None:
-    """In the first iteration nothing is known but the channel, and that exactly: P(wrong) = 1 / (1 + exp |LLR|).
+    """The first iteration knows only the channel: P(wrong) = 1 / (1 + exp |LLR|).
 
-    Disturbing symbols count as Gaussian, whose tails are too long: no LLR is too sure, and some are not sure enough.
+    The Gaussian interference model overestimates the tails, so LLRs may be too small but never too large.
     """
     predicted, wrong = [], []
     for seed in range(4):

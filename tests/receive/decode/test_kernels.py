@@ -1,4 +1,4 @@
-"""The compiled kernel of the plain receiver against the reference, which says the same slowly."""
+"""Plain receiver kernel against the NumPy reference."""
 
 import numpy as np
 import per_led_oracle as reference

@@ -1,4 +1,4 @@
-"""A layer's codewords between iterations."""
+"""Layer state between iterations."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ OPTIONS = Decoding("log-map")
 
 
 def sent_llrs(blocks: list[Block], size: float, wrong: float = 0.0) -> Floats:
-    """LLRs (pairs, symbols) of a size for the bits as they were sent, a fraction of them of the wrong sign."""
+    """Return LLRs (pairs, symbols) with magnitude `size`; a fraction `wrong` has flipped signs."""
     signs = 1.0 - 2.0 * LAYER.encode(blocks)
     return size * np.where(np.random.default_rng(0).uniform(size=signs.shape) < wrong, -signs, signs)
 
@@ -40,7 +40,7 @@ def test_feedback_of_codewords_that_failed_is_all_that_is_dropped(wrong: float, 
 
 
 def test_earlier_packets_of_another_codeword_are_left_out() -> None:
-    """Their LLRs would have the decoder read their codeword; this packet's own are clear enough."""
+    """Foreign LLRs would favour another codeword; the current LLRs suffice."""
     blocks, others = random_blocks(0)[NAME], random_blocks(1)[NAME]
     layer = equalised(sent_llrs(blocks, 3.0))
     layer.keep_own()
@@ -59,13 +59,12 @@ def test_a_codeword_that_only_earlier_packets_support_is_doubted() -> None:
     assert [word.status for word in layer.words] == ["ok"] * LAYER.codewords
     layer.reject_inconsistent()
     assert [(word.status, word.block) for word in layer.words] == [("crc_fail", None)] * LAYER.codewords
-    # and nothing of it is known any more
     assert not layer.soft.any()
     assert (layer.variance == 1).all()
 
 
 def test_a_codeword_that_another_reading_of_the_packet_decoded_is_not_doubted() -> None:
-    """Its bits are known from the start, so the equaliser has no LLRs of them."""
+    """Known bits give zero LLRs in the equaliser, but the codeword stays decoded."""
     first = equalised(sent_llrs(random_blocks(0)[NAME], 3.0))
     first.decode(OPTIONS)
     layer = Layer(LAYER, IDENTITY, first.words)

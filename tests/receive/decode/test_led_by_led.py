@@ -1,4 +1,4 @@
-"""Packets read LED by LED before they are equalised."""
+"""LED-by-LED decoding before equalisation."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,12 +27,11 @@ Floats = NDArray[np.float64]
 
 
 def resting(t: Floats) -> Floats:
-    """Place of the array in px at times (n,)."""
     return np.stack([np.full_like(t, 40.3), np.full_like(t, 48.8)], -1)
 
 
 def received(distance_m: float, soft: SoftSettings, frames: int = 318) -> tuple[LinkSettings, list[Packet], Recorder]:
-    """Packets that the soft receiver reads of an array at rest, and the events of its readers."""
+    """Return soft receiver packets for an array at rest, with reader events."""
     settings, recorder = link("signal.data_pairs=24", "receive.receiver=soft"), Recorder()
     film = drawn_film(settings, frames, resting, distance_m=distance_m)
     receive = replace(settings.receive, soft=soft)
@@ -40,7 +39,7 @@ def received(distance_m: float, soft: SoftSettings, frames: int = 318) -> tuple[
 
 
 def equalised_packets(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many codewords each packet knew that was equalised, as it happens."""
+    """Record the number of known codewords per equalised packet."""
     seen = list[int]()
 
     def noted(*args: Any) -> Any:
@@ -56,7 +55,7 @@ def test_near_packets_are_not_equalised_once_the_array_is_known(monkeypatch: pyt
     seen = equalised_packets(monkeypatch)
     _, packets, recorder = received(40.0, SoftSettings())
     assert [packet.status for packet in packets] == ["ok"] * 6
-    # known codewords show the brightness of the LEDs
+    # known codewords give LED brightness
     assert set(seen) == {4}
     assert recorder.of(EqualiseEvent) == []
     _, alone, other = received(40.0, SoftSettings(led_by_led=False))
@@ -77,7 +76,7 @@ def test_leds_are_learnt_from_packets_that_are_not_equalised(monkeypatch: pytest
     _, packets, recorder = received(25.0, SoftSettings(), 212)
     assert [packet.status for packet in packets] == ["ok"] * 4
     assert recorder.of(EqualiseEvent) == []
-    # at this distance one packet is not enough
+    # a single packet is insufficient at this distance
     assert learnt[:3] == [8] * 3
 
 

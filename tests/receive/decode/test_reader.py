@@ -1,4 +1,4 @@
-"""The plain receiver's reader: LEDs are read where they are in each of the two frames."""
+"""Plain receiver's reader: LED positions follow the pose in each frame."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 
 
 def test_leds_are_read_where_they_are_in_each_frame() -> None:
-    """In motion pattern and inverse have poses a pattern apart."""
+    """Pattern and inverse have poses one pattern apart in motion."""
 
     def even(t: Floats) -> Floats:
         return np.stack([40.3 + 300 * t, 48.8 - 200 * t], -1)
@@ -21,7 +21,7 @@ def test_leds_are_read_where_they_are_in_each_frame() -> None:
     frames = drawn_film(settings, 53, even, distance_m=40.0)
     packets = list(receive_frames(frames, settings.signal, settings.receive, recorder))
     assert [packet.status for packet in packets] == ["ok"]
-    # at first the rates are still learnt
+    # skip the velocity transient
     events = recorder.of(ExtractEvent)[8:]
     times = np.array([frame.time_s + 0.5e-3 for event in events for frame in event.frames])
     places = np.array([(pose.x, pose.y) for event in events for pose in event.poses])

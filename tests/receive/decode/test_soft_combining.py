@@ -1,4 +1,4 @@
-"""Packets and codewords of a carousel that come again."""
+"""Soft combining for repeated packets and codewords."""
 
 import numpy as np
 import pytest
@@ -18,19 +18,20 @@ from heliograph.signal.formats import AGREED, Format
 Floats = NDArray[np.float64]
 
 FAR = 154
-"""Where one sighting gives the high layer and no more: the middle layer is read up to 148 m or so, the high one to 200.
+"""Distance in m with only the high layer decodable from one packet.
 
-Two sightings together give the middle layer up to 158 m.
+Single packets give the middle layer up to 148 m and the high layer up to 200 m; two packets give the middle
+layer up to 158 m.
 """
 
 CODEWORDS, PACKETS = 32, 4
-"""How many codewords of a kind, and how many packets, a buffer keeps."""
+"""Buffer capacity: codewords per kind, and packets."""
 
 PAIRS = FORM.settings.data_pairs
 
 
 def random_llrs(rng: np.random.Generator) -> Floats:
-    """LLRs of a codeword that are sure of nothing but are far from chance."""
+    """Return unreliable codeword LLRs, distinguishable from chance."""
     return np.asarray(rng.choice([-3.0, 3.0], 400))
 
 
@@ -45,12 +46,12 @@ def test_a_packet_that_comes_again_is_read(number: int) -> None:
     first, second, third = (statistics_of(blocks, FAR, 10 * number + k) for k in range(3))
     assert right(decoded(first, buffer=buffer), blocks) == [True, False, False, False]
     assert right(decoded(second, buffer=buffer), blocks)[:3] == [True, True, True]
-    # and from then on, with what is known of it
+    # later packets reuse the decoded layers
     assert right(decoded(third, buffer=buffer), blocks)[:3] == [True, True, True]
 
 
 def test_a_rejected_codeword_is_not_known() -> None:
-    """Only the packet seen before supports the low layer: its bits may refine no pose and show no LED's brightness."""
+    """Only the earlier packet supports the low layer: rejected bits must not refine poses or LED brightness."""
     blocks = random_blocks(0)
     coded = {name: np.asarray(1.0 - 2.0 * layer.encode(blocks[name])) for name, layer in FORM.layers.items()}
     signs = [layer.deinterleave(coded[name]) for name, layer in FORM.layers.items()]
@@ -67,7 +68,7 @@ def test_a_rejected_codeword_is_not_known() -> None:
 
 
 def test_a_packet_that_leds_tell_in_part_is_combined_too() -> None:
-    """What they tell is known from the start: the packet seen before adds the rest, and takes nothing away."""
+    """LED-by-LED codewords are known from the start; combining adds the others."""
     blocks, buffer = random_blocks(0), SoftBuffer()
     for seed in (1, 2):
         packet = [*statistics_of(blocks, 105, seed)[:14], *[None] * 10]
@@ -83,7 +84,7 @@ def test_a_packet_that_leds_tell_in_part_is_combined_too() -> None:
 @pytest.mark.parametrize("number", range(3))
 @pytest.mark.slow
 def test_pairs_seen_only_once_are_taken_from_that_sighting(number: int) -> None:
-    """At 105 m the low layer needs more pairs than either sighting has."""
+    """At 105 m the low layer needs more pairs than either packet has."""
     blocks, buffer = random_blocks(number), [SoftBuffer()]
     first, second = (statistics_of(blocks, 105, 10 * number + k) for k in range(2))
     early, late = [*first[:14], *[None] * 10], [*[None] * 10, *second[10:]]
@@ -117,7 +118,7 @@ def test_a_codeword_in_other_company_is_added_to() -> None:
         sent = {**random_blocks(seed), "middle": blocks["middle"]}
         words = decoded(statistics_of(sent, FAR - 3, seed), buffer=buffer)
     assert right(words, sent)[1:3] == [True, True]
-    # of each of the two one sum is kept, so there is room for all others
+    # each sum replaces both parts, leaving space for the others
     assert all(np.array_equal(buffer[-1].same_codeword(kind, other), other) for other in others)
 
 
@@ -142,7 +143,7 @@ def test_a_codeword_that_contradicts_makes_another_packet() -> None:
 
 @pytest.mark.slow
 def test_packets_that_share_a_codeword_are_told_apart() -> None:
-    """Where little is seen of the second too: nothing of the first one may pass for its own."""
+    """Also for weak second packets: no first packet codeword passes for a different codeword in the second."""
     count = 0
     for distance_m, pairs in ((150, 3), (180, 5), (180, 24), (240, 10)):
         first = random_blocks(50)
@@ -153,7 +154,7 @@ def test_packets_that_share_a_codeword_are_told_apart() -> None:
         words = decoded(packet, buffer=buffer)
         read = [status for status in statuses(words) if status == "ok"]
         assert sum(right(words, second)) == len(read)
-        # what one sighting gives is given with the buffer too
+        # the buffer never loses codewords
         assert sum(right(words, second)) >= sum(right(decoded(packet), second))
         count += len(read)
     assert count
@@ -161,7 +162,7 @@ def test_packets_that_share_a_codeword_are_told_apart() -> None:
 
 @pytest.mark.slow
 def test_blocks_that_are_much_alike_are_told_apart() -> None:
-    """Texts that differ in a digit: each sighting gives what it gives without a buffer, and nothing of another."""
+    """Texts differ in one digit; buffered decoding gives the same codewords as separate decoding."""
     buffer, alone, together = [SoftBuffer()], 0, 0
     for number in range(6):
         text = [b"%05d km/h, %8.3f m" % (line, number) for line in range(2)]
@@ -169,7 +170,7 @@ def test_blocks_that_are_much_alike_are_told_apart() -> None:
             name: [Block(name, b.identity, 2 * number + i, 0, len(text[i]), text[i]) for i, b in enumerate(by)]
             for name, by in random_blocks(0).items()
         }
-        # alternately where the middle layer is read and where it is not
+        # alternate between decodable and undecodable middle layer
         packet = statistics_of(blocks, (140, FAR)[number % 2], number)
         words = decoded(packet, buffer=buffer)
         assert statuses(words).count("ok") == sum(right(words, blocks))
@@ -179,7 +180,7 @@ def test_blocks_that_are_much_alike_are_told_apart() -> None:
 
 
 def of_gain(statistics: list[PairStatistics | None], gain: float) -> list[PairStatistics | None]:
-    """Statistics of the same pairs, the light of a gain in place of 1."""
+    """Scale pair statistics to another gain."""
     return [
         PairStatistics(one.gram, gain * one.matched, one.offset, gain * one.cross, one.offset_power) if one else None
         for one in statistics
@@ -189,7 +190,7 @@ def of_gain(statistics: list[PairStatistics | None], gain: float) -> list[PairSt
 @pytest.mark.parametrize(("gain", "noise"), [(180.0, 40.0), (90.0, 4.5)])
 @pytest.mark.slow
 def test_sightings_of_other_gain_and_noise_are_weighed_as_such(gain: float, noise: float) -> None:
-    """A noisy sighting adds little, and one of dimmer light is scaled: neither takes away."""
+    """Weighting by noise and gain: a noisy or dim packet must not hurt."""
     blocks, buffer = random_blocks(0), [SoftBuffer()]
     first = of_gain(statistics_of(blocks, FAR, 1, noise=noise * (GAIN / gain) ** 2), gain / GAIN)
     decoded(first, channel=(gain, noise), buffer=buffer)
@@ -198,7 +199,7 @@ def test_sightings_of_other_gain_and_noise_are_weighed_as_such(gain: float, nois
 
 
 def test_a_joined_packet_is_the_sum_in_the_units_of_the_later_one() -> None:
-    """Weights are in units of the noise, light in units of the gain; pairs seen only once stay as they are."""
+    """Noise and gain units follow the later packet; single pairs are rescaled."""
     rng, pairs = np.random.default_rng(9), []
     for _ in range(2):
         b, d, o = rng.normal(size=(30, 8)), rng.normal(size=30), rng.normal(size=30)
@@ -209,7 +210,7 @@ def test_a_joined_packet_is_the_sum_in_the_units_of_the_later_one() -> None:
     assert other is pairs[1]
     assert once is not None
     assert both is not None
-    # g^2 / s^2 B^T B, g / s^2 B^T d and d^T d / s^2 are what they were in the old units
+    # g^2 / s^2 B^T B, g / s^2 B^T d and d^T d / s^2 are invariant
     for power, now, before in (
         (2, once.gram, pairs[0].gram),
         (1, once.matched, pairs[0].matched),
@@ -238,7 +239,7 @@ def test_what_is_decoded_is_not_added_to_and_nothing_is_not_kept() -> None:
     for seed in range(3):
         assert all(right(decoded(statistics_of(blocks, 60, seed), buffer=buffer), blocks))
     decoded([None] * PAIRS, buffer=buffer)
-    # nothing came in the place of what the full buffer holds
+    # the full buffer is unchanged
     for kind, kept in codewords.items():
         assert all(np.array_equal(buffer[-1].same_codeword(kind, llr), llr) for llr in kept)
     assert all(buffer[-1].same_packet(Format(high=0.5), llrs) is not None for llrs in packets)
@@ -274,7 +275,7 @@ def test_a_sum_takes_the_place_of_its_parts() -> None:
 def test_a_packet_must_support_what_others_helped_to_read() -> None:
     rng = np.random.default_rng(4)
     signs = rng.choice([-1.0, 1.0], 1000)
-    # LLRs of a bit sent over Gaussian noise are N(2 / s^2, 4 / s^2)
+    # LLRs over Gaussian noise follow N(2 / s^2, 4 / s^2)
     llr = 0.5 * signs + rng.normal(0, 1, 1000)
     assert is_consistent(llr, signs)
     assert not is_consistent(llr, rng.choice([-1.0, 1.0], 1000))

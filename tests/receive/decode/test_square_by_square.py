@@ -1,4 +1,4 @@
-"""Packets out of step read square by square before they are equalised."""
+"""Square-by-square decoding for unsynchronised packets before equalisation."""
 
 from dataclasses import replace
 
@@ -24,14 +24,13 @@ FRAMES = 3 * PACKET + 10
 
 
 def at_rest(distance_m: float, phase: float) -> LinkSettings:
-    """An array at rest, so far away and so far out of step in T_b."""
+    """Return settings for an array at rest, `phase` T_b out of step."""
     settings = link("signal.data_pairs=24", "receive.receiver=soft", distance_m=distance_m)
     arrays = (replace(settings.channel.arrays[0], start_s=phase * 1e-3),)
     return replace(settings, channel=replace(settings.channel, arrays=arrays))
 
 
 def decoded(words: Words | None, layer: str) -> list[bool]:
-    """Which of a layer's codewords are right."""
     assert words is not None
     return [word.status == "ok" for word in words[layer]]
 

@@ -1,4 +1,4 @@
-"""Blocks of a frame in which something alternates."""
+"""Detection of alternating blocks."""
 
 import detect_oracle as reference
 import numpy as np
@@ -12,7 +12,7 @@ from heliograph.receive.detect.alternation import DETECT, busy_blocks
 FRAME = Frame(0, 0.0, np.zeros((160, 320), np.uint8))
 BLOCKS = (20, 40)
 LARGE = Pose(100.0, 80.0, 12.0, 0.0, 0.6)
-"""An array that fills the frame from top to bottom, and more than half of its blocks."""
+"""An array spanning the frame height, with more than half the blocks."""
 
 
 def busy(means: np.ndarray, taken: list[Pose]) -> np.ndarray:
@@ -20,7 +20,7 @@ def busy(means: np.ndarray, taken: list[Pose]) -> np.ndarray:
 
 
 def test_what_a_large_array_lights_all_over_is_not_searched() -> None:
-    # through the windscreen
+    # bright region seen through the windscreen
     means = np.full(BLOCKS, 12.0)
     means[:, :25] = 60.0
     assert not busy(means, [LARGE]).any()
@@ -45,7 +45,7 @@ def test_a_frame_full_of_followed_arrays_has_no_busy_blocks() -> None:
     [
         ([], []),
         ([Pose(60.0, 60.0, 1.0)], [(slice(5, 10), slice(5, 10))]),
-        # two that overlap, one of them half beyond the frame
+        # overlapping arrays; the second extends beyond the frame
         ([LARGE, Pose(4.0, 80.0, 3.0)], [(slice(0, 20), slice(0, 26)), (slice(5, 15), slice(0, 5))]),
     ],
 )

@@ -1,4 +1,4 @@
-"""What searches may cost where more alternates than there is time for."""
+"""Search budget in scenes with excessive alternation."""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -30,7 +30,7 @@ SOUGHT = headers((UPRIGHT,))
 
 
 def flicker(count: int, seed: int, shape: tuple[int, int] = (96, 128)) -> list[Frame]:
-    """Frames of which each square of 8 px has another gray level every time."""
+    """Return frames with independent random gray levels in 8 px squares."""
     levels = np.random.default_rng(seed).integers(0, 256, (count, shape[0] // 8, shape[1] // 8), np.uint8)
     return [Frame(k, 1e-3 * k, np.kron(one, np.ones((8, 8), np.uint8))) for k, one in enumerate(levels)]
 
@@ -40,7 +40,6 @@ EVERYTHING = np.ones((20, 30), bool)
 
 
 def started(budget: TokenBucket, busy: NDArray[np.bool_] = EVERYTHING) -> bool:
-    """True if a search begins where a block is novel."""
     return bool(budget.start_search(NoveltyFilter(), np.ones((20, 30), np.float32), busy, FRAME).any())
 
 
@@ -48,7 +47,7 @@ def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
     budget, pattern = TokenBucket(0.5, 1e-3), 0.5 * WORK_PER_MS
     assert started(budget)
     assert budget.try_fit(1.0)
-    # one search takes a part of what is there
+    # a search may use only a fraction of the level
     budget.charge(0.0501 * budget.level)
     assert not budget.try_fit(1.0)
     assert budget.coarse_work <= 0
@@ -79,7 +78,7 @@ def test_blocks_of_greatest_novelty_are_searched_when_work_is_scarce() -> None:
     change[4:9, 10:15] = 3.0
     novel_blocks = busy.copy()
     novel_blocks[12:] = False
-    # a tenth is used up: what does not surge is left out, and not counted
+    # below 90 % of capacity, blocks without novelty are skipped and not counted
     chosen = budget.start_search(deepcopy(baseline), change, busy, FRAME)
     assert np.array_equal(chosen, busy & novel_blocks)
     assert budget.load.blocks == 0
@@ -89,7 +88,7 @@ def test_blocks_of_greatest_novelty_are_searched_when_work_is_scarce() -> None:
     assert 1 < count < np.count_nonzero(busy & novel_blocks)
     assert np.count_nonzero(chosen) == count
     assert budget.load.blocks == np.count_nonzero(busy) - count
-    # the middle of the area first
+    # start at the centre of the area
     assert chosen[6, 12]
 
 
@@ -105,7 +104,7 @@ def test_the_dearer_blocks_were_the_fewer_are_searched() -> None:
 
 @pytest.mark.parametrize(("kind", "dark"), [("plain", 0), ("plain", 90), ("soft", 0), ("soft", 20)])
 def test_an_array_beside_what_flickers_for_long_is_found(kind: str, dark: int) -> None:
-    """It comes into sight after the patterns of a packet that were dark, and shows data until its next header."""
+    """The array appears `dark` patterns into a packet and shows data until the next header."""
     settings = ReceiveSettings(receiver=kind, detect=DetectSettings(cpu_share=0.3))
     receiver, found = make_receiver(SignalSettings(), settings, lambda event: found.append(event)), list[Event]()
     header, rng = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(6)
@@ -122,14 +121,14 @@ def test_an_array_beside_what_flickers_for_long_is_found(kind: str, dark: int) -
         list(receiver.push(Frame(frame.index, frame.time_s, pixels)))
     assert receiver.load.left_out > 0  # type: ignore[attr-defined]  # of those that search
     detected = [event.detection for event in found if isinstance(event, DetectEvent)]
-    # light of data may be taken for a part of a header, but not beyond doubt
+    # data may resemble a partial header, but never a clear header
     assert {one.identity for one in detected if one.fit.pose.x > 100 and one.is_clear} == {4}
 
 
 @pytest.mark.parametrize("start_s", [-0.04, -0.041])
 @pytest.mark.parametrize(("modulation", "turned"), [("haar", True), ("ook", False)])
 def test_an_array_alone_is_found_with_a_bound_too(modulation: str, turned: bool, start_s: float) -> None:
-    """It comes into sight amid a packet, 25 m away, and all blocks that alternate are its own."""
+    """The array appears mid-packet at 25 m; only its blocks alternate."""
     content = {"distance_m": 25.0, "duration_s": 0.26, "arrays": [{"x_m": 0.0, "y_m": 0.0, "start_s": start_s}]}
     link = load_settings("static", {"signal": {"modulation": modulation}, "channel": content})
     receiver, found = (
@@ -144,7 +143,7 @@ def test_an_array_alone_is_found_with_a_bound_too(modulation: str, turned: bool,
 
 
 def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
-    """A frame of 1920 x 1080 px costs more to sum up than a search may take; four squares and an array cost little."""
+    """Summing a 1920 x 1080 frame exceeds a search's budget; four squares and an array do not."""
     search = PyramidSearch(replace(PARAMETERS, cpu_share=0.3), SignalSettings())
     search.budget.charge(0.6 * search.budget.capacity)
     header, rng, found = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(1), list[float]()
@@ -176,7 +175,7 @@ def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
 def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
     level: float, before: str, fits: bool, counts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Much more alternates than usual where it was calm before; not where the film begins with a header."""
+    """Alternation rises sharply after quiet frames, but not if the film begins with a header."""
     find, found = Detector.find_candidates, list[int]()
 
     def unlike(*arguments: Any) -> tuple[list[Candidate], bool]:
@@ -208,7 +207,7 @@ def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
 def test_a_camera_switched_on_amid_a_packet_does_not_wait_for_its_data(
     kind: str, distance_m: float, most_ms: float
 ) -> None:
-    """Data surge little: nearly all is left out until the first header comes, and nothing is told of that."""
+    """Data have low novelty: the search skips nearly all blocks until the first header, with no drop event."""
     link, events = alone(0.088, distance_m=distance_m, start_s=-0.0105), list[Event]()
     receiver = make_receiver(link.signal, replace(link.receive, receiver=kind).with_live_limits(), events.append)
     for frame, _ in simulate(link, default_messages(link), 1):
@@ -218,7 +217,6 @@ def test_a_camera_switched_on_amid_a_packet_does_not_wait_for_its_data(
 
 
 def alone(duration_s: float, modulation: str = "haar", **place: float) -> LinkSettings:
-    """A link of an array at rest, in view all the time."""
     here = {"x_m": 0.0, "y_m": 0.0, **{name: one for name, one in place.items() if name != "distance_m"}}
     channel = {"distance_m": place["distance_m"], "duration_s": duration_s, "arrays": [here]}
     sent = {"signal": {"modulation": modulation}, "transmit": {"identities": [29]}}
@@ -241,7 +239,7 @@ def alone(duration_s: float, modulation: str = "haar", **place: float) -> LinkSe
 def test_near_arrays_alone_are_found_with_a_bound_too(
     kind: str, modulation: str, distance_m: float, yaw_deg: float, roll_deg: float, start_s: float
 ) -> None:
-    """Each block shows few of their LEDs, so that data surge by chance; a header may not do so in its last search."""
+    """Each block holds few LEDs: data can be novel by chance, and the last search over a header may see no novelty."""
     place = {"distance_m": distance_m, "yaw_deg": yaw_deg, "roll_deg": roll_deg, "start_s": start_s}
     link, read = alone(0.32, modulation, **place), 0
     receiver = make_receiver(link.signal, replace(link.receive, receiver=kind).with_live_limits())
@@ -272,7 +270,7 @@ def test_what_strikes_is_asked_of_what_is_searched_alone() -> None:
 
 @pytest.mark.parametrize("cpu_share", [0.01, 0.3, 1000.0])
 def test_a_tenth_is_not_there_at_first_for_a_live_camera(cpu_share: float) -> None:
-    """With more than a live camera's part all is searched from the beginning."""
+    """With more than a live camera's share, the budget starts full."""
     budget = TokenBucket(cpu_share, 1e-3)
     assert budget.is_high == (cpu_share > 1)
     budget.charge(0.39 * budget.capacity)
@@ -282,16 +280,16 @@ def test_a_tenth_is_not_there_at_first_for_a_live_camera(cpu_share: float) -> No
 
 
 def test_a_search_that_breaks_off_is_gone_on_with() -> None:
-    """The frames shift between the searches: the place kept is one on the sensor."""
+    """Frame origins shift between searches; the resume position refers to the sensor."""
     change = np.random.default_rng(0).normal(0, 30, (136, 136)).astype(np.float32)
-    # what is searched last
+    # last position in search order
     change[96:128, 96:128] += 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
     budget, left, rows = TokenBucket(1e-3, 1e-3), list[int](), list[Candidate]()
     search = Detector(PARAMETERS, SignalSettings(), budget)
     while not rows and len(left) < 100:
         shift, before = 8 * (len(left) % 2), budget.load.blocks
         frame = Frame(0, 0.0, np.zeros((136, 136 - shift), np.uint8), origin=(shift, 0))
-        # enough for some blocks
+        # budget for a few blocks
         budget.charge(2 * (budget.coarse_work - 1e5))
         part = SearchRegion(change[:, shift:].copy(), np.ones((17, 17 - shift // 8), bool), frame)
         rows, _ = search.find_candidates([part], SOUGHT)
@@ -299,12 +297,12 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
     assert len(left) > 3
     assert left[0] > 100
     assert rows[0].hypotheses[0][0] == 4
-    # a block's part of the places may be searched before the best one
+    # a block's remaining positions may precede the best position
     assert (rows[0].start.x, rows[0].start.y) == pytest.approx((111.5, 111.5), abs=8)
 
 
 def test_parts_that_break_off_are_all_gone_on_with() -> None:
-    """Three of noise, and little to spend: the last blocks of each are searched too, and no part takes all."""
+    """Three noisy regions share a small budget: each is searched to the end."""
     rng, budget = np.random.default_rng(0), TokenBucket(1e-3, 1e-3)
     search, found = Detector(PARAMETERS, SignalSettings(), budget), list[set[int]]([set(), set(), set()])
     header = 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
@@ -315,12 +313,12 @@ def test_parts_that_break_off_are_all_gone_on_with() -> None:
         frame = Frame(0, 0.0, np.zeros((136, 136), np.uint8), origin=(400 * k, 8 * k))
         parts.append(SearchRegion(change, np.ones((17, 17), bool), frame))
     for _ in range(60):
-        # enough for some blocks of each
+        # budget for a few blocks per region
         budget.charge(2 * (budget.coarse_work - 3e5))
         most = budget.coarse_work
         for one in search.find_candidates(parts, SOUGHT)[0]:
             found[one.region.first.origin[0] // 400].add(one.hypotheses[0][0])
-        # a block of each part may be overdrawn
+        # each region may overdraw by a block
         spent.append(2 * (most - budget.coarse_work) / most)
     assert max(spent) < 1.3
     assert all(4 in one for one in found)
@@ -331,7 +329,7 @@ def test_a_busy_scene_costs_what_it_may() -> None:
     search = PyramidSearch(replace(PARAMETERS, cpu_share=0.01), SignalSettings())
     for frame in frames:
         search.search(frame)
-    # what was there, what came, and what the last search may overdraw: a block of places, and a fit begun
+    # initial level, refill, and overdraft by the last search: one block and one fit
     assert search.budget.load.work < search.budget.capacity + len(frames) * 0.01 * WORK_PER_MS + 3e6
     assert search.budget.load.blocks > 1000
 
@@ -351,7 +349,7 @@ def test_what_is_left_out_is_told(kind: str) -> None:
 
 
 def test_an_array_costs_less_than_it_may() -> None:
-    """The default leaves nothing out where hardly anything else alternates."""
+    """With default settings, a single array in a quiet scene causes no drops."""
     events = list[Event]()
     receiver = make_receiver(SignalSettings(), ReceiveSettings(receiver="soft").with_live_limits(), events.append)
     cells = np.kron(all_header_cells()[3], np.ones((8, 8)))
@@ -368,7 +366,7 @@ def test_an_array_costs_less_than_it_may() -> None:
 @pytest.mark.parametrize("kind", ["plain", "soft"])
 @pytest.mark.parametrize("place", ["region=[40, 20, 80, 80]", "corners=[60, 40, 92, 40, 92, 72, 60, 72]"])
 def test_where_somebody_says_where_an_array_is_there_is_no_bound(kind: str, place: str) -> None:
-    """All of such a place counts as busy, and a search of noise would use up any bound before an array comes."""
+    """A given region counts as busy: noise would exhaust any budget before an array appears."""
     settings = load_settings(
         "static", None, [f"receive.receiver={kind}", f"receive.detect.{place}"]
     ).receive.with_live_limits()

@@ -1,4 +1,4 @@
-"""Candidates of the coarse search: their hidden cells, and fits near them."""
+"""Coarse candidates: hidden cells and refined fits."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ CORNER, SHAPE = (12, 7), (50, 56)
 
 
 def alternating(gains: Floats, noise: float = 2.0) -> NDArray[np.float32]:
-    """What alternates of an array whose LEDs have gains."""
+    """Render the alternation for an array with given LED gains."""
     rng = np.random.default_rng(0)
     return (150 * draw(POSE, gains * HEADER, CORNER, SHAPE) + rng.normal(0, noise, SHAPE)).astype(np.float32)
 
@@ -32,14 +32,14 @@ def test_cells_that_do_not_alternate_are_hidden_and_dim_ones_are_not() -> None:
     cells[0, :2] = 0.0
     cells[3, 1], cells[2, 3] = 0.6, 0.2
     found = find_lit_cells(alternating(cell_weights(cells.ravel(), SIDE)), CORNER, POSE, HEADER, 0.4)
-    # less than 0.4 of the median cell's light counts as none
+    # a cell is hidden below 0.4 of the median
     assert np.array_equal(found, cells > 0.4)
 
 
 def test_a_fit_near_a_candidate_finds_it() -> None:
     found = fit_near(alternating(np.ones((SIDE, SIDE))), CORNER, POSE.moved(0.8, -0.6), HEADER, 0.01, 0.5)
     assert found is not None
-    # blurred so that single LEDs do not show
+    # blurred so that LEDs merge
     assert found.vector[:2] == pytest.approx([POSE.x, POSE.y], abs=0.05)
     assert found.pose.blur == pytest.approx(np.hypot(POSE.blur, 0.5 * POSE.pitch), rel=0.1)
     assert found.gain == pytest.approx(150, rel=0.05)

@@ -1,4 +1,4 @@
-"""Detection: every array by its own number and in step, and nothing where there is none."""
+"""Detector: correct identity and timing for every array, no false detections."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -25,13 +25,13 @@ PLAIN = SearchParameters(
     min_side_px=8.0, max_side_px=64.0, min_contrast=0.03, score=0.9, regularity=0.5, candidates=6, blur_px=0.55,
     cpu_share=100.0,
 )  # fmt: skip
-"""As the plain receiver searches, but not told what is followed for long, and so with more to do."""
+"""Plain receiver parameters; tracked arrays are masked only briefly, so that searches have more work."""
 
 
 def detections(
     frames: Iterable[Frame], signal: SignalSettings | None = None, parameters: SearchParameters = PLAIN
 ) -> list[Detection]:
-    """What is found; as in the receiver, the detector knows for 50 ms what is followed."""
+    """Return detections; tracked arrays are masked for 50 ms, as in the receiver."""
     detector, out = PyramidSearch(parameters, signal or SignalSettings()), list[Detection]()
     for frame in frames:
         out += detector.search(frame, [d.fit.pose for d in out if frame.time_s - d.time_s < 0.05])
@@ -39,7 +39,7 @@ def detections(
 
 
 def first(frames: Iterable[Frame], number: int, signal: SignalSettings | None = None) -> tuple[Detection | None, int]:
-    """The first detection of an identity, and how many false ones came before it."""
+    """Return the first detection with an identity and the number of earlier false detections."""
     detector, false = PyramidSearch(PLAIN, signal or SignalSettings()), 0
     for frame in frames:
         for found in detector.search(frame):
@@ -64,7 +64,7 @@ def test_every_identity_by_its_number(distance_m: float) -> None:
 
 
 PACKET = 36
-"""Patterns of a packet of 16 pairs: what is between headers takes time to search, and is data alike."""
+"""Patterns in a packet with 16 pairs, short to save time."""
 
 
 @cache
@@ -77,17 +77,17 @@ def two_packets(distance_m: float, shaken: bool) -> tuple[Frame, ...]:
 @pytest.mark.slow
 def test_start_is_right_wherever_the_film_begins(distance_m: float, shaken: bool) -> None:
     whole, false_in_all = two_packets(distance_m, shaken), 0
-    # every phase near the header, where it matters; a few elsewhere
+    # all phases near the header, few elsewhere
     for phase in [*range(6), 25, *range(30, PACKET)]:
-        # the next header begins after 36 - phase frames, that of phase 0 at once
+        # the next header begins after 36 - phase frames, or at once for phase 0
         cut = whole[phase : PACKET + 16 if phase else 24]
-        # frame numbers even and odd
+        # even and odd frame numbers
         frames = [replace(f, index=k + phase % 2) for k, f in enumerate(cut)]
         found, false = first(frames, 0)
         assert found is not None, phase
         assert found.start_time_s == pytest.approx(0.036 if phase else 0.0, abs=1e-6), phase
         false_in_all += false
-    # within a near array two data patterns may look like the header of a small one
+    # two data patterns in a near array may resemble a small header
     assert false_in_all <= 2
 
 
@@ -113,7 +113,7 @@ def coarse_noise(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def lamp(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """A square and a round lamp that go on and off with every frame."""
+    """Square and round lamps toggling every frame."""
     light = np.full((96, 128), 0.1)
     light[20:52, 20:52] += 0.7 * (index % 2)
     y, x = np.mgrid[:96, :128]
@@ -121,7 +121,7 @@ def lamp(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def edge(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """A bright edge that shakes by several pixels at a quarter of the frame rate, and another that runs."""
+    """An edge shaking by several pixels at a quarter of the frame rate, and a moving edge."""
     light = np.full((96, 128), 0.05)
     light[:, : 60 + round(4 * np.sin(index * np.pi / 2 + 0.3))] = 0.9
     light[(index * 2) % 90 :, 100:] = 0.8
@@ -129,7 +129,7 @@ def edge(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def texture(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Blocks of street and house that jump to and fro by a pixel or two."""
+    """Texture jumping by a pixel or two."""
     blocks = np.random.default_rng(9).random((30, 40))
     scene = cv2.resize(blocks, (160, 120), interpolation=cv2.INTER_NEAREST)
     dx, dy = rng.integers(0, 3, 2)
@@ -173,7 +173,7 @@ def test_windows_that_move_with_every_frame() -> None:
         moving.append(replace(f, pixels=pixels, origin=(x, y)))
     whole_frames, found = detections(whole), detections(moving)
     assert [(d.identity, round(d.start_time_s, 6)) for d in found] == [(0, 0.1)]
-    # only the windows' common part is searched, at other places of the grid: the fit ends in the same
+    # the search covers only the windows' intersection, on a shifted grid; the fit converges to the same pose
     assert found[0].fit.vector == pytest.approx(whole_frames[0].fit.vector, abs=1e-3)
 
 
@@ -216,7 +216,7 @@ def test_squares_that_blink_as_a_whole_are_found_where_headers_are_such() -> Non
 
 
 def test_the_pose_is_that_of_its_time() -> None:
-    """A pose is where the array is in the middle of the exposure that begins at its time."""
+    """The pose refers to mid-exposure."""
 
     def even(t: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.stack([40.3 + 300 * t, 48.8 - 200 * t], -1)
@@ -229,7 +229,7 @@ def test_the_pose_is_that_of_its_time() -> None:
 
 @pytest.mark.parametrize("mode", ["paired", "single"])
 def test_cells_dimmed_by_a_format_change_neither_gain_nor_tilt(mode: str) -> None:
-    """The first pair of a header is whole, whatever the later ones signal."""
+    """The first header pair has full contrast for every format."""
     impaired = replace(PLAIN, impaired=True, regularity=0.15)
     plain, dimmed = (
         detections(film(link(*formats, distance_m=60.0), 12), parameters=impaired)[0].fit
@@ -243,7 +243,7 @@ def test_cells_dimmed_by_a_format_change_neither_gain_nor_tilt(mode: str) -> Non
 @pytest.mark.parametrize("data_pairs", [18, 19])
 @pytest.mark.parametrize("start", [8, 9, 14, 15])
 def test_a_turned_array_is_found_wherever_its_packets_begin(start: int, data_pairs: int) -> None:
-    """Packets last a whole number of searches, odd or even, and turned headers are looked for in every other one."""
+    """Packets last an odd or even number of searches; the detector tries rotated headers in every other search."""
     signal = SignalSettings(data_pairs=data_pairs)
     patterns = signal.packet_patterns
     header, rng = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(3)

@@ -1,4 +1,4 @@
-"""How fast a header moves, by its own frames."""
+"""Header velocity from single frames."""
 
 from dataclasses import replace
 
@@ -12,12 +12,12 @@ from heliograph.signal.header import header_levels
 
 
 def seen(distance_m: float, drift: tuple[float, float], late: float, seed: int) -> tuple[float, float]:
-    """Drift in px per pattern of a header that is seen so many patterns late, exposures of a pattern each."""
+    """Estimate the drift in px per pattern for a header `late` patterns late, with full exposure."""
     rng, header = np.random.default_rng(seed), header_levels(seed, SIDE) / 2.0 - 1.0
     x, y = (float(v) for v in rng.uniform(58, 62, 2))
     pose, frames = Pose(x, y, pitch_at(distance_m), float(rng.normal(0, 0.02)), 0.51), []
     for k in range(4):
-        # half of what shows late is of the next pattern
+        # late frames mix with the next pattern
         amount = (1 - 2 * late) * (-1) ** k
         image = draw(
             pose.moved((k - 0.5) * drift[0], (k - 0.5) * drift[1]), 0.5 + 0.5 * amount * header, (0, 0), (120, 120)

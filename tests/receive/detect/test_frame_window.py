@@ -1,4 +1,4 @@
-"""Frames of a search as slots: what stands for those that are missing."""
+"""Frame window: substitutes for missing frames."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,15 +14,15 @@ from heliograph.receive.detect.frame_window import copies_before, crop_to_common
     ("header", "want"),
     [
         ([1, 2, 3, 4], [1, 2, 3, 4]),
-        # by one that shows the same, every second
+        # an equal frame, two slots apart
         ([1, 2, None, 4], [1, 2, 1, 4]),
         ([None, 2, 3, 4], [3, 2, 3, 4]),
         ([1, None, 3, 4], [1, 4, 3, 4]),
-        # by the nearest, the earlier of two
+        # the nearest frame, preferring the earlier
         ([1, 2, 3, 4, 5, 6, 7, None], [1, 2, 3, 4, 5, 6, 7, 6]),
         ([1, 2, 3, 4, None, 6, 7, 8], [1, 2, 3, 4, 3, 6, 7, 8]),
         ([1, 2, None, 4, None, 6, 7, 8], [1, 2, 1, 4, 7, 6, 7, 8]),
-        # an amplitude of 0 is there
+        # amplitude 0 is not missing
         ([0, 0, None, 4], [0, 0, 0, 4]),
     ],
 )
@@ -40,7 +40,7 @@ def test_with_too_many_missing_there_is_no_header(header: list[int | None]) -> N
 
 
 def frame(index: int, x: int, y: int, rows: int, columns: int) -> Frame:
-    """A frame of which each pixel tells its place on the sensor."""
+    """Return a frame encoding sensor coordinates in its pixels."""
     pixels = 16 * (y + np.arange(rows))[:, None] + x + np.arange(columns)
     return Frame(index, index * 1e-3, pixels.astype(np.uint8), 8, (x, y))
 

@@ -1,4 +1,4 @@
-"""Headers of which every frame straddles two patterns."""
+"""Headers half a pattern out of step."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ PARAMETERS = SearchParameters(
 def frames_at(
     phase: float, distance_m: float, identity: int = 5, seed: int = 1, count: int = 12, before: int = 3
 ) -> list[Frame]:
-    """Frames of a light that begins some patterns and a phase after them, with the end of a packet before it."""
+    """Return frames with the end of a packet, then a header after `before` + `phase` patterns."""
     settings = link(f"transmit.identities=[{identity}]", "signal.data_pairs=16", distance_m=distance_m)
     start_s = (before + phase - 36) * 1e-3
     array = replace(settings.channel.arrays[0], start_s=start_s)
@@ -48,7 +48,7 @@ def test_a_header_is_found_half_a_pattern_out_of_step(phase: float, distance_m: 
 
 def test_its_gain_is_that_of_the_array_with_all_leds_on() -> None:
     (one,) = found(frames_at(0.5, 80.0))
-    # light of 0.8 full scales, as the reference link has
+    # reference link: 0.8 full scale
     assert one.fit.gain == pytest.approx(0.8 * 255, rel=0.1)
 
 
@@ -57,17 +57,17 @@ def test_its_gain_is_that_of_the_array_with_all_leds_on() -> None:
 def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
     phase: float, distance_m: float, identity: int
 ) -> None:
-    """More changes over a header than over as many patterns of data, each beginning with an inverse or not."""
+    """A header changes more than equally many data patterns, for either first frame."""
     work = list[float]()
     for min_novelty in (1.3, 0.0):
         budget = TokenBucket(1.0, 1e-3)
-        # a tenth is used up: blocks of data would have been searched until then
+        # at 90 % of capacity the search skips blocks without novelty
         budget.charge(used := 0.1 * budget.capacity)
         detector, header = detector_with(budget, min_novelty), list[Detection]()
         for k, frame in enumerate(frames_at(phase, distance_m, identity, count=76, before=32)):
             header += detector.search(frame)
             if k == 30:
-                # none of its header is seen yet
+                # before the header
                 work.append(budget.load.work - used)
         if min_novelty:
             due = [one for one in header if one.start_time_s == pytest.approx((32 + phase) * 1e-3, abs=1e-4)]
@@ -77,7 +77,7 @@ def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
 
 @pytest.mark.parametrize("before", [0, 1, 2])
 def test_a_header_seen_first_is_found_with_a_bound(before: int) -> None:
-    """Nothing is usual yet, so it surges over nothing."""
+    """Without history every block is novel."""
     budget = TokenBucket(1.0, 1e-3)
     budget.charge(0.1 * budget.capacity)
     detector = detector_with(budget)

@@ -1,4 +1,4 @@
-"""The header in a pair of frames."""
+"""Header correlation in a frame pair."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_combined_frames_show_dimmed_cells_by_contrast_and_light() -> None:
     assert light > 0.1
     weights = header_weights(7, FORM, SIDE, combination)
     assert np.array_equal(weights[~DIMMED], SIGNS[~DIMMED])
-    # a lit cell is brighter by the light, a dark one less dark
+    # light adds to lit cells and reduces dark cells
     assert weights[DIMMED & (SIGNS > 0)] == pytest.approx(0.6 + light)
     assert weights[DIMMED & (SIGNS < 0)] == pytest.approx(-0.6 + light)
 

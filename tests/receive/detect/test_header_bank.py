@@ -1,4 +1,4 @@
-"""What a header may mean: each identity and orientation once, the most plausible first."""
+"""Header bank: unique hypotheses, most plausible first."""
 
 import numpy as np
 import pytest
@@ -19,14 +19,14 @@ def test_a_header_means_what_looks_like_it(
     every = [(number, orientation) for orientation in (*orientations, *other) for number in NUMBERS]
     looks = np.array([orientation.turned(header_cells(number)).ravel() for number, orientation in every])
     for cells, meant in zip(looked_for.cells, looked_for.hypotheses, strict=True):
-        # nothing that looks like it is left out, and nothing else is said of it
+        # the hypotheses are exactly the identities and orientations with equal cells
         assert set(meant) == {every[k] for k in np.flatnonzero((looks == cells).all(1))}
 
 
 def test_upright_headers_are_looked_for_alone_and_stand_first() -> None:
     upright = headers((UPRIGHT,), ORIENTATIONS[1:])
     assert [meant[0] for meant in upright.hypotheses] == [(number, UPRIGHT) for number in NUMBERS]
-    # some are turned ones of other identities, by the order of orientations
+    # some match rotated headers from other identities, sorted by orientation
     others = [meant for meant in upright.hypotheses if len(meant) > 1]
     assert others
     places = [[ORIENTATIONS.index(orientation) for _, orientation in meant] for meant in others]
@@ -42,7 +42,7 @@ def test_all_orientations_are_looked_for_each_identity_once_a_way() -> None:
     turned = headers(ORIENTATIONS[1:])
     meant = [one for each in turned.hypotheses for one in each]
     assert len(meant) == len(set(meant)) == 7 * 30
-    # a turned header that is shifted looks like another: they may stand closer
+    # a shifted rotated header resembles others, so the minimum distance decreases
     assert (
         turned.min_distance
         < headers((UPRIGHT,), ORIENTATIONS[1:]).min_distance

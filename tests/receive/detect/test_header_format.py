@@ -1,4 +1,4 @@
-"""The format that a header signals, read from its pairs."""
+"""Format signalling in header pairs."""
 
 from collections.abc import Sequence
 
@@ -25,7 +25,7 @@ def show(
     led_gains: np.ndarray = SOUND,
     known_gains: np.ndarray | None = None,
 ) -> None:
-    """Show a reader header pairs of identity 7, the array on its way by a third of a pixel a frame."""
+    """Show header pairs for identity 7 to a reader; the array moves by a third of a pixel per frame."""
     known = led_gains if known_gains is None else known_gains
     rng = np.random.default_rng(seed)
     for pair in pairs:
@@ -42,7 +42,7 @@ def show(
 
 @pytest.mark.parametrize("distance_m", [40.0, 120.0, 200.0])
 def test_formats_are_read(distance_m: float) -> None:
-    # far away a mode that is not known must not be taken out of noise
+    # at long range, unknown modes could appear from noise
     last = len(words(ALL_MODES) if distance_m < 200 else words()) - 1
     for number in (*range(1, last, 37), last):
         reader = FormatReader(7, 16, SHORT_PAIRS)
@@ -54,7 +54,7 @@ def test_the_gain_decides_where_the_first_pair_was_not_seen() -> None:
     reader = FormatReader(7, 16, 48)
     show(0o765, reader, (1,), 120.0)
     assert reader.decide_format(GAIN) == 0o765
-    # with all cells dimmed or none, the gain decides
+    # with all or no cells dimmed, the gain decides
     assert reader.decide_format(GAIN) != reader.decide_format(0.5 * GAIN)
 
 
@@ -66,7 +66,7 @@ def test_without_a_later_pair_the_agreed_format_is_assumed() -> None:
 
 
 def test_hidden_cells_are_not_taken_for_dimmed_ones() -> None:
-    """Words differ in four cells at least: with three of them hidden, one is left to tell formats apart."""
+    """Words differ in at least four cells: with three hidden cells, a single cell separates formats."""
     gains = SOUND.copy()
     gains[:4, :12] = 0.0
     for number in (0, 0o765, 0o123):
@@ -78,10 +78,10 @@ def test_hidden_cells_are_not_taken_for_dimmed_ones() -> None:
 @pytest.mark.parametrize("hidden", [3, 5, 6, 7])
 @pytest.mark.parametrize("distance_m", [40.0, 80.0])
 def test_cells_that_are_hidden_in_part_are_not_taken_for_dimmed_ones(distance_m: float, hidden: int) -> None:
-    """What passes hides columns of LEDs before any is known to be hidden."""
+    """Occlusion hides LED columns before LED gains are known."""
     gains = SOUND.copy()
     gains[:, :hidden] = 0.0
-    # with more than a cell's width hidden no other format can be told for sure
+    # beyond a cell's width no other format is reliable
     for number in (0, 0o765, 0o123) if hidden < 4 else (0,):
         reader = FormatReader(7, 16, 48)
         show(number, reader, (0, 1), distance_m, seed=number, led_gains=gains, known_gains=SOUND)
@@ -91,7 +91,7 @@ def test_cells_that_are_hidden_in_part_are_not_taken_for_dimmed_ones(distance_m:
 @pytest.mark.parametrize("width", [2, 4, 8])
 @pytest.mark.parametrize("first", range(32, 48, 4))
 def test_light_that_no_cells_give_names_no_format(first: int, width: int) -> None:
-    """A bright bar that moves before the array by two pixels a frame."""
+    """A bright bar moves in front of the array at 2 px per frame."""
     reader, rng = FormatReader(7, 16, 48), np.random.default_rng(3)
     pose = Pose(40.2, 39.8, pitch_at(80.0), 0.01, 0.52)
     for pair in (0, 1):

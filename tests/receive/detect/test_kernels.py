@@ -1,4 +1,4 @@
-"""The detector's compiled kernels against the reference, which says the same slowly."""
+"""Detector kernels against the NumPy reference."""
 
 from collections.abc import Sequence
 
@@ -72,7 +72,7 @@ def test_the_part_searched_holds_what_it_should(place: tuple[int, int]) -> None:
     assert np.array_equal(change, frames[-1].pixels[y : y + rows, x : x + columns])
     assert blocks[place[0] - y // 8, place[1] - x // 8]
     assert blocks.sum() == 1
-    # 16 px and more about the block, as far as the frame goes
+    # at least 16 px around the block, clipped to the frame
     assert y <= max(8 * place[0] - 16, 0)
     assert y + rows >= min(8 * place[0] + 24, 77)
     assert x <= max(8 * place[1] - 16, 0)
@@ -92,13 +92,13 @@ def test_blocks_far_from_each_other_are_searched_in_parts_of_their_own() -> None
         assert part.change.shape == part.first.pixels.shape
     assert np.array_equal(found, busy)
     assert sum(part.change.size for part in found_parts) < 0.1 * frame.pixels.size
-    # where they are everywhere, parts would take no less than all
+    # with busy blocks everywhere, regions would cost as much as the full frame
     busy[::6, ::6] = True
     assert len(parts.search_regions([frame], busy, 32.0, last_pixels)) == 1
 
 
 def headers(seed: int, pixels: int) -> NDArray[np.float32]:
-    """Two headers, one of them inverted, in noise; the first of identity 7 seed + 2, its corner at (8, 10)."""
+    """Return two noisy headers, one inverted; the first has identity 7 seed + 2 and its corner at (8, 10)."""
     image = np.random.default_rng(seed).normal(0, 4, (44, 52)).astype(np.float32)
     cells, size = all_header_cells(), 4 * pixels
     image[10 : 10 + size, 8 : 8 + size] += 30 * np.kron(cells[7 * seed + 2], np.ones((pixels, pixels)))
@@ -117,7 +117,7 @@ def searched(
     apart: float = coarse.DETECT.min_distance,
     corner: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[int, NDArray[np.float64]]:
-    """Candidates found, and the table of them."""
+    """Return the number of candidates and the candidate table."""
     cells, best = all_header_cells().reshape(-1, 16).astype(float), np.zeros((count, 5))
     sums = coarse.integral_images(image)
     sizes, first = np.array(sides), np.array(corner)
@@ -142,7 +142,7 @@ def searched(
     return found, best
 
 
-# a size whose half is no multiple of the step, else rounding decides which of two neighbours overlap
+# half the side is no multiple of the step; otherwise rounding decides overlaps
 @pytest.mark.parametrize(("pixels", "sides", "count"), [(2, (8.3, 9.1), 5), (4, (11.3, 15.8), 1)])
 @pytest.mark.parametrize("quiet", [(0, slice(None)), (slice(None), 4), (slice(2, 4), slice(3, None))])
 @pytest.mark.parametrize("apart", [coarse.DETECT.min_distance, coarse.DETECT.min_distance_turned])
@@ -159,7 +159,7 @@ def test_search_finds_what_the_reference_finds(
     )
     want = reference.search(image.astype(float), busy, 8, cells, grid)
     assert found == len(want)
-    # where enough is busy, as many as asked for
+    # enough busy blocks give all requested candidates
     assert found == count or quiet[0] != 0
     assert best[:found] == pytest.approx(np.array(want), rel=1e-6)
     assert best[0, 4] == 9
@@ -175,13 +175,13 @@ def test_search_keeps_out_of_quiet_blocks() -> None:
 
 
 def test_places_of_the_search_are_fixed_to_the_sensor() -> None:
-    """A window that moves by some pixels does not move the places that are looked at."""
+    """Search positions stay fixed on the sensor when a window moves."""
     image, busy, side = headers(1, 4), np.ones((6, 7), dtype=bool), 15.8
     for left, top in ((0, 0), (3, 2), (5, 7)):
         found, best = searched(
             image[top:, left:].copy(), busy, (side,), 1, contrast=3.0, threshold=0.35, corner=(left, top)
         )
         assert found == 1
-        # the ring's corner lies on a multiple of the step on the sensor
+        # the ring corner lies on the sensor grid
         corners = best[0, 1:3] + (left, top) - side / 2 - RING * side
         assert corners / (GRID * side) == pytest.approx(np.round(corners / (GRID * side)), abs=1e-6)

@@ -1,4 +1,4 @@
-"""Novelty of blocks over the running baseline of their alternation."""
+"""Block novelty relative to a running baseline."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -35,11 +35,11 @@ def test_a_header_is_novel_over_data_and_even_flicker_is_not() -> None:
     header = novel_blocks(baseline, change, (0, 0), True)
     assert header[:3, :3].all()
     assert not header[7:].any()
-    # what stays is baseline soon
+    # persistent change becomes baseline
     for _ in range(20):
         novel_blocks(baseline, change, (0, 0), True)
     assert not novel_blocks(baseline, change, (0, 0), True).any()
-    # the scarcer time is, the more is asked
+    # scarce budget raises the threshold
     assert novel_blocks(baseline, np.float32(1.01 * MOST) * change, (0, 0), True).all()
     novel_blocks(baseline, change, (0, 0), True)
     assert not novel_blocks(baseline, np.float32(1.1 * LEAST) * change, (0, 0), True).any()
@@ -58,7 +58,7 @@ def test_a_header_is_novel_over_data_and_even_flicker_is_not() -> None:
 def test_a_novel_block_stays_novel_for_a_second_search(
     parameters: tuple[float, float], factor: float, is_strong: bool, repeats: bool
 ) -> None:
-    """A search too late for a header leaves it to the next search, in which the block is no longer novel."""
+    """A novel block stays novel in the next search, which may catch a header missed by the first."""
     baseline, change = NoveltyFilter(*parameters), np.ones((6, 8), np.float32)
     for _ in range(5):
         novel, strong = novel_and_strong(baseline, change, False)
@@ -76,7 +76,7 @@ def test_a_novel_block_stays_novel_for_a_second_search(
 
 
 def test_the_baseline_follows_a_new_array_at_once() -> None:
-    """An array that comes into sight is strongly novel in two searches, as the second may see the header."""
+    """A new array is strongly novel in two searches, because the second may contain the header."""
     baseline, change = NoveltyFilter(*HAAR), np.full((6, 8), 0.1, np.float32)
     for _ in range(5):
         baseline.novel_blocks(change, (0, 0), False)
@@ -95,7 +95,7 @@ def test_all_blocks_are_strongly_novel_after_quiet_searches(before: int) -> None
     novel, strong = novel_and_strong(baseline, change, True)
     assert novel.all()
     assert strong.all()
-    # it was a place seen first, or one that was calm
+    # as for a new or quiet area, the second search is strongly novel too
     assert novel_and_strong(baseline, change, True)[1].all()
     assert not baseline.novel_blocks(change, (0, 0), True)[0].any()
 
@@ -135,11 +135,11 @@ def test_headers_are_novel_over_data_for_either_first_frame(levels: Sequence[flo
     frames = [(1 - phase) * one + phase * two for one, two in pairwise(patterns)]
     for k in range(first, len(frames) - 3, 2):
         a, b, c, d = frames[k : k + 4]
-        # each block the mean size of its LEDs' change
+        # mean absolute change per block
         seen = novel_blocks(baseline, np.abs(a - 3 * b + 3 * c - d).mean(axis=2).astype(np.float32), (0, 0), True)
         surging = bool(seen[1:-1, 1:-1].all())
         if k > 200 and k % 100 == first:
-            # amid a header that begins with its inverse, two searches see most of it
+            # headers starting with an inverse need two searches
             found.append(surging or (before and first == 1))
         before = surging
     assert len(found) > 8

@@ -1,4 +1,4 @@
-"""The search of a camera of any rate: streams of one frame a pattern at several phases."""
+"""Phase search for arbitrary frame rates: streams with one frame per pattern."""
 
 from collections import defaultdict
 
@@ -19,7 +19,7 @@ PARAMETERS = SearchParameters(
 
 
 def streams(fps: float, frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> list[list[Frame]]:
-    """The frames that each detector gets."""
+    """Record the frames each detector receives."""
     pushed: dict[int, list[Frame]] = defaultdict(list)
 
     def push(self: PyramidSearch, frame: Frame, taken: list[Pose]) -> list[Detection]:
@@ -47,11 +47,11 @@ def test_streams_have_the_frame_of_each_pattern_that_is_nearest_to_their_phase(
     offsets = []
     for stream in found:
         numbers = [frame.index for frame in stream]
-        # the last is not known to be the nearest yet
+        # the last frame may not be the nearest yet
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
         times = 1e3 * np.array([frame.time_s for frame in stream]) - numbers
         phase = round(phases * float(np.median(times))) / phases
-        # half a frame period at most, but for the film's first frame
+        # within half a frame period, except for the first frame
         assert np.abs(times - phase)[1:].max() < 0.5e3 / fps + 1e-9
         offsets.append(phase % 1)
     assert sorted(offsets) == [k / phases for k in range(phases)]
@@ -60,9 +60,9 @@ def test_streams_have_the_frame_of_each_pattern_that_is_nearest_to_their_phase(
 @pytest.mark.parametrize("fps", [990.0, 1000.0, 1015.0])
 def test_of_a_camera_of_the_lights_rate_every_frame_is_searched(fps: float, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = [frame for frame in film(fps, 60) if frame.index not in (20, 30, 31)]
-    (stream,) = streams(fps, frames, monkeypatch)  # and that of headers that straddle, which is another detector
+    (stream,) = streams(fps, frames, monkeypatch)  # the half-period detector is separate
     assert [frame.time_s for frame in stream] == [frame.time_s for frame in frames]
-    # a frame that was dropped leaves a gap in the numbers
+    # dropped frames leave gaps
     gaps = np.diff([frame.index for frame in stream])
     assert gaps.tolist() == np.diff([frame.index for frame in frames]).tolist()
 
@@ -72,7 +72,7 @@ def test_frames_around_a_header_are_kept() -> None:
     search.start(1 / 1500.0)
     for frame in film(1500.0, 100):
         search.search(frame)
-    # four patterns of header, and four on either side
+    # header: four patterns, plus four on each side
     assert [frame.index for frame in search.recent] == list(range(82, 100))
 
 

@@ -1,4 +1,4 @@
-"""The search of a pyramid's levels: every size is looked for on one of them, and found where it is on the sensor."""
+"""Pyramid search: every size is searched on one level and reported in sensor coordinates."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -33,19 +33,19 @@ NEAR = Pose(100.3, 108.7, 7.2, 0.01, 1.6)
 FAR = Pose(222.4, 40.2, 1.3, 0.0, 0.6)
 
 LIGHT = 0.25
-"""Part of full scale of an unresolved array: single LEDs of the near one are four times as bright."""
+"""Fraction of full scale for an unresolved array; resolved LEDs are four times as bright."""
 
 
 @pytest.mark.parametrize("largest", [20.0, 64.0, 65.0, 90.0, 130.0, 512.0, 1000.0])
 @pytest.mark.parametrize("side", [8, 16, 32])
 def test_every_size_is_looked_for_on_a_level(side: int, largest: float) -> None:
     levels = level_parameters(replace(SEARCH, max_side_px=largest), side)
-    # in px of the sensor
+    # in sensor px
     spans = [(2**k * one.min_side_px, 2**k * one.max_side_px) for k, one in enumerate(levels)]
     assert spans[0][0] == 8.0
     assert max(span[1] for span in spans) == pytest.approx(largest)
     for finer, coarser in pairwise(spans):
-        # neither a gap nor a level of sizes that others have all of
+        # no gaps between levels, and no redundant level
         assert coarser[0] <= finer[1] <= coarser[1]
     assert all(least <= most for least, most in spans)
 
@@ -70,14 +70,13 @@ def test_levels_begin_with_the_blur_that_they_show() -> None:
 
 
 def header_of(identity: int) -> NDArray[np.float64]:
-    """LEDs of a header, 0 to 1."""
     return header_levels(identity) / 4.0
 
 
 def frames_of(
     *arrays: tuple[Pose, int], motion: tuple[float, float] = (0.0, 0.0), count: int = 8, dimmed: float = 1.0
 ) -> list[Frame]:
-    """A film's header of two pairs, and dark frames after it; arrays move by px a frame."""
+    """Return frames with two header pairs, then dark frames; arrays move at constant velocity."""
     rng, out = np.random.default_rng(0), []
     for k in range(count):
         light = np.full(SHAPE, 0.1)
@@ -94,7 +93,6 @@ def frames_of(
 def search_of(
     frames: list[Frame], taken: tuple[Pose, ...] = (), search: PyramidSearch | None = None
 ) -> tuple[dict[int, Detection], int]:
-    """What is found by its identity, and how many detections that were."""
     search = search or PyramidSearch(SEARCH, SignalSettings())
     found = [one for frame in frames for one in search.search(frame, taken)]
     return {one.identity: one for one in found}, len(found)
@@ -110,7 +108,7 @@ def test_an_array_is_found_where_it_is_on_the_sensor(pose: Pose) -> None:
     assert fit.pose.blur == pytest.approx(pose.blur, rel=0.1)
     assert fit.gain == pytest.approx(LIGHT * 255, rel=0.03)
     assert found[11].start_time_s == pytest.approx(0.0)
-    # as sure as the noise allows, on the sensor too
+    # noise-limited covariance in sensor units
     assert 1e-8 < fit.covariance[0, 0] < 0.05**2
 
 
@@ -182,7 +180,7 @@ def test_candidates_of_all_levels_count(pose: Pose) -> None:
 
 @pytest.mark.parametrize("pose", [NEAR, FAR])
 def test_a_frame_after_a_gap_shows_an_array_once(pose: Pose) -> None:
-    """The gap is searched first, and then the frame."""
+    """The search handles the gap first, then the frame."""
     search = PyramidSearch(SEARCH, SignalSettings())
     found = [search.search(frame) for frame in frames_of((pose, 11), count=12) if frame.index != 6]
     assert max(map(len, found)) == 1
@@ -193,27 +191,25 @@ def test_the_last_frames_are_the_cameras_own() -> None:
     search.start(1e-3)
     for frame in frames:
         search.search(frame)
-    # four patterns of header, and four on either side
+    # header: four patterns, plus four on each side
     assert [one.index for one in search.recent] == list(range(4, 16))
     assert all(one.pixels is frames[one.index].pixels for one in search.recent)
 
 
 def flickering_frame(k: int, rng: np.random.Generator, origin: tuple[int, int] = (0, 0)) -> Frame:
-    """A frame of 256 x 192 pixels, all of which but a rim flickers in squares of 8 px."""
+    """Return a 256 x 192 frame that flickers in 8 px squares inside a static rim."""
     pixels = np.full((192, 256), 40, np.uint8)
     pixels[16:176, 16:240] = np.kron(rng.integers(0, 256, (20, 28), np.uint8), np.ones((8, 8), np.uint8))
     return Frame(k, 1e-3 * k, pixels, origin=origin)
 
 
 class NoRefill(TokenBucket):
-    """A budget that gets no more work."""
-
     def refill(self) -> None:
         pass
 
 
 def scarce_search() -> PyramidSearch:
-    """A search that has used up more than half of what it may cost, and gets no more."""
+    """Return a search with less than half a budget, and no refill."""
     budget = NoRefill(0.3, 1e-3)
     budget.charge(0.6 * budget.capacity)
     return PyramidSearch(SEARCH, SignalSettings(), budget)
@@ -228,7 +224,7 @@ def test_what_is_left_out_as_old_is_so_on_all_levels(level: int) -> None:
     old = np.zeros((24, 32), bool)
     old[:, :16] = True
     searched = pyramid._without_skipped(old, ~old, [frame], [pyramid._with_rim(reduced, 16)], level)
-    # sensor px of the middles of the level's blocks
+    # block centres in sensor px
     x0, y0 = pyramid._with_rim(reduced, 16).origin
     rows, columns = (8 * np.arange(n) + 3.5 for n in searched.shape)
     x, y = 2**level * (columns + x0), 2**level * (rows + y0)
@@ -237,7 +233,7 @@ def test_what_is_left_out_as_old_is_so_on_all_levels(level: int) -> None:
     assert left.any()
     assert not searched[np.ix_(inside, left)].any()
     assert searched[np.ix_(inside, right)].all()
-    # and the rim, where nothing is
+    # including the static rim
     assert searched[0].all()
 
 
@@ -250,7 +246,7 @@ def test_a_window_may_jump_while_blocks_are_left_out(jump: tuple[int, int]) -> N
 
 
 def test_no_level_searches_what_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An array of 96 px is found on the first reduced level, unless its blocks are taken for those left out."""
+    """The first reduced level shows a 96 px array unless the search skips the blocks there."""
     found = list[int]()
     for nothing in (False, True):
         if nothing:
@@ -269,7 +265,6 @@ def test_no_level_searches_what_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def blocks_of(slots: Sequence[Frame | None]) -> tuple[int, int]:
-    """Blocks down and across of frames."""
     rows, columns = first_present(slots).pixels.shape
     return -(-rows // 8), -(-columns // 8)
 
@@ -277,7 +272,7 @@ def blocks_of(slots: Sequence[Frame | None]) -> tuple[int, int]:
 @pytest.mark.parametrize("origin", [(0, 1), (3, 2), (5, 7)])
 @pytest.mark.parametrize("rows", range(8, 14))
 def test_frames_that_are_low_are_searched(rows: int, origin: tuple[int, int]) -> None:
-    """A reduced frame begins with an even row: of some a level has nothing left."""
+    """Reduced frames start at an even row; a level may be empty."""
     search, rng = (
         PyramidSearch(replace(SEARCH, cpu_share=1e6), SignalSettings()),
         np.random.default_rng(0),

@@ -1,4 +1,4 @@
-"""Where somebody said an array is: the pose of its corners, and the part of the frames that is searched."""
+"""Given corners or region: initial pose and searched frame area."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -30,7 +30,7 @@ POSES = [
 
 
 def corners_of(pose: Pose) -> Floats:
-    """(4, 2) px of the LED area, clockwise from the array's upper left."""
+    """Return LED area corners (4, 2) in px, clockwise from the upper left."""
     unit = SIDE / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     return np.asarray(unit @ pose.axes.T + [pose.x, pose.y])
 
@@ -54,7 +54,7 @@ def test_an_array_turned_by_more_is_one_turned_by_less_whose_header_is_turned() 
 
 @pytest.fixture
 def searched(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
-    """Parts of the frames that are searched; nothing is found in them."""
+    """Record searched frame areas; the search returns no detections."""
     searched = list[Frame]()
 
     def push(self: PyramidSearch, frame: Frame, tracked: Sequence[Pose]) -> list[Detection]:
@@ -98,7 +98,7 @@ def test_an_array_that_is_followed_is_looked_for_where_it_went(searched: list[Fr
     search.search(third)
     before, during, after = (part.origin[0] + part.pixels.shape[1] for part in searched)
     assert before < 100
-    # an array of 2 * SIDE px, and so much of it about
+    # array size 2 * SIDE px, plus the same margin
     assert during == after == 150 + SIDE + 2 * SIDE * 0.5 + 1
     assert {part.origin for part in searched} == {searched[0].origin}
 
@@ -120,7 +120,7 @@ def test_a_cameras_window_may_leave_the_region(searched: list[Frame]) -> None:
 def test_a_header_turned_by_40_degrees_is_found_with_the_tilt_that_was_given(
     pitch: float, blur: float, off_px: float
 ) -> None:
-    """The second is found in reduced frames."""
+    """The second case uses reduced frames."""
     pose = Pose(100.2, 80.9, pitch, np.radians(40.0), blur, 0.04, -0.02)
     seen = header_film(pose)
     by_hand = corners_of(pose) + off_px * np.array([[1, -1], [0, 1], [1, 0], [-1, -1]])
@@ -131,7 +131,6 @@ def test_a_header_turned_by_40_degrees_is_found_with_the_tilt_that_was_given(
 
 
 def header_film(pose: Pose) -> list[Frame]:
-    """A header of two pairs, and dark frames after it."""
     rng, lit = np.random.default_rng(3), header_levels(7) / 4.0
     shown = [lit, 1 - lit, lit, 1 - lit, *[np.zeros((SIDE, SIDE))] * 4]
     return [frame_of(0.1 + 0.25 * draw(pose, one, (0, 0), (160, 200)), k, rng) for k, one in enumerate(shown)]

@@ -1,4 +1,4 @@
-"""Brightness of LEDs, learnt from decoded data."""
+"""LED brightness estimated from decoded data."""
 
 import numpy as np
 import pytest
@@ -46,14 +46,14 @@ def learnt(gains: Floats, known: int, before: LedGains | None = None, pulled: fl
 
 
 def information_of(led_gains: LedGains) -> Floats:
-    """Information on the brightness of both halves of the pairs."""
+    """Return the brightness information per LED."""
     assert led_gains.data is not None
     return np.asarray(led_gains.data[0].sum(0))
 
 
 @pytest.mark.parametrize(("known", "left"), [(192, 0.16), (256, 0.08)])
 def test_brightness_of_unequal_leds_is_estimated(known: int, left: float) -> None:
-    """Eight pairs of a packet reduce a spread of 0.2, from the layers without the low layer, and from all."""
+    """Eight pairs reduce a spread of 0.2, with all layers known or without the low layer."""
     gains = unequal(0.2)
     assert np.sqrt(np.mean((learnt(gains, known).brightness - gains) ** 2)) < left
 
@@ -69,7 +69,7 @@ def test_dead_leds_are_dark() -> None:
 
 @pytest.mark.parametrize(("known", "pulled"), [(64, 0.0), (256, 0.0), (64, 0.1), (256, 0.1), (256, 0.3)])
 def test_equal_leds_are_equal(known: int, pulled: float) -> None:
-    """Neither noise nor a bright background that has pulled the poses makes a difference."""
+    """Noise, and poses biased by a bright background, leave brightness at 1."""
     assert (learnt(EQUAL, known, pulled=pulled).brightness == 1).all()
 
 
@@ -107,7 +107,7 @@ def test_brightness_stays_without_evidence_of_pairs(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(led_gains, "_without_nuisance", fail)
     after = learnt(unequal(0.2), 256, values_only)
     assert np.array_equal(after.brightness, values_only.brightness)
-    # the packet counts, so learning ends
+    # the packet still counts, so that learning ends
     assert after.packets == 1
 
 
@@ -119,7 +119,7 @@ def test_undecoded_packets_teach_no_brightness() -> None:
 
 @pytest.mark.slow
 def test_the_low_layer_of_unequal_leds_is_read() -> None:
-    """With gains by headers only it is lost in all packets."""
+    """With gains from headers only, the low layer fails in all packets."""
     settings = link("receive.receiver=soft", distance_m=95.0, arrays=[{"x_m": 0.0, "y_m": 0.0, "spread": 0.2}])
     packets = list(receive_frames(film(settings, 301, roi_margin_px=24), settings.signal, settings.receive))
     assert [packet.status for packet in packets] == ["ok"] * 3

@@ -1,4 +1,4 @@
-"""Expectation propagation, compared with the exact probabilities of a few symbols."""
+"""Expectation propagation against exact posteriors for few symbols."""
 
 from itertools import product
 
@@ -16,19 +16,19 @@ ITERATIONS = 12
 
 
 def pair_of(b: Floats, d: Floats) -> PairStatistics:
-    """Statistics of d = B c + n, gain and noise 1."""
+    """Return statistics for d = B c + n with unit gain and noise."""
     return by_matrices(b, d, np.zeros(len(d)))
 
 
 def exact(b: Floats, d: Floats, mean: Floats) -> Floats:
-    """E c of symbols +-1 with prior means, by all values that they can have."""
+    """Return E c for symbols +-1 with prior means, by enumeration."""
     symbols = np.array(list(product((-1.0, 1.0), repeat=b.shape[1])))
     chance = np.prod(0.5 * (1 + symbols * mean), axis=1) * np.exp(-0.5 * ((d - symbols @ b.T) ** 2).sum(1))
     return np.asarray(chance @ symbols / chance.sum())
 
 
 def propagated(b: Floats, d: Floats, mean: Floats, iterations: int) -> Floats:
-    """E c after a number of iterations."""
+    """Return E c after `iterations` iterations."""
     pair, propagation, llr = pair_of(b, d), ExpectationPropagation((1, b.shape[1])), np.zeros_like(mean)
     for _ in range(iterations):
         priors = propagation.priors(mean[None], 1 - mean[None] ** 2)
@@ -79,14 +79,14 @@ def test_dropped_cavities_have_no_effect() -> None:
 
 
 def test_site_moves_by_the_damping() -> None:
-    """Site and cavity together shall have the moments of +-1; the cavity has precision 2 and mean 1/2."""
+    """Cavity with precision 2 and mean 1/2; site and cavity together must match the moments of +-1."""
     propagation = ExpectationPropagation((1, 1))
-    # L L^T is the posterior precision, 2 of the cavity and 1 of the prior
+    # L L^T: posterior precision, 2 from the cavity plus 1 from the prior
     factor = np.full((1, 1), np.sqrt(3), np.float32)
     cavity = Estimate(np.zeros(1), np.ones(1), np.array([1 / 3]), np.arange(1), factor, 0.0)
     propagation.take(0, cavity)
     both = np.tanh(0.5 * 2 * 1.0)
-    # G = mean / variance - G_cavity, and the site began at precision 1 and G 0
+    # G = mean / variance - G_cavity; the site starts at precision 1 and G = 0
     precision, weighted = 1 / (1 - both**2) - 2, both / (1 - both**2) - 1
     at, spread = propagation.priors(np.zeros((1, 1)), np.ones((1, 1)))
     assert 1 / spread[0, 0] == pytest.approx(1 + 0.7 * (precision - 1))

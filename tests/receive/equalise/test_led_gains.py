@@ -1,4 +1,4 @@
-"""Gains of LEDs, learnt from headers."""
+"""LED gains estimated from headers."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def learnt(
 
 
 def failed() -> tuple[Floats, Floats]:
-    """Gains of an array with a dead LED, a stuck LED and a hidden corner; and the light of the stuck LED."""
+    """Return gains with a dead LED, a stuck LED and a hidden corner, and the stuck LED's light."""
     gains, stuck = SOUND.copy(), np.zeros((SIDE, SIDE))
     gains[2, 3] = gains[10, 12] = 0.0
     gains[12:, :4] = 0.0
@@ -75,7 +75,7 @@ def test_sound_leds_are_sound() -> None:
 
 @pytest.mark.parametrize("factor", [0.3, 0.6, 1.6, 3.5])
 def test_gains_are_relative_to_the_median_led(factor: float) -> None:
-    """For any expected gain, sound LEDs have the gain 1, and the gain is that of sound LEDs."""
+    """For any expected gain, intact LEDs have gain 1 and define the array gain."""
     gains, stuck = failed()
     led_gains, gain, _ = learnt(gains, stuck, factor * 200)
     assert gain == pytest.approx(200, rel=0.06)
@@ -84,7 +84,7 @@ def test_gains_are_relative_to_the_median_led(factor: float) -> None:
 
 
 def test_headers_add_up_and_fade() -> None:
-    """Statistics of headers add up; with each packet earlier headers count half."""
+    """Header statistics add up; each packet halves the weight of earlier headers."""
     first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0)[0]
     both = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, first, seed=5)[0]
     assert first.headers is not None
@@ -100,10 +100,10 @@ def test_headers_add_up_and_fade() -> None:
 
 
 def test_a_change_forgets_earlier_headers() -> None:
-    """The pose came from a wrong image, so the pair is evaluated again."""
+    """The pose came from an incorrect image, so the pair is evaluated again."""
     gains, stuck = failed()
     first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0)[0]
-    # a header fewer stands against a new one, so that the failure shows at once
+    # three faded packets let a new header override the history at once
     led_gains, _, changed = learnt(gains, stuck, 200.0, first.faded().faded().faded())
     assert changed
     assert led_gains.headers is None

@@ -1,4 +1,4 @@
-"""Information in LLRs."""
+"""Mutual information from LLRs."""
 
 import numpy as np
 import pytest

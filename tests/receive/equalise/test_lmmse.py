@@ -1,4 +1,4 @@
-"""The equaliser, against whole matrices."""
+"""LMMSE equaliser against dense matrices."""
 
 from collections.abc import Sequence
 
@@ -18,11 +18,10 @@ from heliograph.receive.observe.statistics import whiten
 Floats = NDArray[np.float64]
 
 KNOWN = 1e-3
-"""Variance below which a symbol counts as known."""
+"""Symbols with a smaller variance count as known."""
 
 
 def pair_at_rest(distance_m: float) -> WholePair:
-    """A pair of an array at rest."""
     poses = moving(distance_m, 0.0, (0.0, 0.0))
     return WholePair(poses, pair_of(poses, random_levels()[1]), Noise(4.0, 4.0))
 
@@ -50,7 +49,7 @@ def test_products_before_the_light_of_symbols(motion: tuple[float, float], unkno
     which, images = np.sort(rng.permutation(SYMBOLS)[:unknown]), rng.normal(size=(7, *whole.cutout.shape))
     got = products(whitened, images, which, scale)
     flat = images.reshape(7, -1)
-    # B by the symbols' correlations with single pixels, B^T B as the statistics have it
+    # B from correlations with unit images, B^T B from the statistics
     pixels = np.eye(flat.shape[1]).reshape(-1, *whole.cutout.shape)
     b = whitened.correlate(pixels).T[:, which]
     gram = whitened.statistics.gram[np.ix_(which, which)].astype(np.float64)
@@ -62,10 +61,10 @@ def test_products_before_the_light_of_symbols(motion: tuple[float, float], unkno
 
 
 def priors(kind: str) -> tuple[Floats, Floats]:
-    """Prior mean and variance of each symbol."""
+    """Return prior mean and variance per symbol."""
     rng = np.random.default_rng(6)
     mean = {"nothing": np.zeros(SYMBOLS), "something": np.tanh(rng.normal(0, 1.5, SYMBOLS))}.get(kind)
-    if mean is None:  # the high layer is known
+    if mean is None:  # high layer known
         mean = np.where(np.arange(SYMBOLS) < SYMBOLS // 4, random_levels()[0], 0.0)
     return mean, np.where(np.abs(mean) == 1, 0.0, np.maximum(1 - mean**2, 2 * KNOWN))
 
@@ -89,13 +88,13 @@ def test_the_estimate_is_linear_mmse(distance_m: float, kind: str) -> None:
     assert not got.llr[~open_].any()
     trace = float(np.trace(b.T @ (w[:, None] * b) @ want.covariance))
     assert got.trace == pytest.approx(trace, rel=2e-3)
-    # most symbols of the best layer are right
+    # most symbols in the best layer are correct
     assert np.mean((got.llr > 0) == (symbols > 0), where=open_) > 0.6
 
 
 @pytest.mark.parametrize("kind", ["nothing", "something", "the high layer"])
 def test_extrinsic_gaussian_excludes_the_prior(kind: str) -> None:
-    """With the prior of the symbol it is the posterior."""
+    """Extrinsic Gaussian times prior gives the posterior."""
     mean, variance = priors(kind)
     pair = whiten(pair_at_rest(80).cutout, Noise(4.0, 4.0), SIDE).statistics
     got = equalise(pair, GAIN, 4.0, mean, variance)

@@ -1,4 +1,4 @@
-"""Soft decisions on polarities of the single mode, compared with exact sums."""
+"""Soft polarity decisions in single mode against exact sums."""
 
 from itertools import product
 
@@ -17,13 +17,10 @@ SMALL = PacketFormat(SignalSettings(side=8, data_pairs=21), Format(mode="single"
 
 
 def by_hand(llr: Floats, mean: Floats) -> tuple[Floats, Floats]:
-    """A row of 4 symbols, polarity first: LLRs of its data and priors of its symbols, over all polarities and data.
-
-    Messages are extrinsic.
-    """
+    """Return extrinsic data LLRs and symbol priors for a row of 4 symbols by enumeration; polarity comes first."""
 
     def odds(symbol: int | None, datum: int | None) -> Floats:
-        """Sum of the probabilities for symbol (or datum) = +1 and -1."""
+        """Return total probabilities for symbol (or datum) = +1 and -1."""
         total = np.zeros(2)
         for s, *d in product((1, -1), repeat=4):
             values = [s, *(s * one for one in d)]
@@ -55,7 +52,7 @@ def test_messages_are_those_of_exact_sums() -> None:
         assert high[pattern, row] == pytest.approx(expected, abs=1e-9)
         assert mean[pattern, :16].reshape(4, 4)[row] == pytest.approx(prior, abs=1e-9)
     assert variance[:, :16] == pytest.approx(1 - mean[:, :16] ** 2, abs=1e-9)
-    # row 0 has no polarity: symbols are data, and the first symbol carries no datum
+    # row 0 has no polarity: symbols equal data, and the first symbol carries no datum
     assert high[:, 0] == pytest.approx(llr[:, 1:4])
     assert mean[:, 1:4] == pytest.approx(means[0][:, :3])
     assert np.all(mean[:, 0] == 0)
@@ -63,7 +60,7 @@ def test_messages_are_those_of_exact_sums() -> None:
 
 
 def test_a_polarity_once_known_stays_known() -> None:
-    """The equaliser gives no LLRs of known symbols."""
+    """The equaliser gives no LLRs for known symbols."""
     mapper = SymbolMapper(SMALL)
     llr = np.full((42, 64), 30.0)
     none = [np.zeros((42, n)) for n in (12, 32, 16)]

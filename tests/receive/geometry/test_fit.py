@@ -1,4 +1,4 @@
-"""The fit of the array's image: right on average, as sharp as the noise allows, with a true covariance."""
+"""Pose fit: unbiased, efficient, with a consistent covariance."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ BROAD = np.diag([1.0, 1.0, 0.1, 0.1, 0.3]) ** 2
 
 
 def window(pose: Pose) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Corner and shape of the pixels the tracker fits."""
+    """Return corner and shape of the tracker's fit window."""
     x, y, cols, rows = window_around(pose, SIDE, 1.5 * pose.pitch + 1.5)
     return (x, y), (rows, cols)
 
@@ -35,7 +35,7 @@ def pixels(pose: Pose, weights: Floats) -> Floats:
 
 
 def start(pose: Pose, rng: np.random.Generator) -> Fit:
-    """A prior that is off by 0.3 px and a few percent, as its covariance says."""
+    """Draw a prior with errors of 0.3 px and a few percent, consistent with its covariance."""
     return Fit(pose.vector() + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1]), BROAD)
 
 
@@ -48,7 +48,7 @@ def error(found: Fit, pose: Pose) -> Floats:
 
 
 def bound(pose: Pose, weights: Floats, sigma: float) -> Floats:
-    """Cramer-Rao bound of the pose's standard deviations: gain and a plane of background unknown, the prior known."""
+    """Return Cramer-Rao bounds for the pose: gain and background plane unknown, prior known."""
     corner, shape = window(pose)
 
     def image(v: Floats) -> Floats:
@@ -69,7 +69,7 @@ def bound(pose: Pose, weights: Floats, sigma: float) -> Floats:
 def test_clean_image_gives_the_pose(distance_m: float, kind: str) -> None:
     rng, pose = np.random.default_rng(3), Pose(40.37, 31.81, pitch_at(distance_m), 0.015, 0.55)
     found = fit(pixels(pose, PATTERNS[kind]), pose, PATTERNS[kind], start(pose, rng))
-    # the rest is by the light beyond 4 standard deviations and by the prior
+    # residual bias: light beyond 4 standard deviations, and the prior
     assert np.abs(error(found, pose))[:2].max() < 1e-3
     assert abs(error(found, pose)[2]) < 5e-3
     assert found.score > 0.9999
@@ -99,7 +99,7 @@ def test_errors_are_near_the_bound_and_match_the_covariance(distance_m: float, k
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     least = bound(Pose(40.5, 31.5, pitch_at(distance_m), 0.0, 0.55), weights, sigma)
     assert (rms[:3] < 2 * least[:3]).all()
-    # of two degrees of freedom
+    # chi-square with two degrees of freedom
     assert 1.0 < np.mean(normed) < 4.0
 
 
@@ -113,7 +113,7 @@ def test_bright_clutter_beside_the_panel_does_not_pull(distance_m: float, scene:
         "wall": np.full(shape, 2 * GAIN),
         "lamp": 2 * GAIN * (np.hypot(x - 10.5 * pose.pitch, y) < 3 * pose.pitch),
     }[scene]
-    # the dark panel, a pitch beyond the cells of the outer LEDs, hides it
+    # the dark panel, one pitch beyond the outer LEDs, hides the clutter
     panel = np.prod([ndtr((9 * pose.pitch - np.abs(t)) / 0.6) for t in (x, y)], axis=0)
     light = GAIN * draw(pose, ALL_ON, (x0, y0), shape) + 5 + clutter * (1 - panel)
     off = np.array([0.2, -0.15, 0.01, 0.0, 0.05])
@@ -148,12 +148,12 @@ def test_a_light_that_is_not_as_expected_does_not_end_the_fit_early(distance_m: 
 
 @pytest.mark.parametrize("panel", [False, True])
 def test_with_the_gain_expected_the_first_step_comes_near(panel: bool) -> None:
-    """With a pose that is a little off, only the expected gain gives the brightness of the image."""
+    """For a slightly wrong pose, image brightness follows only from the expected gain."""
     pose = Pose(40.37, 31.81, pitch_at(60), 0.0, 0.55)
     off = np.array([0.2, -0.15, 0.005, 0.0, 0.02])
     prior = Fit(pose.vector() + off, np.diag([0.5, 0.5, 0.02, 0.02, 0.1]) ** 2, GAIN)
     found = fit_array(pixels(pose, ALL_ON), window(pose)[0], prior, ALL_ON, 1, panel=panel)
-    # the rest is of the second order in the step
+    # remaining error is second-order in the step
     assert np.abs(error(found, pose))[:2].max() < 0.1 * 0.2
     assert found.gain == pytest.approx(GAIN, rel=0.02)
 
@@ -173,21 +173,21 @@ def test_prior_holds_without_an_array() -> None:
 
 
 def test_poses_are_found_within_their_covariance_but_for_one_percent_of_near_arrays() -> None:
-    """The fit may settle on neighbouring LEDs at a pitch above 2 px: 22 of 4600 draws; below it 2 exceed the bound."""
+    """Above 2 px pitch the fit may lock onto neighbouring LEDs: 22 of 4600 draws; below 2 px, 2 exceed the bound."""
     outside = list[float]()
     for seed in range(600, 1200):
         rng, kind = np.random.default_rng(seed), sorted(PATTERNS)[seed % 2]
         # x, y, pitch, roll, blur, stretch and shear
         low, high = (39, 30, 0.5, -3, 0.4, -0.1, -0.1), (41, 32, 2.5, 3, 1.0, 0.1, 0.1)
         pose = Pose(*rng.uniform(low, high).tolist())
-        # below a fifth of a pitch, so that most single LEDs do not match the neighbours
+        # below a fifth of a pitch, so that few LEDs match a neighbour
         spread = np.array([0.07 * pose.pitch, 0.07 * pose.pitch, 0.007, 0.007, 0.1, 0.007, 0.007])
         prior = Fit(pose.full_vector() + rng.normal(0, spread), np.diag(spread**2))
         clean = pixels(pose, PATTERNS[kind])
         found = fit(clean + rng.normal(0, 2.5, clean.shape), pose, PATTERNS[kind], prior)
         off = found.vector - pose.full_vector()
         assert found.score > 0.9
-        # of seven degrees of freedom: noise alone passes 30 once in 10000 draws
+        # seven degrees of freedom: P(chi-square > 30) = 1e-4
         if off @ np.linalg.solve(found.covariance, off) >= 30:
             outside.append(pose.pitch)
     assert len(outside) <= 6
@@ -195,7 +195,7 @@ def test_poses_are_found_within_their_covariance_but_for_one_percent_of_near_arr
 
 
 def test_the_covariance_is_as_true_with_few_pixels_as_with_many() -> None:
-    """A fit of nine parameters to 49 pixels leaves the noise of 40."""
+    """Nine parameters from 49 pixels leave 40 degrees of freedom."""
     rng, pose, sigma = np.random.default_rng(9), Pose(40.1, 30.9, pitch_at(150), 0.0, 0.55), 2.5
     ratios = []
     for corner, shape in (((37, 28), (7, 7)), ((25, 16), (30, 31))):
@@ -203,21 +203,21 @@ def test_the_covariance_is_as_true_with_few_pixels_as_with_many() -> None:
         prior = Fit(pose.vector(), np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]) ** 2)
         found = [fit_array(clean + rng.normal(0, sigma, shape), corner, prior, HEADER, 2) for _ in range(200)]
         stated = np.mean([1 / one.covariance[0, 0] for one in found])
-        # information on x and y of pixels of the noise sigma, gain and a plane unknown
+        # Fisher information on x and y; gain and plane are unknown
         steps = [draw(pose.moved(*d), HEADER, corner, shape) for d in ((1e-4, 0), (-1e-4, 0), (0, 1e-4), (0, -1e-4))]
         slopes = [GAIN * (steps[0] - steps[1]) / 2e-4, GAIN * (steps[2] - steps[3]) / 2e-4]
         rows, cols = np.mgrid[: shape[0], : shape[1]].astype(float)
         columns = np.stack([*slopes, clean, np.ones(shape), rows, cols]).reshape(6, -1)
         ratios.append(stated * np.linalg.inv(columns @ columns.T / sigma**2)[0, 0])
     assert ratios[0] == pytest.approx(ratios[1], rel=0.1)
-    # robust weights and rounding cost a little
+    # small loss through robust weights and rounding
     assert ratios[1] == pytest.approx(1, abs=0.25)
 
 
 def posterior_gain(light: Floats, columns: Floats, mean: float, spread: float) -> tuple[float, float]:
-    """The gain that pixels and an expected one give by inverse variances, and that of the pixels alone.
+    """Return the gain from pixels and prior by inverse variances, and the least-squares gain from pixels.
 
-    The pixels' own is their least squares gain, residuals weighed by Tukey's biweight of 95 % efficiency.
+    Tukey's biweight with 95 % efficiency weights the residuals.
     """
     linear = np.linalg.lstsq(columns.T, light, rcond=None)[0]
     for _ in range(30):
@@ -226,7 +226,7 @@ def posterior_gain(light: Floats, columns: Floats, mean: float, spread: float) -
         far = residual / (4.685 * np.median(np.abs(residual)) / 0.6745)
         weighed = columns * np.where(np.abs(far) < 1, (1 - far**2) ** 2, 0)
         weight = weighed[1] / columns[1]
-        # gain, plane and five of the pose are fitted
+        # nine fitted parameters: gain, plane and five pose parameters
         noise = weight @ residual**2 / (weight.sum() - 9)
         spreads = np.linalg.inv(weighed @ columns.T)
         own = spreads @ (weighed @ light)
@@ -238,9 +238,9 @@ def posterior_gain(light: Floats, columns: Floats, mean: float, spread: float) -
 
 
 def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> None:
-    """A far array in strong noise with a known pose hardly shows the gain.
+    """A far array in strong noise with a known pose hardly constrains the gain.
 
-    The gain from pixels varies by 145 gray levels, so each draw has a separate reference.
+    The pixel-only gain varies by 145 gray levels, so each draw has a separate reference.
     """
     rng, pose, sigma = np.random.default_rng(6), Pose(40.37, 31.81, pitch_at(150), 0.0, 0.55), 660.0
     corner, shape = window(pose)
@@ -250,11 +250,11 @@ def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> Non
     prior = Fit(pose.vector(), 1e-8 * np.eye(5), expected)
     for _ in range(20):
         light = pixels(pose, ALL_ON) + rng.normal(0, sigma, shape)
-        # half of the expected gain is its standard deviation
+        # the gain prior has a standard deviation of half the expected gain
         want, own = posterior_gain(light.ravel(), columns, expected, 0.5 * expected)
         assert fit_array(light, corner, prior, ALL_ON, 12).gain == pytest.approx(want, rel=0.005)
         shares.append((want - expected) / (own - expected))
-    # both have weight
+    # prior and pixels both contribute
     assert 0.4 < np.mean(shares) < 0.7
 
 
@@ -274,7 +274,7 @@ def test_machine_code_fits_as_the_reference(seed: int, panel: bool, tilted: bool
     corner, shape = window(pose)
     weights = ALL_ON if panel else HEADER
     image = GAIN * draw(pose, weights, corner, shape) + LEVEL + rng.normal(0, 2, shape)
-    image[3:6, 4:9] += 60  # something that stands before it
+    image[3:6, 4:9] += 60  # foreground clutter
     spread = BROAD if not tilted else np.diag([*np.diag(BROAD), 0.05**2, 0.05**2])
     prior = pose.full_vector()[: 7 if tilted else 5] + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1, 0, 0])[: len(spread)]
     margins = list(FIT.panel_margins) if panel else []
@@ -282,14 +282,14 @@ def test_machine_code_fits_as_the_reference(seed: int, panel: bool, tilted: bool
         image, corner, weights, margins, prior, np.linalg.inv(spread), gain, steps := 4
     )
     got = fit_array(image, corner, Fit(prior, spread, gain), weights, steps, panel)
-    # the machine code leaves out light beyond 4 standard deviations
+    # the kernel truncates light beyond 4 standard deviations
     assert got.vector == pytest.approx(vector, abs=2e-3)
     assert got.gain == pytest.approx(linear[0], rel=2e-3)
     assert got.covariance == pytest.approx(np.linalg.inv(matrix)[: len(spread), : len(spread)], rel=0.05, abs=1e-7)
 
 
 def test_images_drawn_near_a_pose_stand_for_it() -> None:
-    """An array drifts by a twentieth of a pixel a pair; its images are drawn once in a while, and poses stay right."""
+    """The pose stays accurate while a cached image serves an array drifting by 0.05 px per pair."""
     rng, drawn, spread = np.random.default_rng(9), RenderCache(), np.diag([0.01, 0.01, 4e-4, 4e-4, 0.01]) ** 2
     first, off, redrawn = Pose(30.2, 28.7, 1.6, 0.015, 0.55), [], 0
     for k in range(24):

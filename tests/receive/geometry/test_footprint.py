@@ -1,4 +1,4 @@
-"""Footprints of LEDs: a blur matrix in two arrays, against the matrix itself."""
+"""Separable LED footprints against the dense blur matrix."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 SHAPE = (40, 44)
 CUT = 5e-4
-"""Part of an LED's light beyond 4 standard deviations, both axes."""
+"""Light fraction beyond 4 standard deviations in x and y."""
 
 POSES = [
     Pose(21.3, 19.6, pitch_at(100), 0.0, 0.51),
@@ -24,7 +24,7 @@ POSES = [
     Pose(21.0, 18.9, 1.9, -0.4, 0.9),
     Pose(3.0, 38.0, 1.1, 0.1, 0.6),
 ]
-"""The last lies partly beyond the window."""
+"""The last pose lies partly outside the window."""
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.05])
@@ -47,7 +47,7 @@ def test_footprints_are_the_blur_matrix(pose: Pose) -> None:
 @pytest.mark.parametrize("motion", [(0.0, 0.0), (0.3, 0.0), (0.1, 0.6)])
 @pytest.mark.parametrize("pose", POSES)
 def test_images_of_leds_in_motion(pose: Pose, motion: tuple[float, float]) -> None:
-    """A motion along x and y makes the blur wider along these."""
+    """Motion along x and y widens the blur."""
     levels = np.random.default_rng(2).random((SIDE, SIDE))
     light = footprints(pose, (3, 2), SHAPE, SIDE, motion)
     want = (reference.blur_matrix(pose, SIDE, (3, 2), SHAPE, motion) @ levels.ravel()).reshape(SHAPE)
@@ -69,7 +69,7 @@ def test_quarters_of_leds_and_back(side: int) -> None:
     grid = np.arange(side * side, dtype=float).reshape(side, side)
     ordered = to_quarters(grid)
     assert np.array_equal(to_grid(ordered), grid)
-    # the first LED of each square, then the one to its right
+    # first the upper left LED in each 2 x 2 square, then the upper right LED
     assert ordered[:2].tolist() == [0, 2]
     assert ordered[side * side // 4 :][:2].tolist() == [1, 3]
 

@@ -1,4 +1,4 @@
-"""Compiled kernels of images, compared with the slow reference."""
+"""Rendering kernels against the NumPy reference."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ POSES = [
 
 
 def some_pose(rng: np.random.Generator) -> Pose:
-    """Inside, partly outside or beyond a window of 40 x 50 px."""
+    """Draw a pose inside, partly outside or beyond a 40 x 50 px window."""
     return Pose(
         float(rng.uniform(-20, 70)),
         float(rng.uniform(-20, 60)),
@@ -40,7 +40,7 @@ def test_render_is_the_sum_of_gaussians(seed: int) -> None:
     pose, weights, corner = some_pose(rng), rng.uniform(-1, 1, (16, 16)), (3.0, -5.0)
     got, want = np.empty((6, 40, 50)), reference.render(pose.vector(), weights, corner, (40, 50))
     kernels.render(pose.vector(), weights, *corner, got, 0.0, 0.0)
-    # an LED's light is cut at 4 standard deviations
+    # the kernel truncates LED images at 4 standard deviations
     around = (np.floor(pose.x) - 80, np.floor(pose.y) - 80)
     scale = np.abs(reference.render(pose.vector(), weights, around, (160, 160))).max(axis=(1, 2))
     error = np.abs(got - want).max(axis=(1, 2)) / scale
@@ -65,7 +65,7 @@ def test_tilted_arrays_and_their_derivatives(seed: int, smear: tuple[float, floa
     box, square = np.empty((6, 40, 50)), reference.render_box(vector, 9.0, (0.0, 0.0), (40, 50), smear)
     kernels.render_box(vector, 9.0, 0.0, 0.0, box, *smear)
     assert np.abs(box[0] - square[0]).max() < 2e-4
-    # the kernel neglects the change of a smeared edge with the roll
+    # the kernel neglects how roll changes a smeared edge
     known = [1, 2, 3, 4] if smear == (0.0, 0.0) else [1, 2, 3]
     assert np.abs(box[known] - square[known]).max() < 1e-2
 
@@ -98,7 +98,7 @@ def test_the_total_light_is_that_of_the_leds(pitch: float, roll: float, blur: fl
     got = np.empty((6, 90, 90))
     kernels.render(Pose(44.3, 45.1, pitch, roll, blur).vector(), ALL_ON, 0.0, 0.0, got, 0.0, 0.0)
     assert got[0].sum() == pytest.approx(256 * pitch**2, rel=2e-4)
-    # moving or turning the array keeps it; it grows with the square of the pitch
+    # total light is invariant to motion and rotation, and grows with the squared pitch
     assert np.abs(got[[1, 2, 4, 5]].sum(axis=(1, 2))).max() < 1e-2 * 256 * pitch**2
     assert got[3].sum() == pytest.approx(2 * 256 * pitch**2, rel=1e-2)
 
@@ -110,7 +110,7 @@ def test_box_is_the_blurred_square(seed: int, half: float) -> None:
     pose, corner = some_pose(rng), (3.0, -5.0)
     got, want = np.empty((6, 40, 50)), reference.render_box(pose.vector(), half, corner, (40, 50))
     kernels.render_box(pose.vector(), half, *corner, got, 0.0, 0.0)
-    # an edge is cut at 4 standard deviations too
+    # edges are truncated at 4 standard deviations too
     slope = 2e-4 / np.hypot(pose.blur, np.sqrt(1 / 12))
     assert np.abs(got[0] - want[0]).max() < 1e-4
     assert np.abs(got[1:3] - want[1:3]).max() < 2 * slope
@@ -121,7 +121,7 @@ def test_box_is_the_blurred_square(seed: int, half: float) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_median_is_numpy_s(seed: int) -> None:
-    """Bit by bit, for few, many equal, sorted and infinite numbers."""
+    """Bit-exact for few, equal, sorted and infinite values."""
     rng = np.random.default_rng(seed)
     for count in (1, 2, 3, 4, 5, 16, 99, 1000):
         for values in (rng.normal(size=count), rng.integers(0, 3, count).astype(float), np.arange(count) * -1.0,

@@ -1,4 +1,4 @@
-"""The eight orientations of a square, and poses of turned arrays."""
+"""The eight orientations of a square, and poses in rotated views."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_turns_are_clockwise_and_come_after_the_mirror() -> None:
     assert Orientation(1).turned(corner).tolist() == [[0, 1], [0, 2]]
     assert Orientation(0, True).turned(corner).tolist() == [[2, 1], [0, 0]]
     assert Orientation(1, True).turned(corner).tolist() == [[0, 2], [0, 1]]
-    # y goes down: points right of the centre move below
+    # y points down: a clockwise rotation moves right to below
     assert (Orientation(1).matrix @ [1, 0]).tolist() == [0, 1]
 
 
@@ -39,7 +39,7 @@ def test_names() -> None:
 def test_they_are_a_group(one: Orientation, other: Orientation) -> None:
     (both,) = [found for found in ORIENTATIONS if np.array_equal(found.matrix, one.matrix @ other.matrix)]
     assert np.array_equal(one.turned(other.turned(IMAGE)), both.turned(IMAGE))
-    # turns add up, and a mirror before them runs them backwards
+    # rotations add; a preceding reflection reverses the first
     turns = one.turns + (-other.turns if one.mirrored else other.turns)
     assert both == Orientation(turns % 4, one.mirrored != other.mirrored)
     (back,) = [found for found in ORIENTATIONS if np.array_equal(found.matrix @ one.matrix, np.eye(2))]
@@ -52,7 +52,7 @@ def test_they_are_a_group(one: Orientation, other: Orientation) -> None:
 def test_a_pose_turned_out_has_its_leds_where_the_camera_sees_them(
     orientation: Orientation, level: int, pose: Pose
 ) -> None:
-    """Vectors of the upright image go to those of the turned one, and LEDs change places as pixels do."""
+    """Vectors map from the upright to the rotated image, and LEDs permute as pixels do."""
     view = View(level, orientation)
     out = view.pose_out(pose)
     places = 2**level * pose.leds(4) @ orientation.matrix.T

@@ -1,4 +1,4 @@
-"""The pose: its vectors, its axes and the points of its LEDs agree."""
+"""Pose: vector form, axes and LED positions are consistent."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_leds_are_an_axis_apart_about_the_centre(pose: Pose, side: int) -> None:
     leds = pose.leds(side)
     assert leds.shape == (side, side, 2)
     assert leds.mean((0, 1)) == pytest.approx([pose.x, pose.y], abs=1e-9)
-    # along a row u is kept and v rises, along a column the other way round
+    # v increases along rows, u along columns
     assert np.allclose(np.diff(leds, axis=1), pose.axes[:, 0])
     assert np.allclose(np.diff(leds, axis=0), pose.axes[:, 1])
 
@@ -40,11 +40,11 @@ def test_leds_are_an_axis_apart_about_the_centre(pose: Pose, side: int) -> None:
 @examples(200)
 @given(pose=poses())
 def test_axes_are_a_rotated_symmetric_map(pose: Pose) -> None:
-    # pitch R(roll) [[1 + stretch, shear], [shear, 1 - stretch]], R clockwise in an image whose rows go down
+    # pitch R(roll) [[1 + stretch, shear], [shear, 1 - stretch]], R clockwise with y down
     c, s = np.cos(pose.roll), np.sin(pose.roll)
     form = np.array([[c, s], [-s, c]]) @ pose.axes / pose.pitch
     assert form == pytest.approx(np.array([[1 + pose.stretch, pose.shear], [pose.shear, 1 - pose.stretch]]), abs=1e-12)
-    # the pitch is the mean of the longest and the shortest step
+    # pitch is the mean of the extreme singular values
     longest, shortest = np.linalg.svd(pose.axes, compute_uv=False)
     assert 0.5 * (longest + shortest) == pytest.approx(pose.pitch)
 
@@ -53,7 +53,7 @@ def test_axes_are_a_rotated_symmetric_map(pose: Pose) -> None:
 @given(pose=poses())
 def test_the_frontal_pitch_is_the_longest_step_less_what_noise_makes_of_it(pose: Pose) -> None:
     longest = np.linalg.svd(pose.axes, compute_uv=False)[0]
-    # a header's fit finds a tilt of 0.004 where there is none
+    # header fits have a tilt bias of 0.004
     assert pose.pitch <= pose.frontal_pitch <= longest + 1e-12
     assert longest - pose.frontal_pitch <= 0.0041 * pose.pitch
     assert Pose(0, 0, 2.0, stretch=0.003, shear=0.002).frontal_pitch == 2.0
@@ -67,7 +67,7 @@ def test_moved_and_midway(a: Pose, b: Pose, dx: float, dy: float) -> None:
     middle = Pose.midway(a, b)
     assert values(middle) == pytest.approx(values(Pose.midway(b, a)), rel=1e-12, abs=1e-12)
     assert (middle.x, middle.y) == pytest.approx(((a.x + b.x) / 2, (a.y + b.y) / 2), abs=1e-9)
-    # pitch and blur are averaged as logarithms
+    # geometric means
     assert middle.pitch**2 == pytest.approx(a.pitch * b.pitch)
     assert middle.blur**2 == pytest.approx(a.blur * b.blur)
     assert values(Pose.midway(a, a)) == pytest.approx(values(a), rel=1e-12, abs=1e-12)

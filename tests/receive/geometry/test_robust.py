@@ -1,4 +1,4 @@
-"""Measures of images."""
+"""Robust statistics."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ def test_spread_of_a_gaussian_whatever_a_tenth_of_it_is(shape: tuple[int, ...]) 
     values = np.random.default_rng(0).normal(0, 3.0, shape)
     assert robust_std(values) == pytest.approx(3.0, rel=0.02)
     values.ravel()[::10] = 1e6
-    # 5/9 of the others lie below the median then: Phi^-1(7/9) / Phi^-1(3/4)
+    # contamination: 5/9 of the remaining values lie below the median, Phi^-1(7/9) / Phi^-1(3/4)
     assert robust_std(values) == pytest.approx(3.0 * 1.1338, rel=0.03)
 
 

@@ -1,4 +1,4 @@
-"""Frames and poses as an array's receiver sees them."""
+"""Oriented views: frames and poses in an array's coordinates."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Windows around an array, and cut-outs of frames."""
+"""Windows around an array, and frame cut-outs."""
 
 import numpy as np
 import pytest
@@ -12,12 +12,12 @@ from heliograph.receive import Pose
 from heliograph.receive.geometry.window import common, covered, cut_out, plane, window_around
 
 SENSOR = np.random.default_rng(0).integers(0, 256, (60, 70)).astype(np.uint8)
-"""Pixels of the sensor; frames are windows."""
+"""Sensor image; frames are windows."""
 
 
 @st.composite
 def frames(draw: st.DrawFn) -> Frame:
-    """A window of the sensor, 3 pixels wide and high at least."""
+    """Draw a sensor window with at least 3 x 3 pixels."""
     left, top = draw(st.integers(0, 40)), draw(st.integers(0, 40))
     right, low = draw(st.integers(left + 3, 70)), draw(st.integers(top + 3, 60))
     return Frame(0, 0.0, SENSOR[top:low, left:right], 8, (left, top))
@@ -39,7 +39,7 @@ def test_window_holds_the_array(roll: float) -> None:
 @given(pose=poses(), side=st.sampled_from([4, 8, 16]), margin=st.floats(0, 9))
 def test_window_holds_all_leds_and_the_margin_and_no_more(pose: Pose, side: int, margin: float) -> None:
     x, y, cols, rows = window_around(pose, side, margin)
-    # the squares of the outer LEDs, half a step beyond their centres
+    # outer LED cells extend half a step beyond the LED centres
     corners = pose.leds(side)[[0, 0, -1, -1], [0, -1, 0, -1]] - (pose.x, pose.y)
     corners = corners * side / (side - 1) + (pose.x, pose.y)
     least, most = corners.min(0) - margin, corners.max(0) + margin
@@ -62,7 +62,7 @@ def test_cut_out_is_a_slice_whose_border_repeats(frame: Frame, window: tuple[int
         assert got[i, j] == SENSOR[min(max(y + i, top), low), min(max(x + j, left), right)]
     if x >= left and y >= top and x + cols <= left + width and y + rows <= top + height:
         assert np.array_equal(got, SENSOR[y : y + rows, x : x + cols])
-        # a copy: a receiver that writes to it leaves the frame as it is
+        # a copy: receivers may write to cut-outs
         assert not np.shares_memory(got, frame.pixels)
 
 

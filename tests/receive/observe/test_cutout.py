@@ -1,4 +1,4 @@
-"""Cut-outs of pairs, and compensation of background motion."""
+"""Pair cut-outs and background motion compensation."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ def test_a_cutout_holds_sum_and_difference_about_the_array() -> None:
     poses = moving(80, 0.02, (0.12, -0.2))
     pair = pair_of(poses, random_levels()[1], noise=2.0)
     cutout = take_cutout(pair, poses, SIDE)
-    # the rim with light of the LEDs and a ring around, 2 px each
+    # 2 px margin for LED light and a 2 px ring
     x, y, cols, rows = window_around(Pose.midway(*poses), SIDE, 4.0)
     assert (cutout.corner, cutout.shape) == ((x, y), (rows, cols))
     up, down = (frame.pixels[y : y + rows, x : x + cols] for frame in (pair.pattern, pair.inverted))
@@ -68,7 +68,7 @@ def test_poses_are_corrected_by_an_error() -> None:
 
 
 def test_background_motion_is_compensated() -> None:
-    """A bright edge moves by a third of a pixel between the frames; the data are unchanged."""
+    """A bright edge moves by a third of a pixel between frames; data are unchanged."""
     symbols = symbols_of(random_blocks(1))[:1].astype(np.int8)
     rng, x = np.random.default_rng(5), haar.encode(FORM.join(symbols))[0] / 4.0
     pose, grid = Pose(30.3, 29.8, pitch_at(80), 0.0, 0.51), np.arange(60)
@@ -84,10 +84,9 @@ def test_background_motion_is_compensated() -> None:
     rows, columns = (slice(c, c + n) for c, n in zip(reversed(cutout.corner), cutout.shape, strict=True))
     sent = (ideal[0] - ideal[1])[rows, columns]
     before, after = (np.sqrt(((part.difference - sent) ** 2).mean()) for part in (cutout, compensated))
-    # the sensor's noise alone is 1.8 gray levels
+    # sensor noise: 1.8 gray levels
     assert before > 3.5
     assert after < 2.2
-    # the same if compensated later
     # a single frame has no motion
     single = replace(cutout, poses=poses[:1])
     assert single.motion_compensated(0.6 * 255, ALL_ON) is single

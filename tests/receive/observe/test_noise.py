@@ -1,4 +1,4 @@
-"""Noise of a packet, inside the array and in the background."""
+"""Packet noise inside the array and in the background."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 def noisy(pair: FramePair, sigma: Floats, rng: np.random.Generator) -> FramePair:
-    """A pair whose pixels have noise of standard deviations (rows, columns)."""
+    """Add noise with standard deviations (rows, columns) to a pair."""
     up, down = (
         replace(frame, pixels=frame.pixels + rng.normal(0, sigma))  # type: ignore[arg-type]
         for frame in (pair.pattern, pair.inverted)
@@ -28,7 +28,7 @@ def noisy(pair: FramePair, sigma: Floats, rng: np.random.Generator) -> FramePair
     return FramePair(up, down)
 
 
-# without the effect of motion the estimate would be 12.3 instead of 8 at 60 m
+# without motion correction the estimate at 60 m would be 12.3 instead of 8
 @pytest.mark.parametrize(("motion", "error"), [((0.0, 0.0), 0.06), ((0.05, 0.1), 0.12), ((0.2, 0.2), 0.3)])
 @pytest.mark.parametrize(("inside", "beside"), [(2.0, 2.0), (1.5, 0.8)])
 @pytest.mark.parametrize("distance_m", [60, 100, 150])
@@ -45,7 +45,7 @@ def test_noise_is_measured(
         sigma = np.sqrt(beside**2 + (inside**2 - beside**2) * np.clip(lit, 0, 1))
         cutouts.append(take_cutout(noisy(pair_of(poses, x), sigma, rng), poses, SIDE))
     measured = measure_noise(cutouts, GAIN, SIDE)
-    # of a difference of two frames
+    # difference between two frames: twice the variance
     assert measured.lit == pytest.approx(2 * inside**2, rel=error)
     assert measured.dark == pytest.approx(2 * beside**2, rel=0.06)
 
@@ -57,13 +57,13 @@ def test_background_noise_of_single_frames() -> None:
     for _ in range(8):
         pair = noisy(even, np.full((60, 60), 1.5), rng)
         cutout = take_cutout(FramePair(pair.pattern, even.pattern), poses, SIDE)
-        # twice the frame less the background
+        # twice the frame minus background
         cutouts.append(replace(cutout, difference=2 * cutout.difference, poses=poses[:1]))
     assert noise_beside(cutouts, SIDE) == pytest.approx((2 * 1.5) ** 2, rel=0.06)
 
 
 def test_noise_of_combined_frames_is_in_units_of_two() -> None:
-    """Sum and difference of combined frames have different variances, and the array's sum is even."""
+    """Sum and difference have different noise variances; the array's sum is uniform."""
     rng, sigma, poses = np.random.default_rng(9), 1.5, moving(80, 0.02, (0.0, 0.0))
     combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, (0, 1, 2, 3))
     assert combination is not None
@@ -78,7 +78,7 @@ def test_noise_of_combined_frames_is_in_units_of_two() -> None:
 
 
 def test_noise_without_cutouts_is_rounding() -> None:
-    # 1 / 12 in each of two frames
+    # rounding noise 1 / 12 per frame
     none = measure_noise([], GAIN, SIDE)
     assert (none.lit, none.dark) == pytest.approx((1 / 6, 1 / 6))
     assert noise_beside([], SIDE) == pytest.approx(1 / 6)
@@ -88,16 +88,16 @@ def test_noise_hidden_by_motion_is_not_zero() -> None:
     rng, cutouts = np.random.default_rng(9), []
     poses = moving(40, 0.02, (1.2, 0.4))
     for _ in range(12):
-        # a light that shines in a part of an exposure moves less than it: sums are more even than expected
+        # short exposures move less than expected, so sums are smoother
         x = 0.5 + 0.2 * (T @ rng.choice([-1.0, 1.0], SYMBOLS)).reshape(SIDE, SIDE)
         cutouts.append(take_cutout(noisy(pair_of(poses, x), np.full((60, 60), 2.0), rng), poses, SIDE))
     measured = measure_noise(cutouts, GAIN, SIDE)
-    # twice too much costs little; a thirtieth of it made wrong symbols certain
+    # factor 2 too high is harmless; factor 1/30 gave overconfident wrong symbols
     assert measured.lit > 2 * 2.0**2
 
 
 def test_even_light_is_no_noise() -> None:
-    """The image of a near array is linearly dependent on the plane."""
+    """For a near array, the array image and the plane are linearly dependent."""
     rng, pose = np.random.default_rng(11), Pose(20.0, 20.0, 1.0, 0.0, 0.8)
     cutout = Cutout(rng.normal(100, 2, (40, 40)), np.zeros((40, 40)), (0, 0), (pose, pose))
     found, corner, motion = noise._unevenness(cutout, 0.0, SIDE, None)

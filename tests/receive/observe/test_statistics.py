@@ -1,4 +1,4 @@
-"""Sufficient statistics of pairs, compared with full matrices."""
+"""Sufficient pair statistics against dense matrices."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 
 def assert_equal(got: PairStatistics, want: PairStatistics, rel: float = 1e-6) -> None:
-    """Check that all statistics are the same to a relative error."""
+    """Check that all statistics agree within a relative error."""
     for name in ("gram", "matched", "offset"):
         result, expected = np.asarray(getattr(got, name), float), np.asarray(getattr(want, name), float)
         assert np.abs(result - expected).max() <= rel * np.abs(expected).max(), name
@@ -43,7 +43,7 @@ def test_statistics_are_those_of_all_pixels(roll: float, motion: tuple[float, fl
     poses = moving(80, roll, motion)
     whole = WholePair(poses, pair_of(poses, x, noise=2.0), noise)
     got, w = whiten(whole.cutout, noise, SIDE).statistics, whole.w
-    # a roll or the light beyond the reach of the kernels is not in the weights' profile to the last digit
+    # the separable weights neglect roll and truncated light
     scale = float(w.max())
     assert np.abs(got.gram - whole.b.T @ (w[:, None] * whole.b)).max() < 4 * CUT * scale
     assert np.abs(got.matched - whole.b.T @ (w * whole.d)).max() < 4 * CUT * scale * np.abs(whole.d).max()
@@ -58,7 +58,7 @@ def test_statistics_are_those_of_all_pixels(roll: float, motion: tuple[float, fl
 
 @pytest.mark.parametrize("motion", [(0.3, 0.0), (0.1, -0.6), (0.7, 0.8)])
 def test_far_motion_makes_two_images(motion: tuple[float, float]) -> None:
-    """A pothole moves the array by up to a pixel between pattern and inverse."""
+    """Pothole: the array moves by up to a pixel between pattern and inverse."""
     _, x = random_levels()
     poses, noise = moving(95, 0.0, motion), Noise(4.5, 4.5)
     whole = WholePair(poses, pair_of(poses, x), noise)
@@ -91,7 +91,7 @@ def test_the_residual_is_the_difference_less_the_light_of_the_symbols(motion: tu
     whitened, mean = whiten(whole.cutout, noise, SIDE), rng.uniform(-1, 1, SYMBOLS)
     want = np.sqrt(whole.w) * (whole.d - GAIN * (whole.b @ mean + whole.o))
     assert whitened.residual(GAIN, mean).ravel() == pytest.approx(want, abs=0.01 * np.abs(want).max())
-    # the transmitted symbols leave no residual
+    # transmitted symbols leave no residual
     right = whitened.residual(GAIN, random_levels()[0])
     assert np.abs(right).max() < 0.01 * np.abs(want).max()
 
@@ -107,11 +107,11 @@ def test_images_are_correlated_with_those_of_the_symbols(motion: tuple[float, fl
 
 
 def test_other_images_are_marginalised() -> None:
-    """d = g (B c + o + H e) + n, e of a prior covariance P: noise of the covariance s^2 + g^2 H P H^T."""
+    """d = g (B c + o + H e) + n with prior covariance P for e: noise covariance s^2 + g^2 H P H^T."""
     rng, noise, poses = np.random.default_rng(4), Noise(4.0, 1.5), moving(80, 0.02, (0.12, -0.2))
     whole = WholePair(poses, pair_of(poses, random_levels()[1], noise=1.5), noise)
     whitened = whiten(whole.cutout, noise, SIDE)
-    # each image is seen about as well as it is known beforehand
+    # scale the images so that prior and data contribute about equally
     slopes = whitened.root * whole.cutout.slopes(rng.uniform(-1, 1, (SIDE, SIDE)))[:3]
     slopes *= 1.5 / np.sqrt((slopes**2).sum((1, 2), keepdims=True))
     got = whitened.marginalised(slopes, np.diag([2.0, 0.5, 8.0]))
@@ -127,7 +127,7 @@ def test_led_gains_scale_the_light() -> None:
     gains = np.random.default_rng(5).uniform(0, 1, (SIDE, SIDE))
     symbols, x = random_levels()
     poses, noise = moving(60, 0.0, (0.12, -0.2)), Noise(4.0, 1.5)
-    # LEDs of a gain w shine w x, and w (1 - x) in the inverse
+    # LEDs with gain w emit w x, and w (1 - x) in the inverse
     up, down = (pair_of(poses, gains * y).pattern.pixels - 30.0 for y in (x, 1 - x))
     moved = pair_of((poses[1], poses[1]), gains * (1 - x)).pattern.pixels - 30.0
     assert not np.allclose(down, moved)
@@ -158,7 +158,7 @@ def test_pixels_outside_a_frame_have_no_weight() -> None:
 
 
 def test_combined_frames_have_other_noise_and_levels() -> None:
-    """Weights are in units of a difference of two frames; the mean light of pattern and inverse need not be a half."""
+    """Weights use pair-difference units; mean light in pattern and inverse need not be 1/2."""
     poses, noise = moving(80, 0.02, (0.12, -0.2)), Noise(4.0, 4.0)
     cutout = WholePair(poses, pair_of(poses, random_levels()[1]), noise).cutout
     combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, (0, 1, 2, 3))

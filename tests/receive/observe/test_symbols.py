@@ -1,4 +1,4 @@
-"""Light of symbols, compared with full matrices."""
+"""Symbol images against dense matrices."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def light_of(pose: Pose) -> Footprints:
 
 
 def symbol_matrix(pose: Pose) -> Floats:
-    """B, (pixels, symbols)."""
+    """Return B, (pixels, symbols)."""
     return blur_matrix(pose, SIDE, (0, 0), SHAPE) @ T
 
 

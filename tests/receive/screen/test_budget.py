@@ -1,4 +1,4 @@
-"""What looking for a screen costs in a film that shows none, and that nothing is lost where one is shown."""
+"""Screen search budget: bounded cost without a screen, no loss with a screen."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ LIMITS = SearchBudget()
 
 
 def flickering(seconds: float, seed: int = 1) -> list[Frame]:
-    """A hand-held film of squares that blink, each as a whole, before noise."""
+    """Return a hand-held film with uniformly blinking squares in noise."""
     rng, out = np.random.default_rng(seed), list[Frame]()
     squares = [(rng.integers(5, 180), rng.integers(5, 60), rng.integers(40, 90), rng.uniform(1, 6)) for _ in range(3)]
     for k in range(int(seconds * 30)):

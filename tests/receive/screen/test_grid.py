@@ -1,4 +1,4 @@
-"""Cells and their place in drawn frames."""
+"""Screen cells and their position in frames."""
 
 import cv2
 import numpy as np
@@ -17,12 +17,11 @@ CORNERS = np.array([[60.0, 41.0], [225.0, 50.0], [216.0, 212.0], [52.0, 203.0]])
 
 
 def levels(seed: int) -> Floats:
-    """Random levels of data."""
     return np.random.default_rng(seed).binomial(4, 0.5, (SIDE, SIDE)).astype(float)
 
 
 def drawn(cells: Floats, corners: Floats = CORNERS, blur: float = 1.0) -> Pixels:
-    """A frame of an array on a dark ground."""
+    """Draw an array on a dark background."""
     fine = np.kron(cells, np.ones((16, 16))) / 4
     n = 16 * SIDE
     square = np.array([[0, 0], [n, 0], [n, n], [0, n]], np.float32) - 0.5

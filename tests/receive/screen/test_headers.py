@@ -1,4 +1,4 @@
-"""Headers among solved pairs."""
+"""Header search in solved pairs."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Rates that nobody names, of displays that skip refreshes; and lights so slow that little has changed yet."""
+"""Unknown rates: displays with skipped refreshes, and slow patterns."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from heliograph.web.sending import sending_of
 
 
 def filmed(display_hz: float, lasts: int, skipped: float, seconds: float, seed: int = 1) -> list[Frame]:
-    """A display whose patterns last so many refreshes, some of which it skips, in a film of 30 frames a second."""
+    """Film a display at 30 frames/s; each pattern lasts `lasts` refreshes and a fraction of refreshes is skipped."""
     rng = np.random.default_rng(seed)
     grabs = shown(sending_of(rng.bytes(3000), "a.bin", 16, display_hz / lasts), seconds, cell_px=8)
     refreshes = np.flatnonzero(rng.random(int(seconds * display_hz)) >= skipped)
@@ -35,7 +35,7 @@ def test_any_rate_is_found_also_where_refreshes_are_skipped(display_hz: float, l
 
 
 def test_what_is_doubtful_is_no_array_before_many_frames_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Between two patterns of a slow light only noise changes, which looks like a bad array."""
+    """Between two slow patterns only noise changes, which resembles a poor array."""
     budget = SearchBudget()
     fitter = CellFitter(8, 1.0, np.linspace(0, 1, 256, dtype=np.float32), budget)
     place = Place.of(np.array([[20, 20], [100, 20], [100, 100], [20, 100]], float), 8)

@@ -1,4 +1,4 @@
-"""Whole films of screens: phones at their rates, turned, of other rates than was said, and lost on the way."""
+"""Screen films: phone rates, rotation, wrong nominal rates and tracking loss."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,11 +29,10 @@ SMALL = (
     "channel.distance_m=0.75",
     "receive.calibration.pixel_m=1.1e-5",
 )
-"""An array of 155 px in a small frame, for speed; the readout of all rows stays as it was."""
+"""A 155 px array in a small frame, for speed; the readout time for all rows is unchanged."""
 
 
 def link(preset: str, packets: float, *changes: str) -> LinkSettings:
-    """A link of a small frame."""
     base = load_settings(preset)
     readout = base.channel.camera.row_time_s * base.channel.camera.height
     rows = f"channel.camera.row_time_s={readout / 270}"
@@ -41,12 +40,10 @@ def link(preset: str, packets: float, *changes: str) -> LinkSettings:
 
 
 def frames(settings: LinkSettings, seed: int = 3) -> list[Frame]:
-    """Frames of a film."""
     return [frame for frame, _ in simulate(settings, default_messages(settings), seed)]
 
 
 def read(settings: LinkSettings, film: list[Frame], signal: SignalSettings | None = None) -> list[Packet]:
-    """Packets of a film."""
     return list(heliograph.receive_frames(film, signal or settings.signal, settings.receive))
 
 
@@ -114,7 +111,7 @@ def test_a_film_as_phones_write_it(tmp_path: Path) -> None:
     assert len(boxes) > 30
     assert all(one.tracked.state.pose.pitch == pytest.approx(155 / 16, rel=0.1) for one in boxes)
     cuts = [event for event in events if isinstance(event, ExtractEvent)]
-    # the first pairs may be over before their header is read
+    # the first pairs may end before the header is decoded
     assert [cut.number for cut in cuts][-9:] == list(range(4, 13))
     decoded = next(event for event in events if isinstance(event, DecodeEvent))
     assert decoded.luminances is not None
@@ -125,7 +122,7 @@ def test_a_film_as_phones_write_it(tmp_path: Path) -> None:
 
 
 def _cells(frame: AnyFrame, pose: Pose) -> Floats:
-    """Gray levels in the middle of each cell."""
+    """Return gray levels at cell centres."""
     places = np.rint(pose.leds(16) - frame.origin).astype(int)
     return np.asarray(frame.pixels[places[..., 1], places[..., 0]], float)
 

@@ -1,4 +1,4 @@
-"""Screens from what is no film: a folder of pictures, and a webcam."""
+"""Screen reception from picture folders and webcams."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -26,7 +26,7 @@ SMALL = (
 
 
 class FilterCamera(Webcam):
-    """FFmpeg's device "lavfi": a chain of filters that gives pictures as a webcam does, in real time."""
+    """FFmpeg's lavfi device: a filter graph as a real-time webcam."""
 
     device = "lavfi"
 

@@ -1,4 +1,4 @@
-"""The light's clock is found from cells' light alone."""
+"""Light clock estimation from cell luminance."""
 
 import numpy as np
 import pytest
@@ -13,12 +13,12 @@ TRUE = Clock(start_s=0.037, period_s=0.1, row_s=2.5e-5, exposure_s=0.02, respons
 
 
 def change(seed: int, pairs: int) -> Floats:
-    """Random differences of pattern and inverse."""
+    """Return random differences between pattern and inverse."""
     return np.random.default_rng(seed).integers(-2, 3, (pairs, SIDE, SIDE)).astype(float)
 
 
 def seen(clock: Clock, frames: int, noise: float = 0.02) -> Samples:
-    """Samples of a clock: light by hand, in small steps of time."""
+    """Integrate samples numerically for a clock."""
     data = change(1, 40)
     times = 0.5 + FRAME_S * np.arange(frames, dtype=float)
     rows = np.ones((frames, SIDE, SIDE)) * np.linspace(100, 600, SIDE)[None, :, None]
@@ -43,7 +43,6 @@ def seen(clock: Clock, frames: int, noise: float = 0.02) -> Samples:
 
 
 def search_clocks(samples: Samples, periods: list[float], row_s: float | None) -> list[RatedClock]:
-    """Clocks of some pattern periods, the best first."""
     return ClockFitter(samples, FRAME_S, HEIGHT, row_s, SearchBudget()).search(periods)
 
 
@@ -53,7 +52,7 @@ def test_a_clock_is_found_among_rates() -> None:
     left, clock = found[0]
     assert left < 0.02
     assert clock.period_s == pytest.approx(0.1, rel=3e-3)
-    # all others leave most of it
+    # wrong periods leave a large residual
     assert all(left > 0.3 for left, one in found if abs(one.period_s / 0.1 - 1) > 0.05)
     middle = clock.start_of(round(clock.pair_at(1.3))) + clock.row_s * 350
     true = TRUE.start_of(round(TRUE.pair_at(1.3))) + TRUE.row_s * 350

@@ -1,4 +1,4 @@
-"""The camera's clock by its stamps."""
+"""Camera clock estimation from timestamps."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,11 +14,11 @@ from heliograph.base.frames import Frame
 from heliograph.receive.sync.frame_clock import CameraClock, FrameClock, SynchronousClock
 
 FIRST = 16
-"""Frames that are held back until the camera's rate is known."""
+"""Frames buffered until the camera rate is known."""
 
 
 def stamped(times_s: Sequence[float], indices: Sequence[int] | None = None) -> list[Frame]:
-    """Frames of noise with stamps."""
+    """Return noise frames with timestamps."""
     rng = np.random.default_rng(1)
     numbers = indices or range(len(times_s))
     return [
@@ -63,17 +63,17 @@ def test_dropped_frames_leave_a_gap_in_time(numbered: bool) -> None:
 def test_whatever_is_dropped_times_rise_and_the_period_is_right(
     period_s: float, jitter: float, gaps: list[int], seed: int
 ) -> None:
-    """Of three frames two are dropped on average, stamps are off by up to 15 % of a period; the first 16 are whole."""
+    """Drop two of three frames on average after the first 16, with timestamp jitter up to 15 % of a period."""
     steps = np.concatenate([np.ones(FIRST, int), gaps])
     number = np.cumsum(steps)
     stamps = period_s * (number + np.random.default_rng(seed).uniform(-jitter, jitter, len(number)))
     clock = CameraClock()
     out = timed(stamped(list(stamps)), clock)
-    # none is lost, and each goes on with the pixels that it had
+    # no frame is lost, and pixels stay with their frame
     assert [f.index for f in out] == list(range(len(number)))
     times = np.array([f.time_s for f in out])
     assert (np.diff(times) > 0).all()
-    # steps are whole numbers of periods
+    # steps are multiples of the period
     assert np.diff(times) / period_s == pytest.approx(steps[1:], abs=0.25)
     assert clock.period_s == pytest.approx(period_s, rel=0.03)
 
@@ -82,7 +82,7 @@ def test_copies_are_left_out() -> None:
     frames = stamped([k * 1e-3 for k in range(60)])
     for k in (5, 30, 31):
         frames[k] = replace(frames[k], pixels=frames[k - 1].pixels.copy())
-    # and one that came twice with the same stamp
+    # one duplicate with the same timestamp
     frames.insert(41, frames[40])
     out = timed(frames)
     assert [f.index for f in out] == [k for k in range(60) if k not in (5, 30, 31)]
@@ -90,7 +90,7 @@ def test_copies_are_left_out() -> None:
 
 
 def test_frames_without_noise_are_no_copies() -> None:
-    """A dark or a saturated frame may well look like the one before."""
+    """Dark or saturated frames may equal their predecessors."""
     even = [replace(f, pixels=np.full((8, 8), 255, np.uint8)) for f in stamped([k * 1e-3 for k in range(30)])]
     assert [f.index for f in timed(even)] == list(range(30))
 
@@ -128,7 +128,7 @@ def test_a_camera_out_of_step_is_refused_by_the_plain_receivers_clock(fps: float
 
 @pytest.mark.parametrize("late_s", [0.4e-3, -0.4e-3, 1e-3, 5e-3])
 def test_one_stamp_is_no_rate(late_s: float) -> None:
-    """It is late or early, or frames before it are missing though their numbers run on."""
+    """The timestamp is early or late, or frames are missing although numbers run on."""
     clock, times = SynchronousClock(1e-3), 1e-3 * np.arange(40)
     times[20:] += late_s if late_s >= 1e-3 else 0
     times[20] += late_s if late_s < 1e-3 else 0
@@ -137,7 +137,7 @@ def test_one_stamp_is_no_rate(late_s: float) -> None:
 
 
 def test_a_number_that_was_rounded_the_other_way_is_no_rate() -> None:
-    """Frames at 0.5, 1.5, 2.5 ms ... have the numbers 0, 2, 3 ... once 0.5 was rounded down."""
+    """Frames at 0.5, 1.5, 2.5 ms get numbers 0, 2, 3 if 0.5 rounds down."""
     frames = stamped([(k + 0.5) * 1e-3 for k in range(20)], [0, *range(2, 21)])
     assert timed(frames, SynchronousClock(1e-3)) == frames
 

@@ -1,4 +1,4 @@
-"""Pairs of a camera of any timing: each number once and in order, whatever is dropped, and its frames in time."""
+"""Pairing for arbitrary camera timing: increasing, unique pair numbers despite dropped frames."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -28,12 +28,12 @@ SIGNAL = SETTINGS.signal
 POSE = Pose(79.5, 59.5, pitch_at(50.0), 0.0, 0.52)
 
 RATES = [(1000.0, 2.0e-3), (1000.0, 2.3e-3), (1500.0, 2.2e-3), (2500.0, 2.7e-3)]
-"""Frames a second, and when the light starts; only the first are in step."""
+"""Frame rate and light start; only the first entry is synchronous."""
 
 
 @cache
 def filmed(fps: float, start_s: float, exposure_s: float | None = None) -> tuple[Frame, ...]:
-    """A film of three packets in 50 ms; frames are exposed for their whole period, or as long as is said."""
+    """Return 50 ms with three packets; exposure defaults to the full frame period."""
     channel = SETTINGS.channel
     camera = replace(channel.camera, fps=fps, exposure_s=exposure_s or 1 / fps)
     arrays = (replace(channel.arrays[0], start_s=start_s),)
@@ -41,12 +41,12 @@ def filmed(fps: float, start_s: float, exposure_s: float | None = None) -> tuple
 
 
 def pairing_of(start_s: float, exposure_s: float | None = None) -> AsynchronousPairing:
-    """As a detection would begin it, a quarter of a pattern off."""
+    """Create a pairing as a detection does, a quarter pattern off."""
     return AsynchronousPairing(start_s + 2.5e-4, start_s + 2e-3, POSE, 0, np.ones((16, 16)), SIGNAL, exposure_s)
 
 
 def taken(pairing: AsynchronousPairing, frames: Iterable[Frame], single: bool = False) -> Iterator[DuePair]:
-    """Pairs and measured headers as a receiver takes them, frame by frame."""
+    """Yield pairs and measured headers frame by frame, as a receiver does."""
     for frame in frames:
         pairing.push(frame, lambda _: POSE, single)
         while (due := pairing.next_pair(lambda _: POSE, np.ones((16, 16)), single)) is not None:
@@ -56,7 +56,6 @@ def taken(pairing: AsynchronousPairing, frames: Iterable[Frame], single: bool = 
 def paired(
     pairing: AsynchronousPairing, frames: list[Frame], single: bool = False
 ) -> list[tuple[int, FramePair | None]]:
-    """Numbers of pairs with their frames."""
     due = list(taken(pairing, frames, single))
     pairing.flush()
     while (last := pairing.next_pair(lambda _: POSE, np.ones((16, 16)), single)) is not None:
@@ -76,7 +75,7 @@ def test_each_pair_comes_once_in_order_with_frames_of_its_time(rate: tuple[float
     if pairing.lost:
         assert not got
         return
-    # without a frame of the first header the clock is not sure of the phase
+    # the phase estimate needs a frame from the first header
     near = 3.5e-4 if dropped & set(range(20)) else 1.5e-4
     for number, pair in got:
         first = start_s + 2 * number * 1e-3
@@ -84,7 +83,7 @@ def test_each_pair_comes_once_in_order_with_frames_of_its_time(rate: tuple[float
             continue
         assert pair.pattern.index <= pair.inverted.index
         if pair.combination is None:
-            # two camera frames, the second of them a pattern later
+            # two camera frames, one pattern apart
             assert not {pair.pattern.index, pair.inverted.index} & dropped
             assert pair.pattern.time_s == pytest.approx(first, abs=near)
             assert pair.inverted.time_s == pytest.approx(first + 1e-3, abs=near)
@@ -102,7 +101,7 @@ def test_whole_films_give_every_pair(fps: float, start_s: float) -> None:
     assert all(pair is not None for pair in pairs)
     in_step = (fps, start_s) == RATES[0]
     assert {isinstance(pair.pattern, CombinedFrame) for pair in pairs if isinstance(pair, FramePair)} == {not in_step}
-    # out of step the detection saw the header too weak
+    # an unsynchronised detection sees a weak header, so pairing measures the gain
     assert (pairing.first_gain is None) == in_step
     assert pairing.first_gain is None or pairing.first_gain == pytest.approx(0.8 * 255, rel=0.1)
     signs = header_levels(0) / 2.0 - 1.0
@@ -110,13 +109,13 @@ def test_whole_films_give_every_pair(fps: float, start_s: float) -> None:
         assert isinstance(pair, FramePair)
         if number % 7 < 2:
             up, down = header_amplitudes((pair.pattern, pair.inverted), POSE, signs)
-            # the difference is the header's, as in step: half of the light of +-1 in either direction
+            # the difference equals the header's full contrast, as for synchronous cameras
             assert up - down == pytest.approx(0.8 * 255, rel=0.1)
         if pair.combination is not None:
-            # half a pattern before the mean of the light, which counts from the pair, or from its header
+            # half a pattern before the mean light time, relative to the pair or its header
             place = 2 * (number if number % 7 >= 2 else number - number % 7) + pair.combination.sum_time - 0.5
             assert pair.time_s == pytest.approx(start_s + 1e-3 * place, abs=3e-5)
-    # one header gives the start of a camera in step to a tenth of a pattern, of any other more exactly
+    # a single header gives the start within 0.1 patterns if synchronous, more accurately otherwise
     assert pairing.origin_s == pytest.approx(start_s, abs=1e-4 if in_step else 2e-5)
 
 
@@ -124,9 +123,9 @@ def test_before_the_header_is_over_no_pair_is_read() -> None:
     pairing, frames = pairing_of(2.0e-3), filmed(1000.0, 2.0e-3)
     assert (pairing.now_s, pairing.origin_s) == pytest.approx((4.0e-3, 2.25e-3))
     counts = [sum(not isinstance(pair, MeasuredHeader) for _, pair in taken(pairing, [frame])) for frame in frames[:16]]
-    # the header's four patterns by the detection's start, and three more, and the frame that decides on a slip
+    # four header patterns, three more, and a frame for slip detection
     assert counts == [0] * 10 + [3, 0, 1, 1, 0, 1]
-    # the middle of the last of six pairs
+    # middle of the last pattern in six pairs
     assert pairing.now_s == pytest.approx(13e-3, abs=1e-4)
 
 
@@ -151,7 +150,7 @@ def test_what_is_no_header_is_lost() -> None:
 
 @pytest.mark.parametrize("single", [False, True])
 def test_data_without_inverses_are_read_frame_by_frame(single: bool) -> None:
-    """Of an exposure of 0.7 T_b pairs are combined, though each frame shows one pattern alone."""
+    """With exposure 0.7 T_b, pairs are combined although each frame shows a single pattern."""
     frames = list(filmed(1000.0, 2.0e-3, 0.7e-3))
     got = paired(pairing_of(2.0e-3, 0.7e-3), frames, single)
     assert len(got) == 23
@@ -168,7 +167,7 @@ def test_a_whole_header_gives_the_gain_and_an_even_sum() -> None:
         assert isinstance(header, MeasuredHeader)
         assert header.gain == pytest.approx(0.8 * 255, rel=0.05)
         assert header.pair is not None
-        # at 1.5 frames a pattern four or five frames lie within a header of four patterns
+        # 1.5 frames per pattern: four or five frames within four header patterns
         assert len(header.images) in (4, 5)
         assert header.alternation.shape == header.light.shape == (2, len(header.images))
         total = header.pair.pattern.pixels + header.pair.inverted.pixels

@@ -1,4 +1,4 @@
-"""Combined frames: what frames of any timing hold of patterns lit by PWM, against light drawn slot by slot."""
+"""Frame combination for arbitrary timing, against slot-by-slot PWM light."""
 
 import numpy as np
 import pytest
@@ -15,13 +15,13 @@ from heliograph.signal import haar, pwm
 Floats = NDArray[np.float64]
 SIDE = 8
 FINE = 400
-"""Steps of T_b in which light is drawn."""
+"""Simulation steps per T_b."""
 
 EXACT = 0.035
-"""Departure from pattern and inverse, in T_b, up to which frames count as in step."""
+"""Frames within this offset, in T_b, count as synchronous."""
 
 LEAK = 1e-3
-"""Weight of another pair's slot that is small enough to be left out."""
+"""Negligible weight for a foreign slot."""
 
 
 def random_data(seed: int, count: int) -> NDArray[np.int8]:
@@ -29,7 +29,7 @@ def random_data(seed: int, count: int) -> NDArray[np.int8]:
 
 
 def light_of(pairs: NDArray[np.int8], order: tuple[int, ...]) -> Floats:
-    """(FINE steps a pattern, n, n): each LED on or off, of pairs of pattern and inverse in a row."""
+    """Return light (FINE steps per pattern, n, n) for consecutive pattern and inverse pairs; LEDs are on or off."""
     levels = haar.encode(pairs)
     patterns = np.stack([levels, pwm.invert(levels)], 1).reshape(-1, SIDE, SIDE)
     return pwm.lit_slots(patterns, order).reshape(-1, SIDE, SIDE).repeat(FINE // 4, 0).astype(float)
@@ -56,7 +56,7 @@ def test_a_combination_holds_what_it_says(order: tuple[int, ...], exposure: floa
         table[values_of(symbols_of(d)), np.arange(SIDE * SIDE) // (SIDE * SIDE // 4)]
         for table, d in zip(tables, pairs, strict=True)
     )
-    # about the mean, which the levels hold
+    # subtract the mean, which the levels include
     mean = combination.levels[0] - combination.levels[1]
     assert observed(difference - mean) == pytest.approx(expected, abs=1e-9)
     assert combination.difference.sum() == pytest.approx(0, abs=1e-9)
@@ -68,30 +68,30 @@ def test_a_combination_holds_what_it_says(order: tuple[int, ...], exposure: floa
 
 
 def merit(weights: Floats, slope: Floats, spread: Floats) -> float:
-    """Squared slope over the levels of a difference, over the variance of what is not linear in them."""
+    """Return squared slope over the variance of nonlinear terms."""
     return float((weights @ slope) ** 2 / (weights @ spread @ weights))
 
 
 @examples(150)
 @given(rate=st.floats(1.0, 3.0), part=st.floats(0.2, 1.0), phase=st.floats(0, 1))
 def test_no_difference_shows_the_levels_better(rate: float, part: float, phase: float) -> None:
-    """Among noise and light of other pairs; frames of little weight may be left out."""
+    """With noise and interference from other pairs; low-weight frames may be dropped."""
     order, exposure = (0, 1, 2, 3), part / rate
     starts = (phase + np.arange(-8.0, 16.0)) / rate
     starts = starts[(starts > -1) & (starts < 2)]
     combination = combine_pair(starts, exposure, order)
-    # overlaps with the slots of three pairs, the first of which begins at -2
+    # slot overlaps for three pairs; the first begins at -2
     slots = np.arange(-8, 16) / 4
     ends = np.minimum(starts[:, None] + exposure, slots + 0.25)
     overlap = np.maximum(ends - np.maximum(starts[:, None], slots), 0) / exposure
     shown = np.einsum("fj,jqr->fqr", overlap, slot_light(order)[0])
     slope = shown[:, 1] @ SLOPES
-    # a frame has the noise variance 0.05, and each slot's light that of random data
+    # noise variance 0.05 per frame, plus random data in each slot
     spread = 0.05 * np.eye(len(starts)) - np.outer(slope, slope)
     spread += np.einsum("fqr,rs,gqs->fg", shown, COVARIANCE, shown)
     near = overlap[:, 8:16].sum(1) > 1e-9
     spread, slope = spread[np.ix_(near, near)], slope[near]
-    # the best: M^-1 (h - mu 1) of the sum 0
+    # optimum with zero sum: M^-1 (h - mu 1)
     h, ones = np.linalg.solve(spread, np.stack([slope, np.ones(len(slope))], axis=1)).T
     best = h - ones * h.sum() / ones.sum()
     if combination is None:
@@ -105,7 +105,7 @@ def test_no_difference_shows_the_levels_better(rate: float, part: float, phase: 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0, 3, 1)])
 @pytest.mark.parametrize("phase", [0.0, 0.1, 0.37, 0.6])
 def test_the_sum_is_the_array_all_on_at_its_mean_time(order: tuple[int, ...], phase: float) -> None:
-    """Over many data the sum is even and as bright as all LEDs on, its light about `sum_time` on average."""
+    """Averaged over data, the sum equals an all-on array with mean time `sum_time`."""
     starts = np.round((phase + np.arange(-2, 6) / 1.5) * FINE) / FINE
     starts, exposure = starts[(starts >= -1) & (starts + 0.5 <= 4)], 0.5
     combination = combine_pair(starts, exposure, order)
@@ -134,7 +134,7 @@ def test_in_step_a_combination_is_two_frames() -> None:
     assert (combination.noise, combination.sum_noise) == pytest.approx((1, 1))
     assert combination.levels == pytest.approx((0.5, 0.5))
     assert combination.leaks == (None, None)
-    # light is on early in a pattern, what differs between levels later
+    # mean light is early in a pattern, data-dependent light later
     mean, data = pwm.light_centroids()
     assert combination.sum_time == pytest.approx(mean + 0.5)
     assert combination.data_times == pytest.approx((data, 1 + data))
@@ -142,7 +142,7 @@ def test_in_step_a_combination_is_two_frames() -> None:
 
 @pytest.mark.parametrize("late", [0.0, 0.02, 0.1, -0.25])
 def test_the_departure_is_half_of_the_light_that_is_misplaced(late: float) -> None:
-    """Late frames miss a pattern's start, show its inverse's start too early, and miss that in the second frame."""
+    """Late frames miss the pattern's start and include the inverse's start, which the second frame then misses."""
     combination = combine_pair(late + np.arange(-1.0, 4.0), 1.0, (0, 1, 2, 3))
     assert combination is not None
     if len(combination.difference) == 2:
@@ -155,11 +155,11 @@ def test_half_a_pattern_late_only_neighbours_differ() -> None:
     combination = combine_pair(np.arange(-1.5, 4.0), 1.0, (0, 1, 2, 3))
     assert combination is not None
     assert combination.departure > EXACT
-    # the frame within the pair is half lit whatever is sent: it serves the sum alone
+    # the middle frame is half lit for all data and only contributes to the sum
     within = list(combination.frames).index(2)
     assert combination.difference[within] == 0
     assert combination.total[within] == pytest.approx(2, rel=0.1)
-    # half of the slope in step, as much light of the pairs before and after together
+    # half the synchronous slope, with equal leakage from the previous and next pair
     assert combination.slots[1] @ SLOPES == pytest.approx(0.5 * 0.5)
     assert combination.slots[0] == pytest.approx([-0.25, -0.25, 0, 0])
     assert combination.slots[2] == pytest.approx([-0.25, -0.25, 0, 0])
@@ -169,7 +169,7 @@ def test_a_pair_that_is_not_filmed_gives_no_combination() -> None:
     order = (0, 1, 2, 3)
     assert combine_pair(np.array([]), 1.0, order) is None
     assert combine_pair(np.array([0.0]), 1.0, order) is None
-    # twice the pattern, never the inverse
+    # two frames in the pattern, none in the inverse
     assert combine_pair(np.array([0.0, 0.5]), 0.5, order) is None
 
 
@@ -178,13 +178,13 @@ def test_the_sum_of_a_header_is_free_of_it() -> None:
     half = 0.5 * shown, np.array([0.5, 0.5, 0.6, 0.5])
     combination = combine_header(np.arange(4.0), 1.0, shown, half)
     assert combination is not None
-    # cells of half the contrast; their light, where it is uneven, is seen with the weights of the frames
+    # half-contrast cells; frame weights determine the visible uneven light
     assert combination.dimmed == pytest.approx((0.5, 0.1 * combination.difference[2]))
     assert combination.total @ shown == pytest.approx(0)
     assert combination.total.sum() == pytest.approx(2)
     assert combination.difference @ shown == pytest.approx(2)
     assert combination.difference.sum() == pytest.approx(0)
-    # a header's light is even: the mean middle of the exposures
+    # header light is uniform: mean of exposure centres
     assert combination.sum_time == pytest.approx(combination.total @ (np.arange(4.0) + 0.5) / 2)
     assert combine_header(np.arange(4.0), 1.0, np.array([0.0, 0.01, 0.0, 0.0]), half) is None
     assert combine_header(np.zeros(0), 1.0, np.zeros(0), (np.zeros(0), np.zeros(0))) is None
@@ -194,7 +194,7 @@ def test_the_sum_of_a_header_is_free_of_it() -> None:
 @pytest.mark.slow
 def test_slots_show_the_light_that_is_lit_in_them(order: tuple[int, ...]) -> None:
     _, mean = slot_light(order)
-    # dimmed cells have the levels 3 and 1
+    # dimmed cells use levels 3 and 1
     high, low = (pwm.lit_slots(np.full((1, 1), level), order)[:, 0, 0] for level in (3, 1))
     assert [part.tolist() for part in dimmed_light(order)] == [
         (high.astype(float) - low).tolist(),

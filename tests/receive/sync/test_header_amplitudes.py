@@ -1,4 +1,4 @@
-"""What the frames around a header show, against light that was drawn with known amplitudes."""
+"""Header amplitudes in surrounding frames, against rendered amplitudes."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ SHAPE = 40, 40
 
 
 def frames_of(light: NDArray[np.float64], header: NDArray[np.float64], amplitudes: list[float]) -> list[Frame]:
-    """Frames of an array with a light and a header of these amplitudes, before an even background."""
+    """Render frames with array light and header amplitudes on a uniform background."""
     on, sign = (image_of(levels, POSE, (0, 0), SHAPE) for levels in (light, light * header))
     return [Frame(k, 1e-3 * k, np.round(30 + 90 * on + a * sign).astype(np.uint8)) for k, a in enumerate(amplitudes)]
 

@@ -1,4 +1,4 @@
-"""The light's clock by headers."""
+"""Light clock estimation from headers."""
 
 from dataclasses import replace
 
@@ -22,9 +22,9 @@ SLOTS = np.array([15, 11, 5, 1]) / 16
 
 
 def header_view(start: float, exposure: float, period: float, seed: int = 0, form: int = 0) -> HeaderAmplitudes:
-    """What frames `period` patterns apart show of a header that begins `start` patterns late, by fine sums.
+    """Integrate header amplitudes numerically: frames `period` patterns apart, header `start` patterns late.
 
-    Its second pair signals a format: dimmed cells have the levels 3 and 1.
+    The second pair signals a format: dimmed cells have levels 3 and 1.
     """
     rng = np.random.default_rng(seed)
     times: Floats = np.arange(-2, 6 + 1e-9, period)
@@ -68,7 +68,7 @@ def test_a_later_header_gives_starts_between_those_of_its_grid(period: float) ->
         # the same header 100 patterns later
         clock.measure(replace(view, times_s=view.times_s + 0.1), 100)
         found.append((clock.start_s - 0.1) * 1e3)
-    # the filter goes part of the way, the same part wherever the start lies
+    # the filter corrects a constant fraction, independent of the start
     slope, zero = np.polyfit(late, found, 1)
     assert slope == pytest.approx(1, abs=0.05)
     assert np.array(found) == pytest.approx(slope * late + zero, abs=1e-3)
@@ -85,7 +85,7 @@ def test_brightness_that_is_not_trusted_counts_less() -> None:
 
 
 def test_the_brightness_of_a_clipped_array_is_not_used() -> None:
-    """At 25 m single LEDs are at full scale; the clock was then off by 0.3 T_b."""
+    """At 25 m some LEDs saturate; clipped brightness shifted the clock by 0.3 T_b."""
     view, other = header_view(0.3, 1.0, 1.0), header_view(-0.4, 1.0, 1.0)
     wrong, starts = replace(view, brightness=3 * other.brightness), []
     for clipped in (True, False):
@@ -93,12 +93,12 @@ def test_the_brightness_of_a_clipped_array_is_not_used() -> None:
         clock.measure(replace(wrong, clipped=clipped), 0)
         starts.append(clock.start_s * 1e3)
     assert starts[0] == pytest.approx(0.3, abs=0.01)
-    # not clipped it would count
+    # unclipped brightness counts
     assert starts[1] < 0.2
 
 
 def distinct_formats() -> list[int]:
-    """Formats that dim most lit cells, most dark ones, all cells, and as many of both."""
+    """Return formats dimming most lit cells, most dark cells, all cells, and equally many lit and dark cells."""
     cells, dimmed = header_cells(IDENTITY).ravel(), words().astype(int)
     lit, count = dimmed @ cells, dimmed.sum(1)
     return [int(np.argmax(lit)), int(np.argmin(lit)), int(np.argmax(count)), int(np.argmax((lit == 0) & (count == 8)))]
@@ -125,7 +125,7 @@ def test_with_a_short_exposure_known_one_header_gives_the_start(start: float, ex
 
 
 def test_of_exposures_that_look_alike_the_longest_is_taken() -> None:
-    # six tenths about the middle of each pattern, and the whole of it
+    # the central 60 % of a pattern and the full pattern give equal header amplitudes
     clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
     clock.measure(header_view(-0.2, 0.6, 1.0), 0)
     assert clock.exposure == pytest.approx(1, abs=0.05)
@@ -149,7 +149,7 @@ def test_the_rate_is_learnt_from_header_to_header() -> None:
     clock, rate = LightClock(0.0, 0.66e-3, SIGNAL, IDENTITY), -400e-6
     for packet in range(12):
         first = packet * 0.1 * (1 + rate)
-        # frames fall where they do
+        # align the header with the frame grid
         view = header_view(first / 1e-3 % 0.66, 0.66, 0.66, packet)
         frames_s = first - first / 1e-3 % 0.66 * 1e-3
         clock.measure(replace(view, times_s=view.times_s + frames_s), 100 * packet)
@@ -161,7 +161,7 @@ def test_the_rate_is_learnt_from_header_to_header() -> None:
 def normed_error(
     start: float, period: float, seed: int, *, exposure: float | None = None, clipped: bool = False, again: bool = False
 ) -> float:
-    """Error of a header's start in noise, in units of the deviation stated; None exposes through the frame period."""
+    """Return the normalised start error for a noisy header; exposure None means the full frame period."""
     rng, known_s = np.random.default_rng([seed, 3]), None if exposure is None else exposure * 1e-3
     clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, known_s)
     view = replace(header_view(start, exposure or period, period, seed), clipped=clipped)
@@ -177,7 +177,7 @@ def normed_error(
 @pytest.mark.parametrize("clipped", [False, True])
 @pytest.mark.slow
 def test_a_header_is_as_sure_as_it_says(period: float, clipped: bool, again: bool) -> None:
-    """Errors of the start are those stated, the first header measured once more or not."""
+    """Start errors match the stated deviation, also after repeated measurement."""
     errors = [normed_error(0.3, period, seed, clipped=clipped, again=again) for seed in range(60)]
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
 
@@ -193,7 +193,7 @@ def test_a_header_is_as_sure_as_it_says(period: float, clipped: bool, again: boo
 def test_a_header_at_any_phase_starts_within_the_deviation_stated(
     start: float, period: float, part: float | None, seed: int
 ) -> None:
-    """Exposed through the whole frame period, or for a part of it that is known."""
+    """Full exposure or a known fraction."""
     exposure = None if part is None else part * period
     assert abs(normed_error(start, period, seed, exposure=exposure)) < 5
 
@@ -209,25 +209,24 @@ def test_a_header_that_is_not_seen_leaves_the_clock_alone() -> None:
 
 
 def unseen(pattern: int) -> HeaderAmplitudes:
-    """Frames around a header that is dark."""
     return HeaderAmplitudes(1e-3 * (pattern + np.arange(-2.0, 7.0)), np.full(9, 1e-3), np.zeros(9))
 
 
 def test_a_rate_well_known_wanders_as_quartz_does() -> None:
-    """It walks by 6.3e-8 a root of a pattern, so many headers do not make it better known than 3.5e-6."""
+    """The rate random walk is 6.3e-8 per square root of a pattern, which limits rate accuracy to 3.5e-6."""
     clock, view = LightClock(0.0, 1e-3, SIGNAL, IDENTITY), header_view(0.2, 1.0, 1.0)
     for packet in range(60):
         assert clock.measure(replace(view, times_s=view.times_s + 0.1 * packet), 100 * packet)
     assert clock.deviation < 0.01
     for pattern in (16_000, 36_000):
         assert not clock.measure(unseen(pattern), pattern)
-    # the rate's own deviation through 30000 patterns, and its walk of the first 10000 through the last 20000
+    # rate deviation over 30000 patterns, and random walk from the first 10000 over the last 20000
     walk = 6.3e-8 * 10_000**0.5 * 20_000
     assert clock.deviation == pytest.approx(np.hypot(3.5e-6 * 30_000, walk), rel=0.1)
 
 
 def test_without_headers_the_start_grows_uncertain() -> None:
-    """The rate is known to 250 ppm at first: after 4000 patterns that is a pattern."""
+    """The initial rate deviation, 250 ppm, accumulates to one pattern after 4000 patterns."""
     clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
     assert clock.measure(header_view(0.2, 1.0, 1.0), 0)
     assert not clock.measure(unseen(4000), 4000)

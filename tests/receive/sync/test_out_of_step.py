@@ -1,4 +1,4 @@
-"""Pairs out of step: what is expected of their observed symbols, against light drawn slot by slot."""
+"""Unsynchronised pairs: predicted moments for observed symbols, against slot-by-slot light."""
 
 from dataclasses import replace
 
@@ -17,14 +17,14 @@ PHASES = (0.1, 0.37, 0.5, 0.6)
 
 
 def combination_at(phase: float) -> Combination:
-    """How frames combine that are so far out of step, in T_b, each exposed for all of a pattern."""
+    """Combine frames with full exposure at a phase in T_b."""
     found = combine_pair(np.arange(-3.0, 5.0) + phase, 1.0, (0, 1, 2, 3))
     assert found is not None
     return found
 
 
 def packet(phase: float, seed: int = 0) -> tuple[Combination, UnsynchronisedPacket, Floats, Floats]:
-    """A packet's combination, its pairs, their symbols, and what is observed of them: slot by slot, without noise."""
+    """Return combination, packet, symbols and noiseless observations, simulated slot by slot."""
     rng = np.random.default_rng(seed)
     combination, header = combination_at(phase), rng.random((SIDE, SIDE)) > 0.5
     data = rng.choice(np.array([-1, 1], np.int8), (PAIRS, SIDE, SIDE))
@@ -60,7 +60,7 @@ def test_of_known_symbols_what_is_observed_is_known(phase: float) -> None:
 def test_of_unknown_symbols_mean_and_variance_are_those_of_random_data(phase: float) -> None:
     found = np.stack([packet(phase, seed)[3] for seed in range(400)])
     own, leak = packet(phase)[1].expected(np.zeros((PAIRS, SIDE**2)))
-    # headers beside the packet are known
+    # headers next to the packet are known
     inside = slice(1, PAIRS - 1)
     mean, variance = (own[0] + leak[0])[inside], (own[1] + leak[1])[inside]
     kinds = found[:, inside].reshape(-1, 4, SIDE**2 // 4)
@@ -71,7 +71,7 @@ def test_of_unknown_symbols_mean_and_variance_are_those_of_random_data(phase: fl
 @pytest.mark.parametrize("phase", PHASES)
 def test_symbols_follow_from_exact_estimates(phase: float) -> None:
     _, pairs, symbols, shown = packet(phase)
-    # of each square all symbols but one are known, and those of the pairs around
+    # one unknown symbol per square; all other symbols are known
     kind, square = np.divmod(np.arange(SIDE**2), SIDE**2 // 4)
     mean = np.where(kind == square % 4, 0.0, symbols)
     _, leak = pairs.expected(symbols)

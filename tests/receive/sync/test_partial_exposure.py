@@ -1,4 +1,4 @@
-"""Exposures of part of a pattern: symbols of a square by all the values that they can have."""
+"""Partial exposures: square symbol estimates against enumeration."""
 
 import numpy as np
 import pytest
@@ -66,10 +66,10 @@ def test_symbols_of_a_square_say_more_of_each_other_the_more_they_are_known(know
             np.log((chance * np.exp(-part))[up].sum() / (chance * np.exp(-part))[~up].sum())
             for part in (fit[:, i], fit.sum(1))
         )
-        # power of the products of symbols over that of the symbols themselves
+        # power ratio between symbol products and symbols
         products = np.mean(table**2) / np.mean(table * VALUES) ** 2 - 1
         assert 0.05 < products < 0.5
-        # the other three are known by the product of their squared means
+        # trust in the other three symbols: product of squared means
         trust = products + (1 - products) * known**6
         llr = own + trust * (joint - own)
         assert symbol_llrs(table, observed, variance, mean)[i] == pytest.approx(llr, abs=1e-6)

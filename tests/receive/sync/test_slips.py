@@ -1,4 +1,4 @@
-"""Slips: what frames show of their numbers."""
+"""Slip detection: lost frames without a gap in frame numbers."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ POSE, SIGNAL = Pose(30.2, 29.7, 0.61, 0.0, 0.5), SignalSettings(data_pairs=16)
 
 
 def before_a_sky(count: int, seed: int) -> list[Frame]:
-    """Frames of packets on a dark panel before a bright sky, 95 m away."""
+    """Render packets on a dark panel in front of a bright sky at 95 m."""
     rng, header = np.random.default_rng(seed), header_levels(3, SIDE) / 2.0 - 1.0
     panel = 0.78 * (1 - draw(replace(POSE, pitch=0.61 * 17 / 16), ALL_ON, (0, 0), (60, 60)))
     frames, levels = [], header
@@ -32,7 +32,7 @@ def before_a_sky(count: int, seed: int) -> list[Frame]:
 
 
 def numbers(frames: list[Frame], watch: SlipWatch, off_px: float) -> list[int]:
-    """Numbers of the patterns that frames are taken for, poses being off by so much, along x and y in turn."""
+    """Return pattern numbers assigned to frames, with pose errors alternating along x and y."""
     released: list[Frame] = []
     for k, frame in enumerate(frames):
         wrong = POSE.moved(off_px * np.sin(k / 5), off_px * np.cos(k / 7))
@@ -52,7 +52,7 @@ def test_poses_wrong_for_two_pairs_are_no_slips(seed: int) -> None:
     watch = SlipWatch(3, SIGNAL)
     found: list[Frame] = []
     for k, frame in enumerate(before_a_sky(80, seed)):
-        # as where the array passes fast and its motion is not known yet
+        # as for a fast passing array with unknown velocity
         wrong = POSE.moved(1.8 * (-1) ** k, 1.2) if 24 <= k < 28 else POSE
         found += watch.push(frame, 0.0, lambda _, pose=wrong: pose, False)  # type: ignore[misc]
     assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
@@ -63,7 +63,7 @@ def test_a_pose_that_comes_back_at_once_is_no_slip(seed: int) -> None:
     watch = SlipWatch(3, SIGNAL)
     found: list[Frame] = []
     for k, frame in enumerate(before_a_sky(80, seed)):
-        # as after a post: the pose has drifted off, and is found again between the two frames of a pair
+        # as after an occlusion: the drifted pose jumps back within a pair
         at = POSE.moved(1.8, -1.2) if 28 <= k <= 40 else POSE
         found += watch.push(frame, 0.0, lambda _, pose=at: pose, False)  # type: ignore[misc]
     assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
@@ -73,7 +73,7 @@ def test_a_pose_that_comes_back_at_once_is_no_slip(seed: int) -> None:
 def test_a_frame_lost_without_a_gap_is_missed_at_once(gone: int) -> None:
     frames = before_a_sky(120, 1)
     shifted = [*frames[:gone], *(replace(frame, time_s=frame.time_s - 1e-3) for frame in frames[gone + 1 :])]
-    # its other half is left out too
+    # the pair's other frame is dropped too
     other = gone ^ 1
     assert numbers(shifted, SlipWatch(3, SIGNAL), 0.0) == [k for k in range(120) if k not in (gone, other)]
 
@@ -89,7 +89,7 @@ def test_a_header_that_comes_late_undoes_a_slip_that_was_none() -> None:
 @pytest.mark.parametrize("width", [1, 3, 5])
 def test_the_kernel_does_what_the_reference_does(width: int) -> None:
     rng = np.random.default_rng(width)
-    # parts of the array lie beyond the image
+    # array partly outside the image
     image, pose = rng.uniform(0, 255, (25, 24)), Pose(11.3, 12.9, 1.7, 0.06, 0.5, 0.03, -0.02)
     for rim in (0, 2):
         where = pose.x, pose.y, pose.axes, width, rim, SIDE

@@ -1,4 +1,4 @@
-"""Pairs of a camera in step: each number once and in order, whatever is dropped."""
+"""Pairing for synchronous cameras: increasing, unique pair numbers despite dropped frames."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, Synchrono
 from heliograph.signal.settings import SignalSettings
 
 SIGNAL = SignalSettings(data_pairs=3)
-"""Packets of five pairs, two of them of header."""
+"""Packets with five pairs, two of which are headers."""
 
 POSE = Pose(4.0, 4.0, 0.5)
 
@@ -22,7 +22,7 @@ def frame(number: int, start_s: float = 0.0) -> Frame:
 
 
 def paired(pairing: SynchronousPairing, frames: list[Frame]) -> list[tuple[int, FramePair | None]]:
-    """Numbers of pairs with their frames, as a receiver takes them, frame by frame."""
+    """Return pair numbers and frames, frame by frame, as a receiver does."""
     got: list[tuple[int, FramePair | None]] = []
     for one in [*frames, None]:
         if one is None:
@@ -54,7 +54,7 @@ def test_each_pair_comes_once_in_order_with_its_frames(
     ]
     got = paired(SynchronousPairing(start_s, start_s + 1.5e-3, 0, SIGNAL), frames)
     kept = sorted(set(range(60)) - dropped)
-    # a pair is read as soon as its last frame, or a later one, is there
+    # a pair is complete as soon as its last or a later frame arrives
     assert [number for number, _ in got] == list(range((max(kept, default=-1) + 1) // 2))
     for number, pair in got:
         there = {2 * number, 2 * number + 1} - dropped
@@ -69,7 +69,7 @@ def test_each_pair_comes_once_in_order_with_its_frames(
 def test_the_light_of_data_comes_early_that_of_headers_does_not() -> None:
     got = paired(SynchronousPairing(0.0, 1.5e-3, 0, SIGNAL), [frame(k) for k in range(20)])
     late = [pair.late_s for _, pair in got if pair is not None]
-    # (15 1/2 + 11 3/2 + 5 5/2 + 1 7/2) / 32 slots of 0.25 ms, less half a pattern
+    # (15 1/2 + 11 3/2 + 5 5/2 + 1 7/2) / 32 slots, each 0.25 ms, minus half a pattern
     data = (15 * 0.5 + 11 * 1.5 + 5 * 2.5 + 3.5) / 32 * 0.25e-3 - 0.5e-3
     assert late == pytest.approx([0, 0, data, data, data] * 2)
 

@@ -1,4 +1,4 @@
-"""What may still be an array of what is followed."""
+"""Plausibility of tracked arrays."""
 
 from dataclasses import replace
 

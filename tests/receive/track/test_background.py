@@ -1,4 +1,4 @@
-"""The background of an array in single frames, by its headers."""
+"""Array background in single frames, estimated from headers."""
 
 import numpy as np
 import pytest
@@ -12,10 +12,10 @@ SOUND = np.ones((16, 16))
 
 
 def test_the_panels_width_is_found_by_the_header() -> None:
-    """9 pitches each way in the scene; a rim half a pitch off would pull the pitch by 5 %."""
+    """The panel extends 9 pitches from the centre; an error of half a pitch would bias the pitch by 5 %."""
     half, _, variance = fit_background(headers(), GAIN, SOUND)
     assert half == pytest.approx(PANEL, abs=0.15)
-    # single pixels beside the array have the variance 1.6 of half a sum's noise
+    # half the noise variance of a sum is 1.6 outside the array
     assert variance < 6
 
 
@@ -27,13 +27,13 @@ def test_the_background_is_what_a_dark_array_shows() -> None:
     rows, cols = image.shape
     images = background_images(pose, corner, (rows, cols), half)
     left = image - np.tensordot(coefficients, images[:, 0], 1)
-    # 114 gray levels of background, 5 of panel
+    # background 114 gray levels, panel 5
     assert np.abs(left).mean() < 4
     assert np.abs(image).mean() > 40
 
 
 def test_slopes_of_the_background_are_those_of_its_square() -> None:
-    """The plane stays where it is; the square moves with the pose."""
+    """The plane is fixed; the square follows the pose."""
     pose, half = Pose(20.3, 19.6, 1.1, 0.05, 0.6), 9.0
     images = background_images(pose, (0, 0), (40, 41), half)
     assert not images[1:, 1:].any()

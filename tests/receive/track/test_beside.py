@@ -1,4 +1,4 @@
-"""What comes before an array from a side, and poses that its light does not pull."""
+"""Occlusion from the side, and poses unaffected by the occluder's light."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def pose_at(distance_m: float) -> Pose:
 
 
 def scene(pose: Pose, reach: float | None = None, level: float = 1.0, side: str = "left") -> Floats:
-    """Light of an array of all LEDs at a quarter of their light; a post reaches so many pitches into it from a side."""
+    """Render an array with all LEDs at a quarter of full light; a post covers `reach` pitches from one side."""
     light = 0.1 + 0.2 * draw(pose, ALL_ON, (0, 0), SHAPE)
     if reach is None:
         return light
@@ -38,7 +38,7 @@ def scene(pose: Pose, reach: float | None = None, level: float = 1.0, side: str 
 def cleared(
     pose: Pose, light: Floats, usual: Floats | None, in_sight: Floats = ALL_ON, gain: float = GAIN
 ) -> tuple[Floats, Floats]:
-    """LEDs that nothing covers, and what lines then usually show."""
+    """Return uncovered LEDs and the updated line baselines."""
     clear, lines = np.ones((SIDE, SIDE)), np.full((2, SIDE + 2), np.nan) if usual is None else usual.copy()
     middle, away = np.array([pose.x, pose.y]), line_distance(pose, SIDE)
     kernels.uncover(2 * 255 * light, middle, pose.axes, away, PARAMETERS.min_line_change * gain, in_sight, lines, clear)
@@ -54,7 +54,7 @@ def test_leds_are_covered_from_the_side_on(distance_m: float, level: float, side
     assert clear.all()
     found, _ = cleared(pose, scene(pose, 5.0, level, side), usual)
     lines = np.rot90(found, {"left": 0, "top": 1, "right": 2, "bottom": -1}[side]).mean(0)
-    # a line is covered as a whole, and blur reaches a pixel or so further
+    # lines are covered completely; blur extends by about a pixel
     assert set(lines) <= {0.0, 1.0}
     covered = int((lines == 0).sum())
     assert not lines[:covered].any()
@@ -80,7 +80,7 @@ def test_an_array_off_its_place_is_not_covered(offset: tuple[float, float], dist
 
 
 def test_what_changes_everywhere_covers_nothing() -> None:
-    """Nothing would hold the array's place."""
+    """If all lines counted as covered, no LED would fix the pose."""
     pose = pose_at(50.0)
     _, usual = cleared(pose, scene(pose), None)
     clear, _ = cleared(pose, 0.3 + scene(pose), usual)
@@ -95,7 +95,7 @@ def test_what_stays_beside_the_array_belongs_to_its_surroundings() -> None:
         if clear.all():
             post = pairs
             break
-    # ln(change / least) / rate
+    # ln(change / threshold) / rate
     assert 0.5 / COVERED_LINE_RATE < post < 3.5 / COVERED_LINE_RATE
 
 
@@ -120,7 +120,7 @@ def test_hidden_leds_come_back_as_they_were() -> None:
 
 
 def test_of_an_array_just_found_it_is_not_known_what_is_usual() -> None:
-    """It may have been found behind a post: what comes to light is not taken for covered."""
+    """A post may be present at detection; LEDs appearing later must not count as covered."""
     pose = pose_at(50.0)
     _, usual = cleared(pose, scene(pose, -0.5), None, gain=np.inf)
     clear, after = cleared(pose, scene(pose), usual, gain=np.inf)
@@ -131,7 +131,7 @@ def test_of_an_array_just_found_it_is_not_known_what_is_usual() -> None:
 @pytest.mark.parametrize("level", [0.02, 0.6, 0.95])
 @pytest.mark.parametrize("distance_m", [41.0, 60.0])
 def test_a_post_does_not_pull_the_pose(distance_m: float, level: float) -> None:
-    """A post as bright as 146 of 255 pulled an array at 41 m by 1.2 px before it hid an LED, then by 20."""
+    """A post with 146 of 255 gray levels shifted an array at 41 m by 1.2 px before hiding an LED, then by 20 px."""
     pose, rng, model = pose_at(distance_m), np.random.default_rng(8), MotionModel(1e-3, 0.1)
     tracker = Tracker(SIDE, model)
     state = PoseState.start(0.0, pose.full_vector()[:5], np.diag([0.05, 0.05, 1e-3, 1e-3, 0.05]) ** 2, model)

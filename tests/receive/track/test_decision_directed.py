@@ -1,4 +1,4 @@
-"""Data without inverses: the array followed by decisions on its data."""
+"""Decision-directed tracking for data without inverses."""
 
 from itertools import pairwise
 
@@ -21,19 +21,19 @@ Floats = NDArray[np.float64]
 SOUND = np.ones((16, 16))
 MODEL = MotionModel(1e-3, 0.1)
 SPREADS = np.array([1.0, 1.0, 0.002, 0.002, 0.02])
-"""Standard deviations of what is expected: of the place next to nothing is known."""
+"""Standard deviations of the predicted pose; the position is almost unknown."""
 
 LATE = light_centroids()[0] - 0.5, light_centroids()[1] - 0.5
-"""When the light of the levels' mean and that of the data come, in patterns after the middle of an exposure."""
+"""Delay of mean light and data light after mid-exposure, in patterns."""
 
 
 def tracker_of(late_s: tuple[float, float] = (0.0, 0.0)) -> DecisionDirectedTracker:
-    """At 80 m, after a header."""
+    """Create a tracker at 80 m after a header."""
     return DecisionDirectedTracker(Tracker(16, MODEL), late_s, headers(), GAIN, SOUND)
 
 
 def expected(pose: Pose, time_s: float, rates: tuple[float, float] = (0.0, 0.0)) -> Track:
-    """A track that expects the array at a pose, moving by rates in px/s."""
+    """Create a track with a predicted pose and velocity in px/s."""
     state = PoseState.start(time_s, pose.full_vector()[:5], np.diag(SPREADS**2), MODEL)
     mean = state.mean.copy()
     mean[5:7] = rates
@@ -43,15 +43,15 @@ def expected(pose: Pose, time_s: float, rates: tuple[float, float] = (0.0, 0.0))
 
 
 def errors(motion: tuple[float, float], late: tuple[float, float] | None = None) -> tuple[Floats, Floats]:
-    """Errors (frames, 2) in px of poses found from 0.07 px beside them, and scores (frames,) of their fits.
+    """Return errors (frames, 2) in px and fit scores (frames,), starting 0.07 px off.
 
-    `late` is when the tracker takes the light of the mean and that of the data to come, in patterns.
+    `late` sets the tracker's delays for mean light and data light, in patterns.
     """
     mean_late, data_late = late or LATE
     decisions = tracker_of((mean_late * 1e-3, data_late * 1e-3))
     rng, found, scores = np.random.default_rng(3), [], []
     for k, (earlier, levels) in enumerate(pairwise(patterns(13, 4))):
-        # anywhere on the grid of pixels
+        # random subpixel position
         x, y = 40 + rng.uniform(-0.5, 0.5, 2)
         pose = Pose(x, y, pitch_at(80.0), 0.01, 0.53)
         before = framed(pose.moved(-motion[0], -motion[1]), earlier, 10 + 2 * k, rng, motion)
@@ -66,7 +66,7 @@ def errors(motion: tuple[float, float], late: tuple[float, float] | None = None)
 
 
 def test_a_frame_pulls_a_wrong_pose_back() -> None:
-    """Its data are decided at the wrong pose, and do not confirm it."""
+    """Decisions at a wrong pose do not confirm this pose."""
     steps, scores = errors((0.0, 0.0))
     assert scores.min() > 0.9
     assert np.sqrt(np.mean(np.square(steps))) < 0.02
@@ -75,11 +75,11 @@ def test_a_frame_pulls_a_wrong_pose_back() -> None:
 
 @pytest.mark.slow
 def test_the_light_of_the_mean_and_that_of_the_data_come_at_their_times() -> None:
-    """PWM is bright early in a pattern: in motion the levels' mean lies 0.19 patterns behind the data."""
+    """PWM is bright early in a pattern: in motion, mean light trails data light by 0.19 patterns."""
     motion = 1.5, -1.2
     steps, scores = errors(motion)
     assert np.sqrt(np.mean(np.square(steps))) < 0.04
-    # any other times explain the frames worse: both at once, or the one in place of the other
+    # other delays fit worse: both zero, equal, or swapped
     for late in ((0.0, 0.0), (LATE[0], LATE[0]), (LATE[1], LATE[0])):
         _, others = errors(motion, late)
         assert np.mean(others < scores) > 0.7, late
@@ -98,7 +98,7 @@ def test_cutouts_have_the_poses_of_their_light() -> None:
         assert (data.x, data.y) == pytest.approx(_place(state, frame.time_s + data_late_s))
         light = cutout.mean_light_pose
         assert (light.x, light.y) == pytest.approx(_place(state, frame.time_s + mean_late_s))
-        # about as far apart as the array goes in 0.3 ms
+        # motion during 0.3 ms
         assert data.x - light.x == pytest.approx(0.15, rel=0.05)
 
 
@@ -121,7 +121,7 @@ def test_a_cutout_is_twice_the_light_above_the_background() -> None:
 
 
 def test_what_hides_the_array_is_not_followed() -> None:
-    """The track goes on as predicted, and the next frame is read as if nothing had been."""
+    """Tracking continues as predicted, and the next frame is unaffected."""
     rng, pose = np.random.default_rng(7), Pose(40.4, 40.3, pitch_at(80.0), 0.01, 0.53)
     first, second = patterns(2, 2)
     decisions, plain = tracker_of(), tracker_of()
@@ -138,10 +138,10 @@ def test_what_hides_the_array_is_not_followed() -> None:
 
 
 def test_what_is_no_array_moves_the_pose_by_bounded_steps() -> None:
-    """A blur that ran away once asked for gigabytes of memory."""
+    """An unbounded blur once required gigabytes of memory."""
     rng, pose, decisions = np.random.default_rng(8), Pose(40.4, 40.3, pitch_at(80.0), 0.01, 0.53), tracker_of()
     wide = expected(pose, 0.011)
-    # nothing is known of the array, so the frames alone decide
+    # no prior: frames determine the pose
     state = PoseState(wide.state.time_s, wide.state.mean, 1e6 * wide.state.covariance)
     for k in range(10):
         squares = [np.repeat(np.repeat(rng.uniform(0, 1, (10, 10)), 8, 0), 8, 1) for _ in range(2)]
@@ -154,7 +154,7 @@ def test_what_is_no_array_moves_the_pose_by_bounded_steps() -> None:
 
 def test_noise_is_that_of_twice_a_frame() -> None:
     noise = tracker_of().noise
-    # photons and read noise of the reference link, in gray levels of 15000 electrons
+    # photon and read noise for the reference link, in gray levels; 15000 electrons full well
     per_electron = 255 / 15000
     lit = per_electron**2 * (15000 * 0.42 + 40.0**2) + 1 / 12
     assert noise.lit == pytest.approx(4 * lit, rel=0.3)

@@ -1,4 +1,4 @@
-"""The filter of the pose, beside an independent Kalman filter."""
+"""Pose filter against filterpy's Kalman filter."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 PERIOD_S, ACCELERATION_PX = 1e-3, 0.1
 MODEL = MotionModel(PERIOD_S, ACCELERATION_PX)
 
-# what the model assumes, in patterns
+# model assumptions, in patterns
 ACCELERATION_PATTERNS, EXPANSION = 4.0, 5e-7
 ROLL_WALK, BLUR_WALK, TILT_WALK, SUM_WALKS = 0.03, 0.1, 0.01, (0.01, 0.2)
 WALK_PATTERNS = 1000.0
@@ -34,7 +34,7 @@ def random_covariance(rng: np.random.Generator, scale: float = 0.1) -> Floats:
 
 
 def beside(state: PoseState) -> KalmanFilter:
-    """filterpy's filter in the same state."""
+    """Return a filterpy filter with the same state."""
     other = KalmanFilter(dim_x=10, dim_z=5)
     other.x, other.P = state.mean.reshape(-1, 1).copy(), state.covariance.copy()
     return other
@@ -53,7 +53,7 @@ def predict(other: KalmanFilter, dt: float, period_s: float = PERIOD_S) -> None:
 
 
 def fitted(state: PoseState, z: Floats, noise: Floats, observation: Observation) -> tuple[Floats, Floats]:
-    """What a linear fit gives of a measurement z: its posterior with `expected` as prior."""
+    """Return the posterior of a linear fit to z with `expected` as prior."""
     mean, spread = state.expected(observation)
     prior = np.linalg.inv(spread)
     covariance = np.linalg.inv(prior + np.linalg.inv(noise))
@@ -71,7 +71,7 @@ def test_same_as_filterpy(observation: Observation) -> None:
         state = state.predict(time_s, MODEL)
         z, noise = rng.normal(size=5), random_covariance(rng)
         vector, covariance = fitted(state, z, noise, observation)
-        # a model's error is noise of the measurement that the fit does not know of
+        # model error acts as additional measurement noise
         other.update(z.reshape(-1, 1), R=noise + np.diag(observation[1]), H=observation[0])
         state = state.condition(vector, covariance, observation)
         assert state.time_s == time_s
@@ -88,7 +88,7 @@ def test_errors_of_the_model_keep_the_state_from_trusting_a_sharp_fit() -> None:
     doubtful = POSE[0], np.array([0, 0, 0.2, 0, 0]) ** 2
     vector, covariance = fitted(state, np.ones(5), sharp, doubtful)
     careful = state.condition(vector, covariance, doubtful)
-    # equal variances of state and model: half the way, half the variance
+    # equal state and model variances: half the innovation, half the variance
     assert careful.mean[:5] == pytest.approx([1, 1, 0.5, 1, 1], abs=1e-4)
     assert careful.covariance[2, 2] == pytest.approx(0.02, rel=1e-3)
 
@@ -124,7 +124,7 @@ def test_rates_of_an_even_motion_are_learnt() -> None:
 
 @pytest.mark.parametrize("period_s", [1e-5, 0.1])
 def test_a_slower_light_gives_the_same_filter_from_pattern_to_pattern(period_s: float) -> None:
-    """Spreads are in patterns: times and rates scale with the period, poses do not."""
+    """Spreads are per pattern: times and rates scale with the period, poses do not."""
     scale = np.ones(10)
     scale[5:8] = period_s / PERIOD_S
     states = []
@@ -150,7 +150,7 @@ def test_a_sum_shows_the_pose_late_and_with_errors_of_its_own() -> None:
     moving = PoseState(0.0, mean, state.covariance)
     shown, _ = moving.expected(sum_observation(2e-4))
     assert shown == pytest.approx([50.06, 39.97, 0.1 + 8e-5 + 0.03, 0.02, -0.6 + 0.2])
-    # a header is free of them
+    # headers have no bias
     assert moving.expected(HEADER_OBSERVATION)[0] == pytest.approx(mean[:5])
 
 
@@ -162,7 +162,7 @@ def test_the_tilt_is_kept_apart_and_grows_uncertain() -> None:
     assert later.tilt.tolist() == [-0.1, 0.05]
     assert later.tilt_covariance == pytest.approx(np.diag([1e-5, 2e-5]) + 0.5 * TILT_WALK**2 * np.eye(2))
     assert (later.pose.stretch, later.pose.shear) == (-0.1, 0.05)
-    # an array that passes turns; 100 patterns of T_b at 0.3 / f of its speed
+    # a passing array rotates; 100 patterns T_b at 0.3 / f times its speed
     passing = PoseState.start(0.0, vector, covariance, MODEL, (300.0, -400.0))
     turned = passing.predict(0.5, replace(MODEL, focal_px=3000.0)).tilt_covariance - later.tilt_covariance
     assert turned == pytest.approx((0.3 * 500 / 3000) ** 2 * 0.5 * 100 * PERIOD_S * np.eye(2))

@@ -1,4 +1,4 @@
-"""What a pair shows of an array before its pose is found."""
+"""Pair evaluation before the pose is known."""
 
 import numpy as np
 from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
@@ -18,7 +18,7 @@ def test_a_preview_equals_the_separate_kernels() -> None:
     track = Track(state, 200.0, 200.0, ALL_ON, 0.0, np.ones((SIDE, SIDE)), pairs=PARAMETERS.learning_pairs)
     for k in range(12):
         levels = rng.binomial(4, 0.5, (SIDE, SIDE)) / 4
-        # a post that comes in from the left
+        # a post entering from the left
         hidden = slice(0, max(0, 3 * k - 8))
         frames = []
         for x in (levels, 1 - levels):

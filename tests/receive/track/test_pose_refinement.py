@@ -1,4 +1,4 @@
-"""Poses refined by decoded data, where a background has pulled them away."""
+"""Pose refinement from decoded data after bias by a background."""
 
 from dataclasses import dataclass, field
 
@@ -28,29 +28,19 @@ PAIRS = FORM.settings.data_pairs
 
 @dataclass(frozen=True, slots=True)
 class Numbered(Cutout):
-    """A cut-out that notes in `moves` by how much its poses are corrected."""
+    """A cut-out recording its pose corrections in `moves`."""
 
     number: int = 0
     moves: dict[int, Floats] = field(default_factory=dict)
 
     def moved(self, error: Floats) -> Cutout:
         self.moves[self.number] = self.moves.get(self.number, np.zeros(4)) + error
-        # without arguments super() fails in a class with slots
+        # zero-argument super() fails in classes with slots
         return Cutout.moved(self, error)
 
 
 class Packet:
-    """A packet whose poses are off.
-
-    Parameters
-    ----------
-    distance_m
-        Of the array.
-    pulled
-        (pairs, 4) by how much its poses are off, in x, y, ln pitch and roll.
-    missing
-        Pairs that were not seen.
-    """
+    """A packet at `distance_m` with pose errors `pulled` (pairs, 4) in x, y, ln pitch and roll, and missing pairs."""
 
     def __init__(self, distance_m: float, pulled: Floats, missing: tuple[int, ...] = ()):
         rng, self.symbols = np.random.default_rng(1), symbols_of(random_blocks(0))
@@ -73,7 +63,7 @@ class Packet:
             self.observed = ObservedPacket(cutouts, NOISE, FORM, LedGains.sound(SIDE))
 
     def refine(self, known: int) -> bool:
-        """Refine the poses by the first symbols of each pair, so many of them; return whether any moved."""
+        """Refine poses from the first `known` symbols in each pair; return True if a pose moved."""
         variance = np.where(np.arange(self.symbols.shape[1]) < known, 0.0, 1.0)
         mean = np.where(variance == 0, self.symbols, 0.0)
         with one_thread():
@@ -81,7 +71,7 @@ class Packet:
 
     @property
     def errors(self) -> Floats:
-        """(pairs, 4) corrections so far."""
+        """Return accumulated corrections (pairs, 4)."""
         return np.array([self.moves.get(k, np.zeros(4)) for k in range(PAIRS)])
 
 
@@ -92,7 +82,7 @@ def test_errors_of_poses_are_found(known: int, left: float) -> None:
     packet = Packet(95, pulled)
     before = list(packet.observed.statistics)
     assert packet.refine(known)
-    # an error is what is to be added
+    # corrections are the negative pose errors
     rest = (packet.errors + pulled)[:, :2]
     assert np.sqrt((rest**2).mean()) < left
     assert np.sqrt((pulled[:, :2] ** 2).mean()) > 0.12
@@ -104,7 +94,7 @@ def test_the_statistics_become_those_of_the_right_poses() -> None:
     packet, right = Packet(95, pulled), Packet(95, np.zeros((PAIRS, 4)))
 
     def distance() -> float:
-        """Of the statistics from those of the right poses."""
+        """Return the mean difference from statistics at true poses."""
         pairs = zip(packet.observed.statistics, right.observed.statistics, strict=True)
         return float(np.mean([np.abs(a.gram - b.gram).mean() for a, b in pairs if a and b]))
 
@@ -122,7 +112,7 @@ def test_poses_that_are_right_stay() -> None:
 
 
 def test_what_is_found_once_is_not_found_again() -> None:
-    """A second refinement counts the errors corrected before, and so stays where it is."""
+    """A second refinement includes earlier corrections and changes no pose."""
     pulled = np.tile([0.15, -0.1, 0.0, 0.0], (PAIRS, 1))
     packet = Packet(95, pulled)
     assert packet.refine(192)
@@ -136,14 +126,14 @@ def test_a_movement_is_worth_new_statistics_from_a_hundredth_of_a_pixel() -> Non
     assert is_significant(np.array([0.0, 0.02, 0.0, 0.0]))
     assert is_significant(np.array([0.0, 0.0, 0.0, 0.01]))
     assert is_significant(np.array([-0.011, 0.0, 0.0, 0.0]))
-    # pitch and roll move the rim, 4 px from the middle
+    # pitch and roll move the rim, 4 px from the centre
     assert not is_significant(np.array([0.009, -0.009, 0.0, 0.0]))
     assert not is_significant(np.array([0.0, 0.0, 0.002, 0.002]))
     assert is_significant(np.array([0.0, 0.0, 0.003, 0.0]))
 
 
 def test_pairs_that_are_asked_were_seen() -> None:
-    """Every third is asked; where those are missing, others are."""
+    """Refinement samples every third pair; if those are missing, others replace them."""
     pulled = np.tile([0.1, 0.1, 0.0, 0.0], (PAIRS, 1))
     packet = Packet(95, pulled, missing=tuple(range(0, PAIRS, 3)))
     assert packet.refine(192)
@@ -159,7 +149,7 @@ def test_of_nothing_decoded_nothing_is_found() -> None:
 
 
 def test_poses_of_the_single_mode_stay() -> None:
-    """They come from decided data already."""
+    """Decision-directed tracking already used the data."""
     single = PacketFormat(SignalSettings(data_pairs=24), Format(mode="single"))
     observed = ObservedPacket([None] * 48, NOISE, single, LedGains.sound(SIDE))
     assert not observed.refine_poses(np.ones((48, 256)), np.zeros((48, 256)), GAIN, NOISE.lit)
@@ -176,7 +166,7 @@ def test_errors_that_are_sharply_seen_are_taken_as_they_are() -> None:
 
 
 def test_errors_are_about_the_poses_as_corrected_before() -> None:
-    """What is left of an error after a correction adds to it."""
+    """Residual errors add to earlier corrections."""
     before = np.tile([0.06, 0.0, 0.0, 0.0], (12, 1))
     rest = np.array([0.04, 0.02, 0.0, 0.0])
     evidence = dict.fromkeys(range(12), (SHARP, SHARP @ rest))
@@ -184,7 +174,7 @@ def test_errors_are_about_the_poses_as_corrected_before() -> None:
 
 
 def test_neighbours_share_errors_and_far_pairs_do_not() -> None:
-    """Errors that come and go within 8 pairs, and ones that stay; of the first ten pairs nothing is asked."""
+    """Errors vary within 8 pairs or stay constant; the first ten pairs have no evidence."""
     rng = np.random.default_rng(3)
     quick = np.zeros((80, 4))
     quick[40:44, 0] = 0.2

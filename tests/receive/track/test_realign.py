@@ -1,4 +1,4 @@
-"""Poses by the power of differences."""
+"""Pose realignment by difference power."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def pose_at(distance_m: float) -> Pose:
 
 
 def even(true: Pose, taken: Pose, led_gains: Floats = ALL) -> Cutout:
-    """A cut-out about a pose that may be wrong, its difference that of the array with all LEDs on."""
+    """Return a cut-out at a possibly wrong pose; its difference shows all LEDs on."""
     dark = frame_of(np.zeros(SHAPE), 0, np.random.default_rng(0))
     cutout = take_cutout(FramePair(dark, dark), (taken, taken), SIDE)
     light = 90 * draw(true, led_gains, cutout.corner, cutout.shape)
@@ -58,26 +58,26 @@ def test_errors_are_found_between_pixels(off: tuple[float, float]) -> None:
 def test_an_error_beyond_reach_goes_as_far_as_is_looked() -> None:
     pose = pose_at(95.0)
     moved, _ = align_by_power([even(pose, pose.moved(6.0, 0.0))], ALL)
-    # four px, and one by the parabola at most
+    # limited to 4 px grid steps plus 1 px from the parabola
     assert 1.0 <= errors(moved, pose)[0, 0] <= 2.5
 
 
 def test_each_pair_goes_by_those_about_it() -> None:
-    """Eight before it and eight after it."""
+    """The smoothing window covers eight pairs on each side."""
     pose = pose_at(95.0)
     off = [pose.moved(2.0, 0.0)] * 20 + [pose.moved(-2.0, 0.0)] * 20
     moved, _ = align_by_power([even(pose, taken) for taken in off], ALL)
     found = errors(moved, pose)[:, 0]
-    # pairs of which all within reach have the same error
+    # pairs with a constant error inside the window
     assert found[:12] == pytest.approx(np.zeros(12), abs=0.08)
     assert found[28:] == pytest.approx(np.zeros(12), abs=0.08)
-    # within reach of the change others have a say, the same either way
+    # symmetric transition around the change
     assert (np.abs(found[12:28] - found[[11]]) > 1e-3).all()
     assert found[12:20] == pytest.approx(-found[20:28][::-1])
 
 
 def test_hidden_leds_have_no_power() -> None:
-    """An array whose left half is hidden, or burnt out, has its power in the right one, and stays where it is."""
+    """An array with a hidden or failed left half has all power on the right, and the pose stays."""
     pose, right = pose_at(50.0), ALL.copy()
     right[:, :8] = 0
     cutout = even(pose, pose, right)

@@ -1,4 +1,4 @@
-"""Which LEDs are in sight, and fits without pixels that something hides."""
+"""Visible LEDs, and fits excluding occluded pixels."""
 
 import numpy as np
 import occlusion_oracle as reference
@@ -22,12 +22,11 @@ def pose_at(distance_m: float) -> Pose:
 
 
 def data(rng: np.random.Generator) -> Floats:
-    """Random luminances of the LEDs."""
     return rng.binomial(4, 0.5, (SIDE, SIDE)) / 4
 
 
 def pair_of(pose: Pose, rng: np.random.Generator, post: slice | None = None, level: float = 0.3) -> FramePair:
-    """A pair of random data, columns of pixels hidden by a post."""
+    """Return a random data pair with pixel columns hidden by a post."""
     levels, frames = data(rng), []
     for k, x in enumerate((levels, 1 - levels)):
         light = 0.1 + 0.8 * draw(pose, x, (0, 0), SHAPE)
@@ -42,7 +41,7 @@ def change_of(pair: FramePair) -> Floats:
 
 
 def changed(before: Floats, pair: FramePair, pose: Pose) -> Floats:
-    """Recent change of the LEDs with one more pair, whose noise is 2 gray levels; LEDs in sight change by 5."""
+    """Update the recent LED change with one pair; noise is 2 gray levels, visible LEDs change by 5."""
     out, bright = np.empty_like(before), int(PARAMETERS.bright_quantile * (SIDE**2 - 1))
     taken = 25.0, bright, PARAMETERS.max_change, PARAMETERS.change_rate
     kernels.recent_change(before, change_of(pair), 2.0, pose.x, pose.y, pose.axes, square_leds(pose, SIDE), *taken, out)
@@ -52,7 +51,6 @@ def changed(before: Floats, pair: FramePair, pose: Pose) -> Floats:
 @pytest.mark.parametrize("distance_m", [25.0, 50.0, 95.0])
 def test_what_a_post_hides_does_not_change(distance_m: float) -> None:
     rng, pose = np.random.default_rng(3), pose_at(distance_m)
-    # the left half of the array
     post = slice(0, round(pose.x))
     change = np.ones((SIDE, SIDE))
     for _ in range(30):
@@ -106,7 +104,7 @@ def test_kernels_do_what_the_reference_does(seed: int) -> None:
         kernels.power_around(change, 5.0, *place, pose.axes, width, around)
         want = reference.power_around(change, 5.0, *place, pose.axes, width, SIDE)
         assert around == pytest.approx(want, rel=1e-4)
-        # the least power as what is around it, and far above
+        # thresholds near and far above the typical power
         for least in (1.0, 1e4):
             before, got = rng.uniform(0, 2, (SIDE, SIDE)), np.empty((SIDE, SIDE))
             kernels.recent_change(before, change, 5.0, *place, pose.axes, width, least, 204, 2.0, 0.25, got)

@@ -1,4 +1,4 @@
-"""Tracking: arrays at rest and in hard shake, and the contrast by which an array is known to be in sight."""
+"""Tracker: arrays at rest and in strong shake, and visibility from contrast."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,7 +33,7 @@ def shaking(t: Floats) -> Floats:
 
 
 def errors(tracked: list[TrackedPair], path: Callable[[Floats], Floats]) -> Floats:
-    """Error of the position in px at each pair, (pairs, 2); a time is the start of an exposure of 1 ms."""
+    """Return position errors (pairs, 2) in px; timestamps mark the start of a 1 ms exposure."""
     times = np.array([t.state.time_s for t in tracked])
     places = np.array([(t.state.pose.x, t.state.pose.y) for t in tracked])
     return np.asarray(places - path(times + 0.5e-3), np.float64)
@@ -72,7 +72,7 @@ def test_contrast_is_what_blur_leaves_of_a_square_of_leds(pitch: float, blur: fl
 
 
 def followed(gain: float, expected: float, seed: int = 0) -> tuple[Tracker, Track, FramePair]:
-    """A tracker, an array just found that is expected to have a gain, and header frames of it of another."""
+    """Return a tracker, a new array with an expected gain, and header frames with another gain."""
     tracker, rng = Tracker(SIDE, MotionModel(1e-3, 0.1)), np.random.default_rng(seed)
     pose, header = Pose(40.2, 39.7, pitch_at(50.0), 0.01, 0.53), header_levels(7) / 4.0
     up, down = (
@@ -84,12 +84,12 @@ def followed(gain: float, expected: float, seed: int = 0) -> tuple[Tracker, Trac
 
 
 def moving_header(drift: float) -> tuple[FramePair, Floats]:
-    """A header and its inverse before a bright sky, moving by so many px from one to the next, in noise of 2."""
+    """Return a moving header pair in front of a bright sky with noise 2; drift in px per frame."""
     header, rng = header_levels(7, SIDE) / 2.0 - 1.0, np.random.default_rng(4)
     frames = []
     for k, sign in enumerate((1, -1)):
         pose = Pose(30.2, 29.7 + drift * (k - 0.5), 0.61, 0.0, 0.5)
-        # a dark panel half a pitch wider than the LEDs hides the sky
+        # a dark panel, half a pitch wider than the LEDs, hides the sky
         panel = draw(replace(pose, pitch=0.61 * 17 / 16), ALL_ON, (0, 0), (60, 60))
         frames.append(
             frame_of(0.78 * (1 - panel) + 0.8 * draw(pose, 0.5 + 0.5 * sign * header, (0, 0), (60, 60)), k, rng)
@@ -99,7 +99,7 @@ def moving_header(drift: float) -> tuple[FramePair, Floats]:
 
 @pytest.mark.parametrize("drift", [-0.8, -0.4, 0.0, 0.4, 0.8])
 def test_a_header_that_moves_is_where_it_is(drift: float) -> None:
-    """What it leaves in its sum was taken for a blur of the sum: the filter went astray before a bright sky."""
+    """Header motion leaves a residual in the sum, which resembled blur and biased the filter under a bright sky."""
     pair, header = moving_header(drift)
     tracker, model = Tracker(SIDE, MotionModel(1e-3, 0.1)), MotionModel(1e-3, 0.1)
     vector = np.array([30.2, 29.7, np.log(0.61), 0.0, np.log(0.5)])
@@ -113,7 +113,7 @@ def test_a_header_that_moves_is_where_it_is(drift: float) -> None:
 
 
 def test_a_sum_that_looks_blurred_does_not_lead_astray() -> None:
-    """In hard shake before a bright sky the sum's blur grew from pair to pair, until the array was lost."""
+    """In strong shake in front of a bright sky, the estimated blur grew until the track was lost."""
     tracker, model = Tracker(SIDE, MotionModel(1e-3, 0.1)), MotionModel(1e-3, 0.1)
     vector = np.array([30.2, 29.7, np.log(0.61), 0.0, np.log(0.5)])
     state = PoseState.start(0.0, vector, np.diag([0.1, 0.1, 0.01, 0.01, 0.05]) ** 2, model)
@@ -144,7 +144,7 @@ def test_the_gain_goes_a_tenth_of_its_way_with_each_sum() -> None:
     assert tracked.before is track
     assert tracked.fit.gain == pytest.approx(180, rel=0.03)
     assert tracked.track.gain - 160 == pytest.approx(0.1 * (tracked.fit.gain - 160))
-    # that of headers is theirs
+    # header pairs have a separate gain
     assert tracked.track.data_gain == 160
     assert tracked.track.last_seen_s == pair.time_s
 
@@ -154,7 +154,7 @@ def test_a_header_gives_the_gain_of_the_data() -> None:
     refined = tracker.refine(track, pair, header_levels(7) / 2.0 - 1.0)
     assert refined.data_gain == pytest.approx(180, rel=0.02)
     assert refined.gain == 160
-    # another array's header changes nothing
+    # a header from another array has no effect
     assert tracker.refine(track, pair, header_levels(20) / 2.0 - 1.0) is track
 
 
@@ -167,7 +167,7 @@ def test_a_hidden_array_leaves_the_gain_as_it_is() -> None:
 
 
 def worst_error(led_gains: Floats, shown: Floats) -> tuple[float, bool]:
-    """Largest error in px over thirty pairs of random data, by a tracker that takes LEDs to have other gains."""
+    """Return the largest error in px over thirty random data pairs, for a tracker assuming other LED gains."""
     rng, pose = np.random.default_rng(2), Pose(40.2, 39.7, pitch_at(47.0), 0.0, 0.52)
     tracker, model = Tracker(SIDE, MotionModel(1e-3, 0.1)), MotionModel(1e-3, 0.1)
     state = PoseState.start(0.0, pose.full_vector(), np.eye(7) * 1e-3, model)

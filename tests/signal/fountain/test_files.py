@@ -1,4 +1,4 @@
-"""Files from symbols in any order, from any start, with losses, false symbols and joined passages."""
+"""File reassembly from fountain symbols: any order and start, losses, invalid symbols, joined receptions."""
 
 import importlib.util
 import random
@@ -34,7 +34,7 @@ def sent(file: SentFile, packets: range, layers: tuple[str, ...] = ("low",), ide
 
 
 def gathered(blocks: Sequence[AnyFileBlock], files: FileGatherer | None = None) -> FileProgress | None:
-    """The last progress, up to a whole file."""
+    """Return the last progress, at most until the file is complete."""
     files, last = files or FileGatherer(), None
     for block in blocks:
         last = files.add(block) or last
@@ -44,7 +44,7 @@ def gathered(blocks: Sequence[AnyFileBlock], files: FileGatherer | None = None) 
 
 
 def test_the_field_is_one() -> None:
-    """Products by logarithms are those of polynomials, and each element but 0 has an inverse."""
+    """Log-domain products equal polynomial products; each nonzero element has an inverse."""
 
     def product(a: int, b: int) -> int:
         out = 0
@@ -64,7 +64,7 @@ def test_the_field_is_one() -> None:
 
 @pytest.mark.parametrize("code", CODES)
 def test_a_picture_of_20_kb_arrives_with_a_fifth_of_its_packets_lost(code: CodeName) -> None:
-    """From any start, in any order, over one to three layers: of 40 receptions at stated seeds none fails."""
+    """All 40 seeded receptions succeed, with random start and order, over one to three layers."""
     file, failed, extra = replace(PICTURE, code=code), Count(), []
     for seed in range(40):
         rng = random.Random(seed)
@@ -80,12 +80,12 @@ def test_a_picture_of_20_kb_arrives_with_a_fifth_of_its_packets_lost(code: CodeN
             extra.append(found.had - found.key.count)
     assert failed.errors == 0, failed.text()
     assert failed.interval()[1] < 0.09
-    # any k of Cauchy's are enough; of RaptorQ's one more is needed once in 256 times
+    # Cauchy needs any k symbols; RaptorQ needs an extra symbol with probability 1/256
     assert max(extra) <= (0 if code == "cauchy" else 2)
 
 
 def test_any_symbols_that_are_as_many_as_the_files_own_are_enough() -> None:
-    """Of 300 choices of k symbols among all 65536 none fails: files of 1 to 60 symbols."""
+    """300 random choices with k symbols from all 65536 decode; files have 1 to 60 symbols."""
     rng = random.Random(7)
     for _ in range(300):
         data = rng.randbytes(rng.randrange(1, 240))
@@ -95,7 +95,7 @@ def test_any_symbols_that_are_as_many_as_the_files_own_are_enough() -> None:
 
 
 def test_progress_is_told_from_the_first_symbol_and_passages_are_joined() -> None:
-    """Two passages of which neither is enough; of two arrays, and with repeats."""
+    """Two incomplete receptions from two arrays, with repeated symbols."""
     first, second = sent(PICTURE, range(100)), sent(PICTURE, range(5000, 5095), identity=9)
     files = FileGatherer()
     told = [files.add(block) for block in first]
@@ -112,7 +112,7 @@ def test_progress_is_told_from_the_first_symbol_and_passages_are_joined() -> Non
 
 
 def test_a_symbol_whose_crc_is_wrong_never_reaches_a_file() -> None:
-    """Bits are turned in every third block: the blocks are refused, and the file is right."""
+    """Every third block has bit errors: the CRC rejects these blocks and the file is correct."""
     rng = random.Random(3)
     files, refused, found = FileGatherer(), 0, None
     for number, block in enumerate(sent(PICTURE, range(320))):
@@ -172,7 +172,7 @@ def test_layers_send_different_symbols_and_files_take_turns_with_messages() -> N
 
 
 def test_blocks_of_different_sizes_carry_symbols_of_one_file() -> None:
-    """Packets that take two rates in turn: the larger block has several symbols."""
+    """Packets alternate between two rates; the larger block carries several symbols."""
     formats = (Format(), Format(mode="single", low=0.9))
     sender = Transmitter(SignalSettings(), 0, {"low": [PICTURE]}, formats)
     blocks = [block for packet in range(90) for block in sender.blocks(packet)["low"]]
@@ -200,7 +200,6 @@ SMALL = SignalSettings(side=8, data_pairs=13)
 
 
 def small(file: SentFile, packets: range, rate: float = 2 / 3) -> list[AnyFileBlock]:
-    """Blocks of 8 x 8 LEDs."""
     form = Format(mode="short", high=rate, middle=rate, low=rate)
     sender = Transmitter(SMALL, 3, {layer: [file] for layer in ("high", "middle", "low")}, [form])
     bits = {name: layer.code.k for name, layer in sender.format.layers.items()}
@@ -219,7 +218,7 @@ def test_small_blocks_bring_a_file_whole_in_any_order_with_losses(rate: float, s
     file = SentFile("note.txt", random.Random(7).randbytes(500))
     blocks = small(file, range(400 // size), rate)
     random.Random(1).shuffle(blocks)
-    # a fifth is lost
+    # 20 % loss
     found = gathered(blocks[: 4 * len(blocks) // 5])
     assert found is not None
     assert found.whole is not None
@@ -251,5 +250,5 @@ def test_symbols_of_no_known_file_are_bounded() -> None:
     notice = FileNotice("low", 0, 8 * 4000, 0xFF << 24)
     progress = files.add(notice)
     assert progress is not None
-    # a 256th of the newest 1024
+    # newest 1024 symbols / 256 identifiers
     assert progress.had == 4
