@@ -65,7 +65,7 @@ FAULTS: dict[str, tuple[dict[str, float], str]] = {
 @pytest.mark.parametrize("kind", FAULTS)
 def test_one_fault_is_told_by_its_name_alone(kind: str) -> None:
     phone, why = FAULTS[kind]
-    found = probed(filmed(**phone))
+    found = probed(filmed(10.0, 16, **phone))
     assert kinds(found) == [kind]
     (line,) = in_sentences(found)
     assert line.startswith(f"{kind.capitalize()}: ")
