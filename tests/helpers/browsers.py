@@ -31,31 +31,37 @@ SWITCHES = (
     "--autoplay-policy=no-user-gesture-required",
 )
 
+DISPLAY = """
+let asked = [], now = 0;
+window.requestAnimationFrame = (draw) => asked.push(draw);
+window.refresh = () => { now += 1000 / 60; asked.splice(0).forEach((draw) => draw(now)); };
+"""
+"""A script of a page: a display of 60 Hz that is refreshed by `refresh()`, so that a busy machine skips nothing."""
+
 GRABBED = """
-async ([seconds, size]) => {
+async ([refreshes, size]) => {
   const canvas = document.getElementById("array");
   const small = new OffscreenCanvas(size, size).getContext("2d", { willReadFrequently: true, alpha: false });
   const times = [], pictures = [];
-  const from = performance.now();
   let last = new Uint8Array(size * size);
-  for (let now = from; now - from < 1000 * seconds; now = performance.now()) {
+  for (let k = 0; k < refreshes; k += 1) {
+    refresh();
     small.drawImage(canvas, 0, 0, size, size);
     const pixels = small.getImageData(0, 0, size, size).data;
     const gray = Uint8Array.from({ length: size * size }, (_, k) => pixels[4 * k + 1]);
     if (gray.some((level, k) => level !== last[k])) {
-      times.push((now - from) / 1000);
+      times.push(k / 60);
       pictures.push(gray);
       last = gray;
     }
-    await new Promise((done) => setTimeout(done, 2 + 9 * Math.random()));
   }
   const all = new Blob(pictures);
   const read = new FileReader();
   await new Promise((done) => { read.onload = done; read.readAsDataURL(all); });
-  return [times, seconds, read.result.split(",")[1] ?? ""];
+  return [times, read.result.split(",")[1]];
 }
 """
-"""Grabs the canvas at any times, and keeps what changed."""
+"""Refreshes a page's display, and keeps what the canvas shows when it changes."""
 
 
 @contextmanager
@@ -85,9 +91,10 @@ def browser(*switches: str, under: Playwright | None = None) -> Iterator[Browser
 
 
 @contextmanager
-def quiet_page(found: Browser, address: str, **options: object) -> Iterator[Page]:
-    """A page, of which nothing may complain on the console."""
+def quiet_page(found: Browser, address: str, script: str = "", **options: object) -> Iterator[Page]:
+    """A page, of which nothing may complain on the console; the script runs before it."""
     page = found.new_page(**options)  # type: ignore[arg-type]
+    page.add_init_script(script)
     page.set_default_timeout(HANG_MS)
     complaints: list[str] = []
     page.on("console", lambda said: complaints.append(said.text) if said.type in ("error", "warning") else None)
@@ -110,7 +117,7 @@ def webcam_of(path: Path) -> Sequence[str]:
 
 
 def grabbed(page: Page, seconds: float, size: int = 240) -> Grabs:
-    """The canvas of page *Transmit*, grabbed at any times for some seconds."""
-    times, until, data = page.evaluate(GRABBED, [seconds, size])
+    """What page *Transmit* shows in some seconds of its `DISPLAY`."""
+    times, data = page.evaluate(GRABBED, [round(60 * seconds), size])
     pictures = np.frombuffer(base64.b64decode(data), np.uint8).reshape(-1, size, size)
-    return Grabs(np.array([*times, until]), np.concatenate([pictures, pictures[-1:]]))
+    return Grabs(np.array([*times, seconds]), np.concatenate([pictures, pictures[-1:]]))

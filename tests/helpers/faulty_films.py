@@ -53,11 +53,11 @@ class KeptFilm:
 
 SMALL: dict[str, Any] = {
     "distance_m": 50.0,
-    "duration_s": 0.26,
+    "duration_s": 0.13,
     "camera": {"width": 160, "height": 120},
     "arrays": [{"x_m": 0.0, "y_m": 0.0}],
 }
-"""A small camera that looks straight at the array for two packets and a half."""
+"""A small camera that looks straight at the array for a packet and a third."""
 
 
 def link(*changes: str, **channel: Any) -> LinkSettings:
@@ -125,7 +125,7 @@ FAULTY: dict[str, Callable[[], KeptFilm]] = {
     "saturated": lambda: kept(link(emitter={"all_on": 4.0}, arrays=[{"x_m": 0, "y_m": 0, "brightness": 8.0}])),
     "out of focus": lambda: kept(link(camera={**SMALL["camera"], "blur_px": 6.0})),
     "no header": blinking_square,
-    "half the rate": lambda: kept(link("signal.pattern_period_s=0.002", duration_s=0.45)),
+    "half the rate": lambda: kept(link("signal.pattern_period_s=0.002", duration_s=0.21)),
     "mislabelled": lambda: kept(link(), slowed(1000 / 30), 30.0),
     "wrong side": lambda: kept(link("signal.side=8", emitter={"pitch_m": 0.04})),
     "moving": lambda: kept(link(arrays=[{"x_m": -0.9, "y_m": 0, "vx_m_s": 80.0}], duration_s=0.03)),
@@ -133,7 +133,7 @@ FAULTY: dict[str, Callable[[], KeptFilm]] = {
     "cut": lambda: kept(link(arrays=[{"x_m": 1.27, "y_m": 0}])),
     "hidden": lambda: kept(link(arrays=[{"x_m": 0, "y_m": 0, "hidden": (0, 0, 1, 0.6)}])),
     "other packets": lambda: kept(link("signal.header_pairs=1", "signal.data_pairs=30")),
-    "out of step": lambda: kept(link(camera={**SMALL["camera"], "start_s": 0.0005})),
+    "out of step": lambda: kept(link(duration_s=0.21, camera={**SMALL["camera"], "start_s": 0.0005})),
     "slow camera": lambda: kept(link(camera={**SMALL["camera"], "fps": 700.0})),
 }
 """Films of which the default receiver reads nothing."""

@@ -75,10 +75,10 @@ class Repeating(KeptFilm):
 
 @pytest.mark.parametrize("error", [MediaError("the film ends in the middle"), KeyboardInterrupt()])
 def test_what_breaks_off_keeps_what_was_found(right: KeptFilm, error: BaseException) -> None:
-    told = probed(Breaking(right.frames, error=error, whole=230))
+    told = probed(Breaking(right.frames, error=error, whole=120))
     assert told.broken is error
     assert told.read
-    assert told.times.count == 230
+    assert told.times.count == 120
 
 
 def test_ctrl_c_while_regions_are_looked_into_keeps_the_rest(right: KeptFilm, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -153,7 +153,7 @@ def test_all_of_it_is_plain_values(found: Findings) -> None:
     row = json.loads(json.dumps(as_mapping(found)))
     assert row["array_read"]
     assert row["light"]["camera_hz"] == pytest.approx(1000, rel=5e-3)
-    assert row["arrays"][0]["codewords"]["high"] == {"ok": 3, "failed": 0}
+    assert row["arrays"][0]["codewords"]["high"] == {"ok": 1, "failed": 0}
     assert row["regions"][0]["causes"][0]["kind"] == "array"
 
 

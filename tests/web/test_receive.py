@@ -79,7 +79,7 @@ def test_a_film_is_read_without_being_told_of_its_light(client: TestClient, tmp_
 @pytest.mark.slow
 def test_a_camera_is_read_as_it_films(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CameraFrames.end, "__defaults__", (600.0,))  # however busy the machine is
-    frames = [message(time_s, pixels, k) for k, (time_s, pixels) in enumerate(phone_frames(grabs(seconds=9.0), SMALL))]
+    frames = [message(time_s, pixels, k) for k, (time_s, pixels) in enumerate(phone_frames(grabs(), SMALL))]
     rows: list[dict[str, Any]] = []
     with client.websocket_connect(SOCKET, ["heliograph"]) as socket:
         socket.send_text(json.dumps({"kind": "camera"}))
