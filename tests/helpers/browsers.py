@@ -1,4 +1,4 @@
-"""A real browser, headless, before pages that a real server serves."""
+"""Headless browsers and a running server for page tests."""
 
 import base64
 import re
@@ -55,12 +55,12 @@ async ([seconds, size]) => {
   return [times, seconds, read.result.split(",")[1] ?? ""];
 }
 """
-"""Grabs the canvas at any times, and keeps what changed."""
+"""Grab the canvas at arbitrary times and keep changed images."""
 
 
 @contextmanager
 def served(*options: str) -> Iterator[str]:
-    """Serve the pages by the command; the address that it prints."""
+    """Serve the pages with the command line; yield the printed address."""
     command = [sys.executable, "-m", "heliograph", "serve", "--port", "0", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
@@ -75,7 +75,7 @@ def served(*options: str) -> Iterator[str]:
 
 @contextmanager
 def browser(*switches: str, under: Playwright | None = None) -> Iterator[Browser]:
-    """A headless browser; a second one at the same time takes the first one's Playwright."""
+    """Yield a headless browser; a second simultaneous browser shares the Playwright instance."""
     with nullcontext(under) if under is not None else sync_playwright() as playwright:
         found = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=[*SWITCHES, *switches])
         try:
@@ -86,7 +86,7 @@ def browser(*switches: str, under: Playwright | None = None) -> Iterator[Browser
 
 @contextmanager
 def quiet_page(found: Browser, address: str, **options: object) -> Iterator[Page]:
-    """A page, of which nothing may complain on the console."""
+    """Yield a page; fail on console messages."""
     page = found.new_page(**options)  # type: ignore[arg-type]
     page.set_default_timeout(HANG_MS)
     complaints: list[str] = []
@@ -101,7 +101,7 @@ def quiet_page(found: Browser, address: str, **options: object) -> Iterator[Page
 
 
 def webcam_of(path: Path) -> Sequence[str]:
-    """Switches by which a stream of JPEGs is the browser's webcam, which nobody is asked about."""
+    """Return switches that make an MJPEG file the browser's webcam and grant camera permission."""
     return (
         "--use-fake-device-for-media-stream",
         "--use-fake-ui-for-media-stream",
@@ -110,7 +110,7 @@ def webcam_of(path: Path) -> Sequence[str]:
 
 
 def grabbed(page: Page, seconds: float, size: int = 240) -> Grabs:
-    """The canvas of page *Transmit*, grabbed at any times for some seconds."""
+    """Grab the canvas on page *Transmit* for some seconds."""
     times, until, data = page.evaluate(GRABBED, [seconds, size])
     pictures = np.frombuffer(base64.b64decode(data), np.uint8).reshape(-1, size, size)
     return Grabs(np.array([*times, until]), np.concatenate([pictures, pictures[-1:]]))
