@@ -43,7 +43,7 @@ def draw(pose: Pose, weights: Floats, corner: tuple[int, int], shape: tuple[int,
     across = pixel_light(corner[0] + spans[0].start, spans[0].stop - spans[0].start, points[:, 0])
     down = pixel_light(corner[1] + spans[1].start, spans[1].stop - spans[1].start, points[:, 1])
     out = np.zeros(shape)
-    with one_thread():  # on a loaded machine, multithreaded BLAS takes ten times as long for small matrices
+    with one_thread():  # on a loaded machine, multithreaded BLAS is ten times slower for small matrices
         out[spans[1], spans[0]] = pose.pitch**2 * (down * weights.reshape(-1, 1)).T @ across
     return out
 

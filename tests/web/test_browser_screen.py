@@ -1,4 +1,4 @@
-"""Text and picture go from page *Transmit* over a phone's film to page *Receive*, in a real browser."""
+"""Send text and a picture from page *Transmit* through a phone film to page *Receive*, in a real browser."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -39,7 +39,7 @@ def plain(playwright: Playwright) -> Iterator[Browser]:
 
 
 RATES = ("15", "15", "10", "10")
-"""Patterns a second in turn, until the display shows all of them: that of a busy machine skips refreshes."""
+"""Patterns per second, tried in turn until the display shows all patterns; a busy machine skips refreshes."""
 
 
 def transmitting(page: Page, cells: str = "16", rate: str = "15") -> None:
@@ -51,11 +51,11 @@ def transmitting(page: Page, cells: str = "16", rate: str = "15") -> None:
 
 
 def filmed(page: Page, cells: str = "16") -> list[tuple[float, Gray]]:
-    """Frames of a phone that takes three packets or more."""
+    """Film at least three packets with a phone."""
     for rate in RATES:
         transmitting(page, cells, rate)
         seen = grabbed(page, 9.0 if rate == "15" else 12.0)
-        page.wait_for_timeout(1100)  # until the page has told of what it skipped
+        page.wait_for_timeout(1100)  # wait for the page to report skipped patterns
         if page.inner_text("[data-lost] td") == "0":
             break
     return list(phone_frames(seen, PHONE))
@@ -144,7 +144,7 @@ def test_transmit_is_used_by_keys_alone_and_tells_what_it_skips(plain: Browser, 
 
 
 def sound_to_a_reader(page: Page) -> None:
-    """That axe finds nothing to complain about."""
+    """Check accessibility with axe."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
     found = axe.Axe().run(page)
     assert found.violations_count == 0, found.generate_report()
@@ -168,7 +168,7 @@ def test_what_failed_is_saved_by_its_button_and_read_by_the_command(
         expect(page.locator(".notice")).to_contain_text("heliograph receive failed.h5 --preset phone")
     got = called("receive", tmp_path / "failed.h5", "--preset", "phone", "--output", tmp_path / "got",
                  capfd=capfd, monkeypatch=monkeypatch)  # fmt: skip
-    assert "exposure: " in got.stdout + got.stderr  # the command says the same
+    assert "exposure: " in got.stdout + got.stderr  # the command prints the same
 
 
 def test_a_film_that_is_chosen_instead_is_the_one_that_is_read(
@@ -183,12 +183,12 @@ def test_a_film_that_is_chosen_instead_is_the_one_that_is_read(
         page.set_input_files("#film", none)
         while not held:
             page.wait_for_timeout(20)
-        page.set_input_files("#film", film)  # while the first is on its way
+        page.set_input_files("#film", film)  # during the first upload
         expect(page.locator(".text")).to_have_text(TEXT)
         expect(page.locator("#state")).to_contain_text("The end.")
         expect(page.locator(".notice")).to_be_hidden()
         sound_to_a_reader(page)
-        page.set_input_files("#film", none)  # the other way round: what was read before says nothing more
+        page.set_input_files("#film", none)  # in reverse order, earlier results disappear
         expect(page.locator(".notice.bad")).to_contain_text("The film")
         sound_to_a_reader(page)
 
