@@ -1,4 +1,4 @@
-"""The examples run as they are, in an empty folder."""
+"""Run each example unchanged in an empty folder."""
 
 import os
 import subprocess
@@ -21,7 +21,7 @@ PICTURES = {
 
 
 SERVED = {"fake_camera"}
-"""Examples that serve frames until they are stopped: tests/cli/test_live_aravis.py receives them."""
+"""Examples that serve frames until stopped; tests/cli/test_live_aravis.py receives these frames."""
 
 
 def test_each_example_is_run() -> None:

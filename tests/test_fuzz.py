@@ -1,4 +1,4 @@
-"""Damaged and random input: every parser ends in a value or a clear error."""
+"""Damaged and random input: each parser returns a value or raises a clear error."""
 
 import random
 from collections.abc import Callable
@@ -50,7 +50,7 @@ def test_a_parser_ends_in_a_value_or_a_clear_error(name: str, tmp_path: Path) ->
 
 
 def settles(call: Callable[[], object]) -> None:
-    """A value or a clear error: either is fine."""
+    """Accept a value or a clear error."""
     said = ""
     try:
         call()

@@ -1,6 +1,6 @@
-"""The example for the RP2040: what its PIO program does, cycle by cycle, and that its C is C.
+"""RP2040 example: simulate the PIO program cycle by cycle, and check the C syntax.
 
-There is no Pico SDK here: the C is checked against the declarations below, and was not run on hardware.
+The C is checked against the declarations below, not the Pico SDK, and was not run on hardware.
 """
 
 import importlib.util
@@ -21,7 +21,7 @@ from heliograph.media.slots import SlotForm, write_slots
 EXAMPLE = Path(__file__).parents[1] / "examples" / "rp2040"
 
 CYCLES = 3125
-"""PIO cycles of 250 us: 125 MHz over 10 x 250 us."""
+"""PIO cycles in 250 us at 125 MHz / 10."""
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def simulate() -> ModuleType:
     assert spec
     assert spec.loader
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its data classes ask for it
+    sys.modules[spec.name] = module  # required by dataclasses
     spec.loader.exec_module(module)
     return module
 
@@ -58,12 +58,12 @@ def test_the_program_fills_its_time_by_its_own_counts(simulate: ModuleType, prog
 @pytest.mark.slow
 @pytest.mark.parametrize("light", [slots(6), np.zeros((3, 16, 16), np.uint8), np.ones((3, 16, 16), np.uint8)])
 def test_bits_come_in_order_and_slots_in_time(simulate: ModuleType, program: Any, light: Any) -> None:
-    """The chain begins at the lower right LED, as the README wires it; the latch comes once a slot, evenly."""
+    """The chain begins at the lower right LED, as wired in the README; the latch comes once per slot, evenly spaced."""
     shown = simulate.shown_by(simulate.run(program, sent(light)))
     assert np.array_equal([led[::-1] for led in shown.slots], light.reshape(len(light), -1))
     assert set(np.diff(shown.began)) == {CYCLES}
     if light.any() and not light.all():
-        assert shown.steady == (6, 6)  # 0.48 us; 74HC595 take 0.1 us at the most
+        assert shown.steady == (6, 6)  # 0.48 us; the 74HC595 needs at most 0.1 us
 
 
 @pytest.mark.slow
@@ -71,7 +71,7 @@ def test_bits_come_in_order_and_slots_in_time(simulate: ModuleType, program: Any
 def test_a_slow_dma_shifts_slots_but_no_bits(
     simulate: ModuleType, program: Any, dma_cycles: int, with_live_limits: bool
 ) -> None:
-    """A slot's 32 bytes have 3125 cycles, 97 each: where DMA takes longer slots come late."""
+    """A slot has 32 bytes and 3125 cycles, 97 per byte; slower DMA delays slots."""
     light = slots(12)
     shown = simulate.shown_by(simulate.run(program, sent(light), dma_cycles))
     assert np.array_equal([led[::-1] for led in shown.slots], light.reshape(len(light), -1))
@@ -156,11 +156,11 @@ bool set_sys_clock_khz(uint32_t, bool required);
 void sleep_us(uint64_t);
 void tight_loop_contents(void);
 """
-"""What main.c calls, as declared by the Pico SDK 2."""
+"""Pico SDK 2 declarations for main.c."""
 
 
 def syntax(folder: Path, slot_ns: int = 250_000, side: int = 16) -> "subprocess.CompletedProcess[str]":
-    """Compile main.c without making code, with headers of the SDK and what pioasm makes of slots.pio."""
+    """Check the syntax of main.c against SDK headers and the pioasm output for slots.pio."""
     if not shutil.which("gcc"):
         pytest.skip("there is no gcc to check the C by")
     for name in ("hardware/clocks.h", "hardware/dma.h", "hardware/gpio.h", "hardware/pio.h", "pico/stdlib.h"):

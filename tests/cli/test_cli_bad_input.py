@@ -1,4 +1,4 @@
-"""Bad input is one clear line on stderr that says what is wrong and how to mend it, and nothing is left behind."""
+"""Invalid input gives a one-line error with a remedy on stderr, and leaves no output."""
 
 import ctypes
 import json
@@ -25,7 +25,7 @@ Call = Callable[..., Run]
 
 @pytest.fixture(scope="module")
 def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of files that are something else than they should be, and a film that is right."""
+    """Create a folder with invalid files and a valid film."""
     folder = tmp_path_factory.mktemp("stock")
     for name, content in {
         "text.mkv": b"this is no film\n",
@@ -205,11 +205,10 @@ def test_a_cut_film_gives_its_results_and_then_the_error(stock: Path, tmp_path: 
     assert (tmp_path / "out/array-0-high-0.bin").read_bytes() == b"kept"
     assert names(tmp_path / "out") == ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
     assert (tmp_path / "out/packets.jsonl").read_text().count("\n") >= 1
-    # messages of before are left where a film breaks off
+    # a truncated film keeps earlier messages
     (tmp_path / "out/array-3-low-1.bin").write_bytes(b"another film's")
     call("receive", stock / "cut.mkv", "--output", "out")
     assert (tmp_path / "out/array-3-low-1.bin").read_bytes() == b"another film's"
-    # the folder says it too
     assert "ends in the middle, after 1" in json.loads((tmp_path / "out/summary.json").read_text())["error"]
 
 
@@ -270,7 +269,7 @@ def test_a_file_that_must_not_grow_is_removed(line: str, tmp_path: Path) -> None
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 64 kB."""
+    """Mount a 64 kB disk."""
     folder = tmp_path / "disk"
     folder.mkdir()
     made = subprocess.run(
@@ -289,7 +288,7 @@ def fill(disk: Path, left: int) -> None:
 
 
 def says_full(text: str) -> bool:
-    """Whether the disk is said to be full: by the film or by its truth, whichever met the end first."""
+    """Return True if the error reports a full disk, for the film or for the truth."""
     return "disk full" in text or "No space left on device; make room" in text
 
 
@@ -315,9 +314,9 @@ def test_a_full_disk_keeps_no_half_file_and_shows_the_results(disk: Path, stock:
 
 
 def humbled() -> None:
-    """Give up what lets root write everywhere: CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH."""
+    """Drop root's file permissions: CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH."""
     if os.geteuid() == 0:
-        drop = 24  # PR_CAPBSET_DROP of prctl(2)
+        drop = 24  # PR_CAPBSET_DROP in prctl(2)
         for capability in (1, 2):
             ctypes.CDLL(None).prctl(drop, capability, 0, 0, 0)
 
@@ -350,7 +349,7 @@ def test_no_array_in_sight_is_a_result_not_a_fault(call: Call, tmp_path: Path) -
 
 @pytest.mark.slow
 def test_packets_without_a_codeword_are_uncertain_and_no_array_is_found(call: Call, tmp_path: Path) -> None:
-    """Headers are right; frames of the data pairs come in an order that no code explains."""
+    """Headers are valid, but data pairs have shuffled frames."""
     short, tiny = "signal.data_pairs=8", ("channel.camera.width=64", "channel.camera.height=48")
     settings, rng = small("channel.duration_s=0.03", short, *tiny), np.random.default_rng(0)
     frames = [frame.pixels for frame, _ in simulate(settings, [{}], 0)]

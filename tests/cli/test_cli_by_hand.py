@@ -1,4 +1,4 @@
-"""The command takes a place by hand where detection fails."""
+"""Manual corners on the command line for arrays missed by detection."""
 
 import json
 from collections.abc import Callable
@@ -21,7 +21,7 @@ def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.
 
 @pytest.fixture(scope="module")
 def dark(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A film that is opened, and no more."""
+    """Create a film with a valid format and no content."""
     path = tmp_path_factory.mktemp("dark") / "a.npy"
     np.save(path, np.zeros((3, 120, 160), np.uint8))
     return path
@@ -42,7 +42,7 @@ def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_a_turned_array_is_read_by_its_corners(turned: Path, call: Call) -> None:
-    """With either receiver, as `tests/receive/test_by_hand.py` has it of the same film."""
+    """`tests/receive/test_by_hand.py` reads the same film with both receivers."""
     read = ("receive", turned, "--preset", "static", "--json", "--output", "out")
     assert arrays(call(*read, "--corners", CORNERS)) == [0]
     assert Path("out", "array-0-high-0.bin").read_bytes() == b"mind the gap"

@@ -1,4 +1,4 @@
-"""Each command does what it says; the JSON keeps to its contract."""
+"""Behaviour of each command, and its JSON contract."""
 
 import base64
 import io
@@ -74,7 +74,7 @@ def test_a_reception_is_followed_by_lines_datagrams_and_words(film: Path, tmp_pa
 
 
 def test_messages_of_a_film_are_shown_as_they_are_read(tmp_path: Path, call: Call) -> None:
-    """Text as text, whatever else as its first bytes; nothing of it reaches a terminal as it is."""
+    """Print text as text and other data as leading bytes; escape terminal control characters."""
     coloured, long = b"brake \x1b[31m", "x" * 100
     sent = ("--high", f"text:{coloured.decode()}", "--middle", f"text:{long}")
     succeeded(call("simulate", "a.h5", *lasting(0.42), *sent))
@@ -85,7 +85,7 @@ def test_messages_of_a_film_are_shown_as_they_are_read(tmp_path: Path, call: Cal
 
 
 def test_a_text_or_standard_input_is_sent(tmp_path: Path, call: Call) -> None:
-    """What looks like the name of a file is one, unless it is said to be a text."""
+    """An argument that looks like a file name is a file, unless prefixed with "text:"."""
     (tmp_path / "words").write_bytes(b"of a file")
     said = [("red light", b"red light"), ("text:a.txt", b"a.txt"), ("words", b"of a file")]
     for number, (given, _) in enumerate(said):
@@ -343,7 +343,7 @@ def test_help_and_no_arguments(tmp_path: Path) -> None:
 
 
 def on_a_terminal(*arguments: str, cwd: Path) -> tuple[str, str]:
-    """Run a command whose standard error is a terminal; return its result, and what the terminal got."""
+    """Run a command with a terminal as standard error; return its result and the terminal output."""
     ours, theirs = pty.openpty()
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80"}
     command = [*COMMAND, *arguments]
@@ -402,7 +402,7 @@ def test_one_setting_changes_one_thing_of_the_films_note_and_says_so(tmp_path: P
 
 
 def test_what_is_no_packet_is_not_in_the_log(film: Path, tmp_path: Path, call: Call) -> None:
-    """Read with packets too long, every other one has no header and no right codeword."""
+    """With overlong packets, every second packet has no header and no valid codeword."""
     run = call("receive", film, "--output", "out", "--set", "signal.data_pairs=64")
     assert run.returncode == 3
     log = [json.loads(line) for line in (tmp_path / "out/packets.jsonl").read_text().splitlines()]
@@ -445,12 +445,12 @@ def test_progress_is_shown_on_a_terminal_and_nothing_in_a_pipe(monkeypatch: pyte
         with console.progress("receiving", 31) as note:
             for done in (1, 20, 921):
                 note(done)
-        # the film held more frames than it claimed
+        # the film had more frames than claimed
         assert ("receiving" in error.getvalue(), "921/921" in error.getvalue()) == (seen, seen)
 
 
 class _Screen(io.StringIO):
-    """Standard error that somebody looks at, or nobody."""
+    """Standard error that may be a terminal."""
 
     def __init__(self, seen: bool):
         super().__init__()
@@ -477,7 +477,7 @@ def test_a_printed_preset_says_what_each_setting_means_and_can_be_read_again(tmp
     printed = succeeded(call("presets", "two-arrays"))
     settings = [line for line in printed.splitlines() if " =" in line]
     assert all("  # " in line for line in settings)
-    assert "# min_side_px =" in printed  # left out, so no value
+    assert "# min_side_px =" in printed  # unset, hence commented out
     (tmp_path / "two.toml").write_text(printed)
     again = call("sweep", "--settings", "two.toml", "--vary", "nothing=1")
     assert "unknown setting 'nothing'" in again.stderr

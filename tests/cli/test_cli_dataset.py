@@ -1,4 +1,4 @@
-"""heliograph dataset, as its users run it."""
+"""The `heliograph dataset` command."""
 
 from collections.abc import Callable
 from pathlib import Path

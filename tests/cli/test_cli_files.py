@@ -1,4 +1,4 @@
-"""Files sent by symbols: simulated, received, joined over two films, and written under names that do no harm."""
+"""Send files with symbols: simulate, receive, combine two films, write under safe names."""
 
 import json
 import random
@@ -151,7 +151,7 @@ def test_a_junction_is_sent_and_counted_down(tmp_path: Path, call: Call) -> None
     followed = call("receive", "a.h5", "--preset", "static", "--follow", "--verbose")
     rows = [json.loads(line) for line in followed.stdout.splitlines()]
     left = [row["junctions"][0]["groups"][0]["left_s"] for row in rows if row["event"] == "lights"]
-    # 0.9 s after its stamp the first message gives what the second one corrects
+    # the first message predicts the state 0.9 s after its timestamp; the second corrects it
     assert left == [12.0, 11.0, 10.9, 10.8]
     assert "tells of junction 7: group 1 red, 10.9 s left" in followed.stderr
 

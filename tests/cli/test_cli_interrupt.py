@@ -1,4 +1,4 @@
-"""Ctrl-C ends every command cleanly, with the results so far."""
+"""Ctrl-C ends each command cleanly and keeps the results so far."""
 
 import json
 import signal

@@ -1,4 +1,4 @@
-"""Many films at once: a line for each, a broken one stops no other, and what is done is not done again."""
+"""Batch reception: a line per film, isolated failures, skipping of completed films."""
 
 import json
 import os
@@ -64,7 +64,7 @@ def test_a_folder_of_films_is_received_and_resumed(
     assert "not a video" in str(found["in/c.mkv"]["error"])
     assert names(tmp_path / "out") == [f"{name}/{file}" for name in ("a.h5", "b.h5") for file in RESULTS]
 
-    # a film that has changed, and what was broken, are read again; with other options all are
+    # modified and failed films are repeated; other options repeat all films
     os.utime("in/b.h5", (1, 1))
     again = rows(called(*line, capfd=capfd, monkeypatch=monkeypatch))
     assert {name: row.get("kept") for name, row in again.items()} == {
@@ -81,7 +81,7 @@ def test_stacks_and_folders_of_pictures_are_films_of_a_folder(tmp_path: Path) ->
     shots = write_pictures(tmp_path / "shots", levels)
     assert films_of([shots]) == ([shots], [])
     assert not is_many([shots])
-    assert is_many([tmp_path])  # a folder of a folder of pictures
+    assert is_many([tmp_path])  # parent of a picture folder
     assert films_of([tmp_path]) == ([shots], [])
     stacks = [write_tiff(tmp_path / name, levels) for name in ("b.tif", "c.tiff")]
     assert films_of([tmp_path]) == ([*stacks, shots], [])
@@ -90,7 +90,7 @@ def test_stacks_and_folders_of_pictures_are_films_of_a_folder(tmp_path: Path) ->
     films, (left_out,) = films_of([tmp_path])
     assert films == [*stacks, shots]
     assert "1 picture and 1 folder beside the films left out" in left_out
-    # single pages are the frames of one film
+    # single-page files are frames of the same film
     pages = write_pictures(tmp_path / "pages", levels, "page%d.tif")
     assert films_of([pages]) == ([pages], [])
 
@@ -116,7 +116,7 @@ def test_films_are_received_on_a_cluster(
     Path("c.mkv").write_bytes(b"no film")
     line: list[str | Path] = ["receive", film, "b.h5", "c.mkv", "--output", "out", "--scheduler"]
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
-        # the worker stays in the folder in which it began
+        # the worker keeps its initial working directory
         Path("client").mkdir()
         shutil.move("b.h5", "client")
         shutil.move("c.mkv", "client")
@@ -134,7 +134,7 @@ def test_films_are_received_on_a_cluster(
 
 
 class Elsewhere(Here):
-    """A worker of another machine, which has the same names but not the same disk."""
+    """Worker on another machine, with equal paths but a separate disk."""
 
     def __init__(self, disk: Path):
         self.disk = disk
@@ -181,7 +181,7 @@ def test_ctrl_c_keeps_the_films_that_are_done(film: Path, tmp_path: Path) -> Non
     assert list(rows(run)) == ["a.h5"]
     assert names(tmp_path / "out" / "a.h5") == RESULTS
     assert not list((tmp_path / "out").glob("*/.*partial*"))
-    # what was done is not done again, what was broken off is
+    # the completed film is skipped, the interrupted film is repeated
     again = rows(heliograph(*line, cwd=tmp_path))
     assert [again[name].get("kept") for name in ("a.h5", "long.h5")] == [True, None]
     assert again["long.h5"]["frames"] == 2000

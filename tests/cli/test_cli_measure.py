@@ -1,4 +1,4 @@
-"""heliograph measure: each command prints its counts, and says in one line what is wrong with its arguments."""
+"""`heliograph measure`: counts, and errors for invalid arguments."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -42,7 +42,7 @@ def test_repeated_packets_are_counted_by_reception(call: Call) -> None:
 
 @pytest.mark.slow
 def test_the_known_channel_stands_beside_the_estimated_one(call: Call) -> None:
-    with one_thread():  # beside other tests, threads take ten times as long for matrices so small
+    with one_thread():  # on a loaded machine, multithreaded BLAS is ten times slower for small matrices
         out = succeeded(
             call("known-channel", "--distance", "60", "--brightness", "1", "--packets", "1", "--workers", "1")
         )

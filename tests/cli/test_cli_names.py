@@ -1,4 +1,4 @@
-"""File names of any bytes on the command line: one line for each result and error, whatever the name has in it."""
+"""Arbitrary bytes in file names: each result and error stays on its line."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""heliograph probe, and what receive says where nothing was found: words, a page, JSON and exit statuses."""
+"""`heliograph probe`, and diagnoses from `receive` without an array: text, HTML, JSON, exit status."""
 
 import json
 from collections.abc import Callable
@@ -38,7 +38,7 @@ def run(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_
 
 
 def told_nothing(told: Run) -> str:
-    """Check that a run ended in order, but found no array; return what it said."""
+    """Check that a run succeeded without an array; return its output."""
     assert told.returncode == NO_ARRAY, told.stdout + told.stderr
     assert told.stderr == ""
     return told.stdout

@@ -1,4 +1,4 @@
-"""The command takes what cameras and their programs write, and reads the same of it."""
+"""Recordings in all camera formats give the same result."""
 
 import json
 import os
@@ -28,11 +28,11 @@ def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.
 
 @pytest.fixture(scope="module")
 def shots(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with one film in each kind."""
+    """Create a folder with a film in each format."""
     folder = tmp_path_factory.mktemp("shots")
     (folder / "high").write_bytes(HIGH)
     succeeded(within(folder, "simulate", "a.h5", *lasting(0.3), "--seed", "4", "--high", "high"))
-    within(folder, "receive", "a.h5")  # where its loops are compiled it tells how long it takes
+    within(folder, "receive", "a.h5")  # compiles kernels first; a first run reports the compilation time
     with open_film(folder / "a.h5") as film:
         levels, rate = np.stack([frame.pixels for frame in film]), film.rate_hz
     assert set(write_kinds(folder, levels, round(rate))) == set(KINDS)
@@ -49,7 +49,7 @@ def paths(shots: Path) -> dict[str, tuple[Path, bool]]:
 
 
 def read(call: Call, film: Path, output: Path, *options: str) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
-    """What a film says: its packets, and its messages by name."""
+    """Return packets, and messages by name."""
     succeeded(call("receive", film, "--preset", "static", "--output", output, *options))
     packets = [json.loads(line) for line in (output / "packets.jsonl").read_text().splitlines()]
     return packets, {path.name: path.read_bytes() for path in output.glob("*.bin")}
@@ -65,7 +65,7 @@ def test_the_same_words_are_read_of_each_kind(
     packets, got = read(call, path, tmp_path / "got", *(("--fps", "1000") if clockless else ()))
     assert got == messages == {"array-0-high-0.bin": HIGH}
     assert [packet["status"] for packet in packets] == [packet["status"] for packet in known]
-    if kind != "cine":  # the camera's stamps are rounded to 1 ns
+    if kind != "cine":  # .cine timestamps are rounded to 1 ns
         assert packets == known
 
 
@@ -77,7 +77,7 @@ def test_a_camera_that_saved_each_tenth_frame_is_read_at_the_rate_of_those(
     known, messages = read(call, shots / "a.h5", tmp_path / "known")
     right = write_mraw(tmp_path / "right.mraw", levels, 8, 8, rate=10_000, step=10)
     assert read(call, right, tmp_path / "got") == (known, messages)
-    # a header of half that rate: what probe advises is what reads it
+    # with half the rate in the header, the rate advised by probe works
     wrong = write_mraw(tmp_path / "wrong.mraw", levels, 8, 8, rate=5000, step=10)
     assert "--fps 1000\n" in call("probe", wrong, "--preset", "static").stdout
     assert read(call, wrong, tmp_path / "again", "--fps", "1000") == (known, messages)
@@ -147,7 +147,7 @@ def test_of_a_cut_recording_the_whole_frames_are_kept(
     assert (
         f"ends in the middle, after {count} whole frames: copy it again; c.h5 holds the {count} frames so far" in said
     )
-    # a whole film is worth more than a part of another one
+    # a complete film is not replaced by a truncated film
     before = (tmp_path / "c.h5").read_bytes()
     os.truncate(path, path.stat().st_size * 2 // 3)
     said = failed(call("convert", path, "c.h5", *(("--fps", "1000") if clockless else ())))
@@ -175,6 +175,6 @@ def test_the_folder_one_stands_in(shots: Path, tmp_path: Path, call: Call, monke
 
 @pytest.mark.parametrize("option", [("--rotate", "180"), ("--crop", "0,0,64,64"), ("--bin", "2")])
 def test_errors_are_counted_of_whole_films_alone(shots: Path, call: Call, option: tuple[str, str]) -> None:
-    """A half turn keeps the size: all poses would have been wrong, without a word."""
+    """A rotation by 180 degrees keeps the size, so wrong poses would pass unnoticed."""
     text = failed(call("receive", shots / "a.h5", "--truth", shots / "a.h5.truth.npz", *option))
     assert "leave out --crop, --bin and --rotate, or --truth" in text

@@ -1,4 +1,4 @@
-"""Films of screens on the command line: the right option is named, and that no screen is visible."""
+"""Screen films on the command line: advice on the correct option, and a hidden screen."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""`heliograph receive camera:NAME` and `heliograph cameras`, with a camera of one's own that plays a film."""
+"""`heliograph receive camera:NAME` and `heliograph cameras`, with a film as camera."""
 
 import json
 import signal
@@ -28,17 +28,17 @@ def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three packets of a small camera, and a bit."""
+    """Create a film with slightly more than three packets from a small camera."""
     folder = tmp_path_factory.mktemp("film")
     (folder / "high").write_bytes(HIGH)
     succeeded(within(folder, "simulate", "a.h5", *lasting(0.32), "--seed", "4", "--high", "high"))
-    within(folder, "receive", "a.h5")  # where its loops are compiled it tells how long it takes
+    within(folder, "receive", "a.h5")  # compiles kernels first; a first run reports the compilation time
     return folder / "a.h5"
 
 
 @pytest.fixture(scope="module")
 def vanishing(film: Path) -> Path:
-    """The same, but within the second packet the array is switched off."""
+    """Switch the array off within the second packet."""
     path = film.parent / "vanishing.h5"
     with open_film(film) as source:
         frames = list(source)
@@ -111,12 +111,12 @@ def test_it_ends_after_its_duration(call: Call, film: Path) -> None:
     report = json.loads(
         succeeded(received(call, film, "--camera", "Times=0", "--camera", "Speed=200", "--duration", "1", "--json"))
     )
-    assert report["frames"] >= 1  # without the duration the camera has no end
+    assert report["frames"] >= 1  # the camera is endless without a duration
 
 
 @pytest.fixture
 def dark(tmp_path: Path) -> Path:
-    """A film without an array, in a folder of its own."""
+    """Create a film without an array, in a separate folder."""
     path = tmp_path / "films" / "dark.h5"
     path.parent.mkdir()
     with create_film(path, width=64, height=48, rate_hz=1000) as made:
@@ -157,10 +157,10 @@ def test_what_failed_is_recorded_and_can_be_received(call: Call, vanishing: Path
         assert kept.metadata["camera"] == "Played"
         levels = {frame.index: frame.pixels for frame in seen}
         assert all(np.array_equal(frame.pixels, levels[frame.index]) for frame in held)
-        # a busy machine reports the loss later: the film then holds more frames after it
+        # a busy machine reports the loss later, so the film has more frames after it
         assert held[0].index == 0
         assert held[-1].index > 120
-    # it notes its signal: the same packet is found in it without any setting
+    # the recording includes the signal settings, so no option is needed
     assert "array 0: " in call("receive", "kept.h5").stdout
 
 

@@ -1,4 +1,4 @@
-"""A simulated light, served by Aravis' fake GigE Vision camera, received live: a real protocol from end to end."""
+"""End-to-end live reception from Aravis' fake GigE Vision camera with a simulated array."""
 
 import json
 import os
@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "fake_camera.py"
 NAME = "camera:aravis:Aravis-Fake-GV01"
 RATE, PAIRS, SIDE = 50, 12, 128
-"""Frames and patterns a second, pairs of data in a packet, pixels a side: 28 patterns a packet."""
+"""Frames and patterns per second, data pairs per packet, image side in px; a packet has 28 patterns."""
 PACKET_S = 2 * (2 + PAIRS) / RATE
 TEXT = "Red for 12 s."
 SIGNAL = ("--receiver", "soft", "--set", f"signal.pattern_period_s={1 / RATE}", "--set", f"signal.data_pairs={PAIRS}")
@@ -40,7 +40,6 @@ Served = subprocess.Popen[str]
 
 
 def aravis_or_skip() -> None:
-    """Skip the test where the library is not there."""
     try:
         aravis()
     except MediaError as error:
@@ -49,7 +48,7 @@ def aravis_or_skip() -> None:
 
 @contextmanager
 def served(*options: str) -> Iterator[Served]:
-    """The camera in a process of its own, once it answers."""
+    """Run the camera in a separate process; wait for an answer."""
     aravis_or_skip()
     command = [sys.executable, str(EXAMPLE), "--rate", str(RATE), "--data-pairs", str(PAIRS), "--side", str(SIDE),
                "--packets", "2", "--text", TEXT, *options]  # fmt: skip
@@ -69,7 +68,7 @@ def served(*options: str) -> Iterator[Served]:
 
 @pytest.fixture(scope="class")
 def camera(request: pytest.FixtureRequest) -> Iterator[Served]:
-    """The camera of a class of tests, which says how it is served: one at a time can listen there."""
+    """Run a camera per test class, with the options in `served`; only one camera can listen at a time."""
     with served(*getattr(request.cls, "served", ())) as process:
         yield process
 
@@ -100,7 +99,7 @@ class TestLive:
         report = json.loads((tmp_path / "out" / "summary.json").read_text())
         counts = report["camera"]
         assert (counts["model"], counts["host_clock"], counts["dropped"]) == ("Aravis Fake", False, 0)
-        # the camera misses frames of its own where this machine is busy
+        # the camera itself skips frames on a busy machine
         assert report["frames"] == counts["frames"] > 0.5 * seconds * RATE
         whole = [packet for packet in packets if packet["pairs_seen"] == 1]
         missed = counts["skipped"] + counts["lost"] + counts["incomplete"]
@@ -116,7 +115,7 @@ class TestLive:
         assert counts is not None
         assert (counts.host_clock, counts.jumps) == (False, 0)
         assert all(frame.pixels.shape == (SIDE, SIDE) and frame.pixels.dtype == np.uint8 for frame in frames)
-        # its exposures begin at whole multiples of its period
+        # exposures start at multiples of the frame period
         for one, other in pairwise(frames):
             assert other.time_s - one.time_s == pytest.approx((other.index - one.index) / RATE, abs=1e-6)
         assert frames[-1].index + 1 == counts.frames + counts.skipped + counts.lost + counts.incomplete
@@ -125,7 +124,7 @@ class TestLive:
         for _ in range(2):
             with opened(rate_hz=1) as film:
                 threading.Timer(0.3, film.stop).start()
-                list(film)  # the camera itself has no end
+                list(film)  # the camera itself is endless
 
     def test_what_the_camera_made_of_it_is_said(self, tmp_path: Path) -> None:
         with opened(exposure_us=100.7, gain=3, GainAuto="Off") as film:
@@ -181,7 +180,7 @@ class TestLive:
             for frame in film:
                 indices.append(frame.index)
                 times.append(frame.time_s)
-                if len(indices) == 20:  # as if its cable were pulled
+                if len(indices) == 20:  # as if unplugged
                     camera.send_signal(signal.SIGSTOP)
                 after += bool(said) and "is back" in said[-1]
                 if after == 20:
@@ -201,7 +200,7 @@ class TestLossy:
     def test_lost_packets_of_udp_are_counted_and_messages_read(self, tmp_path: Path) -> None:
         report = json.loads(succeeded(received(tmp_path, 4, "--json", "--output", "out")))
         counts = report["camera"]
-        # 15 packets of UDP a frame: every eleventh frame lacks one
+        # 15 UDP packets per frame: every eleventh frame is incomplete
         assert counts["incomplete"] + counts["lost"] >= 1
         assert report["frames"] == counts["frames"]
         assert (tmp_path / "out" / "array-0-high-0.bin").read_bytes() == TEXT.encode()
@@ -215,7 +214,7 @@ BESIDE = "----- the next block"
 
 
 def walk() -> list[tuple[str, str]]:
-    """Commands of the walk of docs/cameras.md that are typed here, block by block, each with what is to be printed."""
+    """Return the command blocks from docs/cameras.md, each with the expected output."""
     page = (ROOT / "docs" / "cameras.md").read_text()
     section = page.partition("## From a fresh clone\n")[2].partition("\n## ")[0]
     blocks = BLOCK.findall(section)
@@ -226,7 +225,7 @@ def walk() -> list[tuple[str, str]]:
 
 
 def any_number(line: str) -> str:
-    """A line that is the same whatever its numbers are, one or many."""
+    """Replace numbers by placeholders and plurals by singulars."""
     return MANY.sub(r"# \1", NUMBER.sub("#", line))
 
 
@@ -248,6 +247,6 @@ def test_the_walk_of_the_page_on_cameras_prints_what_it_says(tmp_path: Path) -> 
     for (commands, shown), part in zip(blocks, parts, strict=False):
         lines = [any_number(line) for line in part.splitlines()]
         for line in shown.splitlines():
-            alike = any_number(line.partition(";")[0])  # what was lost is never the same
+            alike = any_number(line.partition(";")[0])  # loss counts vary
             assert any(one.startswith(alike) for one in lines), f"{commands}\ndoes not print\n{line}\nbut\n{part}"
     assert len(parts) == len(blocks) + 1

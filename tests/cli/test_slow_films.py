@@ -1,4 +1,4 @@
-"""Where a film is what takes the time, `receive` says so once, and to a terminal alone."""
+"""`receive` reports a slow film source once, only on a terminal."""
 
 from pathlib import Path
 from types import SimpleNamespace

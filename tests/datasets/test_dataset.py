@@ -1,4 +1,4 @@
-"""Data sets: their plan, their files, and what is kept."""
+"""Dataset plan, files and resumption."""
 
 import csv
 import json
@@ -99,7 +99,7 @@ def test_truth_and_cut_outs_are_where_the_array_shines(made: tuple[Path, Dataset
         change = np.ptp(file["frames"][:].astype(float), axis=0)
         y, x = np.nonzero(change > 0.5 * change.max())
         box = file["truth/corners"][0, 0]
-        # centres of pixels on the outer LEDs, half a pitch within the corners
+        # LED centres lie half a pitch inside the corners
         assert abs(x.min() - box[:, 0].min()) < 2.5 > abs(x.max() - box[:, 0].max())
         assert abs(y.min() - box[:, 1].min()) < 2.5 > abs(y.max() - box[:, 1].max())
 

@@ -18,19 +18,19 @@ def test_settings_page_is_what_the_code_says() -> None:
 
 def test_the_page_on_cameras_has_each_setting() -> None:
     named = set(re.findall(r"^\| `(\w+)` \|", (DOCS / "cameras.md").read_text(), re.MULTILINE))
-    # those have options of their own, or names of the camera's
+    # these fields have separate options or camera feature names
     assert named == {field.name for field in fields(CameraSettings)} - {"duration_s", "channel", "features"}
 
 
 ANCHORED_LEVELS = 3
-"""Levels of headings that get anchors on the site: `myst_heading_anchors` of docs/conf.py."""
+"""Heading levels with anchors on the site: `myst_heading_anchors` in docs/conf.py."""
 
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 PAGES = [*sorted(DOCS.rglob("*.md")), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
 
 
 def anchors(text: str) -> set[str]:
-    """Anchors of a page's headings, as MyST and GitHub make them."""
+    """Return heading anchors as MyST and GitHub generate them."""
     found: set[str] = set()
     prose = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
     for marks, title in re.findall(r"^(#+) (.+)$", prose, re.MULTILINE):

@@ -1,5 +1,3 @@
-"""Acquisition of an array that is switched on."""
-
 import pytest
 
 from heliograph.experiments.detection.acquisition import Acquired, AcquisitionTrial, acquire, outcomes_text
@@ -12,7 +10,7 @@ def test_an_array_is_found_by_its_first_header() -> None:
 @pytest.mark.parametrize("seed", [135, 497, 556, 586])
 @pytest.mark.slow
 def test_a_pair_of_data_before_a_header_is_not_taken_for_its_first(seed: int) -> None:
-    """In these trials that pair looks a little like the header, and stood for it while the header's end was to come."""
+    """In these trials the last data pair resembles a header pair, and replaced it before the header was complete."""
     assert acquire(AcquisitionTrial(seed=seed, within=20)).headers == 1
 
 

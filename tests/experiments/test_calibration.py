@@ -1,4 +1,4 @@
-"""Calibration of LLRs: bits counted rightly, verdicts that follow the counts, and the known channel."""
+"""LLR calibration: bit counts, verdicts, and a known channel."""
 
 import io
 import json
@@ -15,10 +15,10 @@ from heliograph.link.settings import load_settings
 
 
 def bits_of(factor: float, packets: int = 20) -> ReliabilityCounts:
-    """Bits whose LLRs are `factor` times what they should be."""
+    """Count bits with LLRs scaled by `factor`."""
     rng, out = np.random.default_rng(0), ReliabilityCounts()
     for _ in range(packets):
-        # y = +-1 + n of variance s^2: LLR = 2 y / s^2
+        # y = +-1 + n with variance s^2: LLR = 2 y / s^2
         sent = rng.integers(0, 2, 3000).astype(np.uint8)
         y = 1.0 - 2 * sent + rng.normal(0, 0.8, 3000)
         out.add(factor * 2 * y / 0.64, sent)
@@ -54,7 +54,7 @@ def test_a_film_is_received_and_compared() -> None:
     settings = load_settings("static", None, changes)
     found = record(CalibrationFilm(case="x", settings=settings, seed=1))
     first, last = (found.reliability[name].table.sum(0) for name in (FIRST, LAST))
-    # 48 pairs of 256 symbols; later those of codewords that failed
+    # 48 pairs with 256 symbols; the last equalisation counts only failed codewords
     assert first[0].sum() == 48 * 256
     assert 0 < last[0].sum() < 48 * 256
     assert first[1].sum() == pytest.approx(first[2].sum(), rel=0.15)

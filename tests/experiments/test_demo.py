@@ -1,4 +1,4 @@
-"""The demonstration: one page, with everything in it, that tells what arrived."""
+"""Demonstration: a self-contained page with the results."""
 
 import base64
 import contextlib
@@ -126,7 +126,7 @@ def test_no_error_is_drawn_as_a_bound_of_three_by_n() -> None:
     layers = {"high": LayerCounts(bits=6000), "middle": LayerCounts(), "low": LayerCounts(bits=1000, bit_errors=10)}
     after = plots.errors_by_distance({50.0: layers}).axes[1]
     points = [(float(x), float(y)) for line in after.lines for x, y in np.array(line.get_xydata())]
-    # each layer is drawn a little aside
+    # layers are drawn with a small offset
     assert (52.5 - plots.ASIDE_M, 3 / 6000) in points
     assert (52.5 + plots.ASIDE_M, 0.01) in points
 
@@ -159,6 +159,6 @@ def test_a_cut_out_is_as_large_near_and_far_and_has_the_cameras_pixels() -> None
     far = cut_out_of(Pose(97.5, 47.5, 2.0, 0.0, 0.5), frame)
     assert near.shape == far.shape == (240, 240)
     assert set(np.unique(near)) == {0, 200}
-    # 16 of 22 pitches, and half as wide
+    # 16 of 22 pitches; half the width at twice the pitch
     assert np.mean(near == 200) == pytest.approx((16 / 22) ** 2, rel=0.02)
     assert np.mean(far == 200) == pytest.approx((8 / 22) ** 2, rel=0.05)

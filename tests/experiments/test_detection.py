@@ -1,4 +1,4 @@
-"""False detections: thresholds and curves on made-up scores, the four variants on a few films."""
+"""False detections: thresholds and curves for synthetic scores, and four variants on a few films."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -118,7 +118,7 @@ def test_films_are_repeatable_and_hold_what_they_say() -> None:
     assert all(np.array_equal(a.pixels, b.pixels) for a, b in zip(one.frames, other.frames, strict=True))
     assert one.truth is not None
     x, y = round(one.truth.x), round(one.truth.y)
-    # the header: on, off, on, off
+    # header: on, off, on, off
     light = [frame.pixels[y - 3 : y + 4, x - 3 : x + 4].mean() for frame in one.frames[one.first : one.first + 4]]
     assert min(light[0], light[2]) > 150
     assert max(light[1], light[3]) < 30
@@ -141,7 +141,7 @@ def test_identities_are_told_apart(beside: bool) -> None:
         assert one.counts.sum() == one.right.trials == (6 if beside else 3)
         assert one.right.errors == one.right.trials
         assert one.wrong.errors == one.missed.errors == 0
-        # those that were asked for, and others beside them
+        # the requested identities, and additional neighbours
         assert (one.counts.sum(1)[[0, 6, 28]] >= 1).all()
 
 
@@ -152,7 +152,7 @@ def test_two_arrays_in_one_view_are_counted_each_at_its_place() -> None:
     assert identities_seen(film) == [3, 17]
     left, right = film.truths
     assert right.x - left.x == pytest.approx(0.8 * 2917 / 50, abs=0.5)
-    # where there is no array it is missed, and its neighbour is not taken for it
+    # a position without an array is a miss, despite the neighbouring array
     assert identities_seen(replace(film, truths=(left.moved(0, 60), right))) == [IDENTITIES, 17]
 
 
@@ -180,7 +180,7 @@ def test_clips_are_backdrops(data: Path) -> None:
 
 
 def clip_of(path: Path, level: int) -> None:
-    """A clip of four frames of one gray level."""
+    """Write a clip with four uniform frames."""
     with create_film(path, width=64, height=48, rate_hz=30) as film:
         for k in range(4):
             film.write(Frame(k, k / 30, np.full((48, 64), level, np.uint8)))

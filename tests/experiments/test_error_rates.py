@@ -1,4 +1,4 @@
-"""Fig. 13: counts by packet, and the test of driving against static."""
+"""Fig. 13: counts per packet, and the comparison of moving and static films."""
 
 import json
 from dataclasses import replace
@@ -23,7 +23,7 @@ NONE_LOST = Count(200, 0), Count(200, 0)
 
 
 def records(rate: float, count: int, rng: np.random.Generator) -> list[films.PacketRecord]:
-    """Packets at 50 m to 60 m whose error rates vary from packet to packet more than bits do."""
+    """Draw packets at 50 m to 60 m with overdispersed error rates."""
     out = []
     for z in np.linspace(50.1, 59.9, count):
         errors = rng.binomial(3072, min(rate * rng.lognormal(0, 0.3), 0.5), 3)
@@ -57,7 +57,7 @@ def test_few_packets_decide_nothing() -> None:
 
 
 def test_false_alarms_are_rare() -> None:
-    """Packets that are alike are called apart hardly ever, however much they vary by themselves."""
+    """Equally distributed packets rarely differ significantly, despite large variation between packets."""
     rng = np.random.default_rng(3)
     alarms = [
         c.verdict == "apart"
@@ -121,7 +121,7 @@ def test_reasons_of_wrong_codewords(counts: LayerCounts, verdict: str, why: str)
 
 
 class Deaf:
-    """A receiver that passes on each packet twice, or none."""
+    """Receiver that returns each packet `times` times."""
 
     def __init__(self, receiver: Receiver, times: int):
         self.receiver, self.times = receiver, times
@@ -163,7 +163,7 @@ def test_packets_of_a_drive_by_themselves_are_the_whole_count() -> None:
 
 
 def test_on_off_keying_end_to_end() -> None:
-    """Near, all layers of the link with on-off keying arrive, and the error counter counts every bit."""
+    """At short range all layers with on-off keying arrive, and the error counter counts each bit."""
     changes = {"signal": {"modulation": "ook"}, "channel": {"distance_m": 35.0, "duration_s": 0.2001}}
     settings = load_settings("static", changes)
     messages = random_messages(settings, 5)

@@ -1,4 +1,4 @@
-"""Measures of flicker on waveforms whose values are known, and on the light of the transmitter."""
+"""Flicker metrics on known waveforms and on transmitted light."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ def test_square_wave_at_100_hz() -> None:
     wave = square(100)
     lines = metrics.spectrum(wave, SLOT_S)
     assert metrics.percent_flicker(wave) == 100
-    # Fourier series of a square wave: 4 / pi / k at the odd multiples
+    # Fourier series of a square wave: 4 / (pi k) for odd k
     for k in (1, 3, 5, 19):
         assert lines.modulation[lines.hz == 100 * k] == pytest.approx(4 / np.pi / k, rel=1e-9)
     assert lines.modulation[lines.hz == 200] == pytest.approx(0, abs=1e-12)
@@ -36,7 +36,7 @@ def test_square_wave_at_100_hz() -> None:
 
 
 def test_sine_is_measured_as_it_is() -> None:
-    slot_s = 1e-5  # held for so short a slot it keeps its amplitude
+    slot_s = 1e-5  # short enough to preserve the amplitude
     time = (np.arange(100_000) + 0.5) * slot_s
     lines = metrics.spectrum(2 * (1 + 0.3 * np.sin(2 * np.pi * 120 * time)), slot_s)
     assert lines.modulation[lines.hz == 120] == pytest.approx(0.3, rel=1e-4)
@@ -44,7 +44,7 @@ def test_sine_is_measured_as_it_is() -> None:
 
 
 @pytest.mark.parametrize(
-    # thresholds of sines, worked out by hand from the published closed form
+    # sine thresholds, computed by hand from the published closed form
     ("hz", "threshold"),
     [(100.0, 0.2563), (200.0, 0.3654), (400.0, 0.6186), (1000.0, 0.9732), (2000.0, 0.9998)],
 )
@@ -52,7 +52,7 @@ def test_svm_of_a_sine_at_threshold_is_one(hz: float, threshold: float) -> None:
     assert metrics.visibility_threshold(hz) == pytest.approx(threshold, abs=1e-4)
     line = Spectrum(np.array([hz]), metrics.visibility_threshold([hz]))
     assert metrics.svm(line) == pytest.approx(1)
-    # two at threshold: 2^(1 / 3.7)
+    # two components at threshold: 2^(1 / 3.7)
     two = Spectrum(np.array([hz, hz]), metrics.visibility_threshold([hz, hz]))
     assert metrics.svm(two) == pytest.approx(2 ** (1 / 3.7))
 
@@ -66,7 +66,7 @@ def test_flickering_period_of_known_lights() -> None:
     assert metrics.flickering_period(np.ones(40), 1.0) == 0
     assert metrics.flickering_period([1, 0] * 8, 1.0) == 2
     assert metrics.flickering_period([1, 1, 0, 0, 1, 0, 0, 1], 1.0) == 4
-    # level within a stretch: 1 ahead after a slot, back at the mean's after 1 1/3
+    # cumulative deviation from the mean: 1, 0.5, 0
     assert metrics.flickering_period([2, 0.5, 0.5], 1.0) == pytest.approx(3)
 
 
@@ -85,7 +85,7 @@ def test_pairs_keep_the_mean_of_2_ms(waves: dict[str, NDArray[np.float64]]) -> N
 
 def test_the_single_mode_is_as_even_as_pairs(waves: dict[str, NDArray[np.float64]]) -> None:
     single, pairs, bare = (metrics.measure(waves[n], SLOT_S) for n in (signals.SINGLE, signals.PAIRS, signals.BARE))
-    # light not balanced by coding breaks the limit below 90 Hz
+    # uncoded light exceeds the limit below 90 Hz
     assert bare.slow_limit_share > 1
     assert single.slow_percent < pairs.slow_percent
     assert single.slow_limit_share < pairs.slow_limit_share
@@ -100,7 +100,7 @@ def test_all_on_headers_break_what_m_sequences_keep(waves: dict[str, NDArray[np.
     assert header.percent == 0
     assert header.svm == pytest.approx(0, abs=1e-9)
     assert all_on.percent == 100
-    # a square wave at 500 Hz: 4 / pi against 0.08 * 500 %
+    # a 500 Hz square wave: 4 / pi relative to 0.08 * 500 %
     assert all_on.limit_share == pytest.approx(4 / np.pi / 0.4)
     assert all_on.svm > 1
 
@@ -119,7 +119,7 @@ def test_the_result_judges_by_its_numbers() -> None:
     verdicts = [finding.verdict for finding in done.findings]
     numbers = done.data[signals.PAIRS]
     assert len(numbers["svm"]) == signals.STRETCHES
-    assert np.ptp(numbers["svm"]) > 0  # random data, no stretch like another
+    assert np.ptp(numbers["svm"]) > 0  # random data differ between stretches
     low, high = ([np.quantile(numbers[name], q) for name in ("svm", "limit_share")] for q in (0.05, 0.95))
     kept, broken = high[0] <= 0.4 and high[1] <= 1, low[0] > 0.4 or low[1] > 1
     assert verdicts[1] == ("holds" if kept else "differs" if broken else "shown")

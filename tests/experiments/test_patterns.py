@@ -1,4 +1,4 @@
-"""Experiments on single patterns: they run, count, and judge by what they counted."""
+"""Experiments on single patterns: execution, counts, verdicts."""
 
 import io
 import json
@@ -47,7 +47,7 @@ def test_leds_are_resolved_near_only(results: dict[str, ExperimentResult]) -> No
 def test_exposure_integrates_the_pulses(results: dict[str, ExperimentResult]) -> None:
     data = results["fig4"].data
     assert np.mean(data["1 ms"], 0) == pytest.approx([0, 0.25, 0.5, 0.75, 1], abs=0.01)
-    # half of T_b sees two slots of four
+    # half of T_b covers two of four slots
     assert np.mean(data["0.5 ms"], 0) == pytest.approx([0, 0.5, 1, 1, 1], abs=0.01)
     assert [f.verdict for f in results["fig4"].findings] == ["holds", "differs"]
 

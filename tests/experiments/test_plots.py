@@ -1,4 +1,4 @@
-"""Plots of error rates: lines join measured rates, arrows stand apart."""
+"""Error rate plots: lines connect measured rates, arrows are separate."""
 
 import numpy as np
 from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""Real footage and real shake: what is promised of the link holds on them, and nothing is found where nothing is."""
+"""Real footage and real shake: stated link performance holds, and empty scenes give no packets."""
 
 from collections import deque
 from pathlib import Path
@@ -19,14 +19,14 @@ from heliograph.media import open_film
 CLIPS = ("day-motorway", "day-shade", "night-road")
 
 READ_FROM = {75: ("high",), 52: ("high", "middle"), 45: ("high", "middle", "low")}
-"""Layers of which every codeword is read, by the distance in m at which the drive begins."""
+"""Layers with all codewords decoded, by start distance of the drive in m."""
 
 FILMED_MARGIN_PX = 16
-"""Only the array and so many px about it are filmed, which is faster than whole frames."""
+"""Film only the array and a margin, for speed."""
 
 NATIVE_FRAMES = 20
 MOST_NATIVE_DETECTIONS = 1
-"""In 20 frames: one in twenty. A false detection costs a little time, a right codeword out of one is a false word."""
+"""Per 20 frames. A false detection costs little time, but a valid codeword from noise is a wrong message."""
 
 SMALL = (
     "channel.camera.width=192",
@@ -48,7 +48,7 @@ def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, dist
     drive = scene(data, clip, 1, f"channel.distance_m={distance_m}", "channel.duration_s=0.35")
     errors = real_input.drive(drive, FILMED_MARGIN_PX).errors
     total = errors.total()
-    # three packets are filmed whole
+    # three packets are completely filmed
     assert {n: e.codewords for n, e in total.items()} == {"high": 3, "middle": 6, "low": 3}
     assert {n: total[n].codeword_errors for n in READ_FROM[distance_m]} == dict.fromkeys(READ_FROM[distance_m], 0)
     assert errors.false_codewords == 0
@@ -58,7 +58,7 @@ def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, dist
 @pytest.mark.parametrize("clip", CLIPS)
 @pytest.mark.slow
 def test_a_clip_played_natively_has_no_packet(data: Path, clip: str) -> None:
-    # short packets: one that a false detection begins ends within the clip
+    # short packets, so that a packet from a false detection ends within the clip
     small = ("signal.data_pairs=8", "channel.camera.width=480", "channel.camera.height=270")
     found = real_input.empty(scene(data, clip, 3, *small), NATIVE_FRAMES, native=True)
     assert found.detections.trials == NATIVE_FRAMES

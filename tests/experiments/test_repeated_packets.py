@@ -1,4 +1,4 @@
-"""Packets that are received again: each reception is counted by itself."""
+"""Repeated packets count separately."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The paper's experiments as a whole: names, folders, report, interruption."""
+"""Reproduction of the paper's experiments: names, folders, report, interruption."""
 
 import json
 from dataclasses import replace
@@ -77,7 +77,7 @@ EARLIER = ExperimentResult(
 
 
 def runs(monkeypatch: pytest.MonkeyPatch, broken: bool = False) -> list[str]:
-    """Names of the experiments that are run from now on; where it is broken, the second meets Ctrl-C."""
+    """Record the names of executed experiments; if `broken`, the second raises KeyboardInterrupt."""
     begun: list[str] = []
 
     def run(name: str) -> ExperimentResult:

@@ -1,4 +1,4 @@
-"""Hard scenes: their settings differ, and their counts add up by scene and distance."""
+"""Hard scenes: distinct settings, and counts per scene and distance."""
 
 from heliograph.experiments.error_rates import scenes
 from heliograph.experiments.report import Context

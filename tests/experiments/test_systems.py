@@ -1,4 +1,4 @@
-"""Other systems: their patterns, their counts and their ranges."""
+"""Other systems: patterns, counts, ranges."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -37,9 +37,9 @@ def test_bits_of_a_pattern() -> None:
 
 @pytest.fixture
 def short_films(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Films of 16 pairs of data, read by one thread: what is read of a pair does not depend on how many there are.
+    """Shorten films to 16 data pairs, which leaves the result per pair unchanged, and use a single thread.
 
-    Beside other tests, threads take ten times as long for matrices so small.
+    On a loaded machine, multithreaded BLAS is ten times slower for small matrices.
     """
 
     def short(distance_m: float, rng: np.random.Generator) -> LinkSettings:
@@ -110,5 +110,5 @@ def test_result(monkeypatch: pytest.MonkeyPatch, short_films: None) -> None:
 def test_a_field_trial_that_does_not_hold_differs() -> None:
     points = [(40.0, Count(1000, 3)), (50.0, Count(1000, 30))]
     assert verdicts.field_trial("without the inverse", 40.0, points, "why").verdict == "differs"
-    # where it ends was not measured
+    # the limit is outside the measured range
     assert verdicts.field_trial("without the inverse", 40.0, [(40.0, Count(1000, 0))]).verdict == "differs"

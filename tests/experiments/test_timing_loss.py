@@ -1,4 +1,4 @@
-"""Loss of a camera out of step, by computation."""
+"""Computed loss for an asynchronous camera."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Trackers on small films, and verdicts that follow the numbers."""
+"""Trackers on small films, and verdicts from given scores."""
 
 from dataclasses import replace
 from typing import Any
@@ -33,7 +33,7 @@ DAY, DARK = "day", "dark"
 
 
 def settings(background: dict[str, Any]) -> LinkSettings:
-    """An array near the middle of a small camera on a bad road."""
+    """Place an array near the centre of a small camera image, on a bad road."""
     channel = {
         "distance_m": 50.0,
         "duration_s": 0.24,
@@ -58,7 +58,7 @@ def dark() -> TrackingRun:
 
 def test_all_trackers_see_the_same_pairs(day: TrackingRun) -> None:
     assert list(day.errors) == list(TRACKERS)
-    # 120 pairs, the first two are the header that they start from
+    # 120 pairs minus the two header pairs that initialise the trackers
     assert {len(errors) for errors in day.errors.values()} == {118}
     assert len(day.cuts) == 8
 
@@ -104,10 +104,10 @@ def test_known_light_keeps_its_leds_lit_and_is_not_inverted() -> None:
     patterns = np.stack([next(light) for _ in range(60)])
     known = known_leds(16)
     assert known.sum() == 64
-    assert (patterns[0] + patterns[1] == 4).all()  # the header and its inverse
+    assert (patterns[0] + patterns[1] == 4).all()  # header pattern and inverse
     assert (patterns[4:, known] == 4).all()
     assert not (patterns[4:-1:2] + patterns[5::2] == 4).all((1, 2)).any()
-    # the spread that the fit assumes of data
+    # the data spread assumed by the fit
     assert patterns[4:, ~known].std() / 4 == pytest.approx(KNOWN_SPREAD, rel=0.05)
 
 
@@ -142,7 +142,7 @@ AWAY = TrackingScore(pairs=100, rms_px=9.0, q999_px=20.0, near=0, lost=60, shake
 
 
 def fake(**changes: TrackingScore) -> dict[str, dict[str, TrackingScore]]:
-    """A table in which all claims about tracking hold; changes are named film_tracker."""
+    """Return a table that meets all tracking claims; changes are named film_tracker."""
     row = dict.fromkeys(TRACKERS, GOOD) | {"none": AWAY}
     table = {DAY: dict(row), DARK: row | {BACKGROUND: AWAY}}
     for key, value in changes.items():
@@ -194,7 +194,7 @@ def test_night_is_judged_by_all_dark_films(drawn: TrackingScore, clip: TrackingS
 
 
 def night(drawn: TrackingScore, clip: TrackingScore, by_day: TrackingScore) -> Finding:
-    """Judged by the background tracker's scores in a drawn film and a clip at night, and in a clip by day."""
+    """Judge the background tracker's scores on a rendered film and a clip at night, and on a clip by day."""
     table = fake(dark_back=drawn)
     for name, one in (("night-road", clip), ("dashcam", by_day)):
         table[name] = table[DARK] | {BACKGROUND: one}

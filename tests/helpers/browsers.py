@@ -1,4 +1,4 @@
-"""A real browser, headless, before pages that a real server serves."""
+"""Headless browsers and a running server for page tests."""
 
 import base64
 import re
@@ -61,12 +61,12 @@ async ([refreshes, size]) => {
   return [times, read.result.split(",")[1]];
 }
 """
-"""Refreshes a page's display, and keeps what the canvas shows when it changes."""
+"""Refresh the display and keep changed images of the canvas."""
 
 
 @contextmanager
 def served(*options: str) -> Iterator[str]:
-    """Serve the pages by the command; the address that it prints."""
+    """Serve the pages with the command line; yield the printed address."""
     command = [sys.executable, "-m", "heliograph", "serve", "--port", "0", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
@@ -81,7 +81,7 @@ def served(*options: str) -> Iterator[str]:
 
 @contextmanager
 def browser(*switches: str, under: Playwright | None = None) -> Iterator[Browser]:
-    """A headless browser; a second one at the same time takes the first one's Playwright."""
+    """Yield a headless browser; a second simultaneous browser shares the Playwright instance."""
     with nullcontext(under) if under is not None else sync_playwright() as playwright:
         found = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=[*SWITCHES, *switches])
         try:
@@ -92,7 +92,7 @@ def browser(*switches: str, under: Playwright | None = None) -> Iterator[Browser
 
 @contextmanager
 def quiet_page(found: Browser, address: str, script: str = "", **options: object) -> Iterator[Page]:
-    """A page, of which nothing may complain on the console; the script runs before it."""
+    """Yield a page after running a script; fail on console messages."""
     page = found.new_page(**options)  # type: ignore[arg-type]
     page.add_init_script(script)
     page.set_default_timeout(HANG_MS)
@@ -108,7 +108,7 @@ def quiet_page(found: Browser, address: str, script: str = "", **options: object
 
 
 def webcam_of(path: Path) -> Sequence[str]:
-    """Switches by which a stream of JPEGs is the browser's webcam, which nobody is asked about."""
+    """Return switches that make an MJPEG file the browser's webcam and grant camera permission."""
     return (
         "--use-fake-device-for-media-stream",
         "--use-fake-ui-for-media-stream",
@@ -117,7 +117,7 @@ def webcam_of(path: Path) -> Sequence[str]:
 
 
 def grabbed(page: Page, seconds: float, size: int = 240) -> Grabs:
-    """What page *Transmit* shows in some seconds of its `DISPLAY`."""
+    """Grab the canvas on page *Transmit* for some seconds of the display."""
     times, data = page.evaluate(GRABBED, [round(60 * seconds), size])
     pictures = np.frombuffer(base64.b64decode(data), np.uint8).reshape(-1, size, size)
     return Grabs(np.array([*times, seconds]), np.concatenate([pictures, pictures[-1:]]))

@@ -1,4 +1,4 @@
-"""Running the command as its users do, and what every run must keep to."""
+"""Run the command line as users do, and check rules common to all commands."""
 
 import contextlib
 import io
@@ -19,7 +19,7 @@ SMALL = (
     "--set", "channel.camera.width=160", "--set", "channel.camera.height=120",
     "--set", "channel.arrays.0.x_m=0", "--set", "channel.arrays.0.y_m=0",
 )  # fmt: skip
-"""A small camera that looks straight at the array."""
+"""A small camera that faces the array."""
 
 Run = subprocess.CompletedProcess[str]
 
@@ -36,7 +36,7 @@ def heliograph(*arguments: str | Path, cwd: Path, prepare: Callable[[], object] 
 
 
 def called(*arguments: str | Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
-    """The command within this process, in the present folder: the same, without the second it takes to start."""
+    """Run the command in this process and the current folder, which saves a second of startup time."""
     from heliograph.cli.main import run
 
     monkeypatch.setattr(sys, "argv", ["heliograph", *map(str, arguments)])
@@ -54,7 +54,7 @@ def called(*arguments: str | Path, capfd: pytest.CaptureFixture[str], monkeypatc
 
 
 def within(folder: Path, *arguments: str | Path) -> Run:
-    """The same in a folder, for what the tests of a module share."""
+    """Run the command in another folder, for module-scoped fixtures."""
     from heliograph.cli.main import run
 
     words = list(map(str, arguments))
@@ -74,14 +74,14 @@ def within(folder: Path, *arguments: str | Path) -> Run:
 
 
 def succeeded(run: Run) -> str:
-    """Check that a run went well and said nothing but its result; return that."""
+    """Check that a run succeeded with no other output than its result; return the output."""
     assert run.returncode == 0, run.stderr
     assert run.stderr == ""
     return run.stdout
 
 
 def failed(run: Run, status: int = 1) -> str:
-    """Check that a run failed with one clear line; return that."""
+    """Check that a run failed with a one-line error message; return the message."""
     assert run.returncode == status, run.stdout + run.stderr
     assert "Traceback" not in run.stderr
     assert run.stderr.count("\n") == 1, run.stderr
@@ -90,14 +90,14 @@ def failed(run: Run, status: int = 1) -> str:
 
 
 def names(folder: Path) -> list[str]:
-    """All files under a folder, hidden ones too; none of them half written."""
+    """List all files in a folder, hidden files included; fail on partial files."""
     found = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir())
     assert not [name for name in found if "partial" in name or Path(name).name.startswith(".")]
     return found
 
 
 def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool], by: signal.Signals = signal.SIGINT) -> Run:
-    """Run a command and send it a signal as soon as `when` says so."""
+    """Start a command and send a signal once `when` is true."""
     command = [*COMMAND, *map(str, arguments)]
     with subprocess.Popen(
         command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c
@@ -108,15 +108,15 @@ def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool], by:
             os.kill(process.pid, by)
             out, err = process.communicate(timeout=HANG_S)
         finally:
-            process.kill()  # a command without end would hold up the tests
+            process.kill()  # an endless command would block the tests
     return subprocess.CompletedProcess(command, process.returncode, out, err)
 
 
 def heed_ctrl_c() -> None:
-    """Undo a shell's `&`, under which children do not hear of Ctrl-C."""
+    """Restore SIGINT, which children ignore after a shell's `&`."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def grown(folder: Path, pattern: str, size: int = 1) -> Callable[[], bool]:
-    """Whether a file of a name like `pattern` has got a size."""
+    """Return a predicate: true once a file matching `pattern` has at least `size` bytes."""
     return lambda: any(path.stat().st_size >= size for path in folder.glob(pattern) if path.exists())

@@ -1,4 +1,4 @@
-"""Small films of an array with one fault each, as a camera would deliver them: frames alone, no note, no truth."""
+"""Small array films with a single fault each, as delivered by a camera: no metadata, no truth."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from heliograph.media import create_film
 
 @dataclass
 class KeptFilm:
-    """Frames of a film that is held in memory, as an open film gives them."""
+    """In-memory film with the interface of an opened film."""
 
     frames: Sequence[Frame]
     rate_hz: float = 1000.0
@@ -57,7 +57,7 @@ SMALL: dict[str, Any] = {
     "camera": {"width": 160, "height": 120},
     "arrays": [{"x_m": 0.0, "y_m": 0.0}],
 }
-"""A small camera that looks straight at the array for a packet and a third."""
+"""A small camera that faces the array for a packet and a third."""
 
 
 def link(*changes: str, **channel: Any) -> LinkSettings:
@@ -69,7 +69,7 @@ def film(settings: LinkSettings, seed: int = 1) -> list[Frame]:
 
 
 def kept(settings: LinkSettings, change: Callable[[Frame], Frame] | None = None, rate_hz: float = 0.0) -> KeptFilm:
-    """A film of a link, each frame changed."""
+    """Simulate a link film and change each frame."""
     frames = film(settings)
     return KeptFilm(list(map(change, frames)) if change else frames, rate_hz or settings.channel.camera.fps)
 
@@ -80,12 +80,12 @@ def mirrored(frame: Frame) -> Frame:
 
 
 def slowed(factor: float) -> Callable[[Frame], Frame]:
-    """What a file claims of frames that were taken so many times as fast."""
+    """Stretch timestamps, as in a slow-motion file."""
     return lambda frame: replace(frame, time_s=frame.time_s * factor)
 
 
 def shown(patterns: Sequence[NDArray[np.uint8]], settings: LinkSettings, seed: int = 1) -> KeptFilm:
-    """A film of lamps that show patterns of one's own over and over."""
+    """Film lamps that repeat a pattern sequence."""
 
     def endless() -> Iterator[NDArray[np.uint8]]:
         while True:
@@ -96,13 +96,13 @@ def shown(patterns: Sequence[NDArray[np.uint8]], settings: LinkSettings, seed: i
 
 
 def blinking_square(every: int = 3) -> KeptFilm:
-    """A lamp as large as an array that goes on and off, each for so many frames."""
+    """Film an array-sized lamp that is on and off for `every` frames each."""
     on = np.full((16, 16), 4, np.uint8)
     return shown([*[on] * every, *[0 * on] * every], link())
 
 
 def write(film: KeptFilm, path: Path) -> Path:
-    """A film as a file without any note."""
+    """Write a film file without metadata."""
     first = film.frames[0]
     with create_film(path, width=film.width, height=film.height, rate_hz=film.rate_hz, bits=first.bits) as target:
         for frame in film.frames:
@@ -116,7 +116,7 @@ RIGHT: dict[str, Callable[[], KeptFilm]] = {
     "mirrored": lambda: kept(link(), mirrored),
     "frames lost": lambda: kept(link(camera={**SMALL["camera"], "dropped": 0.05})),
 }
-"""Films that are read."""
+"""Decodable films."""
 
 FAULTY: dict[str, Callable[[], KeptFilm]] = {
     "too small": lambda: kept(link(distance_m=330.0, duration_s=0.22)),
@@ -136,4 +136,4 @@ FAULTY: dict[str, Callable[[], KeptFilm]] = {
     "out of step": lambda: kept(link(duration_s=0.21, camera={**SMALL["camera"], "start_s": 0.0005})),
     "slow camera": lambda: kept(link(camera={**SMALL["camera"], "fps": 700.0})),
 }
-"""Films of which the default receiver reads nothing."""
+"""Films that the default receiver cannot decode."""

@@ -1,4 +1,4 @@
-"""Parsers of films for `parser_fuzz`, each with small films that it reads."""
+"""Film parsers for `parser_fuzz`, with small valid films."""
 
 import zlib
 from collections.abc import Callable
@@ -14,29 +14,29 @@ from heliograph.link.truth import noted_signal
 from heliograph.media import create_film, open_film
 
 FRAMES_READ = 200
-"""Most frames read of a film: a damaged one may claim more than there are."""
+"""Frame limit, since a damaged film may claim too many frames."""
 
 MARK = b"--part--"
-"""Between the parts of what is changed within: files that belong together, or what is behind checksums."""
+"""Separates mutated parts: files that belong together, or data protected by checksums."""
 
 RATE_HZ = 1000.0
-"""Frames per second of films without a clock."""
+"""Frame rate for films without timestamps."""
 
 SETTINGS_BYTES = 904
-"""Fewest bytes of the camera's settings in a .cine file: those of a real one are mostly zeros, which hide the rest."""
+"""Smallest camera settings block in a .cine file; real blocks are mostly zeros, which would waste mutations."""
 
 PNG = b"\x89PNG\r\n\x1a\n"
-"""First bytes of a PNG file."""
+"""PNG signature."""
 
 CODECS = {".h5": None, ".mkv": "ffv1", ".nut": "ffv1", ".mp4": "h264", ".avi": "mjpeg"}
-"""Codecs of the films that are written here."""
+"""Codec per film format."""
 
 WITHOUT_CLOCK = (".npy", ".tif", ".png", ".jpg")
-"""Suffixes of films whose rate has to be said."""
+"""Film formats that lack a frame rate."""
 
 Parser = Callable[[bytes, Path], object]
 Seeds = dict[str, tuple[Parser, list[bytes]]]
-"""Parsers by name, each with what it reads well."""
+"""Parser and valid inputs by name."""
 
 
 def read(path: Path, rate_hz: float | None = None) -> None:
@@ -56,7 +56,7 @@ def film_parser(suffix: str) -> Parser:
 
 
 def photron_parser(header: str) -> Parser:
-    """A header and its frames, both changed; the film is named by the one or by the other."""
+    """Return a parser for a mutated header and its mutated frames; the header or the frames name the film."""
 
     def parse(data: bytes, folder: Path) -> None:
         path = folder / f"photron{header[1:]}" / f"a{header}"
@@ -70,7 +70,7 @@ def photron_parser(header: str) -> Parser:
 
 
 def shots_parser(suffix: str, whole: bytes) -> Parser:
-    """The second of three pictures, read as one of a folder or of a pattern."""
+    """Return a parser for three pictures, the second one mutated, read as a folder or as a pattern."""
 
     def parse(data: bytes, folder: Path) -> None:
         place = folder / f"shots{suffix[1:]}"
@@ -83,7 +83,7 @@ def shots_parser(suffix: str, whole: bytes) -> Parser:
 
 
 def chunks(picture: bytes) -> bytes:
-    """Kind and content of each chunk of a PNG picture: changes of them reach behind the checksums."""
+    """Return kind and content of each PNG chunk, so that mutations pass the checksums."""
     parts, place = [], len(PNG)
     while place < len(picture):
         length = int.from_bytes(picture[place : place + 4], "big")
@@ -93,7 +93,7 @@ def chunks(picture: bytes) -> bytes:
 
 
 def rejoined(data: bytes) -> bytes:
-    """A PNG picture of such chunks, with checksums that are right; a picture stays as it is."""
+    """Reassemble a PNG picture from chunks with correct checksums; return a complete picture unchanged."""
     if data.startswith(PNG[:2]):
         return data
     parts = data.split(MARK)
@@ -106,7 +106,7 @@ def coded(suffix: str, picture: Any, *options: int) -> bytes:
 
 
 def film_seeds(folder: Path, note: str) -> Seeds:
-    """Films of `create_film` with a note, of cameras, and of pictures."""
+    """Return parsers with films from `create_film`, from cameras, and from pictures."""
     found = {}
     for suffix, codec in CODECS.items():
         path = folder / f"b{suffix}"
@@ -128,7 +128,7 @@ def film_seeds(folder: Path, note: str) -> Seeds:
 
 
 def foreign(folder: Path) -> dict[str, list[bytes]]:
-    """Films that are one file from elsewhere, by suffix."""
+    """Return valid single-file films from other software, by suffix."""
     path, times_s = folder / "c", [0.25, 0.251, 0.252]
     arrays = []
     for levels in (noise(3, 6, 8, 8), noise(3, 6, 8, 16).astype(">u2")):
@@ -153,7 +153,7 @@ def foreign(folder: Path) -> dict[str, list[bytes]]:
 
 
 def photron(folder: Path, header: str) -> list[bytes]:
-    """Headers and their frames, of each kind of levels."""
+    """Return headers and frames for each bit depth and alignment."""
     good = []
     for word, depth, side in ((8, 8, "Lower"), (12, 12, "Lower"), (16, 12, "Higher")):
         path = write_mraw(folder / "c.mraw", noise(3, 4, 4, depth), word, depth, header, side=side)
@@ -162,7 +162,7 @@ def photron(folder: Path, header: str) -> list[bytes]:
 
 
 def still(suffix: str, deep: bool = False) -> list[bytes]:
-    """Pictures of a kind: gray, in colour, and of 16 bits if asked for; the first is gray of 8 bits."""
+    """Return encoded pictures: 8-bit gray first, then colour, and 16-bit if `deep`."""
     soft: Any = cv2.GaussianBlur(noise(1, 16, 24, 8)[0], (0, 0), 2)
     coloured = np.dstack([soft, soft // 2, 255 - soft])
     good = [coded(suffix, soft), coded(suffix, coloured)]

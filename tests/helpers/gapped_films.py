@@ -1,4 +1,4 @@
-"""Films with gaps in time, as a camera that pauses makes them while the light goes on."""
+"""Films with time gaps, as from a camera that pauses while the array keeps transmitting."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 
 Gap = tuple[int, float]
-"""Number of the first frame after the gap, and its length in s."""
+"""First frame after the gap, and gap length in s."""
 
 
 def random_gaps(rng: np.random.Generator, frames: int, shortest_s: float, longest_s: float) -> list[Gap]:
-    """One to three gaps anywhere in a film, half of the time one within its first frames."""
+    """Draw one to three gaps; half of the draws have a gap in the first 20 frames."""
     places = rng.integers(1, frames, rng.integers(1, 4))
     if rng.random() < 0.5:
         places[0] = rng.integers(1, 20)
@@ -24,9 +24,9 @@ def random_gaps(rng: np.random.Generator, frames: int, shortest_s: float, longes
 def gapped(
     frames: Sequence[Frame], gaps: Sequence[Gap], packet_s: float, numbered: bool
 ) -> tuple[list[Frame], NDArray[np.float64]]:
-    """Frames left by gaps, and of each original frame how much later it comes; NaN of one that is missing.
+    """Return the remaining frames and the delay in s of each original frame (NaN if removed).
 
-    Whole packets of a gap are added to the time, and the frames of the rest are missing, so the light goes on.
+    A gap delays later frames by complete packets and removes frames for the remainder, so the transmission continues.
     """
     period_s = float(np.median(np.diff([frame.time_s for frame in frames])))
     late = np.zeros(len(frames))
@@ -43,7 +43,7 @@ def gapped(
 
 
 def whole_packets(frames: Sequence[Frame], late: NDArray[np.float64], first_s: float, packet_s: float) -> list[float]:
-    """Times at which packets begin whose frames are all there, without a gap between them."""
+    """Return start times of packets with all frames present and no gap inside."""
     times, starts = np.array([frame.time_s for frame in frames]), list[float]()
     for start in np.arange(first_s, times[-1] + 1e-9 - 0.95 * packet_s, packet_s):
         inside = late[(times >= start - 1e-9) & (times < start + packet_s - 1e-9)]

@@ -1,6 +1,6 @@
-"""Packets of an array whose pose, gain and noise are known: their statistics by whole matrices, no camera, no tracking.
+"""Packets with known pose, gain and noise: full-matrix statistics, no camera, no tracking.
 
-A decoder gets them through `KnownPoses`, which records each request to refine the poses.
+Decoders read a packet through `KnownPoses`, which records each pose refinement.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,7 +44,7 @@ SHAPE = (26, 26)
 
 
 def random_blocks(seed: int) -> Blocks:
-    """Blocks of a packet, each a message of its own."""
+    """Draw random blocks, each with a separate message."""
     rng = np.random.default_rng([seed, 1])
     return {
         name: [
@@ -56,12 +56,12 @@ def random_blocks(seed: int) -> Blocks:
 
 
 def symbols_of(blocks: Blocks) -> Floats:
-    """Symbols +-1 of a packet, (pairs, symbols)."""
+    """Return symbols +-1, shape (pairs, symbols)."""
     return 1.0 - 2.0 * np.concatenate([FORM.layers[name].encode(blocks[name]) for name in FORM.layers], axis=1)
 
 
 def by_matrices(b: Floats, d: Floats, o: Floats, w: Floats | float = 1.0) -> PairStatistics:
-    """Statistics of a pair d = B c + o + n whose pixels have weights w, by whole matrices.
+    """Return full-matrix statistics for a pair d = B c + o + n with pixel weights w.
 
     b is (pixels, symbols); d, o and w are (pixels,).
     """
@@ -74,11 +74,11 @@ def by_matrices(b: Floats, d: Floats, o: Floats, w: Floats | float = 1.0) -> Pai
 def statistics_of(
     blocks: Blocks, distance_m: float, seed: int = 0, noise: float = NOISE, gain: float = GAIN
 ) -> Statistics:
-    """Statistics of each pair of a packet: anywhere between the pixels, moving, noise of a known variance."""
+    """Return statistics per pair, with random subpixel positions, motion, and known noise variance."""
     return list(_statistics(symbols_of(blocks).tobytes(), distance_m, seed, noise, gain))
 
 
-@lru_cache(maxsize=16)  # 6 MB each; several tests look at the same packet
+@lru_cache(maxsize=16)  # 6 MB each; several tests share a packet
 def _statistics(
     symbols: bytes, distance_m: float, seed: int, noise: float, gain: float
 ) -> tuple[PairStatistics | None, ...]:
@@ -96,7 +96,7 @@ def _statistics(
 
 
 def combined_statistics_of(blocks: Blocks, distance_m: float, combination: Combination, seed: int = 0) -> Statistics:
-    """Statistics of each pair of a packet whose frames are combined, the header before and after it; nothing moves."""
+    """Return statistics per pair for combined frames at rest, between two header pairs."""
     rng = np.random.default_rng([seed, 3])
     data, header = haar.encode(FORM.join(symbols_of(blocks).astype(np.int8))), FORM.header_pattern(IDENTITY)
     levels = np.stack([header, *data, header])
@@ -114,21 +114,21 @@ def combined_statistics_of(blocks: Blocks, distance_m: float, combination: Combi
 
 
 class KnownPoses(ObservedPacket):
-    """The pairs of a packet whose poses are right: a refinement changes nothing.
+    """Pairs with correct poses, so that a refinement has no effect.
 
     Parameters
     ----------
     statistics
-        Of each pair, None where the array was not seen.
+        Per pair; None if the array is hidden.
     moves
-        Refinements that count as changes all the same.
+        Number of initial refinements that report a change anyway.
     noise
-        Variance of a pixel of a difference.
+        Variance of a difference pixel.
 
     Attributes
     ----------
     known
-        Symbols a pair that were known at each refinement.
+        Known symbols per pair at each refinement.
     channels
         Gain and noise at each refinement.
     """
@@ -144,14 +144,14 @@ class KnownPoses(ObservedPacket):
         return self._known_statistics
 
     def refine_poses(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
-        """Record what is known."""
+        """Record the number of known symbols, the gain and the noise."""
         assert mean.shape == variance.shape
         self.known.append(int((variance[0] == 0).sum()))
         self.channels.append((gain, noise))
         return len(self.known) <= self._moves
 
     def apply_brightness(self, *_: object) -> bool:
-        """All LEDs are equal."""
+        """Return False: all LEDs have equal gains."""
         return False
 
 
@@ -163,7 +163,7 @@ def decoded(
     identity: int = IDENTITY,
     observe: Callable[[EqualiseEvent], None] = ignore,
 ) -> Words:
-    """What the soft receiver reads of a packet; a list's last buffer is used, and the next one is appended."""
+    """Decode a packet with the soft receiver, combining the last buffer; append the new buffer."""
     observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet, noise=channel[1])
     options, earlier = Decoding("log-map", feedback=feedback), buffer[-1] if buffer else None
     with one_thread():  # as in the receiver
@@ -174,5 +174,5 @@ def decoded(
 
 
 def right(words: Words, blocks: Blocks) -> list[bool]:
-    """Which codewords were read as they were sent: high, middle, middle, low."""
+    """Return correctness per codeword: high, middle, middle, low."""
     return [word.block == block for name in FORM.layers for word, block in zip(words[name], blocks[name], strict=True)]

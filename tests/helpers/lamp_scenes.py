@@ -1,4 +1,4 @@
-"""Films of an array among many lamps that flicker: the clutter of a city at night."""
+"""Films with an array among flickering lamps, as in a city at night."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -14,33 +14,33 @@ from heliograph.link.simulate import default_messages, simulate
 Floats = NDArray[np.float64]
 
 REACH_PX = 7
-"""Pixels from a lamp's centre to the rim of the window that it is drawn in."""
+"""Half side of a lamp's window in px."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampScene:
-    """Lamps of random place, size, rate, duty cycle, phase and waveform, with or without an array among them.
+    """Lamps with random position, size, rate, duty cycle, phase and waveform, with or without an array.
 
     Attributes
     ----------
     lamps
         Number of lamps.
     seed
-        Seed of lamps, array, shake and noise.
+        Seed for lamps, array, shake and noise.
     distance_m
-        Distance of the array; None leaves it dark.
+        Array distance; None for a dark array.
     start_s
-        Time at which the array comes into sight.
+        Time when the array appears.
     duration_s
-        Length of the film.
+        Film length.
     shaking
         True if the camera shakes, by some px at 5 to 40 Hz.
     size
-        Columns and rows of the camera.
+        Camera columns and rows.
     sizes_px, rates_hz
-        Ranges of the lamps' diameters and flicker rates.
+        Ranges for lamp diameters and flicker rates.
     drifting
-        Fraction of the lamps that move, by up to 60 px/s along each axis.
+        Fraction of moving lamps, by up to 60 px/s along each axis.
     """
 
     lamps: int
@@ -55,14 +55,14 @@ class LampScene:
     drifting: float = 0.2
 
     def link(self) -> LinkSettings:
-        """The link of the array, at a random place of the frame and amid a packet."""
+        """Return link settings with a random array position and a start within a packet."""
         rng, (columns, rows) = np.random.default_rng((self.seed, 0)), self.size
         distance_m = self.distance_m or 50.0
         px_m = 0.035 / 12e-6 / distance_m
         reach_px = 8 * 0.02 * px_m + 16
         x_m, y_m = (float(rng.uniform(-1, 1)) * (n / 2 - reach_px) / px_m for n in (columns, rows))
         begin_s = self.start_s - float(rng.integers(0, 100)) * 1e-3
-        # frames before it comes into sight are those of a dark array
+        # the array is dark until it appears
         off_s = [(0.0, self.start_s)] if self.start_s else []
         place = {"x_m": x_m, "y_m": y_m, "start_s": begin_s if self.distance_m else 1e3, "off_s": off_s}
         channel = {
@@ -75,13 +75,12 @@ class LampScene:
         return load_settings("static", {"channel": channel, "transmit": sent})
 
     def frames(self) -> Iterator[Frame]:
-        """The film."""
         link, rng = self.link(), np.random.default_rng((self.seed, 1))
         lamps, shift = _Lamps(self, rng), _shake(rng) if self.shaking else None
         for frame, truth in simulate(link, default_messages(link), self.seed):
             lit = lamps.light(frame.time_s)
             if self.distance_m and frame.time_s >= self.start_s:
-                # its panel hides the lamps behind it
+                # the panel occludes lamps behind it
                 array = truth.arrays[0]
                 reach = 8.5 * array.pitch_px
                 (left, right), (top, low) = ((round(c - reach), round(c + reach) + 1) for c in (array.x, array.y))
@@ -94,7 +93,7 @@ class LampScene:
 
 
 class _Lamps:
-    """Light of all lamps in a frame of 1 ms."""
+    """Lamp light integrated over 1 ms frames."""
 
     def __init__(self, scene: LampScene, rng: np.random.Generator):
         (columns, rows), n = scene.size, scene.lamps
@@ -108,7 +107,7 @@ class _Lamps:
         self._depth = rng.uniform(0.3, 1, n)
 
     def light(self, time_s: float) -> Floats:
-        """(rows, columns) gray levels."""
+        """Return gray levels, shape (rows, columns)."""
         begin = self._phase + self._rate * time_s
         end = begin + 1e-3 * self._rate
         square = (self._square(end) - self._square(begin)) / (end - begin)
@@ -128,13 +127,13 @@ class _Lamps:
         return np.asarray(np.bincount(number, discs[within], rows * columns).reshape(rows, columns), np.float64)
 
     def _square(self, phase: Floats) -> Floats:
-        """Light of a square wave from phase 0 on, in periods."""
+        """Integrate a square wave from phase 0, in periods."""
         whole = np.floor(phase)
         return np.asarray(whole * self._duty + np.minimum(phase - whole, self._duty))
 
 
 def _shake(rng: np.random.Generator) -> Callable[[float], Floats]:
-    """Displacement of the image in px along x and y by time in s."""
+    """Return the image displacement (x, y) in px as a function of time in s."""
     rates, phases = rng.uniform(5, 40, (4, 2)), rng.random((4, 2))
     # displacement falls with the square of the rate
     sizes = 2.0 * (10 / rates) ** 2 * rng.uniform(0.3, 1, (4, 2))

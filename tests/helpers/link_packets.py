@@ -1,4 +1,4 @@
-"""Packets as a receiver without any error would hand them out, and what may go wrong with them."""
+"""Error-free packets, and modified copies with errors."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ SMALL = (
     "channel.arrays.0.x_m=0",
     "channel.arrays.0.y_m=0",
 )
-"""A small camera that looks straight at the array."""
+"""A small camera that faces the array."""
 
 LAYERS = ("high", "middle", "low")
 
@@ -28,7 +28,7 @@ def small(*changes: str) -> LinkSettings:
 
 
 def perfect(settings: LinkSettings, number: int, messages: Sequence[Messages] | None = None, array: int = 0) -> Packet:
-    """Packet `number` of an array, decoded from exactly what was shown."""
+    """Return packet `number` decoded without errors."""
     sender = transmitters(settings, messages or default_messages(settings))[array]
     levels = sender.format.patterns(sender.identity, sender.blocks(number)).astype(float)
     change = (levels[0::2] - levels[1::2])[settings.signal.header_pairs :]
@@ -41,14 +41,14 @@ def perfect(settings: LinkSettings, number: int, messages: Sequence[Messages] | 
 
 
 def watch(counter: ErrorCounter, frames: range, distances: Any = (50.0,), visible: Any = (True,)) -> None:
-    """Show the counter the truth of frames at 1000 a second."""
+    """Pass frame truths at 1000 frames/s to the counter."""
     for frame in frames:
         at = distances(frame) if callable(distances) else distances
         counter.saw(frame * 1e-3, at, visible(frame) if callable(visible) else visible)
 
 
 def tampered(packet: Packet, layer: str, word: int, bits: Sequence[int], raw: Sequence[int] = (), **to: Any) -> Packet:
-    """The packet with bits of a codeword turned over and its fields changed."""
+    """Return a packet with flipped codeword bits and changed codeword fields."""
     words = list(packet.layers[layer])
     wrong, wrong_raw = words[word].bits.copy(), words[word].raw.copy()
     wrong[list(bits)] ^= 1

@@ -1,4 +1,4 @@
-"""Recordings as cameras and their programs write them, made of given frames."""
+"""Write recordings in the formats used by cameras and camera software."""
 
 import struct
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ CIHX = """<?xml version="1.0" encoding="utf-8"?>
 <deviceInfo><deviceName>FASTCAM Mini</deviceName></deviceInfo></cih>"""
 
 Y4M_FORMS = {"mono": 1, "420jpeg": 1.5, "422": 2, "444": 3, "mono12": 2, "420p10": 3, "mono16": 2}
-"""Forms of .y4m, and bytes of a pixel."""
+"""Bytes per pixel for each .y4m colour space."""
 
 
 def noise(frames: int, rows: int, columns: int, bits: int, seed: int = 0) -> Levels:
@@ -51,13 +51,13 @@ def noise(frames: int, rows: int, columns: int, bits: int, seed: int = 0) -> Lev
 
 
 def packed(levels: Levels, bits: int) -> bytes:
-    """Levels of so many bits without gaps, the upper bits first."""
+    """Pack levels with `bits` bits each, most significant bit first."""
     words = levels.astype(">u2").reshape(-1, 1).view(np.uint8)
     return np.packbits(np.unpackbits(words, axis=1)[:, -bits:]).tobytes()
 
 
 def write_mraw(path: Path, levels: Levels, word: int, depth: int, header: str = ".cih", **said: Any) -> Path:
-    """A .mraw file and its header; returns the first."""
+    """Write a .mraw file and its header; return the .mraw path."""
     values = {"frames": len(levels), "height": levels.shape[1], "width": levels.shape[2], "word": word, "depth": depth,
               "rate": 1000.0, "step": 1, "side": "Lower", "colour": "Mono", "kind": "MRaw", **said}  # fmt: skip
     stored = levels.astype("<u2") << (max(word - depth, 0) if values["side"] == "Higher" else 0)
@@ -79,7 +79,7 @@ def write_cine(
     upwards: bool = True,
     settings: int = 6000,
 ) -> Path:
-    """A .cine file of 8, 16, 24 or 48 bits a pixel as they are, or of 10 or 12 packed ones; `settings` are bytes."""
+    """Write a .cine file with 8, 16, 24 or 48 bits per pixel, or 10 or 12 packed bits; `settings` are raw bytes."""
     rows, columns = frames[0].shape[:2]
     packing = {10: 256, 12: 1024}.get(word, 0)
     setup = bytearray(settings)
@@ -117,7 +117,7 @@ def write_pictures(folder: Path, levels: Levels, name: str = "img%04d.png", firs
 
 
 def write_tiff(path: Path, levels: Levels, order: str = "<", big: bool = False) -> Path:
-    """A TIFF stack without compression, each page in two strips."""
+    """Write an uncompressed TIFF stack with two strips per page."""
     place, offset = ("Q", 16) if big else ("I", 8)
     head = (b"II" if order == "<" else b"MM") + struct.pack(f"{order}H", 43 if big else 42)
     out = bytearray(head + (struct.pack(f"{order}HHQ", 8, 0, offset) if big else struct.pack(f"{order}I", offset)))
@@ -152,7 +152,7 @@ def write_tiff(path: Path, levels: Levels, order: str = "<", big: bool = False) 
 
 
 def write_imagej(path: Path, levels: Levels, description: bytes) -> Path:
-    """A stack of one page, behind which the other pictures follow."""
+    """Write a one-page ImageJ stack; the remaining pictures follow the page."""
     rows, columns = levels.shape[1:]
     data = 8 + 2 + 9 * 12 + 4 + 64
     tags = [(256, 4, 1, columns), (257, 4, 1, rows), (258, 3, 1, 16), (259, 3, 1, 1), (262, 3, 1, 1),
@@ -167,7 +167,7 @@ def write_imagej(path: Path, levels: Levels, description: bytes) -> Path:
 
 
 def write_y4m(path: Path, form: str, frames: int = 5) -> Path:
-    """A .y4m file of frames of 10x6 pixels, each of one level."""
+    """Write a .y4m file with uniform 10x6 px frames."""
     size = int(10 * 6 * Y4M_FORMS[form])
     body = b"".join(b"FRAME\n" + bytes([number]) * size for number in range(frames))
     path.write_bytes(f"YUV4MPEG2 W10 H6 F1000:1 Ip A1:1 C{form}\n".encode() + body)
@@ -175,7 +175,7 @@ def write_y4m(path: Path, form: str, frames: int = 5) -> Path:
 
 
 def write_kinds(folder: Path, levels: Levels, rate: int) -> dict[str, tuple[Path, bool]]:
-    """The same film of 8 bits in every kind that is not video: its path, and whether it needs the rate."""
+    """Write an 8-bit film in each non-video format; return the path and True if the format lacks a frame rate."""
     np.save(folder / "a.npy", levels)
     times_s = [number / rate for number in range(len(levels))]
     return {

@@ -1,4 +1,4 @@
-"""Videos as other programs write them: any stamps, several tracks, palettes."""
+"""Write videos as other software does: arbitrary timestamps, several tracks, palettes."""
 
 import struct
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ PIXEL_FORMATS = {"ffv1": "gray", "mjpeg": "yuvj420p"}
 
 
 def brightness(number: int) -> int:
-    """Gray level of all pixels of a frame, which rises from frame to frame by more than codecs lose."""
+    """Return a gray level that rises per frame by more than codec errors."""
     return 20 + number % 60 * 3
 
 
@@ -28,7 +28,7 @@ def write_video(
     options: dict[str, str] | None = None,
     kind: str | None = None,
 ) -> Path:
-    """A video of 32x32 pixels with any stamps, in ticks, and any rate that it claims."""
+    """Write a 32x32 px video with arbitrary timestamps in ticks and an arbitrary claimed rate."""
     with av.open(str(path), "w", format=kind) as container:
         stream = cast("av.VideoStream", container.add_stream(codec, rate=Fraction(rate), options=options or {}))
         stream.width = stream.height = 32
@@ -43,7 +43,7 @@ def write_video(
 
 
 def write_tracks(path: Path, *tracks: tuple[str, int, int, int]) -> Path:
-    """A video of tracks: of each its codec ("sound" and "text" are no video), side in pixels, frames, disposition."""
+    """Write tracks given as codec ("sound" and "text" are not video), side in px, frames, disposition."""
     with av.open(str(path), "w") as container:
         streams: list[Any] = []
         for codec, side, _, disposition in tracks:
@@ -77,7 +77,7 @@ def write_avi(
     fourcc: bytes = bytes(4),
     upwards: bool = False,
 ) -> Path:
-    """An AVI without compression, of gray levels or numbers in a palette (256 blue, green and red)."""
+    """Write an uncompressed AVI with gray levels, or with indices into a palette (256 blue, green and red)."""
     count, rows, columns = frames.shape
     bits, line = 8 * frames.itemsize, (columns * frames.itemsize + 3) // 4 * 4
     colours = b"" if palette is None else np.pad(palette, ((0, 0), (0, 1))).astype(np.uint8).tobytes()

@@ -1,7 +1,7 @@
-"""A filmed panel of LEDs, drawn without any code of the package: what `locate`, `follow` and `sample` are tried on.
+"""Films with an LED panel, rendered independently of the package, for `locate`, `follow` and `sample`.
 
-Each pixel is looked up in the panel, through its own inverse homography, at a few places within it; then come blur,
-leaking colours, light fall-off, noise and rounding.
+Each pixel averages a few panel samples through the inverse homography. Blur, colour crosstalk, light falloff, noise
+and rounding follow.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,13 +14,13 @@ from scipy.ndimage import gaussian_filter
 Floats = NDArray[np.float64]
 
 UNIT = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-"""Corners of a panel, from the upper left clockwise."""
+"""Panel corners, clockwise from the upper left."""
 
 
 def keystone(
     centre: tuple[float, float], side: float, aspect: float = 1.0, turn: float = 0.0, tilt: float = 0.0
 ) -> Floats:
-    """Corners (4, 2) of a panel that is turned in the image by rad and tilted: its right side is farther away."""
+    """Return corners (4, 2) for a panel rotated by `turn` rad and tilted away at the right."""
     out = []
     for a, b in UNIT - 0.5:
         far = 1 + tilt * (a + 0.3 * b)
@@ -32,7 +32,7 @@ def keystone(
 
 
 def to_unit(corners: Floats) -> Floats:
-    """Homography (3, 3) from the image to the unit square, by the null space of its equations."""
+    """Return the homography (3, 3) from the image to the unit square, from the null space of the linear system."""
     rows = []
     for (x, y), (a, b) in zip(corners, UNIT, strict=True):
         rows.append([x, y, 1, 0, 0, 0, -a * x, -a * y, -a])
@@ -42,10 +42,10 @@ def to_unit(corners: Floats) -> Floats:
 
 @dataclass
 class PanelFilm:
-    """A film of a panel whose LEDs are on or off at random, colour by colour.
+    """Film of a panel with random LED states per colour.
 
-    `corners` gives those of frame k; `leak` says what each channel of the camera sees of each colour; `halo` is the
-    part of the light that a lens spreads over four times the blur.
+    `corners` are the corners in frame k; `leak` is the crosstalk matrix from colours to camera channels; `halo` is
+    the light fraction that the lens spreads over four times the blur.
     """
 
     corners: Callable[[int], Floats]
@@ -69,17 +69,17 @@ class PanelFilm:
     def __post_init__(self) -> None:
         rng = np.random.default_rng([self.seed, 1])
         shape = (self.height, self.width)
-        # what is behind: smooth patches, the same in all colours
+        # background with smooth patches, equal in all colours
         patches = gaussian_filter(rng.normal(size=shape), 12.0)
         self.behind = self.scenery * (1 + 0.5 * patches / patches.std()).clip(0)
         self.gains = (1 + self.spread * rng.normal(size=(self.rows, self.columns, self.colours))).clip(0.5)
 
     def bits(self, number: int) -> NDArray[np.bool_]:
-        """Which LEDs are on in frame k, (rows, columns, colours)."""
+        """Return LED states in frame k, shape (rows, columns, colours)."""
         return np.random.default_rng([self.seed, 2, number]).random((self.rows, self.columns, self.colours)) < 0.5
 
     def frame(self, number: int, lit: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
-        """Frame k, (height, width, colours)."""
+        """Return frame k, shape (height, width, colours)."""
         light = self.gains * (self.bits(number) if lit is None else lit)
         inverse = to_unit(self.corners(number))
         total = np.zeros((self.height, self.width, self.colours))
@@ -98,7 +98,7 @@ class PanelFilm:
         y, x = np.mgrid[-1 : 1 : self.height * 1j, -1 : 1 : self.width * 1j]
         image *= (1 - 0.5 * self.fall_off * (x**2 + y**2))[..., None]
         rng = np.random.default_rng([self.seed, 3, number])
-        # half of the noise is the sensor's own, the rest grows with the light
+        # half of the noise variance at full brightness is signal-independent
         sigma = self.noise * np.sqrt(0.5 + 0.5 * image / self.bright)
         return np.clip(np.rint(image + sigma * rng.normal(size=image.shape)), 0, 255).astype(np.uint8)
 
@@ -112,20 +112,19 @@ class PanelFilm:
         inside = (v >= 0) & (v < self.columns) & (u >= 0) & (u < self.rows)
         emitting = inside & (np.hypot(a - v - 0.5, b - u - 0.5) < self.emitter / 2)
         out = np.where(on_board, 4.0, self.behind)[..., None] * np.ones(self.colours)
-        # the same mean light whatever the emitter's size
+        # keep the mean light independent of the emitter diameter
         share = self.bright / (np.pi * self.emitter**2 / 4) * 0.5
         out[emitting] += share * light[u[emitting], v[emitting]]
         return out
 
     def film(self, count: int) -> Iterator[NDArray[np.uint8]]:
-        """The first frames."""
         return (self.frame(k) for k in range(count))
 
 
 def moving(
     base: Floats, shift: tuple[float, float] = (0.6, 0.3), sway: float = 2.0, grow: float = 5e-4
 ) -> Callable[[int], Floats]:
-    """Corners that move on by px a frame, sway by px and grow by a fraction a frame."""
+    """Return corners that drift in px per frame, sway in px and grow by a fraction per frame."""
 
     def at(number: int) -> Floats:
         centre = base.mean(0)

@@ -1,8 +1,7 @@
-"""Hand-held films of LED panels of other systems, drawn at random by seed without any code of the package.
+"""Random hand-held films with LED panels of other systems, rendered independently of the package.
 
-A scene draws text or random bits on a panel, a row scan, tilt, a shaking hand, blur, bloom, saturation, clutter
-and the noise of JPEG or of a palette. Family 0 serves for tuning, family 1 for measurement with other clutter,
-noise and motion.
+A scene has a panel with text or random bits, row scan, tilt, hand shake, blur, bloom, saturation, clutter, and JPEG
+or palette noise. Family 0 is for tuning; family 1, with other clutter, noise and motion, is for measurement.
 """
 
 from dataclasses import dataclass
@@ -17,16 +16,17 @@ Colours = NDArray[np.uint8]
 SHAPES = ((8, 8), (8, 32), (16, 16), (16, 32), (32, 32))
 WORDS = ("HELLO 2024", "NEXT STOP 12:45", "OPEN", "Exit 7 -> A9", "42 C  18%", "SALE! 50%", "wifi: guest", "ABCDEFGH")
 DOT_PX = 9
-"""Side of an LED on the drawn board in px."""
+"""LED side in px on the rendered board."""
 FINER = 2
-"""Drawn px along a side of a camera's px."""
+"""Rendered px per camera px."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A film of a panel and the true places of its LEDs.
+    """Panel film and true LED positions.
 
-    `frames` has (height, width, 3) colours; `corners` (frames, 4, 2) in px; `lit` is the mean share of lit LEDs.
+    `frames` has (height, width, 3) colours; `corners` is (frames, 4, 2) in px; `lit` is the mean fraction of lit
+    LEDs.
     """
 
     rows: int
@@ -38,7 +38,7 @@ class Scene:
     text: bool
 
     def leds(self, corners: Floats) -> Floats:
-        """Centres (rows * columns, 2) in px of the LEDs of a panel with such corners."""
+        """Return LED centres (rows * columns, 2) in px for given panel corners."""
         unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
         x, y = np.meshgrid((np.arange(self.columns) + 0.5) / self.columns, (np.arange(self.rows) + 0.5) / self.rows)
         view = cv2.getPerspectiveTransform(unit, corners.astype(np.float32))
@@ -46,7 +46,7 @@ class Scene:
         return np.asarray(cv2.perspectiveTransform(points, view)[0])
 
     def error_pitches(self, corners: Floats, number: int = 0) -> float:
-        """Largest distance in pitches of an LED from its true place."""
+        """Return the largest LED position error in pitches."""
         off = self.leds(np.asarray(corners)) - self.leds(self.corners[number])
         return float(np.linalg.norm(off, axis=1).max() / self.pitch)
 
@@ -54,7 +54,7 @@ class Scene:
 def draw_scene(
     seed: int, family: int = 0, count: int = 6, shape: tuple[int, int] | None = None, lit: float | None = None
 ) -> Scene:
-    """Draw a scene; `lit` asks for random bits of that share."""
+    """Draw a scene; `lit` selects random bits with that fraction lit."""
     rng = np.random.default_rng([seed, family, 40])
     rows, columns = shape or SHAPES[rng.integers(len(SHAPES))]
     pitch = min(rng.uniform(3.5, 12.0), 440 / columns, 260 / rows)
@@ -81,7 +81,7 @@ def draw_scene(
 
 
 def _text_patterns(rng: np.random.Generator, rows: int, columns: int, count: int) -> NDArray[np.bool_]:
-    """Text that scrolls by zero to two columns a frame."""
+    """Draw text that scrolls by zero to two columns per frame."""
     word = " ".join(rng.permutation(WORDS)[:4])
     size = min(rows, 16)
     strip = np.zeros((size * 3, 12 * size + columns + 40 * size), np.uint8)
@@ -94,7 +94,7 @@ def _text_patterns(rng: np.random.Generator, rows: int, columns: int, count: int
     whole = np.zeros((rows, line.shape[1]), bool)
     part = line[:rows]
     whole[top : top + len(part)] = part
-    if rows == 32 and rng.random() < 0.7:  # two lines of text
+    if rows == 32 and rng.random() < 0.7:  # two text lines
         whole = np.zeros((rows, line.shape[1]), bool)
         whole[1 : 1 + min(len(line), 15)] = line[:15]
         whole[17 : 17 + min(len(line), 15)] = np.roll(line, -9, axis=1)[:15]
@@ -103,12 +103,12 @@ def _text_patterns(rng: np.random.Generator, rows: int, columns: int, count: int
 
 
 def _scan_weights(rng: np.random.Generator, rows: int, count: int) -> Floats:
-    """Light (frames, rows) of rows that are lit one after the other."""
+    """Return row brightness (frames, rows) for a row scan."""
     mode = rng.integers(4)
     k, row = np.arange(count)[:, None], np.arange(rows)[None]
     if mode == 0:
         return np.ones((count, rows))
-    if mode == 1:  # a band that was lit once less, at another place in each frame
+    if mode == 1:  # a dimmer band, at a different position in each frame
         start = rng.integers(rows)
         inside = (row - start - k * rng.integers(1, rows)) % rows < rows * rng.uniform(0.2, 0.5)
         return np.where(inside, rng.uniform(0.3, 0.8), 1.0)
@@ -121,7 +121,7 @@ def _scan_weights(rng: np.random.Generator, rows: int, count: int) -> Floats:
 
 
 def _corners(rng: np.random.Generator, rows: int, columns: int, pitch: float, width: int, height: int) -> Floats:
-    """Corners of a panel that is turned and tilted, within the picture."""
+    """Draw corners for a rotated, tilted panel inside the picture."""
     unit = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     plane = unit * [columns * pitch, rows * pitch]
     tilt = rng.uniform(-0.12, 0.12, 2)
@@ -137,7 +137,7 @@ def _corners(rng: np.random.Generator, rows: int, columns: int, pitch: float, wi
 
 
 def _hand(rng: np.random.Generator, family: int, count: int, pitch: float) -> Floats:
-    """Shift (frames, 2) in px by the hand: a random walk, or a sway."""
+    """Return hand shake (frames, 2) in px: a random walk, or a sway."""
     if family == 0:
         return np.cumsum(rng.normal(0, 0.08 * pitch, (count, 2)), axis=0)
     k = np.arange(count)[:, None]
@@ -145,7 +145,7 @@ def _hand(rng: np.random.Generator, family: int, count: int, pitch: float) -> Fl
 
 
 def _background(rng: np.random.Generator, family: int, height: int, width: int) -> Floats:
-    """What is behind the panel, (height, width) gray levels."""
+    """Draw the background, (height, width) gray levels."""
     level = rng.uniform(5, 90)
     out = np.full((height, width), level)
     patches = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), rng.uniform(5, 25))
@@ -169,7 +169,7 @@ def _background(rng: np.random.Generator, family: int, height: int, width: int) 
 
 
 class _Camera:
-    """Blur, bloom, saturation, noise and the loss of a film's format."""
+    """Camera with blur, bloom, saturation, noise and lossy formats."""
 
     def __init__(self, rng: np.random.Generator, family: int, pitch: float) -> None:
         self.emitter = rng.uniform(0.3, 0.7)
@@ -215,7 +215,7 @@ class _Camera:
         behind = np.where(cover, background.mean() * board, background)
         image = glow[..., None] * colour + behind[..., None]
         noise = rng.normal(size=image.shape) * self.noise
-        if self.family == 1:  # shot noise, and noise alike in neighbouring pixels
+        if self.family == 1:  # shot noise, and noise correlated between neighbouring pixels
             noise = cv2.GaussianBlur(noise, (0, 0), 0.6) * 1.5 * np.sqrt(0.5 + image.clip(0, 255) / 200)
         image = np.clip(image + noise, 0, 255)
         if self.gamma != 1:

@@ -1,4 +1,4 @@
-"""Damaged and random input for every parser: each case ends in a value or a HeliographError."""
+"""Fuzz each parser with damaged and random input: each case returns a value or raises a HeliographError."""
 
 import argparse
 import io
@@ -30,7 +30,7 @@ from heliograph.signal.message import Reassembler
 from heliograph.sweeps.plan import grid, parse_vary
 
 LIMIT_S = 10.0
-"""Longest time of a case: a hundred times that of a whole film of the size used."""
+"""Time limit per case: a hundred times the time for a complete film."""
 
 WORDS = [
     b"nan", b"inf", b"-1", b"0", b"1e308", b"1e-308", b"true", b"null", b"[", b"]", b"{", b"}", b'"', b"=", b".", b",",
@@ -38,14 +38,14 @@ WORDS = [
     b"1:1e9:1e-9", b"1e999999999",
     b"channel", b"signal.side", b"receive.receiver", b"1979-05-27", b"'''", b"\xe2\x80\xa8", b"frames", b"times_s",
 ]  # fmt: skip
-"""What is put into texts."""
+"""Words inserted into texts."""
 
 TRUTH_PARTS = ("about.json", "frames.npy", "messages/0/high/0", "messages/0/low/0")
-"""Parts of the truth file that is changed."""
+"""Mutated parts of the truth file."""
 
 
 def mutated(data: bytes, rng: random.Random) -> bytes:
-    """A few changes of bytes: bits, runs, words, parts left out, doubled or swapped."""
+    """Apply a few mutations: flipped bits, runs, inserted words, and removed, repeated or swapped parts."""
     out = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 3, 8))):
         place, length = rng.randrange(len(out) + 1), int(2 ** rng.uniform(0, 8))
@@ -84,7 +84,7 @@ def read_truth(data: bytes, folder: Path) -> object:
 
 
 def unpacked(path: Path) -> bytes:
-    """The parts of a truth file one after another: changes of them reach behind the archive's checksums."""
+    """Return the concatenated members of a truth file, so that mutations pass the archive's checksums."""
     with zipfile.ZipFile(path) as archive:
         return MARK.join(archive.read(name) for name in TRUTH_PARTS)
 
@@ -143,7 +143,7 @@ def read_road(data: bytes, _: Path) -> object:
 
 
 def seeds(folder: Path) -> Seeds:
-    """Parsers by name, each with what it reads well."""
+    """Return parsers with valid inputs, by name."""
     small = ["channel.camera.width=64", "channel.camera.height=32", "channel.duration_s=0.02"]
     settings = load_settings("static", None, small)
     write_film(folder / "a.h5", settings, [{"high": [b"kept"], "low": [b"more"]}], seed=1)
@@ -179,11 +179,11 @@ ROAD = (
     "01040000000700180003810000003e875300000104340269026900",
     "01040000000700180003810000354300bb8010011434003c003c226001e002300230008515000b400b4918005a00780078",
 )
-"""Two SPATEMs, of one light and of two, each with its next phase in the second."""
+"""Two SPATEMs, with one and two lights; the second includes the next phases."""
 
 
 class _Late(BaseException):
-    """A case took longer than `LIMIT_S`; no parser can take it for an error of its own."""
+    """Raised if a case exceeds `LIMIT_S`; a BaseException, so that parsers do not catch it."""
 
 
 def _late(*_: object) -> None:
@@ -191,7 +191,7 @@ def _late(*_: object) -> None:
 
 
 def outcome(parser: Parser, data: bytes, folder: Path) -> str:
-    """Outcome of a case: "value", "error", or a description of a fault."""
+    """Run a case; return "value", "error", or a fault description."""
     before = signal.signal(signal.SIGALRM, _late)
     signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
     try:

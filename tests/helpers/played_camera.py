@@ -1,9 +1,8 @@
-"""A camera of one's own: it plays a film as if it were taken now, with faults as they are asked for.
+"""Camera backend that plays a film in real time, with configurable faults.
 
-``camera:played:FILM`` takes features that real cameras lack: `Speed` in frames a second (0 for as fast as they are
-taken), `Times` it is played (0 without end), `Lost`, `Lost2` and `Broken` as numbers of frames, `Unplugged` as the
-number before which its cable is pulled, `Back` as tries after which it answers again, `Stamps` and `Numbers` of 0 to
-have none.
+``camera:played:FILM`` has extra features: `Speed` in frames/s (0: unlimited), `Times` to play the film (0: endless),
+frame numbers `Lost`, `Lost2` and `Broken`, `Unplugged` for the frame that loses the connection, `Back` for the number
+of failed reconnections, and `Stamps` and `Numbers`, which 0 disables.
 """
 
 import time
@@ -16,18 +15,18 @@ from heliograph.media.live.camera import CameraForm, CameraLostError, Found, Pic
 from heliograph.media.live.settings import CameraSettings
 
 STEP_NS = 10_000_000
-"""Time from frame to frame by the camera's clock where the film does not say."""
+"""Default frame interval of the camera clock."""
 
 
 class PlayedCamera:
-    """Plays a film; see `heliograph.media.live.camera.Camera`."""
+    """Film playback; see `heliograph.media.live.camera.Camera`."""
 
     opened = 0
-    """Times that any of them was opened."""
+    """Number of cameras opened so far."""
     unplugged = 0
-    """Tries to open it that fail until it answers again."""
+    """Remaining failures to open after a disconnection."""
     pulled: int | None = None
-    """Number before which the cable was pulled last."""
+    """Frame number at the last disconnection."""
 
     def __init__(self, address: str):
         self._path = address

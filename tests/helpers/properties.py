@@ -1,4 +1,4 @@
-"""Property tests that take the same examples on each run, and what several of them draw."""
+"""Reproducible property tests and shared strategies."""
 
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -7,12 +7,12 @@ from heliograph.receive import Pose
 
 
 def examples(count: int) -> settings:
-    """The same examples on each run, however long one takes."""
+    """Use the same examples in each run, with no deadline."""
     return settings(max_examples=count, derandomize=True, deadline=None, database=None)
 
 
 def poses(reach_px: float = 60.0, smallest: float = 0.3, largest: float = 4.0) -> st.SearchStrategy[Pose]:
-    """Poses within `reach_px` of the sensor's corner, their pitch from `smallest` to `largest` px."""
+    """Draw poses within `reach_px` of the sensor corner, with a pitch from `smallest` to `largest` px."""
     place, tilt = st.floats(-reach_px, reach_px), st.floats(-0.15, 0.15)
     return st.builds(
         Pose,

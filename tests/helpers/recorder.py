@@ -1,4 +1,4 @@
-"""An observer that keeps what a receiver shows."""
+"""Observer that records receiver events."""
 
 from typing import Any, TypeVar
 
@@ -9,12 +9,12 @@ T = TypeVar("T")
 
 
 class Recorder:
-    """Keeps all events of a receiver in their order.
+    """Record all receiver events in order.
 
     Attributes
     ----------
     events
-        The events.
+        Recorded events.
     """
 
     def __init__(self) -> None:
@@ -24,20 +24,20 @@ class Recorder:
         self.events.append(event)
 
     def of(self, kind: type[T]) -> list[T]:
-        """The events of a kind."""
+        """Return events by type."""
         return [event for event in self.events if isinstance(event, kind)]
 
     @property
     def found_s(self) -> list[float]:
-        """When the headers began by which arrays were found."""
+        """Return header start times of detected arrays."""
         return [event.detection.start_time_s for event in self.of(DetectEvent)]
 
     @property
     def lost_s(self) -> list[float]:
-        """Times of the last poses of arrays that were given up."""
+        """Return last pose times of lost arrays."""
         return [event.time_s for event in self.of(LostEvent)]
 
     @property
     def tracked(self) -> list[TrackedPair]:
-        """The array in each pair."""
+        """Return the tracked array in each pair."""
         return [event.tracked for event in self.of(TrackEvent)]

@@ -1,4 +1,4 @@
-"""What the receiver's tests film: an array drawn from the equations, and small films of the simulated link."""
+"""Receiver test films: an array rendered from the equations, and small simulated films."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -23,19 +23,19 @@ ALL_ON = np.ones((SIDE, SIDE))
 
 
 def pitch_at(distance_m: float) -> float:
-    """Pitch in px of the reference link."""
+    """Return the reference link's pitch in px."""
     return 0.035 * 0.02 / (distance_m * 12e-6)
 
 
 def draw(pose: Pose, weights: Floats, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
-    """Image of an array by brute force: every LED's Gaussian integrated over every pixel."""
+    """Render an array by integrating each LED's Gaussian over each pixel."""
     points = pose.leds(len(weights)).reshape(-1, 2)
 
     def pixel_light(first: int, count: int, centres: Floats) -> Floats:
         edges = first - 0.5 + np.arange(count + 1)
         return np.diff(0.5 * erf((edges - centres[:, None]) / (np.sqrt(2) * pose.blur)), axis=1)
 
-    # beyond 8 standard deviations lie 6e-16 of an LED's light
+    # only 6e-16 of an LED's light lies beyond 8 standard deviations
     spans = []
     for first, count, centres in zip(corner, (shape[1], shape[0]), points.T, strict=True):
         low, high = np.floor([centres.min() - 8 * pose.blur, centres.max() + 8 * pose.blur + 1]).astype(int) - first
@@ -43,13 +43,13 @@ def draw(pose: Pose, weights: Floats, corner: tuple[int, int], shape: tuple[int,
     across = pixel_light(corner[0] + spans[0].start, spans[0].stop - spans[0].start, points[:, 0])
     down = pixel_light(corner[1] + spans[1].start, spans[1].stop - spans[1].start, points[:, 1])
     out = np.zeros(shape)
-    with one_thread():  # beside other work, threads take ten times as long for matrices so small
+    with one_thread():  # on a loaded machine, multithreaded BLAS is ten times slower for small matrices
         out[spans[1], spans[0]] = pose.pitch**2 * (down * weights.reshape(-1, 1)).T @ across
     return out
 
 
 def link(*changes: str, **channel: Any) -> LinkSettings:
-    """The reference link at rest with an array in the middle of a small camera."""
+    """Return the still reference link, with the array centred in a small camera image."""
     base: Mapping[str, Any] = {
         "distance_m": 50.0,
         "camera": {"width": 160, "height": 120},
@@ -60,14 +60,14 @@ def link(*changes: str, **channel: Any) -> LinkSettings:
 
 
 def film(settings: LinkSettings, frames: int, seed: int = 1, roi_margin_px: int | None = None) -> list[Frame]:
-    """The first frames of a simulated film, as many as there are milliseconds."""
+    """Simulate the first frames of a film, one per millisecond."""
     channel = replace(settings.channel, duration_s=frames * 1e-3)
     timed = simulate(replace(settings, channel=channel), default_messages(settings), seed, None, roi_margin_px)
     return [frame for frame, _ in timed]
 
 
 def levels(settings: LinkSettings) -> Iterator[NDArray[np.uint8]]:
-    """Patterns of the first array."""
+    """Yield patterns from the first array."""
     return transmitters(settings, default_messages(settings))[0].levels()
 
 
@@ -82,10 +82,10 @@ def drawn_film(
     size: int = 96,
     seed: int = 0,
 ) -> list[Frame]:
-    """A film of an array whose centre goes along a path: time in s (n,) -> (x, y) of shape (n, 2).
+    """Film an array with its centre on a path: time in s (n,) -> (x, y), shape (n, 2).
 
-    Frame follows frame, and each is exposed for so many of the four slots of a pattern, which takes 1 ms. An exposure
-    is the mean of moments, one a slot. Gain 0.8, background 0.1, no panel, reference noise.
+    Frames are contiguous. An exposure covers some of the four slots in a 1 ms pattern and averages an image per
+    slot. Gain 0.8, background 0.1, no panel, reference noise.
     """
     rng, out = np.random.default_rng(seed), []
     slots = (lit for pattern in levels(settings) for lit in lit_slots(pattern, settings.signal.slot_order))
@@ -101,7 +101,7 @@ def drawn_film(
 
 
 def frame_of(light: Floats, index: int, rng: np.random.Generator, origin: tuple[int, int] = (0, 0)) -> Frame:
-    """A frame of light, given as fractions of full scale, with the reference link's noise."""
+    """Return a frame for light in fractions of full scale, with the reference link's noise."""
     electrons = 15000 * light + rng.normal(0, np.sqrt(40.0**2 + 15000 * np.maximum(light, 0)))
     pixels = np.clip(np.round(electrons * 255 / 15000), 0, 255).astype(np.uint8)
     return Frame(index, index * 1e-3, pixels, 8, origin)

@@ -1,7 +1,4 @@
-"""A screen as a phone films it: pictures grabbed of it at any times, made the phone's frames, and these a film.
-
-It knows nothing of the package: what it films may be a browser's canvas.
-"""
+"""Phone films of a screen, made from grabbed pictures independently of the package."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -17,22 +14,22 @@ Gray = NDArray[np.uint8]
 Light = NDArray[np.float32]
 
 GAMMA = 2.2
-"""Of the screen, and of the phone's pictures."""
+"""Gamma of the screen and of the phone's pictures."""
 
 TICKS = 90_000
-"""Units of a film's times in a second, as phones have them."""
+"""Ticks per second in the film, typical for phones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Grabs:
-    """What a screen showed: from each time to the next the same.
+    """Screen content; each picture stays until the next time.
 
     Attributes
     ----------
     times_s
-        (k,) times in s, in order.
+        (k,) ascending times in s.
     pictures
-        (k, rows, columns) pixel values of the screen.
+        (k, rows, columns) screen pixel values.
     """
 
     times_s: NDArray[np.float64]
@@ -41,38 +38,38 @@ class Grabs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Phone:
-    """How a phone films; the defaults are a hand before a laptop.
+    """Phone camera model; the defaults are a hand-held phone before a laptop.
 
     Attributes
     ----------
     fps
-        Frames a second, of which each comes earlier or later by up to `jitter_s`.
+        Frame rate, with times jittered by up to `jitter_s`.
     width, height
-        Columns and rows of its frames.
+        Frame columns and rows.
     side_px
-        Side of the screen's picture in them.
+        Side of the screen picture in a frame.
     exposure_s, readout_s
-        How long a row sees the light, and how much later the last row does than the first.
+        Row exposure time, and delay from the first row to the last.
     jitter_s
-        Largest departure of a frame's time from an even beat; the film says its true time.
+        Largest deviation from uniform frame times; the film has the true times.
     shake_px
-        How far the hand goes to either side.
+        Amplitude of the hand shake.
     blur_px
-        Standard deviation of the lens' blur.
+        Standard deviation of the lens blur.
     noise
         Standard deviation of a gray level.
     glare
-        Light of the room on the screen, as a fraction of its full light.
+        Ambient light on the screen, as a fraction of full light.
     gain
-        How much brighter the picture is than in good exposure.
+        Brightness relative to a correct exposure.
     turn_deg
-        By how many degrees the screen is turned from facing the phone, about an upright line.
+        Yaw of the screen from fronto-parallel.
     off_px
-        How far the screen's picture is to the right of the middle.
+        Displacement of the screen picture to the right.
     mbit_s
-        Rate of the film.
+        Bit rate of the film.
     seed
-        Of place, perspective, times and noise.
+        Seed for position, perspective, times and noise.
     """
 
     fps: float = 30.0
@@ -94,7 +91,7 @@ class Phone:
 
 
 def phone_frames(grabs: Grabs, phone: Phone) -> Iterator[tuple[float, Gray]]:
-    """Yield time and gray levels of each frame that a phone takes while the screen is grabbed."""
+    """Yield time and gray levels for each frame during the grabs."""
     rng = np.random.default_rng(phone.seed)
     corners, phase, beat = _corners(phone, rng), rng.uniform(0, 2 * np.pi, 2), rng.uniform(0.6, 1.1, 2)
     first = float(grabs.times_s[0]) + rng.uniform(0, 1 / phone.fps)
@@ -109,10 +106,10 @@ def phone_frames(grabs: Grabs, phone: Phone) -> Iterator[tuple[float, Gray]]:
 
 
 def _corners(phone: Phone, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Where the phone sees the corners of the screen's picture, each off a square by up to 4 % of it."""
+    """Return the image corners of the screen picture, each displaced from a square by up to 4 %."""
     middle = np.array([phone.width, phone.height]) / 2 + rng.uniform(-0.04, 0.04, 2) * phone.height
     turn = np.deg2rad(phone.turn_deg)
-    # seen from 3.5 sides away
+    # at a viewing distance of 3.5 sides
     square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64) / 2
     away = 1 + square[:, :1] * np.sin(turn) / 3.5
     square = square * (np.cos(turn), 1) / away * phone.side_px
@@ -121,7 +118,7 @@ def _corners(phone: Phone, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _light(grabs: Grabs, phone: Phone, time_s: float, corners: NDArray[np.float64]) -> Light:
-    """(height, width) light of a frame: each row sees what was shown during its own exposure."""
+    """Return (height, width) light; each row has a separate exposure interval."""
     rows = time_s + phone.readout_s * np.arange(phone.height) / phone.height
     ends = np.append(grabs.times_s[1:], np.inf)
     size = grabs.pictures.shape[2], grabs.pictures.shape[1]
@@ -137,7 +134,7 @@ def _light(grabs: Grabs, phone: Phone, time_s: float, corners: NDArray[np.float6
 
 
 def write_phone_film(path: Path, frames: Iterable[tuple[float, Gray]], phone: Phone) -> int:
-    """Write frames at their own times as H.264 in colour and in the limited range; return how many there were."""
+    """Write frames with true times as H.264, in colour with limited range; return the frame count."""
     written = 0
     with av.open(str(path), "w") as out:
         stream = out.add_stream("libx264", rate=round(phone.fps))
@@ -157,7 +154,7 @@ def write_phone_film(path: Path, frames: Iterable[tuple[float, Gray]], phone: Ph
 
 
 def write_webcam(path: Path, frames: Iterable[tuple[float, Gray]]) -> int:
-    """Write frames as Chromium's fake webcam shows them, over and over at 30 a second: a stream of JPEGs."""
+    """Write an MJPEG file for Chromium's fake webcam, which repeats it at 30 frames/s."""
     written = 0
     with path.open("wb") as out:
         for _, gray in frames:

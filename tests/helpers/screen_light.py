@@ -1,4 +1,4 @@
-"""A screen's patterns without a browser: grabs of the canvas as page *Transmit* draws it."""
+"""Screen patterns without a browser, drawn as on page *Transmit*."""
 
 import numpy as np
 from screen_films import GAMMA, Grabs
@@ -6,11 +6,11 @@ from screen_films import GAMMA, Grabs
 from heliograph.web.sending import Sending
 
 MARGIN = 2
-"""Cells of dark margin, as the page's."""
+"""Dark margin in cells, as on the page."""
 
 
 def shown(sending: Sending, seconds: float, cell_px: int = 16, first_s: float = 0.3) -> Grabs:
-    """What a screen shows of a sending for some seconds."""
+    """Return grabs of a transmission for some seconds."""
     count = int(seconds * sending.rate_hz) + 1
     levels = sending.packets(0, -(-count // sending.packet_patterns))[:count]
     pixels = np.rint(255 * (levels / 4) ** (1 / GAMMA)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Single frames of an array on a dark panel before a bright background, drawn from the equations."""
+"""Single frames with an array on a dark panel before a bright background, rendered from the equations."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +18,15 @@ Floats = NDArray[np.float64]
 
 GAIN = 0.8 * 255
 PANEL = 9.0
-"""Half of the panel's side in pitches: its rim lies within the blur of the outer LEDs."""
+"""Half side of the panel in pitches; the blur of the outer LEDs reaches the rim."""
 
 
 def framed(
     pose: Pose, levels: Floats, index: int, rng: np.random.Generator, motion: tuple[float, float] = (0.0, 0.0)
 ) -> Frame:
-    """A frame of LEDs of levels 0 to 4, its middle at a pose; `motion` in px within the exposure of a pattern."""
+    """Render a frame with LED levels 0 to 4, centred at a pose; `motion` is px during the pattern exposure."""
     light = np.zeros((80, 80))
-    # each slot shines while the array goes through a quarter of its way
+    # each slot covers a quarter of the motion
     slots = lit_slots(levels.astype(np.uint8)) if any(motion) else levels[None] / 4.0
     for k, lit in enumerate(slots):
         part = (k + 0.5) / len(slots) - 0.5
@@ -34,13 +34,13 @@ def framed(
         edge, grid = PANEL * at.pitch, np.arange(80)
         across, down = (0.5 * (erf((edge - abs(grid - c)) / 0.75) + 1) for c in (at.x, at.y))
         shown = 0.45 - 0.43 * down[:, None] * across
-        # an array of slots of equal length: each gives its part of the exposure
+        # slots have equal length, hence equal weights
         light += (shown + 0.8 * draw(at, lit.astype(float), (0, 0), light.shape)) / len(slots)
     return frame_of(light, index, rng)
 
 
 def headers() -> list[HeaderPair]:
-    """The two header pairs of identity 7 at 80 m."""
+    """Return the two header pairs for identity 7 at 80 m."""
     rng, levels = np.random.default_rng(0), header_levels(7).astype(float)
     pose = Pose(40.2, 39.7, pitch_at(80.0), 0.01, 0.53)
     found = []
@@ -51,7 +51,7 @@ def headers() -> list[HeaderPair]:
 
 
 def patterns(count: int, seed: int) -> list[Floats]:
-    """Levels of random data of the single mode."""
+    """Draw levels for random data in single mode."""
     rng = np.random.default_rng(seed)
     d = rng.choice(np.array([-1, 1], np.int8), (count, 16, 16))
     d[:, :8, :8] = balance(d[:, :8, 1:8])

@@ -1,4 +1,4 @@
-"""A link with a small camera, so that films of it are soon made."""
+"""Link with a small camera, for fast films."""
 
 from heliograph.link.settings import LinkSettings, load_settings
 
@@ -8,7 +8,7 @@ SMALL = (
     "channel.arrays.0.x_m=0",
     "channel.arrays.0.y_m=0",
 )
-"""A small camera that looks straight at the array."""
+"""A small camera that faces the array."""
 
 
 def small(*changes: str) -> LinkSettings:

@@ -1,4 +1,4 @@
-"""Waits that only a hang ends: no test passes or fails by how busy the machine is."""
+"""Waits with a limit that only a hang reaches, independent of machine load."""
 
 import time
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 HANG_S = 300.0
-"""Time in s after which a wait counts as a hang, on any machine under any load."""
+"""Time limit in s, sufficient for any machine under any load."""
 HANG_MS = 1000 * HANG_S
 
 
@@ -23,6 +23,6 @@ def wait_until(condition: Callable[[], T]) -> T:
 
 
 def run_alone(function: Callable[..., T], *arguments: object) -> T:
-    """Run a function in a new process: its memory is traced without that of other tests and their threads."""
+    """Run a function in a new process, to trace memory apart from other tests."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(function, *arguments).result(HANG_S)

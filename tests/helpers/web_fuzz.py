@@ -1,4 +1,4 @@
-"""Malformed requests, uploads and socket messages for the server of the pages: each is answered, refused, or let go."""
+"""Fuzz the page server with malformed requests, uploads and socket messages."""
 
 import asyncio
 import json
@@ -21,10 +21,10 @@ from heliograph.web.security import LOOPBACK, Door
 from heliograph.web.sending import Sendings, sending_of
 
 LIMITS = Limits(film_bytes=1 << 16, films=4, body_bytes=2048, idle_s=0.05, upload_s=1.0)
-"""Small ones, so that cases go beyond them."""
+"""Small limits, so that cases exceed them."""
 
 LIMIT_S = 20.0
-"""Longest time of a case: a reception that began is ended before its next frame."""
+"""Time limit per case; a reception stops before its next frame."""
 
 TOKEN = "a-token"
 
@@ -49,10 +49,10 @@ QUIET = (
     {"do": "open", "source": {"kind": "named", "number": 0, "changes": ["signal.side=8", "receive.receiver='soft'"]}},
     {"do": "open", "source": {"kind": "camera", "number": 3}, "paused": True},
 )  # fmt: skip
-"""Commands that begin no reception."""
+"""Commands that start no reception."""
 
 DRIVE = {"do": "open", "source": {"kind": "drive", "preset": "static", "distance_m": 50.0, "seed": 1, "street": False}}
-"""A command that begins one."""
+"""A command that starts a reception."""
 
 WISHES = (
     {"kind": "camera"}, {"kind": "camera", "side": 16, "rate_hz": 10.0}, {"kind": "camera", "side": 8, "rate_hz": None},
@@ -65,30 +65,30 @@ SENT = (
     "/api/transmit/{}/packets?first=7", "/api/transmit/{}/packets?first=0&count=2",
     "/api/transmit/{}/film?seconds=1&gamma=2",
 )  # fmt: skip
-"""Requests of pages *Transmit* and *Receive*; a name stands in for the braces."""
+"""Requests from pages *Transmit* and *Receive*; a name replaces the braces."""
 
 MADE = 0.01
-"""Part of the requests of a film that are made as they stand: each writes one."""
+"""Fraction of unmodified film requests; each writes a film."""
 
 FILMS = ("h5", "mkv", "mp4", "npy", "cine", "tif", "y4m")
-"""Kinds of films that are damaged."""
+"""Film formats to damage."""
 
 FILM_PART = 0.05
-"""Part of the cases that are films, which take longest."""
+"""Fraction of film cases, which are the slowest."""
 
 DRIVES = 0.002
-"""Part of the messages that are made of `DRIVE`, which takes long."""
+"""Fraction of messages made from `DRIVE`, which is slow."""
 
 
 def served() -> FastAPI:
-    """The application, with a token, and a film that is not there."""
+    """Return an application with a token and a missing film."""
     return create_app(films=["missing.mkv"], door=Door(LOOPBACK, token=TOKEN), limits=LIMITS)
 
 
 async def answer(
     app: FastAPI, method: str, path: str, headers: Iterable[tuple[bytes, bytes]], parts: Sequence[bytes | None]
 ) -> int:
-    """Status of a request's answer; a part that is None does not come, -1 is no answer."""
+    """Return the status, or -1 if unanswered; a None part never arrives."""
     scope = {
         "type": "http", "asgi": {"version": "3.0"}, "http_version": "1.1", "method": method, "scheme": "http",
         "path": path.partition("?")[0], "raw_path": path.encode("utf-8", "replace"), "root_path": "",
@@ -120,9 +120,9 @@ async def talk(
     to_the_end: bool = False,
     path: str = "/api/watch",
 ) -> list[str]:
-    """What a page's WebSocket sends while it hears some messages: events, "bytes", or how it closed.
+    """Send messages to the page WebSocket; return the replies: events, "bytes", or the close code.
 
-    The page goes at once, or at the end of its reception.
+    The client disconnects at once, or at the end of its reception.
     """
     scope = {
         "type": "websocket", "asgi": {"version": "3.0"}, "http_version": "1.1", "scheme": "ws", "path": path,
@@ -148,7 +148,7 @@ async def talk(
 
 
 def request_case(rng: random.Random) -> tuple[str, str, list[tuple[bytes, bytes]], list[bytes | None]]:
-    """A request; half of them are uploads that come in."""
+    """Draw a request; half of the cases are uploads."""
     if rng.random() < 0.5:
         method, path = "PUT", f"/api/films?kind={rng.choice(('mp4', 'npy', '../../x', '', 'h5%00'))}"
         headers = [HEADERS[0], HEADERS[4]]
@@ -168,7 +168,7 @@ def request_case(rng: random.Random) -> tuple[str, str, list[tuple[bytes, bytes]
 
 
 def message_case(rng: random.Random) -> MutableMapping[str, Any]:
-    """A message: a command, mostly changed, as a text or as bytes."""
+    """Draw a command message, usually mutated, as text or bytes."""
     command = DRIVE if rng.random() < DRIVES else rng.choice(QUIET)
     data = json.dumps(command).encode()
     if rng.random() < 0.85:
@@ -179,7 +179,7 @@ def message_case(rng: random.Random) -> MutableMapping[str, Any]:
 
 
 async def fuzz_requests(app: FastAPI, cases: int, rng: random.Random) -> Counter[str]:
-    """What became of requests: by the first digit of the status, or what it should not be."""
+    """Count outcomes of requests by first status digit, or by fault."""
     found: Counter[str] = Counter()
     for _ in range(cases):
         case = request_case(rng)
@@ -192,7 +192,7 @@ async def fuzz_requests(app: FastAPI, cases: int, rng: random.Random) -> Counter
 
 
 async def fuzz_messages(app: FastAPI, cases: int, rng: random.Random) -> Counter[str]:
-    """What became of conversations, counted by message: ended, let go, or what it should not be."""
+    """Count outcomes of conversations per message: ended, let go, or a fault."""
     found: Counter[str] = Counter()
     while found.total() < cases:
         messages = [message_case(rng) for _ in range(min(rng.randrange(1, 30), cases - found.total()))]
@@ -205,7 +205,7 @@ async def fuzz_messages(app: FastAPI, cases: int, rng: random.Random) -> Counter
 
 
 def sent_case(rng: random.Random, name: str) -> tuple[str, str, bytes]:
-    """A request of page *Transmit* or *Receive*, mostly changed: its method, its path, its body."""
+    """Draw a request for page *Transmit* or *Receive*, usually mutated: method, path, body."""
     path = rng.choice(SENT).replace("{}", name)
     if rng.random() < (1 - MADE if "film" in path else 0.7):
         path = mutated(path.encode(), rng).decode("utf-8", "replace")
@@ -214,7 +214,7 @@ def sent_case(rng: random.Random, name: str) -> tuple[str, str, bytes]:
 
 
 def camera_case(rng: random.Random, number: int) -> MutableMapping[str, Any]:
-    """A frame of a browser's camera, mostly changed, or a word."""
+    """Draw a browser camera frame, sometimes mutated, or a text command."""
     if rng.random() < 0.1:
         return {"type": "websocket.receive", "text": rng.choice(("save", "end", "halt", ""))}
     data = HEAD.pack(number / 30, number, 64, 48) + rng.randbytes(64 * 48)
@@ -222,7 +222,7 @@ def camera_case(rng: random.Random, number: int) -> MutableMapping[str, Any]:
 
 
 async def fuzz_screen(app: FastAPI, cases: int, rng: random.Random) -> Counter[str]:
-    """What became of requests and conversations of pages *Transmit* and *Receive*."""
+    """Count outcomes of requests and conversations on pages *Transmit* and *Receive*."""
     found: Counter[str] = Counter()
     headers = [HEADERS[0], HEADERS[4]]
     name = app.state.sendings.add(sending_of(b"a text", None, 8, 60.0))
@@ -250,7 +250,7 @@ async def fuzz_screen(app: FastAPI, cases: int, rng: random.Random) -> Counter[s
 
 
 async def fuzz_films(app: FastAPI, cases: int, rng: random.Random) -> Counter[str]:
-    """What became of films that are damaged, uploaded and watched: "end", "failed", or what it should not be."""
+    """Count outcomes of damaged, uploaded and watched films: "end", "failed", or a fault."""
     found: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         good = [(kind, data) for kind in FILMS for data in film_seeds(Path(folder), "{}")[f"film.{kind}"][1]]
@@ -274,7 +274,7 @@ async def fuzz_films(app: FastAPI, cases: int, rng: random.Random) -> Counter[st
 
 
 async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
-    """Run the cases: requests, messages, and a part of damaged films; nothing may be left over of what broke off."""
+    """Run cases with requests, messages and damaged films; fail on leftovers from aborted cases."""
     app, films = served(), round(cases * FILM_PART)
     part = (cases - films) // 3
     app.state.sendings = Sendings()
@@ -295,4 +295,4 @@ async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
 
 
 GOOD = ("2xx", "3xx", "4xx", "5xx", "ended", "let go", "end", "failed")
-"""What may become of a case; 5xx is 503, all places taken."""
+"""Valid outcomes; 5xx is 503, server full."""

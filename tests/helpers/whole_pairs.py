@@ -1,4 +1,4 @@
-"""A pair of frames without a sensor, and the whole matrices of its model."""
+"""Sensor-free frame pairs and their full model matrices."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +19,14 @@ SYMBOLS = SIDE * SIDE
 GAIN = 150.0
 T = transform(SIDE)
 CUT = 5e-4
-"""Part of an LED's light beyond 3.7 standard deviations, both axes, where the kernels' footprints end."""
+"""Light fraction beyond 3.7 standard deviations in x and y, where the kernel footprints end."""
 
 MOTIONS = [(0.0, 0.0), (0.12, -0.2)]
 ROLLS = [0.0, 0.05]
 
 
 def pair_of(poses: tuple[Pose, Pose], x: Floats, noise: float = 0.0) -> FramePair:
-    """A pattern x and its inverse without a sensor: gray levels as they are, and noise of a standard deviation."""
+    """Return a pattern x and its inverse as exact gray levels plus Gaussian noise."""
     rng = np.random.default_rng(4)
     light = [30 + GAIN * draw(p, y, (0, 0), (60, 60)) for p, y in zip(poses, (x, 1 - x), strict=True)]
     up, down = (
@@ -37,39 +37,39 @@ def pair_of(poses: tuple[Pose, Pose], x: Floats, noise: float = 0.0) -> FramePai
 
 
 def random_levels() -> tuple[Floats, Floats]:
-    """Symbols, and the LEDs' levels 0 to 1 that they make."""
+    """Return random symbols and the resulting LED levels from 0 to 1."""
     symbols = np.random.default_rng(5).choice([-1.0, 1.0], SYMBOLS)
     return symbols, 0.5 * (1 + T @ symbols).reshape(SIDE, SIDE)
 
 
 def moving(distance_m: float, roll: float, motion: tuple[float, float]) -> tuple[Pose, Pose]:
-    """Poses in the two frames."""
+    """Return poses for both frames."""
     first = Pose(29.3, 30.4, pitch_at(distance_m), roll, 0.51)
     return first, first.moved(*motion)
 
 
 class WholePair:
-    """A cut-out and its model as whole matrices.
+    """Cut-out with full model matrices.
 
     Parameters
     ----------
     poses
-        In the two frames.
+        Pose in each frame.
     pair
-        The frames.
+        Frame pair.
     noise
-        By which pixels are weighted.
+        Noise model for the pixel weights.
 
     Attributes
     ----------
     cutout
-        The cut-out.
+        Cut-out.
     b, o
         (pixels, symbols) and (pixels,): d = g (b c + o) + n.
     w
         (pixels,) weights.
     d
-        (pixels,) the difference.
+        (pixels,) difference.
     """
 
     def __init__(self, poses: tuple[Pose, Pose], pair: FramePair, noise: Noise):

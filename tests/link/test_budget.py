@@ -1,4 +1,4 @@
-"""The budget of a link: its numbers hold together, and what spoils it is said."""
+"""Link budget: consistent numbers and warnings."""
 
 from dataclasses import replace
 from typing import Any
@@ -27,7 +27,7 @@ def reference() -> heliograph.Budget:
 
 
 def test_an_array_is_seen_as_the_reference_link_says(reference: heliograph.Budget) -> None:
-    """1.17 px a LED at 50 m, 80 % of a full well of 15000 electrons, 0.6 % of noise."""
+    """1.17 px per LED at 50 m, 80 % of a 15,000-electron full well, 0.6 % noise."""
     spot = reference.spot
     assert spot.pitch_px == pytest.approx(1.167, abs=1e-3)
     assert spot.side_px == pytest.approx(4 * spot.pitch_px)
@@ -112,7 +112,7 @@ def test_what_is_no_link_is_one_line(arguments: Any, says: str) -> None:
     ],
 )
 def test_an_array_is_found_up_to_the_stated_distance(receiver: str, share: float, is_found: bool) -> None:
-    """The search and the budget follow one rule."""
+    """Detector and budget share a distance limit."""
     small_camera = {"camera": {"width": 64, "height": 64}, "arrays": [{"x_m": 0.0, "y_m": 0.0}], "duration_s": 0.03}
     link = load_settings("static", {"channel": small_camera, "receive": {"receiver": receiver}})
     distance_m = share * found_m(link, receiver)

@@ -1,4 +1,4 @@
-"""Arrays of a scene at rest are placed anywhere within a pixel, however far each is away."""
+"""Subpixel dither of still arrays at any distance."""
 
 import numpy as np
 import pytest
@@ -10,13 +10,13 @@ from heliograph.measure.bench import dithered
 
 
 def places(settings: LinkSettings) -> np.ndarray:
-    """(arrays, 2) centres of the arrays' images in px."""
+    """Return (arrays, 2) image centres in px."""
     _, truth = next(simulate(settings, default_messages(settings), 0))
     return np.array([(array.x, array.y) for array in truth.arrays])
 
 
 def test_images_move_by_half_a_pixel_at_most() -> None:
-    """One array stands nearer than the scene's distance, one farther."""
+    """The two arrays are nearer and farther than the scene distance."""
     settings = small(
         "channel.distance_m=50",
         "channel.arrays=[{x_m=-0.4, y_m=0.0, z_offset_m=-20.0}, {x_m=0.4, y_m=0.1, z_offset_m=30.0}]",
@@ -26,10 +26,10 @@ def test_images_move_by_half_a_pixel_at_most() -> None:
     at = places(settings)
     moves = np.array([places(dithered(settings, seed)) - at for seed in range(60)])
     assert np.abs(moves).max() < 0.501
-    # of both, in both directions, almost all of the pixel is used
+    # both arrays cover almost the full pixel in both directions
     assert moves.min(0) == pytest.approx(-0.5, abs=0.06)
     assert moves.max(0) == pytest.approx(0.5, abs=0.06)
-    # and they do not move together
+    # their positions are uncorrelated
     assert abs(np.corrcoef(moves[:, 0, 0], moves[:, 1, 0])[0, 1]) < 0.4
 
 

@@ -1,4 +1,4 @@
-"""Information of the symbols: against an oracle written apart, against the images' own formula, and by its order."""
+"""Symbol information, compared with an independent oracle and with the closed form for images."""
 
 import math
 from typing import Any
@@ -33,8 +33,9 @@ ORACLE = {
     100: ((0.914, 0.711, 0.651), (1.00, 1.00, 0.820)),
     150: ((0.545, 0.295, 0.082), (1.00, 0.768, 0.091)),
 }
-"""Information of the high, middle and low layer by distance, after cancelling the higher ones, with all others known:
-of a program written apart, with disc and blur as one Gaussian, a small random roll, random places."""
+"""Information per distance for the high, middle and low layer: with higher layers cancelled, and with all others known.
+
+From an independent program with one Gaussian for disc and blur, a small random roll and random positions."""
 
 
 @pytest.mark.slow
@@ -49,12 +50,12 @@ def test_information_is_that_of_a_program_written_apart() -> None:
 
 @pytest.mark.parametrize(("ratio", "bits"), [(0.0, 0.0), (1.0, 0.4859), (100.0, 1.0)])
 def test_information_of_a_binary_symbol(ratio: float, bits: float) -> None:
-    """At 0 dB the capacity of the binary channel with Gaussian noise is 0.4859."""
+    """The binary-input Gaussian channel has a capacity of 0.4859 at 0 dB."""
     assert binary_information(np.array([ratio]))[0] == pytest.approx(bits, abs=2e-4)
 
 
 def plain_images(channel: ChannelSettings, side: int, distance_m: float, shift_px: tuple[float, float]) -> Floats:
-    """Images of LEDs that face the camera, a disc taken for a Gaussian: products of integrals over pixels."""
+    """Return LED images as pixel integrals, for a fronto-parallel array and a Gaussian in place of the disc."""
     camera, emitter = channel.camera, channel.emitter
     pitch = camera.focal_px * emitter.pitch_m / distance_m
     sigma = math.hypot(camera.blur_px, emitter.diameter_m / emitter.pitch_m * pitch / 4)
@@ -74,7 +75,7 @@ def test_images_are_the_integrals_over_pixels(distance_m: float) -> None:
         found = array_images(channel, 8, distance_m, shift)
         meant = plain_images(channel, 8, distance_m, shift)
         rows, columns = found.leds.shape[:2]
-        # the same pixels, wherever either window begins
+        # align both windows
         best = min(
             float(np.abs(found.leds - meant[y : y + rows, x : x + columns]).max())
             for y in range(81 - rows + 1)
@@ -123,7 +124,7 @@ def test_no_estimate_has_more_than_the_bound(distance_m: float, blur_px: float, 
     for layer in range(3):
         sampled, linear, bound = (looks.information(kind, layer, snr) for kind in ("sampled", "linear", "bound"))
         assert -1e-9 <= linear <= bound + 1e-9 <= 1 + 2e-9
-        # of the high layer "sampled" estimates with the same symbols unknown, and not as well
+        # "sampled" has the same unknown symbols in the high layer, and a higher error
         assert layer or sampled <= linear + 0.01
 
 

@@ -1,4 +1,4 @@
-"""Messages through a film and back, byte for byte; films that break off or end early."""
+"""End-to-end messages through films, including truncated films."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ LONG = bytes(np.random.default_rng(5).integers(0, 256, 500, dtype=np.uint8))
 def through(
     path: Path, settings: LinkSettings, messages: Sequence[Messages], truth: bool = True
 ) -> tuple[list[Message], Reception]:
-    """Messages that come out of a film, and what was counted."""
+    """Return the messages decoded from a film, and the reception."""
     write_film(path, settings, messages, seed=3)
     return read(path, settings, truth)
 
@@ -142,7 +142,7 @@ def test_packets_become_rows_of_plain_values(tmp_path: Path) -> None:
 
 
 def interrupted_after(monkeypatch: pytest.MonkeyPatch, frames: int, error: BaseException) -> None:
-    """Let the simulation end with an error."""
+    """Raise an error after some simulated frames."""
 
     def some(*arguments: Any) -> Iterator[Any]:
         for count, pair in enumerate(simulate(*arguments)):
@@ -215,7 +215,7 @@ def test_a_film_that_breaks_off_gives_all_packets_before(tmp_path: Path) -> None
         receive()
     assert 280 < reception.frames < 300
     assert by_place(found) == {(0, "high", 0): b"before"}
-    # the packet in progress is read too, from what there is of it
+    # a partial packet counts
     assert reception.arrays[0].packets == 3
 
 

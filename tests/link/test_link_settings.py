@@ -1,4 +1,4 @@
-"""The tree of settings and its presets; `paper` carries exactly the numbers of the reference link."""
+"""Settings tree and presets; `paper` equals the reference link."""
 
 import math
 
@@ -59,7 +59,7 @@ def test_the_sensor_of_the_reference_link() -> None:
     assert sensor.full_well_e == 15_000
     assert sensor.dark_noise_e == 40
     assert PAPER.channel.emitter.all_on == 0.8
-    # sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2, at mid level about 0.6 % of full scale
+    # sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2, about 0.6 % of full scale at mid level
     k = 255 / 15_000
     assert math.sqrt(k**2 * (40**2 + 7500) + 1 / 12) / 255 == pytest.approx(0.006, abs=0.001)
     assert sensor.gain_dn_per_e == k

@@ -1,4 +1,4 @@
-"""What a user gets wrong in Python is a HeliographError of one line; a luminance that is not known is an erasure."""
+"""User errors raise a one-line HeliographError; an unknown luminance is an erasure."""
 
 from typing import Any
 
@@ -44,7 +44,7 @@ def test_encode_says_what_is_wrong(arguments: tuple[Any, ...], says: str) -> Non
 )
 def test_decode_says_what_is_wrong_at_once(luminances: Any, says: str) -> None:
     with pytest.raises(HeliographError, match=says):
-        decode(luminances)  # not only where the first message is asked for
+        decode(luminances)  # raises before the first message is requested
 
 
 @pytest.mark.parametrize("hidden", [

@@ -1,4 +1,4 @@
-"""The notes of a film: its signal, and the truth that belongs to it."""
+"""Film metadata: signal settings and the matching truth file."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,14 +16,14 @@ from heliograph.media import create_film, open_film
 def test_the_truth_of_another_film_is_refused(tmp_path: Path) -> None:
     settings = small("channel.duration_s=0.01")
     write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
-    write_film(tmp_path / "b.mkv", settings, [{}], seed=1)  # its recordings may be others, though all else is the same
+    write_film(tmp_path / "b.mkv", settings, [{}], seed=1)  # films with equal settings may hold different recordings
     truth = open_truth(tmp_path / "b.mkv.truth.npz")
     with open_film(tmp_path / "b.mkv") as film:
         check_truth(film, truth, settings.signal)
     with open_film(tmp_path / "a.mkv") as film, pytest.raises(MediaError, match="different simulations"):
         check_truth(film, truth, settings.signal)
     with open_film(tmp_path / "a.mkv") as film:
-        film.metadata = {}  # copied by a tool that keeps no notes
+        film.metadata = {}  # as copied by a tool that drops metadata
         check_truth(film, truth, settings.signal)
         film.width = 320
         with pytest.raises(MediaError, match="160x120 pixels, the film of 320x120"):

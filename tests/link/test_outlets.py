@@ -1,4 +1,4 @@
-"""News by datagram and WebSocket, as clients get them."""
+"""Publishing over UDP and WebSocket."""
 
 import json
 import socket
@@ -49,14 +49,14 @@ def test_nobody_need_listen() -> None:
 
 
 def _attended(outlet: outlets.WebSocket, clients: int) -> None:
-    """Wait until the server knows its clients; they are connected a little earlier."""
+    """Wait for the server to register its clients, shortly after they connect."""
     wait_until(lambda: len(outlet._waiting) >= clients)
 
 
 def test_all_clients_get_all_rows_and_the_last_ones() -> None:
     outlet = open_outlet("ws://127.0.0.1:0")
     assert isinstance(outlet, outlets.WebSocket)
-    outlet.send(ROW)  # nobody is there
+    outlet.send(ROW)  # no client yet
     with connect(outlet.address) as first, connect(outlet.address) as second:
         _attended(outlet, 2)
         for number in range(50):
@@ -94,7 +94,7 @@ def test_a_slow_client_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(outlet, outlets.WebSocket)
     with connect(outlet.address, max_queue=1, close_timeout=0.1):
         _attended(outlet, 1)
-        for _ in range(200):  # 40 MB, which the client does not read
+        for _ in range(200):  # 40 MB, unread by the client
             outlet.send({**ROW, "data": "A" * 200_000})
         assert not outlet._waiting
     outlet.close()

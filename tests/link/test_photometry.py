@@ -1,4 +1,4 @@
-"""Light by the textbook: photons of a lumen, and the same electrons by way of distance and solid angle."""
+"""Photometry against textbook values, and electron counts derived from the solid angle."""
 
 import math
 from dataclasses import replace
@@ -11,7 +11,7 @@ from heliograph.link.photometry import LightSettings
 
 @pytest.mark.parametrize(("wavelength_nm", "photons"), [(555, 4.09e15), (625, 1.435e16), (500, 1.141e16)])
 def test_photons_of_a_lumen(wavelength_nm: float, photons: float) -> None:
-    """By 683 V(lambda) lm/W and h c / lambda, with the CIE's V of 1.000, 0.321 and 0.323."""
+    """683 V(lambda) lm/W and h c / lambda, with CIE V = 1.000, 0.321 and 0.323."""
     light = LightSettings(wavelength_nm=wavelength_nm)
     assert light.photons_per_lumen_second == pytest.approx(photons, rel=0.012)
 
@@ -40,7 +40,7 @@ def test_the_lens_blurs_by_diffraction_and_focus() -> None:
     channel = ChannelSettings()
     wide, narrow = (LightSettings(f_number=number).lens_blur_px(channel, 1e4) for number in (2.0, 22.0))
     assert narrow == pytest.approx(11 * wide, rel=1e-3)
-    # the Airy disc's first dark ring is at 1.22 wavelengths times f-number, 2.9 of these widths
+    # the first dark ring of the Airy disc, at 1.22 lambda N, is 2.9 standard deviations out
     assert narrow * channel.camera.pixel_m == pytest.approx(1.22 * 625e-9 * 22 / 2.9, rel=0.01)
     near = LightSettings(f_number=2.0).lens_blur_px(channel, 5.0) * channel.camera.pixel_m
     assert near == pytest.approx(0.035**2 / (2 * 5) / 4, rel=1e-3)

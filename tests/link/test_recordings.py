@@ -1,4 +1,4 @@
-"""Recordings of others: footage and motion, and what may be wrong with them."""
+"""Recorded footage and motion, including invalid files."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The truth file: written whole, read as a stream, and no damage goes unnoticed or untold."""
+"""Truth files: atomic writing, streaming, damage detection."""
 
 import contextlib
 import io
@@ -183,7 +183,7 @@ def test_any_flipped_byte_is_harmless_or_reported(path: Path) -> None:
 
 
 def rewritten(path: Path, **changes: bytes) -> None:
-    """The archive with some members replaced."""
+    """Return the archive with some members replaced."""
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     for name, data in changes.items():
@@ -215,10 +215,10 @@ def test_the_reason_is_said_once_and_not_in_the_words_of_python(path: Path, abou
 
 
 def rows_of(path: Path, version: tuple[int, int], count: int = 30) -> bytes:
-    """Rows of the film in a version of .npy."""
+    """Return film rows in a given .npy version."""
     out = io.BytesIO()
     rows = np.array(list(open_truth(path).rows()))[:count]
-    with warnings.catch_warnings(action="ignore"):  # of versions that are not needed
+    with warnings.catch_warnings(action="ignore"):  # for unneeded versions
         np.lib.format.write_array(out, rows, version)
     return out.getvalue()
 
@@ -242,8 +242,8 @@ def test_a_header_takes_no_memory_for_what_it_claims(path: Path) -> None:
 
 
 def complain_and_trace(path: Path) -> tuple[str, int]:
-    """The error of a damaged truth file, and the largest memory on the way to it, in bytes."""
-    complaint(path)  # imported modules stay in memory
+    """Return the error for a damaged truth file, and the peak memory in bytes."""
+    complaint(path)  # import modules before measuring
     tracemalloc.start()
     return complaint(path), tracemalloc.get_traced_memory()[1]
 

@@ -1,4 +1,4 @@
-"""Truth files: whatever arrays did in a film comes back as it was written."""
+"""Truth files round-trip for arbitrary array motion."""
 
 import tempfile
 from pathlib import Path
@@ -38,7 +38,7 @@ ARRAYS = st.builds(
 
 @st.composite
 def films(draw: st.DrawFn) -> tuple[LinkSettings, list[Truth]]:
-    """Settings with one array or two, and frames of any times and numbers."""
+    """Draw settings with one or two arrays, and frames with arbitrary times and numbers."""
     count = draw(st.sampled_from(sorted(SETTINGS)))
     settings = SETTINGS[count]
     truths = st.builds(
@@ -53,7 +53,7 @@ def films(draw: st.DrawFn) -> tuple[LinkSettings, list[Truth]]:
 
 @st.composite
 def messages(draw: st.DrawFn, arrays: int) -> list[dict[str, list[bytes]]]:
-    """Messages of each array by layer, any bytes; a layer may have none."""
+    """Draw messages per array and layer; a layer may be empty."""
     some = st.lists(st.binary(max_size=40), max_size=3)
     return [draw(st.fixed_dictionaries({}, optional=dict.fromkeys(LAYERS, some))) for _ in range(arrays)]
 
@@ -91,7 +91,7 @@ def test_a_film_and_back(film: tuple[LinkSettings, list[Truth]], data: st.DataOb
 
 
 def test_rows_are_read_in_parts(tmp_path: Path) -> None:
-    """More rows than are read at once, 4096, and not a whole number of parts."""
+    """Write more rows than a 4096-row chunk, with a partial last chunk."""
     settings, count = SETTINGS[1], 8197
     array = ArrayTruth(1.0, 2.0, 3.0, 0.0, np.eye(3), 50.0, True, ())
     path, noise = tmp_path / "film.truth.npz", NoiseModel(settings.channel.sensor)

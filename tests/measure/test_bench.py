@@ -1,4 +1,4 @@
-"""The bench counts what films give, and depends on settings and seed alone."""
+"""The bench counts films and is deterministic in settings and seed."""
 
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def link(preset: str, *changes: str) -> LinkSettings:
 
 
 def by_film(settings: LinkSettings, seed: int, path: Path) -> Reception:
-    """The reception of a film of whole frames of the same block."""
+    """Return the reception of a film with full frames of the same block."""
     settings = dithered(block_settings(settings), seed)
     write_film(path, settings, random_messages(settings, seed), seed)
     reception = Reception(open_truth(truth_path(path)))

@@ -1,4 +1,4 @@
-"""Counts add up, survive JSON, and bound a rate of which no error was met."""
+"""Counts: sums, JSON, and the rate bound for zero errors."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The error counter counts every error, no other, and where it belongs."""
+"""Error counter: exact counts, assigned to the correct packet and distance."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def test_dropped_frames_count_as_filmed() -> None:
     counter = counter_of()
     for first, last in ((0, 40), (44, 99), (102, 200)):
         watch(counter, range(first, last))
-    # two packets were sent and filmed, though frames of both got lost
+    # two packets were sent and filmed, both with lost frames
     assert next(sums(counter)) == ("high", 0, 0, 0, 2, 2, 2)
 
 
@@ -80,7 +80,7 @@ def test_erased_bits_are_no_raw_bits() -> None:
     counter.received(replace(packet, layers={**packet.layers, "high": (replace(word, raw=raw),)}))
     high = counter.total()["high"]
     assert (high.raw_bits, high.raw_errors) == (raw.size - 100, 1)
-    # a receiver that equalises once has no others
+    # a single equalisation has no other raw bits
     assert (high.final_raw_bits, high.final_raw_errors) == (raw.size - 100, 1)
 
 
@@ -128,7 +128,7 @@ def test_packets_not_filmed_whole_or_out_of_view_are_not_missed() -> None:
 
 
 def test_a_packet_filmed_in_part_is_left_out() -> None:
-    """What the film's ends cut off says nothing of the link, nor does it belong at 0 m."""
+    """Packets cut off by the film's ends do not count, nor fall into the 0 m bin."""
     counter = counter_of()
     watch(counter, range(70, 100), distances=(62.0,))
     counter.received(perfect(SETTINGS, 0))
@@ -136,7 +136,7 @@ def test_a_packet_filmed_in_part_is_left_out() -> None:
 
 
 def test_a_packet_handed_out_early_counts_once_it_is_filmed_whole() -> None:
-    """An array that is lost gives its packet before the packet's last frame."""
+    """A lost array emits a packet before the packet's last frame."""
     counter = counter_of()
     watch(counter, range(70), distances=(62.0,))
     counter.received(perfect(SETTINGS, 0))
@@ -206,7 +206,7 @@ def test_a_duplicate_with_false_content_is_false() -> None:
 
 
 def test_a_packet_of_another_moment_has_wrong_content() -> None:
-    """The right array at the right time with a packet sent elsewhen."""
+    """The array and the time are correct, but the packet was sent at another time."""
     counter = counter_of()
     watch(counter, range(200))
     counter.received(replace(perfect(SETTINGS, 1), start_time_s=0.0))
@@ -215,7 +215,7 @@ def test_a_packet_of_another_moment_has_wrong_content() -> None:
 
 def test_errors_go_to_the_bin_of_the_packets_middle() -> None:
     counter = counter_of()
-    # 80 m at the start, 10 m nearer a packet: middles at 75, 65 and 55 m less a frame
+    # 80 m at the start, 10 m nearer per packet: packet centres at 75, 65 and 55 m, less one frame
     watch(counter, range(300), distances=lambda frame: (80.0 - frame * 0.1 - 0.05,))
     counter.received(perfect(SETTINGS, 0))
     counter.received(tampered(perfect(SETTINGS, 1), "high", 0, [1, 2], status="crc_fail", block=None))
@@ -256,7 +256,7 @@ def test_two_arrays_are_counted_apart() -> None:
 
 @pytest.mark.parametrize("ppm", [-10_000, 10_000])
 def test_the_cameras_clock_is_not_the_arrays(ppm: int) -> None:
-    """Seconds into the film, a clock 1 % off is out by more than half a packet."""
+    """A 1 % clock error exceeds half a packet after a few seconds."""
     settings = small(f"channel.camera.clock_ppm={ppm}", "channel.duration_s=10")
     counter = counter_of(settings)
     watch(counter, range(8000, 9000))
@@ -274,18 +274,18 @@ def test_a_packet_read_in_another_format_is_wrong_not_a_fault() -> None:
     total = counter.total()
     assert (total["high"].codewords, total["high"].codeword_errors, total["high"].bits) == (1, 1, 0)
     assert counter.false_codewords == 1
-    # the other layers are the same in both formats, but for being sent at all
+    # the formats differ only in the layers sent
     assert total["low"].codeword_errors == 0
 
 
 @pytest.mark.parametrize("packet", [3, 6])
 def test_the_first_frame_of_a_packet_is_not_taken_for_the_last_of_the_one_before(packet: int) -> None:
-    """Its time is a rounding error early. Hidden in that frame alone, the packet is not missed; the others are."""
+    """Rounding puts the frame slightly early. The packet hidden only in this frame is not missed; the others are."""
     first = 100 * packet
-    # 0.3 s over 0.1 s is 2.9999999999999996
+    # 0.3 / 0.1 is 2.9999999999999996
     assert first * 1e-3 / 0.1 < packet
     counter = counter_of(small("channel.duration_s=1"))
-    # each packet from a distance of its own
+    # each packet has a different distance
     watch(counter, range(1000), lambda frame: (20.0 + 10 * (frame // 100),), lambda frame: (frame != first,))
     missed = {near_m: errors["high"].missed for near_m, errors in counter.bins().items()}
     assert missed == {20.0 + 10 * k: 1 for k in range(10) if k != packet}

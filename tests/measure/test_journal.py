@@ -1,4 +1,4 @@
-"""What a reception tells while it runs."""
+"""Journal of a reception in progress."""
 
 import base64
 from typing import Any

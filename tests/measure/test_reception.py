@@ -1,4 +1,4 @@
-"""A film received and counted: at any time, and only what is a packet."""
+"""Receive and count a film; exclude false packets."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -53,7 +53,7 @@ def test_packets_of_nobody_are_not_counted(tmp_path: Path) -> None:
 def test_what_is_no_packet_is_neither_handed_on_nor_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: Status
 ) -> None:
-    """Also that of an array seen before; it was sent, so it is missed."""
+    """A false packet from a known array is excluded too; the sent packet counts as missed."""
     settings = small("channel.duration_s=0.3")
     write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
     push = StreamReceiver.push
@@ -76,7 +76,7 @@ def test_what_is_no_packet_is_neither_handed_on_nor_counted(
 
 @dataclass(frozen=True)
 class TruthOf:
-    """Truth of frames of an array at 50 m, in the order of time."""
+    """Truth of the frames of an array at 50 m, in time order."""
 
     settings: LinkSettings
 
@@ -90,7 +90,7 @@ class TruthOf:
 
 
 def uncertain(number: int) -> Packet:
-    """Packet of an array that is not there: a header, and no codeword."""
+    """Return a packet with a header but no codeword, from an array that is not in the film."""
     return without_codewords(replace(perfect(small(), number), identity=22))
 
 
@@ -109,7 +109,7 @@ def test_an_identity_without_a_decoded_codeword_is_reported_as_uncertain() -> No
     for packet in (uncertain(0), without_codewords(perfect(settings, 0)), uncertain(1), perfect(settings, 1)):
         list(reception.add(packet))
     report = reception.report(1.0)
-    # its first packet has no codeword either, but the second one names it
+    # the first packet has no codeword either; the second identifies the array
     assert [(array["id"], array["packets"]) for array in report["arrays"]] == [(0, 2)]
     assert [(array["id"], array["packets"]) for array in report["uncertain"]] == [(22, 2)]
     assert report["false_packets"] == 0

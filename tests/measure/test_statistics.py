@@ -1,4 +1,4 @@
-"""Counts and their exact intervals, against SciPy."""
+"""Counts and exact intervals, compared with SciPy."""
 
 import math
 
@@ -13,7 +13,7 @@ from heliograph.measure.statistics import Clustered, Count, clopper_pearson
 @pytest.mark.parametrize(("errors", "trials"), [(1, 10), (5, 10), (9, 10), (1, 10**6), (37, 12345), (999, 1000)])
 @pytest.mark.parametrize("confidence", [0.9, 0.95, 0.99])
 def test_two_sided_intervals_agree_with_scipy(errors: int, trials: int, confidence: float) -> None:
-    with np.errstate(divide="ignore"):  # within SciPy's own test, before version 1.11
+    with np.errstate(divide="ignore"):  # SciPy < 1.11 divides by zero in its test
         known = binomtest(errors, trials).proportion_ci(confidence, "exact")
     assert clopper_pearson(errors, trials, confidence) == pytest.approx((known.low, known.high), rel=1e-9)
     tail = (1 - confidence) / 2
@@ -77,7 +77,7 @@ def clustered(errors: NDArray[np.int64], size: int, scattered: bool = False) -> 
 @pytest.mark.parametrize("bad", [0.01, 0.1, 1.0])
 @pytest.mark.slow
 def test_the_interval_of_bits_that_fail_together_covers_the_rate(packets: int, bad: float) -> None:
-    """Bad packets have 5 % to 20 % of their bits wrong, the others none; the binomial interval is far too narrow."""
+    """Bad packets have 5 % to 20 % bit errors, others none; the binomial interval is far too narrow."""
     rng = np.random.default_rng([packets, round(100 * bad)])
     size, runs, true = 512, 600, bad * 0.125
     hits = binomial_hits = 0

@@ -1,4 +1,4 @@
-"""Frames read ahead of their use: in order, bounded, and ended cleanly."""
+"""Read frames ahead: in order, bounded, cleanly ended."""
 
 import threading
 import time
@@ -17,7 +17,7 @@ from heliograph.media.reader import FRAMES_AHEAD, FilmReader, read_ahead
 
 
 class Source:
-    """Frames that note how many of them were made, and whether they were closed."""
+    """Frame source that records the number of frames made, and closing."""
 
     def __init__(self, count: int, error: Exception | None = None) -> None:
         self.made, self.closed, self._count, self._error = 0, False, count, error
@@ -50,7 +50,7 @@ def test_few_frames_wait() -> None:
     assert next(frames).index == 0
     wait_until(lambda: source.made >= FRAMES_AHEAD + 2)
     time.sleep(0.05)
-    assert source.made == FRAMES_AHEAD + 2  # those that wait, the one in use, and one that waits for room
+    assert source.made == FRAMES_AHEAD + 2  # queued frames, the frame in use, and a frame that waits for space
     frames.close()  # type: ignore[attr-defined]  # a generator
     assert source.closed
     assert source.made < 100
@@ -110,7 +110,7 @@ def test_a_film_left_early_is_closed(tmp_path: Path, suffix: str) -> None:
 @pytest.mark.parametrize("options", [{}, {"chunks": (7, 32, 48)}, {"chunks": (1, 16, 48)}, {"compression": "gzip"}])
 @pytest.mark.parametrize("dtype", ["u1", "<u2"])
 def test_hdf5_of_any_layout(tmp_path: Path, options: dict[str, object], dtype: str) -> None:
-    """Films of other programs; frames 4 to 9 were never written."""
+    """Films from other software; frames 4 to 9 are unwritten."""
     levels = np.random.default_rng(0).integers(0, 256, (20, 32, 48)).astype(dtype)
     levels[4:10] = 3
     with h5py.File(tmp_path / "a.h5", "w") as file:

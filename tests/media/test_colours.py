@@ -1,5 +1,3 @@
-"""Films in colour."""
-
 from pathlib import Path
 
 import cv2
@@ -9,7 +7,7 @@ import pytest
 import heliograph
 
 COLOURS = np.random.default_rng(0).integers(0, 256, (3, 6, 8, 3), dtype=np.uint8)
-"""Three frames, (rows, columns, 3) of red, green and blue."""
+"""Three RGB frames, (rows, columns, 3)."""
 
 
 def test_pictures_are_read_in_their_colours(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A film of one kind becomes one of another, with its levels, times and notes."""
+"""Film conversion keeps levels, times and metadata."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +14,7 @@ from heliograph.media import convert_film, create_film, open_film
 
 KINDS = (".h5", ".mkv", ".nut", ".mp4")
 PLACES = (0, 1, 2, 5, 6, 9)
-"""Places of the frames on the grid of times: some are missing."""
+"""Frame positions on the time grid, with gaps."""
 
 
 def frames(bits: int, rate_hz: float) -> list[Frame]:
@@ -55,7 +55,7 @@ def test_levels_times_and_notes_stay(tmp_path: Path, source: str, target: str, b
 @pytest.mark.parametrize("target", [".h5", ".mkv", ".nut"])
 @pytest.mark.parametrize("source", [".h5", ".mkv", ".nut"])
 def test_more_bits_and_any_times(tmp_path: Path, source: str, target: str, bits: int) -> None:
-    """Times that lie on no grid, to what the coarser of the two kinds keeps."""
+    """Irregular times, to the precision of the coarser format."""
     late = [Frame(0, 0.1 + k / 100 + 1e-4 * (k % 3), one.pixels, bits) for k, one in enumerate(frames(bits, 100.0))]
     with create_film(tmp_path / f"a{source}", width=48, height=32, rate_hz=100.0, bits=bits) as written:
         for frame in late:
@@ -77,7 +77,7 @@ CAMERAS = ("folder", "pattern", "tiff", "npy", "mraw", "cine")
 @pytest.mark.parametrize("target", KINDS)
 @pytest.mark.parametrize("source", CAMERAS)
 def test_what_cameras_and_programs_write(tmp_path: Path, source: str, target: str, bits: int) -> None:
-    """Kinds whose words have 16 bits hold 12 of them as 16."""
+    """Formats with 16-bit words store 12-bit levels as 16-bit levels."""
     levels = noise(5, 32, 48, bits)
     times_s = np.arange(5) / 500
     word = 8 if bits == 8 else 16

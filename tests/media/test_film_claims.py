@@ -1,4 +1,4 @@
-"""Films that claim what no film has are refused in one clear line; stamps in the order of coding are put right."""
+"""Films with impossible claims raise a clear error; timestamps in decoding order are corrected."""
 
 import math
 import os
@@ -31,7 +31,7 @@ def hdf5(path: Path, times: Any = TIMES, frames: Any = None, **attributes: Any) 
 
 
 def refused(path: Path) -> tuple[int, str]:
-    """Frames before the error, and the error."""
+    """Return the number of frames before the error, and the error."""
     got: list[Frame] = []
     with pytest.raises(MediaError) as caught, open_film(path) as film:
         got.extend(film)
@@ -60,7 +60,7 @@ def test_times_that_no_double_holds(tmp_path: Path) -> None:
 
 
 def test_texts_that_lie_nowhere_do_not_hang(tmp_path: Path) -> None:
-    """HDF5 would look for the end of the heap for ever: an object of no length follows itself."""
+    """HDF5 would loop forever at the end of the heap, on an object of length zero."""
     path = tmp_path / "a.h5"
     with create_film(path, width=16, height=16, rate_hz=1000, metadata={"a": "b"}) as film:
         film.write(Frame(0, 0.0, np.zeros((16, 16), np.uint8)))
@@ -74,13 +74,13 @@ def test_texts_that_lie_nowhere_do_not_hang(tmp_path: Path) -> None:
 
 
 def test_a_text_whose_type_is_damaged_does_not_crash(tmp_path: Path) -> None:
-    """HDF5 would read a list of any length of a kind that is none, and end the process."""
+    """HDF5 would read a variable-length type with an invalid base type and abort the process."""
     path = tmp_path / "a.h5"
     with create_film(path, width=16, height=16, rate_hz=1000, metadata={"a": "b"}) as film:
         film.write(Frame(0, 0.0, np.zeros((16, 16), np.uint8)))
     data = bytearray(path.read_bytes())
-    kind = data.index(b"metadata\0") + 17  # behind the name, filled to 16 bytes, and the class
-    assert data[kind - 1 : kind + 1] == b"\x19\x01"  # version 1 of a list of any length, which is a text
+    kind = data.index(b"metadata\0") + 17  # after the name, padded to 16 bytes, and the class
+    assert data[kind - 1 : kind + 1] == b"\x19\x01"  # version 1, variable-length string
     data[kind] = 2
     path.write_bytes(data)
     with open_film(path) as film:
@@ -201,7 +201,7 @@ def put_together(file: h5py.File, name: str, shape: tuple[int, ...]) -> None:
 def test_pictures_in_other_files_are_not_looked_for(
     tmp_path: Path, make: Callable[[h5py.File, str, tuple[int, ...]], None], name: str
 ) -> None:
-    """The other file is a pipe that nobody writes to: opening it would take for ever."""
+    """The other file is a pipe without a writer, so that opening it would block forever."""
     os.mkfifo(tmp_path / "pipe")
     held: dict[str, Any] = {"frames": np.zeros((COUNT, 8, 8), np.uint8), "times_s": TIMES}
     with h5py.File(tmp_path / "a.h5", "w") as file:
@@ -284,11 +284,11 @@ def test_a_film_of_other_bits_than_it_notes(tmp_path: Path) -> None:
 
 
 STEP = 6
-"""Gray levels from picture to picture."""
+"""Gray level increment per picture."""
 
 
 def coded(path: Path, codec: str, options: dict[str, str]) -> Path:
-    """A film of rising gray with pictures between others, stamped in the order in which they are coded."""
+    """Write a film with rising gray levels and B-frames, stamped in decoding order."""
     tick = Fraction(1, 1000)
     with av.open(str(path), "w") as container:
         stream: Any = container.add_stream(codec, rate=1000, options=options)

@@ -1,4 +1,4 @@
-"""Every failure is one clear line, and no half film is left behind."""
+"""Each failure is reported in a single line and leaves no partial film."""
 
 import errno
 import os
@@ -47,7 +47,7 @@ def write_at(film: FilmWriter, times: list[float]) -> None:
 def read_until_error(path: Path) -> tuple[list[Frame], str]:
     frames: list[Frame] = []
     with pytest.raises(MediaError) as caught, open_film(path) as film:
-        frames.extend(film)  # keeps what came before the error
+        frames.extend(film)  # keeps frames before the error
     assert "\n" not in str(caught.value)
     return frames, str(caught.value)
 
@@ -138,7 +138,7 @@ def test_a_film_never_finished(tmp_path: Path) -> None:
     film = create(tmp_path / "a.mkv")
     write_frames(film, 400)
     (left,) = tmp_path.iterdir()
-    (tmp_path / "left.mkv").write_bytes(left.read_bytes())  # as a power cut would leave it
+    (tmp_path / "left.mkv").write_bytes(left.read_bytes())  # as after a power cut
     film.abort()
     frames, message = read_until_error(tmp_path / "left.mkv")
     assert "ends in the middle" in message

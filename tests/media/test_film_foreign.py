@@ -1,4 +1,4 @@
-"""Footage from elsewhere: real recordings, limited range, RGB and packed formats."""
+"""Films from other sources: real recordings, limited range, RGB and packed formats."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -35,7 +35,7 @@ def test_dashcam_footage(data: Path, name: str, size: tuple[int, int], rate: flo
 def test_luma_is_plane_0_and_expands_only_if_asked(data: Path) -> None:
     path = data / "driving" / "day-motorway.mp4"
     with av.open(str(path)) as container:
-        luma = next(container.decode(video=0)).to_ndarray()[:540, :960]  # yuv420p: the luma rows come first
+        luma = next(container.decode(video=0)).to_ndarray()[:540, :960]  # yuv420p: luma rows come first
     with open_film(path) as plain, open_film(path, expand_range=True) as expanded:
         levels, stretched = next(iter(plain)).pixels, next(iter(expanded)).pixels
     assert np.array_equal(levels, luma)
@@ -85,7 +85,7 @@ def test_ten_bits_expand() -> None:
 def test_packed_levels_of_ten_bits_are_read_as_stored(color_range: int) -> None:
     picture = ramp("y210le", color_range)
     words = bytes_of(picture.planes[0]).view(np.uint16).reshape(16, -1)
-    words[:] = 512 << 6  # ten bits in the upper end of a word
+    words[:] = 512 << 6  # ten bits at the upper end of a word
     words[:, :128:2] = np.arange(0, 1024, 16) << 6
     pixels, bits = planes.to_gray(picture, expand_range=False)
     assert bits == 10
@@ -117,7 +117,7 @@ def test_a_film_without_our_record(tmp_path: Path) -> None:
 
 
 def coded(path: Path, kind: str, codec: str, pixel_format: str) -> None:
-    """Write seven pictures, brighter and brighter, without a container."""
+    """Write seven pictures with rising brightness, without a container."""
     with av.open(str(path), "w", format=kind) as container:
         stream = cast("av.VideoStream", container.add_stream(codec, rate=1000))
         stream.width, stream.height, stream.pix_fmt = 64, 64, pixel_format
@@ -128,7 +128,7 @@ def coded(path: Path, kind: str, codec: str, pixel_format: str) -> None:
 
 
 def test_raw_h264_has_the_rate_of_its_stream(tmp_path: Path) -> None:
-    """FFmpeg makes stamps up, 25 a second; pictures are coded in another order than they are shown."""
+    """FFmpeg invents timestamps at 25 frames/s, and coding order differs from display order."""
     coded(tmp_path / "a.h264", "h264", "libx264", "yuv420p")
     for given, rate in ((None, 1000), (500, 500)):
         with open_film(tmp_path / "a.h264", rate_hz=given) as film:

@@ -1,4 +1,4 @@
-"""Films of any name that the file system allows are written, read and refused with a clear line."""
+"""Films with any legal file name are written, read, and quoted correctly in errors."""
 
 import os
 from pathlib import Path

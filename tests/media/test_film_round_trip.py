@@ -1,4 +1,4 @@
-"""Pixels, times and metadata come back as they were written."""
+"""Pixels, times and metadata survive a round trip."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ import pytest
 from heliograph.base.frames import Frame, Pixels
 from heliograph.media import create_film, open_film
 
-W, H = 70, 34  # lines of 70 bytes are padded in the codec's buffers
+W, H = 70, 34  # 70-byte lines are padded in codec buffers
 EXACT = [".nut", ".mkv", ".h5"]
 FINE = [".nut", ".mp4", ".h5"]
 
@@ -71,10 +71,10 @@ def test_lossy_codecs_do_not_shift_levels(tmp_path: Path, name: str, options: di
     shape = (63 if width == 255 else 64, width)
     noisy = np.arange(width) + np.random.default_rng(1).normal(
         0, 2, shape
-    )  # an even ramp meets the same rounding often
+    )  # noise, since a smooth ramp repeats the same rounding error
     ramp = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
     write(tmp_path / name, [ramp] * 3, [0.0, 0.001, 0.002], **options)
-    for expand in (False, True):  # our films say that they are full range
+    for expand in (False, True):  # Heliograph's films are tagged as full range
         with open_film(tmp_path / name, expand_range=expand) as film:
             for frame in film:
                 error = frame.pixels.astype(int) - ramp
@@ -92,7 +92,7 @@ def test_times_are_exact_to_a_microsecond(tmp_path: Path, suffix: str) -> None:
 
 SLOW = [7.5, 25.0, 30000 / 1001, 240.0, 960.0, 1000.0]
 FAST = [2000.0, 30000.0, 123456.7]
-"""Rates that .mkv and .avi refuse, see test_film_errors."""
+"""Rates that .mkv and .avi reject, see test_film_errors."""
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_names_with_colons_and_capitals(tmp_path: Path) -> None:
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (9, 1), (2, 5), (3, 1), (3, 2)])
 @pytest.mark.parametrize("suffix", [".mkv", ".nut", ".h5"])
 def test_tiny_films(tmp_path: Path, suffix: str, size: tuple[int, int]) -> None:
-    """Fewer pixels than an FFV1 picture has slices: what a crop may leave."""
+    """Fewer pixels than slices in an FFV1 picture, as after a crop."""
     rng = np.random.default_rng(0)
     pictures = [rng.integers(0, 256, size, dtype=np.uint8) for _ in range(3)]
     with create_film(tmp_path / f"a{suffix}", width=size[1], height=size[0], rate_hz=1000.0) as film:

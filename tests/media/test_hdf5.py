@@ -1,4 +1,4 @@
-"""HDF5 films are known by their content, and a film that cannot be read has its cause named."""
+"""HDF5 films are identified by content; errors name the cause."""
 
 import errno
 import os
@@ -87,7 +87,7 @@ def test_files_of_other_kinds_are_named(tmp_path: Path, head: bytes, says: str) 
 
 
 def matlab(path: Path, levels: NDArray[Any], times: NDArray[Any]) -> Path:
-    """A file as MATLAB writes it: arrays in reverse order, and all of them of two dimensions at least."""
+    """Write a file as MATLAB does: reversed axes, at least two dimensions."""
     hdf5(path, np.transpose(levels), np.transpose(times), userblock_size=512)
     with h5py.File(path, "a") as file:
         file["frames"].attrs["MATLAB_class"] = np.bytes_("uint8")
@@ -134,7 +134,7 @@ FILTERS = [
 
 
 def filtered(path: Path, number: int, dataset: str = "frames") -> Path:
-    """A film with a filter that is not installed: its chunks are stored as if packed."""
+    """Write a film with an uninstalled filter and raw chunks marked as filtered."""
     with h5py.File(path, "w") as file:
         for name, values in (("frames", LEVELS), ("times_s", TIMES)):
             made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
@@ -161,7 +161,7 @@ def test_a_filter_that_is_not_installed_is_named(
 
 
 def test_installed_filters_are_looked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The package hdf5plugin makes its filters known when it is imported."""
+    """Importing hdf5plugin registers its filters."""
     imported: list[str] = []
 
     class Finder:
@@ -192,7 +192,7 @@ sys.stdin.read()
 
 @contextmanager
 def writing(path: Path, version: str = "", swmr: str = "") -> Iterator[subprocess.Popen[bytes]]:
-    """Another process that has a film open for writing."""
+    """Hold a film open for writing in another process."""
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     environment = {key: text for key, text in os.environ.items() if key != "HDF5_USE_FILE_LOCKING"}
     with subprocess.Popen([sys.executable, "-c", WRITER, path, version, swmr], env=environment, **pipes) as process:  # type: ignore[call-overload]

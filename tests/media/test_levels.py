@@ -1,4 +1,4 @@
-"""Levels are those of the light: palettes are looked up, and none is above the bits that the film states."""
+"""Levels are linear light: palettes are applied, and no level exceeds the stated bit depth."""
 
 from fractions import Fraction
 from pathlib import Path

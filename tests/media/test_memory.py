@@ -1,4 +1,4 @@
-"""Memory does not grow with the film, whatever its kind."""
+"""Memory is independent of film length, for each format."""
 
 import tracemalloc
 from pathlib import Path
@@ -24,8 +24,8 @@ def test_a_few_frames_are_held(tmp_path: Path, kind: str) -> None:
 
 
 def read_and_trace(path: Path) -> tuple[int, int]:
-    """Frames of a film, and the largest memory while they are read, in bytes."""
+    """Return the number of frames, and the peak memory in bytes while reading."""
     with open_film(path, rate_hz=1000) as film:
-        next(iter(film))  # imported modules stay in memory
+        next(iter(film))  # import modules before measuring
         tracemalloc.start()
         return sum(1 for _ in film), tracemalloc.get_traced_memory()[1]

@@ -1,4 +1,4 @@
-"""Phantom recordings: .cine."""
+"""Phantom .cine recordings."""
 
 import os
 import struct
@@ -15,11 +15,11 @@ from heliograph.media import open_film
 from heliograph.media.phantom import linear
 
 WORDS = [(8, 8), (16, 12), (16, 16), (12, 12)]
-"""Bits of a pixel in the file, and those of them that are used."""
+"""Bits per pixel in the file, and used bits."""
 
 
 def refused(path: Path) -> tuple[list[Frame], str]:
-    """Frames before the error, and the error."""
+    """Return frames before the error, and the error."""
     got: list[Frame] = []
     with pytest.raises(MediaError) as caught, open_film(path) as film:
         got.extend(film)
@@ -58,7 +58,7 @@ def test_ffmpeg_reads_the_same_pixels_of_a_made_recording(tmp_path: Path, word: 
         with open_film(path, channel=channel) as film:
             ours = np.stack([frame.pixels for frame in film])
         assert np.array_equal(ours, colours[..., place] if word in (24, 48) else colours)
-    # theirs are bgr24 and bgr48
+    # reference data are bgr24 and bgr48
     assert np.array_equal(theirs.reshape(colours.shape), colours)
 
 
@@ -70,7 +70,7 @@ def test_without_stamps_the_rate_gives_the_times(tmp_path: Path) -> None:
 def test_codes_of_ten_bits_are_on_a_curve() -> None:
     codes = np.array([64, 512, 1008, 1014, 1015, 1023], np.uint16)
     assert linear(codes).tolist()[0] == 64
-    # the vendor's table has these levels
+    # levels from the vendor's table
     assert np.abs(linear(codes).astype(int) - [64, 998, 4014, 4064, 4095, 4095]).max() <= 3
     assert (np.diff(linear(np.arange(1024, dtype=np.uint16)).astype(int)) >= 0).all()
 
@@ -84,7 +84,7 @@ def test_a_stamp_that_cannot_be_is_put_right(tmp_path: Path, wrong: float) -> No
 
 @pytest.mark.real_data
 def test_a_recording_of_a_real_camera(data: Path) -> None:
-    """Its ten packed bits are FFmpeg's, which repeats their upper bits up to 16, and knows no curve."""
+    """Ten-bit packed levels equal FFmpeg's, which expands to 16 bits by repetition, without a tone curve."""
     path = data / "phantom" / "data_small_cine.cine"
     with open_film(path) as film:
         got = list(film)
@@ -94,7 +94,7 @@ def test_a_recording_of_a_real_camera(data: Path) -> None:
     for frame, picture in zip(got, theirs, strict=True):
         assert np.array_equal(frame.pixels, linear(picture >> 6))
     assert [frame.index for frame in got] == list(range(235))
-    # its clock has steps of 1 us
+    # the camera clock has 1 us steps
     assert np.allclose([frame.time_s for frame in got], np.arange(235) / 100, atol=2e-6)
 
 

@@ -1,4 +1,4 @@
-"""Photron recordings: .mraw with .cih or .cihx."""
+"""Photron .mraw recordings with .cih or .cihx headers."""
 
 import itertools
 import os
@@ -15,7 +15,7 @@ from heliograph.media import open_film
 
 
 def refused(path: Path, **options: Any) -> tuple[list[Frame], str]:
-    """Frames before the error, and the error."""
+    """Return frames before the error, and the error."""
     got: list[Frame] = []
     with pytest.raises(MediaError) as caught, open_film(path, **options) as film:
         got.extend(film)
@@ -64,7 +64,7 @@ def test_the_rate_is_that_of_the_frames_that_were_saved(tmp_path: Path) -> None:
         assert film.rate_hz == 1000
         assert [(frame.index, frame.time_s) for frame in film] == [(0, 0.0), (1, 0.001), (2, 0.002)]
         assert (film.metadata["rate"], film.metadata["step"]) == ("10000", "10")
-    # what is said is of the frames in the file, too
+    # a given rate refers to saved frames, too
     with open_film(made, rate_hz=500) as film:
         assert [(frame.index, frame.time_s) for frame in film] == [(0, 0.0), (1, 0.002), (2, 0.004)]
 
@@ -140,7 +140,7 @@ def test_a_line_that_a_header_lacks_is_named(tmp_path: Path, line: str) -> None:
 
 @pytest.mark.parametrize(("held", "said"), [(8, 12), (8, 16), (12, 16)])
 def test_levels_of_other_bits_than_the_header_says(tmp_path: Path, held: int, said: int) -> None:
-    """They would be read as fewer frames, all wrong."""
+    """Decoding would give fewer frames, all wrong."""
     path = write_mraw(tmp_path / "a.mraw", noise(4, 6, 10, 8), held, held)
     text = path.with_suffix(".cih").read_text().replace(f"Color Bit : {held}", f"Color Bit : {said}")
     path.with_suffix(".cih").write_text(text.replace(f"Depth : {held}", f"Depth : {said}"))
@@ -233,7 +233,7 @@ def test_recordings_of_real_cameras(
 
 @pytest.mark.real_data
 def test_packed_levels_of_a_real_camera_are_smooth(data: Path) -> None:
-    """With the halves of the shared byte exchanged, or the bytes in another order, they are not."""
+    """Swapped halves of the shared byte, or another byte order, give rough pictures."""
     with open_film(data / "photron" / "ball_12bit.mraw") as film:
         pixels = next(iter(film)).pixels
     raw = np.fromfile(data / "photron" / "ball_12bit.mraw", np.uint8, 384 * 384 * 3 // 2).reshape(-1, 3).astype(int)

@@ -1,4 +1,4 @@
-"""Films of pictures: folders and patterns of PNG, TIFF and JPEG, and .npy arrays."""
+"""Picture films: folders and patterns of PNG, TIFF and JPEG files, and .npy arrays."""
 
 import os
 import struct
@@ -18,7 +18,7 @@ from heliograph.media import open_film
 
 
 def refused(path: Path, rate_hz: float | None = 1000.0, **options: Any) -> tuple[list[Frame], str]:
-    """Frames before the error, and the error."""
+    """Return frames before the error, and the error."""
     got: list[Frame] = []
     with pytest.raises(MediaError) as caught, open_film(path, rate_hz=rate_hz, **options) as film:
         got.extend(film)
@@ -70,7 +70,7 @@ def test_jpeg(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("bits", [8, 16])
 def test_colours(tmp_path: Path, bits: int) -> None:
-    colours = noise(2, 6, 30, bits).reshape(2, 6, 10, 3)  # OpenCV's order: blue, green, red
+    colours = noise(2, 6, 30, bits).reshape(2, 6, 10, 3)  # OpenCV order: blue, green, red
     write_pictures(tmp_path / "a", colours)
     for channel, place in {"blue": 0, "green": 1, "red": 2}.items():
         with open_film(tmp_path / "a", rate_hz=10, channel=channel) as film:
@@ -157,7 +157,7 @@ def test_a_picture_that_claims_more_than_any_camera_has(tmp_path: Path) -> None:
 def test_an_array(tmp_path: Path, dtype: str) -> None:
     levels = noise(4, 6, 10, 8 if dtype == "u1" else 16)
     np.save(tmp_path / "a.npy", levels.astype(dtype))
-    (tmp_path / "a.npy").rename(tmp_path / "b.film")  # its first bytes tell its kind
+    (tmp_path / "a.npy").rename(tmp_path / "b.film")  # the format is identified by its first bytes
     with open_film(tmp_path / "b.film", rate_hz=250) as film:
         got = list(film)
         assert (film.width, film.height, film.bits, film.frame_count) == (10, 6, 8 * levels.itemsize, 4)
@@ -198,7 +198,7 @@ def test_files_that_are_no_array(tmp_path: Path, data: bytes) -> None:
 
 
 def headed(path: Path, header: str) -> Path:
-    """An .npy file of 100 bytes behind a header of this text."""
+    """Write an .npy file with a given header text and 100 data bytes."""
     text = header.encode() + b"\n"
     path.write_bytes(b"\x93NUMPY\x01\0" + struct.pack("<H", len(text)) + text + bytes(100))
     return path
@@ -225,7 +225,7 @@ def test_a_length_of_an_array_that_is_no_number(tmp_path: Path) -> None:
 
 
 def test_a_number_stands_in_one_name(tmp_path: Path) -> None:
-    """Two names would give two frames of one number and one time."""
+    """Two names would give two frames with the same number and time."""
     levels = noise(3, 6, 10, 8)
     folder = write_pictures(tmp_path / "a", levels, "img%d.png")
     write_pictures(folder, levels[::-1], "img%02d.png")
@@ -288,7 +288,7 @@ def test_an_array_of_negative_lengths(tmp_path: Path) -> None:
 
 
 def test_no_more_frames_are_expected_than_a_file_has_room_for(tmp_path: Path) -> None:
-    """Of a cut recording the whole frames can be written where there is no room for those it claims."""
+    """Complete frames from a truncated recording fit on a disk too small for the claimed frame count."""
     np.save(tmp_path / "a.npy", noise(9, 10, 10, 8))
     os.truncate(tmp_path / "a.npy", 128 + 450)
     with open_film(tmp_path / "a.npy", rate_hz=10) as film:
@@ -300,7 +300,7 @@ def jpeg(rng: np.random.Generator, rows: int = 64, columns: int = 96) -> Levels:
 
 
 def test_a_jpeg_that_lacks_blocks_is_damaged(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """OpenCV makes gray blocks of those that are not there."""
+    """OpenCV fills missing blocks with gray."""
     pictures = [jpeg(np.random.default_rng(seed)) for seed in range(3)]
     folder = write_pictures(tmp_path / "a", np.stack(pictures), "%d.jpg")
     second = folder / "2.jpg"
@@ -319,7 +319,7 @@ def test_a_jpeg_that_lacks_blocks_is_damaged(tmp_path: Path, capfd: pytest.Captu
 ])  # fmt: skip
 @pytest.mark.parametrize("colours", [1, 3])
 def test_whole_jpegs_of_all_forms_are_read(tmp_path: Path, options: list[int], colours: int) -> None:
-    """With notes that FFmpeg does not know, and bytes behind the end."""
+    """Include metadata unknown to FFmpeg, and trailing bytes."""
     gray = jpeg(np.random.default_rng(1), 41, 61)
     picture = gray if colours == 1 else np.stack([gray, gray // 2, 255 - gray], axis=-1)
     data = cv2.imencode(".jpg", picture, options)[1].tobytes()
@@ -334,7 +334,7 @@ def test_whole_jpegs_of_all_forms_are_read(tmp_path: Path, options: list[int], c
 
 @pytest.mark.parametrize("name", ["one.png", "one.jpg", "lit%03d.png", "PNG"])
 def test_a_single_picture_is_one_frame(tmp_path: Path, name: str) -> None:
-    """Also one whose name looks like a pattern: FFmpeg would look for others."""
+    """FFmpeg would take a name that resembles a pattern for a sequence."""
     picture = jpeg(np.random.default_rng(2))
     data = cv2.imencode(".jpg" if name.endswith("jpg") else ".png", picture)[1].tobytes()
     (tmp_path / name).write_bytes(data)
@@ -380,7 +380,7 @@ def test_suffixes_of_one_kind_belong_together(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("digit", ["\u2460", "\u00b2", "\u2074", "\u0968", "\U0001d7d8", "\uff11", "\u09f4", "\u4e00"])
 def test_digits_of_other_scripts_in_names(tmp_path: Path, digit: str) -> None:
-    """Some are digits to `str.isdigit` and none to `int`."""
+    """`str.isdigit` accepts some digits that `int` rejects."""
     levels = noise(12, 6, 10, 8)
     for name in (f"{digit}%d.png", f"a{digit}b%d.png", f"%d{digit}.png"):
         folder = write_pictures(tmp_path / name[0:2], levels, name, first=0)
@@ -410,7 +410,7 @@ def test_a_cut_picture_of_any_kind_is_one_line(tmp_path: Path, suffix: str, capf
     got, says = refused(folder)
     assert len(got) == 1
     assert f"2{suffix}" in says
-    if hasattr(cv2.utils, "logging"):  # older OpenCV writes of what it cannot read whatever its level of logging
+    if hasattr(cv2.utils, "logging"):  # older OpenCV prints read errors at any log level
         assert capfd.readouterr().err == ""
 
 

@@ -1,4 +1,4 @@
-"""What is written for LED drivers is what their registers show; files that are cut or foreign are told in one line."""
+"""LED driver registers show the written slots; truncated or foreign files raise a one-line error."""
 
 import tracemalloc
 from itertools import islice, repeat
@@ -69,20 +69,20 @@ def bits(data: bytes) -> list[int]:
 
 
 def test_a_chain_of_registers_shows_the_slots(tmp_path: Path) -> None:
-    """Bit by bit through registers that hand on what they held, latched after each slot."""
+    """Simulate shift registers bit by bit, latched after each slot."""
     slots, path = drawn(12, 5), tmp_path / "a.shift"
     form = wrote(path, slots)
     size = HEAD.unpack(path.read_bytes()[: HEAD.size])[5]
     shown, chain = [], [0] * 144
     for start in range(0, form.count * size, size):
         for bit in bits(body(path)[start : start + size]):
-            chain = [bit, *chain[:-1]]  # the first output of the first register takes the bit
+            chain = [bit, *chain[:-1]]  # the first output of the first register receives the bit
         shown.append(list(chain))
     assert np.array_equal(np.reshape(shown, slots.shape), slots)
 
 
 def test_a_row_scan_shows_the_slots(tmp_path: Path) -> None:
-    """A column a byte, the leftmost first; each address latches two rows, half a panel apart."""
+    """A byte holds a column, leftmost first; each address latches two rows, half a panel apart."""
     slots, path = drawn(16, 5), tmp_path / "a.hub75"
     wrote(path, slots)
     data = iter(body(path))
@@ -201,7 +201,7 @@ def test_memory_does_not_grow_with_the_length(kind: str, tmp_path: Path) -> None
 
 
 def write_and_trace(path: Path, counts: tuple[int, ...]) -> list[int]:
-    """Largest memory while some slots are written and read again, in bytes, for each number of slots."""
+    """Return the peak memory in bytes for writing and reading each slot count."""
     slot, peaks = drawn(8, 1)[0], []
     for count in counts:
         tracemalloc.start()
@@ -233,7 +233,7 @@ TABLE = "slot_s," + ",".join(f"led_{u}_{v}" for u in range(4) for v in range(4))
 @pytest.mark.parametrize(("text", "says"), [
     ("", "is no .csv file of LED patterns"),
     ("t,a\n0,1\n1,2\n", "is no .csv file of LED patterns"),
-    (TABLE + "0," + "1," * 15 + "1\n", "is no .csv file of LED patterns"),  # one line tells no period
+    (TABLE + "0," + "1," * 15 + "1\n", "is no .csv file of LED patterns"),  # a single line has no period
     (TABLE + "0," + "1," * 15 + "1\n0.001," + "1," * 9, "line 3 of .*a.csv is cut or damaged"),
     (TABLE + "0," + "1," * 15 + "1\n0.001," + "1," * 15 + "2\n", "line 3 of .*a.csv is cut or damaged"),
     (TABLE + "0," + "1," * 15 + "1\n" + ("0.001," + "1," * 15 + "1\n") * 2, "line 4 of .*a.csv is late or early"),

@@ -1,4 +1,4 @@
-"""Frame rate and times by a film's stamps: no guess of a demuxer, no rounding of a container, no other unit."""
+"""Frame rate and times from timestamps, independent of demuxer estimates, container rounding and time units."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -27,7 +27,7 @@ JITTER = np.round(np.arange(COUNT) * 100 / 3 + np.random.default_rng(0).normal(0
 
 
 def times_of(path: Path, rate_hz: float | None = None) -> list[float]:
-    """Times of the frames, whose pictures come in order, and none is lost."""
+    """Return frame times; check order and completeness."""
     with open_film(path, rate_hz=rate_hz) as film:
         frames = list(film)
     levels = [float(frame.pixels.mean()) for frame in frames]
@@ -97,7 +97,7 @@ def test_missing_frames_leave_their_gaps(tmp_path: Path, name: str, tick: Fracti
     codec = "ffv1" if name.endswith("mkv") else "libx264"
     path = write_video(tmp_path / name, [scale * k for k in numbers], tick, codec, rate)
     times = np.array(times_of(path))
-    # a frame whose neighbours are missing may be either of two of one tick
+    # at 1500 frames/s and 1 ms ticks, the number of an isolated frame is ambiguous
     assert times - times[0] == pytest.approx(np.array(numbers) / rate, abs=1e-9 if rate == 1000 else 1.01 / rate)
     if rate == 1000:
         assert times_of(path, 100.0) == pytest.approx(np.array(numbers) / 100, abs=1e-9)
@@ -120,7 +120,7 @@ def test_what_an_edit_list_hides_is_not_read(tmp_path: Path) -> None:
 
 
 def rewritten(path: Path, pts: Sequence[int | None]) -> Path:
-    """A film of coded pictures with other stamps."""
+    """Rewrite timestamps in a coded film."""
     target = path.with_name(f"other{path.suffix}")
     with av.open(str(path)) as source, av.open(str(target), "w") as container:
         stream = container.add_stream_from_template(source.streams.video[0])
@@ -213,7 +213,7 @@ def test_slow_films_of_a_stated_rate_are_read(tmp_path: Path) -> None:
 
 
 def test_a_given_rate_numbers_the_frames_of_a_camera_by_its_stamps(tmp_path: Path) -> None:
-    """The camera's stamps show 997 frames a second and one frame missing; its settings say 1000."""
+    """Camera timestamps show 997 frames/s with a missing frame; the settings state 1000."""
     numbers = np.delete(np.arange(400), 200)
     levels = np.zeros((len(numbers), 4, 8), np.uint8)
     path = write_cine(tmp_path / "a.cine", list(levels), 8, 8, list(numbers / 997), 1000)

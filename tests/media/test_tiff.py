@@ -1,4 +1,4 @@
-"""TIFF stacks, as cameras' programs write them and compressed ones."""
+"""TIFF stacks from camera software, and compressed stacks."""
 
 import os
 import struct
@@ -19,7 +19,7 @@ from heliograph.media import open_film, tiff
 
 
 def refused(path: Path) -> tuple[list[Frame], str]:
-    """Frames before the error, and the error."""
+    """Return frames before the error, and the error."""
     got: list[Frame] = []
     with pytest.raises(MediaError) as caught, open_film(path, rate_hz=1000) as film:
         got.extend(film)
@@ -46,7 +46,7 @@ def test_without_a_rate_one_line_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("big", [False, True])
 def test_pages_as_they_lie(tmp_path: Path, bits: int, order: str, big: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "decode", None)  # OpenCV is not asked
+    monkeypatch.setattr(pictures, "decode", None)  # do not use OpenCV
     levels = noise(5, 6, 10, bits)
     with open_film(write_tiff(tmp_path / "a.bin", levels, order, big), rate_hz=500) as film:
         got = list(film)
@@ -66,7 +66,7 @@ def test_opencv_s_own_stacks_plain_and_compressed(tmp_path: Path, compression: i
 
 
 def test_our_own_writer_is_right(tmp_path: Path) -> None:
-    """What the tests write is a TIFF to OpenCV, too."""
+    """OpenCV reads the test writer's TIFF files."""
     levels = noise(3, 6, 10, 16)
     for order, big in (("<", False), (">", False), ("<", True)):
         _, pages = cv2.imreadmulti(str(write_tiff(tmp_path / "a.tif", levels, order, big)), flags=cv2.IMREAD_UNCHANGED)
@@ -83,7 +83,7 @@ def test_colours(tmp_path: Path) -> None:
 
 
 def test_a_page_costs_the_same_wherever_it_stands(tmp_path: Path) -> None:
-    """A stack of compressed pages is not walked through anew for each of them."""
+    """Reading a compressed stack does not restart at its first page for each frame."""
     path = by_opencv(tmp_path / "a.tif", noise(300, 8, 8, 8), 5)
     with open_film(path, rate_hz=10) as film:
         assert len(list(film)) == 300
@@ -183,7 +183,7 @@ def test_bytes_changed_by_chance_give_frames_or_one_clear_line(
                     list(film)
             except MediaError as error:
                 assert "\n" not in str(error)  # noqa: PT017 - mostly there is one
-    if hasattr(cv2.utils, "logging"):  # older OpenCV writes of what it cannot read whatever its level of logging
+    if hasattr(cv2.utils, "logging"):  # older OpenCV prints read errors at any log level
         assert capfd.readouterr().err == ""
 
 
@@ -234,7 +234,7 @@ def test_two_series_in_one_directory_each(tmp_path: Path) -> None:
         write(tmp_path / "a.tif", part, truncate=True, photometric="minisblack").read_bytes()
         for part in np.split(levels, 2)
     ]
-    # the second directory and its data follow the first file; their places move by its length
+    # offsets in the second directory and its data grow by the length of the first file
     moved = len(data[0])
     with tifffile.TiffFile(tmp_path / "a.tif") as stack:
         page = stack.pages.first
@@ -313,13 +313,13 @@ def test_pages_are_put_upright(tmp_path: Path, orientation: int, compression: in
     path = by_opencv(tmp_path / "a.tif", stored[np.newaxis], compression)
     data = path.read_bytes()
     wanted = struct.pack("<HHII", 274, 3, 1, orientation)
-    path.write_bytes(data.replace(struct.pack("<HHII", 278, 3, 1, 20), wanted, 1))  # in place of the rows of a strip
+    path.write_bytes(data.replace(struct.pack("<HHII", 278, 3, 1, 20), wanted, 1))  # replaces rows per strip
     with open_film(path, rate_hz=10) as film:
         assert same(list(film), upright[np.newaxis])
 
 
 def packed_page(path: Path, levels: Levels, bits: int, compression: int = 1, words: bool = False) -> Path:
-    """A TIFF of one page, whose rows are packed to so many bits a level, or are words of 16 bits."""
+    """Write a single-page TIFF with packed levels, or with 16-bit words."""
     rows, columns = levels.shape
     places = np.unpackbits(levels.astype(">u2").reshape(rows, columns, 1).view(np.uint8), axis=2)[..., -bits:]
     data = levels.astype("<u2").tobytes() if words else np.packbits(places.reshape(rows, -1), axis=1).tobytes()
@@ -396,8 +396,8 @@ def test_reduced_copies_are_left_out(tmp_path: Path) -> None:
     with tifffile.TiffWriter(tmp_path / "a.tif") as stack:
         for picture in levels:
             stack.write(picture, subifds=1, metadata=None)
-            stack.write(picture[::2, ::2], subfiletype=1, metadata=None)  # below the page
-            stack.write(picture[::2, ::2], subfiletype=1, metadata=None)  # beside it
+            stack.write(picture[::2, ::2], subfiletype=1, metadata=None)  # in the page's SubIFDs
+            stack.write(picture[::2, ::2], subfiletype=1, metadata=None)  # next to the page
     with open_film(tmp_path / "a.tif", rate_hz=10) as film:
         assert same(list(film), levels)
 
@@ -424,7 +424,7 @@ def test_wrong_bytes_in_a_compressed_page_are_found(tmp_path: Path, compression:
 
 
 def test_pictures_below_a_small_copy_are_not_read(tmp_path: Path) -> None:
-    """Raw files of cameras have the full picture below a small one."""
+    """Camera raw files have the full picture below a small preview."""
     picture = noise(1, 20, 30, 8)[0]
     with tifffile.TiffWriter(tmp_path / "a.tif") as stack:
         stack.write(picture[::2, ::2], subifds=1, subfiletype=1, metadata=None)

@@ -1,4 +1,4 @@
-"""Of several video tracks the film is read: cover pictures and previews are none."""
+"""Ignore cover pictures and previews in films with several video tracks."""
 
 import logging
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What of a film is seen: its crop, its turn, its way up, its colour."""
+"""Crop, rotation, orientation and colour of a film."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -41,7 +41,7 @@ def test_crop_then_turn(tmp_path: Path, crop: Any, rotate: int, kind: str) -> No
 
 
 def test_a_turn_by_90_is_clockwise(tmp_path: Path) -> None:
-    """What is at the upper left comes to the upper right."""
+    """The upper left moves to the upper right."""
     with open_film(film(tmp_path / "a.h5"), rotate=90) as seen:
         assert next(iter(seen)).pixels[0, -1] == noise(3, 6, 10, 8)[0, 0, 0]
 
@@ -87,7 +87,7 @@ def test_a_view_is_converted(tmp_path: Path) -> None:
 
 
 def coded(path: Path, pixel_format: str, *, degrees: int = 0, codec: str = "ffv1", **options: Any) -> Path:
-    """A video of two pictures, one colour a quarter, with a note of its way up."""
+    """Write a video with two pictures, a colour per quadrant, and orientation metadata."""
     rgb = np.zeros((16, 32, 3), np.uint8)
     rgb[:8, :16], rgb[:8, 16:], rgb[8:, :16], rgb[8:, 16:] = (255, 0, 0), (0, 255, 0), (0, 0, 255), (90, 90, 90)
     with av.open(str(path), "w") as container:
@@ -106,7 +106,7 @@ def coded(path: Path, pixel_format: str, *, degrees: int = 0, codec: str = "ffv1
 
 
 def quarters(pixels: Any) -> list[list[int]]:
-    """Level of the middle of each quarter, the upper two first."""
+    """Return the level at the centre of each quadrant, upper quadrants first."""
     rows, columns = pixels.shape
     return [[int(pixels[y, x]) for x in (columns // 4, 3 * columns // 4)] for y in (rows // 4, 3 * rows // 4)]
 
@@ -115,7 +115,7 @@ def quarters(pixels: Any) -> list[list[int]]:
     (0, [[255, 0], [0, 90]]), (90, [[0, 90], [255, 0]]), (180, [[90, 0], [0, 255]]), (270, [[0, 255], [90, 0]]),
 ])  # fmt: skip
 def test_videos_are_put_upright(tmp_path: Path, degrees: int, expected: list[list[int]]) -> None:
-    """PyAV's angles are against the clock."""
+    """PyAV angles are anticlockwise."""
     with open_film(coded(tmp_path / "a.mkv", "bgr0", degrees=degrees), channel="red") as seen:
         assert (seen.width, seen.height) == ((32, 16) if degrees in (0, 180) else (16, 32))
         for frame in seen:
@@ -139,7 +139,7 @@ def test_upright_leaves_what_is_upright() -> None:
 
 @pytest.mark.parametrize(("channel", "expected"), [
     ("red", [[255, 0], [0, 90]]), ("green", [[0, 255], [0, 90]]), ("blue", [[0, 0], [255, 90]]),
-    ("luma", [[76, 150], [29, 90]]),  # 0.299, 0.587 and 0.114 of 255: Rec. 601
+    ("luma", [[76, 150], [29, 90]]),  # Rec. 601: 0.299, 0.587 and 0.114 of 255
 ])  # fmt: skip
 @pytest.mark.parametrize(("pixel_format", "codec", "tolerance"), [
     ("bgr0", "ffv1", 1), ("bgra", "ffv1", 1), ("yuv444p", "ffv1", 2), ("yuv420p", "mpeg4", 8),
@@ -154,7 +154,7 @@ def test_a_channel_of_colours(
 
 
 def test_colours_by_the_matrix_that_the_file_states() -> None:
-    """Luma of green is 0.7152 of white by Rec. 709, and 0.587 by Rec. 601."""
+    """Green has 0.7152 of white's luma in Rec. 709, and 0.587 in Rec. 601."""
     if int(av.__version__.split(".")[0]) < 17:
         pytest.skip("this PyAV does not take colours by the matrix that is stated")
     green = np.zeros((16, 32, 3), np.uint8)
@@ -210,7 +210,7 @@ def test_a_cut_y4m_gives_its_whole_frames_first(tmp_path: Path, form: str, lost:
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("side", [2, 3])
 def test_squares_become_their_mean(tmp_path: Path, bits: int, side: int) -> None:
-    """After the crop, before the turn."""
+    """Binning follows the crop and precedes the rotation."""
     with open_film(film(tmp_path / "a.h5", bits), crop=(1, 0, 9, 5), binning=side, rotate=90) as seen:
         got = list(seen)
         assert (seen.width, seen.height, seen.bits) == (5 // side, 9 // side, bits)

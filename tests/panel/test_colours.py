@@ -1,4 +1,4 @@
-"""`unmix_colours` on simulated crosstalk, and on a rendered panel in three colours."""
+"""`unmix_colours` on simulated crosstalk and on a rendered three-colour panel."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ Bits = NDArray[np.bool_]
 
 
 def mixed(seed: int, lit: float, leak: float, noise: float = 8.0, leds: int = 640) -> tuple[Floats, Bits, Floats]:
-    """Values, bits and matrix of LEDs that are lit at random, with crosstalk up to a share of the light."""
+    """Return values, bits and crosstalk matrix for randomly lit LEDs."""
     rng = np.random.default_rng([seed, int(100 * lit), int(100 * leak)])
     bits = rng.random((leds, 3)) < lit
     leaks = rng.uniform(0, leak, (3, 3)) * (1 - np.eye(3))
@@ -23,7 +23,7 @@ def mixed(seed: int, lit: float, leak: float, noise: float = 8.0, leds: int = 64
 
 
 def split(values: Floats) -> Bits:
-    """Bits by a threshold of each channel, midway between the means of what lies above and below."""
+    """Threshold each channel midway between the means of the values above and below."""
     bits = np.empty(values.shape, bool)
     for k in range(3):
         level = values[:, k]

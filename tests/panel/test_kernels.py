@@ -5,7 +5,7 @@ import pytest
 from heliograph.panel import kernels
 
 POINTS = np.array([[10.3, 8.7], [0.2, 14.9], [19.4, 0.1], [-1.5, 5.0], [40.0, 5.0], [np.nan, 2.0]])
-"""Places within, at the rim, just beyond, far beyond, and nowhere."""
+"""Positions inside, on the rim, just outside, far outside, and NaN."""
 SIZE = (16, 20)
 
 

@@ -1,4 +1,4 @@
-"""`locate`, `follow` and `sample` on films of `panel_films`, which has none of their code."""
+"""`locate`, `follow` and `sample` on films from `panel_films`, an independent renderer."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -24,7 +24,7 @@ Colours = NDArray[np.uint8]
 
 @cache
 def small(blur: float = 1.6, **changes: Any) -> PanelFilm:
-    """A panel of 16 x 20 LEDs with a pitch of about 6 px, turned and tilted, that moves."""
+    """Return a moving, tilted panel with 16 x 20 LEDs and a pitch of about 6 px."""
     place = keystone((75.0, 60.0), 107.0, 1.25, 0.07, 0.15)
     film = PanelFilm(moving(place, (0.2, -0.1), 1.0), ROWS, COLUMNS, 150, 120, blur, noise=1.5)
     return replace(film, **changes)
@@ -36,12 +36,12 @@ def frames(count: int, blur: float = 1.6, **changes: Any) -> list[Colours]:
 
 
 def off(place: heliograph.Place, film: PanelFilm, number: int = 0) -> float:
-    """Largest distance of a coordinate of a corner from where it is, in px."""
+    """Return the largest corner coordinate error in px."""
     return float(np.abs(place.corners - film.corners(number)).max())
 
 
 def wrong(values: list[Any], film: PanelFilm) -> int:
-    """Bits that are wrong where each LED is judged by its own mean over the film."""
+    """Count bit errors with a threshold at each LED's mean over the film."""
     seen = np.array(values)
     return int(((seen > seen.mean(axis=0)) != np.array([film.bits(k) for k in range(len(values))])).sum())
 
@@ -49,7 +49,7 @@ def wrong(values: list[Any], film: PanelFilm) -> int:
 def test_a_panel_is_found_by_what_changes() -> None:
     place = heliograph.locate(frames(2), rows=ROWS, columns=COLUMNS)
     assert off(place, small()) < 0.06
-    # the emitters are discs of 0.55 pitches, of 0.14 pitches of standard deviation
+    # emitters are discs of 0.55 pitch diameter, hence 0.14 pitches standard deviation
     assert abs(place.blur - np.hypot(1.6, 0.55 / 4 * 6.0)) < 0.1
     assert place.score > 0.99
     np.testing.assert_allclose(place.leds(ROWS, COLUMNS)[0, 0], place.corners[0] + 3, atol=1.0)
@@ -80,7 +80,7 @@ def test_a_frame_with_an_origin_is_placed_on_the_sensor() -> None:
 def test_without_its_rows_and_columns_the_outline_is_found() -> None:
     still = small(corners=moving(small().corners(0), (0, 0), 0, 0))
     shown = list(still.film(4))
-    assert off(heliograph.locate(shown), still) < 6  # a pitch
+    assert off(heliograph.locate(shown), still) < 6  # one pitch
     assert off(heliograph.locate(shown, region=(10, 5, 135, 110)), still) < 6
     assert off(heliograph.locate(shown, still.corners(0) + np.array([3, -3])), still) < 6
 
@@ -131,7 +131,7 @@ def test_a_panel_that_is_hidden_for_a_while_is_found_again() -> None:
 
 
 def test_its_algebra_runs_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two threads took nine times as long beside other processes."""
+    """Two BLAS threads took nine times as long on a loaded machine."""
     threads: list[int] = []
 
     def light(self: Lattice, images: Any) -> Any:
@@ -160,7 +160,7 @@ def test_places_are_given_frame_by_frame() -> None:
 
 
 def test_undoing_the_blur_reads_what_blur_has_mixed() -> None:
-    """At 0.55 pitches of blur an LED gives its neighbours a fifth of its light."""
+    """With a blur of 0.55 pitches an LED spreads a fifth of its light to each neighbour."""
     film, shown = small(3.2, spread=0.02), frames(16, 3.2, spread=0.02)
     blur = float(np.hypot(3.2, 0.55 / 4 * 6.0))
     places = [heliograph.Place(film.corners(k), blur) for k in range(16)]
@@ -206,7 +206,7 @@ def test_a_panel_of_64_x_64_in_three_colours_is_read() -> None:
     values = np.array(
         [heliograph.sample(frame, place, 64, 64, True, film.leak) for frame, place in zip(shown, places, strict=True)]
     )
-    # four frames are too few for a mean of each LED
+    # four frames are too few for a mean per LED
     known, found = np.array([film.bits(k) for k in range(4)]), values > values.mean(axis=(0, 1, 2))
     count = Count(known.size, int((known != found).sum()))
     assert count.interval()[1] < 2e-4
@@ -232,7 +232,7 @@ def test_the_score_tells_right_places_from_wrong_ones(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [16, 19, 35])
 def test_a_hand_held_panel_with_bloom_is_found_or_corners_are_asked_for(seed: int) -> None:
-    """The scenes end in numpy.linalg.LinAlgError, or a place that is off by pitches, if an outline is trusted."""
+    """Trusting a wrong outline ends in numpy.linalg.LinAlgError or in an error of several pitches."""
     scene = draw_scene(seed, count=2)
     place = None
     with suppress(heliograph.HeliographError):

@@ -1,4 +1,4 @@
-"""Films with one fault each are told what is wrong with them, by their frames alone."""
+"""Diagnose films with a single fault each from frames only."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -21,13 +21,13 @@ def probed(film: KeptFilm, **receive: object) -> Findings:
 
 @cache
 def faulty(name: str) -> Findings:
-    """What is told of a film with a fault."""
+    """Diagnose a film with a fault."""
     return probed(FAULTY[name](), detect={"max_side_px": 48.0} if name == "too large" else {})
 
 
 @dataclass(frozen=True)
 class Told:
-    """What is to be told of a film: the first cause of its only region, whether it was read then, and advice."""
+    """Expected diagnosis: first cause in the only region, True if confirmed by decoding, and advice."""
 
     kind: str
     proven: bool
@@ -101,7 +101,7 @@ def test_a_right_film_is_read(name: str) -> None:
     assert array.failed == {"high": 0, "middle": 0, "low": 0}
     assert array.clock is not None
     assert array.clock.phase == pytest.approx(0, abs=0.03)
-    assert array.exposure is None  # in step frames show the same part of each pattern
+    assert array.exposure is None  # synchronous frames all show the same part of a pattern
     assert found.regions[0].array == array
     assert found.rate is not None
     assert found.rate.frames == pytest.approx(1, abs=3e-3)
@@ -119,7 +119,7 @@ def test_a_lamp_of_another_rate_is_told_by_its_period() -> None:
 
 
 def test_orders_of_another_receiver_are_kept() -> None:
-    """What was asked for is read with what was asked for: the soft receiver reads a film out of step."""
+    """The soft receiver reads an asynchronous film; probe keeps the requested receiver."""
     found = probed(FAULTY["out of step"](), receiver="soft")
     (array,) = found.arrays
     assert array.clock is not None
@@ -142,7 +142,7 @@ def test_a_place_beside_the_array_is_told_and_so_is_where_it_is(place: dict[str,
 
 
 def test_what_a_region_would_be_as_an_array_is_told() -> None:
-    """Its pixels, blur and clock, and how far its layers would be read."""
+    """Pixels, blur, clock and predicted range of each layer."""
     (seen,) = faulty("out of step").regions
     assert seen.would_be is not None
     assert seen.would_be.pitch_px == pytest.approx(1.1667, rel=0.01)

@@ -1,4 +1,4 @@
-"""Stamps and gray levels of a film: what is put in is told, and no more is kept of a long film than of a short one."""
+"""Timestamps and gray levels: correct values, and memory independent of film length."""
 
 from collections.abc import Iterable, Iterator
 

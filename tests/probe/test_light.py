@@ -1,4 +1,4 @@
-"""How long a pattern lasts by the light itself: the kernel against its reference; lamps; the clock."""
+"""Pattern period from light: correlation kernel, reference, lamps, clock."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -30,14 +30,14 @@ def test_a_pattern_and_its_inverse_are_opposite_and_the_next_pair_is_another() -
     def alike(number: int, lag: int) -> float:
         return expected_correlation(1.0, 0.0, 1.0, number, lag, ORDER)
 
-    # of light as even as a pair's nothing is expected, which takes a little of it
+    # the variance floor keeps the correlation above -1
     assert alike(0, 1) < -0.8
     assert alike(1, 1) == pytest.approx(0, abs=1e-9)
     assert alike(0, 2) == pytest.approx(0, abs=1e-9)
 
 
 def test_two_frames_of_one_pattern_are_alike() -> None:
-    # each of two frames sees another half of the slots, so that they are not quite the same
+    # each frame covers a different half of the slots, so the correlation is below 1
     assert expected_correlation(2.0, 0.0, 1.0, 0, 1, ORDER) > 0.2
 
 

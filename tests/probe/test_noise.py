@@ -1,4 +1,4 @@
-"""Photon transfer against sensors of known gain, and what it does not tell."""
+"""Photon transfer, compared with sensors of known gain, and its limits."""
 
 from collections.abc import Callable
 
@@ -12,7 +12,7 @@ from heliograph.probe.noise import NoiseFound, NoiseWatch
 Levels = NDArray[np.float64]
 
 SLOPE = np.tile(np.linspace(20, 200, 160), (120, 1))
-"""Gray levels of a scene that stands still."""
+"""Gray levels of a still scene."""
 
 
 def found(
@@ -21,7 +21,7 @@ def found(
     dark_e: float = 30.0,
     after: Callable[[Levels], Levels] = np.rint,
 ) -> NoiseFound:
-    """Noise of a film by a sensor that counts electrons, of `gain` gray levels each."""
+    """Estimate film noise for an electron-counting sensor with `gain` gray levels per electron."""
     rng, watch = np.random.default_rng(3), NoiseWatch(32)
     for k in range(33):
         electrons = rng.poisson(scene(k) / gain) + rng.normal(0, dark_e, scene(k).shape)
@@ -37,7 +37,7 @@ def test_gain_and_dark_noise_are_those_of_the_sensor(gain: float, dark_e: float)
     assert noise.gain_error is not None
     assert abs(noise.gain - gain) < 4 * noise.gain_error + 0.02 * gain
     assert noise.dark_e == pytest.approx(dark_e, rel=0.2)
-    # at level 100 both add up
+    # at level 100 both terms add up
     assert noise.variance_at(100) == pytest.approx(100 * gain + (gain * dark_e) ** 2 + 1 / 12, rel=0.05)
 
 
@@ -65,7 +65,7 @@ def test_noise_wiped_out_by_compression_is_not_told() -> None:
 def test_a_part_without_noise_does_not_weigh_as_if_it_were_exact() -> None:
     def after(levels: Levels) -> Levels:
         out = levels.copy()
-        out[:, 128:] = np.rint(SLOPE[:, 128:])  # a fifth of the picture, and of the gray levels
+        out[:, 128:] = np.rint(SLOPE[:, 128:])  # a fifth of the picture and of the gray levels
         return out
 
     noise = found(lambda _: SLOPE, after=after)

@@ -1,4 +1,4 @@
-"""A film that notes another signal than the one it is read with: the note comes before all guesses."""
+"""A film with signal metadata different from the settings; metadata take precedence over estimates."""
 
 from pathlib import Path
 

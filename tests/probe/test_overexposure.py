@@ -1,4 +1,4 @@
-"""Overexposure is found by pixels that pile up at the top of a region's levels, wherever that top is."""
+"""Detect overexposure from pixels at the highest level in a region, for any such level."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -25,7 +25,7 @@ SIDE, CELL = 16, 6
 
 
 def light(seed: int, blur: float, levels: int = 5) -> NDArray[np.float64]:
-    """Frames of LEDs at levels of random data, 0 to 1; five levels are as rare as Haar data make them."""
+    """Draw LED frames with random levels from 0 to 1; five levels have Haar data probabilities."""
     rng = np.random.default_rng(seed)
     shape = (24, SIDE, SIDE)
     values = rng.binomial(4, 0.5, shape) / 4 if levels == 5 else rng.integers(0, levels, shape) / (levels - 1)
@@ -78,7 +78,7 @@ def test_well_exposed_dim_and_weak_light_is_not_overexposed(
 def darkened(
     frames: Iterator[tuple[float, NDArray[np.uint8]]], white: int, seed: int
 ) -> Iterator[tuple[float, NDArray[np.uint8]]]:
-    """Frames whose white is a lower level, with noise after it was clipped."""
+    """Yield frames with reduced white level, with noise added after clipping."""
     rng = np.random.default_rng(seed)
     for time_s, gray in frames:
         seen = gray * (white / 255) + rng.normal(0, 1.5, gray.shape)

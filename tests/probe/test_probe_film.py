@@ -1,4 +1,4 @@
-"""A film probed as a whole: what comes in is watched frame by frame, what ends it early keeps what was found."""
+"""Probe a complete film frame by frame; an early end keeps the results."""
 
 import json
 import re
@@ -41,7 +41,7 @@ def found(right: KeptFilm) -> Findings:
 
 @dataclass
 class Breaking(KeptFilm):
-    """A film that ends in an error after some frames."""
+    """Film that raises an error after some frames."""
 
     error: BaseException = field(default_factory=lambda: MediaError("the film ends in the middle"))
     whole: int = 0
@@ -53,7 +53,7 @@ class Breaking(KeptFilm):
 
 @dataclass
 class Repeating(KeptFilm):
-    """A film of any length, a packet over and over, whose frames are made when they are asked for."""
+    """Film that repeats a packet up to any length, with frames made on request."""
 
     length: int = 0
     alive: list[int] = field(default_factory=list)
@@ -104,7 +104,7 @@ def test_of_a_long_film_no_more_frames_are_kept_than_of_a_short_one() -> None:
     told = probed(source)
     assert told.arrays[0].packets == 15
     assert told.times.count == 1500
-    # two stretches, and what the receiver holds of a packet
+    # two stretches, and the receiver's frames of a packet
     assert max(source.alive) < 2 * MOST_FRAMES + 150
 
 
@@ -161,7 +161,7 @@ def test_where_leds_are_at_full_scale_the_noise_beside_the_array_stands_for_it()
     near, far = (probed(kept(link(distance_m=distance))) for distance in (25.0, 50.0))
     assert near.arrays[0].clipped
     assert not far.arrays[0].clipped
-    # the same link is told to be read as far from either film
+    # both films give the same predicted range
     for one, other in zip(near.arrays[0].reach, far.arrays[0].reach, strict=True):
         assert one.distance_m == pytest.approx(other.distance_m, rel=0.1)
     assert as_mapping(near)["arrays"][0]["noise"]["lit"] is None
@@ -172,7 +172,7 @@ def test_the_page_fetches_nothing_and_says_what_the_command_says(found: Findings
     write_page(tmp_path / "probe.html", found)
     page = (tmp_path / "probe.html").read_text()
     assert page.count("data:image/png;base64,") == 3
-    # the list of contents leads to parts of the page itself
+    # table of contents links stay within the page
     assert not re.findall(r"""(?:src|href)=["']?(?!["']?data:|#part-)""", page)
     assert "Read with the settings as they are: array 0 (upright)" in page
     assert "plain" in page

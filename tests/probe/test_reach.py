@@ -1,4 +1,4 @@
-"""How far layers are read: known limits of the information in symbols, and the order of what is expected."""
+"""Predicted layer range: textbook limits of symbol information, and order of layers."""
 
 from dataclasses import replace
 from typing import Any
@@ -21,7 +21,7 @@ NEAR = Pose(0.0, 0.0, 1.1667, 0.0, 0.5)
 
 def test_information_of_bits_in_white_noise_is_that_of_the_books() -> None:
     def lost(snr: float) -> float:
-        """Mean of log2(1 + exp(-LLR)) over the channel's outputs."""
+        """Return the mean of log2(1 + exp(-LLR)) over channel outputs."""
 
         def at(y: float) -> float:
             return float(np.exp(-0.5 * (y - snr**0.5) ** 2) / (2 * np.pi) ** 0.5 * np.logaddexp(0, -2 * snr**0.5 * y))
@@ -34,7 +34,7 @@ def test_information_of_bits_in_white_noise_is_that_of_the_books() -> None:
 
 
 def test_what_is_expected_of_the_reference_link_is_what_is_measured_of_it() -> None:
-    """plain reads the low layer to about 60 m and the middle one to 70 m, soft all to 105 m."""
+    """The plain receiver reads the low layer to about 60 m and the middle layer to 70 m; soft reads all to 105 m."""
     plain, soft = reaches(NEAR, 204.0, Noise(4.8, 2.0), 50.0, SignalSettings())
     assert plain.distance_m["low"] == pytest.approx(60, rel=0.15)
     assert plain.distance_m["middle"] == pytest.approx(72, rel=0.15)
@@ -59,7 +59,7 @@ def test_of_a_dim_array_soft_reads_farther_than_plain() -> None:
 
 
 def test_its_algebra_runs_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two threads took twenty times as long beside another process."""
+    """Two BLAS threads took twenty times as long on a loaded machine."""
     threads: list[int] = []
 
     def counting(*given: Any) -> Estimate:

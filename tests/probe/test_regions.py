@@ -1,4 +1,4 @@
-"""Regions that blink: where, how large, how fast, and what does not blink."""
+"""Blinking regions: position, size, rate, and rejection of other regions."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ Picture = NDArray[np.float64]
 
 
 def frames(draw: Callable[[int, Picture], None], count: int = 128) -> list[Frame]:
-    """A film of an even scene with noise, into which something is drawn."""
+    """Draw into a uniform noisy scene."""
     rng, out = np.random.default_rng(7), list[Frame]()
     for k in range(count):
         picture = np.full((96, 128), 40.0)
@@ -28,7 +28,7 @@ CELLS = np.random.default_rng(8).integers(0, 2, (64, 4, 4)).astype(float)
 
 
 def blink(k: int, picture: Picture, x: int, y: int, cell: int, light: float = 60.0) -> None:
-    """A square of 4 x 4 cells that shows patterns and their inverses, twice each as in a header."""
+    """Draw 4 x 4 cells with patterns and inverses, two of each as in a header."""
     pattern = CELLS[k // 4 % 64]
     cells = pattern if k % 2 == 0 else 1 - pattern
     picture[y : y + 4 * cell, x : x + 4 * cell] += light * np.kron(cells, np.ones((cell, cell)))
@@ -48,7 +48,7 @@ def test_each_region_is_told_with_its_place_size_and_contrast() -> None:
     assert (large.width, large.height) == pytest.approx((20, 20), abs=1)
     assert (small.x, small.y) == pytest.approx((95.5, 65.5), abs=1)
     assert (small.width, small.height) == pytest.approx((12, 12), abs=1)
-    # its rim, of half the light, counts too
+    # includes the half-bright rim
     assert large.contrast == pytest.approx(0.85 * 60 / 255, rel=0.1)
     assert not large.at_border
     assert large.speed_px < 0.02

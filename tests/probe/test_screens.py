@@ -1,4 +1,4 @@
-"""Films of a screen with one fault each are told what is wrong with them; sound ones are blamed for nothing."""
+"""Diagnose screen films with a single fault each; a good film has no fault."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 @dataclass(frozen=True)
 class Kept:
-    """Frames in a film's place."""
+    """In-memory film."""
 
     frames: list[Frame]
     rate_hz: float = 30.0
@@ -70,7 +70,7 @@ def test_one_fault_is_told_by_its_name_alone(kind: str) -> None:
     (line,) = in_sentences(found)
     assert line.startswith(f"{kind.capitalize()}: ")
     assert why in line
-    assert any(f"{kind}: " in one for one in lines(found))  # the command says the same
+    assert any(f"{kind}: " in one for one in lines(found))  # the command prints the same
     assert found.advice
 
 

@@ -1,4 +1,4 @@
-"""SPATEM and MAPEM: written, read, counted down, and damaged."""
+"""SPATEM and MAPEM: encoding, decoding, countdown, damaged messages."""
 
 import random
 import tomllib
@@ -29,7 +29,7 @@ def lights(data: bytes) -> list[tuple[int, str, float | None]]:
 def test_a_spatem_of_one_light_has_27_bytes() -> None:
     plain = {"id": 7, "station": 7, "groups": [{"group": 1, "phases": [{"phase": "red", "seconds": 20}]}]}
     junction = from_mapping(Junction, plain)
-    # this one tells of the next phase too
+    # includes the next phase
     assert len(spatem(junction, 0.0)) == 34
     values = road_values(bytes.fromhex("01040000000700180003810000003e875300000104340269026900"))
     assert values is not None
@@ -40,7 +40,7 @@ def test_a_spatem_of_one_light_has_27_bytes() -> None:
 def test_lights_and_lanes_come_back() -> None:
     assert lights(spatem(JUNCTION, 3.0)) == [(1, "red", 9.0), (2, "green", 6.0)]
     assert lights(spatem(JUNCTION, 12.5)) == [(1, "red-yellow", 1.5), (2, "red", 20.5)]
-    # the cycle of 35 s begins again
+    # the 35 s cycle restarts
     assert lights(spatem(JUNCTION, 36.0)) == [(1, "red", 11.0), (2, "green", 8.0)]
     map_ = road_values(mapem(JUNCTION))
     assert map_ is not None
@@ -71,7 +71,7 @@ def test_points_of_all_distances_come_back_to_the_centimetre() -> None:
 
 
 def test_a_light_is_counted_down_between_messages_and_into_the_next_phase() -> None:
-    """The camera's clock begins anywhere, packets come late after their stamp, some are lost, an hour ends."""
+    """The camera clock has an arbitrary origin, packets arrive late or get lost, and the hour rolls over."""
     junction = replace(JUNCTION, begins=JUNCTION.begins.replace(minute=59, second=50))
     sent, down, ahead = updates(junction, 20.0), Countdown(), 1234.5
     assert len(sent) == 20
@@ -116,7 +116,7 @@ def test_a_message_that_is_none_of_the_road_is_left_alone() -> None:
 
 
 def test_damaged_messages_give_a_line() -> None:
-    """Cut, turned bits, random bytes behind a right header: 3000 of them; what still reads says so in words."""
+    """Try 3000 truncated, bit-flipped and random messages; the result is always valid text."""
     rng, seen = random.Random(6), set()
     whole = [spatem(JUNCTION, 1.0), mapem(JUNCTION)]
     for _ in range(3000):

@@ -1,4 +1,4 @@
-"""Jobs for each of some works, here and in processes."""
+"""Run jobs per work item, in this process and in worker processes."""
 
 import os
 
@@ -54,7 +54,7 @@ def test_an_experiment_reports_its_span() -> None:
 
 @pytest.mark.slow
 def test_a_kernel_can_be_compiled_once_threads_were_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    limit_threads()  # Numba's own threads begin, whose number cannot be changed any more
+    limit_threads()  # starts Numba threads, which fixes the thread count
     for name, value in THREAD_LIMITS.items():
         monkeypatch.setenv(name, value)
     assert numba.njit(lambda x: x + 1)(1) == 2

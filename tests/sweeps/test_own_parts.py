@@ -1,4 +1,4 @@
-"""Parts of one's own in sweeps: in this process, in worker processes and on a Dask cluster."""
+"""Custom components in sweeps: in this process, in worker processes, on a Dask cluster."""
 
 import json
 import subprocess
@@ -59,7 +59,7 @@ def command(folder: Path, *options: str) -> list[str]:
 
 
 def counts(folder: Path, *options: str) -> list[tuple[str, str, int, int]]:
-    """Receiver, code, codewords of the high layer and wrong ones, of each point."""
+    """Return receiver, code, and high layer codeword and error counts per point."""
     vary = ["--vary", "receiver=plain,renamed", "--vary", "signal.code=turbo,turbo-again"]
     ran = subprocess.run(command(folder, *vary, *options), cwd=folder, capture_output=True, timeout=HANG_S)
     assert not ran.returncode, ran.stderr.decode()
@@ -85,7 +85,7 @@ def test_a_receiver_a_code_and_a_motion_of_ones_own_in_this_process(alone: list[
     assert plain[2] >= 1
     assert plain[3] == 0
     assert renamed[2:] == renamed_again[2:]
-    assert renamed[3] == renamed[2] == plain[2]  # no packet of array 0 arrives
+    assert renamed[3] == renamed[2] == plain[2]  # no packet from array 0 arrives
 
 
 @pytest.mark.slow

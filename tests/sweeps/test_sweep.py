@@ -1,4 +1,4 @@
-"""Sweeps within one process: what varies, when a point ends, what is kept."""
+"""Sweeps in a single process: varied settings, stop rules, stored results."""
 
 import csv
 import itertools
@@ -99,7 +99,7 @@ def test_many_values_are_compared_at_once() -> None:
 
 
 def test_a_long_row_of_digits_is_read_at_once() -> None:
-    # a pattern that begins anew at each digit took hours
+    # a regular expression with backtracking took hours
     with pytest.raises(SettingsError, match="more than 64 bits"):
         parse_vary("a=" + "1" * 1_000_000 + "x")
 
@@ -220,7 +220,7 @@ def test_the_report_tells_bounds_and_bits_that_fail_together() -> None:
     assert (high["ber_is_bound"], high["fer_is_bound"]) == (True, True)
     assert high["ber_ci"] == pytest.approx([0, clopper_pearson(0, 200)[1]])
     assert (low["ber_is_bound"], low["fer_is_bound"]) == (False, False)
-    # ten bad packets of 200: about as uncertain as their number is
+    # with ten bad packets in 200, the relative uncertainty is that of the packet count
     assert low["ber_ci"][0] < 0.6 * low["ber"] < 1.6 * low["ber"] < low["ber_ci"][1]
 
 
@@ -311,7 +311,7 @@ def test_two_sweeps_may_share_a_store(tmp_path: Path) -> None:
 def test_a_foreign_file_is_reported(content: bytes, tmp_path: Path) -> None:
     (tmp_path / NAME).write_bytes(content)
     if not content:
-        Store(tmp_path).close()  # an empty file is a new one
+        Store(tmp_path).close()  # an empty file counts as a new store
         return
     with pytest.raises(MediaError, match="choose another folder"):
         Store(tmp_path)
@@ -326,7 +326,7 @@ def test_another_programs_database_is_left_alone(tmp_path: Path) -> None:
 
 
 class Fragile:
-    """Workers that are lost with the first blocks handed in."""
+    """Workers that die with the first submitted blocks."""
 
     slots = 2
 
@@ -392,7 +392,7 @@ def test_a_recording_that_is_not_the_one_planned_with_is_refused(tmp_path: Path)
     assert run_job(work)["counts"]["frames"] == 100
     other = imu_point(path, 0.1)
     assert run_job(other.job(0))["counts"]["frames"] == 100, "same path, other content: not taken from the cache"
-    points_module._load.cache_clear()  # another worker
+    points_module._load.cache_clear()  # as in another worker
     with pytest.raises(MediaError, match="not the one the sweep was planned with") as caught:
         run_job(work)
     assert "\n" not in str(caught.value)
@@ -456,7 +456,7 @@ def test_a_lacking_extra_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def altered(folder: Path, statement: str, *values: Any) -> None:
-    """A store with a block of the first point, altered by hand."""
+    """Create a store, and modify a block of the first point."""
     with Store(folder) as store:
         store.note(points()[0])
         store.add(points()[0], 0, fake_counts(4, 2), 1.0)
@@ -599,7 +599,7 @@ def test_an_array_that_was_not_found_is_told_from_one_that_was_not_read(tmp_path
 
 @pytest.mark.slow
 def test_the_raw_error_rate_of_the_soft_receiver_grows_with_the_distance() -> None:
-    """By the first equalisation it does, layer by layer; the last one depends on what is decoded by then."""
+    """The first equalisation's rate rises per layer; the last equalisation depends on the decoded codewords."""
     distances = [60, 80, 100, 120]
     arrays = {"channel.arrays.0.x_m": 0, "channel.arrays.0.y_m": 0, "channel.camera.width": 160}
     small = {**arrays, "channel.camera.height": 120, "channel.duration_s": 0.2, "receive.receiver": "soft"}

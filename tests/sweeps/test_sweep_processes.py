@@ -1,4 +1,4 @@
-"""The command with real processes: any number of workers, killed ones, Ctrl-C, a cluster."""
+"""The sweep command with real processes: worker counts, killed workers, Ctrl-C, a cluster."""
 
 import json
 import os
@@ -21,10 +21,10 @@ pytestmark = pytest.mark.slow
 
 BIN = Path(sys.executable).parent
 CODEWORDS = 12
-"""Codewords of high priority that a point stops at."""
+"""Stop rule: high-priority codewords per point."""
 POINTS = ("--vary", "channel.distance_m=60:70:10", "--set", "signal.data_pairs=8", "--max-codewords", str(CODEWORDS))
 BLOCKS = 2 * CODEWORDS
-"""Blocks of a packet that the points take: hardly any codeword of high priority is wrong."""
+"""Blocks for both points, with a packet each, since high-priority errors are rare."""
 
 
 def command(*more: str) -> list[str]:
@@ -40,13 +40,13 @@ def start(*more: str) -> "subprocess.Popen[str]":
 
 @pytest.fixture(scope="module")
 def reference() -> Any:
-    """The points by one worker, without interruption."""
+    """Return the points from an uninterrupted run with a single worker."""
     done = subprocess.run(command("--workers", "1"), capture_output=True, text=True, check=True, timeout=HANG_S)
     return json.loads(done.stdout)
 
 
 def stored(folder: Path) -> list[int]:
-    """For each block in the store, how often it was computed."""
+    """Return the number of computations per stored block."""
     if not (folder / NAME).exists():
         return []
     with closing(sqlite3.connect(folder / NAME, timeout=HANG_S)) as db:
@@ -56,7 +56,7 @@ def stored(folder: Path) -> list[int]:
 
 
 def worker_processes(parent: int) -> list[int]:
-    """Children that compute: all but the pool's resource tracker."""
+    """Return child processes except the pool's resource tracker."""
     found = []
     for entry in Path("/proc").iterdir():
         try:
@@ -103,7 +103,7 @@ def test_killed_workers_are_replaced_and_a_killed_sweep_goes_on(reference: Any, 
     workers = worker_processes(process.pid)
     process.kill()
     process.communicate(timeout=HANG_S)
-    wait_until(lambda: not any(map(runs, workers)))  # workers end with it
+    wait_until(lambda: not any(map(runs, workers)))  # workers end with their parent
     assert len(stored(tmp_path)) >= 6
     done = subprocess.run(command("--workers", "1", "--output", str(tmp_path)), capture_output=True, text=True,
                           check=True, timeout=HANG_S)  # fmt: skip
@@ -115,7 +115,7 @@ def test_killed_workers_are_replaced_and_a_killed_sweep_goes_on(reference: Any, 
 
 @needs_proc
 def test_ctrl_c_shows_the_results_so_far(tmp_path: Path) -> None:
-    # so many that it cannot end before it is interrupted
+    # long enough to be interrupted
     process = start("--workers", "2", "--max-codewords", "20000", "--output", str(tmp_path))
     wait_until(lambda: len(stored(tmp_path)) >= 2)
     workers = worker_processes(process.pid)

@@ -1,4 +1,4 @@
-"""What a sweep varies: ranges, lists and grids of any values."""
+"""Sweep values: arbitrary ranges, lists and grids."""
 
 import math
 from decimal import Decimal
@@ -26,7 +26,7 @@ VALUES = (
 
 
 def written(value: Any) -> str:
-    """A value as a user writes it: as TOML."""
+    """Format a value as TOML."""
     return to_toml({"v": value}).removeprefix("v = ").rstrip("\n")
 
 
@@ -38,10 +38,10 @@ def test_a_range_has_its_ends_and_even_steps(first: Decimal, count: int, step: D
     key, values = parse_vary(f"channel.distance_m={first}:{last}:{step}")
     assert key == "channel.distance_m"
     assert values == [float(first + k * step) for k in range(count + 1)]
-    # whole numbers stay whole
+    # integers stay integers
     whole = first == first.to_integral_value() and step == step.to_integral_value()
     assert {type(value) for value in values} == {int if whole else float}
-    # an end that no step hits is left out
+    # an end between two steps is excluded
     assert parse_vary(f"a={first}:{last + step / 2}:{step}")[1] == values
 
 
@@ -89,7 +89,7 @@ def test_a_dotted_key_becomes_nested_mappings(path: list[str], value: Any) -> No
 
 
 def outcome(text: str) -> tuple[str, list[Any]]:
-    """Key and values of a text, or "error" and its message, which must be one line."""
+    """Return key and values, or "error" and a one-line message."""
     try:
         return parse_vary(text)
     except SettingsError as error:

@@ -1,4 +1,4 @@
-"""The transmitter: without end, on time, and readable from any packet on."""
+"""Transmitter: endless, on time, decodable from any packet on."""
 
 from itertools import islice, pairwise
 
@@ -29,7 +29,7 @@ def segments(sender: Transmitter, packet: int, layer: str) -> list[Block]:
 def test_endless_and_on_time() -> None:
     shown = patterns(3 * 46 + 5)
     assert [p.index for p in shown] == list(range(len(shown)))
-    # counted, not added up: no drift in a long transmission
+    # multiplied, not accumulated, so a long transmission does not drift
     assert [p.time_s for p in shown] == [i * 2e-3 for i in range(len(shown))]
     assert all(p.levels.shape == (8, 8) and p.levels.dtype == np.uint8 for p in shown)
 
@@ -54,7 +54,7 @@ def test_header_alternates() -> None:
 def test_two_identities_differ() -> None:
     one, other = patterns(46, identity=0), patterns(46, identity=7)
     assert not np.array_equal(one[0].levels, other[0].levels)
-    # the identity is in every block, and the CRC spreads it over the data
+    # each block carries the identity, and the CRC spreads it over the data
     differing = np.mean([np.any(a.levels != b.levels) for a, b in zip(one[4:], other[4:], strict=True)])
     assert differing > 0.5
 
@@ -114,7 +114,7 @@ def test_packets_take_formats_in_turn() -> None:
 
 
 def test_every_size_of_block_brings_the_messages() -> None:
-    """Segments are numbered by what was sent of their size: none is left out for ever."""
+    """Segment numbers count sent segments of the same size, so each segment is sent eventually."""
     sender = Transmitter(SMALL, 3, MESSAGES, (Format(low=0.9), Format(), Format(low=0.9), Format(low=0.5)))
     by_size: dict[int, list[int]] = {}
     for packet in range(40):
@@ -146,11 +146,11 @@ def test_settings() -> None:
 
 
 def test_a_message_that_changes_has_a_stream_number_for_each_content() -> None:
-    """The content of a packet is the newest at its beginning; other messages keep their numbers."""
+    """A packet carries the newest content at packet start; other messages keep their stream numbers."""
     times = [(0.1 * k, k.to_bytes(2, "big")) for k in range(700)]
     sender = Transmitter(SMALL, 3, {"high": [b"42", Updates(tuple(times))]})
     room, reassembler = sender.format.layers["high"].payload_bytes, Reassembler()
-    assert room == 2  # each content is one block, and is sent in every other packet
+    assert room == 2  # each content fits a block, sent in every second packet
     newest = {}
     for packet in range(700):
         for block in segments(sender, packet, "high"):

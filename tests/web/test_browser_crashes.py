@@ -1,4 +1,4 @@
-"""The pages show, in a real browser, the one line of an unexpected exception of the server."""
+"""The pages show unexpected server exceptions as a line of text, in a real browser."""
 
 import threading
 import time
@@ -41,7 +41,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def address(film: Path) -> Iterator[str]:
-    """Serve the pages from a thread of this process, in which parts can be broken."""
+    """Serve the pages from a thread in this process, so that tests can inject faults."""
     place, limits = Address(port=0), Limits()
     server = uvicorn.Server(configured(create_app(films=[str(film)], limits=limits), place, limits))
     with opened(place) as waiting:
@@ -70,7 +70,7 @@ def test_page_watch_shows_a_crash_of_its_reception(address: str, monkeypatch: py
         expect_notice(page)
         for button in ("stop", "pause", "step", "packet", "save"):
             expect(page.locator(f"#{button}")).to_be_disabled()
-        expect_notice(page)  # nor does the end of the connection replace it
+        expect_notice(page)  # the end of the connection keeps the notice
 
 
 def test_page_receive_shows_a_crash_of_its_reception(address: str, film: Path, monkeypatch: pytest.MonkeyPatch) -> None:

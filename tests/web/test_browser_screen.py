@@ -1,4 +1,4 @@
-"""Text and picture go from page *Transmit* over a phone's film to page *Receive*, in a real browser."""
+"""Send text and a picture from page *Transmit* through a phone film to page *Receive*, in a real browser."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -49,7 +49,7 @@ def transmitting(page: Page, cells: str = "16") -> None:
 
 
 def filmed(page: Page, cells: str = "16") -> list[tuple[float, Gray]]:
-    """Frames of a phone that takes the two packets that the page asks for before it sends."""
+    """Film the two packets that the page requests, with a phone."""
     page.evaluate("() => { for (let k = 0; k < 40; k += 1) refresh(); }")  # the page measures its display
     transmitting(page, cells)
     return list(phone_frames(grabbed(page, 4.0), PHONE))
@@ -137,7 +137,7 @@ def test_transmit_is_used_by_keys_alone_and_tells_what_it_skips(plain: Browser, 
 
 
 def sound_to_a_reader(page: Page) -> None:
-    """That axe finds nothing to complain about."""
+    """Check accessibility with axe."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
     found = axe.Axe().run(page)
     assert found.violations_count == 0, found.generate_report()
@@ -174,12 +174,12 @@ def test_a_film_that_is_chosen_instead_is_the_one_that_is_read(
         page.set_input_files("#film", none)
         while not held:
             page.wait_for_timeout(20)
-        page.set_input_files("#film", film)  # while the first is on its way
+        page.set_input_files("#film", film)  # during the first upload
         expect(page.locator(".text")).to_have_text(TEXT)
         expect(page.locator("#state")).to_contain_text("The end.")
         expect(page.locator(".notice")).to_be_hidden()
         sound_to_a_reader(page)
-        page.set_input_files("#film", none)  # the other way round: what was read before says nothing more
+        page.set_input_files("#film", none)  # in reverse order, earlier results disappear
         expect(page.locator(".notice.bad")).to_contain_text("The film")
         sound_to_a_reader(page)
 

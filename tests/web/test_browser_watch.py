@@ -1,4 +1,4 @@
-"""Page *Watch* plays a film of the demonstration in a real browser, and a screen reader finds its way."""
+"""Page *Watch* plays the demonstration film in a real browser, and is accessible."""
 
 import json
 from collections.abc import Iterator
@@ -50,7 +50,7 @@ def test_all_that_was_received_is_shown_and_named(address: str, looks: dict[str,
         assert page.inner_text("#arrays tbody").startswith("array 0")
         assert page.locator("#packets li").count() == 12
         assert "red for 12 s" in page.inner_text("#messages")
-        assert page.evaluate("document.querySelector('#picture img').naturalWidth") == 96  # the second, sharper one
+        assert page.evaluate("document.querySelector('#picture img').naturalWidth") == 96  # the second, sharper picture
         assert "array 0 at" in (page.get_attribute("#frame", "aria-label") or "")
         for name in ("received", "equalised", "decided"):
             assert "levels" in (page.get_attribute(f"#{name}", "aria-label") or "")
@@ -133,7 +133,7 @@ def test_a_film_that_is_dropped_is_decoded(address: str, film: Path, tmp_path: P
         page.click("#open")
         page.get_by_text("The end: 1250 frames, 12 packets").wait_for()
         assert "not known" in page.inner_text("#errors")
-        # of a film that cannot be read nothing is shown, and nothing of the one before either
+        # for an unreadable film, the page is empty, and earlier results are cleared
         (broken := tmp_path / "broken.mp4").write_bytes(b"no film")
         page.set_input_files("#film", broken)
         page.click("#open")

@@ -1,4 +1,4 @@
-"""The command and the pages read the gray levels of a film by one rule, whether its range is tagged or not."""
+"""Command line and pages handle the colour range equally, with or without a tag."""
 
 import json
 from collections.abc import Callable
@@ -23,7 +23,7 @@ UNTAGGED, LIMITED, FULL = 0, 1, 2
 
 
 def picture(k: int, white: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Three quarters white; the rest is dark and moves."""
+    """Return a picture with three quarters white; the rest is dark and changes."""
     pixels = np.full((SIDE, SIDE), white, np.uint8)
     pixels[:, : SIDE // 4] = DARK + k
     return pixels

@@ -1,4 +1,4 @@
-"""Unexpected exceptions in each worker of the server reach the page as one line, are logged, and end the connection."""
+"""Unexpected exceptions in server workers reach page and log as a line of text, and end the connection."""
 
 import asyncio
 import json
@@ -63,7 +63,7 @@ def client(film: Path) -> Iterator[TestClient]:
 
 
 def rows_of(socket: Any) -> tuple[Rows, int]:
-    """The rows until the server closes, and the code with which it does."""
+    """Return rows until the server closes, and the close code."""
     rows: Rows = []
     while (message := socket.receive())["type"] != "websocket.close":
         if message.get("text"):
@@ -214,7 +214,7 @@ def test_watch_reports_a_crash_wherever_it_is(
     monkeypatch.setattr(place, raises(error))
     monkeypatch.setattr("heliograph.link.warm_up.warm_up", lambda *_: None)
     rows, code = watched(client, number, then)
-    # the short film may end, without a packet, before the command comes
+    # the short film may end without a packet before the command arrives
     failed = [row["reason"] for row in rows if row["event"] == "failed" and "record longer" not in row["reason"]]
     assert len(failed) == 1
     assert is_one_clear_line(failed[0], error)

@@ -42,7 +42,7 @@ def client() -> Iterator[TestClient]:
 
 
 def said(client: TestClient, wish: dict[str, Any], messages: list[bytes | str] = ()) -> list[dict[str, Any]]:  # type: ignore[assignment]
-    """All rows that a page hears, until it is let go."""
+    """Send messages; return all rows until the server closes."""
     with client.websocket_connect(SOCKET, ["heliograph"]) as socket:
         socket.send_text(json.dumps(wish))
         for message in messages:
@@ -51,7 +51,7 @@ def said(client: TestClient, wish: dict[str, Any], messages: list[bytes | str] =
 
 
 def to_the_end(socket: WebSocketTestSession) -> list[dict[str, Any]]:
-    """What is still said until the server closes: a client that goes before ends the server's task within a worker."""
+    """Return rows until the server closes; an earlier disconnection would end the server's task within a worker."""
     rows = []
     while True:
         try:
@@ -78,7 +78,7 @@ def test_a_film_is_read_without_being_told_of_its_light(client: TestClient, tmp_
 
 @pytest.mark.slow
 def test_a_camera_is_read_as_it_films(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(CameraFrames.end, "__defaults__", (600.0,))  # however busy the machine is
+    monkeypatch.setattr(CameraFrames.end, "__defaults__", (600.0,))  # independent of machine load
     frames = [message(time_s, pixels, k) for k, (time_s, pixels) in enumerate(phone_frames(grabs(), SMALL))]
     rows: list[dict[str, Any]] = []
     with client.websocket_connect(SOCKET, ["heliograph"]) as socket:
@@ -98,7 +98,7 @@ def test_a_camera_is_read_as_it_films(client: TestClient, monkeypatch: pytest.Mo
 
 
 def opened_again(client: TestClient, row: dict[str, Any], path: Path) -> tuple[SignalSettings, int]:
-    """The signal and the number of frames of a film that was saved; a page's name for it stands in the row."""
+    """Download a saved film by the name in the row; return signal settings and frame count."""
     answer = client.get(f"/api/bundles/{row['bundle']}")
     assert len(answer.content) == row["bytes"]
     path.write_bytes(answer.content)

@@ -102,7 +102,7 @@ def test_an_upload_is_kept_under_a_name_of_the_servers_own(client: TestClient) -
         assert path.parent == uploads.folder()
         assert path.read_bytes() == b"film"
         client.delete(f"/api/films/{name}")
-        assert path.exists()  # somebody reads it
+        assert path.exists()  # still in use by a reader
     client.delete(f"/api/films/{name}")
     assert not path.exists()
 

@@ -22,7 +22,7 @@ from heliograph.web.serve import Address, configured, opened
 
 @contextlib.contextmanager
 def serving(limits: Limits) -> Iterator[int]:
-    """A server in a thread; its port."""
+    """Run a server in a thread; yield the port."""
     address = Address(port=0)
     server = uvicorn.Server(configured(create_app(limits=limits), address, limits))
     with opened(address) as waiting:
@@ -118,7 +118,7 @@ def test_clients_that_ask_for_nothing_take_nobodys_place() -> None:
     limits = Limits(idle_s=0.5, connections=4)
     with serving(limits) as port, contextlib.ExitStack() as stack:
         held = [stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(6)]
-        held[0].sendall(b"GET /watch HTTP/1.1\r\nHost: 127.0.0.1")  # and never the rest
+        held[0].sendall(b"GET /watch HTTP/1.1\r\nHost: 127.0.0.1")  # an incomplete request
         for one in held:
             one.settimeout(HANG_S)
             while one.recv(1 << 16):

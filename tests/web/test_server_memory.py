@@ -1,4 +1,4 @@
-"""A server keeps nothing of receptions that have ended."""
+"""Ended receptions leave no objects in the server."""
 
 import gc
 import json
@@ -58,14 +58,14 @@ def watch(client: TestClient, receiver: str = "plain", until: str = "end") -> st
 
 
 def live_objects() -> Counter[str]:
-    """Numbers of the objects of this package that are alive, by type."""
+    """Count live objects from this package, by type."""
     gc.collect()
     names = (f"{type(one).__module__}.{type(one).__qualname__}" for one in gc.get_objects())
     return Counter(name for name in names if name.startswith("heliograph"))
 
 
 def leaked(before: Counter[str]) -> dict[str, int]:
-    """Types of which every reception has kept an object; an idle thread may hold those of its last call."""
+    """Return types with an extra object per reception; an idle thread may hold objects from its last call."""
     return {name: more for name, count in live_objects().items() if (more := count - before[name]) >= RECEPTIONS}
 
 
@@ -82,7 +82,7 @@ def test_no_object_of_an_ended_reception_is_kept(client: TestClient, film: Path,
     for _ in range(RECEPTIONS):
         run()
     deadline = time.monotonic() + 60
-    while (grown := leaked(before)) and time.monotonic() < deadline:  # threads of the last reception still end
+    while (grown := leaked(before)) and time.monotonic() < deadline:  # wait for ending threads
         time.sleep(0.1)
     assert not grown
 

@@ -9,7 +9,7 @@ from heliograph.web.told import MOST_WAITING, GoneError, Told
 
 
 class Page:
-    """A page that takes nothing until it is let."""
+    """Page that blocks until released."""
 
     def __init__(self) -> None:
         self.rows: list[Any] = []
@@ -32,7 +32,7 @@ def test_a_slow_page_holds_up_its_own_worker_alone_and_loses_nothing() -> None:
 
         worker, forward = threading.Thread(target=work), asyncio.ensure_future(rows.forward())
         worker.start()
-        await asyncio.sleep(0.3)  # the loop is free meanwhile
+        await asyncio.sleep(0.3)  # the event loop stays responsive
         held = sent[0]
         page.may.set()
         await asyncio.to_thread(worker.join)

@@ -45,7 +45,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def dark(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two packets of which the second is covered half-way."""
+    """Create a film with two packets; strong noise hides most of the second."""
     path = tmp_path_factory.mktemp("films") / "half.h5"
     settings = load_settings("static", None, SMALL)
     whole = path.with_name("whole.h5")
@@ -77,7 +77,7 @@ def parted(data: bytes) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
 
 
 class Watched:
-    """All that a page gets until an event."""
+    """Collect all messages to a page until an event."""
 
     def __init__(self, socket: Any, until: str = "end", took: bool = True):
         self.rows: list[dict[str, Any]] = []
@@ -101,7 +101,7 @@ class Watched:
 
 
 def until_closed(socket: Any) -> tuple[list[str], int]:
-    """The texts that come until the server lets the page go, and the code with which it does."""
+    """Return texts until the server closes the connection, and the close code."""
     texts = []
     while (message := socket.receive())["type"] != "websocket.close":
         texts += [message["text"]] if "text" in message else []
@@ -173,7 +173,7 @@ def test_a_packets_light_is_shown_as_received_equalised_and_decided(client: Test
     pictures = {name: np.frombuffer(b64decode(light[name]["data"]), np.uint8) for name in ("equalised", "decided")}
     assert light["received"]["rows"] == light["received"]["columns"] == 72
     assert set(pictures["decided"]) <= {0, 63, 127, 191, 255}
-    # what is decided is what was received, less noise and blur
+    # the decided levels equal the received levels except for noise and blur
     assert np.corrcoef(pictures["equalised"], pictures["decided"])[0, 1] > 0.85
     received = np.frombuffer(b64decode(light["received"]["data"]), np.uint8).reshape(72, 72)
     places = np.round((np.arange(16) - 7.5) * 72 / (1.3 * 16) + 35.5).astype(int)
@@ -213,7 +213,7 @@ def test_what_failed_is_saved_and_opens_again(client: TestClient, tmp_path: Path
     assert frames[-1] >= failed["last_frame"]
     with TestClient(create_app(films=[str(again)]), base_url=OWN) as other:
         assert failed["time_s"] in [one["time_s"] for one in watch(other, kind="named").of("packet")]
-    assert client.get(f"/api/bundles/{saved['bundle']}").status_code == 404  # its page has gone
+    assert client.get(f"/api/bundles/{saved['bundle']}").status_code == 404  # the page is closed
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""What page *Watch* draws of the receiver "screen": boxes, cut-outs and a packet's light."""
+"""Drawings on page *Watch* for the receiver "screen": boxes, cut-outs, packet light."""
 
 from base64 import b64decode
 from typing import Any

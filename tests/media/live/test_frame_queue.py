@@ -1,4 +1,4 @@
-"""The queue between a camera and its receiver."""
+"""Queue between camera and receiver."""
 
 import itertools
 import threading
@@ -32,13 +32,13 @@ def test_a_full_queue_drops_in_one_run_until_half_of_it_is_taken() -> None:
     kept: list[int] = []
     for index in range(60):
         queue.put(frame(index))
-        if index % 2 and (one := queue.get(0)):  # the receiver takes every second frame's time
+        if index % 2 and (one := queue.get(0)):  # the receiver takes two frame periods per frame
             kept.append(one.index)
     kept += [one.index for one in iter(lambda: queue.get(0), None)]
     assert len(kept) + queue.dropped == 60
     gaps = [(one, other) for one, other in itertools.pairwise(kept) if other != one + 1]
     assert queue.dropped > 10
-    # one gap for each time that half of the queue was taken, not one for each frame
+    # a full queue drops half of its frames at once, not single frames
     assert len(gaps) <= queue.dropped // 4
 
 

@@ -1,4 +1,4 @@
-"""GenICam cameras: the test producer that the package genicam carries, through harvesters."""
+"""GenICam cameras through harvesters, with the test producer from the genicam package."""
 
 import itertools
 from pathlib import Path
@@ -18,7 +18,7 @@ MONO: dict[str, Any] = {"pixel_format": "Mono8", "region": "0,0,128,112", "rate_
 
 @pytest.fixture(scope="module")
 def producer() -> str:
-    """The file of the producer "viky", whose cameras show bouncing balls."""
+    """Return the path of the producer "viky", which simulates bouncing balls."""
     pytest.importorskip("harvesters", reason="GenICam cameras need 'pip install harvesters'")
     file = Path(pytest.importorskip("genicam").__file__).parent / "viky.cti"
     if not file.is_file():
@@ -55,7 +55,7 @@ def test_frames_are_numbered_without_a_gap(producer: str) -> None:
     assert all(one.time_s < other.time_s for one, other in itertools.pairwise(frames))
     assert all(frame.pixels.shape == (112, 128) and frame.pixels.dtype == np.uint8 for frame in frames)
     assert len({frame.pixels.tobytes() for frame in frames}) > 1, "the balls do not move: frames share their memory"
-    # this producer has no stamps
+    # this producer has no timestamps
     assert counts.host_clock
 
 

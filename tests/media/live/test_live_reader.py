@@ -1,4 +1,4 @@
-"""A live camera as a film: loss, reconnection, bounded waits, its end."""
+"""Live cameras as films: loss, reconnection, bounded waits, end."""
 
 import itertools
 import threading
@@ -29,7 +29,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(PlayedCamera, "unplugged", 0)
     monkeypatch.setattr(PlayedCamera, "pulled", None)
     monkeypatch.setattr(grabber, "WAITS_S", (0.02, 0.03))
-    # `--load` of a command in this process may have registered another copy of its class
+    # `--load` in this process may have registered another copy of the class
     register_camera("played", PlayedCamera, find)
     yield
     assert not [thread for thread in threading.enumerate() if thread.name == "camera"]
@@ -37,7 +37,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def film(tmp_path: Path) -> Path:
-    """A film of which each frame is told by its levels."""
+    """Write a film with the frame number as gray level."""
     path = tmp_path / "a.h5"
     with create_film(path, width=12, height=8, rate_hz=100) as made:
         for number in range(FRAMES):
@@ -52,7 +52,7 @@ def live(film: Path, **asked: Any) -> LiveReader:
 
 
 def told(film: Path, **asked: Any) -> tuple[list[Frame], list[str], LiveReader]:
-    """Frames of the camera, what it said meanwhile, and the reader."""
+    """Return frames, camera messages and reader."""
     said: list[str] = []
     with live(film, **asked) as reader:
         reader.say = said.append
@@ -102,7 +102,7 @@ def test_without_stamps_times_are_the_hosts_and_it_says_so(film: Path) -> None:
 @pytest.mark.parametrize("back", [0, 1])
 def test_a_camera_comes_back_after_its_cable_was_pulled(film: Path, back: int) -> None:
     frames, said, reader = told(film, Unplugged=25, Back=back)
-    # it begins anew: the film is played from its start
+    # the film restarts at the reconnection
     assert [int(frame.pixels[0, 0]) for frame in frames] == [*range(25), *range(FRAMES)]
     pairs = list(itertools.pairwise(frames))
     assert all(one.index < other.index and one.time_s < other.time_s for one, other in pairs)
@@ -143,13 +143,13 @@ def test_it_ends_after_its_duration(film: Path) -> None:
     began = time.monotonic()
     frames, _, _ = told(film, Speed=100, Times=0, duration_s=0.4)
     assert time.monotonic() - began > 0.3
-    assert frames  # without the duration the film has no end
+    assert frames  # the film is endless without a duration
 
 
 def test_it_ends_when_it_is_stopped(film: Path) -> None:
     with live(film, Speed=100, Times=0) as reader:
         threading.Timer(0.3, reader.stop).start()
-        assert list(reader)  # without it the film has no end
+        assert list(reader)  # the film is endless without a duration
 
 
 def test_it_can_be_left_at_any_frame_and_taken_again(film: Path) -> None:
@@ -172,7 +172,7 @@ def test_it_is_cropped_and_turned_like_a_film(film: Path) -> None:
 
 
 class Odd:
-    """A camera that does what it is told at one point."""
+    """Camera with a single fault, selected by address."""
 
     def __init__(self, address: str):
         self.closed = 0
@@ -305,7 +305,7 @@ def test_names_of_cameras(film: Path) -> None:
 
 
 class RefilledCamera(PlayedCamera):
-    """Fills one array again for each of its pictures."""
+    """Camera that reuses a buffer for all pictures."""
 
     def frames(self, wait_s: float) -> list[Picture] | None:  # noqa: ARG002 - the protocol's
         if self._next >= FRAMES:

@@ -1,4 +1,4 @@
-"""Numbers and times of a live camera's frames: what was lost, by its numbers and by its stamps."""
+"""Frame numbers and times of a live camera; loss detection by number and by timestamp."""
 
 import itertools
 
@@ -7,11 +7,11 @@ import pytest
 from heliograph.media.live.numbering import LARGEST_SHORT, Numbering, Place
 
 MS = 1_000_000
-"""Nanoseconds of a millisecond."""
+"""Nanoseconds per millisecond."""
 
 
 def placed(numbering: Numbering, *frames: tuple[int | None, int | None, int]) -> list[tuple[int, float] | None]:
-    """Places of frames given as their number, and their stamp and arrival in ms."""
+    """Place frames given as number, timestamp in ms and arrival in ms."""
     found: list[Place | None] = [
         numbering.place(number, None if stamp is None else stamp * MS, host * MS) for number, stamp, host in frames
     ]
@@ -92,7 +92,7 @@ def test_frames_without_stamps_have_the_hosts_time() -> None:
 
 def test_the_frame_period_is_that_of_the_stamps_not_of_the_cameras_word() -> None:
     numbering = Numbering(1000, even=True)
-    # asked for 1000 frames/s, it takes 487: no frame is missing
+    # at a requested 1000 frames/s the camera delivers 487, with no frame missing
     places = [numbering.place(k, 2_053_000 * k, 2_053_000 * k) for k in range(60)]
     assert [place and place.index for place in places] == list(range(60))
     assert numbering.period_s == pytest.approx(0.002053)
@@ -123,7 +123,7 @@ def test_a_clock_that_is_set_is_followed_by_the_hosts(to: int) -> None:
 
 def test_a_busy_host_is_no_jump_of_the_cameras_clock() -> None:
     numbering = Numbering(100, even=True)
-    # the frames of three seconds come at once
+    # three seconds of frames arrive at once
     frames = [(k + 1, 10 * k, 10 * k if k < 20 or k > 320 else 3200) for k in range(400)]
     places = placed(numbering, *frames)
     assert [place and place[1] for place in places] == pytest.approx([0.01 * k for k in range(400)])

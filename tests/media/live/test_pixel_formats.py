@@ -1,4 +1,4 @@
-"""Pixels as cameras send them, held against a plain packing bit by bit."""
+"""Camera pixel formats, compared with a bitwise packing."""
 
 import numpy as np
 import pytest
@@ -13,13 +13,13 @@ def levels(rows: int, columns: int, bits: int) -> NDArray[np.uint16]:
 
 
 def bit_stream(numbers: NDArray[np.uint16], bits: int) -> NDArray[np.uint8]:
-    """PFNC's "p": the lower bits of each level first, from the lower bits of each byte up."""
+    """PFNC "p": levels packed least significant bit first."""
     places = np.arange(bits)
     return np.packbits((numbers.reshape(-1, 1) >> places & 1).astype(np.uint8).ravel(), bitorder="little")
 
 
 def pairs(numbers: NDArray[np.uint16], bits: int) -> NDArray[np.uint8]:
-    """GigE Vision 1's "Packed": the upper byte of both, their lower bits between."""
+    """GigE Vision 1 "Packed": the upper bytes of two levels enclose a byte with both lower parts."""
     out: list[int] = []
     flat = [int(number) for number in numbers.ravel()] + [0] * (numbers.size % 2)
     low = bits - 8

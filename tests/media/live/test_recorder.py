@@ -1,4 +1,4 @@
-"""The last seconds of a camera, kept where something failed."""
+"""Record the last seconds before a failure."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from heliograph.media.live.recorder import Recorder
 
 @pytest.fixture
 def source(tmp_path: Path) -> FilmReader:
-    """What is recorded: its form counts."""
+    """Return a film reader; only the frame size and format matter."""
     with create_film(tmp_path / "source.h5", width=8, height=4, rate_hz=100, bits=12) as film:
         film.write(frame(0))
     return open_film(tmp_path / "source.h5")
@@ -49,7 +49,7 @@ def test_the_last_seconds_before_a_failure_are_kept(tmp_path: Path, source: Film
         if number == at:
             recorder.failed()
     recorder.close()
-    # a frame may pass before the film is begun
+    # another frame may arrive before the recording starts
     assert kept(tmp_path / "kept.h5") == list(range(min(at + 1, 99) - 20, min(at + 1, 99) + 1))
     assert recorder.written == 21
 
@@ -61,7 +61,7 @@ def test_failures_soon_after_another_are_in_the_next_film(tmp_path: Path, source
         if number in (50, 53, 60):
             recorder.failed()
     recorder.close()
-    # the first film ends with frame 51; the next one begins after it
+    # the first film ends with frame 51, the next film begins after it
     assert kept(tmp_path / "kept.h5") == list(range(51, 72))
 
 

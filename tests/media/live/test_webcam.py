@@ -1,4 +1,4 @@
-"""Webcams through PyAV. There is no webcam here: FFmpeg's own device of drawn pictures stands in its place."""
+"""Webcams through PyAV, replaced by FFmpeg's synthetic "lavfi" device."""
 
 import time
 from fractions import Fraction
@@ -20,14 +20,14 @@ from heliograph.media.live.webcam import Webcam
 
 
 class Drawn(Webcam):
-    """FFmpeg's device "lavfi": a chain of filters that gives pictures as a webcam does, in real time."""
+    """FFmpeg "lavfi" filter chain that delivers pictures in real time."""
 
     device = "lavfi"
 
 
 register_camera("drawn", Drawn)
 RAMP = "nullsrc=size=64x48:rate={rate},geq=lum='mod(4*N,256)':cb=128:cr=128,format=gray{end}"
-"""Pictures whose level is four times their number."""
+"""Picture k has level 4 k (modulo 256)."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -69,7 +69,7 @@ def test_waits_are_bounded_and_it_ends_when_it_is_left() -> None:
     assert camera.frames(HANG_S)
     asked = time.monotonic()
     assert camera.frames(0.05) == []
-    assert time.monotonic() - asked < 3  # the second picture comes after 4 s
+    assert time.monotonic() - asked < 3  # the second picture arrives after 4 s
     camera.close()
 
 
