@@ -78,7 +78,6 @@ def call(package: Path, **changes: str) -> list[str]:
 def test_a_change_in_another_file_compiles_again(package: Path) -> None:
     """Change a function and a constant, but keep file date and size."""
     assert call(package) == ["9.0", "0", "True"]
-    assert call(package) == ["9.0", "1", "True"]
     write_helper(package, 3, 2)
     assert call(package) == ["12.0", "0", "True"]
     write_helper(package, 4, 2)
@@ -108,7 +107,7 @@ def test_numba_cache_dir_is_used_and_old_folders_are_removed(package: Path, tmp_
         for path in cache.glob(f"*/*/loops.total*.{ending}"):
             path.write_bytes(path.read_bytes()[:100])
         assert call(package, NUMBA_CACHE_DIR=str(cache)) == ["9.0", "0", "True"]
-        assert call(package, NUMBA_CACHE_DIR=str(cache)) == ["9.0", "1", "True"]
+    assert call(package, NUMBA_CACHE_DIR=str(cache)) == ["9.0", "1", "True"]
 
 
 @pytest.mark.slow

@@ -78,11 +78,6 @@ def runs(pid: int) -> bool:
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to find worker processes")
 
 
-def test_two_workers_give_the_same(reference: Any) -> None:
-    done = subprocess.run(command("--workers", "2"), capture_output=True, text=True, check=True, timeout=HANG_S)
-    assert json.loads(done.stdout) == reference
-
-
 def test_points_stop_where_they_should(reference: Any) -> None:
     assert [p["settings"]["channel.distance_m"] for p in reference] == [60, 70]
     for point in reference:

@@ -19,7 +19,7 @@ from heliograph.web.app import create_app
 
 OWN = "http://127.0.0.1:8000"
 RECEIVE, WATCH = "ws://127.0.0.1:8000/api/receive", "ws://127.0.0.1:8000/api/watch"
-RECEPTIONS = 10
+RECEPTIONS = 5
 
 
 @pytest.fixture(scope="module")
