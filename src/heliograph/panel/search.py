@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError
 from heliograph.panel.lattice import REACH, Shape, mask_of, plane
-from heliograph.panel.phase import TUNING, Agreement, GridView, refine
+from heliograph.panel.phase import TUNING, GridView, refine
 from heliograph.panel.place import (
     UNIT,
     Levels,
@@ -209,8 +209,6 @@ class Candidate(NamedTuple):
 
     # (4, 2) corners in px of the picture
     corners: Floats
-    # Agreement of the picture with the grid
-    agreement: Agreement
     # Probability of a correct position, 0 to 1
     score: float
 
@@ -333,7 +331,7 @@ def settle(
         moves.append(int(steps[best]))
         odds = float(evidence[best] - max(others)) - SEARCH.shift[2] * abs(rise)
         score *= _probability(SEARCH.shift[0] + odds)
-    return Candidate(views[0].shifted(*moves) if any(moves) else corners, lit, score)
+    return Candidate(views[0].shifted(*moves) if any(moves) else corners, score)
 
 
 def search_near(image: Levels, starts: Sequence[Floats], shape: Shape) -> Candidate:

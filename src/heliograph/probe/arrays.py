@@ -79,7 +79,7 @@ class Setup:
         receive = merge(to_mapping(self.settings), changes.get("receive", {}))
         # settings of other receivers have no effect, and are an error
         name = receive["receiver"]
-        for section in {"plain", "soft", "own"} - {name if name in ("plain", "soft") else "own"}:
+        for section in {"plain", "soft", "custom"} - {name if name in ("plain", "soft") else "custom"}:
             receive.pop(section, None)
         if name == "plain":
             receive["calibration"].pop("exposure_s", None)

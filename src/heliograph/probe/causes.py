@@ -281,13 +281,11 @@ class RegionMeasures:
         header = self.report.clear_header
         return header.fit.gain / self.full_scale if header else self.region.contrast
 
-    @property
-    def is_saturated(self) -> bool:
-        """True if levels are lost; on-off light has half of the LEDs at the highest level."""
-        return self.region.saturated > (SATURATED if self.setup.signal.modulation == "haar" else 2 * SATURATED)
-
+    # on-off light has half of the LEDs at the highest level
+    max_saturated = property(lambda self: SATURATED * (1 if self.setup.signal.modulation == "haar" else 2))
     # motion blur of a header, which lasts four frames, makes detection unreliable
     is_fast = property(lambda self: self.region.speed_px > 0.5)
+    has_other_rate = property(lambda self: self.duration and abs(self.duration / self.expected - 1) > STEP_TOLERANCE)
 
     @property
     def is_oblong(self) -> bool:
@@ -295,15 +293,8 @@ class RegionMeasures:
         low, high = sorted((self.region.width, self.region.height))
         return high / max(low, 1.0) > 1.35 and not self.region.at_border and not self.is_fast
 
-    @property
-    def is_part(self) -> bool:
-        """True for a part of an array of sufficient size."""
-        return self.is_oblong and max(self.region.width, self.region.height) >= self.smallest
-
-    @property
-    def has_other_rate(self) -> bool:
-        """True if a pattern lasts another number of frames than stamps and settings say."""
-        return self.duration is not None and abs(self.duration / self.expected - 1) > STEP_TOLERANCE
+    # a part of an array of sufficient size
+    is_part = property(lambda self: self.is_oblong and max(self.region.width, self.region.height) >= self.smallest)
 
     @property
     def view(self) -> str:
@@ -316,16 +307,10 @@ class RegionMeasures:
         """Corners of the remedy."""
         return ",".join(f"{n:g}" for n in self.new["corners"]) + (", without --region" if self.detect.region else "")
 
-    @property
-    def max_side_px(self) -> float:
-        """Maximum side for the region."""
-        return float(self.new.get("max_side_px") or min(16 * np.ceil(self.size_px / SLACK / 16), 4096))
-
-    @property
-    def min_contrast(self) -> float:
-        """Minimum contrast for the region."""
-        return float(self.new.get("min_contrast") or f"{SLACK * self.gain:.1g}")
-
+    # settings for the size and light of the region
+    wanted_px = property(lambda self: min(16 * np.ceil(self.size_px / SLACK / 16), 4096))
+    max_side_px = property(lambda self: self.new.get("max_side_px", self.wanted_px))
+    min_contrast = property(lambda self: self.new.get("min_contrast", float(f"{SLACK * self.gain:.1g}")))
     # frame rate for a pattern as long as in the settings, and duration of a pattern for the frame rate of the stamps
     camera_hz = property(lambda self: _rounded(self.duration / self.setup.signal.pattern_period_s))
     period_s = property(lambda self: _rounded(self.duration / self.setup.rate_hz))
@@ -384,7 +369,7 @@ OUT_OF_FOCUS = (
 )
 BY_SOFT = "read it by --receiver soft"
 OVEREXPOSED: Rule[RegionMeasures] = Rule(
-    "saturated", lambda m: m.is_saturated,
+    "saturated", lambda m: m.region.saturated > m.max_saturated,
     "it is overexposed: {m.saturated:.0f} % of the pixels are at full scale or at one highest level: levels are lost",
     "expose shorter, lower the gain, or close the lens, until LEDs stay below full scale",
 )  # fmt: skip

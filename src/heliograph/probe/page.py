@@ -11,18 +11,15 @@ from numpy.typing import NDArray
 
 from heliograph.base.files import shown_name
 from heliograph.base.frames import Frame
-from heliograph.base.words import counted
 from heliograph.experiments.plots import BLUE, DARK_GRAY, GRAY, GREEN, ORANGE, RED, tidy
 from heliograph.experiments.report import Report
 from heliograph.probe.activity import Stretch
 from heliograph.probe.causes import RegionReport
 from heliograph.probe.film import Findings
 from heliograph.probe.noise import NoiseEstimate
-from heliograph.probe.regions import Region
-from heliograph.probe.words import array_lines, cause_words, film_words, lines, noise_words, place, would_be_lines
-from heliograph.receive.detect.alternation import ALTERNATION
+from heliograph.probe.regions import alternation
+from heliograph.probe.words import cause_words, lines, noise_words, place, would_be_lines
 from heliograph.receive.geometry.window import Window, cut_out
-from heliograph.signal.settings import LAYERS
 
 WIDTH_INCHES = 11.0
 
@@ -34,11 +31,6 @@ def _colour(report: RegionReport) -> str:
     if report.remedy is not None:
         return ORANGE
     return RED if report.like_array else GRAY
-
-
-def _alternation(frames: Sequence[Frame], k: int, window: Window) -> NDArray[np.float64]:
-    four = zip(ALTERNATION, frames[k : k + 4], strict=True)
-    return np.asarray(sum(weight * cut_out(frame, window) for weight, frame in four))
 
 
 def frame_picture(stretch: Stretch, reports: Sequence[RegionReport]) -> Figure:
@@ -53,9 +45,7 @@ def frame_picture(stretch: Stretch, reports: Sequence[RegionReport]) -> Figure:
     axes.imshow(frame.pixels[::step, ::step], cmap="gray", vmin=0, vmax=_white(frame), extent=extent)
     for number, report in enumerate(reports, 1):
         _mark(axes, report, number, len(stretch.frames), (left, top, cols, rows))
-    axes.set(
-        xlim=extent[:2], ylim=extent[2:], xlabel="x (px)", ylabel="y (px)",
-    )  # fmt: skip
+    axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="x (px)", ylabel="y (px)")
     axes.set_title(f"frame {frame.index}", fontsize=10)
     figure.tight_layout()
     return figure
@@ -88,10 +78,12 @@ def region_picture(stretch: Stretch, report: RegionReport) -> Figure:
     count = len(frames)
     # the four frames with the most alternation
     starts = range(0, count - 3, max(1, count // 128))
-    k = max(starts, key=lambda k: float(np.square(_alternation(frames, k, region.box_at(k + 1.5, count))).mean()))
-    window = _surroundings(region, k + 1.5, count, frames[0])
+    k = max(
+        starts, key=lambda k: float(np.square(alternation(frames[k : k + 4], region.box_at(k + 1.5, count))).mean())
+    )
+    window = region.box_at(k + 1.5, count, max(1.8, 24 / region.side))
     first, second = (cut_out(frame, window) for frame in frames[k : k + 2])
-    change = _alternation(frames, k, window)
+    change = alternation(frames[k : k + 4], window)
     figure = Figure(figsize=(WIDTH_INCHES, 4.6))
     grid = figure.add_gridspec(2, 4, height_ratios=(1.5, 1))
     white, swing = _white(frames[k], float(max(first.max(), second.max()))), float(np.abs(change).max())
@@ -142,16 +134,6 @@ def noise_picture(noise: NoiseEstimate) -> Figure:
     return figure
 
 
-def _surroundings(region: Region, number: float, frames: int, frame: Frame) -> Window:
-    """Return a window around a region, no larger than the frame."""
-    centre, wanted = region.centre_at(number, frames), (region.width, region.height)
-    corner, size = [], []
-    for at, length, first, limit in zip(centre, wanted, frame.origin, frame.pixels.shape[::-1], strict=True):
-        size.append(int(min(max(round(1.8 * length), 24), limit)))
-        corner.append(int(np.clip(round(at - 0.5 * (size[-1] - 1)), first, first + limit - size[-1])))
-    return corner[0], corner[1], size[0], size[1]
-
-
 def _white(frame: Frame, brightest: float | None = None) -> float:
     """Return the gray level of white: dark films are brightened."""
     limit = float(np.quantile(frame.pixels, 0.999)) if brightest is None else brightest
@@ -166,24 +148,16 @@ def write_page(path: Path, found: Findings) -> None:
         page.heading("What to change")
         page.table(["advice"], [[line] for line in found.advice], prose=True)
     page.heading("The film")
-    size = f"{counted(found.times.count, 'frame')} of {found.width} x {found.height} px, {found.bits} bits"
-    rows = [["frames", size], *map(list, film_words(found).items())]
-    rows += [["trouble", cause_words(cause)] for cause in found.causes]
-    rows += [["receiver", found.error]] if found.error else []
-    page.table(["", "found"], rows, prose=True)
+    page.code("\n".join(lines(found)))
     if found.stretch is not None:
         page.heading("Where something blinks")
         if found.regions:
             _write_regions(page, found.stretch, found.regions)
         else:
             page.figure(frame_picture(found.stretch, ()), "A frame of the film; no region blinks.")
-    if found.arrays:
-        _write_arrays(page, found)
     if found.noise.points:
         page.heading("Noise")
         page.figure(noise_picture(found.noise), f"Noise by photon transfer: {noise_words(found.noise)}.")
-    page.heading("As text")
-    page.code("\n".join(lines(found)))
     page.write(path)
 
 
@@ -220,19 +194,3 @@ def _row(number: int, report: RegionReport) -> list[str]:
         f"{region.speed_px:.2f}", f"{region.contrast:.3f}", f"{report.rate.frames:.2f}" if report.rate else "-",
         "-" if scored is None else f"{scored.score:.2f}",
     ]  # fmt: skip
-
-
-def _write_arrays(page: Report, found: Findings) -> None:
-    page.heading("Arrays read")
-    for array in found.arrays:
-        head, *rest = array_lines(array)
-        page.text(f"{head[0].upper()}{head[1:]}.")
-        page.table(["", "found"], [["", line.strip()] for line in rest if "expected" not in line], prose=True)
-        if array.reach:
-            rows = [[reach.receiver, *(_metres(reach.distance_m[name]) for name in LAYERS)] for reach in array.reach]
-            page.table(["receiver", *(f"{name} layer to" for name in LAYERS)], rows)
-            page.text("Distances are an estimate by the light, noise and blur of the array in this film.", note=True)
-
-
-def _metres(distance_m: float) -> str:
-    return f"{distance_m:.0f} m" if 0 < distance_m < float("inf") else ("any distance" if distance_m else "none")

@@ -209,7 +209,7 @@ def _resize(rough: Region, frames: Sequence[Frame], noise: float) -> Region:
     for k in _spread(count - 3, 4 * width * height // step**2):
         x, y = rough.centre_at(k + 1.5, count)
         window = round(x - 0.5 * (width - 1)), round(y - 0.5 * (height - 1)), width, height
-        changes.append(_alternation(frames[k : k + 4], window, step))
+        changes.append(alternation(frames[k : k + 4], window, step))
     power = np.maximum(np.mean(np.square(changes), axis=0) - (20**0.5 / 4 * noise) ** 2, 0.0)
     smooth = cv2.GaussianBlur(power, (0, 0), max(0.7, 0.04 * rough.side / step))
     peak = float(smooth.max())
@@ -267,7 +267,7 @@ def subsample(frame: Frame, window: Window, step: int) -> Floats:
     return frame.pixels[np.ix_(rows, columns)].astype(np.float64)
 
 
-def _alternation(frames: Sequence[Frame], window: Window, step: int) -> Floats:
+def alternation(frames: Sequence[Frame], window: Window, step: int = 1) -> Floats:
     """Compute the alternation of four frames in a window in gray levels, 0 beyond the frame."""
     weighted = (weight * subsample(frame, window, step) for weight, frame in zip(ALTERNATION, frames, strict=True))
     change = np.asarray(sum(weighted))

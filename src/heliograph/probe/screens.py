@@ -249,15 +249,9 @@ class ScreenMeasures:
         gain = header.fit.gain / self.full_scale if header is not None and self.is_reliable else 0.0
         return max(gain, self.report.region.contrast)
 
-    @property
-    def is_bright(self) -> bool:
-        """True if the ground is bright."""
-        return float(np.mean(self.report.region.brightness)) / self.full_scale > TUNING.glare
-
-    @property
-    def moves(self) -> bool:
-        """True if the changing area is larger than the array, due to motion of the hand."""
-        return self.is_reliable and self.side_px < TUNING.motion * self.area_px
+    is_bright = property(lambda self: np.mean(self.report.region.brightness) / self.full_scale > TUNING.glare)
+    # the changing area is larger than the array due to motion of the hand
+    moves = property(lambda self: self.is_reliable and self.side_px < TUNING.motion * self.area_px)
 
     @property
     def is_cut(self) -> bool:

@@ -28,7 +28,7 @@ def lines(found: Findings) -> Iterator[str]:
     """Yield the complete diagnosis line by line."""
     size = f"{found.width}x{found.height} px, {found.bits} bits"
     yield f"{printable(found.path)}: {counted(found.times.count, 'frame')} of {size}"
-    yield from (f"{name}: {text}" for name, text in film_words(found).items())
+    yield from _film_lines(found)
     for array in found.arrays:
         yield from array_lines(array)
     for number, report in enumerate(found.regions, 1):
@@ -64,7 +64,7 @@ def in_sentences(found: Findings) -> Iterator[str]:
         yield f"{cause.kind.capitalize()}: {cause.why}. {remedies}".rstrip()
 
 
-def film_words(found: Findings) -> dict[str, str]:
+def _film_lines(found: Findings) -> Iterator[str]:
     """Describe time stamps, light, levels and noise of a film."""
     times, levels, rate, setup = found.times, found.levels, found.rate, found.setup
     claimed = "" if abs(times.claimed_hz / times.rate_hz - 1) < 1e-3 else f" ({times.claimed_hz:.6g} claimed)"
@@ -72,22 +72,22 @@ def film_words(found: Findings) -> dict[str, str]:
     jitter = f"jitter {1e6 * times.jitter_s:.1f} us" if times.jitter_s >= 5e-8 else "no jitter"
     lost = f"{times.lost} lost at {counted(times.gaps, 'place')}" if times.lost else "none lost"
     repeated = f"{times.repeated or 'none'} repeated"
-    light = "not measured, as an array is read" if found.read else "no patterns with their inverses are visible"
+    yield f"stamps: {times.rate_hz:.6g} frames a second{claimed}{every}, {jitter}, {lost}, {repeated}"
     if rate is not None:
         period_s = setup.signal.pattern_period_s
         camera_hz = float(f"{rate.frames / period_s:.3g}")
-        light = (
-            f"a pattern lasts {rate.frames:.2f} frames, {setup.frames_a_pattern:.2f} by stamps and settings; if it "
-            f"lasts {1e3 * period_s:.3g} ms, the camera takes about {camera_hz:g} frames a second"
+        yield (
+            f"light: a pattern lasts {rate.frames:.2f} frames, {setup.frames_a_pattern:.2f} by stamps and settings; if "
+            f"it lasts {1e3 * period_s:.3g} ms, the camera takes about {camera_hz:g} frames a second"
         )
+    else:
+        unknown = "not measured, as an array is read" if found.read else "no patterns with their inverses are visible"
+        yield f"light: {unknown}"
     parts = [f"{level:.0f} ({'median' if p == 50 else f'{p} %'})" for p, level in levels.percentiles.items()]
     clipped = f"{100 * levels.at_full_scale:.3g} % of the pixels" if levels.at_full_scale else "none"
-    return {
-        "stamps": f"{times.rate_hz:.6g} frames a second{claimed}{every}, {jitter}, {lost}, {repeated}",
-        "light": light,
-        "levels": f"{', '.join(parts)}, {levels.brightest} at most, of {levels.full_scale}; {clipped} at full scale",
-        "noise": noise_words(found.noise),
-    }
+    highest = f"{levels.brightest} at most, of {levels.full_scale}"
+    yield f"levels: {', '.join(parts)}, {highest}; {clipped} at full scale"
+    yield f"noise: {noise_words(found.noise)}"
 
 
 def place(report: RegionReport) -> str:
@@ -170,7 +170,7 @@ def clock_words(clock: Clock) -> str:
 
 def reach_words(reach: Reach) -> str:
     """Describe the reach of each layer."""
-    return ", ".join(f"{layer} {_distance(distance)}" for layer, distance in reach.distance_m.items())
+    return ", ".join(f"{layer} {_distance(distance_m)}" for layer, distance_m in reach.distance_m.items())
 
 
 def _distance(distance_m: float) -> str:
