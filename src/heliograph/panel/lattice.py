@@ -9,16 +9,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError
-from heliograph.panel.place import (
-    Levels,
-    corner_jacobian,
-    grid,
-    grow,
-    homographies,
-    is_possible,
-    pitches,
-    transform,
-)
+from heliograph.panel.place import Levels, corner_jacobian, grid, grow, homographies, is_possible, pitches, transform
 
 PIXEL_VARIANCE_PX2 = 1 / 12
 """Variance of uniform light over a pixel in squared px."""

@@ -12,17 +12,7 @@ from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError
 from heliograph.panel.lattice import REACH, Shape, mask_of, plane
 from heliograph.panel.phase import TUNING, GridView, refine
-from heliograph.panel.place import (
-    UNIT,
-    Levels,
-    area,
-    corner_jacobian,
-    grid,
-    grow,
-    homographies,
-    pitches,
-    transform,
-)
+from heliograph.panel.place import UNIT, Levels, area, corner_jacobian, grid, grow, homographies, pitches, transform
 
 Region = tuple[int, int, int, int]
 """Corner (x, y), columns and rows in px."""

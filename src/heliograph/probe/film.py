@@ -133,13 +133,8 @@ class Findings:
         """Distinct remedies, the most important first."""
         causes = [*(cause for report in self.regions for cause in report.causes), *self.causes]
         # proven remedies first, regions that may be no arrays last
-        causes.sort(
-            key=lambda cause: (
-                not cause.proven,
-                cause.kind not in ("other settings", "short"),
-                cause.kind in ("lamp", "moves", "no header"),
-            )
-        )
+        early, late = ("other settings", "short"), ("lamp", "moves", "no header")
+        causes.sort(key=lambda cause: (not cause.proven, cause.kind not in early, cause.kind in late))
         return list(dict.fromkeys(line for cause in causes for line in cause.advice))
 
 
@@ -347,10 +342,8 @@ class _Analysis:
             return None
         settings, reach = self.setup.settings, tuple[Reach, ...]()
         if report.region.saturated <= SATURATED and signal.header == "m_sequence":
-            noise, distance_m = (
-                self._difference_noise(report.region, fit.gain),
-                settings.calibration.distance_m(fit.pose),
-            )
+            noise = self._difference_noise(report.region, fit.gain)
+            distance_m = settings.calibration.distance_m(fit.pose)
             reach = reaches(fit.pose, fit.gain, noise, distance_m, signal, settings.detect.min_side_px)
         clock = remedy.clock if remedy is not None else None
         contrast = fit.gain / self.stretch.frames[0].full_scale

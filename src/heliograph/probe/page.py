@@ -76,11 +76,11 @@ def region_picture(stretch: Stretch, report: RegionReport) -> Figure:
     """Draw two frames of a region, the alternation, the sum, and the brightness over the stretch."""
     frames, region = stretch.frames, report.region
     count = len(frames)
-    # the four frames with the most alternation
-    starts = range(0, count - 3, max(1, count // 128))
-    k = max(
-        starts, key=lambda k: float(np.square(alternation(frames[k : k + 4], region.box_at(k + 1.5, count))).mean())
-    )
+
+    def alternating(k: int) -> float:
+        return float(np.square(alternation(frames[k : k + 4], region.box_at(k + 1.5, count))).mean())
+
+    k = max(range(0, count - 3, max(1, count // 128)), key=alternating)
     window = region.box_at(k + 1.5, count, max(1.8, 24 / region.side))
     first, second = (cut_out(frame, window) for frame in frames[k : k + 2])
     change = alternation(frames[k : k + 4], window)
