@@ -13,7 +13,7 @@ SIZE = (16, 20)
 def test_inner_products_are_those_of_the_reference(sigma: float) -> None:
     image = np.random.default_rng(0).normal(10, 3, SIZE).astype(np.float32)
     out = np.full((len(POINTS), 4), np.nan)
-    kernels.gathered(image, POINTS, sigma, 4 * sigma, out)
+    kernels.project(image, POINTS, sigma, 4 * sigma, out)
     known = reference.gathered(image.astype(np.float64), POINTS[:-1], sigma, 4 * sigma)
     np.testing.assert_allclose(out[:-1], known, rtol=2e-4, atol=2e-4)
     assert (out[4:] == 0).all()
@@ -23,7 +23,7 @@ def test_inner_products_are_those_of_the_reference(sigma: float) -> None:
 def test_what_is_drawn_is_that_of_the_reference(sigma: float) -> None:
     amounts = np.random.default_rng(1).normal(0, 50, (len(POINTS), 4))
     image = np.ones(SIZE, np.float32)
-    kernels.drawn(amounts, POINTS, sigma, 4 * sigma, image)
+    kernels.render(amounts, POINTS, sigma, 4 * sigma, image)
     known = reference.drawn(amounts[:-1], POINTS[:-1], sigma, 4 * sigma, SIZE)
     np.testing.assert_allclose(image - 1, known, atol=2e-4)
 

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import heliograph
 from heliograph.measure.statistics import Count
 from heliograph.panel.lattice import Lattice, Shape
-from heliograph.panel.search import settled
+from heliograph.panel.search import settle
 
 ROWS, COLUMNS = 16, 20
 Colours = NDArray[np.uint8]
@@ -223,7 +223,7 @@ def test_the_score_tells_right_places_from_wrong_ones(seed: int) -> None:
 
     def score(corners: Any, more_rows: int = 0, more_columns: int = 0) -> float:
         shape = Shape(rows + more_rows, columns + more_columns)
-        return settled([image], corners, shape, right, shift=False).score
+        return settle([image], corners, shape, right, shift=False).score
 
     assert score(right) >= 0.75
     assert max(score(*one) for one in wrong) < 0.75
@@ -265,15 +265,15 @@ DOORS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: Anything.locate(FRAME, [(20, 20), (120, 100), (120, 20), (20, 100)]), "are no panel in a frame"
     ),
     "corners beyond": (lambda: Anything.locate(FRAME, PLACE.corners + 900), "no panel in a frame of 150x120 pixels"),
-    "a region of three": (lambda: Anything.locate(FRAME, region=(1, 2, 3)), "(x, y, columns, rows) in whole pixels"),
+    "a region of three": (lambda: Anything.locate(FRAME, region=(1, 2, 3)), "(x, y, columns, rows) in integer pixels"),
     "a region beyond": (lambda: Anything.locate(FRAME, region=(400, 0, 50, 50)), "which is 150x120"),
-    "rows alone": (lambda: Anything.locate(FRAME, rows=16), "columns of LEDs are a whole number"),
-    "one row": (lambda: Anything.sample(FRAME, PLACE, 1, 16), "rows of LEDs are a whole number, 2 or more, not 1"),
+    "rows alone": (lambda: Anything.locate(FRAME, rows=16), "columns of LEDs are an integer"),
+    "one row": (lambda: Anything.sample(FRAME, PLACE, 1, 16), "rows of LEDs are an integer, 2 or more, not 1"),
     "half a row": (lambda: Anything.sample(FRAME, PLACE, 1.5, 16), "not 1.5"),
     "too many": (lambda: Anything.sample(FRAME, PLACE, 1000, 1000), "at most 65536 LEDs"),
-    "no place": (lambda: Anything.sample(FRAME, [[1, 2]], 16, 16), "a place is what locate gives"),
+    "no place": (lambda: Anything.sample(FRAME, [[1, 2]], 16, 16), "a place is a result of locate"),
     "follow nothing": (lambda: Anything.follow(None, PLACE, 16, 16), "any iterable of frames"),
-    "follow nowhere": (lambda: Anything.follow([], None, 16, 16), "a place is what locate gives"),
+    "follow nowhere": (lambda: Anything.follow([], None, 16, 16), "a place is a result of locate"),
     "no blur": (lambda: Anything.sample(FRAME, replace(PLACE, blur=np.nan), 16, 16, True), "the blur of the place"),
     "leakage of gray": (lambda: Anything.sample(FRAME, PLACE, 16, 16, leakage=np.eye(3)), "the frame has one channel"),
     "leakage": (

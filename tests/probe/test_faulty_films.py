@@ -51,7 +51,7 @@ TOLD = {
     "wrong side": Told("other side", True, ("--set signal.side=8",), "with 8 LEDs in a row, not with 16"),
     "moving": Told("moving", False, ("follow it with the camera",), "4.6 px a frame"),
     "cut": Told("cut", False, ("turn the camera",), "the frame's border"),
-    "hidden": Told("hidden", False, ("whole array is in view",), "19 px wide and 7 px high"),
+    "hidden": Told("hidden", False, ("complete array is in view",), "19 px wide and 7 px high"),
     "other packets": Told(
         "other packets", True, ("--set signal.header_pairs=1 --set signal.data_pairs=30",), "1 pairs of header and 30"
     ),

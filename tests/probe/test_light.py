@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from light_oracle import expected_correlation
 
 from heliograph.base.frames import Frame
 from heliograph.probe import kernels
 from heliograph.probe.arrays import clock_of
-from heliograph.probe.light import LEAST_VARIANCE, expected_correlation, lamp_period, pair_covariance
+from heliograph.probe.light import TUNING, lamp_period, pair_covariance
 from heliograph.signal.settings import SignalSettings
 
 ORDER = SignalSettings().slot_order
@@ -19,7 +20,8 @@ def test_the_kernel_is_the_reference() -> None:
     rates, phases, exposures = np.array([0.7, 1.0, 1.37, 4.2]), np.array([0.0, 0.3, 1.6]), np.array([0.3, 1.0])
     numbers, lags = np.arange(5.0), np.array([1, 2, 3])
     out = np.empty((4, 3, 2, 5, 3))
-    kernels.expected_correlations(rates, phases, exposures, numbers, lags, pair_covariance(ORDER), LEAST_VARIANCE, out)
+    covariance = pair_covariance(ORDER)
+    kernels.expected_correlations(rates, phases, exposures, numbers, lags, covariance, TUNING.min_variance, out)
     for place in np.ndindex(out.shape):
         r, p, x, t, k = place
         wanted = expected_correlation(float(rates[r]), float(phases[p]), float(exposures[x]), t, int(lags[k]), ORDER)

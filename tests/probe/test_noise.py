@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.probe.noise import NoiseFound, NoiseWatch
+from heliograph.probe.noise import NoiseEstimate, NoiseWatch
 
 Levels = NDArray[np.float64]
 
@@ -20,12 +20,12 @@ def found(
     gain: float = 0.05,
     dark_e: float = 30.0,
     after: Callable[[Levels], Levels] = np.rint,
-) -> NoiseFound:
+) -> NoiseEstimate:
     """Estimate film noise for an electron-counting sensor with `gain` gray levels per electron."""
     rng, watch = np.random.default_rng(3), NoiseWatch(32)
     for k in range(33):
         electrons = rng.poisson(scene(k) / gain) + rng.normal(0, dark_e, scene(k).shape)
-        watch.add(Frame(k, k / 1000, np.clip(after(gain * electrons), 0, 255).astype(np.uint8)), copied=False)
+        watch.add(Frame(k, k / 1000, np.clip(after(gain * electrons), 0, 255).astype(np.uint8)), repeated=False)
     return watch.noise(255)
 
 

@@ -128,7 +128,7 @@ def test_so_many_frames_and_no_more(right: KeptFilm) -> None:
 def test_without_a_receiver_the_array_is_still_told_by_its_region(right: KeptFilm) -> None:
     told = probed(right, reading=False)
     assert not told.read
-    assert told.regions[0].found is not None
+    assert told.regions[0].remedy is not None
     assert told.regions[0].causes[0].proven
 
 
@@ -165,7 +165,7 @@ def test_where_leds_are_at_full_scale_the_noise_beside_the_array_stands_for_it()
     for one, other in zip(near.arrays[0].reach, far.arrays[0].reach, strict=True):
         assert one.distance_m == pytest.approx(other.distance_m, rel=0.1)
     assert as_mapping(near)["arrays"][0]["noise"]["lit"] is None
-    assert any("noise of a pixel: not told within, where some are at full scale" in line for line in lines(near))
+    assert any("noise of a pixel: unknown within, as some are at full scale" in line for line in lines(near))
 
 
 def test_the_page_fetches_nothing_and_says_what_the_command_says(found: Findings, tmp_path: Path) -> None:

@@ -145,7 +145,7 @@ def test_a_screen_that_is_read_is_not_asked_why() -> None:
     assert found.read
     assert not found.regions
     assert not found.causes
-    assert "light: not asked, as an array is read" in lines(found)
+    assert "light: not measured, as an array is read" in lines(found)
 
 
 SCREENS: dict[str, dict[str, float]] = {

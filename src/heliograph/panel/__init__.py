@@ -1,4 +1,4 @@
-"""Any panel of LEDs, without this project's packets: `locate`, `follow`, `sample`, `unmix_colours`."""
+"""Panels of LEDs with any content: `locate`, `follow`, `sample`, `unmix_colours`."""
 
 from heliograph.panel.colours import UnmixedColours, unmix_colours
 from heliograph.panel.panels import follow, locate, sample

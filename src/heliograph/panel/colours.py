@@ -1,4 +1,4 @@
-"""Crosstalk between the colours of a panel: estimated from the panel's own values, and removed."""
+"""Crosstalk between the colours of a panel: blind estimation and removal."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,32 +11,32 @@ from scipy.optimize import linear_sum_assignment
 
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError, shown
-from heliograph.panel.place import COLOURS
+from heliograph.panel.place import COLOURS, matrix_of
 
 Bits = NDArray[np.bool_]
 
 STATES = np.array(list(product((0.0, 1.0), repeat=COLOURS)))
-"""The eight states (8, 3) of an LED of three colours."""
+"""States (8, 3) of an LED with three colours."""
 
 STEPS = np.array([step for step in product((-1.0, 0.0, 1.0), repeat=COLOURS) if step > (0.0, 0.0, 0.0)])
-"""Steps (13, 3) from a state to another one, each in one direction."""
+"""Steps (13, 3) between two states, up to the sign."""
 
 
 @dataclass(frozen=True, slots=True)
 class UnmixingTuning:
-    """How crosstalk is estimated."""
+    """Parameters of the estimation of crosstalk."""
 
-    # Random starts beside the regular ones
+    # Number of random starts, in addition to the regular starts
     n_starts: int = 40
-    # LEDs from which the best start is chosen
+    # Number of LEDs for the choice of the best start
     n_values: int = 2000
-    # Most alternations of decisions and least squares from a start
+    # Maximum alternations of decisions and least squares
     max_steps: int = 60
-    # Share of the LEDs that count as the darkest ones
+    # Fraction of the darkest LEDs
     extreme: float = 0.02
-    # Smallest step between two states in standard deviations of the residual; noise split in two has 2.7
+    # Minimum step between two states in standard deviations of the residual; a split of noise has 2.7
     min_separation: float = 3.3
-    # Fewest LEDs in which a colour is on, and is off
+    # Minimum LEDs with a colour on, and with a colour off
     min_count: int = 4
 
 
@@ -44,18 +44,18 @@ TUNING = UnmixingTuning()
 
 
 class UnmixedColours(NamedTuple):
-    """Values of a panel without crosstalk, of `unmix_colours`.
+    """Result of `unmix_colours`.
 
     Attributes
     ----------
     bits
         (..., 3) bool, True where an LED of that colour is on.
     light
-        (..., 3) float64 light of each colour: about 0 where it is off, 1 where it is on.
+        (..., 3) float64 light of each colour: about 0 if off, 1 if on.
     matrix
-        (3, 3) float64, the levels that each channel (row) sees of each colour (column) that is on.
+        (3, 3) float64 levels of each channel (row) for each lit colour (column).
     offset
-        (3,) float64, the levels of the channels where all colours are off.
+        (3,) float64 levels of the channels with all colours off.
     """
 
     bits: Bits
@@ -67,33 +67,33 @@ class UnmixedColours(NamedTuple):
 def unmix_colours(values: Any, start: Any = None, full_scale: float | None = None) -> UnmixedColours:
     r"""Remove the crosstalk between the colours of a panel, without a calibration film.
 
-    The values of an LED with the bits x, one for each colour, are
+    An LED with the bits x for the three colours has the values
 
         y = M x + b + noise,
 
-    clipped at full scale. M and b are found by decision-directed least squares: each LED gets the bits whose M x + b
-    lies nearest, then M and b minimise the sum of \|y - M x - b\|^2 over all LEDs, until no bit changes. Of many
-    starts the one with the smallest sum wins. Colour k of the result is the one that channel k sees best, so channels
-    in the order blue, green, red give bits in that order.
+    clipped at full scale. Decision-directed least squares estimate M and b: each LED gets the bits with the nearest
+    M x + b, then M and b minimise the sum of \|y - M x - b\|^2 over all LEDs, until no bit changes. The start with
+    the smallest sum wins. Channel k has the strongest response to colour k of the result, so channels in the order
+    blue, green, red give bits in this order.
 
     Parameters
     ----------
     values
-        (..., 3) numbers of any shape and real dtype, such as `sample` gives; `numpy.stack` joins frames of one film.
-        Each colour must be on in some LEDs and off in others, independently of the other colours.
+        (..., 3) numbers of any shape and real dtype, such as from `sample`; `numpy.stack` joins frames of a film. Each
+        colour must be on in some LEDs and off in others, independently of the other colours.
     start
-        (3, 3) first guess of M, of any scale, such as the leakage of another film; None where none is known.
+        (3, 3) initial M with any scale, such as the leakage of another film; None if unknown.
     full_scale
-        Level from which values are clipped, such as 250 for frames of 8 bits; None where none are.
+        Level of clipped values, such as 250 for frames of 8 bits; None if no value is clipped.
 
     Returns
     -------
-    The bits, the light without crosstalk, M and b.
+    Bits, light after removal of crosstalk, M and b.
 
     Raises
     ------
     HeliographError
-        The values have another shape or are not finite, or they do not show three colours that change independently.
+        The values have another shape, are not finite, or do not show three colours that change independently.
 
     Examples
     --------
@@ -113,41 +113,41 @@ def unmix_colours(values: Any, start: Any = None, full_scale: float | None = Non
     rng = np.random.default_rng(0)
     few = flat if len(flat) <= TUNING.n_values else flat[rng.choice(len(flat), TUNING.n_values, replace=False)]
     best: tuple[float, Floats] | None = None
-    for mixing in _starts(few, guess, rng):
-        cost, mixing = _alternated(few, mixing, top)
-        if (best is None or cost < best[0] * (1 - RCOND)) and _separated(few, mixing, top):
+    for mixing in _initial_mixings(few, guess, rng):
+        cost, mixing = _alternate(few, mixing, top)
+        if (best is None or cost < best[0] * (1 - RCOND)) and _is_separated(few, mixing, top):
             best = cost, mixing
     if best is None:
         raise HeliographError(
             "the values do not show three colours that change independently: give frames in which each colour is on in "
-            "some LEDs and off in others, alone and with the other colours"
+            "some LEDs and off in others, in all combinations"
         )
-    _, mixing = _alternated(flat, best[1], top)
-    mixing = _in_order(mixing)
-    bits = _decided(flat, mixing, top)
+    _, mixing = _alternate(flat, best[1], top)
+    mixing = _sort_colours(mixing)
+    bits = _decide(flat, mixing, top)
     matrix, offset = mixing[:, :COLOURS], np.asarray(mixing[:, COLOURS], np.float64)
     light = np.linalg.solve(matrix, (flat - offset).T).T
     shape = levels.shape
     return UnmixedColours(bits.reshape(shape) > 0, np.asarray(light.reshape(shape), np.float64), matrix, offset)
 
 
-def _alternated(levels: Floats, mixing: Floats, top: float) -> tuple[float, Floats]:
-    """Sum of squares and mixing (3, 4) after decisions and least squares in turn."""
-    bits = _decided(levels, mixing, top)
+def _alternate(levels: Floats, mixing: Floats, top: float) -> tuple[float, Floats]:
+    """Alternate decisions and least squares; return the sum of squares and the mixing (3, 4)."""
+    bits = _decide(levels, mixing, top)
     for _ in range(TUNING.max_steps):
         known = np.column_stack([bits, np.ones(len(bits))])
-        # a clipped level is at least what the bits ask for
+        # a clipped level may be higher
         aim = np.where(levels >= top, np.maximum(levels, known @ mixing.T), levels)
         mixing = np.linalg.lstsq(known, aim, rcond=RCOND)[0].T
-        again = _decided(levels, mixing, top)
+        again = _decide(levels, mixing, top)
         if (again == bits).all():
             break
         bits = again
     return float((_residual(levels, mixing, bits, top) ** 2).sum()), mixing
 
 
-def _decided(levels: Floats, mixing: Floats, top: float) -> Floats:
-    """Bits (n, 3) as 0 and 1 whose levels lie nearest."""
+def _decide(levels: Floats, mixing: Floats, top: float) -> Floats:
+    """Return the bits (n, 3) as 0 and 1 with the nearest levels."""
     shown = np.minimum(STATES @ mixing[:, :COLOURS].T + mixing[:, COLOURS], top)
     seen = np.minimum(levels, top)
     distance = (shown**2).sum(axis=1) - 2 * seen @ shown.T
@@ -159,9 +159,9 @@ def _residual(levels: Floats, mixing: Floats, bits: Floats, top: float) -> Float
     return np.asarray(np.minimum(levels, top) - np.minimum(shown, top))
 
 
-def _separated(levels: Floats, mixing: Floats, top: float) -> bool:
-    """True if each colour is on and off often enough, and no step between states is a split of the noise."""
-    bits = _decided(levels, mixing, top)
+def _is_separated(levels: Floats, mixing: Floats, top: float) -> bool:
+    """Return True if each colour is on and off often enough, and no step between states is a split of noise."""
+    bits = _decide(levels, mixing, top)
     on = bits.sum(axis=0)
     if min(on.min(), (len(bits) - on).min()) < TUNING.min_count:
         return False
@@ -175,8 +175,8 @@ def _separated(levels: Floats, mixing: Floats, top: float) -> bool:
     return bool((size >= TUNING.min_separation * along.std(axis=0)).all())
 
 
-def _starts(levels: Floats, guess: Floats | None, rng: np.random.Generator) -> Iterator[Floats]:
-    """First mixings (3, 4): by each channel's range, by the caller's guess, and by the levels of three LEDs."""
+def _initial_mixings(levels: Floats, guess: Floats | None, rng: np.random.Generator) -> Iterator[Floats]:
+    """Yield initial mixings (3, 4): by the range of each channel, by the caller, and by the levels of three LEDs."""
     dark = levels[np.argsort(levels.sum(axis=1))[: max(1, int(TUNING.extreme * len(levels)))]].mean(axis=0)
     high = np.quantile(levels, 1 - TUNING.extreme, axis=0) - dark
     middle = 0.5 * (levels.min(axis=0) + levels.max(axis=0)) - dark
@@ -191,11 +191,11 @@ def _starts(levels: Floats, guess: Floats | None, rng: np.random.Generator) -> I
         yield np.column_stack([matrix, dark])
 
 
-def _in_order(mixing: Floats) -> Floats:
-    """The mixing (3, 4) whose colours add light, each in the place of the channel that sees it best."""
+def _sort_colours(mixing: Floats) -> Floats:
+    """Return the mixing (3, 4) with positive colours, in the order of the channels with the strongest response."""
     matrix, offset = mixing[:, :COLOURS].copy(), mixing[:, COLOURS].copy()
     for k in range(COLOURS):
-        if matrix[:, k].sum() < 0:  # off and on are exchanged
+        if matrix[:, k].sum() < 0:  # exchange off and on
             offset += matrix[:, k]
             matrix[:, k] *= -1
     share = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
@@ -229,14 +229,9 @@ def _full_scale(full_scale: Any) -> float:
 
 
 def _start(start: Any) -> Floats | None:
-    if start is None:
-        return None
-    try:
-        matrix = np.asarray(start, np.float64)
-    except (TypeError, ValueError):
-        matrix = np.empty(0)
-    if matrix.shape != (COLOURS, COLOURS) or not np.isfinite(matrix).all():
+    matrix = None if start is None else matrix_of(start, (COLOURS, COLOURS))
+    if matrix is None and start is not None:
         raise HeliographError(
-            f"start is a matrix (3, 3): what each channel (row) sees of each colour (column), not {shown(start)}"
+            f"start is a matrix (3, 3): the response of each channel (row) to each colour (column), not {shown(start)}"
         )
     return matrix

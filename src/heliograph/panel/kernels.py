@@ -1,4 +1,4 @@
-"""Hot loops about the images of LEDs; `reference.py` has the same in plain NumPy, and a test holds the two together."""
+"""Kernels for the images of LEDs; `tests/oracles/panel_oracle.py` has the same in NumPy."""
 
 import math
 
@@ -8,15 +8,15 @@ from heliograph.base.compiled import compiled
 
 
 @compiled(fastmath=True)
-def gathered(image, points, sigma, reach, out):
-    """Inner products of an image with each LED's image and its derivatives."""
+def project(image, points, sigma, reach, out):
+    """Write the inner products of an image with the image of each LED and the derivatives."""
     rows, columns = image.shape
     along = np.empty(2 * int(reach) + 3, np.float32)
     scale, norm = -0.5 / (sigma * sigma), 1.0 / (math.sqrt(2.0 * math.pi) * sigma)
     for n in range(points.shape[0]):
         px, py = points[n, 0], points[n, 1]
         out[n, :] = 0.0
-        # a place beyond all images, or none at all, shows nothing
+        # beyond the image, or NaN
         if not (-reach < px < columns + reach and -reach < py < rows + reach):
             continue
         left, right = max(0, math.ceil(px - reach)), min(columns - 1, math.floor(px + reach))
@@ -46,8 +46,8 @@ def gathered(image, points, sigma, reach, out):
 
 
 @compiled(fastmath=True)
-def drawn(amounts, points, sigma, reach, image):
-    """Add the images of LEDs and their derivatives to an image."""
+def render(amounts, points, sigma, reach, image):
+    """Add the images of LEDs and the derivatives to an image."""
     rows, columns = image.shape
     along = np.empty(2 * int(reach) + 3, np.float32)
     scale, norm = -0.5 / (sigma * sigma), 1.0 / (math.sqrt(2.0 * math.pi) * sigma)

@@ -1,4 +1,4 @@
-"""Any panel of LEDs by hand, without this project's packets: where it is, where it goes, what its LEDs show."""
+"""Panels of LEDs with any content: find, follow and sample."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from numbers import Integral
@@ -9,7 +9,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.threads import in_one_thread, one_thread
-from heliograph.panel.lattice import FIRST_BLUR, MOST_BLUR, Fitted, Lattice, Shape, fitted
+from heliograph.panel.lattice import FIT, Fit, Lattice, Shape, fit
 from heliograph.panel.place import (
     COLOURS,
     LIMITS,
@@ -19,40 +19,33 @@ from heliograph.panel.place import (
     Place,
     area,
     grid,
-    grown,
+    grow,
     homographies,
     is_possible,
-    mapped,
+    matrix_of,
     picture_of,
+    transform,
 )
 from heliograph.panel.search import (
-    SMOOTHING,
     Candidate,
     Region,
     best_candidate,
     evidence,
-    found_again,
-    outlined,
+    fit_outline,
     quadrilateral,
     quadrilaterals,
-    settled,
+    search_near,
+    settle,
 )
 
-MOST_LEDS = 1 << 16
-"""Most LEDs of a panel: with 256 x 256 undoing the blur takes 0.3 to 0.6 GB."""
+MAX_LEDS = 1 << 16
+"""Maximum LEDs of a panel: for 256 x 256 LEDs unblurring takes 0.3 to 0.6 GB."""
 
-LEAST_SIDE_PX = 8.0
-"""Least side of a panel in px: of less nothing is told."""
+MIN_SIDE_PX = 8.0
+"""Minimum side of a panel in px."""
 
 ACCEPTED = 0.75
-"""Least score of a place that is taken for right. Chosen from `benchmarks/panel_places.py`."""
-
-PLAIN_WIDTH, LEAST_WIDTH_PX = 0.15, 0.6
-"""Width in pitches, and the least in px, of the Gaussian with which pixels about an LED are weighted.
-
-Of panels with 1.4 to 4 standard deviations of blur a pitch 0.1 and 0.2 left as many bits wrong, 0.3 up to ten times as
-many. Below 0.6 px a Gaussian falls between the pixels.
-"""
+"""Minimum score of a correct position. Chosen from `benchmarks/panel_places.py`."""
 
 
 def locate(
@@ -62,66 +55,67 @@ def locate(
     rows: int | None = None,
     columns: int | None = None,
 ) -> Place:
-    """Find where a panel of LEDs is, whatever it shows.
+    """Find a panel of LEDs with any content.
 
-    With `rows` and `columns` the place is that of the LEDs' grid in the first frame, with the blur: to some hundredths
-    of a pixel if the LEDs are not clipped. Its score is the probability that no LED is off by 0.4 pitches or more,
-    calibrated on drawn scenes: 0.75 and more counts as right. Without `corners` a place below that is an error.
-    Without `rows` and `columns` the place is the outline of the LED area, to about a pitch, without a score.
+    With `rows` and `columns`, the result is the grid of LEDs in the first frame, and the blur, with an error of some
+    hundredths of a pixel for unclipped LEDs. The score is the probability of errors below 0.4 pitches for all LEDs,
+    calibrated on drawn scenes; 0.75 and more counts as correct. Without `corners`, a lower score is an error. If `rows`
+    and `columns` are unknown, the result is the outline of the LED area with an error of about a pitch, and no score.
 
     Parameters
     ----------
     frames
         A frame: `heliograph.Frame`, or an array (rows, columns) of gray levels or (rows, columns, 3) of colours. Or a
-        list of successive frames: the lit LEDs of up to eight frames count together; the place is that in the first.
+        list of successive frames: the search uses the lit LEDs of up to eight frames for the position in the first.
     corners
-        Four points (x, y) in px, as given by hand: the corners of the LED area, upper left, upper right, lower right
-        and lower left, clockwise in the image; they may be off by about half a pitch, or by two pitches if LEDs of all
-        outer lines are lit. None: areas that are bright, coloured or change are searched.
+        Four manual points (x, y) in px: the corners of the LED area, upper left, upper right, lower right and lower
+        left, clockwise in the image. The error may be half a pitch, or two pitches if LEDs of all outer lines are lit.
+        None: search areas that are bright, coloured or change.
     region
-        (x, y, columns, rows) in px of the part of the frame that is searched; None for all of it.
+        (x, y, columns, rows) in px of the searched part of the frame; None for the complete frame.
     rows, columns
-        LEDs along a column and along a row, 2 or more of each; None where they are not known.
+        LEDs along a column and along a row, 2 or more; None if unknown.
 
     Returns
     -------
-    The place, its corners in px of the frame, or of the sensor where a frame has an origin.
+    The position, with corners in px of the frame, or of the sensor for frames with an origin.
 
     Raises
     ------
     HeliographError
-        The arguments are none of these; the corners are no quadrilateral that a camera may see of such a panel, or less
-        than half of it lies within the frame; or no panel was found for certain without corners.
+        An argument is invalid; the corners cannot be a panel, or less than half of the panel is within the frame; or no
+        panel was found with certainty.
     """
     pictures = _pictures(frames)
     shape = _shape(rows, columns)
     first = pictures[0]
-    images = [one.gray for one in pictures]
+    images = [picture.gray for picture in pictures]
     hand = None if corners is None else _corners(corners) - first.corner
     if hand is not None:
-        _check_there(hand, first, shape)
+        _check_visible(hand, first, shape)
     x, y, width, height = _region(region, first)
-    # what lies beyond the region may be another panel's
+    # another panel may be outside the region
     part, begin = np.s_[..., y : y + height, x : x + width], np.array([x, y], np.float64)
     if shape is None:
-        shows = evidence(images)[part]
-        start = quadrilateral(shows, region) + begin if hand is None else hand
-        _check_there(start, first, shape)
-        widths = [share * area(start) ** 0.5 for share in SMOOTHING]
-        return Place(_kept(outlined(shows, start - begin, widths) + begin, start) + first.corner)
-    parts = [np.ascontiguousarray(one[part]) for one in images]
+        contrast = evidence(images)[part]
+        start = quadrilateral(contrast, region) + begin if hand is None else hand
+        _check_visible(start, first, shape)
+        found = fit_outline(contrast, start - begin) + begin
+        is_valid = is_possible(found) and 0.5 < area(found) / area(start) < 2
+        return Place((found if is_valid else start) + first.corner)
     with one_thread():
-        if hand is None:
-            starts = quadrilaterals(parts, np.ptp(first.levels[part], axis=0), shape, region)
-            found = _fitted_place(parts, best_candidate(parts, starts, shape), shape)
-            if found.score < ACCEPTED or not _is_there(found.corners, Picture(parts[0][None])):
-                raise HeliographError(
-                    f"no panel of {shape.rows} x {shape.columns} LEDs was found for certain: give corners=, the four "
-                    "corners of the LED area in px, or several frames in which LEDs of all outer lines are lit"
-                )
-            return Place(found.corners + begin + first.corner, found.blur, found.score)
-        found = _fitted_place(images, best_candidate(images, [hand], shape, hand), shape, hand)
-    return Place(found.corners + first.corner, found.blur, found.score)
+        if hand is not None:
+            place = _fit_candidate(images, best_candidate(images, [hand], shape, hand), shape, hand)
+            return Place(place.corners + first.corner, place.blur, place.score)
+        parts = [np.ascontiguousarray(image[part]) for image in images]
+        starts = quadrilaterals(parts, np.ptp(first.levels[part], axis=0), shape, region)
+        place = _fit_candidate(parts, best_candidate(parts, starts, shape), shape)
+    if place.score < ACCEPTED or not _is_visible(place.corners, Picture(parts[0][None])):
+        raise HeliographError(
+            f"no panel of {shape.rows} x {shape.columns} LEDs was found for certain: give corners=, the four "
+            "corners of the LED area in px, or several frames in which LEDs of all outer lines are lit"
+        )
+    return Place(place.corners + begin + first.corner, place.blur, place.score)
 
 
 def follow(frames: Iterable[AnyFrame], place: Place, rows: int, columns: int) -> Iterator[Place]:
@@ -132,149 +126,139 @@ def follow(frames: Iterable[AnyFrame], place: Place, rows: int, columns: int) ->
     frames
         Successive frames, each as for `locate`.
     place
-        Where the panel is in the first of them, of `locate`. Its motion may change by half a pitch from frame to frame,
-        or by up to two pitches if LEDs of all outer lines are lit.
+        Position in the first frame, from `locate`. The motion may change by half a pitch from frame to frame, or by two
+        pitches if LEDs of all outer lines are lit.
     rows, columns
-        LEDs along a column and along a row, 2 or more of each.
+        LEDs along a column and along a row, 2 or more.
 
     Yields
     ------
     Place
-        The place in each frame, with a score as of `locate`, given that the place before was right. If the panel is not
-        seen, as it is hidden or shows nothing, the score is 0 and the corners are those of the frame before.
+        Position in each frame. The score is that of `locate`, given a correct previous position. If the panel is hidden
+        or dark, the score is 0 and the corners of the previous frame are kept.
 
     Raises
     ------
     HeliographError
-        At once: the arguments are none of these. Later: the place is not in the first frame, or a frame is none.
+        At the call: an argument is invalid. Later: the panel is not within the first frame, or a frame is invalid.
     """
     if not isinstance(frames, Iterable):
         raise HeliographError(f"frames are an open film, or any iterable of frames, not {shown(frames)}")
-    shape, start = _shape(rows, columns), _checked(place)
-    assert shape is not None
-    if not is_possible(start.corners, shape.rows, shape.columns):
+    shape, start = _known_shape(rows, columns), _checked(place)
+    if not shape.is_possible(start.corners):
         raise _no_panel(start.corners, "")
-    return _followed(frames, start, shape)
+    return _follow(frames, start, shape)
 
 
 def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool = False, leakage: Any = None) -> Floats:
-    """Values at the LEDs of a panel.
+    """Sample a frame at the LEDs of a panel.
 
     Parameters
     ----------
     frame
         A frame, as for `locate`.
     place
-        Where the panel is in it, of `locate` or `follow`.
+        Position of the panel, from `locate` or `follow`.
     rows, columns
-        LEDs along a column and along a row, 2 or more of each.
+        LEDs along a column and along a row, 2 or more.
     unblur
-        Whether light of neighbouring LEDs is told apart: least squares over all LEDs, each a Gaussian of the place's
-        blur, before an even background. It is worth it from about 0.4 pitches of blur on.
+        True to separate the light of neighbouring LEDs by least squares over all LEDs: Gaussians with the blur of the
+        place on a uniform background. Useful from 0.4 pitches of blur.
     leakage
-        (3, 3) what each channel of the camera (row) sees of the light of each colour (column), such as measured with
-        one colour lit at a time: its inverse is applied. None: channels stay as they are.
+        (3, 3) response of each channel of the camera (row) to the light of each colour (column), for example measured
+        with a single lit colour; the result is multiplied by the inverse. None leaves the channels unchanged.
 
     Returns
     -------
-    (rows, columns), or (rows, columns, 3) of a frame in colour: gray levels at the LEDs' centres; with `unblur` those
-    that each LED alone adds to the background. NaN for LEDs beyond the frame.
+    (rows, columns), or (rows, columns, 3) for a colour frame: gray levels at the LED centres; with `unblur`, the levels
+    of each LED above the background. NaN for LEDs beyond the frame.
 
     Raises
     ------
     HeliographError
-        The arguments are none of these, or the place lies beyond the frame.
+        An argument is invalid, or the panel lies beyond the frame.
     """
-    shape, picture = _shape(rows, columns), picture_of(frame)
-    assert shape is not None
-    matrix = _leakage(leakage, picture)
+    shape, picture = _known_shape(rows, columns), picture_of(frame)
+    matrix = _inverse_leakage(leakage, picture)
     at = _checked(place).corners - picture.corner
-    _check_there(at, picture, shape)
-    images, moved = _about(picture, at, 2 * shape.pitch(at))
+    _check_visible(at, picture, shape)
+    images, moved = _crop(picture, at, 2 * shape.pitch(at))
     corners = at - moved
-    values = _unblurred(images, corners, place.blur, shape) if unblur else _weighted(images, corners, shape)
+    values = _unblur(images, corners, place.blur, shape) if unblur else _average(images, corners, shape)
     points = Place(corners).leds(rows, columns).reshape(-1, 2)
-    beyond = (points < -0.5).any(axis=1) | (points > np.array(images.shape[:0:-1]) - 0.5).any(axis=1)
-    values[beyond] = np.nan
+    values[(points < -0.5).any(axis=1) | (points > np.array(images.shape[:0:-1]) - 0.5).any(axis=1)] = np.nan
     if matrix is not None:
         values = values @ matrix.T
     return values.reshape((rows, columns) if len(images) == 1 else (rows, columns, len(images)))
 
 
-def _fitted_place(images: Sequence[Levels], candidate: Candidate, shape: Shape, hand: Floats | None = None) -> Fitted:
-    """The candidate after the fit of its LEDs' images; or as it was where it agreed better."""
+def _fit_candidate(images: Sequence[Levels], candidate: Candidate, shape: Shape, hand: Floats | None = None) -> Fit:
+    """Fit the images of LEDs from a candidate; keep the candidate if its score is higher."""
     corners = candidate.corners
-    image, moved = _about(Picture(images[0][None]), corners, 2 * shape.pitch(corners))
-    fit = _afresh(image[0], corners - moved, shape)
-    fit = fit._replace(corners=fit.corners + moved)
-    again = settled(images, fit.corners, shape, hand, shift=False)
-    is_near = np.abs(fit.corners - corners).max() < shape.pitch(corners)
-    # score that a fit may fall to: beyond it the fit's corners are more exact than the phases'
-    if is_near and again.score >= min(candidate.score, 0.9):
-        return fit._replace(score=again.score)
-    return fit._replace(corners=corners, score=candidate.score)
+    image, moved = _crop(Picture(images[0][None]), corners, 2 * shape.pitch(corners))
+    found = _fit_new(image[0], corners - moved, shape)
+    found = found._replace(corners=found.corners + moved)
+    score = settle(images, found.corners, shape, hand, shift=False).score
+    is_near = np.abs(found.corners - corners).max() < shape.pitch(corners)
+    # above 0.9 the fit is more accurate than the phases
+    if is_near and score >= min(candidate.score, 0.9):
+        return found._replace(score=score)
+    return found._replace(corners=corners, score=candidate.score)
 
 
 @in_one_thread
-def _followed(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterator[Place]:
+def _follow(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterator[Place]:
     last = before = place.corners
-    held = Fitted(last, place.blur if place.blur > 0 else FIRST_BLUR * shape.pitch(last), 1.0)
+    held = Fit(last, place.blur if place.blur > 0 else FIT.first_blur * shape.pitch(last), 1.0)
     for number, frame in enumerate(frames):
         picture = picture_of(frame)
         if number == 0:
-            _check_there(last - picture.corner, picture, shape)
-        starts = [one for one in (2 * last - before, last) if _is_there(one - picture.corner, picture, shape)]
-        found, score = held, 0.0
-        if starts:
-            found, score = _found_on(picture, [one - picture.corner for one in starts], held, shape)
-        if not score or not _is_there(found.corners, picture, shape):
+            _check_visible(last - picture.corner, picture, shape)
+        predicted = [corners - picture.corner for corners in (2 * last - before, last)]
+        starts = [corners for corners in predicted if _is_visible(corners, picture, shape)]
+        found, score = _find_again(picture, starts, held, shape) if starts else (held, 0.0)
+        if score and _is_visible(found.corners, picture, shape):
+            held, last, before = found, found.corners + picture.corner, last
+            yield Place(last.copy(), found.blur, score)
+        else:
             before = last
             yield Place(last.copy(), held.blur, 0.0)
-            continue
-        held, last, before = found, found.corners + picture.corner, last
-        yield Place(last.copy(), found.blur, score)
 
 
-def _found_on(picture: Picture, starts: Sequence[Floats], held: Fitted, shape: Shape) -> tuple[Fitted, float]:
-    """The panel's place in a picture near the starts, and its score; 0 if it is not seen."""
-    images, moved = _about(Picture(picture.gray[None]), starts[0], 5 * shape.pitch(starts[0]))
+def _find_again(picture: Picture, starts: Sequence[Floats], held: Fit, shape: Shape) -> tuple[Fit, float]:
+    """Return the fit near the starts and its score, 0 if the panel is not visible."""
+    images, moved = _crop(Picture(picture.gray[None]), starts[0], 5 * shape.pitch(starts[0]))
     image = images[0]
-    near = found_again(image, [one - moved for one in starts], shape)
+    near = search_near(image, [start - moved for start in starts], shape)
     if near.score >= ACCEPTED:
-        at = near.corners
-        if held.hessian is not None:  # an earlier fit leaves little to do
-            # most steps of a fit from frame to frame: it starts within a tenth of a pitch where the grid shows
-            found = fitted(image, held._replace(corners=at), shape, 4)
-        else:
-            found = _afresh(image, at, shape)
+        # an earlier fit starts within a tenth of a pitch, few steps are enough
+        warm = held._replace(corners=near.corners)
+        found = fit(image, warm, shape, 4) if held.hessian is not None else _fit_new(image, near.corners, shape)
     else:
         found = held._replace(score=-1.0)
-        for start in [*(one - moved for one in starts), near.corners]:
-            # what is as well explained as before is right
-            # Ratio of what a fit leaves unexplained to what the frame's before did, above which another start is tried.
-            # Chosen
+        for start in [*(start - moved for start in starts), near.corners]:
+            # try another start if the residual is larger than in the previous frame
             if 1 - found.score > 1.5 * (1 - held.score):
-                found = max(found, _afresh(image, start, shape), key=lambda one: one.score)
-        # Least correlation of the pixels with the fitted image of a panel whose grid does not show. Chosen
-        if found.score < 0.5:
+                found = max(found, _fit_new(image, start, shape), key=lambda candidate: candidate.score)
+        if found.score < 0.5:  # no panel
             return held, 0.0
-    score = settled([image], found.corners, shape, near.corners, shift=False).score
+    score = settle([image], found.corners, shape, near.corners, shift=False).score
     if near.score >= ACCEPTED > score:
         found, score = found._replace(corners=near.corners), near.score
     return found._replace(corners=found.corners + moved), score
 
 
-def _afresh(image: Levels, corners: Floats, shape: Shape) -> Fitted:
-    """A fit without an earlier one: narrow images of LEDs draw it from afar, wide ones explain whatever there is."""
-    return fitted(image, Fitted(corners, FIRST_BLUR * shape.pitch(corners), 0.0), shape)
+def _fit_new(image: Levels, corners: Floats, shape: Shape) -> Fit:
+    """Fit from a small blur: narrow images of LEDs converge from afar, wide images explain any picture."""
+    return fit(image, Fit(corners, FIT.first_blur * shape.pitch(corners), 0.0), shape)
 
 
-def _unblurred(images: Levels, corners: Floats, blur: float, shape: Shape) -> Floats:
+def _unblur(images: Levels, corners: Floats, blur: float, shape: Shape) -> Floats:
     if not blur > 0:
         raise HeliographError(
             "the blur of the place is not known: locate(..., rows=, columns=) finds it, or give Place(corners, blur)"
         )
-    if blur > MOST_BLUR * shape.pitch(corners):
+    if blur > FIT.max_blur * shape.pitch(corners):
         raise HeliographError(
             f"the LEDs lie {shape.pitch(corners):.1f} px apart, too close for a blur of {blur:.1f} px: sample without "
             "unblur, or give the blur that locate finds"
@@ -283,54 +267,47 @@ def _unblurred(images: Levels, corners: Floats, blur: float, shape: Shape) -> Fl
     with one_thread():
         lattice = Lattice(shape, corners, blur, mask)
         light, _ = lattice.light(images * mask)
-    # the peak of a Gaussian of that light
+    # peak of a Gaussian with this light
     return light / (2 * np.pi * lattice.sigma**2)
 
 
-def _weighted(images: Levels, corners: Floats, shape: Shape) -> Floats:
+def _average(images: Levels, corners: Floats, shape: Shape) -> Floats:
+    """Average pixels at LEDs with Gaussian weights."""
     from heliograph.panel import kernels  # Numba is slow to import
 
     points = Place(corners).leds(shape.rows, shape.columns).reshape(-1, 2)
-    width = max(PLAIN_WIDTH * shape.pitch(corners), LEAST_WIDTH_PX)
-    out = np.empty((len(images), len(points), 4))
-    level = np.empty((len(points), 4))
-    # of LEDs at the frame's edge a part of the weights lies beyond it
-    kernels.gathered(np.ones(images.shape[1:], np.float32), points, width, 3 * width, level)
-    for image, one in zip(images, out, strict=True):
-        kernels.gathered(image, points, width, 3 * width, one)
+    # for 1.4 to 4 standard deviations of blur per pitch, 0.1 and 0.2 gave the same bit errors, 0.3 up to ten times as
+    # many; below 0.6 px a Gaussian falls between pixels
+    width = max(0.15 * shape.pitch(corners), 0.6)
+    out = np.empty((len(images) + 1, len(points), 4))
+    # the last image gives the sum of the weights, which is smaller at the frame's edge
+    for image, products in zip((*images, np.ones(images.shape[1:], np.float32)), out, strict=True):
+        kernels.project(image, points, width, 3 * width, products)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray((out[..., 0] / level[:, 0]).T)
+        return np.asarray((out[:-1, :, 0] / out[-1, :, 0]).T)
 
 
-def _about(picture: Picture, corners: Floats, margin: float) -> tuple[Levels, Floats]:
-    """The part (channels, rows, columns) of a picture about a panel, and the place (x, y) of its first pixel."""
-    outer = grown(corners, margin)
-    rows, columns = picture.levels.shape[1:]
+def _crop(picture: Picture, corners: Floats, margin: float) -> tuple[Levels, Floats]:
+    """Crop a picture (channels, rows, columns) around a panel; return the crop and the first pixel (x, y)."""
+    outer = grow(corners, margin)
+    rows, columns = picture.size
     x0, y0 = np.clip(np.floor(outer.min(axis=0)).astype(int), 0, [columns - 1, rows - 1])
     x1, y1 = np.clip(np.ceil(outer.max(axis=0)).astype(int) + 1, [x0 + 1, y0 + 1], [columns, rows])
     return np.ascontiguousarray(picture.levels[:, y0:y1, x0:x1]), np.array([x0, y0], np.float64)
 
 
-def _kept(corners: Floats, start: Floats) -> Floats:
-    """Fitted corners, or where they went astray those from which the fit started."""
-    return corners if is_possible(corners) and 0.5 < area(corners) / area(start) < 2 else start
-
-
-def _is_there(corners: Floats, picture: Picture, shape: Shape | None = None) -> bool:
-    """True if a panel may have such corners, and at least half of it lies within the picture."""
-    rows, columns = picture.levels.shape[1:]
-    if not is_possible(corners, *((shape.rows, shape.columns) if shape else (1, 1))):
+def _is_visible(corners: Floats, picture: Picture, shape: Shape | None = None) -> bool:
+    """Return True if a panel can have such corners, and half of the panel or more is within the picture."""
+    rows, columns = picture.size
+    if not (shape.is_possible(corners) if shape else is_possible(corners)) or abs(area(corners)) < MIN_SIDE_PX**2:
         return False
-    if abs(area(corners)) < LEAST_SIDE_PX**2:
-        return False
-    x, y = mapped(homographies(corners), grid(8, 8)).T
-    # smallest share of a panel within the frame: of less neither grid nor outline tells
+    x, y = transform(homographies(corners), grid(8, 8)).T
     return bool(((x > -0.5) & (x < columns - 0.5) & (y > -0.5) & (y < rows - 0.5)).mean() >= 0.5)
 
 
-def _check_there(corners: Floats, picture: Picture, shape: Shape | None) -> None:
-    if not _is_there(corners, picture, shape):
-        rows, columns = picture.levels.shape[1:]
+def _check_visible(corners: Floats, picture: Picture, shape: Shape | None) -> None:
+    if not _is_visible(corners, picture, shape):
+        rows, columns = picture.size
         raise _no_panel(corners + picture.corner, f" in a frame of {columns}x{rows} pixels")
 
 
@@ -346,29 +323,28 @@ def _pictures(frames: Any) -> list[Picture]:
     several = frames if isinstance(frames, (list, tuple)) else [frames]
     if not several:
         raise HeliographError("locate takes a frame or a list of frames, not an empty one")
-    pictures = [picture_of(one) for one in several]
-    if any(one.levels.shape != pictures[0].levels.shape or one.origin != pictures[0].origin for one in pictures):
-        raise HeliographError("frames of a list have one size, place and number of colours: give those of one camera")
+    pictures = [picture_of(frame) for frame in several]
+    if len({(picture.levels.shape, picture.origin) for picture in pictures}) > 1:
+        raise HeliographError("frames of a list have one size, place and number of colours: give frames of one camera")
     return pictures
 
 
 def _shape(rows: Any, columns: Any) -> Shape | None:
-    if rows is None and columns is None:
-        return None
+    return None if rows is None and columns is None else _known_shape(rows, columns)
+
+
+def _known_shape(rows: Any, columns: Any) -> Shape:
     for name, count in (("rows", rows), ("columns", columns)):
         if not isinstance(count, Integral) or count < 2:
-            raise HeliographError(f"{name} of LEDs are a whole number, 2 or more, not {shown(count)}")
-    if rows * columns > MOST_LEDS:
-        raise HeliographError(f"a panel has at most {MOST_LEDS} LEDs, not {rows} x {columns}: take a part of it")
+            raise HeliographError(f"{name} of LEDs are an integer, 2 or more, not {shown(count)}")
+    if rows * columns > MAX_LEDS:
+        raise HeliographError(f"a panel has at most {MAX_LEDS} LEDs, not {rows} x {columns}: take a part of it")
     return Shape(int(rows), int(columns))
 
 
 def _corners(corners: Any) -> Floats:
-    try:
-        found = np.array(corners, np.float64)
-    except (TypeError, ValueError):
-        found = np.empty(0)
-    if found.shape != (4, 2) or not np.isfinite(found).all():
+    found = matrix_of(corners, (4, 2))
+    if found is None:
         raise HeliographError(
             f"corners are four points (x, y) in px, such as [(10, 10), (90, 12), (88, 95), (9, 90)], not "
             f"{shown(corners)}"
@@ -379,39 +355,38 @@ def _corners(corners: Any) -> Floats:
 def _checked(place: Any) -> Place:
     if not isinstance(place, Place):
         raise HeliographError(
-            f"a place is what locate gives, or heliograph.panel.Place(corners, blur), not {shown(place)}"
+            f"a place is a result of locate, or heliograph.panel.Place(corners, blur), not {shown(place)}"
         )
     return Place(_corners(place.corners), place.blur, place.score)
 
 
 def _region(region: Any, picture: Picture) -> Region:
-    rows, columns = picture.levels.shape[1:]
+    rows, columns = picture.size
     if region is None:
         return 0, 0, columns, rows
     numbers = isinstance(region, (list, tuple)) and len(region) == 4 and all(isinstance(n, Integral) for n in region)
     if not numbers:
-        raise HeliographError(f"a region is (x, y, columns, rows) in whole pixels, not {shown(region)}")
+        raise HeliographError(f"a region is (x, y, columns, rows) in integer pixels, not {shown(region)}")
     x, y, width, height = (int(n) for n in region)
     x, y = x - picture.origin[0], y - picture.origin[1]
     x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + width, columns), min(y + height, rows)
-    if x1 - x0 < LEAST_SIDE_PX or y1 - y0 < LEAST_SIDE_PX:
+    if x1 - x0 < MIN_SIDE_PX or y1 - y0 < MIN_SIDE_PX:
         raise HeliographError(
-            f"the region {','.join(map(str, region))} has no {LEAST_SIDE_PX:g} x {LEAST_SIDE_PX:g} pixels of the "
+            f"the region {','.join(map(str, region))} has no {MIN_SIDE_PX:g} x {MIN_SIDE_PX:g} pixels of the "
             f"frame, which is {columns}x{rows}"
         )
     return x0, y0, x1 - x0, y1 - y0
 
 
-def _leakage(leakage: Any, picture: Picture) -> Floats | None:
+def _inverse_leakage(leakage: Any, picture: Picture) -> Floats | None:
     if leakage is None:
         return None
     if len(picture.levels) != COLOURS:
         raise HeliographError("leakage is between colours: the frame has one channel")
-    try:
-        matrix = np.asarray(leakage, np.float64).reshape(COLOURS, COLOURS)
-        return np.asarray(np.linalg.inv(matrix), np.float64)
-    except (TypeError, ValueError, np.linalg.LinAlgError):
+    matrix = matrix_of(leakage, (COLOURS, COLOURS))
+    if matrix is None or np.linalg.matrix_rank(matrix) < COLOURS:
         raise HeliographError(
-            f"leakage is a matrix (3, 3) that has an inverse: what each channel (row) sees of each colour (column), "
-            f"not {shown(leakage)}"
-        ) from None
+            "leakage is a matrix (3, 3) that has an inverse: the response of each channel (row) to each colour "
+            f"(column), not {shown(leakage)}"
+        )
+    return np.asarray(np.linalg.inv(matrix), np.float64)

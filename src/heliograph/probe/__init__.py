@@ -1,6 +1,6 @@
-"""A word on what a film shows: its frames, its light, its noise, what blinks in it, and why that is or is no array."""
+"""Diagnosis of films: frames, light and noise, and the causes of a failed reception."""
 
-from heliograph.probe.causes import Cause, RegionSeen
+from heliograph.probe.causes import Cause, RegionReport
 from heliograph.probe.film import Findings, probe_film
 
-__all__ = ["Cause", "Findings", "RegionSeen", "probe_film"]
+__all__ = ["Cause", "Findings", "RegionReport", "probe_film"]

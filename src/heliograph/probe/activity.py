@@ -1,9 +1,8 @@
-"""What changes from frame to frame, block by block, in a stretch of a film; and the stretch in which most blinks.
+"""Changes between frames by blocks, and the stretch of a film with the most blinking light.
 
-A film is gone through stretch by stretch, and the frames of one are kept: where most blinks. What alternates in four
-frames shows light that blinks, as in the detector; beside the change from frame to frame it tells blinking from
-motion, as a motion goes on evenly. Noise is told from both by its finest detail, which a lens hardly lets through,
-and by being the same wherever the gray level is.
+The alternation of four frames responds to blinking light, as in the detector. Its ratio to the change from frame to
+frame separates blinking from motion, which continues evenly. The finest detail separates noise from both, because a
+lens hardly transmits it and because noise depends only on the gray level.
 """
 
 import itertools
@@ -19,63 +18,58 @@ from heliograph.receive.detect.alternation import alternation_means
 from heliograph.receive.detect.kernels import BLOCK_PX
 
 MOST_FRAMES = 256
-"""Most frames in a stretch: two packets and a half of the reference link, so that one is whole whatever the phase."""
+"""Maximum frames of a stretch: two and a half packets of the reference link, so that one packet is complete."""
 
 LEAST_FRAMES = 8
-"""Least frames in a stretch, of however large frames: the fewest that show a rate."""
-
-ROUNDED = 0.29
-"""Standard deviation in gray levels that rounding leaves: less noise than that is not told from it."""
+"""Minimum frames of a stretch, for large frames: fewer show no rate."""
 
 ALTERNATION_NOISE = 1.118 * 0.798
-"""Mean magnitude of what alternates in four frames of white noise of the deviation 1: sqrt(20) / 4, sqrt(2 / pi)."""
+"""Mean magnitude of the alternation of white noise with unit variance: sqrt(20) / 4 times sqrt(2 / pi)."""
 
 CHANGE_NOISE = 1.414 * 0.798
-"""The same of the change from frame to frame."""
+"""Mean magnitude of the change from frame to frame of white noise with unit variance."""
 
 QUIET = 0.25
-"""Part of the blocks that is taken to be quiet."""
+"""Part of the blocks assumed quiet."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Stretch:
-    """Frames of a film that follow each other, and what changes in them."""
+    """Successive frames of a film, and the changes by blocks."""
 
-    # The frames, whole ones, in the order of time
+    # Complete frames in order of time
     frames: Sequence[Frame]
-    # Numbers of the frames with which the parts begin, and of the end, (parts + 1,)
+    # First frame of each part, and the end, (parts + 1,)
     bounds: tuple[int, ...]
-    # (parts, blocks down, blocks across) mean magnitude of what alternates, in gray levels
+    # (parts, blocks down, blocks across) mean magnitudes of the alternation in gray levels
     alternation: Floats
-    # (parts, blocks down, blocks across) mean magnitude of the change from frame to frame, in gray levels
+    # (parts, blocks down, blocks across) mean magnitudes of the change from frame to frame in gray levels
     change: Floats
     # (blocks down, blocks across) standard deviation of a pixel's noise in gray levels
     noise: Floats
 
     @property
     def excess(self) -> Floats:
-        """(parts, blocks down, blocks across) alternation over that of noise, 1 where there is noise alone."""
+        """Alternation over the alternation of noise, (parts, blocks down, blocks across)."""
         return np.asarray(self.alternation / (ALTERNATION_NOISE * self.noise))
 
     @property
     def busy(self) -> "np.ndarray[tuple[int, int], np.dtype[np.bool_]]":
-        """(blocks down, blocks across), where something blinks or moves."""
+        """Blocks with blinking or motion, (blocks down, blocks across)."""
         excess = self.excess
-        whole = excess.mean(0)
-        quiet = max(1.0, float(np.quantile(whole, QUIET)))
-        # Alternation of a busy block over that of noise, and over that of the quiet quarter of all blocks. Over 250
-        # frames noise alone scatters by 2 % from block to block
-        # the same of a part of a stretch, in which noise scatters more, and through which something may pass
-        return np.asarray((whole > 1.35 * quiet) | (excess.max(0) > 2.5 * quiet), bool)
+        mean = excess.mean(0)
+        quiet = max(1.0, float(np.quantile(mean, QUIET)))
+        # over 250 frames the noise of a block scatters by 2 %; over a part of the stretch by more
+        return np.asarray((mean > 1.35 * quiet) | (excess.max(0) > 2.5 * quiet), bool)
 
     @property
     def score(self) -> float:
-        """How much blinks in it: the excess of busy blocks, each by the deviations of its noise."""
+        """Sum of the excess of all busy blocks."""
         return float(np.minimum(self.excess.mean(0), 50.0)[self.busy].sum())
 
 
 class Stretches:
-    """Goes through a film, and keeps the stretch in which most blinks."""
+    """Search for the stretch with the most blinking light, one stretch at a time."""
 
     def __init__(self, every: int = 1):
         self._every = every
@@ -85,31 +79,30 @@ class Stretches:
         self._best: Stretch | None = None
 
     def add(self, frame: Frame) -> None:
-        """Take the next frame."""
-        if not self._frames:
-            # Most bytes of frames in a stretch: 380 frames of 1024 x 512 pixels of 8 bits. Two stretches are held at a
-            # time
-            room = (192 << 20) // max(frame.pixels.nbytes, 1)
-            self._length = max(LEAST_FRAMES, min(MOST_FRAMES, room))
-        elif not _alike(self._frames[-1], frame):
+        """Add the next frame."""
+        last = self._frames[-1] if self._frames else None
+        if last is not None and (last.pixels.shape != frame.pixels.shape or last.origin != frame.origin):
             self._end()
+        if not self._frames:
+            # memory bound: 192 MB for each of two stretches, or 380 frames of 1024 x 512 pixels of 8 bits
+            limit = (192 << 20) // max(frame.pixels.nbytes, 1)
+            self._length = max(LEAST_FRAMES, min(MOST_FRAMES, limit))
         self._frames.append(frame)
         if len(self._frames) >= self._length:
             self._end()
 
     def best(self) -> Stretch | None:
-        """The stretch in which most blinks; None where there are too few frames of any."""
+        """Return the stretch with the most blinking light; None if the film has fewer than four frames."""
         self._end()
         return self._best
 
     def _end(self) -> None:
-        """Look at the frames gathered, and begin anew."""
+        """Compare the finished stretch with the best one."""
         frames, self._frames = self._frames, []
         number, self._number = self._number, self._number + 1
         if len(frames) < 4 or number % self._every or min(frames[0].pixels.shape) < 1:
             return
-        # part of a stretch's length below which the last one of a film says too little
-        if self._best is not None and len(frames) < 0.25 * self._length:
+        if self._best is not None and len(frames) < 0.25 * self._length:  # a short rest at the film's end
             return
         stretch = stretch_of(frames)
         if self._best is None or stretch.score * len(frames) > self._best.score * len(self._best.frames):
@@ -117,57 +110,50 @@ class Stretches:
 
 
 def stretch_of(frames: Sequence[Frame]) -> Stretch:
-    """What changes in frames that follow each other."""
-    # parts of a stretch: where something is in each tells how it moves
-    count = max(1, min(8, len(frames) // 8))
-    bounds = np.linspace(0, len(frames), count + 1).round().astype(int)
-    parts, changes = list[Floats](), list[Floats]()
+    """Measure the changes of successive frames, in up to eight parts that show motion."""
+    bounds = np.linspace(0, len(frames), max(1, min(8, len(frames) // 8)) + 1).round().astype(int)
+    alternation, change = list[Floats](), list[Floats]()
     for first, end in itertools.pairwise(bounds):
-        # the frames of a part and those before it that it takes four with
         starts = range(max(0, int(first) - 3), int(end) - 3)
-        parts.append(np.mean([alternation_means(frames[k : k + 4]) for k in starts], axis=0, dtype=np.float64))
-        changes.append(np.mean([alternation_means(frames[k : k + 2]) for k in starts], axis=0, dtype=np.float64))
-    # the finest detail costs more than both, and noise is as even as the light
-    # every so many frames the finest detail is looked at: noise hardly changes within a stretch
-    compared = range(0, len(frames) - 1, 8)
-    detail = np.mean([finest_detail(frames[k], frames[k + 1], parts[0].shape) for k in compared], axis=0)
-    gray = cv2.resize(
-        frames[len(frames) // 2].pixels.astype(np.float32), parts[0].shape[::-1], interpolation=cv2.INTER_AREA
-    )
-    noise = noise_of(detail, np.asarray(gray, np.float64))
-    return Stretch(frames, tuple(map(int, bounds)), np.array(parts), np.array(changes), noise)
+        for means, size in ((alternation, 4), (change, 2)):
+            means.append(np.mean([alternation_means(frames[k : k + size]) for k in starts], axis=0, dtype=np.float64))
+    shape = alternation[0].shape
+    # every eighth pair: noise hardly changes within a stretch
+    pairs = range(0, len(frames) - 1, 8)
+    detail = np.mean([finest_detail(frames[k], frames[k + 1], shape) for k in pairs], axis=0)
+    middle = frames[len(frames) // 2].pixels.astype(np.float32)
+    gray = np.asarray(cv2.resize(middle, shape[::-1], interpolation=cv2.INTER_AREA), np.float64)
+    parts = np.array(alternation), np.array(change)
+    return Stretch(frames, tuple(map(int, bounds)), *parts, block_noise(detail, gray))
 
 
-def noise_of(detail: Floats, gray: Floats) -> Floats:
-    """Noise of blocks: by their finest detail, but no more than blocks of their gray level usually have."""
+def block_noise(detail: Floats, gray: Floats) -> Floats:
+    """Estimate the noise of blocks by the finest detail, limited to the usual noise at this gray level."""
     order = np.argsort(gray, axis=None)
-    # groups of blocks by their gray level, in which the quiet quarter tells the noise of that level
-    groups = [one for one in np.array_split(order, 16) if one.size]
-    levels = np.array([float(np.median(gray.ravel()[one])) for one in groups])
-    variances = np.array([float(np.quantile(detail.ravel()[one], QUIET)) ** 2 for one in groups])
-    # photons: variance rises evenly with the level; the median slope heeds no few groups that blink (Theil and Sen)
+    groups = [group for group in np.array_split(order, 16) if group.size]
+    levels = np.array([float(np.median(gray.ravel()[group])) for group in groups])
+    variances = np.array([float(np.quantile(detail.ravel()[group], QUIET)) ** 2 for group in groups])
+    # shot noise: the variance rises linearly; the median slope (Theil-Sen) ignores a few blinking groups
     i, j = np.triu_indices(len(groups), 1)
-    apart = levels[j] - levels[i]
-    # gray levels by which two groups must differ to tell how noise rises with the level
-    clear = apart > 1.0
-    slopes = (variances[j] - variances[i])[clear] / apart[clear]
-    slope = max(float(np.median(slopes)), 0.0) if slopes.size > QUIET * apart.size else 0.0
+    distance = levels[j] - levels[i]
+    clear = distance > 1.0
+    slopes = (variances[j] - variances[i])[clear] / distance[clear]
+    slope = max(float(np.median(slopes)), 0.0) if slopes.size > QUIET * distance.size else 0.0
     base = float(np.median(variances - slope * levels))
     usual = np.sqrt(np.maximum(base + slope * gray, 0.0))
-    return np.asarray(np.maximum(np.minimum(detail, usual), ROUNDED))
+    return np.asarray(np.maximum(np.minimum(detail, usual), 0.29))  # rounding alone: sqrt(1 / 12)
 
 
-def finest_detail(one: Frame, other: Frame, shape: tuple[int, ...]) -> Floats:
-    """Noise by what two frames differ in from pixel to pixel along both diagonals."""
-    rows, cols = (size // 2 * 2 for size in one.pixels.shape)
+def finest_detail(first: Frame, second: Frame, shape: tuple[int, ...]) -> Floats:
+    """Measure the noise of blocks by the diagonal detail of the difference of two frames."""
+    rows, cols = (size // 2 * 2 for size in first.pixels.shape)
     if not rows or not cols:
         return np.zeros(shape)
-    d = cv2.subtract(other.pixels[:rows, :cols], one.pixels[:rows, :cols], dtype=cv2.CV_32F)
-    # of 2 x 2 pixels of white noise of the deviation s in each frame this has the deviation sqrt(2) s
+    d = cv2.subtract(second.pixels[:rows, :cols], first.pixels[:rows, :cols], dtype=cv2.CV_32F)
+    # 2 x 2 pixels of white noise with the deviation s in each frame have the deviation sqrt(2) s
     detail = np.abs(0.5 * (d[::2, ::2] - d[::2, 1::2] - d[1::2, ::2] + d[1::2, 1::2])) / CHANGE_NOISE
     half = BLOCK_PX // 2
-    down, across = -detail.shape[0] % half, -detail.shape[1] % half
-    padded = np.pad(detail, ((0, down), (0, across)), mode="edge")
+    padded = np.pad(detail, [(0, -size % half) for size in detail.shape], mode="edge")
     means = padded.reshape(padded.shape[0] // half, half, padded.shape[1] // half, half).mean((1, 3))
     out = np.full(shape, float(means.mean()))
     out[: means.shape[0], : means.shape[1]] = means[: shape[0], : shape[1]]
@@ -175,12 +161,7 @@ def finest_detail(one: Frame, other: Frame, shape: tuple[int, ...]) -> Floats:
 
 
 def blinking(alternation: Floats, change: Floats, noise: Floats) -> float:
-    """Return the ratio of alternation to change, as root mean squares: near 1 for blinking, small for motion."""
+    """Return the RMS ratio of alternation to change, noise removed: near 1 for blinking, small for motion."""
     blinks = np.maximum(alternation**2 - (ALTERNATION_NOISE * noise) ** 2, 0.0).sum()
     changes = np.maximum(change**2 - (CHANGE_NOISE * noise) ** 2, 0.0).sum()
     return float(np.sqrt(blinks / max(changes, TINY))) if changes > 0 else 0.0
-
-
-def _alike(one: Frame, other: Frame) -> bool:
-    """Whether two frames have the same pixels of a sensor."""
-    return one.pixels.shape == other.pixels.shape and one.origin == other.origin

@@ -1,8 +1,8 @@
-"""Frames read by a receiver with given settings, and the received arrays: identity, place, clock, noise and packets."""
+"""Decoded arrays of a film: identity, position, clock, noise and packets, from a receiver with given settings."""
 
 from collections import defaultdict, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,113 +27,102 @@ from heliograph.signal.settings import SignalSettings
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """The light's clock in the camera's."""
+    """Clock of the light relative to the camera."""
 
-    # When patterns begin after frames do, in patterns: -0.5 to 0.5, 0 in step
+    # Delay of patterns after frames in patterns, -0.5 to 0.5; 0 in step
     phase: float
-    # By how many millionths a pattern lasts longer than the settings say; None where it is not told
+    # Excess duration of a pattern over the settings in ppm, and standard error; None if unknown
     rate_ppm: float | None
-    # Its standard error; None where it is not told
     rate_error_ppm: float | None
 
     @property
     def in_step(self) -> bool:
-        """Whether frames show one pattern each, if a pattern lasts a frame."""
-        # phase in patterns from which on frames show two patterns
+        """True if each frame shows a single pattern, for one frame per pattern."""
         return abs(self.phase) <= 0.1
 
 
 def clock_of(packets: Sequence[Packet], frames: Sequence[Frame], signal: SignalSettings) -> Clock:
-    """The light's clock in the camera's, by the starts of packets."""
-    starts: Floats = np.array([one.start_time_s for one in packets])
-    steps = np.diff([one.time_s for one in frames])
-    period_s = float(np.median(steps))
-    after = (starts[0] - frames[0].time_s) / period_s
-    phase = (after - round(after)) * period_s / signal.pattern_period_s
+    """Measure the light's clock by the starts of packets."""
+    starts: Floats = np.array([packet.start_time_s for packet in packets])
+    period_s = float(np.median(np.diff([frame.time_s for frame in frames])))
+    delay = (starts[0] - frames[0].time_s) / period_s
+    phase = float((delay - round(delay)) * period_s / signal.pattern_period_s)
     numbers = np.round((starts - starts[0]) / signal.packet_s)
     if len(starts) < 2 or numbers[-1] < 1:
-        return Clock(float(phase), None, None)
+        return Clock(phase, None, None)
+    # the soft receiver's start of a packet has a standard error of 0.005 to 0.02 patterns
     spread = float(np.sqrt(((numbers - numbers.mean()) ** 2).sum()))
-    # standard deviation in patterns of a packet's start by the soft receiver's clock: 0.005 to 0.02
-    error = 0.02 * signal.pattern_period_s / (spread * signal.packet_s) * 1e6
-    slope = float(np.polyfit(numbers, starts, 1)[0])
-    # standard error of a clock's rate above which it is not told: quartz clocks differ by less
-    told = error <= 200.0
-    return Clock(float(phase), (slope / signal.packet_s - 1) * 1e6 if told else None, error if told else None)
-
-
-SLACK = 0.85
-"""Factor on what a region shows, to ask for less than that: of contrast and size."""
+    error_ppm = 0.02 * signal.pattern_period_s / (spread * signal.packet_s) * 1e6
+    if error_ppm > 200.0:  # quartz clocks differ by less
+        return Clock(phase, None, None)
+    return Clock(phase, (float(np.polyfit(numbers, starts, 1)[0]) / signal.packet_s - 1) * 1e6, error_ppm)
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """What the film is to be read with."""
+class Setup:
+    """Settings for the reception of a film."""
 
-    # The light's signal, as the receiver takes it
+    # Signal of the light
     signal: SignalSettings
-    # Settings of the receiver, which they name
+    # Settings of the receiver
     settings: ReceiveSettings
-    # Frames per second as they are stamped
+    # Frames per second by the time stamps
     rate_hz: float
 
     @property
     def frames_a_pattern(self) -> float:
-        """Frames that a pattern lasts, if stamps and settings are right."""
+        """Duration of a pattern in frames by stamps and settings."""
         return self.signal.pattern_period_s * self.rate_hz
 
-    def changed(self, changes: Mapping[str, Any]) -> "Asked":
-        """The same with some settings changed."""
+    def changed(self, changes: Mapping[str, Any]) -> "Setup":
+        """Change some settings, given as a nested mapping with "signal" and "receive"."""
         receive = merge(to_mapping(self.settings), changes.get("receive", {}))
-        # what is another receiver's has no effect, and may not be set
+        # settings of other receivers have no effect, and are an error
         name = receive["receiver"]
-        for room in {"plain", "soft", "own"} - {name if name in ("plain", "soft") else "own"}:
-            receive.pop(room, None)
+        for section in {"plain", "soft", "custom"} - {name if name in ("plain", "soft") else "custom"}:
+            receive.pop(section, None)
         if name == "plain":
             receive["calibration"].pop("exposure_s", None)
         signal = merge(to_mapping(self.signal), changes.get("signal", {}))
-        return Asked(from_mapping(SignalSettings, signal), from_mapping(ReceiveSettings, receive), self.rate_hz)
+        return Setup(from_mapping(SignalSettings, signal), from_mapping(ReceiveSettings, receive), self.rate_hz)
 
 
 @dataclass(frozen=True)
-class Reading:
-    """What a receiver made of frames."""
+class Trial:
+    """Output of a receiver for some frames."""
 
-    # signal, settings: signal and receiver that were asked for
+    # Signal of the settings
     signal: SignalSettings
-    settings: ReceiveSettings
-    # What it took for arrays
+    # Detected arrays
     detections: tuple[Detection, ...]
-    # What is a packet of what it handed out
+    # Packets
     packets: tuple[Packet, ...]
-    # Pairs from which the soft receiver decoded
-    cutouts: tuple[Cutout, ...] = ()
-    # Gray levels of the array with all LEDs on, by identity, as pairs of patterns were followed
-    gains: Mapping[int, Sequence[float]] = field(default_factory=dict)
-    # Why it ended early; empty where it did not
-    error: str = ""
-    # Exposures in T_b between which the light puts it, by identity
-    exposures: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    # Pairs of patterns as the soft receiver decoded them
+    cutouts: tuple[Cutout, ...]
+    # Gray levels of the array with all LEDs on for each pair, by identity
+    gains: Mapping[int, Sequence[float]]
+    # Bounds of the exposure in T_b from the light, by identity
+    exposures: Mapping[int, tuple[float, float]]
 
     @property
-    def read(self) -> bool:
-        """Whether a codeword is right."""
-        return any(packet.has_codeword for packet in self.packets)
+    def decoded(self) -> list[Packet]:
+        """Packets with a decoded codeword."""
+        return [packet for packet in self.packets if packet.has_codeword]
 
 
-def read(frames: Sequence[Frame], signal: SignalSettings, settings: ReceiveSettings) -> Reading:
-    """Let a receiver read frames."""
-    detections, packets, cutouts, error = list[Detection](), list[Packet](), list[Cutout](), ""
+def run_receiver(frames: Sequence[Frame], setup: Setup) -> Trial:
+    """Run a receiver on some frames; an error ends the run."""
+    detections, packets, cutouts = list[Detection](), list[Packet](), list[Cutout]()
     gains: dict[int, list[float]] = defaultdict(list)
     exposures, tracks = dict[int, tuple[float, float]](), dict[int, Track]()
 
-    def watch(event: Any) -> None:
+    def observe(event: Any) -> None:
         if isinstance(event, DetectEvent):
             detections.append(event.detection)
         if isinstance(event, DecodeEvent):
             track = tracks.get(event.identity)
-            kept = [one for one in event.cutouts if one is not None]
-            cutouts.extend(one.motion_compensated(track.gain, track.led_gains) if track else one for one in kept)
+            seen = [cutout for cutout in event.cutouts if cutout is not None]
+            cutouts.extend(cut.motion_compensated(track.gain, track.led_gains) if track else cut for cut in seen)
             if event.exposure_range is not None:
                 exposures[event.identity] = event.exposure_range
         if isinstance(event, TrackEvent):
@@ -141,69 +130,66 @@ def read(frames: Sequence[Frame], signal: SignalSettings, settings: ReceiveSetti
             gains[event.identity].append(event.tracked.track.gain)
 
     try:
-        receiver = make_receiver(signal, settings, watch)
+        receiver = make_receiver(setup.signal, setup.settings, observe)
         for frame in frames:
             packets += receiver.push(frame)
         packets += receiver.finish()
-    except HeliographError as problem:
-        error = str(problem)
-    seen = tuple(filter(is_packet, packets))
-    return Reading(signal, settings, tuple(detections), seen, tuple(cutouts), gains, error, exposures)
+    except HeliographError:
+        pass
+    return Trial(
+        setup.signal, tuple(detections), tuple(filter(is_packet, packets)), tuple(cutouts), gains, exposures
+    )  # fmt: skip
 
 
-def narrowed(size_px: float) -> dict[str, Any]:
-    """Settings of a search about a size that is known: it takes less time, and takes nothing else for the array."""
+SLACK = 0.85
+"""Factor for thresholds below the measured size or contrast."""
+
+
+def search_near(size_px: float) -> dict[str, Any]:
+    """Return settings of a search near a known size: faster, and with fewer false arrays."""
     smallest = max(SLACK * size_px, 3.0)
     return {"min_side_px": smallest, "max_side_px": max(size_px / SLACK, 2 * smallest, 6.0), "candidates": 2}
 
 
-MOST_PLACES = 20_000
-"""Most packets whose places are kept, the last ones: those of half an hour of the reference link."""
-
-_Place = tuple[int, int, int, float, float]
-"""Of a packet that was read: identity, first and last frame, place (x, y) on the sensor in px."""
-
-
 @dataclass(frozen=True, slots=True)
-class ArraySeen:
-    """An array that is read.
+class ArrayReport:
+    """Decoded array.
 
     Attributes
     ----------
     identity
-        Its number, 0 to 29.
+        Identity, 0 to 29.
     orientation
-        How the camera sees it: "upright", "mirrored", "turned 90" and so on.
+        Orientation in the image: "upright", "mirrored", "turned 90" and so on.
     packets
-        Its packets, read or not.
+        Number of packets, decoded or not.
     first_frame, last_frame
-        Numbers of the frame in which its first packet begins, and of that in which its last one ends.
+        First frame of the first packet, and last frame of the last packet.
     first_distance_m, last_distance_m
-        Its distance in m at its first and its last packet, by the settings' optics.
+        Distance in m at the first and at the last packet, by the optics in the settings.
     x, y
-        Its centre on the sensor in px at its last packet.
+        Centre on the sensor in px at the last packet.
     pitch_px
-        Pixels from LED to LED there.
+        Pitch of the LEDs in px at the last packet.
     blur_px
-        Blur of an LED there, as a standard deviation in px.
+        Standard deviation of an LED's blur in px at the last packet.
     contrast
         Light of the array with all LEDs on, over full scale.
     score
-        Correlation of its header with the header's image.
+        Correlation with the header's image.
     ok, failed
-        Codewords read and not read, by layer.
+        Number of decoded and of failed codewords, by layer.
     clock
-        The light's clock in the camera's; None where it is not told.
+        Clock of the light relative to the camera; None if unknown.
     noise
-        Variances of a difference of two frames in squared gray levels; None where they are not told, as of near arrays.
+        Variances of the difference of two frames in squared gray levels; None if unknown, as for near arrays.
     clipped
-        Whether some of its pixels are at full scale: its noise within is then not told, and that beside it stands for
-        both.
+        True if some pixels of the array are at full scale: `noise` then is the noise outside the array.
     reach
-        How far layers are expected to be read, by receiver; none where noise is not told.
+        Estimated reach of each layer, by receiver; empty if the noise is unknown.
     exposure
-        Exposures between which the light puts the camera's, as parts of the frame period; None where all frames show
-        the same part of a pattern, as in step, which does not tell it.
+        Bounds of the camera's exposure from the light, as fractions of the frame period; None if all frames show the
+        same part of a pattern.
     """
 
     identity: int
@@ -228,120 +214,99 @@ class ArraySeen:
     exposure: tuple[float, float] | None = None
 
 
+MOST_PLACES = 20_000
+"""Number of stored packet positions: half an hour of the reference link."""
+
+
 class ArrayWatch:
-    """Keeps what a receiver hands out of a film, array by array, however long the film is."""
+    """Statistics of a receiver's packets by array, in bounded memory."""
 
     def __init__(self) -> None:
         self._tallies: dict[int, ArrayTally] = {}
         self._last: dict[int, Packet] = {}
         self._headers: dict[int, Detection] = {}
-        self._places: deque[_Place] = deque(maxlen=MOST_PLACES)
+        # identity, first and last frame, position (x, y) on the sensor in px
+        self._places: deque[tuple[int, int, int, float, float]] = deque(maxlen=MOST_PLACES)
 
     def found(self, detection: Detection) -> None:
-        """Take what the receiver takes for an array."""
-        for one in detection.hypotheses:
-            best = self._headers.get(one.identity)
-            if best is None or detection.score > best.score:
-                self._headers[one.identity] = detection
+        """Add a detection."""
+        for hypothesis in detection.hypotheses:
+            best = self._headers.setdefault(hypothesis.identity, detection)
+            if detection.score > best.score:
+                self._headers[hypothesis.identity] = detection
 
     def add(self, packet: Packet) -> None:
-        """Take a packet."""
+        """Add a packet."""
         if not is_packet(packet):
             return
-        new = ArrayTally(packet.first_frame, packet.distance_m)
-        self._tallies.setdefault(packet.identity, new).add(packet)
+        tally = self._tallies.setdefault(packet.identity, ArrayTally(packet.first_frame, packet.distance_m))
+        tally.add(packet)
         if packet.has_codeword:
             self._last[packet.identity] = packet
             self._places.append((packet.identity, packet.first_frame, packet.last_frame, packet.pose.x, packet.pose.y))
 
-    def arrays(self, full_scale: int) -> list[ArraySeen]:
-        """Arrays of which codewords were right, by their identity."""
-        return [self._array(identity, full_scale) for identity in sorted(self._last)]
+    def arrays(self, full_scale: int) -> list[ArrayReport]:
+        """Report the arrays with decoded codewords, by identity."""
+        return [self._report(identity, full_scale) for identity in sorted(self._last)]
 
     def at(self, region: Region, frames: Sequence[Frame]) -> int | None:
-        """Identity of the array that a region is; None where it is none that was read."""
+        """Return the identity of the decoded array in a region; None if no decoded array matches."""
         begin, end = frames[0].index, frames[-1].index
-        reach = 0.5 * max(region.width, region.height)
+        radius = 0.5 * max(region.width, region.height)
         for identity, first, last, x, y in self._places:
             if last < begin or first > end:
                 continue
             late = (0.5 * (first + last) - begin) / max(end - begin, 1) * (len(frames) - 1)
-            there = region.centre_at(late, len(frames))
-            if abs(x - there[0]) < reach and abs(y - there[1]) < reach:
+            centre = region.centre_at(late, len(frames))
+            if abs(x - centre[0]) < radius and abs(y - centre[1]) < radius:
                 return identity
         return None
 
-    def _array(self, identity: int, full_scale: int) -> ArraySeen:
+    def _report(self, identity: int, full_scale: int) -> ArrayReport:
         tally, last, header = self._tallies[identity], self._last[identity], self._headers.get(identity)
-        return ArraySeen(
-            identity=identity,
-            orientation=str(last.orientation),
-            packets=tally.packets,
-            first_frame=tally.first_frame,
-            last_frame=tally.last_frame,
-            first_distance_m=tally.first_distance_m,
-            last_distance_m=tally.last_distance_m,
-            x=last.pose.x,
-            y=last.pose.y,
-            pitch_px=last.pose.pitch,
-            blur_px=last.pose.blur,
-            contrast=header.fit.gain / full_scale if header else 0.0,
-            score=header.score if header else 0.0,
+        return ArrayReport(
+            identity, str(last.orientation), tally.packets, tally.first_frame, tally.last_frame,
+            tally.first_distance_m, tally.last_distance_m, last.pose.x, last.pose.y, last.pose.pitch, last.pose.blur,
+            contrast=header.fit.gain / full_scale if header else 0.0, score=header.score if header else 0.0,
             ok={name: layer.ok for name, layer in tally.layers.items()},
             failed={name: layer.failed for name, layer in tally.layers.items()},
-        )
+        )  # fmt: skip
 
 
-def looked_into(array: ArraySeen, frames: Sequence[Frame], asked: Asked) -> ArraySeen:
-    """An array with its clock, its noise and what follows, by some frames in which it is read."""
-    if asked.signal.modulation != "haar" or asked.signal.header != "m_sequence":
+def measure_array(array: ArrayReport, frames: Sequence[Frame], setup: Setup) -> ArrayReport:
+    """Measure clock, exposure, noise and reach of an array in some frames."""
+    if setup.signal.modulation != "haar" or setup.signal.header != "m_sequence":
         return array
-    size = array.pitch_px * asked.signal.side
-    changes: dict[str, Any] = {"receiver": "soft", "detect": narrowed(size)}
-    soft = asked.changed({"receive": changes})
-    reading = read(frames, soft.signal, soft.settings)
-    own = [one for one in reading.packets if one.identity == array.identity and one.has_codeword]
-    if not own:
+    signal, full_scale, identity = setup.signal, frames[0].full_scale, array.identity
+    near = search_near(array.pitch_px * signal.side)
+    trial = run_receiver(frames, setup.changed({"receive": {"receiver": "soft", "detect": near}}))
+    packets = [packet for packet in trial.decoded if packet.identity == identity]
+    if not packets:
         return array
-    clock, gain = clock_of(own, frames, soft.signal), array.contrast * frames[0].full_scale
-    if not clock.in_step and array.identity in reading.gains:
-        # its header shows less of its light
-        gain = float(np.median(reading.gains[array.identity]))
-    cutouts, side = _cutouts(reading, own[-1]) if gain > 0 else [], soft.signal.side
-    clipped = any(_clips(cutout, frames[0].full_scale) for cutout in cutouts)
-    noise = None
-    if clipped:
-        # sums of levels that are cut off are uneven, by more than any noise
-        noise = Noise(beside := noise_beside(cutouts, side), beside)
+    clock, gain, pose = clock_of(packets, frames, signal), array.contrast * full_scale, packets[-1].pose
+    if not clock.in_step and identity in trial.gains:  # the header shows less of the light
+        gain = float(np.median(trial.gains[identity]))
+    # reduced frames show less noise
+    cutouts = [cut for cut in trial.cutouts if len(cut.poses) == 2 and cut.middle.pitch > 0.75 * pose.pitch]
+    cutouts = cutouts if gain > 0 else []
+    clipped = any(_clips(cutout, full_scale) for cutout in cutouts)
+    noise: Noise | None = None
+    if clipped:  # sums of clipped levels vary by more than the noise
+        noise = Noise(beside := noise_beside(cutouts, signal.side), beside)
     elif cutouts:
-        noise = measure_noise(cutouts, gain, side)
-    seen = replace(
-        array, contrast=gain / frames[0].full_scale, clock=clock, noise=noise, clipped=clipped,
-        exposure=_exposure(reading, array, asked),
-    )  # fmt: skip
-    if noise is None:
-        return seen
-    reach = reaches(
-        own[-1].pose, gain, noise, own[-1].distance_m, soft.signal,
-        asked.settings.detect.min_side_px,
-    )  # fmt: skip
-    return replace(seen, reach=reach)
-
-
-def _exposure(reading: Reading, array: ArraySeen, asked: Asked) -> tuple[float, float] | None:
-    """Exposure in frame periods; None where frames begin at the same places of patterns over and over."""
-    count = asked.frames_a_pattern
-    if array.identity not in reading.exposures or abs(count - round(count)) < STEP_TOLERANCE:
-        return None
-    low, high = reading.exposures[array.identity]
-    return low * count, high * count
-
-
-def _cutouts(reading: Reading, packet: Packet) -> list[Cutout]:
-    """Pairs of an array that show its noise: in reduced frames other things are left, and of noise a part."""
-    return [one for one in reading.cutouts if len(one.poses) == 2 and one.middle.pitch > 0.75 * packet.pose.pitch]
+        noise = measure_noise(cutouts, gain, signal.side)
+    smallest, reach = setup.settings.detect.min_side_px, tuple[Reach, ...]()
+    if noise is not None:
+        reach = reaches(pose, gain, noise, packets[-1].distance_m, signal, smallest)
+    duration, exposure = setup.frames_a_pattern, trial.exposures.get(identity)
+    if exposure is not None:  # for an integer duration all frames show the same parts
+        is_whole = abs(duration - round(duration)) < STEP_TOLERANCE
+        exposure = None if is_whole else (exposure[0] * duration, exposure[1] * duration)
+    return replace(
+        array, contrast=gain / full_scale, clock=clock, noise=noise, clipped=clipped, reach=reach, exposure=exposure
+    )
 
 
 def _clips(cutout: Cutout, full_scale: int) -> bool:
-    """Whether a pixel of a pair is at full scale in one of its frames, whichever is brighter."""
+    """Return True if a pixel of a pair is at full scale in one of the two frames."""
     return cutout.combination is None and bool((cutout.total + np.abs(cutout.difference) >= 2 * full_scale).any())

@@ -1,21 +1,22 @@
-"""Causes of a failed reception, by film and by region, with remedies."""
+"""Causes of a failed reception: tables of conditions on measured quantities, with messages and remedies."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
 from heliograph.base.words import counted
-from heliograph.probe.arrays import SLACK, ArraySeen, Asked, Clock
+from heliograph.probe.arrays import SLACK, ArrayReport, Clock, Setup
 from heliograph.probe.frames import FrameTimes
-from heliograph.probe.headers import HeaderSeen
+from heliograph.probe.headers import HeaderMatch
 from heliograph.probe.levels import Levels
 from heliograph.probe.light import LightRate
 from heliograph.probe.reach import Reach
 from heliograph.probe.regions import Region
-from heliograph.probe.trials import LEAST_TURN_DEG, SURE_HEADER, Found, is_blurred, options
+from heliograph.probe.trials import TUNING as TRIALS
+from heliograph.probe.trials import Remedy, is_blurred, options
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 
@@ -26,33 +27,23 @@ Kind = Literal[
     "slow camera", "lost frames", "repeated frames", "overexposed", "dark", "other bits", "short", "still",
     "other settings", "screen", "sight", "angle", "motion", "exposure", "glare", "resolution", "focus", "cells", "rate",
 ]  # fmt: skip
-"""What is the matter, in a word or two; "array" where nothing is. Those of the last line are told of screens."""
-
-LOST, REPEATED = 0.005, 0.02
-"""Parts of the frames that are lost, or come twice, from which on it is told."""
-
-OVEREXPOSED, DARK = 0.15, 0.15
-"""Part of a film's pixels at full scale, and brightest level over full scale, that are told."""
-
-
-WHATEVER_SENT = ("lost frames", "repeated frames", "overexposed", "dark", "other bits")
-"""Kinds of causes that do not follow from the settings of the signal."""
+"""Short name of a cause; "array" for a decoded array. The last line has the causes of screens."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """What is the matter with a region or with a film.
+    """Cause of a failed reception.
 
     Attributes
     ----------
     kind
-        The matter in a word or two.
+        Short name.
     why
-        A sentence with the figures that show it.
+        A sentence with the measured values.
     advice
-        What to change, each on a line; it names the option, or the thing on the camera.
+        Remedies, one per line; each names the option, or the part of the camera.
     proven
-        Whether codewords were read once that was changed.
+        True if codewords were decoded with the remedy.
     """
 
     kind: Kind
@@ -61,441 +52,432 @@ class Cause:
     proven: bool = False
 
 
+M = TypeVar("M")
+
+
+class Rule(Generic[M]):
+    """Row of a table of causes: a condition on the measured values m, and texts with fields {m.name}."""
+
+    def __init__(self, kind: Kind, applies: Callable[[M], object], why: str, *advice: str):
+        self.kind, self.applies, self.why, self.advice = kind, applies, why, advice
+
+    def cause(self, measured: M, proven: bool) -> Cause:
+        """Fill in the measured values; empty remedies are omitted."""
+        why, *advice = (text.format(m=measured) for text in (self.why, *self.advice))
+        return Cause(self.kind, why, tuple(filter(None, advice)), proven)
+
+
+def diagnose(rules: Sequence[Rule[M]], measured: M, proven: bool = False) -> tuple[Cause, ...]:
+    """Return the causes of all matching rules, in table order."""
+    return tuple(rule.cause(measured, proven) for rule in rules if rule.applies(measured))
+
+
 @dataclass(frozen=True, slots=True)
 class ArrayLike:
-    """A region as the array that it would be."""
+    """A region, described as an array."""
 
-    # Pixels from LED to LED
+    # Pitch of the LEDs in px
     pitch_px: float
-    # Blur of an LED, as a standard deviation in px
+    # Standard deviation of an LED's blur in px
     blur_px: float
     # Light with all LEDs on, over full scale
     contrast: float
-    # The light's clock in the camera's; None where no packet was read
+    # Clock of the light; None if no packet was decoded
     clock: Clock | None
-    # How far layers are expected to be read, by receiver; none where levels are lost, or the model holds no more
+    # Estimated reach by receiver; empty for overexposed regions, and beyond the limits of the model
     reach: tuple[Reach, ...]
 
 
 @dataclass(frozen=True)
-class RegionSeen:
-    """A region, and all that is known of it.
+class RegionReport:
+    """Region of a film with measurements and causes.
 
     Attributes
     ----------
     region
-        Place, size, speed and brightness.
+        Position, size, speed and brightness.
     rate
-        Frames that a pattern lasts as its light shows it; None where it does not.
+        Duration of a pattern from the light; None if the region shows no patterns.
     lamp_frames
-        Frames from one flash to the next if all of it goes on and off as one; None if not, or not regularly.
+        Period in frames if the region flashes as a whole; None if it does not, or has no period.
     pattern_part
-        How much of what its pixels do they do apart from each other, 0 to 1.
+        Part of the power outside the strongest image, 0 to 1; 0 for a lamp.
     header
-        What of a header it shows; None for nothing.
-    found
-        Settings with which it is read, other than those asked for; None where there are none.
+        Best header match; None for no match.
+    remedy
+        Other settings for decoding the region; None if none were found.
     array
-        The array, where it is one that is read.
+        The decoded array; None if the region is not decoded.
     causes
-        What is the matter, the first of them first.
+        Causes of the failure, the most important first.
     would_be
-        The array that it would be; None where it is read as one, or shows too little of a header.
+        The region described as an array; None if it is decoded, or has no clear header.
     """
 
     region: Region
     rate: LightRate | None
     lamp_frames: float | None
     pattern_part: float
-    header: HeaderSeen | None
-    found: Found | None
-    array: ArraySeen | None
+    header: HeaderMatch | None
+    remedy: Remedy | None
+    array: ArrayReport | None
     causes: tuple[Cause, ...] = ()
     would_be: ArrayLike | None = None
 
     @property
-    def header_like(self) -> HeaderSeen | None:
-        """Its header, where it shows enough of one that size and blur are those of an array."""
-        # correlation from which on size, contrast and blur of the header's fit are told in place of the region's
+    def clear_header(self) -> HeaderMatch | None:
+        """Header with a fit that gives size and blur of an array."""
         return self.header if self.header is not None and self.header.score >= 0.75 else None
 
     @property
+    def has_header(self) -> bool:
+        """True if the correlation with a header is higher than that of clutter."""
+        return self.header is not None and self.header.score >= TRIALS.sure_header
+
+    @property
     def like_array(self) -> bool:
-        """Whether its light is that of an array: patterns with their inverses, or header and inverse twice in a row."""
-        clear = self.header is not None and self.header.score >= SURE_HEADER and self.header.pairs >= 2
-        return self.rate is not None or clear
+        """True if the region shows patterns with inverses, or two header pairs."""
+        return self.rate is not None or (self.header is not None and self.has_header and self.header.pairs >= 2)
 
     @property
     def size_px(self) -> float:
-        """Side in px of the array it would be."""
-        if self.array is not None and self.header is None:
-            return self.region.side
-        return self.header_like.size_px if self.header_like else self.region.side
+        """Side in px of the region as an array."""
+        header = self.clear_header
+        return header.size_px if header is not None else self.region.side
 
 
-def film_causes(
-    times: FrameTimes, levels: Levels, asked: Asked, error: str, rate: LightRate | None
-) -> tuple[Cause, ...]:
-    """What is the matter with a film as a whole."""
-    out = list[Cause]()
-    light_hz, most = 1 / asked.signal.pattern_period_s, max(times.count + times.lost, 1)
-    # stamps are wrong where frames show each pattern
-    stepped = rate is not None and rate.frames > 1 - STEP_TOLERANCE
-    if times.rate_hz < light_hz * (1 - STEP_TOLERANCE) and not stepped:
-        out.append(Cause(
-            "slow camera",
-            f"{times.rate_hz:.4g} frames a second as stamped, and the light shows {light_hz:.4g} patterns: no receiver "
-            "reads less than a frame a pattern",
-            (f"film with {light_hz:.4g} frames a second or more",
-             f"or, where the camera did and the file misstates it, say so: --fps {light_hz:g}",
-             "or, where the light is slower, say how long a pattern lasts: --set signal.pattern_period_s=..."),
-        ))  # fmt: skip
-    if times.lost > LOST * most:
-        out.append(Cause(
-            "lost frames", f"{times.lost} of {most} frames are missing at {counted(times.gaps, 'place')}",
-            ("look for what drops them: the disk, the cable, the computer's load; receivers read on, but less",),
-        ))  # fmt: skip
-    # part of the frames that show what the one before did from which on nothing moves or blinks at all
-    if times.repeated > 0.9 * times.count:
-        out.append(Cause(
-            "still", f"all {times.count} frames but {times.count - times.repeated} show what the one before did",
-            ("film the array while it blinks: one picture over and over, as of a camera that stopped, holds no data",),
-        ))  # fmt: skip
-    elif times.repeated > REPEATED * times.count:
-        out.append(Cause(
-            "repeated frames",
-            f"{times.repeated} of {times.count} frames show what the one before did, to the last pixel",
-            ("a file of another rate than the camera's repeats frames: export it again without, and say --fps",),
-        ))  # fmt: skip
-    if levels.ceiling < levels.full_scale:
-        contrast = asked.settings.detect.min_contrast * levels.ceiling / levels.full_scale
-        out.append(Cause(
-            "other bits",
-            f"levels end at {levels.ceiling} of {levels.full_scale}: the film has more bits than its camera",
-            ("save it with the camera's own bits, or lower the least contrast: "
-             f"--set receive.detect.min_contrast={contrast:.1g}",),
-        ))  # fmt: skip
-    if levels.at_full_scale > OVEREXPOSED:
-        out.append(Cause(
-            "overexposed", f"{100 * levels.at_full_scale:.0f} % of the pixels are at full scale",
-            ("expose shorter, lower the gain, or close the lens",),
-        ))  # fmt: skip
-    if levels.brightest < DARK * levels.ceiling:
-        out.append(Cause(
-            "dark", f"nothing is brighter than {levels.brightest} of {levels.full_scale}",
-            ("expose longer, open the lens, or raise the gain",),
-        ))  # fmt: skip
-    packet = asked.signal.packet_patterns * asked.frames_a_pattern
-    if times.count + times.lost < packet and not error:
-        out.append(Cause(
-            "short", f"{counted(times.count, 'frame')}; a packet takes {packet:.0f}",
-            (f"record longer, {3 * asked.signal.packet_s:.2g} s at least: a packet has to be whole",),
-        ))  # fmt: skip
-    return tuple(out)
+@dataclass(frozen=True)
+class FilmMeasures:
+    """Measured values of a film."""
+
+    times: FrameTimes
+    levels: Levels
+    setup: Setup
+    error: str
+    rate: LightRate | None
+
+    light_hz = property(lambda self: 1 / self.setup.signal.pattern_period_s)
+    total = property(lambda self: max(self.times.count + self.times.lost, 1))
+    packet = property(lambda self: self.setup.signal.packet_patterns * self.setup.frames_a_pattern)
+    at_full_scale = property(lambda self: 100 * self.levels.at_full_scale)
+    different = property(lambda self: self.times.count - self.times.repeated)
+    gaps = property(lambda self: counted(self.times.gaps, "place"))
+    count = property(lambda self: counted(self.times.count, "frame"))
+    three_packets_s = property(lambda self: 3 * self.setup.signal.packet_s)
+
+    @property
+    def is_slow(self) -> bool:
+        """True if the camera is slower than the light by its stamps; wrong if frames show each pattern."""
+        is_stepped = self.rate is not None and self.rate.frames > 1 - STEP_TOLERANCE
+        return self.times.rate_hz < self.light_hz * (1 - STEP_TOLERANCE) and not is_stepped
+
+    @property
+    def min_contrast(self) -> float:
+        """Minimum contrast for the sensor's number of bits."""
+        return float(self.setup.settings.detect.min_contrast * self.levels.ceiling / self.levels.full_scale)
 
 
-def still(asked: Asked) -> Cause:
-    """That nothing blinks in a film."""
-    light_hz = 1 / asked.signal.pattern_period_s
+FILM: tuple[Rule[FilmMeasures], ...] = (
+    Rule("slow camera", lambda m: m.is_slow,
+         "{m.times.rate_hz:.4g} frames a second as stamped, but the light shows {m.light_hz:.4g} patterns; receivers "
+         "need a frame per pattern at least",
+         "film with {m.light_hz:.4g} frames a second or more",
+         "or, if the camera did and the file misstates it, give the rate: --fps {m.light_hz:g}",
+         "or, if the light is slower, give the duration of a pattern: --set signal.pattern_period_s=..."),
+    Rule("lost frames", lambda m: m.times.lost > 0.005 * m.total,
+         "{m.times.lost} of {m.total} frames are missing at {m.gaps}",
+         "check disk, cable and load of the computer for the cause; receivers continue, but decode less"),
+    Rule("still", lambda m: m.times.repeated > 0.9 * m.times.count,
+         "all {m.times.count} frames except {m.different} repeat the previous frame",
+         "film the array while it blinks: a repeated image, as from a camera that stopped, holds no data"),
+    Rule("repeated frames", lambda m: 0.9 * m.times.count >= m.times.repeated > 0.02 * m.times.count,
+         "{m.times.repeated} of {m.times.count} frames repeat the previous frame exactly",
+         "a file with another rate than the camera repeats frames: export it at the camera's rate, and give --fps"),
+    Rule("other bits", lambda m: m.levels.ceiling < m.levels.full_scale,
+         "levels end at {m.levels.ceiling} of {m.levels.full_scale}: the film has more bits than the camera",
+         "save it with the camera's number of bits, or lower the minimum contrast: "
+         "--set receive.detect.min_contrast={m.min_contrast:.1g}"),
+    Rule("overexposed", lambda m: m.levels.at_full_scale > 0.15,
+         "{m.at_full_scale:.0f} % of the pixels are at full scale",
+         "expose shorter, lower the gain, or close the lens"),
+    Rule("dark", lambda m: m.levels.brightest < 0.15 * m.levels.ceiling,
+         "the brightest level is {m.levels.brightest} of {m.levels.full_scale}",
+         "expose longer, open the lens, or raise the gain"),
+    Rule("short", lambda m: m.times.count + m.times.lost < m.packet and not m.error,
+         "{m.count}; a packet has {m.packet:.0f}",
+         "record longer, {m.three_packets_s:.2g} s at least: a packet must be complete"),
+)  # fmt: skip
+"""Causes of a film."""
+
+SIGNAL_INDEPENDENT = ("lost frames", "repeated frames", "overexposed", "dark", "other bits")
+"""Cause kinds independent of the signal settings."""
+
+
+def still_film(setup: Setup) -> Cause:
+    """Return the cause for a film with no blinking region."""
     return Cause(
-        "still", "nothing blinks: no part of the frames changes more than noise does",
-        ("look whether the array is switched on and in the picture",
-         f"expose no longer than a pattern of {1e3 / light_hz:.3g} ms: a pattern and its inverse are even light"),
+        "still", "no region blinks: all changes are within the noise",
+        ("check that the array is switched on and in the image",
+         f"expose no longer than a pattern of {1e3 * setup.signal.pattern_period_s:.3g} ms: the sum of a pattern and "
+         "the inverse is uniform"),
     )  # fmt: skip
 
 
 def other_settings(differing: Sequence[tuple[str, Any, Any]]) -> Cause:
-    """Return the cause that a film notes another signal than the one it is read with."""
+    """Return the cause for settings other than in the film's note."""
     why = ", ".join(f"{key} is {ours}, and the film's note says {noted}" for key, ours, noted in differing)
     advice = tuple(f"leave {key} out, or write --set '{key}={json.dumps(noted)}'" for key, _, noted in differing)
     return Cause("other settings", why, advice)
 
 
 SATURATED = 0.3
-"""Overexposed part of a region's pixels above which levels are lost. LEDs that are resolved take a fifth of it."""
-
-FAST_PX = 0.5
-"""Motion in px a frame from which on detection fails at times: headers of four frames are smeared by 0.7 px."""
-
-NO_CHANGE = "nothing to change, if it is no array"
-"""What is advised where a region need not be an array."""
+"""Maximum overexposed part of a region's pixels; resolved LEDs cover a fifth."""
 
 
-def region_causes(seen: RegionSeen, asked: Asked, full_scale: int) -> tuple[Cause, ...]:
-    """What is the matter with a region, the first of the causes first."""
-    if seen.array is not None:
-        return (Cause("array", f"array {seen.array.identity}, {seen.array.orientation}", proven=True),)
-    if seen.found is not None:
-        return tuple(_proven(seen, seen.found, asked, full_scale))
-    header = seen.header.score if seen.header else 0.0
-    # pattern part below which a region goes on and off as one, unless it shows a header: arrays have 0.06 and more
-    if seen.pattern_part < 0.05 and not (seen.like_array and header >= SURE_HEADER):
-        return (_lamp(seen, asked),)
-    # least ratio of what alternates to what changes of a region that blinks; of an edge that passes it is about 0.2
-    if seen.region.blinks < 0.45 and not seen.like_array:
-        return (Cause("moves", "it moves or changes slowly, and does not blink", (NO_CHANGE,)),)
-    # size and contrast are no fault of what does not look like an array
-    causes = tuple(_measured(seen, asked, full_scale)) if seen.like_array else ()
-    if not causes and _is_saturated(seen, asked):  # nor does it show a header then
-        causes = (_saturated(seen),)
-    return causes or (_header(seen, asked),)
+@dataclass(frozen=True)
+class RegionMeasures:
+    """Measured values of a region, and the settings of the remedy."""
+
+    report: RegionReport
+    setup: Setup
+    full_scale: int
+
+    region = property(lambda self: self.report.region)
+    size_px = property(lambda self: self.report.size_px)
+    pitch_px = property(lambda self: self.size_px / self.setup.signal.side)
+    enlarge = property(lambda self: self.smallest / self.size_px)
+    duration = property(lambda self: self.report.rate.frames if self.report.rate else None)
+    score = property(lambda self: self.report.header.score if self.report.header else 0.0)
+    pose = property(lambda self: self.report.header.fit.pose)
+    blur = property(lambda self: self.pose.blur / self.pose.pitch)
+    saturated = property(lambda self: 100 * self.region.saturated)
+    percent = property(lambda self: 100 * self.gain)
+    window = property(lambda self: ",".join(map(str, self.region.window)))
+    # settings and texts
+    expected = property(lambda self: self.setup.frames_a_pattern)
+    detect = property(lambda self: self.setup.settings.detect)
+    smallest = property(lambda self: self.setup.settings.smallest_side_px)
+    min_percent = property(lambda self: 100 * self.detect.min_contrast)
+    is_plain = property(lambda self: self.setup.settings.receiver == "plain")
+    given_name = property(lambda self: "region" if self.detect.region else "corners")
+    given = property(lambda self: ",".join(f"{n:g}" for n in self.detect.region or self.detect.corners))
+    # remedy: changed settings, clock and detections
+    remedy = property(lambda self: self.report.remedy)
+    signal = property(lambda self: self.remedy.changes.get("signal", {}))
+    receive = property(lambda self: self.remedy.changes.get("receive", {}) if self.remedy else {})
+    new = property(lambda self: self.receive.get("detect", {}))
+    options = property(lambda self: " ".join(options(self.remedy.changes)))
+    new_region = property(lambda self: ",".join(map(str, self.new["region"])))
+    only_soft = property(lambda self: self.receive.get("receiver") == "soft")
+    phase = property(lambda self: abs(self.remedy.clock.phase))
+    delay = property(lambda self: "after" if self.remedy.clock.phase > 0 else "before")
+    poses = property(lambda self: [found.fit.pose for found in self.remedy.trial.detections])
+    is_tilted = property(lambda self: any(np.hypot(pose.stretch, pose.shear) > 0.05 for pose in self.poses))
+    has_dark_leds = property(lambda self: any((found.led_gains == 0).any() for found in self.remedy.trial.detections))
+
+    @property
+    def gain(self) -> float:
+        """Light over full scale."""
+        header = self.report.clear_header
+        return header.fit.gain / self.full_scale if header else self.region.contrast
+
+    # on-off light has half of the LEDs at the highest level
+    max_saturated = property(lambda self: SATURATED * (1 if self.setup.signal.modulation == "haar" else 2))
+    # motion blur of a header, which lasts four frames, makes detection unreliable
+    is_fast = property(lambda self: self.region.speed_px > 0.5)
+    has_other_rate = property(lambda self: self.duration and abs(self.duration / self.expected - 1) > STEP_TOLERANCE)
+
+    @property
+    def is_oblong(self) -> bool:
+        """True for an oblong region that is neither cut nor fast; the limit is an array turned by 42 degrees."""
+        low, high = sorted((self.region.width, self.region.height))
+        return high / max(low, 1.0) > 1.35 and not self.region.at_border and not self.is_fast
+
+    # a part of an array of sufficient size
+    is_part = property(lambda self: self.is_oblong and max(self.region.width, self.region.height) >= self.smallest)
+
+    @property
+    def view(self) -> str:
+        """Turn of an array that needs corners."""
+        turn = abs(np.degrees(np.mean([pose.roll for pose in self.poses] or [0.0])))
+        return f"it is turned by {turn:.0f} degrees" if turn >= TRIALS.min_turn_deg else "the view is oblique"
+
+    @property
+    def new_corners(self) -> str:
+        """Corners of the remedy."""
+        return ",".join(f"{n:g}" for n in self.new["corners"]) + (", without --region" if self.detect.region else "")
+
+    # settings for the size and light of the region
+    wanted_px = property(lambda self: min(16 * np.ceil(self.size_px / SLACK / 16), 4096))
+    max_side_px = property(lambda self: self.new.get("max_side_px", self.wanted_px))
+    min_contrast = property(lambda self: self.new.get("min_contrast", float(f"{SLACK * self.gain:.1g}")))
+    # frame rate for a pattern as long as in the settings, and duration of a pattern for the frame rate of the stamps
+    camera_hz = property(lambda self: _rounded(self.duration / self.setup.signal.pattern_period_s))
+    period_s = property(lambda self: _rounded(self.duration / self.setup.rate_hz))
+
+    @property
+    def faster(self) -> str:
+        """Advice for patterns shorter than a frame."""
+        if self.duration >= 1 - STEP_TOLERANCE:
+            return ""
+        return f"film {1 / self.duration:.2g} times as fast at least: receivers need a frame per pattern at least"
+
+    @property
+    def also_soft(self) -> str:
+        """Advice for patterns of several frames."""
+        is_long = self.is_plain and self.duration > 1 + STEP_TOLERANCE
+        return "and read it by --receiver soft: plain needs one frame per pattern" if is_long else ""
+
+    @property
+    def soft_for_size(self) -> str:
+        """Advice for small arrays."""
+        is_possible = self.is_plain and self.size_px >= SMALLEST_SIDE_PX["soft"]
+        return "or read it by --receiver soft, which finds smaller arrays and reads farther" if is_possible else ""
+
+    @property
+    def flashes(self) -> str:
+        """Period of a lamp."""
+        frames = self.report.lamp_frames
+        rate = f"{self.setup.rate_hz / frames:.4g} times a second as stamped" if frames else ""
+        return f", every {frames:.1f} frames ({rate})" if frames else ""
 
 
-def _proven(seen: RegionSeen, found: Found, asked: Asked, full_scale: int) -> Sequence[Cause]:
-    """Causes by the settings with which it is read."""
-    signal, receive = found.changes.get("signal", {}), found.changes.get("receive", {})
-    detect, out = receive.get("detect", {}), list[Cause]()
-    all_options = " ".join(options(found.changes))
-    with_all = f"read once {all_options} is given" if all_options else "read then"
-    if found.retimed and seen.rate is not None:
-        out.append(_other_rate(seen.rate, asked, proven=True))
-    if "side" in signal:
-        side = signal["side"]
-        why = f"a header is found, and codewords are right with {side} LEDs in a row, not with {asked.signal.side}"
-        out.append(Cause("other side", why, (f"say so: --set signal.side={side}",), True))
-    if "data_pairs" in signal:
-        mine = f"{asked.signal.header_pairs} and {asked.signal.data_pairs}"
-        pairs = f"{signal['header_pairs']} pairs of header and {signal['data_pairs']} of data"
-        say = f"--set signal.header_pairs={signal['header_pairs']} --set signal.data_pairs={signal['data_pairs']}"
-        out.append(Cause("other packets", f"packets have {pairs}, not {mine}", (f"say so: {say}",), True))
-    if detect.get("corners"):
-        out.append(_turned(detect["corners"], found, asked))
-    elif "region" in detect:
-        out.append(_elsewhere(detect["region"], asked))
-    if "min_side_px" in detect:
-        out.append(_too_small(seen, asked, found))
-    if "max_side_px" in detect:
-        out.append(_too_large(seen, asked, detect["max_side_px"]))
-    if "min_contrast" in detect:
-        out.append(_too_dim(seen, asked, full_scale, detect["min_contrast"]))
-    if "calibration" in receive:
-        out.append(_out_of_focus(seen, receive["calibration"]["blur_px"]))
-    if not out and receive.get("receiver") == "soft":
-        out.append(_soft_alone(seen, found, asked))
-    if not out:
-        out.append(Cause(
-            "search", "the array is read where it is looked for about its size alone",
-            ("cut the film to its surroundings: --crop " + ",".join(map(str, seen.region.window)),), True,
-        ))  # fmt: skip
-    first, *rest = out
-    # what one cause takes does not read the region alone
-    if all_options and not any(all_options in line for line in first.advice):
-        first = Cause(first.kind, first.why, (*first.advice, f"all together: {with_all}"), True)
-    return [first, *rest]
+def _rounded(value: float) -> str:
+    """Round to two digits if the error is below 0.4 %, or to three."""
+    two, three = float(f"{value:.2g}"), float(f"{value:.3g}")
+    return f"{two if abs(two / value - 1) < 0.004 else three:g}"
 
 
-def _measured(seen: RegionSeen, asked: Asked, full_scale: int) -> Sequence[Cause]:
-    """Causes by what a region shows, the gravest first."""
-    region, header, detect = seen.region, seen.header_like, asked.settings.detect
-    smallest, out = asked.settings.smallest_side_px, list[Cause]()
-    if _is_saturated(seen, asked):
-        out.append(_saturated(seen))
-    if seen.rate is not None and abs(seen.rate.frames / asked.frames_a_pattern - 1) > STEP_TOLERANCE:
-        out.append(_other_rate(seen.rate, asked))
-    elif asked.frames_a_pattern < 1 - STEP_TOLERANCE:
-        why = f"a pattern lasts {_frames(asked.frames_a_pattern)}: a frame shows more than one, in which pairs cancel"
-        out.append(Cause("slow camera", why))
-    if _hidden(seen) and max(region.width, region.height) >= smallest:
-        # a part of it is too small for whole arrays
-        out.append(_partly_hidden(seen))
-    elif seen.size_px < smallest:
-        out.append(_too_small(seen, asked, None))
-    elif seen.size_px > detect.max_side_px:
-        out.append(_too_large(seen, asked, None))
-    gain = header.fit.gain / full_scale if header else region.contrast
-    if gain < detect.min_contrast:
-        out.append(_too_dim(seen, asked, full_scale, None))
-    if region.at_border:
-        out.append(Cause(
-            "cut", "it reaches the frame's border, and a part of it is not in the picture",
-            ("turn the camera so that all of the array and a rim about it are seen; mind --crop",),
-        ))  # fmt: skip
-    if region.speed_px > FAST_PX:
-        out.append(Cause(
-            "moving", f"it moves by {region.speed_px:.1f} px a frame, and is smeared by as much",
-            ("expose shorter, film faster, follow it with the camera, or take a wider lens",),
-        ))  # fmt: skip
-    if header and not _hidden(seen) and is_blurred(header.fit.pose):
-        out.append(_out_of_focus(seen, None))
-    return out
+OTHER_RATE = (
+    "a pattern lasts {m.duration:.2f} frames, but {m.expected:.2f} frames by stamps and settings", "{m.faster}",
+    "if the time stamps are wrong, give the frame rate of the camera: --fps {m.camera_hz}",
+    "if they are right, give the duration of a pattern: --set signal.pattern_period_s={m.period_s}", "{m.also_soft}",
+)  # fmt: skip
+TOO_SMALL = "{m.size_px:.1f} px a side, {m.pitch_px:.2g} px from LED to LED; the minimum is {m.smallest:g} px"
+TOO_LARGE = (
+    "{m.size_px:.0f} px a side; up to {m.detect.max_side_px:g} px are searched",
+    "search for larger arrays, --set receive.detect.max_side_px={m.max_side_px:g}; or go farther, or use --bin 2",
+)
+TOO_DIM = (
+    "its light is {m.percent:.2g} % of full scale; the minimum is {m.min_percent:.2g} %",
+    "expose longer, open the lens, or raise the gain",
+    "or lower the minimum: --set receive.detect.min_contrast={m.min_contrast:g}",
+)
+OUT_OF_FOCUS = (
+    "an LED is blurred to {m.pose.blur:.1f} px, {m.blur:.1f} times the pitch of {m.pose.pitch:.2f} px",
+    "focus the lens on the array; check windscreen and filters for blur",
+)
+BY_SOFT = "read it by --receiver soft"
+OVEREXPOSED: Rule[RegionMeasures] = Rule(
+    "saturated", lambda m: m.region.saturated > m.max_saturated,
+    "it is overexposed: {m.saturated:.0f} % of the pixels are at full scale or at one highest level: levels are lost",
+    "expose shorter, lower the gain, or close the lens, until LEDs stay below full scale",
+)  # fmt: skip
+
+NO_ARRAY: tuple[Rule[RegionMeasures], ...] = (
+    # arrays have a pattern part of 0.06 and more
+    Rule("lamp", lambda m: m.report.pattern_part < 0.05 and not (m.report.like_array and m.report.has_header),
+         "all of it goes on and off together{m.flashes}: a header is missing",
+         "no change is needed if it is a lamp; an array sends headers"),
+    # a passing edge has about 0.2
+    Rule("moves", lambda m: m.region.blinks < 0.45 and not m.report.like_array,
+         "it moves or changes slowly, and does not blink", "no change is needed if it is no array"),
+)  # fmt: skip
+"""Regions that are no array; the first rule that applies counts."""
+
+MEASURED: tuple[Rule[RegionMeasures], ...] = (
+    OVEREXPOSED,
+    Rule("other rate", lambda m: m.has_other_rate, *OTHER_RATE),
+    Rule("slow camera", lambda m: not m.has_other_rate and m.expected < 1 - STEP_TOLERANCE,
+         "a pattern lasts {m.expected:.2f} frames: a frame shows several, and pairs cancel"),
+    Rule("hidden", lambda m: m.is_part,
+         "it is {m.region.width:.0f} px wide and {m.region.height:.0f} px high, but arrays are square: something hides "
+         "a part, or the view is oblique",
+         "see that the complete array is in view; --receiver soft reads arrays hidden by a third at most"),
+    Rule("too small", lambda m: not m.is_part and m.size_px < m.smallest, TOO_SMALL,
+         "come nearer or use a longer lens: {m.enlarge:.1f} times as large at least", "{m.soft_for_size}"),
+    Rule("too large", lambda m: not m.is_part and m.size_px > m.detect.max_side_px, *TOO_LARGE),
+    Rule("too dim", lambda m: m.gain < m.detect.min_contrast, *TOO_DIM),
+    Rule("cut", lambda m: m.region.at_border, "it reaches the frame's border, and a part of it is outside the image",
+         "turn the camera so that the array and a margin around it are visible; check --crop"),
+    Rule("moving", lambda m: m.is_fast, "it moves by {m.region.speed_px:.1f} px a frame, and is blurred by as much",
+         "expose shorter, film faster, follow it with the camera, or use a wider lens"),
+    Rule("out of focus", lambda m: m.report.clear_header and not m.is_oblong and is_blurred(m.pose),
+         *OUT_OF_FOCUS),
+)  # fmt: skip
+"""Regions like an array, the most important cause first."""
+
+UNCLEAR: tuple[Rule[RegionMeasures], ...] = (
+    OVEREXPOSED,
+    Rule("unread", lambda m: m.report.has_header and m.report.like_array,
+         "a header is found (correlation {m.score:.2f}), but no codeword is decoded",
+         "check that the settings of the signal match the transmitter: signal.rate, signal.code, signal.slot_order, "
+         "signal.modulation", "come nearer or expose longer if the light is weak compared with the noise"),
+    Rule("no header", lambda m: m.report.rate,
+         "patterns and inverses are visible, but no header: the best correlation is {m.score:.2f}, the threshold "
+         "{m.detect.score:g}",
+         "check that the transmitter sends headers (signal.header), and film longer than a packet"),
+    Rule("no header", lambda _: True,
+         "it changes from frame to frame, but shows neither patterns with inverses nor two header pairs: "
+         "the best correlation is {m.score:.2f}",
+         "no change is needed if it is no array"),
+)  # fmt: skip
+"""Other regions; the first rule that applies counts."""
+
+PROVEN: tuple[Rule[RegionMeasures], ...] = (
+    Rule("other rate", lambda m: m.remedy.retimed and m.report.rate, *OTHER_RATE),
+    Rule("other side", lambda m: "side" in m.signal,
+         "a header is found, and codewords are decoded with {m.signal[side]} LEDs in a row, not with "
+         "{m.setup.signal.side}",
+         "change the setting: --set signal.side={m.signal[side]}"),
+    Rule("other packets", lambda m: "data_pairs" in m.signal,
+         "packets have {m.signal[header_pairs]} pairs of header and {m.signal[data_pairs]} of data, not "
+         "{m.setup.signal.header_pairs} and {m.setup.signal.data_pairs}",
+         "change the settings: --set signal.header_pairs={m.signal[header_pairs]} "
+         "--set signal.data_pairs={m.signal[data_pairs]}"),
+    Rule("turned", lambda m: m.new.get("corners"),
+         "{m.view}, but arrays are found upright or in quarter turns unless corners are given",
+         "give the corners: --corners {m.new_corners}", "or turn the camera, or the array, until it is upright"),
+    Rule("elsewhere", lambda m: m.new.get("region"), "it is not at the given place, --{m.given_name} {m.given}",
+         "leave out --{m.given_name}, or say where it is: --region {m.new_region}"),
+    Rule("too small", lambda m: "min_side_px" in m.new, TOO_SMALL, "search for smaller arrays: {m.options}"),
+    Rule("too large", lambda m: "max_side_px" in m.new, *TOO_LARGE),
+    Rule("too dim", lambda m: "min_contrast" in m.new, *TOO_DIM),
+    Rule("out of focus", lambda m: "calibration" in m.receive, *OUT_OF_FOCUS,
+         "or start with this blur: --set receive.calibration.blur_px={m.receive[calibration][blur_px]:g}"),
+)  # fmt: skip
+"""Regions decoded with other settings."""
+
+FOUND: tuple[Rule[RegionMeasures], ...] = (
+    Rule("out of step", lambda m: m.only_soft and m.duration and abs(m.duration - 1) > STEP_TOLERANCE,
+         "a pattern lasts {m.duration:.2f} frames, but the receiver plain needs a frame per pattern", BY_SOFT),
+    Rule("out of step", lambda m: m.only_soft and not m.remedy.clock.in_step,
+         "patterns begin {m.phase:.2f} of a pattern {m.delay} the frames: each frame shows two", BY_SOFT),
+    Rule("hidden", lambda m: m.only_soft and m.has_dark_leds,
+         "a part of it is hidden, but the receiver plain needs complete arrays", BY_SOFT),
+    Rule("too small", lambda m: m.only_soft and m.size_px < SMALLEST_SIDE_PX["plain"], TOO_SMALL,
+         "search for smaller arrays: {m.options}"),
+    Rule("hidden", lambda m: m.only_soft and m.is_tilted,
+         "the view is oblique, but the receiver plain needs arrays that face the camera", BY_SOFT),
+    Rule("search", lambda m: m.only_soft, "the receiver soft reads it, but plain does not find it", BY_SOFT),
+    Rule("search", lambda _: True, "the array is decoded only by a search limited to this size",
+         "crop the film around the array: --crop {m.window}"),
+)  # fmt: skip
+"""Regions decoded by another receiver, or by a limited search; the first rule that applies counts."""
 
 
-def _is_saturated(seen: RegionSeen, asked: Asked) -> bool:
-    # on-off light has half of its LEDs at the highest level
-    return seen.region.saturated > (SATURATED if asked.signal.modulation == "haar" else 2 * SATURATED)
-
-
-def _saturated(seen: RegionSeen) -> Cause:
-    part = f"{100 * seen.region.saturated:.0f} % of its pixels are at full scale or at one highest level"
-    return Cause(
-        "saturated", f"it is overexposed: {part}, so that its levels are lost",
-        ("expose shorter, lower the gain, or close the lens, until LEDs stay below full scale",),
-    )  # fmt: skip
-
-
-def _hidden(seen: RegionSeen) -> bool:
-    """Whether a region is no square, though nothing else explains it."""
-    region = seen.region
-    oblong = max(region.width, region.height) / max(min(region.width, region.height), 1.0)
-    # ratio of width and height from which on something hides a part: that of an array turned by 42 degrees
-    return oblong > 1.35 and not region.at_border and region.speed_px <= FAST_PX
-
-
-def _partly_hidden(seen: RegionSeen) -> Cause:
-    size = f"{seen.region.width:.0f} px wide and {seen.region.height:.0f} px high"
-    return Cause(
-        "hidden", f"it is {size}, and arrays are square: something hides a part, or it is seen from a side",
-        ("see that the whole array is in view; --receiver soft reads arrays of which up to a third is hidden",),
-    )  # fmt: skip
-
-
-def _header(seen: RegionSeen, asked: Asked) -> Cause:
-    """What is told where nothing else is wrong, or no header was found."""
-    score = seen.header.score if seen.header else 0.0
-    if score >= SURE_HEADER and seen.like_array:
-        noted = f"a header is found (correlation {score:.2f}), but no codeword is right"
-        return Cause(
-            "unread", noted,
-            ("see that the settings of the signal are the transmitter's: signal.rate, signal.code, signal.slot_order, "
-             "signal.modulation",
-             "come nearer, or expose longer, where the light is weak beside the noise"),
-        )  # fmt: skip
-    if seen.rate is not None:
-        return Cause(
-            "no header",
-            f"patterns and their inverses are seen, but no header: correlation {score:.2f} at best, "
-            f"{asked.settings.detect.score:g} is asked for",
-            ("see that the transmitter sends headers (signal.header), and film longer than a packet",),
-        )  # fmt: skip
-    return Cause(
-        "no header",
-        "it changes from frame to frame, but shows neither patterns with their inverses, nor two pairs of a header in "
-        f"a row: correlation {score:.2f} at best",
-        (NO_CHANGE,),
-    )  # fmt: skip
-
-
-def _lamp(seen: RegionSeen, asked: Asked) -> Cause:
-    how = "all of it goes on and off as one"
-    if seen.lamp_frames is not None:
-        how += (
-            f", every {seen.lamp_frames:.1f} frames ({asked.rate_hz / seen.lamp_frames:.4g} times a second as stamped)"
-        )
-    return Cause("lamp", f"{how}: it has no header", ("nothing to change, if it is a lamp; an array sends headers",))
-
-
-def _other_rate(rate: LightRate, asked: Asked, proven: bool = False) -> Cause:
-    said = asked.frames_a_pattern
-    period_s, rate_hz = rate.frames / asked.rate_hz, rate.frames / asked.signal.pattern_period_s
-    why = f"a pattern lasts {_frames(rate.frames)}; by stamps and settings it would be {_frames(said)}"
-    advice = [
-        f"where the stamps are wrong, say how many frames a second the camera took: --fps {_nice(rate_hz)}",
-        f"where they are right, say how long a pattern lasts: --set signal.pattern_period_s={_nice(period_s)}",
-    ]
-    if rate.frames < 1 - STEP_TOLERANCE:
-        faster = f"film {1 / rate.frames:.2g} times as fast at least: no receiver reads less than a frame a pattern"
-        advice = [faster, *advice]
-    elif abs(rate.frames - 1) > STEP_TOLERANCE and asked.settings.receiver == "plain":
-        advice.append("and read it by --receiver soft: plain takes one frame a pattern")
-    return Cause("other rate", why, tuple(advice), proven)
-
-
-def _frames(count: float) -> str:
-    return f"{count:.2f} frames"
-
-
-def _nice(value: float) -> str:
-    """A number as a user would write it: the nearest of three digits where the light's rate is as near to it."""
-    three = float(f"{value:.3g}")
-    rough = float(f"{value:.2g}")
-    return f"{rough if abs(rough / value - 1) < 0.004 else three:g}"
-
-
-def _too_small(seen: RegionSeen, asked: Asked, found: Found | None) -> Cause:
-    smallest = asked.settings.smallest_side_px
-    pitch = seen.size_px / asked.signal.side
-    why = f"{seen.size_px:.1f} px a side, {pitch:.2g} px from LED to LED; {smallest:g} px are looked for"
-    if found is not None:
-        return Cause("too small", why, (f"look for smaller ones: {' '.join(options(found.changes))}",), True)
-    advice = [f"come nearer or take a longer lens: {smallest / seen.size_px:.1f} times as large at least"]
-    soft = SMALLEST_SIDE_PX["soft"]
-    if asked.settings.receiver == "plain" and seen.size_px >= soft:
-        advice.append("or read it by --receiver soft, which looks for smaller ones and reads farther")
-    return Cause("too small", why, tuple(advice))
-
-
-def _too_large(seen: RegionSeen, asked: Asked, most_px: float | None) -> Cause:
-    largest = asked.settings.detect.max_side_px
-    wanted = most_px or min(16 * np.ceil(seen.size_px / SLACK / 16), 4096)
-    why = f"{seen.size_px:.0f} px a side; up to {largest:g} px are looked for"
-    advice = f"look for larger ones, --set receive.detect.max_side_px={wanted:g}; or go farther, or take --bin 2"
-    return Cause("too large", why, (advice,), most_px is not None)
-
-
-def _too_dim(seen: RegionSeen, asked: Asked, full_scale: int, least: float | None) -> Cause:
-    header = seen.header_like
-    gain = header.fit.gain / full_scale if header else seen.region.contrast
-    asked_for = asked.settings.detect.min_contrast
-    why = f"its light is {100 * gain:.2g} % of full scale, {100 * asked_for:.2g} % are asked for"
-    wanted = least or float(f"{SLACK * gain:.1g}")
-    advice = ("expose longer, open the lens, or raise the gain",
-              f"or ask for less: --set receive.detect.min_contrast={wanted:g}")  # fmt: skip
-    return Cause("too dim", why, advice, least is not None)
-
-
-def _out_of_focus(seen: RegionSeen, blur_px: float | None) -> Cause:
-    header = seen.header
-    assert header is not None
-    pose = header.fit.pose
-    why = (
-        f"an LED is blurred to {pose.blur:.1f} px, {pose.blur / pose.pitch:.1f} times the pitch of {pose.pitch:.2f} px"
-    )
-    advice = ["focus the lens on the array; see that the windscreen or a filter does not blur"]
-    if blur_px is not None:
-        advice.append(f"or begin with that blur: --set receive.calibration.blur_px={blur_px:g}")
-    return Cause("out of focus", why, tuple(advice), blur_px is not None)
-
-
-def _turned(corners: Sequence[float], found: Found, asked: Asked) -> Cause:
-    """That an array is turned or seen from a side, beyond what is looked for without its corners."""
-    turn = np.degrees(np.mean([one.fit.pose.roll for one in found.reading.detections] or [0.0]))
-    how = f"it is turned by {abs(turn):.0f} degrees" if abs(turn) >= LEAST_TURN_DEG else "it is seen from a side"
-    say = ",".join(f"{n:g}" for n in corners) + (", without --region" if asked.settings.detect.region else "")
-    return Cause(
-        "turned", f"{how}, and arrays are looked for upright or in quarter turns unless their corners are given",
-        (f"say where its corners are: --corners {say}", "or turn the camera, or the array, until it is upright"), True,
-    )  # fmt: skip
-
-
-def _elsewhere(region: Sequence[int], asked: Asked) -> Cause:
-    """That an array lies beside the place that was given."""
-    detect = asked.settings.detect
-    given, name = (detect.region, "region") if detect.region else (detect.corners, "corners")
-    return Cause(
-        "elsewhere", f"it is not where it was to be looked for, --{name} {','.join(f'{n:g}' for n in given)}",
-        (f"leave out --{name}, or say where it is: --region {','.join(map(str, region))}",), True,
-    )  # fmt: skip
-
-
-def _soft_alone(seen: RegionSeen, found: Found, asked: Asked) -> Cause:
-    """Why the soft receiver alone reads a region."""
-    advice = ("read it by --receiver soft",)
-    detections, phase = found.reading.detections, found.clock.phase
-    hidden = any(bool((one.led_gains == 0).any()) for one in detections)
-    if abs(seen.rate.frames - 1 if seen.rate else 0.0) > STEP_TOLERANCE and seen.rate is not None:
-        why = f"a pattern lasts {_frames(seen.rate.frames)}; the receiver plain takes one frame a pattern"
-        return Cause("out of step", why, advice, True)
-    if not found.clock.in_step:
-        when = "after" if phase > 0 else "before"
-        why = f"patterns begin {abs(phase):.2f} of a pattern {when} the frames: each shows two"
-        return Cause("out of step", why, advice, True)
-    if hidden:
-        return Cause("hidden", "a part of it is hidden, and the receiver plain looks for whole arrays", advice, True)
-    if seen.size_px < SMALLEST_SIDE_PX["plain"]:
-        return _too_small(seen, asked, found)
-    tilt = max((float(np.hypot(one.fit.pose.stretch, one.fit.pose.shear)) for one in detections), default=0.0)
-    if tilt > 0.05:
-        return Cause(
-            "hidden", "it is seen from a side, and the receiver plain looks for arrays that face it", advice, True
-        )
-    return Cause("search", "the receiver soft reads it, plain does not find it", advice, True)
+def region_causes(report: RegionReport, setup: Setup, full_scale: int) -> tuple[Cause, ...]:
+    """Return the causes of a region, the most important first."""
+    if report.array is not None:
+        return (Cause("array", f"array {report.array.identity}, {report.array.orientation}", proven=True),)
+    measured = RegionMeasures(report, setup, full_scale)
+    if report.remedy is None:
+        causes = diagnose(NO_ARRAY, measured)[:1]
+        if not causes and report.like_array:
+            causes = diagnose(MEASURED, measured)
+        return causes or diagnose(UNCLEAR, measured)[:1]
+    first, *rest = diagnose(PROVEN, measured, True) or diagnose(FOUND, measured, True)[:1]
+    if measured.options and not any(measured.options in line for line in first.advice):
+        together = f"all together: read once {measured.options} is given"
+        first = replace(first, advice=(*first.advice, together))
+    return (first, *rest)

@@ -1,4 +1,4 @@
-"""A film probed: gone through once, frame by frame, and then its liveliest stretch looked into."""
+"""Diagnosis of a film: one pass over all frames, then a close analysis of the stretch with the most blinking light."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,27 +13,29 @@ from heliograph.base.frames import Frame
 from heliograph.link.film import FrameProgress, silent
 from heliograph.link.truth import departures
 from heliograph.probe.activity import Stretch, Stretches
-from heliograph.probe.arrays import ArraySeen, ArrayWatch, Asked, looked_into
+from heliograph.probe.arrays import ArrayReport, ArrayWatch, Setup, measure_array
 from heliograph.probe.causes import (
+    FILM,
     SATURATED,
-    WHATEVER_SENT,
+    SIGNAL_INDEPENDENT,
     ArrayLike,
     Cause,
-    RegionSeen,
-    film_causes,
+    FilmMeasures,
+    RegionReport,
+    diagnose,
     other_settings,
     region_causes,
-    still,
+    still_film,
 )
 from heliograph.probe.frames import FrameTimes, FrameWatch
-from heliograph.probe.headers import header_seen
+from heliograph.probe.headers import find_header
 from heliograph.probe.levels import Levels, LevelWatch
 from heliograph.probe.light import LightRate, lamp_period, light_rate, pattern_part
-from heliograph.probe.noise import NoiseFound, NoiseWatch
+from heliograph.probe.noise import NoiseEstimate, NoiseWatch
 from heliograph.probe.reach import Reach, reaches
 from heliograph.probe.regions import Region, regions_of
-from heliograph.probe.screens import ScreenLook, films_causes, screen_cause
-from heliograph.probe.trials import SURE_HEADER, is_blurred, other_packets, what_reads, what_reads_turned
+from heliograph.probe.screens import MISSING, SCREEN_FILM, area_of, regions_in, screen_cause, screen_causes
+from heliograph.probe.trials import find_remedy, find_turned_remedy, is_blurred, other_packets
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.receive.events import DetectEvent
 from heliograph.receive.geometry.window import Window
@@ -44,67 +46,67 @@ from heliograph.signal.settings import SignalSettings
 
 
 class Film(Protocol):
-    """An open film, or frames in its place."""
+    """Open film, or frames with the same interface."""
 
     @property
     def path(self) -> Path | str:
-        """Names the film."""
+        """Name of the film."""
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second as it says."""
+        """Frames per second by the container."""
 
     @property
     def frame_count(self) -> int | None:
-        """Frames to expect, None where unknown."""
+        """Expected number of frames; None if unknown."""
 
     def __iter__(self) -> Iterator[Frame]: ...
 
 
 @dataclass(frozen=True)
 class Findings:
-    """All that a film tells.
+    """Diagnosis of a film.
 
     Attributes
     ----------
     path
-        Names the film in messages.
+        Name of the film for messages.
     width, height, bits
-        Columns and rows of its frames, and bits of a gray level.
-    asked
-        What it was to be read with.
+        Columns and rows of the frames, and bits per pixel.
+    setup
+        Settings for the reception.
     times
-        How its frames are stamped.
+        Time stamps of the frames.
     levels
-        Gray levels of some of its frames.
+        Gray levels of some frames.
     noise
         Noise and gain by photon transfer.
     arrays
-        Arrays that were read with what was asked for.
+        Arrays decoded with the settings.
     regions
-        Regions in which something blinks, the strongest first.
+        Blinking regions, the strongest first.
     regions_in_all
-        How many there are.
+        Number of all regions.
     causes
-        What is the matter with the film as a whole.
+        Causes of the complete film.
     error
-        Why the receiver ended early; empty where it did not.
+        Receiver error; empty for no error.
     broken
-        Why the film itself did; None where it did not.
+        Film error; None for no error.
     stretch
-        The frames that were looked into; None where there were too few.
+        Frames of the close analysis; None if the film has too few.
     """
 
     path: str
     width: int
     height: int
     bits: int
-    asked: Asked
+    setup: Setup
     times: FrameTimes
     levels: Levels
-    noise: NoiseFound
-    arrays: tuple[ArraySeen, ...]
-    regions: tuple[RegionSeen, ...]
+    noise: NoiseEstimate
+    arrays: tuple[ArrayReport, ...]
+    regions: tuple[RegionReport, ...]
     regions_in_all: int
     causes: tuple[Cause, ...]
     error: str
@@ -113,34 +115,32 @@ class Findings:
 
     @property
     def read(self) -> bool:
-        """Whether an array was read with what was asked for."""
+        """True if an array was decoded with the settings."""
         return bool(self.arrays)
 
     @property
     def screen(self) -> Cause | None:
-        """That the film shows a screen, but was to be read by a receiver for arrays; None if not."""
-        return next((one for one in self.causes if one.kind == "screen"), None)
+        """Cause "screen" of a film with a screen in place of an array; None for other films."""
+        return next((cause for cause in self.causes if cause.kind == "screen"), None)
 
     @property
     def rate(self) -> LightRate | None:
-        """Frames that a pattern lasts, by the region that shows it best."""
-        known = [one.rate for one in self.regions if one.rate is not None]
-        return max(known, key=lambda one: one.explained) if known else None
+        """Pattern duration by the clearest region."""
+        return _best_rate(self.regions)
 
     @property
     def advice(self) -> list[str]:
-        """What to change, the gravest first, each line once."""
-        causes = [*(cause for one in self.regions for cause in one.causes), *self.causes]
-        # what reads a region goes before what would only help, and what may be no array comes last
-        # kinds of causes of what need not be an array
-        causes.sort(
-            key=lambda cause: (
-                not cause.proven,
-                cause.kind not in ("other settings", "short"),
-                cause.kind in ("lamp", "moves", "no header"),
-            )
-        )
+        """Distinct remedies, the most important first."""
+        causes = [*(cause for report in self.regions for cause in report.causes), *self.causes]
+        # proven remedies first, regions that may be no arrays last
+        early, late = ("other settings", "short"), ("lamp", "moves", "no header")
+        causes.sort(key=lambda cause: (not cause.proven, cause.kind not in early, cause.kind in late))
         return list(dict.fromkeys(line for cause in causes for line in cause.advice))
+
+
+def _best_rate(reports: Sequence[RegionReport]) -> LightRate | None:
+    rates = [report.rate for report in reports if report.rate is not None]
+    return max(rates, key=lambda rate: rate.explained, default=None)
 
 
 def probe_film(
@@ -154,35 +154,35 @@ def probe_film(
     most: int | None = None,
     trials: bool = True,
 ) -> Findings:
-    """Tell what a film shows, and why it is not read where it is not.
+    """Diagnose why a film is not decoded, and measure its frames, light and noise.
 
     Parameters
     ----------
     film
-        An open film; its frames alone are looked at.
+        An open film; only the frames are used.
     signal
-        The light's signal, as the receiver is to take it.
+        Signal of the light for the receiver.
     settings
-        The receiver that is to read it.
+        Settings of the receiver.
     progress
-        Called with the number of frames gone through.
+        Called with the number of frames so far.
     reading
-        Whether the receiver reads the film too; False where it is known to read nothing.
+        True to run the receiver on the film; False if the result is known.
     every
-        Every so many stretches of a long film one is looked at.
+        Analyse only every n-th stretch of a long film.
     most
-        Most frames that are looked at; None for all.
+        Maximum number of frames; None for all.
     trials
-        Whether other settings are tried on what is like an array; that takes up to minutes.
+        True to try other settings on regions like arrays, which takes up to minutes.
 
     Returns
     -------
-    What was found. Where the film breaks off, or on Ctrl-C, it is that of the frames before.
+    The diagnosis. If the film ends in an error, or on Ctrl-C, the diagnosis of the frames so far.
 
     Raises
     ------
     SettingsError
-        The receiver cannot read such a signal.
+        The receiver does not support the signal.
     MediaError
         The film has no frames.
     """
@@ -196,172 +196,175 @@ def probe_film(
         broken = error
     if watch.last is None:
         raise broken or MediaError(f"{film.path} holds no frames: record it again")
-    asked = Asked(signal, settings, watch.frames.times().rate_hz)
+    setup = Setup(signal, settings, watch.frames.times().rate_hz)
     differing = departures(film, signal)
-    found = _findings(watch, film, asked, broken, trials and not differing)
-    return _by_note(found, differing) if differing and not found.read else found
-
-
-def _by_note(found: Findings, differing: Sequence[tuple[str, Any, Any]]) -> Findings:
-    """Name the settings that differ from the film's note in place of what follows from them."""
-    causes = [cause for cause in found.causes if cause.kind in WHATEVER_SENT]
-    regions = tuple(replace(seen, causes=(), would_be=None) for seen in found.regions)
+    found = _diagnose(watch, watch.last, film, setup, broken, trials and not differing)
+    if not differing or found.read:
+        return found
+    # other causes follow from the wrong settings
+    causes = [cause for cause in found.causes if cause.kind in SIGNAL_INDEPENDENT]
+    regions = tuple(replace(report, causes=(), would_be=None) for report in found.regions)
     return replace(found, regions=regions, causes=(other_settings(differing), *causes))
 
 
 class _Watch:
-    """All that is kept of a film while it is gone through: as much of a long one as of a short one."""
+    """Statistics of a film in bounded memory."""
 
     def __init__(self, film: Film, signal: SignalSettings, settings: ReceiveSettings | None, every: int):
         self.frames, self.stretches = FrameWatch(film.rate_hz), Stretches(every)
         self.levels, self.noise = LevelWatch(film.frame_count), NoiseWatch(film.frame_count)
         self.arrays, self.error = ArrayWatch(), ""
-        self._receiver = make_receiver(signal, settings, self._note) if settings is not None else None
+        self._receiver = make_receiver(signal, settings, self._observe) if settings is not None else None
         self.last: Frame | None = None
 
     def add(self, frame: Frame) -> None:
-        """Take a frame."""
-        copied = self.frames.add(frame)
+        """Add the next frame."""
+        repeated = self.frames.add(frame)
         self.levels.add(frame)
-        self.noise.add(frame, copied)
-        if not copied:
+        self.noise.add(frame, repeated)
+        if not repeated:
             self.stretches.add(frame)
         self.last = frame
         if self._receiver is not None:
-            self._read(self._receiver.push(frame))
+            self._take(self._receiver.push(frame))
 
     def finish(self) -> None:
-        """Take what the receiver still has."""
+        """Take the remaining packets of the receiver."""
         if self._receiver is not None:
-            self._read(self._receiver.finish())
+            self._take(self._receiver.finish())
 
-    def _read(self, packets: Iterator[Packet]) -> None:
+    def _take(self, packets: Iterator[Packet]) -> None:
         try:
             for packet in packets:
                 self.arrays.add(packet)
         except HeliographError as error:
             self._receiver, self.error = None, str(error)
 
-    def _note(self, event: Any) -> None:
+    def _observe(self, event: Any) -> None:
         if isinstance(event, DetectEvent):
             self.arrays.found(event.detection)
 
 
-def _findings(watch: _Watch, film: Film, asked: Asked, broken: BaseException | None, trials: bool) -> Findings:
-    """What was found, once all frames were gone through."""
+def _diagnose(
+    watch: _Watch, last: Frame, film: Film, setup: Setup, broken: BaseException | None, trials: bool
+) -> Findings:
     watch.finish()
-    last = watch.last
-    assert last is not None
     times, levels = watch.frames.times(), watch.levels.levels()
     noise = watch.noise.noise(levels.ceiling)
-    arrays = {one.identity: one for one in watch.arrays.arrays(last.full_scale)}
-    stretch = watch.stretches.best()
-    screen = ScreenLook.of(stretch, asked, levels) if asked.settings.receiver == "screen" else None
-    other = None if screen is not None or arrays or stretch is None else screen_cause(stretch.frames, times.rate_hz)
-    regions, count = regions_of(stretch, levels.ceiling) if stretch and other is None else ([], 0)
-    if screen is not None:  # all that changes about it is the same screen
-        regions, count = ([], 0) if arrays else screen.regions(regions)
-    seen = list[RegionSeen]()
-    for region in regions:
-        assert stretch is not None
-        identity = watch.arrays.at(region, stretch.frames)
-        array = None if identity is None else arrays[identity]
-        try:
-            one = _looked_into(region, stretch, array, asked, noise, levels, trials and screen is None)
-        except (MemoryError, KeyboardInterrupt) as error:
-            broken = error
-            break
-        if one.array is not None:
-            arrays[one.array.identity] = one.array
-        told = region_causes(one, asked, last.full_scale) if screen is None else screen.causes(one)
-        seen.append(replace(one, causes=told, would_be=one.would_be if screen is None else None))
-    rates = [one.rate for one in seen if one.rate is not None]
-    rate = max(rates, key=lambda one: one.explained) if rates else None
-    causes = film_causes(times, levels, asked, watch.error, rate)
-    if screen is not None:
-        causes = films_causes(causes)
-    if other is not None:
-        causes = (other,)
-    elif not seen and not arrays and stretch is not None:
-        causes = (*(screen.nothing_seen() if screen is not None else (still(asked),)), *causes)
+    arrays = {array.identity: array for array in watch.arrays.arrays(last.full_scale)}
+    stretch, is_screen = watch.stretches.best(), setup.settings.receiver == "screen"
+    reports, area, count = list[RegionReport](), None, 0
+    unexpected: Cause | None = None
+    if stretch is not None:
+        regions = list[Region]()
+        if not is_screen and not arrays:
+            unexpected = screen_cause(stretch.frames, times.rate_hz)
+        if unexpected is None:
+            regions, count = regions_of(stretch, levels.ceiling)
+        if is_screen:  # all other changes belong to the same screen
+            area = area_of(stretch.frames)
+            regions = [] if arrays else regions_in(area, regions)
+            count = len(regions)
+        analysis = _Analysis(stretch, setup, noise, levels, trials and not is_screen)
+        for region in regions:
+            identity = watch.arrays.at(region, stretch.frames)
+            try:
+                report = analysis.report(region, None if identity is None else arrays[identity])
+            except (MemoryError, KeyboardInterrupt) as error:
+                broken = error
+                break
+            if report.array is not None:
+                arrays[report.array.identity] = report.array
+            if area is None:
+                report = replace(report, causes=region_causes(report, setup, last.full_scale))
+            else:
+                report = replace(report, causes=screen_causes(report, area, stretch.frames, setup), would_be=None)
+            reports.append(report)
+    causes = diagnose(FILM, FilmMeasures(times, levels, setup, watch.error, _best_rate(reports)))
+    if is_screen:
+        causes = tuple(cause for cause in causes if cause.kind in SCREEN_FILM)
+    if unexpected is not None:
+        causes = (unexpected,)
+    elif not reports and not arrays and stretch is not None:
+        causes = (*(diagnose(MISSING, levels) if is_screen else (still_film(setup),)), *causes)
     return Findings(
-        path=str(film.path), width=last.pixels.shape[1], height=last.pixels.shape[0], bits=last.bits, asked=asked,
-        times=times, levels=levels, noise=noise, arrays=tuple(arrays.values()), regions=tuple(seen),
-        regions_in_all=count, causes=causes, error=watch.error, broken=broken, stretch=stretch,
+        str(film.path), last.pixels.shape[1], last.pixels.shape[0], last.bits, setup, times, levels, noise,
+        tuple(arrays.values()), tuple(reports), count, causes, watch.error, broken, stretch,
     )  # fmt: skip
 
 
-def _looked_into(
-    region: Region, stretch: Stretch, array: ArraySeen | None, asked: Asked, noise: NoiseFound, levels: Levels,
-    trials: bool,
-) -> RegionSeen:  # fmt: skip
-    """All that can be told of a region, and of the array that it is."""
-    quiet = float(np.median(stretch.noise))
-    frames = [_part(frame, region.window) for frame in stretch.frames]
-    rate = light_rate(stretch.frames, region, quiet, levels.ceiling, asked.signal.slot_order)
-    if array is not None:
-        return RegionSeen(region, rate, None, 1.0, None, None, looked_into(array, frames, asked))
-    part = pattern_part(stretch.frames, region, quiet)
-    patterns, step = _a_pattern_each(frames, rate.frames if rate is not None else asked.frames_a_pattern)
-    speed = step * region.speed[0], step * region.speed[1]
-    # side of a region over that of the largest array that receivers look for from which on no header is looked for: the
-    # scene itself moves
-    largest = 1.5 * max(asked.settings.detect.max_side_px, DetectSettings().max_side_px)
-    header = None
-    if region.side < largest and len(patterns) >= 4:
-        header = header_seen(patterns, (region.x, region.y), region.side, asked.signal.side, speed)
-    found = None
-    if header is not None and trials:
-        whole = not region.at_border and region.saturated < 0.5 and region.speed_px < 1
-        found = what_reads(frames, asked, rate, header, _noise_of(region, noise, quiet, header.fit.gain), whole)
-    # what a lens out of focus leaves of an outline is round: it shows no turn
-    round_one = header is not None and header.score >= SURE_HEADER and is_blurred(header.fit.pose)
-    turnable = rate is not None and not region.at_border and region.speed_px < 1 and not round_one
-    if found is None and trials and rate is not None and turnable:
-        form = other_packets(header, asked.signal, rate.frames) if header is not None else {}
-        found = what_reads_turned(frames, asked, rate, (region.x, region.y), form)
-    lamp = lamp_period(region.brightness)
-    seen = RegionSeen(region, rate, lamp, part, header, found, None)
-    return replace(seen, would_be=_would_be(seen, asked, noise, quiet, frames[0].full_scale))
+@dataclass(frozen=True)
+class _Analysis:
+    """Close analysis of the regions of a stretch."""
+
+    stretch: Stretch
+    setup: Setup
+    noise: NoiseEstimate
+    levels: Levels
+    trials: bool
+
+    def report(self, region: Region, array: ArrayReport | None) -> RegionReport:
+        """Measure a region, and try other settings."""
+        setup, all_frames = self.setup, self.stretch.frames
+        quiet = float(np.median(self.stretch.noise))
+        frames = [_crop(frame, region.window) for frame in all_frames]
+        rate = light_rate(all_frames, region, quiet, self.levels.ceiling, setup.signal.slot_order)
+        if array is not None:
+            return RegionReport(region, rate, None, 1.0, None, None, measure_array(array, frames, setup))
+        header, remedy, centre = None, None, (region.x, region.y)
+        patterns, step = _one_frame_each(frames, rate.frames if rate is not None else setup.frames_a_pattern)
+        # larger regions are changes of the scene
+        limit_px = 1.5 * max(setup.settings.detect.max_side_px, DetectSettings().max_side_px)
+        if region.side < limit_px and len(patterns) >= 4:
+            speed = step * region.speed[0], step * region.speed[1]
+            header = find_header(patterns, centre, region.side, setup.signal.side, speed)
+        is_complete = not region.at_border and region.speed_px < 1
+        if header is not None and self.trials:
+            noise = self._difference_noise(region, header.fit.gain)
+            remedy = find_remedy(frames, setup, rate, header, noise, is_complete and region.saturated < 0.5)
+        part = pattern_part(all_frames, region, quiet)
+        report = RegionReport(region, rate, lamp_period(region.brightness), part, header, remedy, None)
+        # the outline of a defocused array is round and shows no turn
+        is_round = header is not None and report.has_header and is_blurred(header.fit.pose)
+        if remedy is None and self.trials and rate is not None and is_complete and not is_round:
+            form = other_packets(header, setup.signal, rate.frames) if header is not None else {}
+            report = replace(report, remedy=find_turned_remedy(frames, setup, rate, centre, form))
+        return replace(report, would_be=self._array_like(report))
+
+    def _array_like(self, report: RegionReport) -> ArrayLike | None:
+        """Describe a region as an array, by the decoded packet or by the header."""
+        signal, remedy, header = self.setup.signal, report.remedy, report.clear_header
+        if remedy is not None and remedy.trial.detections:
+            fit, signal = remedy.trial.detections[0].fit, remedy.trial.signal
+        elif header is not None:
+            fit = header.fit
+        else:
+            return None
+        settings, reach = self.setup.settings, tuple[Reach, ...]()
+        if report.region.saturated <= SATURATED and signal.header == "m_sequence":
+            noise = self._difference_noise(report.region, fit.gain)
+            distance_m = settings.calibration.distance_m(fit.pose)
+            reach = reaches(fit.pose, fit.gain, noise, distance_m, signal, settings.detect.min_side_px)
+        clock = remedy.clock if remedy is not None else None
+        contrast = fit.gain / self.stretch.frames[0].full_scale
+        return ArrayLike(fit.pose.pitch, fit.pose.blur, contrast, clock, reach)
+
+    def _difference_noise(self, region: Region, gain: float) -> Noise:
+        """Return the noise of the difference of two frames by photon transfer, or by the quiet blocks."""
+        level, quiet = float(np.median(region.brightness)), float(np.median(self.stretch.noise)) ** 2
+        lit, dark = self.noise.variance_at(level), self.noise.variance_at(max(level - 0.5 * gain, 0.0))
+        return Noise(2 * (lit or quiet), 2 * (dark or quiet))
 
 
-def _would_be(
-    seen: RegionSeen, asked: Asked, noise: NoiseFound, quiet: float, full_scale: int
-) -> ArrayLike | None:  # fmt: skip
-    """A region as the array that it would be, by the packet read of it once settings are changed, or by its header."""
-    signal, known, found = asked.signal, asked.settings.calibration, seen.found
-    if found is not None and found.reading.detections:
-        fit, signal = found.reading.detections[0].fit, found.reading.signal
-    elif seen.header_like is not None:
-        fit = seen.header_like.fit
-    else:
-        return None
-    pose, clock = fit.pose, found.clock if found is not None else None
-    reach: tuple[Reach, ...] = ()
-    if seen.region.saturated <= SATURATED and signal.header == "m_sequence":
-        distance_m = known.distance_m(pose)
-        light = _noise_of(seen.region, noise, quiet, fit.gain)
-        reach = reaches(pose, fit.gain, light, distance_m, signal, asked.settings.detect.min_side_px)
-    return ArrayLike(pose.pitch, pose.blur, fit.gain / full_scale, clock, reach)
-
-
-def _part(frame: Frame, window: Window) -> Frame:
-    """A window of a frame."""
+def _crop(frame: Frame, window: Window) -> Frame:
     x, y, width, height = window
     left, top = x - frame.origin[0], y - frame.origin[1]
     return replace(frame, pixels=frame.pixels[top : top + height, left : left + width], origin=(x, y))
 
 
-def _a_pattern_each(frames: Sequence[Frame], step: float) -> tuple[list[Frame], float]:
-    """One frame of each pattern, and how many frames one is apart from the next."""
+def _one_frame_each(frames: Sequence[Frame], step: float) -> tuple[Sequence[Frame], float]:
+    """Return a frame of each pattern, and the step in frames."""
     if step < 1 + STEP_TOLERANCE:
-        return list(frames), 1.0
+        return frames, 1.0
     numbers = np.arange(0, len(frames) - 0.5, step).round().astype(int)
     return [frames[k] for k in numbers if k < len(frames)], step
-
-
-def _noise_of(region: Region, noise: NoiseFound, quiet: float, gain: float) -> Noise:
-    """Noise of a difference of two frames, as far as it is known where an array is not read."""
-    level = float(np.median(region.brightness))
-    lit, dark = noise.variance_at(level), noise.variance_at(max(level - 0.5 * gain, 0.0))
-    return Noise(2 * (lit or quiet**2), 2 * (dark or quiet**2))

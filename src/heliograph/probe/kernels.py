@@ -1,4 +1,4 @@
-"""The hot loop of the light's rate; `light.expected_correlation` is the same written for reading."""
+"""Kernel of the expected correlations of a region's frames."""
 
 import math
 
@@ -8,16 +8,16 @@ from heliograph.base.compiled import compiled
 
 
 @compiled(inline="always")
-def _shown(weights, start, length, first, slots):
-    """Parts of an exposure (slots,) that fall on each slot from the first one on; all in slots, overwritten."""
+def _slot_weights(weights, start, length, first, slots):
+    """Write the parts of an exposure in each slot from the first slot on; all times in slots."""
     for u in range(slots):
         low, high = max(start, first + u), min(start + length, first + u + 1)
         weights[u] = max(high - low, 0.0) / length
 
 
 @compiled(inline="always")
-def _product(one, other, covariance, pairs):
-    """Covariance of the light of two exposures, by their parts on the slots of pairs."""
+def _covariance(one, other, covariance, pairs):
+    """Covariance of the light of two exposures by slot weights."""
     total = 0.0
     for m in range(pairs):
         for i in range(8 * m, 8 * m + 8):
@@ -28,22 +28,22 @@ def _product(one, other, covariance, pairs):
 
 
 @compiled()
-def expected_correlations(rates, phases, exposures, numbers, lags, covariance, least, out):
-    """How alike frames are on average, by how long a pattern lasts in frames."""
-    most = 8 * int((4 * (np.max(lags) + 1) / np.min(rates)) / 8 + 4)
-    one, other = np.empty(most), np.empty(most)
-    for r in range(rates.shape[0]):
+def expected_correlations(durations, phases, exposures, numbers, lags, covariance, min_variance, out):
+    """Write the mean correlation of frames for each duration, phase, exposure, frame number and lag."""
+    slots = 8 * int((4 * (np.max(lags) + 1) / np.min(durations)) / 8 + 4)
+    one, other = np.empty(slots), np.empty(slots)
+    for r in range(durations.shape[0]):
         for p in range(phases.shape[0]):
             for x in range(exposures.shape[0]):
-                length = 4 * exposures[x] / rates[r]
+                length = 4 * exposures[x] / durations[r]
                 for t in range(numbers.shape[0]):
-                    begin = 4 * (numbers[t] / rates[r] + phases[p])
+                    begin = 4 * (numbers[t] / durations[r] + phases[p])
                     first = 8 * math.floor(begin / 8)
                     for k in range(lags.shape[0]):
-                        later = begin + 4 * lags[k] / rates[r]
+                        later = begin + 4 * lags[k] / durations[r]
                         pairs = math.ceil((later + length - first) / 8)
-                        _shown(one, begin, length, first, 8 * pairs)
-                        _shown(other, later, length, first, 8 * pairs)
-                        own = _product(one, one, covariance, pairs) + least
-                        its = _product(other, other, covariance, pairs) + least
-                        out[r, p, x, t, k] = _product(one, other, covariance, pairs) / math.sqrt(own * its)
+                        _slot_weights(one, begin, length, first, 8 * pairs)
+                        _slot_weights(other, later, length, first, 8 * pairs)
+                        power = _covariance(one, one, covariance, pairs) + min_variance
+                        power *= _covariance(other, other, covariance, pairs) + min_variance
+                        out[r, p, x, t, k] = _covariance(one, other, covariance, pairs) / math.sqrt(power)

@@ -1,9 +1,9 @@
-"""Noise and gain by photon transfer: the variance of what stands still against its gray level.
+"""Noise and gain of a camera by photon transfer: variance of static pixels against gray level.
 
-Of a camera that counts electrons the variance of a pixel is K (m - m_0) + K^2 s^2 + 1/12, m its mean and m_0 the
-black level: K gray levels an electron, s electrons of dark noise, and what rounding adds (EMVA 1288). The difference
-of two frames has twice that. Blocks in which something moves or blinks have more, so that of blocks of about one gray
-level the quiet quarter is looked at; and what moves or blinks differs from frame to frame in patches, noise from
+A camera that counts electrons has the pixel variance K (m - m_0) + K^2 s^2 + 1/12 with the mean m, the black level m_0,
+the gain K in gray levels per electron, the dark noise s in electrons and the variance of rounding (EMVA 1288). The
+difference of two frames has twice this variance. Motion and blinking light increase the variance, so the estimate uses
+the quiet quarter of the blocks of a gray level. Motion and blinking differ from frame to frame in patches, noise from
 pixel to pixel.
 """
 
@@ -17,46 +17,63 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 
 BLOCK_PX = 8
-"""Pixels of a side of the blocks whose variance is taken: those of the detector's search."""
-
-SAMPLED_PAIRS = 32
-"""Pairs of frames that are looked at, spread over the film."""
-
-ENOUGH = 40
-"""Least blocks of a group: its quarter is then right to 7 %."""
-
-QUARTER, HALF = 0.8791, 0.9894
-"""What a quarter and half of the variances of 64 pixels of white noise lie below, chi-square of 63 over 63."""
+"""Side of the blocks in px."""
 
 ROUNDING = 1 / 12
-"""Variance in squared gray levels that rounding adds."""
+"""Variance of rounding in squared gray levels."""
 
-Untold = Literal["", "one level", "moving", "wiped", "no slope", "few"]
-"""Why noise or gain are not told, empty where they are."""
+Obstacle = Literal["", "one level", "moving", "wiped", "no slope", "few"]
+"""Reason for a missing gain; empty if the gain is known."""
 
 
 @dataclass(frozen=True, slots=True)
-class NoiseFound:
+class PhotonTransferTuning:
+    """Thresholds of photon transfer."""
+
+    # Minimum blocks of a group: the quarter of the variances then has a standard error of 7 %
+    min_blocks: int = 40
+    # Maximum part of the blocks with less than half the variance of rounding: more were wiped out by compression
+    max_wiped: float = 0.25
+    # Maximum range of gray levels in a group, as a fraction of the ceiling
+    group_range: float = 0.01
+    # Maximum ratio of a block's variance to the variance of the finest detail: 5 % of white noise has more
+    max_coarseness: float = 2.0
+    # Maximum ratio of median to quarter of a group's variances over the ratio of white noise: moving groups have more
+    max_spread: float = 1.35
+    # Minimum range of gray levels for a slope, as a fraction of the ceiling
+    min_range: float = 0.02
+    # Minimum slope in standard errors
+    min_slope: float = 4.0
+
+
+TUNING = PhotonTransferTuning()
+
+# Quarter and median of the variances of 64 pixels of white noise: chi-square with 63 degrees of freedom over 63
+QUARTER, MEDIAN = 0.8791, 0.9894
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseEstimate:
     """Noise of a film by photon transfer.
 
     Attributes
     ----------
     gain
-        K, gray levels an electron; None where it cannot be told.
+        K in gray levels per electron; None if unknown.
     gain_error
-        Its standard error; None where it cannot be told.
+        Standard error of the gain; None if unknown.
     dark_e
-        Noise without light in electrons; None where it cannot be told.
+        Dark noise in electrons; None if unknown.
     level
-        Median gray level of the quiet blocks; None where there are none.
+        Median gray level of the quiet blocks; None if the film has none.
     deviation
-        Standard deviation of a pixel there in gray levels; None where there are none.
+        Standard deviation of a pixel in quiet blocks in gray levels; None if the film has none.
     untold
-        Why gain and dark noise are not told.
+        Reason for unknown gain and dark noise; empty if they are known.
     points
-        (groups, 2) gray level and variance of a pixel of each group of quiet blocks, for pictures.
+        (groups, 2) gray level and variance of a pixel of each group of quiet blocks, for figures.
     line
-        Variance at gray level 0, and its slope; None where there is none.
+        Variance at gray level 0, and slope; None if unknown.
     """
 
     gain: float | None
@@ -64,144 +81,128 @@ class NoiseFound:
     dark_e: float | None
     level: float | None
     deviation: float | None
-    untold: Untold
+    untold: Obstacle
     points: tuple[tuple[float, float], ...] = ()
     line: tuple[float, float] | None = None
 
     def variance_at(self, level: float) -> float | None:
-        """Variance of a pixel in squared gray levels, None where nothing is known.
+        """Return the variance of a pixel in squared gray levels; None if unknown.
 
         Parameters
         ----------
         level
-            Its mean gray level.
+            Mean gray level of the pixel.
         """
         if self.line is not None:
             return max(self.line[0] + self.line[1] * level, ROUNDING)
         return None if self.deviation is None else max(self.deviation**2, ROUNDING)
 
 
+def _unknown(
+    reason: Obstacle, level: float | None = None, deviation: float | None = None,
+    points: tuple[tuple[float, float], ...] = (),
+) -> NoiseEstimate:  # fmt: skip
+    return NoiseEstimate(None, None, None, level, deviation, reason, points)
+
+
 class NoiseWatch:
-    """Takes some pairs of a film's frames, and keeps gray level and variance of their blocks."""
+    """Block statistics of some 32 pairs of frames, spread over a film."""
 
     def __init__(self, frames: int | None):
-        self._every = max(1, (frames or 16 * SAMPLED_PAIRS) // SAMPLED_PAIRS)
+        self._every = max(1, (frames or 512) // 32)
         self._last: Frame | None = None
-        self._seen = 0
-        self._kept: list[Floats] = []
+        self._count = 0
+        self._blocks: list[Floats] = []
 
-    def add(self, frame: Frame, copied: bool) -> None:
-        """Take the next frame."""
+    def add(self, frame: Frame, repeated: bool) -> None:
+        """Add the next frame."""
         last, self._last = self._last, frame
-        self._seen += 1
-        if last is None or self._seen % self._every or copied:
+        self._count += 1
+        if last is None or self._count % self._every or repeated:
             return
         if last.pixels.shape == frame.pixels.shape and min(frame.pixels.shape) >= BLOCK_PX:
-            if len(self._kept) >= 2 * SAMPLED_PAIRS:
-                # longer than it claimed: every second pair goes
-                self._kept, self._every = self._kept[::2], 2 * self._every
-            self._kept.append(block_noise(last, frame))
+            if len(self._blocks) >= 64:  # the film is longer than announced
+                self._blocks, self._every = self._blocks[::2], 2 * self._every
+            self._blocks.append(block_statistics(last, frame))
 
-    def noise(self, ceiling: int) -> NoiseFound:
-        """Noise by the frames so far."""
-        if not self._kept:
-            return NoiseFound(None, None, None, None, None, "few")
-        return photon_transfer(np.concatenate(self._kept), ceiling)
+    def noise(self, ceiling: int) -> NoiseEstimate:
+        """Estimate the noise from the frames so far."""
+        return photon_transfer(np.concatenate(self._blocks), ceiling) if self._blocks else _unknown("few")
 
 
-def block_noise(one: Frame, other: Frame) -> Floats:
-    """Mean, variance and extremes of the blocks of two frames."""
-    rows, cols = (size // BLOCK_PX for size in one.pixels.shape)
-    # of large frames whole rows of blocks are left out
-    # blocks of a pair that are looked at: those of a frame of 1024 x 512
-    some = np.arange(0, rows, -(-rows * cols // 8192))
-    kept = (some[:, None] * BLOCK_PX + np.arange(BLOCK_PX)).ravel()
-    rows = len(some)
-    a, b = (frame.pixels[kept, : cols * BLOCK_PX].astype(np.float32) for frame in (one, other))
-    d, size = b - a, (cols, rows)
+def block_statistics(first: Frame, second: Frame) -> Floats:
+    """Compute mean, variance, lowest and highest level, and variance of the finest detail of blocks, (blocks, 5)."""
+    rows, cols = (size // BLOCK_PX for size in first.pixels.shape)
+    # large frames: skip rows of blocks, about 8192 blocks are enough
+    used = np.arange(0, rows, -(-rows * cols // 8192))
+    lines = (used[:, None] * BLOCK_PX + np.arange(BLOCK_PX)).ravel()
+    a, b = (frame.pixels[lines, : cols * BLOCK_PX].astype(np.float32) for frame in (first, second))
+    d, size, pixels = b - a, (cols, len(used)), BLOCK_PX**2
     mean = cv2.resize(a + b, size, interpolation=cv2.INTER_AREA) / 2
     squares = cv2.resize(d * d, size, interpolation=cv2.INTER_AREA)
     shift = cv2.resize(d, size, interpolation=cv2.INTER_AREA)
-    pixels = BLOCK_PX**2
     variance = (squares - shift**2) * pixels / (pixels - 1) / 2
-    blocks = np.maximum(a, b).reshape(rows, BLOCK_PX, cols, BLOCK_PX)
-    most = blocks.max((1, 3))
-    least = np.minimum(a, b).reshape(rows, BLOCK_PX, cols, BLOCK_PX).min((1, 3))
-    # what four pixels have apart from means, slopes along rows and slopes along columns
+    shape = len(used), BLOCK_PX, cols, BLOCK_PX
+    lowest, highest = np.minimum(a, b).reshape(shape).min((1, 3)), np.maximum(a, b).reshape(shape).max((1, 3))
+    # 2 x 2 pixels minus mean and slopes along rows and columns
     fine = 0.5 * (d[::2, ::2] - d[::2, 1::2] - d[1::2, ::2] + d[1::2, 1::2])
     detail = cv2.resize(fine * fine, size, interpolation=cv2.INTER_AREA) / 2
-    out = np.stack([one.ravel() for one in (mean, variance, least, most, detail)], axis=1)
-    return np.asarray(out, np.float64)
+    columns = [part.ravel() for part in (mean, variance, lowest, highest, detail)]
+    return np.stack(columns, axis=1).astype(np.float64)
 
 
-def photon_transfer(blocks: Floats, ceiling: int) -> NoiseFound:
-    """Gain and dark noise by the blocks of many pairs of frames."""
-    whole = blocks[(blocks[:, 2] > 0) & (blocks[:, 3] < ceiling)]
-    if len(whole) < 2 * ENOUGH:
-        return NoiseFound(None, None, None, None, None, "few")
-    # part of the blocks of which the variance is below that of rounding, from which on compression has wiped noise out
-    if np.mean(whole[:, 1] < ROUNDING / 2) > 0.25:
-        return NoiseFound(None, None, None, *_middle(whole), "wiped")
-    # largest span of gray levels within a group, as a fraction of full scale: a quarter of its noise is not that of
-    # another level
-    # variance of a block over that of its finest detail from which on it is no noise: of white noise one in twenty has
-    # it
-    points, errors = _groups(whole[whole[:, 1] <= 2.0 * whole[:, 4]], 0.01 * ceiling)
-    if len(points) < 1:
-        return NoiseFound(None, None, None, None, None, "moving")
+def photon_transfer(blocks: Floats, ceiling: int) -> NoiseEstimate:
+    """Estimate gain and dark noise from the blocks of many pairs of frames."""
+    exposed = blocks[(blocks[:, 2] > 0) & (blocks[:, 3] < ceiling)]
+    if len(exposed) < 2 * TUNING.min_blocks:
+        return _unknown("few")
+    if np.mean(exposed[:, 1] < ROUNDING / 2) > TUNING.max_wiped:
+        level, variance = np.median(exposed[:, :2], axis=0)
+        return _unknown("wiped", float(level), float(np.sqrt(max(variance, 0.0))))
+    fine = exposed[exposed[:, 1] <= TUNING.max_coarseness * exposed[:, 4]]
+    points, errors = _static_groups(fine, TUNING.group_range * ceiling)
+    if not len(points):
+        return _unknown("moving")
     level, deviation = float(np.median(points[:, 0])), float(np.median(points[:, 1])) ** 0.5
     kept = tuple((float(x), float(y)) for x, y in points)
-    span = float(np.ptp(points[:, 0]))
-    # least span of gray levels of the groups as a fraction of full scale, 5 gray levels of 8 bits, to tell a slope
-    if len(points) < 2 or span < 0.02 * ceiling:
-        return NoiseFound(None, None, None, level, deviation, "one level", kept)
-    base, slope, slope_error = _line(points, errors)
-    # standard errors by which a slope must differ from 0
-    if not (slope > 4.0 * slope_error and base > 0):
-        return NoiseFound(None, None, None, level, deviation, "no slope", kept)
+    if len(points) < 2 or float(np.ptp(points[:, 0])) < TUNING.min_range * ceiling:
+        return _unknown("one level", level, deviation, kept)
+    base, slope, slope_error = _fit_line(points, errors)
+    if not (slope > TUNING.min_slope * slope_error and base > 0):
+        return _unknown("no slope", level, deviation, kept)
     dark_e = max(base - ROUNDING, 0.0) ** 0.5 / slope
-    return NoiseFound(slope, slope_error, dark_e, level, deviation, "", kept, (base, slope))
+    return NoiseEstimate(slope, slope_error, dark_e, level, deviation, "", kept, (base, slope))
 
 
-def _middle(blocks: Floats) -> tuple[float, float]:
-    """Median gray level and standard deviation of blocks."""
-    return float(np.median(blocks[:, 0])), float(np.sqrt(max(np.median(blocks[:, 1]), 0.0)))
-
-
-def _groups(blocks: Floats, narrow: float) -> tuple[Floats, Floats]:
-    """Gray level and variance (groups, 2) of groups that stand still, and the variances' standard errors (groups,)."""
-    order = blocks[np.argsort(blocks[:, 0], kind="stable")]
+def _static_groups(blocks: Floats, max_range: float) -> tuple[Floats, Floats]:
+    """Group blocks by gray level; return level and variance (groups, 2) of static groups, and standard errors."""
+    blocks = blocks[np.argsort(blocks[:, 0], kind="stable")]
     points, errors = list[tuple[float, float]](), list[float]()
-    level, first = order[:, 0], 0
-    while first < len(order):
-        # groups of blocks by their gray level, of equally many blocks at most
-        end = min(first + max(len(order) // 16, ENOUGH), int(np.searchsorted(level, level[first] + narrow, "right")))
-        group, first = order[first:end], end
-        if len(group) < ENOUGH:
+    level, first = blocks[:, 0], 0
+    while first < len(blocks):
+        end = int(np.searchsorted(level, level[first] + max_range, "right"))
+        end = min(first + max(len(blocks) // 16, TUNING.min_blocks), end)
+        group, first = blocks[first:end], end
+        if len(group) < TUNING.min_blocks:
             continue
-        # Part of a group's blocks that is taken to be quiet. The whole group is where nothing moves
-        quarter, half = np.quantile(group[:, 1], [0.25, 0.5])
-        # ratio of half to quarter, over that of white noise, from which on a group is taken to move: it then says
-        # nothing
-        if half / max(quarter, 1e-9) * QUARTER / HALF > 1.35:
+        quarter, median = np.quantile(group[:, 1], [0.25, 0.5])
+        variance = float(quarter / QUARTER)
+        is_moving = median / max(quarter, 1e-9) * QUARTER / MEDIAN > TUNING.max_spread
+        if is_moving or variance < ROUNDING / 2:  # a wiped-out group would weigh as if it were exact
             continue
-        variance = quarter / QUARTER
-        if variance < ROUNDING / 2:  # wiped out at this level: it would weigh as if it were known exactly
-            continue
-        quiet = group[group[:, 1] <= half]
-        points.append((float(np.median(quiet[:, 0])), float(variance)))
-        # of a quarter of n variances with the spread 0.18, 1.36 * 0.18 / sqrt(n)
-        errors.append(float(variance) * 0.25 / len(group) ** 0.5)
+        points.append((float(np.median(group[group[:, 1] <= median, 0])), variance))
+        # the quarter of n variances with the spread 0.18 has the error 1.36 * 0.18 / sqrt(n)
+        errors.append(variance * 0.25 / len(group) ** 0.5)
     return np.array(points).reshape(-1, 2), np.array(errors)
 
 
-def _line(points: Floats, errors: Floats) -> tuple[float, float, float]:
-    """Value at 0, slope and its standard error of a line through points, by their errors or their scatter."""
+def _fit_line(points: Floats, errors: Floats) -> tuple[float, float, float]:
+    """Fit a weighted line; return the value at 0, the slope, and the standard error of the slope."""
     x, y = points.T
     weight = 1 / errors**2
     design = np.stack([np.ones_like(x), x], axis=1)
     normal = design.T @ (weight[:, None] * design)
     base, slope = np.linalg.solve(normal, design.T @ (weight * y))
-    rest = float((weight * (y - base - slope * x) ** 2).sum()) / max(len(x) - 2, 1)
-    error = float(np.linalg.inv(normal)[1, 1] * max(rest, 1.0)) ** 0.5
+    chi_square = float((weight * (y - base - slope * x) ** 2).sum()) / max(len(x) - 2, 1)
+    error = float(np.linalg.inv(normal)[1, 1] * max(chi_square, 1.0)) ** 0.5
     return float(base), float(slope), error

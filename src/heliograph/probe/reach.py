@@ -1,13 +1,14 @@
-"""How far each layer may be read: an estimate, from what a film shows of an array's light, its noise and its blur.
+"""Estimated reach of each layer, from the light, noise and blur of an array in a film.
 
-The same array is put farther away in thought: its pitch shrinks, while its gray level, the noise and the blur in px
-stay. Symbols of +-1 with independent noise of the signal to noise ratio r hold 1 - E log2(1 + exp(-2 r - 2 sqrt(r)
-z)) bit each, z normal. "soft" estimates symbols by linear MMSE, whose posterior covariance S gives r = 1 / S_ii - 1,
-layer after layer, those before being known once they can be decoded. "plain" takes the light at each LED's place for
-its own; what it gets of other symbols counts as noise. A layer is read where its symbols hold `NEEDED` times its
-code's rate.
+The model moves the array farther away: its pitch shrinks, while gray level, noise and blur in px stay. Symbols of +-1
+with independent noise of the signal-to-noise ratio r hold 1 - E log2(1 + exp(-2 r - 2 sqrt(r) z)) bit each, with a
+normal z. The receiver "soft" estimates symbols by linear MMSE; the posterior covariance S gives r = 1 / S_ii - 1,
+layer after layer; decoded layers are known. The receiver "plain" samples the light at each LED, and the crosstalk of
+other symbols counts as noise. A layer can be decoded if its symbols hold `needed` times the rate of its code.
 """
 
+from bisect import bisect_left
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from math import inf
@@ -29,45 +30,46 @@ from heliograph.receive.observe.statistics import leds_of, whiten
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 
-NEEDED = 1.3
-"""Information in LLRs over a code's rate from which on it is decoded: the turbo code of rate 1/3 and 1000 bits needs
-0.43 bit per bit."""
 
-FARTHEST, NEAREST = 12.0, 0.25
-"""Distances that are looked at, over that of the film."""
+@dataclass(frozen=True, slots=True)
+class ReachTuning:
+    """Parameters of the estimate of the reach."""
 
-STEP = 1.03
-"""Ratio of two distances between which a layer's end is not told."""
+    # Information in LLRs over the rate of the code that decoding needs: 0.43 bit for rate 1/3 and 1000 bits
+    needed: float = 1.3
+    # Distances over the distance in the film, and the ratio of two successive distances
+    nearest: float = 0.25
+    farthest: float = 12.0
+    step: float = 1.03
+    # Maximum LEDs per row: the matrices of 64 x 64 LEDs take minutes
+    max_side: int = 32
+    # Maximum pitch in px: receivers reduce nearer arrays to it
+    max_pitch_px: float = 3.0
+    # Offset in px of the array's centre from the centre of a pixel: neither on a pixel nor between two
+    offset_px: float = 0.29
 
-MOST_SIDE = 32
-"""Most LEDs in a row of an array whose reach is estimated: the matrices of 64 x 64 LEDs take minutes."""
 
-NEAR_PITCH_PX = 3.0
-"""Largest pitch in px that is looked at: nearer arrays are reduced to it."""
-
-OFF_CENTRE = 0.29
-"""Place in px of the array's centre off that of a pixel: neither on a pixel nor between two."""
+TUNING = ReachTuning()
 
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far a layer is expected to be read."""
+    """Estimated reach of each layer."""
 
-    # Whose reach it is, "plain" or "soft"
+    # "plain" or "soft"
     receiver: str
-    # Distance in m up to which each layer is read, by layer; 0 where it is read nowhere, infinite where the end lies
-    # beyond all distances looked at
+    # Distance in m by layer; 0 if a layer is decoded nowhere, infinite if the end is beyond all tested distances
     distance_m: dict[str, float]
-    # Distance in m up to which the array is as large as what the receiver looks for
+    # Distance in m at which the array has the minimum size for the receiver
     found_m: float
 
 
-@one_thread()  # its matrices are as small as a receiver's
+@one_thread()
 def reaches(
     pose: Pose, gain: float, noise: Noise, distance_m: float, signal: SignalSettings, smallest_px: float | None = None
 ) -> tuple[Reach, ...]:
-    """How far each layer is expected to be read by both receivers."""
-    if signal.side > MOST_SIDE or signal.modulation != "haar" or gain <= 0:
+    """Estimate the reach of each layer for both receivers."""
+    if signal.side > TUNING.max_side or signal.modulation != "haar" or gain <= 0:
         return ()
     out = []
     for receiver in ("plain", "soft"):
@@ -79,51 +81,43 @@ def reaches(
 
 
 def layer_information(receiver: str, pose: Pose, gain: float, noise: Noise, signal: SignalSettings) -> dict[str, float]:
-    """Information in the LLRs of each layer, in bit per sent bit."""
-    read = _plain if receiver == "plain" else _soft
-    return read(replace(pose, x=OFF_CENTRE, y=OFF_CENTRE, roll=pose.roll), gain, noise, signal)
+    """Return the information in the LLRs of each layer, in bit per sent bit."""
+    estimate = _plain if receiver == "plain" else _soft
+    return estimate(replace(pose, x=TUNING.offset_px, y=TUNING.offset_px), gain, noise, signal)
 
 
 def information_of(snr: Floats) -> Floats:
-    """Information of bits sent as +-1 in white noise, in bit per bit."""
-    points, weights = _normal()
-    spread = -2 * snr[..., None] - 2 * np.sqrt(snr)[..., None] * points
-    return np.asarray(1 - np.logaddexp(0, spread) @ weights / np.log(2))
-
-
-@lru_cache
-def _normal() -> tuple[Floats, Floats]:
-    """Points and weights of a mean over a normal variable (Gauss and Hermite)."""
+    """Return the information of bits sent as +-1 in white noise, in bit per bit."""
+    # mean over a normal variable by Gauss-Hermite quadrature
     points, weights = np.polynomial.hermite_e.hermegauss(40)
-    return points, weights / weights.sum()
+    exponent = -2 * snr[..., None] - 2 * np.sqrt(snr)[..., None] * points
+    return np.asarray(1 - np.logaddexp(0, exponent) @ (weights / weights.sum()) / np.log(2))
 
 
 def _ends(receiver: str, pose: Pose, gain: float, noise: Noise, signal: SignalSettings) -> dict[str, float]:
-    """Distances up to which layers are read, over that of the pose."""
-    # where LEDs are large all is read, as near arrays are reduced: it is not looked at
-    nearest = max(NEAREST, pose.pitch / NEAR_PITCH_PX)
-    steps = nearest * STEP ** np.arange(int(np.log(max(FARTHEST / nearest, STEP)) / np.log(STEP)) + 1)
+    """Return the reach of each layer over the distance of the pose."""
+    nearest = max(TUNING.nearest, pose.pitch / TUNING.max_pitch_px)
+    count = int(np.log(max(TUNING.farthest / nearest, TUNING.step)) / np.log(TUNING.step)) + 1
+    steps = nearest * TUNING.step ** np.arange(count)
 
     @cache
-    def held(k: int) -> dict[str, float]:
+    def information(k: int) -> dict[str, float]:
         return layer_information(receiver, replace(pose, pitch=pose.pitch / steps[k]), gain, noise, signal)
 
     out = {}
     for layer in LAYERS:
-        needed = NEEDED * getattr(signal.rate, layer)
-        low, high = -1, len(steps)
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (middle, high) if held(middle)[layer] >= needed else (low, middle)
-        out[layer] = 0.0 if low < 0 else float("inf") if high == len(steps) else float(steps[low])
+        needed = TUNING.needed * getattr(signal.rate, layer)
+        decoded = bisect_left(range(count), True, key=lambda k: information(k)[layer] < needed)
+        out[layer] = 0.0 if decoded == 0 else inf if decoded == count else float(steps[decoded - 1])
     return out
 
 
-def _bounds(side: int) -> list[tuple[str, slice]]:
-    """The symbols of each layer."""
-    ends = np.cumsum(MULTIPLICITY) * (side // 2) ** 2
-    return [(name, slice(int(end) - many * (side // 2) ** 2, int(end)))
-            for name, many, end in zip(LAYERS, MULTIPLICITY, ends, strict=True)]  # fmt: skip
+def _layer_slices(side: int) -> Iterator[tuple[str, slice]]:
+    """Yield the symbols of each layer."""
+    end = 0
+    for name, count in zip(LAYERS, MULTIPLICITY, strict=True):
+        first, end = end, end + count * (side // 2) ** 2
+        yield name, slice(first, end)
 
 
 def _cutout(pose: Pose, side: int) -> Cutout:
@@ -137,49 +131,41 @@ def _soft(pose: Pose, gain: float, noise: Noise, signal: SignalSettings) -> dict
     pair = whiten(_cutout(pose, side), noise, side).statistics
     mean, variance = np.zeros(side * side), np.ones(side * side)
     out = {}
-    for name, part in _bounds(side):
+    for name, part in _layer_slices(side):
         estimate = equalise(pair, gain, noise.lit, mean, variance)
         spread = np.ones(side * side)
         spread[estimate.unknown] = estimate.spread
         snr = np.maximum(1 / np.maximum(spread[part], TINY) - 1, 0.0)
         out[name] = float(information_of(snr).mean())
-        if out[name] >= NEEDED * getattr(signal.rate, name):
+        if out[name] >= TUNING.needed * getattr(signal.rate, name):
             variance[part] = 0.0
     return out
 
 
 def _plain(pose: Pose, gain: float, noise: Noise, signal: SignalSettings) -> dict[str, float]:
-    side, seen = signal.side, _cutout(pose, signal.side)
-    count = side * side
-    through = np.empty((count, count))
-    image = np.empty((6, *seen.shape))
-    for symbol, levels in enumerate(_patterns(side)):
-        image_kernels.render(pose.full_vector(), levels, float(seen.corner[0]), float(seen.corner[1]), image, 0.0, 0.0)
-        shown = at_leds(image[0], seen.corner, pose, side)
-        through[:, symbol] = shown.ravel()
-    back = _symbols_of_leds(side)
-    seen_of = back @ through
-    own = np.diag(seen_of)
-    others = (seen_of**2).sum(1) - own**2
-    # LEDs that are near each other share pixels, and so their noise
-    # images of noise that tell how much of it sampling at LEDs leaves: of the mean over a layer's symbols 3 % off at
-    # most
-    white = np.random.default_rng(0).standard_normal((64, *seen.shape))
-    sampled = np.array([at_leds(one, seen.corner, pose, side).ravel() for one in white])
-    rest = noise.lit / gain**2 * ((sampled @ back.T) ** 2).mean(0)
-    snr = np.maximum(own, 0.0) ** 2 / np.maximum(others + rest, TINY)
-    return {name: float(information_of(snr[part]).mean()) for name, part in _bounds(side)}
+    side, cutout = signal.side, _cutout(pose, signal.side)
+    through = np.empty((side * side, side * side))
+    image = np.empty((6, *cutout.shape))
+    x, y = map(float, cutout.corner)
+    for symbol, levels in enumerate(_symbol_patterns(side)):
+        image_kernels.render(pose.full_vector(), levels, x, y, image, 0.0, 0.0)
+        through[:, symbol] = at_leds(image[0], cutout.corner, pose, side).ravel()
+    # inverse of 2 x - 1 = T c; the columns of T are orthogonal
+    t = _symbol_patterns(side).reshape(side * side, -1)
+    back = t / (t**2).sum(1)[:, None]
+    response = back @ through
+    own = np.diag(response)
+    crosstalk = (response**2).sum(1) - own**2
+    # neighbouring LEDs share pixels and noise: sample 64 images of noise, 3 % standard error at most
+    white = np.random.default_rng(0).standard_normal((64, *cutout.shape))
+    sampled = np.array([at_leds(sample, cutout.corner, pose, side).ravel() for sample in white])
+    sampled_noise = noise.lit / gain**2 * ((sampled @ back.T) ** 2).mean(0)
+    snr = np.maximum(own, 0.0) ** 2 / np.maximum(crosstalk + sampled_noise, TINY)
+    return {name: float(information_of(snr[part]).mean()) for name, part in _layer_slices(side)}
 
 
 @lru_cache(maxsize=4)
-def _patterns(side: int) -> Floats:
-    """Luminances 2 x - 1 of the LEDs by each symbol alone, (symbols, n, n)."""
+def _symbol_patterns(side: int) -> Floats:
+    """Luminances 2 x - 1 of the LEDs for each single symbol, (symbols, n, n)."""
     count = side * side
     return np.array([to_grid(leds_of(np.eye(1, count, symbol)[0])) for symbol in range(count)])
-
-
-@lru_cache(maxsize=4)
-def _symbols_of_leds(side: int) -> Floats:
-    """The inverse of T, 2 x - 1 = T c, which has orthogonal columns: (symbols, LEDs)."""
-    t = _patterns(side).reshape(side * side, -1)
-    return np.asarray(t / (t**2).sum(1)[:, None])

@@ -1,4 +1,4 @@
-"""Regions of a film in which something blinks: position, size, brightness and rate."""
+"""Blinking regions of a film: position, size, motion and brightness."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,108 +10,65 @@ from scipy.sparse.csgraph import connected_components
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
-from heliograph.probe.activity import ALTERNATION_NOISE, ROUNDED, Stretch, blinking
+from heliograph.probe.activity import ALTERNATION_NOISE, Stretch, blinking
 from heliograph.probe.levels import overexposed_part
 from heliograph.receive.detect.alternation import ALTERNATION
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.window import Window, covered, cut_out
 
-DOTS = 9
-"""Least number of blinking spots that are taken for one array: LEDs that lie so far apart that nothing blinks
-between."""
+Blocks = NDArray[np.bool_]
+"""Set of blocks, (blocks down, blocks across)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
-    """Blocks that belong together."""
+class RegionTuning:
+    """Thresholds and limits of regions."""
 
-    # (blocks down, blocks across), which they are
-    blocks: NDArray[np.bool_]
-    # Spots they are made of: more than 1 where LEDs lie far apart
-    spots: int
-
-
-def groups_of(busy: NDArray[np.bool_]) -> list[Group]:
-    """Busy blocks that touch each other; many spots near each other are one."""
-    closed = cv2.morphologyEx(busy.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
-    if count <= 1:
-        return []
-    boxes = stats[1:, :4].astype(float)
-    sizes = np.sqrt(stats[1:, cv2.CC_STAT_AREA])
-    # most spots that are put together: their distances are all compared
-    chained = _chained(boxes, sizes) if DOTS <= count - 1 <= 4096 else np.arange(count - 1)
-    out = list[Group]()
-    for one in np.unique(chained):
-        spots = np.flatnonzero(chained == one)
-        if 1 < len(spots) < DOTS:
-            out += [Group(labels == spot + 1, 1) for spot in spots]
-        else:
-            out.append(Group(np.isin(labels, spots + 1), len(spots)))
-    return out
+    # Minimum spots of an array with LEDs far apart
+    min_spots: int = 9
+    # Maximum gap between such spots in sides of a spot: LEDs of the reference link cover a quarter of the pitch
+    max_gap: float = 4.0
+    # Maximum rows and columns of pixels per region: larger regions are subsampled
+    max_side_px: int = 256
+    # Maximum pixels per region over all frames: fewer frames of large regions are used
+    max_pixels: int = 16_000_000
+    # Minimum amplitude of the core over the maximum: LEDs differ, and a blurred rim has half
+    core: float = 0.35
+    # Minimum power of a pixel: over the maximum, over the surroundings, and the upper limit of the latter
+    tail: float = 0.02
+    rim: float = 4.0
+    max_tail: float = 0.25
+    # Distance in px from the frame's border at which a region counts as cut
+    border_px: float = 2.0
 
 
-def _chained(boxes: Floats, sizes: Floats) -> NDArray[np.intp]:
-    """Numbers (spots,) of chains of spots of about one size that lie near each other."""
-    first, end = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
-    gaps = np.maximum(np.maximum(first[:, None] - end[None], first[None] - end[:, None]), 0.0).max(-1)
-    alike = np.maximum(sizes[:, None], sizes) <= 2 * np.minimum(sizes[:, None], sizes)
-    # Largest gap between two such spots, in their sides. An LED takes a quarter of its pitch in the reference link
-    near = (gaps <= 4.0 * np.minimum(sizes[:, None], sizes)) & alike
-    return np.asarray(connected_components(near, directed=False)[1], np.intp)
-
-
-MOST_SIDE_PX = 256
-"""Most rows and columns of a region that are looked at: of larger ones every second pixel, or every third, and so
-on."""
-
-MOST_PIXELS = 16_000_000
-"""Most pixels of a region that are looked at over all times: large ones are looked at less often."""
-
-CORE = 0.35
-"""Least root mean square of a region's core as a fraction of its largest: LEDs differ, and a blurred rim has half."""
-
-TAIL, RIM, MOST_TAIL = 0.02, 4.0, 0.25
-"""Power of a pixel below which it counts for no part of a region: over the largest, and over that of what lies about
-it, but no more of the largest than the last."""
-
-ROOM = 1.15
-"""Window in which a region is measured, over what its blocks take: its blurred rim must not reach the window's."""
-
-BORDER_PX = 2.0
-"""Pixels from the frame's border within which a region is taken to be cut by it."""
+TUNING = RegionTuning()
 
 
 @dataclass(frozen=True)
 class Region:
-    """A region of a film in which something blinks.
+    """Blinking region of a film.
 
     Attributes
     ----------
     x, y
-        Its centre on the sensor in px, in the middle of the stretch.
+        Centre on the sensor in px, at half time.
     width, height
-        Its size in px.
+        Size in px.
     speed
-        Motion along x and y in px a frame.
+        Motion along x and y in px per frame.
     contrast
-        Gray levels by which its light goes up and down where it does so most, over full scale.
-    power
-        The same of an average frame.
+        Amplitude of the light at its maximum over time, over full scale.
     blinks
-        How much of what changes blinks rather than moves, see `blinking`.
-    evenness
-        How much all of it goes up and down as one: 1 for a lamp, about 0 for a pattern and its inverse.
+        Ratio of blinking to change, see `blinking`.
     saturated
-        Fraction of its pixels that are overexposed, see `overexposed_part`.
+        Overexposed fraction of the pixels, see `overexposed_part`.
     at_border
-        Whether it touches the frame's border.
-    spots
-        Blinking spots it is made of: more than 1 where LEDs lie far apart.
+        True if the region touches the frame's border.
     window
-        The part of the sensor that holds it and its surroundings, in all frames.
+        Part of the sensor with the region and its surroundings in all frames.
     brightness
-        (frames,) mean gray level of its pixels in each frame of the stretch.
+        (frames,) mean gray level in each frame of the stretch.
     """
 
     x: float
@@ -120,59 +77,52 @@ class Region:
     height: float
     speed: tuple[float, float]
     contrast: float
-    power: float
     blinks: float
-    evenness: float
     saturated: float
     at_border: bool
-    spots: int
     window: Window
     brightness: Floats
 
     @property
     def side(self) -> float:
-        """Side in px of a square as large."""
+        """Side in px of a square with the same area."""
         return float(np.sqrt(self.width * self.height))
 
     @property
     def corners(self) -> Floats:
-        """(4, 2) corners of its box in px, clockwise from the upper left one."""
+        """(4, 2) corners of the bounding box in px, clockwise from the upper left."""
         ends = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
-        return np.asarray(np.array([self.x, self.y]) + ends * np.array([self.width, self.height]), np.float64)
+        return np.array([self.x, self.y]) + ends * np.array([self.width, self.height])
 
     @property
     def speed_px(self) -> float:
-        """Motion in px a frame, whatever its direction."""
+        """Magnitude of the motion in px per frame."""
         return float(np.hypot(*self.speed))
 
     def centre_at(self, frame: float, frames: int) -> tuple[float, float]:
-        """Its centre on the sensor in px at another time.
+        """Return the centre on the sensor in px at another time.
 
         Parameters
         ----------
         frame
             Number of the frame within the stretch.
         frames
-            Frames of the stretch.
+            Number of frames of the stretch.
         """
-        later = frame - 0.5 * (frames - 1)
-        return self.x + self.speed[0] * later, self.y + self.speed[1] * later
+        late = frame - 0.5 * (frames - 1)
+        return self.x + self.speed[0] * late, self.y + self.speed[1] * late
 
     def box_at(self, frame: float, frames: int, scale: float = 1.0) -> Window:
-        """Pixels of it, or of its surroundings, at a time.
+        """Return the bounding box at a time as corner (x, y) on the sensor, columns and rows.
 
         Parameters
         ----------
         frame
             Number of the frame within the stretch.
         frames
-            Frames of the stretch.
+            Number of frames of the stretch.
         scale
-            Size of what is wanted over that of the region, above 0.
-
-        Returns
-        -------
-        Corner (x, y) on the sensor, columns and rows.
+            Size of the box over the size of the region, above 0.
         """
         x, y = self.centre_at(frame, frames)
         width, height = (max(round(scale * size), 1) for size in (self.width, self.height))
@@ -180,146 +130,135 @@ class Region:
 
 
 def regions_of(stretch: Stretch, ceiling: int) -> tuple[list[Region], int]:
-    """Regions of a stretch in which something blinks, the strongest first."""
-    groups = groups_of(stretch.busy)
+    """Measure up to six blinking regions, the strongest first; return them and the number of all regions."""
+    groups = group_blocks(stretch.busy)
     strength = np.maximum(stretch.alternation.mean(0) - ALTERNATION_NOISE * stretch.noise, 0.0)
-    groups.sort(key=lambda group: -float(strength[group.blocks].sum()))
-    found = list[Region]()
-    # most regions that are looked into, those that blink most: each takes up to a second
-    for group in groups[:6]:
-        one = _region(stretch, group, ceiling)
-        # side in px up to which a region is a pixel that blinks: a hot one, or what compression leaves
-        if one is not None and one.side > 1.5 and not any(_within(one, other) for other in found):
-            found.append(one)
-    return found, len(groups)
+    groups.sort(key=lambda blocks: -float(strength[blocks].sum()))
+    regions = list[Region]()
+    for blocks in groups[:6]:
+        region = _measure(stretch, blocks, ceiling)
+        # smaller regions are single pixels: hot pixels, or artefacts of compression
+        if region is not None and region.side > 1.5 and not any(_is_within(region, other) for other in regions):
+            regions.append(region)
+    return regions, len(groups)
 
 
-def _within(one: Region, other: Region) -> bool:
-    """Whether a region lies within a stronger one: what is left over of it."""
-    return abs(one.x - other.x) < 0.5 * other.width and abs(one.y - other.y) < 0.5 * other.height
+def _is_within(region: Region, other: Region) -> bool:
+    return abs(region.x - other.x) < 0.5 * other.width and abs(region.y - other.y) < 0.5 * other.height
 
 
-def _region(stretch: Stretch, group: Group, ceiling: int) -> Region | None:
-    """Look into a group of blocks."""
+def group_blocks(busy: Blocks) -> list[Blocks]:
+    """Group adjacent busy blocks, and chains of many similar spots."""
+    closed = cv2.morphologyEx(busy.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
+    if count <= 1:
+        return []
+    chains = np.arange(count - 1)
+    if TUNING.min_spots <= count - 1 <= 4096:  # the distances of all pairs are computed
+        chains = _chain(stats[1:, :4].astype(float), np.sqrt(stats[1:, cv2.CC_STAT_AREA]))
+    groups = list[Blocks]()
+    for chain in np.unique(chains):
+        spots = np.flatnonzero(chains == chain) + 1
+        groups += [labels == spot for spot in spots] if len(spots) < TUNING.min_spots else [np.isin(labels, spots)]
+    return groups
+
+
+def _chain(boxes: Floats, sizes: Floats) -> NDArray[np.intp]:
+    """Return the chain number (spots,) of spots of similar size near each other."""
+    first, end = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
+    gaps = np.maximum(np.maximum(first[:, None] - end[None], first[None] - end[:, None]), 0.0).max(-1)
+    smaller, larger = np.minimum(sizes[:, None], sizes), np.maximum(sizes[:, None], sizes)
+    linked = (gaps <= TUNING.max_gap * smaller) & (larger <= 2 * smaller)
+    return np.asarray(connected_components(linked, directed=False)[1], np.intp)
+
+
+def _measure(stretch: Stretch, blocks: Blocks, ceiling: int) -> Region | None:
+    """Measure a group of blocks: first motion by blocks, then size by pixels."""
     frames, power = stretch.frames, stretch.alternation**2 - (ALTERNATION_NOISE * stretch.noise) ** 2
-    near = cv2.dilate(group.blocks.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    near = cv2.dilate(blocks.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     power = np.maximum(power, 0.0) * near
-    total = power.sum((1, 2))
-    if not total.any():
+    if not power.any():
         return None
-    corner = np.array(frames[0].origin, float)
-    places = np.array([_centroid(one) if one.any() else (np.nan, np.nan) for one in power])
-    places = (places + 0.5) * BLOCK_PX - 0.5 + corner
-    times = 0.5 * (np.array(stretch.bounds[:-1]) + stretch.bounds[1:] - 1)
-    centre, speed = _motion(times, places, total, 0.5 * (len(frames) - 1))
-    blocks = np.argwhere(group.blocks)
-    extent = float((np.ptp(blocks, axis=0).max() + 1) * BLOCK_PX)
-    rough = extent - min(float(np.hypot(*speed)) * len(frames), extent - BLOCK_PX)
-    begun = Region(
-        *centre, rough, rough, speed, 0.0, 0.0,
-        blinking(stretch.alternation.mean(0)[near], stretch.change.mean(0)[near], stretch.noise[near]),
-        0.0, 0.0, False, group.spots, (0, 0, 1, 1), np.zeros(len(frames)),
+    total = power.sum((1, 2))
+    rows, cols = np.indices(near.shape)
+    # parts of the stretch with little power do not show the position
+    lively = total > 0.15 * total.max()
+    moments = np.stack([(power * cols).sum((1, 2)), (power * rows).sum((1, 2))], axis=1)[lively]
+    places = (moments / total[lively, None] + 0.5) * BLOCK_PX - 0.5 + np.array(frames[0].origin, float)
+    times = 0.5 * (np.array(stretch.bounds[:-1]) + stretch.bounds[1:] - len(frames))[lively]
+    (x, y), speed = places[0], np.zeros(2)
+    if len(times) > 1:
+        (x, y), speed = np.linalg.lstsq(np.stack([np.ones_like(times), times], axis=1), places, rcond=None)[0]
+    extent = float((np.ptp(np.argwhere(blocks), axis=0).max() + 1) * BLOCK_PX)
+    side = extent - min(float(np.hypot(*speed)) * len(frames), extent - BLOCK_PX)
+    blinks = blinking(stretch.alternation.mean(0)[near], stretch.change.mean(0)[near], stretch.noise[near])
+    rough = Region(
+        float(x), float(y), side, side, (float(speed[0]), float(speed[1])), 0.0, blinks, 0.0, False, (0, 0, 1, 1),
+        np.zeros(len(frames)),
     )  # fmt: skip
-    return _measured(begun, frames, float(stretch.noise[near].mean()), ceiling)
+    return _expose(_resize(rough, frames, float(stretch.noise[near].mean())), frames, ceiling)
 
 
-def _centroid(power: Floats) -> tuple[float, float]:
-    rows, cols = np.indices(power.shape)
-    total = power.sum()
-    return float((power * cols).sum() / total), float((power * rows).sum() / total)
-
-
-def _motion(
-    times: Floats, places: Floats, power: Floats, middle: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Place (x, y) at a time and motion in px a frame of a line through places (parts, 2), by their power (parts,)."""
-    # part of a stretch's strongest part from which on a part tells where a region is
-    lively = power > 0.15 * power.max()
-    t, p = times[lively] - middle, places[lively]
-    if len(t) < 2:
-        x, y = p[0]
-        return (float(x), float(y)), (0.0, 0.0)
-    design = np.stack([np.ones_like(t), t], axis=1)
-    (x, y), (vx, vy) = np.linalg.lstsq(design, p, rcond=None)[0]
-    return (float(x), float(y)), (float(vx), float(vy))
-
-
-def _measured(begun: Region, frames: Sequence[Frame], noise: float, ceiling: int) -> Region:
-    """Size, contrast and the rest of a region, by its pixels."""
+def _resize(rough: Region, frames: Sequence[Frame], noise: float) -> Region:
+    """Measure position, size and contrast of a region by the alternation of pixels."""
     count = len(frames)
-    width, height = begun.box_at(0, count, ROOM + 3 * BLOCK_PX / begun.side)[2:]
-    step = max(1, int(np.ceil(max(width, height) / MOST_SIDE_PX)))
-    starts = _spread(count - 3, 4 * width * height // step**2)
+    # the blurred rim must not reach the border of the window
+    width, height = rough.box_at(0, count, 1.15 + 3 * BLOCK_PX / rough.side)[2:]
+    step = max(1, int(np.ceil(max(width, height) / TUNING.max_side_px)))
     changes = list[Floats]()
-    for k in starts:
-        x, y = begun.centre_at(k + 1.5, count)
+    for k in _spread(count - 3, 4 * width * height // step**2):
+        x, y = rough.centre_at(k + 1.5, count)
         window = round(x - 0.5 * (width - 1)), round(y - 0.5 * (height - 1)), width, height
-        changes.append(_alternation(frames[k : k + 4], window, step))
-    power = np.maximum(np.mean(np.square(changes), axis=0) - (20**0.5 / 4 * max(noise, ROUNDED)) ** 2, 0.0)
-    smooth = cv2.GaussianBlur(power, (0, 0), max(0.7, 0.04 * begun.side / step))
+        changes.append(alternation(frames[k : k + 4], window, step))
+    power = np.maximum(np.mean(np.square(changes), axis=0) - (20**0.5 / 4 * noise) ** 2, 0.0)
+    smooth = cv2.GaussianBlur(power, (0, 0), max(0.7, 0.04 * rough.side / step))
+    peak = float(smooth.max())
     rim = np.concatenate([smooth[:2].ravel(), smooth[-2:].ravel(), smooth[:, :2].ravel(), smooth[:, -2:].ravel()])
-    tail = min(max(TAIL * float(smooth.max()), RIM * float(np.median(rim))), MOST_TAIL * float(smooth.max()))
-    (dx, dy), size = _box(np.where(smooth > tail, power, 0.0))
-    core = np.array(changes)[:, smooth > CORE**2 * smooth.max()]
-    shown = np.abs(core).mean(1)
-    even = np.abs(core.mean(1)) / np.maximum(shown, TINY)
-    full = frames[0].full_scale
-    # the box's centre in the window, whose own centre is the region's but for rounding
-    x, y = (begun.x, begun.y) if step > 1 else (begun.x + dx - 0.5 * (width - 1), begun.y + dy - 0.5 * (height - 1))
-    if step == 1 and begun.speed_px * count < 1:
+    threshold = min(max(TUNING.tail * peak, TUNING.rim * float(np.median(rim))), TUNING.max_tail * peak)
+    (dx, dy), size = _uniform_box(np.where(smooth > threshold, power, 0.0))
+    core = np.array(changes)[:, smooth > TUNING.core**2 * smooth.max()]
+    # position in the window, which is centred on the region except for rounding
+    x, y = (rough.x, rough.y) if step > 1 else (rough.x + dx - 0.5 * (width - 1), rough.y + dy - 0.5 * (height - 1))
+    if step == 1 and rough.speed_px * count < 1:
         x, y = window[0] + dx, window[1] + dy
-    # part of the times that have less contrast than is told: headers, which show all of it, take 4 % of the time
-    measured = replace(
-        begun,
-        x=x,
-        y=y,
-        width=size[0] * step,
-        height=size[1] * step,
-        contrast=float(np.quantile(shown, 0.98)) / full,
-        power=float(np.sqrt(power[smooth > CORE**2 * smooth.max()].mean())) / full,
-        evenness=float(np.median(even[shown >= np.median(shown)])),
-    )
-    return _placed(measured, frames, ceiling)
+    # headers show the full contrast for 4 % of the time
+    contrast = float(np.quantile(np.abs(core).mean(1), 0.98)) / frames[0].full_scale
+    return replace(rough, x=x, y=y, width=size[0] * step, height=size[1] * step, contrast=contrast)
 
 
-def _placed(region: Region, frames: Sequence[Frame], ceiling: int) -> Region:
-    """What the place and size of a region tell."""
-    count, (left, top), (rows, cols) = len(frames), frames[0].origin, frames[0].pixels.shape
-    step = max(1, int(np.ceil(region.side / MOST_SIDE_PX)))
-    brightness, levels = np.zeros(count), np.zeros(frames[0].full_scale + 1, np.int64)
-    counted = set(_spread(count, int(region.width * region.height / step**2)))
-    for k, frame in enumerate(frames):
-        box = thinned(frame, region.box_at(k, count), step) if k in counted else None
-        brightness[k] = np.nan if box is None else box.mean()
-        levels += 0 if box is None else np.bincount(box.astype(np.intp).ravel(), minlength=levels.size)
-    known = np.flatnonzero(np.isfinite(brightness))
-    brightness = np.interp(np.arange(count), known, brightness[known])
-    ends = [region.centre_at(k, count) for k in (0, count - 1)]
-    half = 0.5 * region.width, 0.5 * region.height
-    middle = region.centre_at(0.5 * (count - 1), count)
-    at_border = (
-        middle[0] - half[0] < left - 0.5 + BORDER_PX or middle[0] + half[0] > left + cols - 0.5 - BORDER_PX
-        or middle[1] - half[1] < top - 0.5 + BORDER_PX or middle[1] + half[1] > top + rows - 0.5 - BORDER_PX
+def _expose(region: Region, frames: Sequence[Frame], ceiling: int) -> Region:
+    """Measure brightness, overexposure and window of a region."""
+    count, (rows, cols) = len(frames), frames[0].pixels.shape
+    step = max(1, int(np.ceil(region.side / TUNING.max_side_px)))
+    used = _spread(count, int(region.width * region.height / step**2))
+    means, levels = np.zeros(len(used)), np.zeros(frames[0].full_scale + 1, np.int64)
+    for number, k in enumerate(used):
+        pixels = subsample(frames[k], region.box_at(k, count), step)
+        means[number] = pixels.mean()
+        levels += np.bincount(pixels.astype(np.intp).ravel(), minlength=levels.size)
+    half = 0.5 * np.array([region.width, region.height])
+    low = np.array(frames[0].origin)
+    high = low + np.array([cols, rows])
+    centre = np.array([region.x, region.y])
+    inside = (centre - half >= low - 0.5 + TUNING.border_px) & (centre + half <= high - 0.5 - TUNING.border_px)
+    ends = np.array([region.centre_at(0, count), region.centre_at(count - 1, count)])
+    margin = half + max(16.0, 0.6 * region.side)
+    x0, y0 = np.maximum(ends.min(0) - margin, low).astype(int).tolist()
+    x1, y1 = np.minimum(ends.max(0) + margin, high).astype(int).tolist()
+    return replace(
+        region, brightness=np.interp(np.arange(count), used, means), saturated=overexposed_part(levels, ceiling),
+        at_border=not bool(inside.all()), window=(x0, y0, max(x1 - x0, 1), max(y1 - y0, 1)),
     )  # fmt: skip
-    margin = max(16.0, 0.6 * region.side)
-    x0, y0 = (int(max(min(end[k] for end in ends) - half[k] - margin, (left, top)[k])) for k in (0, 1))
-    x1, y1 = (
-        int(min(max(end[k] for end in ends) + half[k] + margin, ((left + cols), (top + rows))[k])) for k in (0, 1)
-    )
-    window = x0, y0, max(x1 - x0, 1), max(y1 - y0, 1)
-    saturated = overexposed_part(levels, ceiling)
-    return replace(region, brightness=brightness, saturated=saturated, at_border=bool(at_border), window=window)
 
 
 def _spread(count: int, pixels: int) -> list[int]:
-    """Times that are looked at: all, or evenly spread ones where there are many or they have many pixels."""
-    # most times at which a region's pixels are looked at
-    most = max(min(256, MOST_PIXELS // max(pixels, 1)), 16)
-    return [*map(int, np.unique(np.linspace(0, max(count, 1) - 1, min(most, max(count, 1))).round()))]
+    """Return evenly spread frame numbers, fewer for many pixels."""
+    limit = max(min(256, TUNING.max_pixels // max(pixels, 1)), 16)
+    return [*map(int, np.unique(np.linspace(0, max(count, 1) - 1, min(limit, max(count, 1))).round()))]
 
 
-def thinned(frame: Frame, window: Window, step: int) -> Floats:
-    """Every so many pixels of a window; what lies beyond the frame repeats its border."""
+def subsample(frame: Frame, window: Window, step: int) -> Floats:
+    """Copy every n-th pixel of a window; beyond the frame the border repeats."""
     if step == 1:
         return cut_out(frame, window)
     x, y, width, height = window
@@ -328,23 +267,21 @@ def thinned(frame: Frame, window: Window, step: int) -> Floats:
     return frame.pixels[np.ix_(rows, columns)].astype(np.float64)
 
 
-def _alternation(frames: Sequence[Frame], window: Window, step: int) -> Floats:
-    """What alternates in four frames, within a window, in gray levels."""
-    four = zip(ALTERNATION, frames, strict=True)
-    change = np.asarray(sum(weight * thinned(one, window, step) for weight, one in four))
-    # beyond the frame nothing is seen
+def alternation(frames: Sequence[Frame], window: Window, step: int = 1) -> Floats:
+    """Compute the alternation of four frames in a window in gray levels, 0 beyond the frame."""
+    weighted = (weight * subsample(frame, window, step) for weight, frame in zip(ALTERNATION, frames, strict=True))
+    change = np.asarray(sum(weighted))
     inside = covered(frames, window[:2], (window[3], window[2]))
     return change if inside is None else change * inside[0][::step] * inside[1][::step, None]
 
 
-def _box(power: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Centre (x, y) and size of the even box that has the power's moments."""
-    total = max(float(power.sum()), TINY)
-    out = []
+def _uniform_box(power: Floats) -> tuple[list[float], list[float]]:
+    """Return centre (x, y) and size of the uniform box with the moments of a power map."""
+    centres, sizes, total = list[float](), list[float](), max(float(power.sum()), TINY)
     for axis in (0, 1):
         along, places = power.sum(axis), np.arange(power.shape[1 - axis])
-        centre = float(along @ places / total)
-        variance = float(along @ (places - centre) ** 2 / total)
-        # a box of the side s has the variance s^2 / 12
-        out.append((centre, max((12 * variance) ** 0.5, 1.0)))
-    return (out[0][0], out[1][0]), (out[0][1], out[1][1])
+        centres.append(float(along @ places / total))
+        # a box of side s has the variance s^2 / 12
+        variance = float(along @ (places - centres[-1]) ** 2 / total)
+        sizes.append(max((12 * variance) ** 0.5, 1.0))
+    return centres, sizes
