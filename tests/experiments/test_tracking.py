@@ -11,7 +11,6 @@ from heliograph.experiments.report import Finding
 from heliograph.experiments.tracking import experiment as tracking
 from heliograph.experiments.tracking.experiment import (
     BACKGROUND,
-    OURS,
     TrackingScore,
     findings,
     pictures,
@@ -20,7 +19,7 @@ from heliograph.experiments.tracking.experiment import (
     score,
     scores,
 )
-from heliograph.experiments.tracking.runs import KNOWN, TRACKERS, TrackingFilm, TrackingRun, run_trackers
+from heliograph.experiments.tracking.runs import KNOWN, OURS, TRACKERS, TrackingFilm, TrackingRun, run_trackers
 from heliograph.experiments.tracking.trackers import GROWTH, KNOWN_SPREAD, KnownPattern, known_leds, known_light
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.receive import Pose
@@ -176,7 +175,7 @@ def test_verdicts_follow_the_numbers(start: str, change: dict[str, TrackingScore
 
 def test_a_part_of_the_drive_tells_nothing_against_fig_11() -> None:
     (part,) = (
-        f for f in findings(fake(day_none=GOOD), {"at night": {DARK: [DAY]}}, whole=False) if "Fig. 11" in f.claim
+        f for f in findings(fake(day_none=GOOD), {"at night": {DARK: [DAY]}}, full=False) if "Fig. 11" in f.claim
     )
     assert part.verdict == "shown"
     assert DAY in part.why

@@ -1,9 +1,8 @@
-"""Films of one drive before different backgrounds, and all trackers run on them."""
+"""Films of one drive with different backgrounds, and all trackers on them."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
-from heliograph.channel import ArrayTruth, film
+from heliograph.channel import ArrayTruth, Truth, film
 from heliograph.experiments.tracking.trackers import (
     BackgroundMotion,
     Follower,
@@ -20,7 +19,7 @@ from heliograph.experiments.tracking.trackers import (
     MultipleInstance,
     NoTracking,
     TemplateMatch,
-    in_header,
+    is_in_header,
     known_light,
 )
 from heliograph.link.settings import LinkSettings
@@ -31,10 +30,10 @@ from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.geometry.window import cut_out
 
-KNOWN = "known pattern"
+KNOWN, OURS = "known pattern", "inverted signals"
 TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
     "none": lambda _: NoTracking(),
-    "inverted signals": InvertedSignals,
+    OURS: InvertedSignals,
     KNOWN: KnownPattern,
     "background": lambda _: BackgroundMotion(),
     "OpenCV MIL": lambda _: MultipleInstance(),
@@ -43,20 +42,17 @@ TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
 """Trackers by name."""
 
 Pair = tuple[Frame, Frame, ArrayTruth, ArrayTruth]
-"""A pattern and the one after it, and the array's truth in both."""
+"""Two successive frames, and the truth of the array in both."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingFilm:
-    """A film to run the trackers on."""
+    """Film for the trackers."""
 
-    # Name of the film in tables
     name: str
-    # Settings of the link that is filmed
     settings: LinkSettings
-    # Seed of road, scene and noise, 0 or more
     seed: int
-    # clip, imu: files of recorded footage and motion; None: as the settings draw them
+    # Recorded footage and motion; None: as in the settings
     clip: Path | None = None
     imu: Path | None = None
 
@@ -65,18 +61,16 @@ class TrackingFilm:
 class TrackingRun:
     """Errors of the trackers in a film, by pair of frames."""
 
-    # Name of the film in tables
     name: str
-    # times_s, distance_m, side_px: (n,) time of the pair since the film's start in s; true distance in m and side of
-    # the array in px
+    # (n,) time in s, true distance in m and true side of the array in px
     times_s: Floats
     distance_m: Floats
     side_px: Floats
-    # (n,) number of the packet the pair belongs to
+    # (n,) number of the packet
     packet: NDArray[np.int64]
-    # By tracker (n, 3): x and y, found minus true, in px, and pitch found over true, less 1 (NaN: not given)
+    # By tracker (n, 3): error of x and y in px, and relative error of the pitch (NaN: not estimated)
     errors: Mapping[str, Floats]
-    # Moments for the pictures: time, and the sum cut out at the first pose and at the tracked one
+    # For the pictures: time, and the sum cut out at the first pose and at the tracked pose
     cuts: list[tuple[float, tuple[Floats, Floats]]] = field(default_factory=list)
 
 
@@ -86,9 +80,10 @@ def run_trackers(job: TrackingFilm) -> TrackingRun:
         footage=load_footage(job.clip) if job.clip else None, imu=load_imu(job.imu) if job.imu else None
     )
     group = _TrackerGroup(job.settings, [name for name in TRACKERS if name != KNOWN])
-    frames = simulate(job.settings, default_messages(job.settings), job.seed, recordings)
-    moments = _moments(job.settings)
-    for pair in _pairs(frames):
+    channel = job.settings.channel
+    length_s = channel.duration_s or (channel.distance_m - channel.stop_m) / channel.speed_m_s
+    moments = [int(k) for k in np.linspace(0.02, 0.97, 8) * length_s * channel.camera.fps]
+    for pair in _pairs(simulate(job.settings, default_messages(job.settings), job.seed, recordings)):
         group.push(pair)
         if moments and group.found and pair[0].index >= moments[0]:
             moments.pop(0)
@@ -98,20 +93,15 @@ def run_trackers(job: TrackingFilm) -> TrackingRun:
     known = _TrackerGroup(job.settings, [KNOWN], group.found)
     for pair in _pairs(_known_film(job, recordings)):
         known.push(pair)
-    return _result(job, group, known)
+    times, distance, pitch = np.array(group.rows).T
+    errors = {name: np.array((group.errors | known.errors)[name]) for name in TRACKERS}
+    packet = np.floor(times / job.settings.signal.packet_s + 1e-6).astype(np.int64)
+    return TrackingRun(job.name, times, distance, job.settings.signal.side * pitch, packet, errors, group.cuts)
 
 
-def _moments(settings: LinkSettings) -> list[int]:
-    channel = settings.channel
-    length = channel.duration_s or (channel.distance_m - channel.stop_m) / channel.speed_m_s
-    return [int(k) for k in np.linspace(0.02, 0.97, 8) * length * channel.camera.fps]
-
-
-def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Frame, Any]]:
-    """The same drive, scene and noise with the light of the known pattern."""
+def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Frame, Truth]]:
+    """The same drive, scene and noise with the light of the known pattern, rendered around the array."""
     settings, signal = job.settings, job.settings.signal
-    # pixels rendered around the array for the known pattern: its window needs no more while it is not lost, and they
-    # are the pixels of whole frames
     return film(
         settings.channel,
         [known_light(settings, settings.transmit.identities[0], job.seed)],
@@ -120,18 +110,19 @@ def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Fra
         slot_order=signal.slot_order,
         footage=recordings.footage,
         imu=recordings.imu,
+        # more than the window of a tracker on its array
         roi_margin_px=24,
     )
 
 
-def _pairs(frames: Iterator[tuple[Frame, Any]]) -> Iterator[Pair]:
-    """Frames 0 and 1, 2 and 3, ...: each pattern with the one after it."""
+def _pairs(frames: Iterator[tuple[Frame, Truth]]) -> Iterator[Pair]:
+    """Frames 0 and 1, 2 and 3, ..."""
     for (first, true), (second, later) in zip(frames, frames, strict=False):
         yield first, second, true.arrays[0], later.arrays[0]
 
 
 class _TrackerGroup:
-    """Trackers that get one film: the detector first, then all of them from the end of the header on."""
+    """Trackers of one film, started together at the end of the first detected header."""
 
     def __init__(self, settings: LinkSettings, names: list[str], found: Detection | None = None):
         self._settings, self.found = settings, found
@@ -144,12 +135,11 @@ class _TrackerGroup:
         self.rows: list[tuple[float, float, float]] = []
         self.errors: dict[str, list[tuple[float, float, float]]] = {name: [] for name in names}
         self.cuts: list[tuple[float, tuple[Floats, Floats]]] = []
-        self.first: Pose | None = None
-        self.poses: dict[str, Pose] = {}
+        self._poses: dict[str, Pose] = {}
 
     def push(self, pair: Pair) -> None:
-        """Take a pair; those held back until the array is found are followed then."""
-        # pairs kept until the array is found: more than its header and what the detector waits for
+        """Process a pair, or hold it until the array is detected."""
+        # the detector needs fewer pairs after a header
         self._held = [*self._held[-16:], pair]
         if self.found is None:
             hits = [hit for frame in pair[:2] for hit in self._detector.search(frame)]
@@ -166,49 +156,29 @@ class _TrackerGroup:
         if since < -1e-9:
             return
         if not self._started:
-            # all begin at the last pair of the header
-            self._started = not in_header(self._settings, since + 2 * self._settings.signal.pattern_period_s)
+            # trackers begin at the last pair of the header
+            self._started = not is_in_header(self._settings, since + 2 * self._settings.signal.pattern_period_s)
             if self._started:
-                self._begin(found, pattern, inverted)
+                for follower in self._followers.values():
+                    follower.start(found, pattern, inverted)
             return
-        self.rows.append((pattern.time_s, _mean(true, later, "distance_m"), _mean(true, later, "pitch_px")))
+        x, y, pitch, distance = (
+            0.5 * (getattr(true, name) + getattr(later, name)) for name in ("x", "y", "pitch_px", "distance_m")
+        )
+        self.rows.append((pattern.time_s, distance, pitch))
         for name, follower in self._followers.items():
-            pose = follower.update(pattern, inverted)
-            self.poses[name] = pose
-            self.errors[name].append(_error(pose, true, later, follower.sized))
-
-    def _begin(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        self.first = found.fit.pose
-        for follower in self._followers.values():
-            follower.start(found, pattern, inverted)
+            pose = self._poses[name] = follower.update(pattern, inverted)
+            relative = pose.pitch / pitch - 1 if follower.sized else np.nan
+            self.errors[name].append((pose.x - x, pose.y - y, relative))
 
     def cut(self, pair: Pair) -> None:
-        """Keep the sum at the first pose and at that of the inverted signals, twice the array's side across."""
-        if self.first is None or "inverted signals" not in self.poses:
+        """Cut the sum out at the first and at the tracked pose, twice as wide as the array."""
+        if self.found is None or OURS not in self._poses:
             return
-        fixed, tracked = (
-            _cut(pair, pose, self._settings.signal.side) for pose in (self.first, self.poses["inverted signals"])
-        )
+        fixed, tracked = (self._cut(pair, pose) for pose in (self.found.fit.pose, self._poses[OURS]))
         self.cuts.append((pair[0].time_s, (fixed, tracked)))
 
-
-def _mean(true: ArrayTruth, later: ArrayTruth, name: str) -> float:
-    return 0.5 * (getattr(true, name) + getattr(later, name))
-
-
-def _error(pose: Pose, true: ArrayTruth, later: ArrayTruth, sized: bool) -> tuple[float, float, float]:
-    x, y, pitch = (_mean(true, later, name) for name in ("x", "y", "pitch_px"))
-    return pose.x - x, pose.y - y, pose.pitch / pitch - 1 if sized else np.nan
-
-
-def _cut(pair: Pair, pose: Pose, side: int) -> Floats:
-    half = round(side * pose.pitch)
-    place = (round(pose.x) - half, round(pose.y) - half, 2 * half + 1, 2 * half + 1)
-    return cut_out(pair[0], place) + cut_out(pair[1], place)
-
-
-def _result(job: TrackingFilm, group: _TrackerGroup, known: _TrackerGroup) -> TrackingRun:
-    times, distance, pitch = np.array(group.rows).T
-    errors = {name: np.array((group.errors | known.errors)[name]) for name in TRACKERS}
-    packet = np.floor(times / job.settings.signal.packet_s + 1e-6).astype(np.int64)
-    return TrackingRun(job.name, times, distance, job.settings.signal.side * pitch, packet, errors, group.cuts)
+    def _cut(self, pair: Pair, pose: Pose) -> Floats:
+        half = round(self._settings.signal.side * pose.pitch)
+        window = (round(pose.x) - half, round(pose.y) - half, 2 * half + 1, 2 * half + 1)
+        return cut_out(pair[0], window) + cut_out(pair[1], window)
