@@ -1,1 +1,1 @@
-"""Experiments on the link and their reports."""
+"""Experiments on the link, with a report."""

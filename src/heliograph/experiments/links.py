@@ -13,7 +13,7 @@ from heliograph.receive import Packet, Pose, Receiver
 
 
 def static_link(distance_m: float, rng: np.random.Generator, **changes: Any) -> LinkSettings:
-    """Reference link at rest for one packet, with the array displaced by up to half a pixel."""
+    """Reference link at rest for a packet, with the array displaced by up to half a pixel."""
     settings = placed_within_pixel(load_settings("static", {"channel": {"distance_m": distance_m}, **changes}), rng)
     # a margin for rounding: the last frame must end within the film
     return lasting(settings, settings.signal.packet_s + 1e-6)

@@ -41,7 +41,7 @@ def figure_png(figure: Figure) -> bytes:
 
 
 def legend_below(figure: Figure) -> None:
-    """Draw one legend below all axes of a figure."""
+    """Draw a common legend below all axes of a figure."""
     handles = {label: handle for axes in figure.axes for handle, label in zip(*legend_entries(axes), strict=True)}
     figure.set_layout_engine("tight", rect=(0, 0.36 / figure.get_figheight(), 1, 1))
     if handles:

@@ -63,7 +63,7 @@ class ExperimentResult:
     tables: Sequence[Table] = ()
     # Numbers of figures and tables as plain values for JSON
     data: Mapping[str, Any] = field(default_factory=dict)
-    # PNG files with captions, from an earlier run
+    # PNG files of the figures with captions, as in the report
     drawn: Sequence[tuple[bytes, str]] = ()
 
 

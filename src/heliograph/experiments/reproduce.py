@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
@@ -100,7 +100,7 @@ def reproduce(
     for key in [key for key in keys if key not in done]:
         module, title = {**EXPERIMENTS, **FURTHER}[key]
         begin(key, title)
-        done[key] = import_module(f"heliograph.experiments.{module}").run(context)
+        done[key] = _rendered(import_module(f"heliograph.experiments.{module}").run(context))
         _write_result(folder, done[key], run)
         write_pages()
     return [done[key] for key in keys]
@@ -127,7 +127,7 @@ def write_report(
     for result in results:
         page.heading(result.title)
         page.text(result.text)
-        for picture, caption in _pictures(result):
+        for picture, caption in result.drawn:
             page.picture(picture, caption)
         for finding in result.findings:
             page.verdict(finding.verdict, f"{finding.claim} Measured: {finding.ours} {finding.why}".rstrip())
@@ -163,19 +163,18 @@ def _run_identity(context: Context) -> dict[str, Any]:
     return {"code": build(), "parts": parts, "quick": context.quick, "seed": context.seed, "recordings": digests}
 
 
-def _pictures(result: ExperimentResult) -> list[tuple[bytes, str]]:
-    """PNG files of a result, with captions."""
+def _rendered(result: ExperimentResult) -> ExperimentResult:
+    """Result with PNG files instead of figures."""
     if not result.pictures:
-        return list(result.drawn)
-    from heliograph.experiments.plots import figure_png
+        return result
+    from heliograph.experiments.plots import figure_png  # Matplotlib is slow to import
 
-    return [*result.drawn, *((figure_png(figure), caption) for figure, caption in result.pictures)]
+    return replace(result, pictures=(), drawn=[(figure_png(figure), caption) for figure, caption in result.pictures])
 
 
 def _write_result(folder: Path, result: ExperimentResult, run: Mapping[str, Any]) -> None:
     """Write pictures and data; the data file comes last, as the mark of a complete result."""
-    pictures = _pictures(result)
-    for number, (picture, _) in enumerate(pictures, 1):
+    for number, (picture, _) in enumerate(result.drawn, 1):
         write_whole(folder / f"{result.key}-{number}.png", picture)
     content = {
         "title": result.title,
@@ -183,7 +182,7 @@ def _write_result(folder: Path, result: ExperimentResult, run: Mapping[str, Any]
         "data": result.data,
         "text": result.text,
         "tables": [asdict(table) for table in result.tables],
-        "captions": [caption for _, caption in pictures],
+        "captions": [caption for _, caption in result.drawn],
         "run": run,
     }
     write_whole(folder / f"{result.key}.json", json.dumps(content, indent=1).encode())

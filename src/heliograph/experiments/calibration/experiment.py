@@ -1,12 +1,12 @@
 """Calibration of the soft receiver: predicted error probabilities of LLRs, and errors of distances.
 
-Packets of the reference link at rest (films of one packet, with random pixel phases of the array) and on the road at
-30 km/h (films of three packets, road of class B), and full drives from 80 m to 25 m, received by the soft receiver with
-channel estimation. LLRs: each LLR of the equaliser predicts a wrong sign with the probability 1 / (1 + exp |LLR|);
-tables compare this with the observed rate. First iteration: no prior knowledge. Last iteration: the last decoder input
-of codewords that later iterations decoded, with other layers cancelled or estimated. Distance: estimated from the pitch
-in the image, and the true distance in the middle of the packet. The first packet has a single header. Intervals of an
-rms assume independent normal errors.
+Packets of the reference link at rest (single packets, random pixel phases of the array) and on the road at 30 km/h
+(films of three packets, road of class B), and full drives from 80 m to 25 m, received by the soft receiver with channel
+estimation. LLRs: each LLR of the equaliser predicts a wrong sign with the probability 1 / (1 + exp |LLR|); tables
+compare this with the observed rate. First iteration: no prior knowledge. Last iteration: the last decoder input of
+codewords that later iterations decoded, with other layers cancelled or estimated. Distance: estimated from the pitch in
+the image, and the true distance in the middle of the packet. The first packet has a single header. Intervals of an rms
+assume independent normal errors.
 """
 
 from collections.abc import Mapping, Sequence

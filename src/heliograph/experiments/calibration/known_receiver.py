@@ -1,8 +1,8 @@
 """Loss of the soft receiver by channel estimation.
 
-The low layer at 112 m, at rest, in films of one packet with random pixel phases of the array: wrong codewords by
-brightness of the array, received with the estimated (blind) and the true channel, in the same films. A reduction of the
-brightness by 10 % is 0.9 dB if the dark noise of the sensor dominates and 0.5 dB if photon noise does.
+The low layer at 112 m, at rest, in single packets with random pixel phases of the array: wrong codewords by brightness
+of the array, received with the estimated (blind) and the true channel, in the same films. A reduction of the brightness
+by 10 % is 0.9 dB if the dark noise of the sensor dominates and 0.5 dB if photon noise does.
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ class KnownPacket(SoftPacket):
         super().__init__(link.transmit.identities[0], link.signal, self._decoding)
 
     def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> ExtractEvent:  # noqa: ARG002 - the protocol
-        """Add a pair with its true poses; see `PacketObservations`."""
+        """Add a pair with the true poses; see `PacketObservations`."""
         first, second = (self._truths[frame.index] for frame in (pair.pattern, pair.inverted))
         poses = true_pose(first, self._link), true_pose(second, self._link)
         self._cutouts[place] = take_cutout(pair, poses, self._link.signal.side)
@@ -100,9 +100,9 @@ def true_noise(gain: float, link: LinkSettings) -> Noise:
 
 @dataclass(frozen=True, slots=True)
 class KnownChannelTask:
-    """Packets at one brightness."""
+    """Packets at a brightness."""
 
-    # Link with one array at rest
+    # Link with a single array at rest
     link: LinkSettings
     # Counted layer
     layer: str

@@ -84,7 +84,7 @@ class CalibrationFilm:
 
     # Name in tables
     case: str
-    # Link with one array
+    # Link with a single array
     settings: LinkSettings
     seed: int
     # Length in packets; None: all of the drive

@@ -27,7 +27,7 @@ class AcquisitionTrial:
     """Acquisition trial."""
 
     seed: int
-    # Most patterns between the switch-on and the header, at most one less than a packet
+    # Most patterns between the switch-on and the header, fewer than in a packet
     within: int
     # Changes ``key=value`` of the preset "paper"
     changes: Sequence[str] = ()
@@ -124,7 +124,7 @@ def run(context: Context) -> ExperimentResult:
         text=__doc__ or "",
         findings=[
             Finding(
-                "Question: an array is found by its next header.", f"{outcomes_text(outcomes)}.", verdict_of(not missed)
+                "Question: an array is found by the next header.", f"{outcomes_text(outcomes)}.", verdict_of(not missed)
             )
         ],
         tables=[Table("Arrays found", ["found", "trials"], rows)],

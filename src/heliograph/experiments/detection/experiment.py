@@ -8,8 +8,8 @@ Four variants of the detector search each film for the header with no score thre
 for the M-sequences of 30 identities, in the difference of two frames or in f0 - 3 f1 + 3 f2 - f3 of four. All use the
 search and fit of the receiver, on the same scenes, shake and noise. Three size ranges have separate candidates, since
 parts of a lit square are lit squares. The score is the correlation of pixels and fitted header. A false alarm is a film
-with no array and a candidate above the threshold. An array is found if a candidate of its place, size and (M-sequence)
-identity exceeds the threshold. Arrays are searched only at their place, false alarms in full frames: other places in
+with no array and a candidate above the threshold. An array is found if a candidate of this place, size and (M-sequence)
+identity exceeds the threshold. Arrays are searched only at the true place, false alarms in full frames: other places in
 the frame may score higher than an array. The channel fades between frames of a clip, so moving objects change evenly,
 which cancels in four frames but not in two; the shake moves the scene frame by frame.
 
@@ -17,8 +17,8 @@ Two thresholds apply: 0.9 as in the receiver, and the threshold that 95 % of the
 the arrays are clean, sharp and unoccluded. Footage and the street at rest are judged separately from the street full of
 lamps, which is designed to deceive and has three times as many films. Curves, and the table of arrays found at equal
 false alarms, use this mixture. The receiver has all its checks, for instance of alternating frames. Identities are
-filmed alone, and with an array of another identity 0.5 m to 1.2 m away, with unsynchronised packets; each array is
-searched at its place. Intervals are Clopper-Pearson, 95 %.
+filmed separately, and with an array of another identity 0.5 m to 1.2 m away, with unsynchronised packets; each array is
+searched at the true place. Intervals are Clopper-Pearson, 95 %.
 """
 
 from collections.abc import Collection, Mapping
@@ -44,7 +44,6 @@ from heliograph.experiments.detection.trials import (
     DetectionTrials,
     is_lower,
     measure,
-    plain_counts,
 )
 from heliograph.experiments.report import (
     Context,
@@ -61,7 +60,7 @@ from heliograph.receive import Pose
 from heliograph.signal.header import IDENTITIES
 
 FAR_M = 150.0
-"""Distance in m beyond those of the paper."""
+"""Distance in m beyond the range of the paper."""
 
 
 def run(context: Context, effort: DetectionEffort | None = None) -> ExperimentResult:
@@ -97,12 +96,33 @@ def run(context: Context, effort: DetectionEffort | None = None) -> ExperimentRe
             Table("Identities", ["distance", "right", "taken for another (of those found)", "missed"], identities),
         ],
         data={
-            "scores": {variant.name: measured.scores[variant.name].plain() for variant in VARIANTS},
-            "receiver": plain_counts(measured.scores[RECEIVER]),
+            "scores": {
+                variant.name: {
+                    "false": _rounded(measured.scores[variant.name].false),
+                    "true": _rounded(_named(measured.scores[variant.name].true)),
+                }
+                for variant in VARIANTS
+            },
+            "receiver": {
+                "false": _counts(measured.scores[RECEIVER].false),
+                "found": _counts(_named(measured.scores[RECEIVER].true)),
+            },
             "identities": {f"{z:g} m": c.counts.tolist() for z, c in alone.items()},
             "identities_two_in_view": {f"{z:g} m": c.counts.tolist() for z, c in beside.items()},
         },
     )
+
+
+def _named(true: Mapping[tuple[str, float], list[float]]) -> dict[str, list[float]]:
+    return {f"{scene}, {z:g} m": scores for (scene, z), scores in true.items()}
+
+
+def _rounded(by_place: Mapping[str, list[float]]) -> dict[str, list[float]]:
+    return {place: [round(score, 4) for score in scores] for place, scores in by_place.items()}
+
+
+def _counts(by_place: Mapping[str, list[float]]) -> dict[str, list[int]]:
+    return {place: [int(sum(scores)), len(scores)] for place, scores in by_place.items()}
 
 
 def pictures(
@@ -111,8 +131,8 @@ def pictures(
     """Draw an example, the curves and the confusion matrices."""
     drawn = [
         (_roc(measured), "Arrays found against false alarms for falling thresholds, all scenes together; left: none."),
-        (_matrices(alone), "Identity shown (down) and found (across; last column: missed), one array in view."),
-        (_matrices(beside), "The same, two arrays of different identities in one view, both counted."),
+        (_matrices(alone), "Identity shown (down) and found (across; last column: missed), a single array in view."),
+        (_matrices(beside), "The same, two arrays of different identities in view, both counted."),
     ]
     if measured.example:
         caption = "Fig. 6: a false detection of the all-on detector; frame, and difference of two frames."
@@ -238,7 +258,7 @@ def _summary(name: str, scores: DetectionScores, scenes: list[str]) -> str:
 
 
 def identities_found(confusions: Mapping[float, Confusion], view: str) -> Finding:
-    """Check that arrays are found with their identities."""
+    """Check the identities of detected arrays."""
     near, far = [c for z, c in confusions.items() if z in DISTANCES_M], confusions[FAR_M]
     wrong, right = Count(), Count()
     for one in near:

@@ -1,10 +1,10 @@
 """Distances between headers with the blur of the reference link, by computation.
 
-The signal is the difference of a header and its inverse, +-0.8 of full scale. Each LED is blurred by its disc (as a
+The signal is the difference of a header and the inverse, +-0.8 of full scale. Each LED is blurred by the disc (as a
 Gaussian of the same variance), by a Gaussian of 0.5 pixels and by the pixel. Two headers are compared at the most
 similar relative shift of up to 1.5 cells; formats of a later header pair are compared with no shift. The tables state
-the largest correlation of two headers and its largest magnitude, the most similar headers with their distance in
-standard deviations of pixel noise, and the distance of the most similar formats.
+the largest correlation of two headers and the largest magnitude, the most similar headers with the distance in standard
+deviations of pixel noise, and the distance of the most similar formats.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ class Separation:
 
 
 def blur_overlap(t: Floats, pitch_px: float) -> Floats:
-    """Overlap of two blurred points along one axis, with integral 1.
+    """Overlap of two blurred points along an axis, with integral 1.
 
     The autocorrelation of box * Gaussian: a triangle of half width 1, blurred by a Gaussian of variance 2 sigma^2.
     """
@@ -58,7 +58,7 @@ def blur_overlap(t: Floats, pitch_px: float) -> Floats:
 
 
 def cell_overlaps(shifts_px: Floats, pitch_px: float) -> Floats:
-    """Overlap of cell a with shifted cell b along one axis, (shifts, 4, 4)."""
+    """Overlap of cell a with shifted cell b along an axis, (shifts, 4, 4)."""
     led = np.arange(SIDE) * pitch_px
     overlap = blur_overlap(led[:, None] - led[None] - shifts_px[:, None, None], pitch_px)
     width = SIDE // CELLS
@@ -94,7 +94,7 @@ def separation(distance_m: float, steps: int = 60) -> Separation:
 
 
 def format_separation(pitch_px: float) -> float:
-    """Distance of the most similar formats of all identities in pixel noise; one pair, array and pose known."""
+    """Distance of the most similar formats of all identities in pixel noise; a single pair, known array and pose."""
     axis = cell_overlaps(np.zeros(1), pitch_px)[0]
     gram = (0.8 * pitch_px**2) ** 2 * np.kron(axis, axis)
     contrast = np.where(words(), DIMMED, 1.0)

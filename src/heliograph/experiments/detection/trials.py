@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,17 +44,14 @@ class DetectionScores:
 
     def all_false(self, scenes: Collection[str] | None = None) -> NDArray[np.float64]:
         """Scores of films with no array, (n,)."""
-        parts = (scores for scene, scores in self.false.items() if scenes is None or scene in scenes)
-        return np.array([score for scores in parts for score in scores])
+        return np.hstack([[], *(self.false[scene] for scene in self.false if scenes is None or scene in scenes)])
 
     def all_true(self, distance_m: float | None = None, scenes: Collection[str] | None = None) -> NDArray[np.float64]:
         """Scores of films with an array, (n,)."""
-        parts = (
-            scores
-            for (scene, z), scores in self.true.items()
-            if distance_m in (None, z) and (scenes is None or scene in scenes)
-        )
-        return np.array([score for scores in parts for score in scores])
+        chosen = [
+            place for place in self.true if distance_m in (None, place[1]) and (scenes is None or place[0] in scenes)
+        ]
+        return np.hstack([[], *(self.true[place] for place in chosen)])
 
     def false_alarms(self, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
         """Films with no array and a candidate above a threshold."""
@@ -73,13 +70,6 @@ class DetectionScores:
     def found_at(self, distance_m: float, fraction: float) -> Count:
         """Arrays found at the threshold that at most a fraction of the films with no array exceeds."""
         return self.found(ablation.threshold_for_false(self.all_false(), fraction), distance_m=distance_m)
-
-    def plain(self) -> dict[str, dict[str, list[float]]]:
-        """Plain values, rounded to 4 digits."""
-        return {
-            "false": {scene: [round(s, 4) for s in scores] for scene, scores in self.false.items()},
-            "true": {f"{scene}, {z:g} m": [round(s, 4) for s in scores] for (scene, z), scores in self.true.items()},
-        }
 
 
 def _count_above(scores: NDArray[np.float64], threshold: float) -> Count:
@@ -217,11 +207,3 @@ def is_lower(a: Count, b: Count) -> bool | None:
     if a.interval()[1] < b.interval()[0]:
         return True
     return False if a.interval()[0] > b.interval()[1] else None
-
-
-def plain_counts(scores: DetectionScores) -> dict[str, Any]:
-    """False alarms and arrays found as plain values, [count, films] by scene."""
-    return {
-        "false": {scene: [int(sum(found)), len(found)] for scene, found in scores.false.items()},
-        "found": {f"{scene}, {z:g} m": [int(sum(found)), len(found)] for (scene, z), found in scores.true.items()},
-    }

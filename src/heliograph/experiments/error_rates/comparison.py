@@ -1,4 +1,4 @@
-"""Comparison of the error rates of drives with those at rest at the same distances."""
+"""Comparison of the error rates of drives and films at rest at the same distances."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -51,8 +51,8 @@ def compare(
     """Compare the raw error rates of packets of drives with packets at rest at the same distances.
 
     The test of equality flips the signs of the differences of pairs, with the correction of Holm over all layers and
-    bins, and separately over the layers with all bins together. The interval of the ratio is the wider one of a
-    bootstrap over pairs (dependent errors in a packet) and a bootstrap over drives (dependent packets in a drive).
+    bins, and separately over the layers with all bins together. The interval of the ratio is the wider
+    interval of a bootstrap over pairs (dependent errors in a packet) and over drives (dependent packets in a drive).
     """
     bins = np.array([bin_of(record.distance_m) for record in driving])
     films = np.array(drives or [0] * len(driving))
@@ -96,9 +96,9 @@ def _compare_pairs(
     more = np.abs(signs @ difference) >= abs(difference.sum()) * (1 - 1e-12)
     # the data themselves count as a resample
     p = (1 + np.count_nonzero(more)) / (1 + resamples)
-    ratio = (a.sum() + tiny) / (b.sum() + tiny)
-    driving, at_rest, ratio, low, high, p = map(float, (a.mean(), b.mean(), ratio, low, high, p))
-    return Comparison(layer, bin_m, len(a), driving, at_rest, ratio, low, high, p)
+    values = (a.mean(), b.mean(), (a.sum() + tiny) / (b.sum() + tiny), low, high, p)
+    driving, at_rest, ratio, lower, upper, chance = map(float, values)
+    return Comparison(layer, bin_m, len(a), driving, at_rest, ratio, lower, upper, chance)
 
 
 def holm(p: Sequence[float]) -> list[float]:

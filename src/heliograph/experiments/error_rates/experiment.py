@@ -1,4 +1,15 @@
-"""Bit error rate by distance, static and driving, before and after the turbo code."""
+"""Bit error rate by distance, static and driving, before and after the turbo code.
+
+Static films have a single packet, with random pixel phases of the array. Drives go from 80 m to 25 m at 30 km/h. Errors
+are counted before the turbo code (raw) and after it; lost packets count as wrong codewords. The code rate is 1/3 in all
+layers, with 256 bits a pattern at rest and driving; the paper drove at an eighth of the static rate.
+
+For the comparison, each packet of the drives has a twin at rest at the same distance. Units are packets, not bits,
+since errors of a packet depend on the pixel phase, most of all at 58 m, where LEDs lie as close as pixels. Intervals of
+ratios are a bootstrap over packets or over drives, whichever is wider. The tests of equality and of lost packets assume
+independent packets in a drive. The twin of a lost packet is in the middle of the distance bin. Intervals of bit error
+rates account for dependent bits in a packet; with no error after the code, the bound counts packets.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -33,7 +44,7 @@ class ErrorRateEffort:
 
     # Distances at rest in m
     places_m: Sequence[float]
-    # Films of one packet at each distance
+    # Films at each distance
     films: int
     # Drives from 80 m to 25 m
     drives: int
@@ -66,16 +77,8 @@ def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentRe
         key="fig13",
         title="Bit error rate by distance, static and driving (Fig. 13)",
         text=(
-            f"Static: {effort.films} films of one packet a distance, with random pixel phases of the array. Driving: "
-            f"{effort.drives} drives from 80 m to 25 m at 30 km/h, shaken by {shake}, in bins of {BIN_M:g} m. Errors "
-            "are counted before the turbo code (raw) and after it; lost packets count as wrong codewords. Rate 1/3 in "
-            "all layers, 256 bits a pattern at rest and driving (the paper drove at an eighth of its static rate). "
-            "For the comparison, each packet of the drives has a twin at rest at the same distance. Units are packets, "
-            "not bits, since errors of a packet depend on its pixel phase, most of all at 58 m, where LEDs lie as "
-            "close as pixels. Intervals of ratios are a bootstrap over packets or over drives, whichever is wider. The "
-            "tests of equality and of lost packets assume independent packets in a drive. The twin of a lost packet is "
-            "in the middle of the distance bin. Intervals of bit error rates account for dependent bits in a packet; "
-            "with no error after the code, the bound counts packets."
+            f"{effort.films} static films a distance; {effort.drives} drives, shaken by {shake}, in bins of "
+            f"{BIN_M:g} m. {__doc__}"
         ),
         findings=judge(rates),
         pictures=pictures(rates),
@@ -154,7 +157,7 @@ def judge(rates: ErrorRates) -> list[Finding]:
 
 
 def alike(comparisons: Sequence[Comparison], driving: Count, static: Count) -> Finding:
-    """Compare error rates and losses while driving with those at rest."""
+    """Compare error rates and losses while driving and at rest."""
     single, pooled = ([c for c in comparisons if (c.bin_m is None) == every] for every in (False, True))
     count = {name: sum(c.verdict == name for c in single) for name in ("alike", "apart", "open")}
     apart = "; ".join(f"{c.layer} at {c.bin_m:g} m: {c.ratio:.2f}" for c in single if c.verdict == "apart")

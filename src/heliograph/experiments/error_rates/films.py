@@ -100,7 +100,7 @@ def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> Packet
     before = counter.total()
     counter.received(packet)
     after = counter.total()
-    # a packet counts as missed before its reception
+    # a packet counts as missed before the reception
     counts = {name: after[name].received - before[name].received for name in LAYERS}
     complete = all(layer.codewords > 0 and min(asdict(layer).values()) >= 0 for layer in counts.values())
     return PacketRecord(distance_m, counts) if complete and any(c.raw_bits for c in counts.values()) else None

@@ -1,6 +1,6 @@
 """Recorded input: drives over real footage, clips with no array, and films transcoded by another program.
 
-Frames pass from channel to receiver with no file, like those of a lossless film.
+Frames pass from channel to receiver with no file, as in a lossless film.
 """
 
 from collections import deque
@@ -118,7 +118,7 @@ def empty(scene: RealScene, max_frames: int | None = None, *, native: bool = Fal
 
 
 def native_frames(clip: Path, settings: LinkSettings) -> Iterator[Frame]:
-    """Frames of a clip, one per pattern period, resized to the camera."""
+    """Frames of a clip, a frame per pattern period, resized to the camera."""
     import cv2
 
     size = settings.channel.camera.width, settings.channel.camera.height

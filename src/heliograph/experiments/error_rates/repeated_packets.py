@@ -1,6 +1,6 @@
 """Repeated packets.
 
-Films show one packet repeatedly, on the road of the preset "paper" at 30 km/h. The table counts wrong codewords in the
+Films show a packet repeatedly, on the road of the preset "paper" at 30 km/h. The table counts wrong codewords in the
 first, second, ... packet of the films, including missed packets. The soft receiver combines repeated packets.
 """
 
@@ -31,7 +31,7 @@ class RepeatedPacket:
 
 
 def film_settings(distance_m: float, receptions: int, changes: Sequence[str] = ()) -> LinkSettings:
-    """Link of a film of several packets with its middle at a distance."""
+    """Link of a film of several packets, centred at a distance."""
     base = load_settings("paper", None, changes)
     film_s = receptions * base.signal.packet_s + 0.005
     start = distance_m + base.channel.speed_m_s * film_s / 2
@@ -52,7 +52,7 @@ def wrong_codewords(film: RepeatedPacket) -> NDArray[np.int64]:
     settings = film.settings
     layers = PacketFormat(settings.signal).layers
     rng = np.random.default_rng([film.seed, 1])
-    # messages that fill one packet
+    # messages that fill a packet
     messages = {name: [rng.bytes(layer.codewords * layer.payload_bytes)] for name, layer in layers.items()}
     receiver, packets = make_receiver(settings.signal, settings.receive), list[Packet]()
     for _, received in receive_link(settings, [messages], film.seed, receiver):

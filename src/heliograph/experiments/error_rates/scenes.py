@@ -1,6 +1,6 @@
 """Difficult scenes: tilted and occluded arrays, failed LEDs, night, sun, saturation, a pause, six arrays.
 
-The soft receiver in difficult scenes. In scenes at rest a single array stands within half a pixel of its nominal
+The soft receiver in difficult scenes. In scenes at rest a single array stands within half a pixel of the nominal
 position, and each packet needs a new acquisition; the other scenes are complete films. The table states wrong codewords
 of sent codewords, including missed packets.
 """
@@ -30,7 +30,7 @@ _SIX_ARRAYS = (
     "channel.duration_s=1.5",
     "transmit.identities=[0, 7, 12, 3, 20, 9]",
     "channel.arrays=["
-    # one crosses before the second, one approaches, one drives away, one sways off, one stands
+    # crossing before the second, approaching, driving away, swaying off, standing
     "{x_m=-1.2, y_m=-0.7, z_offset_m=-15, vx_m_s=2.4},"
     "{x_m=0.3, y_m=-1.0},"
     "{x_m=2.6, y_m=-0.5, vz_m_s=-15, start_s=0.011},"
@@ -95,7 +95,7 @@ def measure(
 
 
 def count_block(task: SceneTask) -> BlockCounts:
-    """Count one block."""
+    """Count a block."""
     return run_block(scene_settings(task.scene, task.distance_m, task.receiver), task.seed)
 
 

@@ -10,8 +10,8 @@ Modulation: amplitude of a Fourier component relative to the mean. IEEE 1789-201
 3.7, components up to 2 kHz, threshold T(f) = 1 / (1 + exp(-0.00518 (f - 306.6))) + 20 exp(-f / 10), the closed form of
 Perz et al. 2018 in CIE TN 006 and IEC TR 63158; it was not compared with the text of the standards. An SVM of 1 is just
 visible, the EU allows 0.4. Flickering time period: the longest time between instants at which the light so far equals
-that of a steady light of the same mean; IEEE 802.15.7 allows 5 ms. A header alone is an endless sequence of headers, as
-of an array with no data.
+that of a steady light of the same mean; IEEE 802.15.7 allows 5 ms. A separate header is an endless sequence of headers,
+as of an array with no data.
 """
 
 from collections.abc import Mapping
@@ -147,7 +147,7 @@ def waveforms(waves: Mapping[Signal, Floats], slot_s: float) -> Figure:
 
 @plots.styled
 def spectra(waves: Mapping[Signal, Floats], slot_s: float) -> Figure:
-    """Modulation by frequency of one stretch, and the limit of low risk."""
+    """Modulation by frequency of a stretch, and the limit of low risk."""
     figure = Figure(figsize=(12, 4.2))
     groups = ((Signal.PAIRS, Signal.BARE), (Signal.HEADER, Signal.ALL_ON_HEADER, Signal.ALL_ON))
     for axes, names in zip(figure.subplots(1, 2, sharey=True), groups, strict=True):
@@ -219,7 +219,7 @@ LIMITS = {
 
 
 def kept(flicker: SignalFlicker, limits: Mapping[str, tuple[str, float]] = LIMITS) -> bool | None:
-    """True if 95 % of the stretches keep each limit, False if 95 % break one; else None."""
+    """True if 95 % of the stretches keep each limit, False if 95 % break a limit; else None."""
     ranges = [(flicker.range(name), largest) for name, largest in limits.values()]
     if all(high <= largest for (_, _, high), largest in ranges):
         return True
@@ -231,7 +231,7 @@ def _opposite(value: bool | None) -> bool | None:
 
 
 def _all(*parts: bool | None) -> bool | None:
-    """True if all parts are, False if one is; else None."""
+    """True if all parts are true, False if any is false; else None."""
     return True if all(parts) else False if False in parts else None
 
 
@@ -286,7 +286,7 @@ def run(context: Context) -> ExperimentResult:
             (waveforms(waves, slot_s), "Light of the array over a header (shaded) and the following data."),
             (
                 spectra(waves, slot_s),
-                "Modulation by frequency, one stretch of 1 s, bandwidth 1 Hz; dashed: IEEE 1789's limit of low risk.",
+                "Modulation by frequency, a stretch of 1 s, bandwidth 1 Hz; dashed: IEEE 1789's limit of low risk.",
             ),
         ],
         tables=[Table(f"Measures of flicker: median of {STRETCHES} stretches (5-95 %), bandwidth 1 Hz", head, rows)],

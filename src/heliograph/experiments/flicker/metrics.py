@@ -1,4 +1,4 @@
-"""Flicker measures of a periodic light, from its flux by slot.
+"""Flicker measures of a periodic light, from the flux by slot.
 
 IEEE 1789-2015 low-risk limits, stroboscopic visibility measure (CIE TN 006:2016, IEC TR 63158), flickering time period
 (IEEE 802.15.7).

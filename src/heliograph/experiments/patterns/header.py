@@ -1,7 +1,7 @@
 """Header, sent and received near and at 25 m.
 
 The header shows the 15 chips of the M-sequence on 4 x 4 cells; the 16th cell is dark. The header of each identity is
-filmed at rest. A cell is read as lit if the mean luminance at its 16 LEDs exceeds the mean of the array.
+filmed at rest. A cell is read as lit if the mean luminance at the 16 LEDs exceeds the mean of the array.
 """
 
 from heliograph.experiments import plots
@@ -15,7 +15,7 @@ DISTANCES_M = (10.0, 25.0, 50.0, 80.0, 150.0)
 
 
 def run(context: Context) -> ExperimentResult:
-    """Film headers and read their cells."""
+    """Film headers and read the cells."""
     wrong = measure(range(0, IDENTITIES, 3 if context.quick else 1), context.seed)
     levels = header_levels(0)
     images = [levels * 63, *(static_frame(z, levels, context.seed)[0].pixels for z in DISTANCES_M[:4])]

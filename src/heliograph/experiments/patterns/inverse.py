@@ -45,7 +45,7 @@ def run(context: Context) -> ExperimentResult:
         title="Fig. 8 and 9: inverted pattern and sum",
         text=__doc__ or "",
         findings=[judge(spreads)],
-        pictures=[(plots.image_row(images, names, rows=2), "A data pattern, its inverse, and half their sum.")],
+        pictures=[(plots.image_row(images, names, rows=2), "A data pattern, the inverse, and half the sum.")],
         tables=[
             Table(
                 "Spread of the LEDs' luminance",
@@ -92,7 +92,7 @@ def judge(spreads: Spreads) -> Finding:
 def _filmed(
     distance: float, seed: int, brightness: float = 1.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[float, ...]]:
-    """Images of a pattern and its inverse, and the spreads of pattern, sum and all-on array."""
+    """Images of pattern and inverse, and the spreads of pattern, sum and all-on array."""
     rng = np.random.default_rng([seed, round(distance)])
     channel = replace(centred_link(distance, rng, brightness).channel, duration_s=4e-3)
     data = with_inverses(haar.encode(rng.choice([-1, 1], (1, 16, 16))))

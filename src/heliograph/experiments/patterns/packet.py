@@ -1,6 +1,6 @@
 """Packet format.
 
-Packets of the transmitter of the preset "paper": header pairs and data pairs, each pattern followed by its inverse.
+Packets of the transmitter of the preset "paper": header pairs and data pairs, each pattern followed by the inverse.
 Packets follow each other immediately.
 """
 

@@ -1,7 +1,7 @@
 """Pulse width modulation and the exposure.
 
-Arrays with a single level, 60 m away, filmed with an exposure of the pattern period T_b = 1 ms and of half of it. At
-60 m no LED saturates the sensor. The summed luminance of the array in the frame, minus that of the dark array, measures
+Arrays with a single level, 60 m away, filmed with an exposure of the pattern period T_b = 1 ms and of half of it. At 60
+m no LED saturates the sensor. The summed luminance of the array in the frame, minus that of the dark array, measures
 the integral of equation (6); results are relative to level 4.
 """
 
@@ -34,7 +34,7 @@ def run(context: Context) -> ExperimentResult:
         title="Fig. 4: pulse width modulation",
         text=__doc__ or "",
         findings=judge(luminances),
-        pictures=[(_waveforms(), "Light of an LED by level over a pattern and its inverse; orange: open shutter.")],
+        pictures=[(_waveforms(), "Light of an LED by level over a pattern and the inverse; orange: open shutter.")],
         tables=[Table("Luminance by level, relative to level 4", ["exposure", *map(str, LEVELS)], rows)],
         data={f"{1e3 * tau:g} ms": rows.tolist() for tau, rows in luminances.items()},
     )
@@ -49,7 +49,7 @@ def judge(luminances: Luminances) -> list[Finding]:
     """Check that the luminance grows with the level for both exposures."""
     full, half = luminances.values()
     off = np.abs(full.mean(0) - LEVELS / 4).max()
-    # a step is lost below half of its nominal size
+    # a step is lost below half of the nominal size
     lost = int((np.diff(half.mean(0)) < 0.5 / 4).sum())
     return [
         Finding(

@@ -40,7 +40,7 @@ class TimingLoss:
 
 
 def measure() -> list[TimingLoss]:
-    """All cases, at phases over one frame period."""
+    """All cases, at phases over a frame period."""
     out = []
     for rate, exposure in CASES:
         step = 0.1 if rate == 1 else 0.25 / rate

@@ -1,10 +1,10 @@
 """Other systems in the same channel: on-off keying with and without inverses, repetition, the hierarchical code.
 
 Static camera, reference link, no error-correcting code: random bits in pattern and inverse, detected and tracked by the
-plain receiver. Each film is one packet with a random pixel phase of the array. The inverse removes the blur of all LEDs
+plain receiver. Each film is a packet with a random pixel phase of the array. The inverse removes the blur of all LEDs
 by least squares, with the pose and blur estimated by the receiver or, as in the field trial, with a known channel.
-Repetition of low frequencies is on-off keying on squares of 2 x 2 or 4 x 4 LEDs: all LEDs of a square show one bit,
-and their luminances are added. A pattern then carries 64 or 16 bits instead of 256. Intervals account for the
+Repetition of low frequencies is on-off keying on squares of 2 x 2 or 4 x 4 LEDs: all LEDs of a square show the same
+bit, and the luminances are added. A pattern then carries 64 or 16 bits instead of 256. Intervals account for the
 correlation of errors within a film.
 """
 
@@ -133,7 +133,7 @@ def findings(points: Mapping[str, Points]) -> list[Finding]:
 
 
 def field_trial(claim: str, claimed_m: float, points: Points, why: str = "") -> Finding:
-    """Compare with a field trial: the claim holds with no error to its distance and some errors within 10 m more."""
+    """Compare with a field trial: the claim holds with no error up to `claimed_m` and some within 10 m more."""
     here = [count for z, count in points if z <= claimed_m]
     beyond = [(z, count) for z, count in points if claimed_m < z <= claimed_m + 10]
     wrong, bits = sum(c.errors for c in here), sum(c.trials for c in here)
@@ -208,7 +208,7 @@ FULL = SystemEffort(
 
 @dataclass(frozen=True, slots=True)
 class SystemTask:
-    """One scheme at one distance."""
+    """Scheme and distance."""
 
     scheme: str
     distance_m: float

@@ -1,7 +1,7 @@
 """Other systems in the same channel: random bits in other patterns, read by the tracking of the plain receiver.
 
-Each scheme sends the header of the paper and then pairs of pattern and inverse, so that detection and tracking are
-those of the plain receiver. Only the meaning of the luminances differs.
+Each scheme sends the header of the paper and then pairs of pattern and inverse, so that the plain receiver does
+detection and tracking. Only the meaning of the luminances differs.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -115,7 +115,7 @@ def count_bits(scheme: Scheme, methods: Sequence[ReadMethod], distance_m: float,
 def _count_film(
     scheme: Scheme, methods: Sequence[ReadMethod], settings: LinkSettings, rng: np.random.Generator, counted: BitCounts
 ) -> None:
-    """Count a film of one packet; the receiver expects a longer packet, so that it decodes nothing."""
+    """Count a film of a packet; the receiver expects a longer packet, so that it decodes nothing."""
     pairs, header = settings.signal.data_pairs, settings.signal.header_pairs
     bits = rng.integers(0, 2, (pairs, scheme.bits), dtype=np.uint8)
     truths: list[ArrayTruth] = []

@@ -1,6 +1,6 @@
 """Tracking: the array cut out without and with tracking, and errors of six trackers.
 
-All trackers process films of one drive with different backgrounds, the same motion and the same noise. Each tracker
+All trackers process films of a drive with different backgrounds, the same motion and the same noise. Each tracker
 starts at the detected pose, at the end of the first header, and gets no help later. Error: distance between the tracked
 and the true centre, averaged over the two frames of a pair.
 
@@ -9,9 +9,9 @@ before the middle of the exposure, the time of the truth; the tracker corrects f
 LEDs in the corners are always lit, the others show random data with no inverse; each frame is fitted with the same
 motion model. A diverging fit counts as lost. Background: Lucas-Kanade on features around the array; the median motion
 from a key pair is added up. This tracker measures neither the size of the array nor drift, and assumes that the near
-array moves like the background. General trackers: TrackerMIL is the only one of OpenCV 5 with no trained model. It has
-boxes of integer pixels and random features with no seed, so results depend on earlier films of the process. Template
-matching has sub-pixel resolution. Both process the sums of pairs, which exist only because of the inverses.
+array moves like the background. General trackers: only TrackerMIL of OpenCV 5 needs no trained model. It has boxes of
+integer pixels and random features with no seed, so results depend on earlier films of the process. Template matching
+has sub-pixel resolution. Both process the sums of pairs, which exist only because of the inverses.
 
 Vibration left: error within a packet of 100 ms after subtraction of the best straight line, as if each header gave
 position and steady motion. A tracker fails if at least half of the vibration is left. Small aperture: the background is
@@ -44,7 +44,7 @@ NEAR_PX = 0.25
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrackingScore:
-    """Errors of one tracker in one film."""
+    """Errors of a tracker in a film."""
 
     pairs: int
     # Error of the centre in px: rms and 99.9 % quantile over the pairs
@@ -137,7 +137,7 @@ class TrackingRate:
     method: str
     # Data bits per pattern
     bits: int
-    # True if each pattern is followed by its inverse
+    # True if an inverse follows each pattern
     inverse: bool = True
 
     @property
@@ -166,7 +166,7 @@ def rates(lost: int | None = None) -> list[TrackingRate]:
 
 
 def findings(table: ScoreTable, dark: Mapping[str, Mapping[str, Sequence[str]]], *, full: bool = True) -> list[Finding]:
-    """Judge all claims; `dark` maps a condition to dark films and their counterparts by day."""
+    """Judge all claims; `dark` maps a condition to dark films and counterparts by day."""
     return [
         _without_tracking(table, full),
         _with_tracking(table),
@@ -208,7 +208,7 @@ def _with_tracking(table: ScoreTable) -> Finding:
 def _background(table: ScoreTable, condition: str, films: Mapping[str, Sequence[str]]) -> Finding:
     """IV.B.2: the motion vector of the background fails with no background light."""
     days = dict.fromkeys(day for by_day in films.values() for day in by_day)
-    # fraction of the vibration that the background tracker leaves; it fails from one half on
+    # fraction of the vibration that the background tracker leaves; it fails from 1/2 on
     left = {f: table[f][BACKGROUND].shake_px / max(table[f]["none"].shake_px, 1e-9) for f in (*days, *films)}
     judged = [film for film, by_day in films.items() if any(left[day] < 0.5 for day in by_day)]
     failed = [film for film in judged if left[film] >= 0.5]

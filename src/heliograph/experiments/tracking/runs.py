@@ -1,7 +1,9 @@
-"""Films of one drive with different backgrounds, and all trackers on them."""
+"""Films of a drive with different backgrounds, and all trackers on them."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +46,11 @@ TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
 Pair = tuple[Frame, Frame, ArrayTruth, ArrayTruth]
 """Two successive frames, and the truth of the array in both."""
 
+Triple = tuple[float, float, float]
+
+Cut = tuple[float, tuple[Floats, Floats]]
+"""Time, and the sum cut out at the first pose and at the tracked pose."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingFilm:
@@ -70,33 +77,32 @@ class TrackingRun:
     packet: NDArray[np.int64]
     # By tracker (n, 3): error of x and y in px, and relative error of the pitch (NaN: not estimated)
     errors: Mapping[str, Floats]
-    # For the pictures: time, and the sum cut out at the first pose and at the tracked pose
-    cuts: list[tuple[float, tuple[Floats, Floats]]] = field(default_factory=list)
+    # Sums for the pictures
+    cuts: list[Cut] = field(default_factory=list)
 
 
 def run_trackers(job: TrackingFilm) -> TrackingRun:
     """Run all trackers on a film."""
+    settings, channel = job.settings, job.settings.channel
     recordings = Recordings(
         footage=load_footage(job.clip) if job.clip else None, imu=load_imu(job.imu) if job.imu else None
     )
-    group = _TrackerGroup(job.settings, [name for name in TRACKERS if name != KNOWN])
-    channel = job.settings.channel
-    length_s = channel.duration_s or (channel.distance_m - channel.stop_m) / channel.speed_m_s
-    moments = [int(k) for k in np.linspace(0.02, 0.97, 8) * length_s * channel.camera.fps]
-    for pair in _pairs(simulate(job.settings, default_messages(job.settings), job.seed, recordings)):
-        group.push(pair)
-        if moments and group.found and pair[0].index >= moments[0]:
-            moments.pop(0)
-            group.cut(pair)
-    if group.found is None:
+    pairs = _pairs(simulate(settings, default_messages(settings), job.seed, recordings))
+    # the detector needs fewer pairs after a header
+    held = deque[Pair](maxlen=17)
+    found = _detect(settings, pairs, held)
+    if found is None:
         raise HeliographError(f"the array was not found in the film '{job.name}'")
-    known = _TrackerGroup(job.settings, [KNOWN], group.found)
-    for pair in _pairs(_known_film(job, recordings)):
-        known.push(pair)
-    times, distance, pitch = np.array(group.rows).T
-    errors = {name: np.array((group.errors | known.errors)[name]) for name in TRACKERS}
-    packet = np.floor(times / job.settings.signal.packet_s + 1e-6).astype(np.int64)
-    return TrackingRun(job.name, times, distance, job.settings.signal.side * pitch, packet, errors, group.cuts)
+    length_s = channel.duration_s or (channel.distance_m - channel.stop_m) / channel.speed_m_s
+    moments = np.linspace(0.02, 0.97, 8) * length_s * channel.camera.fps
+    cut_frames = [max(int(k), held[-1][0].index) for k in moments]
+    others = [name for name in TRACKERS if name != KNOWN]
+    rows, errors, cuts = _follow(settings, found, chain(held, pairs), others, cut_frames)
+    errors |= _follow(settings, found, _pairs(_known_film(job, recordings)), [KNOWN])[1]
+    times, distance, pitch = np.array(rows).T
+    packet = np.floor(times / settings.signal.packet_s + 1e-6).astype(np.int64)
+    arrays = {name: np.array(errors[name]) for name in TRACKERS}
+    return TrackingRun(job.name, times, distance, settings.signal.side * pitch, packet, arrays, cuts)
 
 
 def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Frame, Truth]]:
@@ -110,7 +116,7 @@ def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Fra
         slot_order=signal.slot_order,
         footage=recordings.footage,
         imu=recordings.imu,
-        # more than the window of a tracker on its array
+        # more than the window of a tracker on the array
         roi_margin_px=24,
     )
 
@@ -121,64 +127,58 @@ def _pairs(frames: Iterator[tuple[Frame, Truth]]) -> Iterator[Pair]:
         yield first, second, true.arrays[0], later.arrays[0]
 
 
-class _TrackerGroup:
-    """Trackers of one film, started together at the end of the first detected header."""
+def _detect(settings: LinkSettings, pairs: Iterable[Pair], held: deque[Pair]) -> Detection | None:
+    """Search pairs for the array, and hold the last pairs."""
+    parameters = search_parameters(settings.receive, settings.signal, PLAIN_REGULARITY)
+    detector = PyramidSearch(parameters, settings.signal)
+    for pair in pairs:
+        held.append(pair)
+        if hits := [hit for frame in pair[:2] for hit in detector.search(frame)]:
+            return hits[0]
+    return None
 
-    def __init__(self, settings: LinkSettings, names: list[str], found: Detection | None = None):
-        self._settings, self.found = settings, found
-        self._detector = PyramidSearch(
-            search_parameters(settings.receive, settings.signal, PLAIN_REGULARITY), settings.signal
-        )
-        self._followers = {name: TRACKERS[name](settings) for name in names}
-        self._held: list[Pair] = []
-        self._started = False
-        self.rows: list[tuple[float, float, float]] = []
-        self.errors: dict[str, list[tuple[float, float, float]]] = {name: [] for name in names}
-        self.cuts: list[tuple[float, tuple[Floats, Floats]]] = []
-        self._poses: dict[str, Pose] = {}
 
-    def push(self, pair: Pair) -> None:
-        """Process a pair, or hold it until the array is detected."""
-        # the detector needs fewer pairs after a header
-        self._held = [*self._held[-16:], pair]
-        if self.found is None:
-            hits = [hit for frame in pair[:2] for hit in self._detector.search(frame)]
-            self.found = hits[0] if hits else None
-        if self.found is None:
-            return
-        held, self._held = self._held, []
-        for one in held:
-            self._follow(self.found, one)
+def _follow(
+    settings: LinkSettings,
+    found: Detection,
+    pairs: Iterable[Pair],
+    names: Sequence[str],
+    cut_frames: Sequence[int] = (),
+) -> tuple[list[Triple], dict[str, list[Triple]], list[Cut]]:
+    """Start trackers at the last pair of the detected header, and follow the array.
 
-    def _follow(self, found: Detection, pair: Pair) -> None:
-        pattern, inverted, true, later = pair
+    Returns time, distance and pitch of each pair, errors by tracker, and the sums of the first pairs from `cut_frames`
+    on, cut out twice as wide as the array.
+    """
+    signal, frames = settings.signal, list(cut_frames)
+    followers = {name: TRACKERS[name](settings) for name in names}
+    poses, rows, cuts = dict[str, Pose](), list[Triple](), list[Cut]()
+    errors: dict[str, list[Triple]] = {name: [] for name in names}
+    started = False
+    for pattern, inverted, true, later in pairs:
         since = pattern.time_s - found.start_time_s
-        if since < -1e-9:
-            return
-        if not self._started:
-            # trackers begin at the last pair of the header
-            self._started = not is_in_header(self._settings, since + 2 * self._settings.signal.pattern_period_s)
-            if self._started:
-                for follower in self._followers.values():
-                    follower.start(found, pattern, inverted)
-            return
-        x, y, pitch, distance = (
-            0.5 * (getattr(true, name) + getattr(later, name)) for name in ("x", "y", "pitch_px", "distance_m")
-        )
-        self.rows.append((pattern.time_s, distance, pitch))
-        for name, follower in self._followers.items():
-            pose = self._poses[name] = follower.update(pattern, inverted)
-            relative = pose.pitch / pitch - 1 if follower.sized else np.nan
-            self.errors[name].append((pose.x - x, pose.y - y, relative))
+        if started:
+            x, y, pitch, distance = (
+                0.5 * (getattr(true, name) + getattr(later, name)) for name in ("x", "y", "pitch_px", "distance_m")
+            )
+            rows.append((pattern.time_s, distance, pitch))
+            for name, follower in followers.items():
+                pose = poses[name] = follower.update(pattern, inverted)
+                relative = pose.pitch / pitch - 1 if follower.sized else np.nan
+                errors[name].append((pose.x - x, pose.y - y, relative))
+        elif since > -1e-9 and not is_in_header(settings, since + 2 * signal.pattern_period_s):
+            started = True
+            for follower in followers.values():
+                follower.start(found, pattern, inverted)
+        if frames and pattern.index >= frames[0]:
+            frames.pop(0)
+            if OURS in poses:
+                fixed, tracked = (_sum_at(pattern, inverted, p, signal.side) for p in (found.fit.pose, poses[OURS]))
+                cuts.append((pattern.time_s, (fixed, tracked)))
+    return rows, errors, cuts
 
-    def cut(self, pair: Pair) -> None:
-        """Cut the sum out at the first and at the tracked pose, twice as wide as the array."""
-        if self.found is None or OURS not in self._poses:
-            return
-        fixed, tracked = (self._cut(pair, pose) for pose in (self.found.fit.pose, self._poses[OURS]))
-        self.cuts.append((pair[0].time_s, (fixed, tracked)))
 
-    def _cut(self, pair: Pair, pose: Pose) -> Floats:
-        half = round(self._settings.signal.side * pose.pitch)
-        window = (round(pose.x) - half, round(pose.y) - half, 2 * half + 1, 2 * half + 1)
-        return cut_out(pair[0], window) + cut_out(pair[1], window)
+def _sum_at(pattern: Frame, inverted: Frame, pose: Pose, side: int) -> Floats:
+    half = round(side * pose.pitch)
+    window = (round(pose.x) - half, round(pose.y) - half, 2 * half + 1, 2 * half + 1)
+    return cut_out(pattern, window) + cut_out(inverted, window)

@@ -13,6 +13,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
 from heliograph.receive.detect.detection import Detection
+from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.window import cut_out, window_around
 from heliograph.receive.sync.pairing import FramePair, sum_late_s
@@ -24,7 +25,7 @@ from heliograph.signal.pwm import SLOTS
 
 
 class Follower(Protocol):
-    """Tracker of one array over pairs of frames."""
+    """Tracker of an array over pairs of frames."""
 
     # True if the tracker estimates the pitch
     sized: bool
@@ -53,7 +54,7 @@ class NoTracking:
 
 
 class InvertedSignals:
-    """Tracker of the receiver and the paper: the sum of a pattern and its inverse shows every LED."""
+    """Tracker of the receiver and the paper: the sum of a pattern and the inverse shows every LED."""
 
     sized = True
 
@@ -172,7 +173,7 @@ class MultipleInstance:
         self._corner = corner
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Move to the box of OpenCV, if there is one."""
+        """Move to the box of OpenCV, if found."""
         view, _ = self._view(pattern, inverted)
         found, (left, top, _, _) = self._tracker.update(view)
         if found:
@@ -310,10 +311,16 @@ class KnownPattern:
         start, prior = self._state.mean[:5], np.linalg.inv(self._state.covariance[:5, :5])
         window = window_around(self._state.pose, self._side, 3.0)
         (x0, y0), image = window[:2], cut_out(frame, window)
-        weights, scene = self._weights(image, data, (x0, y0)), _ArrayImages(image.shape, (x0, y0))
-        vector = start.copy()
+        weights, vector = self._weights(image, data, (x0, y0)), start.copy()
+        # images of array, panel squares and a plane, with derivatives
+        shapes = np.zeros((4 + len(FIT.panel_margins), 6, *image.shape))
+        shapes[-3, 0] = 1
+        shapes[-2, 0] = np.linspace(-0.5, 0.5, image.shape[1])
+        shapes[-1, 0] = np.linspace(-0.5, 0.5, image.shape[0])[:, None]
         for _ in range(3):
-            shapes = scene.place(vector, mean)
+            kernels.render(vector, mean, float(x0), float(y0), shapes[0], 0.0, 0.0)
+            for shape, margin in zip(shapes[1:-3], FIT.panel_margins, strict=True):
+                kernels.render_box(vector, 0.5 * len(mean) + margin, float(x0), float(y0), shape, 0.0, 0.0)
             linear = self._light(image, shapes, weights)
             slopes = np.tensordot(linear[:-3], shapes[:-3, 1:], 1)
             columns = np.concatenate([slopes, shapes[:, 0]]).reshape(5 + len(linear), -1)
@@ -327,8 +334,6 @@ class KnownPattern:
 
     def _weights(self, image: Floats, data: Floats, corner: tuple[int, int]) -> Floats:
         """Inverse variance of each pixel."""
-        from heliograph.receive.geometry import kernels  # Numba is slow to import
-
         shape = np.empty((6, *image.shape))
         kernels.render(self._state.mean[:5].copy(), data, float(corner[0]), float(corner[1]), shape, 0.0, 0.0)
         noise = 1.0 + self._gain * np.maximum(image, 0) / 15000
@@ -342,26 +347,6 @@ class KnownPattern:
         matrix[0, 0] += weight
         rhs[0] += weight * self._gain
         return np.asarray(np.linalg.solve(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3), rhs))
-
-
-class _ArrayImages:
-    """Images of array, panel squares and a plane, with derivatives: (6, 6, rows, columns)."""
-
-    def __init__(self, shape: tuple[int, ...], corner: tuple[int, int]):
-        rows, cols = shape
-        self._corner = float(corner[0]), float(corner[1])
-        self._shapes = np.zeros((4 + len(FIT.panel_margins), 6, rows, cols))
-        self._shapes[-3, 0] = 1
-        self._shapes[-2, 0] = np.linspace(-0.5, 0.5, cols)
-        self._shapes[-1, 0] = np.linspace(-0.5, 0.5, rows)[:, None]
-
-    def place(self, vector: Floats, mean: Floats) -> Floats:
-        from heliograph.receive.geometry import kernels
-
-        kernels.render(vector, mean, *self._corner, self._shapes[0], 0.0, 0.0)
-        for shape, margin in zip(self._shapes[1:-3], FIT.panel_margins, strict=True):
-            kernels.render_box(vector, 0.5 * len(mean) + margin, *self._corner, shape, 0.0, 0.0)
-        return self._shapes
 
 
 def _normal(columns: Floats, weights: Floats, image: Floats) -> tuple[Floats, Floats]:
