@@ -127,7 +127,7 @@ def test_scores_of_known_errors() -> None:
     errors = np.column_stack([np.full(n, 0.3), np.full(n, 0.4), np.full(n, np.nan)])
     errors[0, :2] = 20.0, 0.0
     times = np.linspace(0, 2e-3 * (n - 1), n)
-    run = TrackingRun("film", times, np.full(n, 50.0), np.full(n, 18.0), (times / 0.1 + 1e-6).astype(np.int64), {})
+    run = TrackingRun("film", times, np.full(n, 18.0), (times / 0.1 + 1e-6).astype(np.int64), {})
     found = score(run, errors)
     assert (found.pairs, found.near, found.lost, found.pitch) == (n, 0, 1, None)
     assert found.rms_px == pytest.approx(np.sqrt((199 * 0.25 + 400) / 200))

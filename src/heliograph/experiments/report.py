@@ -55,7 +55,7 @@ class ExperimentResult:
     # Name on the command line, such as "fig13"
     key: str
     title: str
-    # Description of the experiment: the docstring of the module
+    # Description of the experiment in paragraphs
     text: str
     findings: Sequence[Finding] = ()
     # Figures with captions
@@ -89,6 +89,11 @@ class Context:
         """Run a job for each work item in the workers; see `executors.each`."""
         start, end = span
         return each(self.workers, job, works, lambda done: self.progress(title, start + (end - start) * done))
+
+
+def description(docstring: str | None) -> str:
+    """Description of an experiment: the docstring of the module after the summary."""
+    return (docstring or "").partition("\n\n")[2].strip()
 
 
 def verdict_of(holds: bool | None) -> Verdict:

@@ -126,7 +126,8 @@ def write_report(
     page.badges((verdict, f"{verdict}: {count}") for verdict, count in sorted(verdicts.items()))
     for result in results:
         page.heading(result.title)
-        page.text(result.text)
+        for paragraph in result.text.split("\n\n"):
+            page.text(paragraph)
         for picture, caption in result.drawn:
             page.picture(picture, caption)
         for finding in result.findings:
@@ -151,7 +152,7 @@ def markdown(results: Sequence[ExperimentResult], context: Context, missing: Seq
         rows = [[f.claim, f"{f.ours} {f.why}", f.verdict] for f in result.findings]
         cells = [[" ".join(cell.split()).replace("|", "\\|") for cell in row] for row in rows]
         table = Table("", ["claim", "measured", "verdict"], cells)
-        lines += [f"## {result.title}", "", " ".join(result.text.split()), "", table.markdown(), ""]
+        lines += [f"## {result.title}", "", result.text, "", table.markdown(), ""]
     return "\n".join(lines)
 
 

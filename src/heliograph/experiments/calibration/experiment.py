@@ -27,7 +27,7 @@ from heliograph.experiments.calibration.recorder import (
     record,
     reliability_bins,
 )
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.link.settings import load_settings
 
 TOLERANCE = 0.1
@@ -155,7 +155,7 @@ def run(context: Context, distances_m: Sequence[float] = ()) -> ExperimentResult
     return ExperimentResult(
         key="soft",
         title="The soft receiver: calibration of LLRs, and distances",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[*(calibrated(name, part) for name, part in bins.items()), accurate(errors)],
         pictures=[
             (reliability_diagram(bins), "Observed over predicted error probability; dashed: tolerance."),

@@ -13,7 +13,15 @@ import numpy as np
 from heliograph.base.threads import one_thread
 from heliograph.channel import ArrayTruth
 from heliograph.experiments.links import receive_link, true_pose
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, count_text, interval_text
+from heliograph.experiments.report import (
+    Context,
+    ExperimentResult,
+    Finding,
+    Table,
+    count_text,
+    description,
+    interval_text,
+)
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import transmitters
 from heliograph.measure.bench import dithered, lasting, random_messages
@@ -166,7 +174,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="known-channel",
         title="The soft receiver and the known channel",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[
             Finding(
                 "Question: the loss by estimation of pose, blur, gain and noise.",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliograph.experiments.links import receive_link
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import random_messages
 from heliograph.measure.statistics import Count
@@ -121,7 +121,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="acquisition",
         title="Acquisition of an array that is switched on",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[
             Finding(
                 "Question: an array is found by the next header.", f"{outcomes_text(outcomes)}.", verdict_of(not missed)

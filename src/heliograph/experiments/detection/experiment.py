@@ -51,6 +51,7 @@ from heliograph.experiments.report import (
     Finding,
     Table,
     count_text,
+    description,
     interval_text,
     verdict_of,
 )
@@ -82,7 +83,7 @@ def run(context: Context, effort: DetectionEffort | None = None) -> ExperimentRe
     return ExperimentResult(
         key="fig6",
         title="Fig. 6: false detections and identities",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[
             *compared(measured),
             identities_found(alone, "alone"),

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import erfc
 
 from heliograph.base.arrays import Floats
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description
 from heliograph.signal.formats import DIMMED, words
 from heliograph.signal.header import CELLS, IDENTITIES, all_header_cells
 
@@ -136,7 +136,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="header-separation",
         title="Distances between headers",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[
             Finding(
                 "Question: the distance between the most similar headers.",

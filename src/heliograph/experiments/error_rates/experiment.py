@@ -31,7 +31,7 @@ from heliograph.experiments.error_rates.films import (
     lost_packets,
 )
 from heliograph.experiments.plots import LAYER_COLOURS
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, Verdict, count_text
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, Verdict, count_text, description
 from heliograph.measure.counts import Layers
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.statistics import Count
@@ -78,7 +78,7 @@ def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentRe
         title="Bit error rate by distance, static and driving (Fig. 13)",
         text=(
             f"{effort.films} static films a distance; {effort.drives} drives, shaken by {shake}, in bins of "
-            f"{BIN_M:g} m. {__doc__}"
+            f"{BIN_M:g} m. {description(__doc__)}"
         ),
         findings=judge(rates),
         pictures=pictures(rates),

@@ -5,29 +5,17 @@ first, second, ... packet of the films, including missed packets. The soft recei
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.experiments.links import receive_link
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.statistics import Count
 from heliograph.receive import Packet, make_receiver
 from heliograph.signal.packet import PacketFormat
-
-
-@dataclass(frozen=True, slots=True)
-class RepeatedPacket:
-    """Film of a repeated packet."""
-
-    settings: LinkSettings
-    # Counted layer
-    layer: str
-    # Packets of the film
-    receptions: int
-    seed: int
 
 
 def film_settings(distance_m: float, receptions: int, changes: Sequence[str] = ()) -> LinkSettings:
@@ -41,28 +29,27 @@ def film_settings(distance_m: float, receptions: int, changes: Sequence[str] = (
 
 def measure(settings: LinkSettings, layer: str, receptions: int, films: int, context: Context) -> list[Count]:
     """Count wrong codewords by reception."""
-    todo = [RepeatedPacket(settings, layer, receptions, seed) for seed in range(films)]
-    wrong = np.sum(context.each("repeated packets", wrong_codewords, todo), axis=0)
+    job = partial(wrong_codewords, settings, layer, receptions)
+    wrong = np.sum(context.each("repeated packets", job, range(films)), axis=0)
     sent = films * PacketFormat(settings.signal).layers[layer].codewords
     return [Count(sent, int(errors)) for errors in wrong]
 
 
-def wrong_codewords(film: RepeatedPacket) -> NDArray[np.int64]:
+def wrong_codewords(settings: LinkSettings, layer: str, receptions: int, seed: int) -> NDArray[np.int64]:
     """Wrong codewords of a layer in each packet of a film, (receptions,)."""
-    settings = film.settings
-    layers = PacketFormat(settings.signal).layers
-    rng = np.random.default_rng([film.seed, 1])
+    formats = PacketFormat(settings.signal).layers
+    rng = np.random.default_rng([seed, 1])
     # messages that fill a packet
-    messages = {name: [rng.bytes(layer.codewords * layer.payload_bytes)] for name, layer in layers.items()}
+    messages = {name: [rng.bytes(form.codewords * form.payload_bytes)] for name, form in formats.items()}
     receiver, packets = make_receiver(settings.signal, settings.receive), list[Packet]()
-    for _, received in receive_link(settings, [messages], film.seed, receiver):
+    for _, received in receive_link(settings, [messages], seed, receiver):
         packets += received
     packets += receiver.finish()
-    wrong = np.full(film.receptions, layers[film.layer].codewords, np.int64)
+    wrong = np.full(receptions, formats[layer].codewords, np.int64)
     for packet in packets:
         number = round(packet.start_time_s / settings.signal.packet_s)
-        if number < film.receptions:
-            wrong[number] = sum(word.status != "ok" for word in packet.layers[film.layer])
+        if number < receptions:
+            wrong[number] = sum(word.status != "ok" for word in packet.layers[layer])
     return wrong
 
 
@@ -78,7 +65,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="repeated-packets",
         title="Repeated packets",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[
             Finding(
                 "Question: the gain of a repeated packet.",

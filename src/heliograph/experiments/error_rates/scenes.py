@@ -6,9 +6,10 @@ of sent codewords, including missed packets.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
+from itertools import product
 
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import run_block
 from heliograph.measure.counts import BlockCounts
@@ -64,18 +65,6 @@ SceneCounts = Mapping[tuple[str, float], BlockCounts]
 """Counts by scene and distance in m."""
 
 
-@dataclass(frozen=True, slots=True)
-class SceneTask:
-    """Block of a scene."""
-
-    # Name of the scene, of `SCENES`
-    scene: str
-    # Distance in m to the plane of the arrays at the start of the film
-    distance_m: float
-    seed: int
-    receiver: str
-
-
 def scene_settings(scene: str, distance_m: float, receiver: str = "soft") -> LinkSettings:
     """Link of a scene."""
     changes = (f"channel.distance_m={distance_m}", f"receive.receiver={receiver}", *_array(x_m=0, y_m=0))
@@ -86,17 +75,18 @@ def measure(
     scenes: Sequence[str], distances_m: Sequence[float], seeds: Sequence[int], receiver: str, context: Context
 ) -> SceneCounts:
     """Count a block per seed, in each scene and at each distance."""
-    todo = [SceneTask(scene, z, seed, receiver) for scene in scenes for z in distances_m for seed in seeds]
+    todo = list(product(scenes, distances_m, seeds))
     total: dict[tuple[str, float], BlockCounts] = {}
-    for task, counts in zip(todo, context.each("hard scenes", count_block, todo), strict=True):
-        place = task.scene, task.distance_m
-        total[place] = total.get(place, BlockCounts()) + counts
+    counts = context.each("hard scenes", partial(_count_block, receiver), todo)
+    for (scene, z, _), block in zip(todo, counts, strict=True):
+        total[scene, z] = total.get((scene, z), BlockCounts()) + block
     return total
 
 
-def count_block(task: SceneTask) -> BlockCounts:
-    """Count a block."""
-    return run_block(scene_settings(task.scene, task.distance_m, task.receiver), task.seed)
+def _count_block(receiver: str, work: tuple[str, float, int]) -> BlockCounts:
+    """Count a block of a scene, a distance and a seed."""
+    scene, distance_m, seed = work
+    return run_block(scene_settings(scene, distance_m, receiver), seed)
 
 
 def counts_text(counts: BlockCounts) -> str:
@@ -129,7 +119,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="scenes",
         title="Hard scenes",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[
             Finding(
                 "Question: the receiver accepts no codeword that was not sent.",

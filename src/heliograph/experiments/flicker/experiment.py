@@ -26,7 +26,7 @@ from heliograph.base.arrays import Floats
 from heliograph.experiments import plots
 from heliograph.experiments.flicker import metrics
 from heliograph.experiments.flicker.metrics import MFTP_S, SVM_LIMIT, Flicker
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import transmitters
 from heliograph.measure.bench import random_messages
@@ -280,7 +280,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="flicker",
         title="Flicker of the array",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=findings(found, waves, slot_s),
         pictures=[
             (waveforms(waves, slot_s), "Light of the array over a header (shaded) and the following data."),

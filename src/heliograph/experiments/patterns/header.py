@@ -6,7 +6,15 @@ filmed at rest. A cell is read as lit if the mean luminance at the 16 LEDs excee
 
 from heliograph.experiments import plots
 from heliograph.experiments.patterns.received import led_points, luminance_at, static_frame
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, interval_text, verdict_of
+from heliograph.experiments.report import (
+    Context,
+    ExperimentResult,
+    Finding,
+    Table,
+    description,
+    interval_text,
+    verdict_of,
+)
 from heliograph.measure.statistics import Count
 from heliograph.signal.header import IDENTITIES, header_cells, header_levels
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence, periodic_correlation
@@ -16,14 +24,15 @@ DISTANCES_M = (10.0, 25.0, 50.0, 80.0, 150.0)
 
 def run(context: Context) -> ExperimentResult:
     """Film headers and read the cells."""
-    wrong = measure(range(0, IDENTITIES, 3 if context.quick else 1), context.seed)
+    identities = range(0, IDENTITIES, 3 if context.quick else 1)
+    wrong = {z: _wrong_cells(z, identities, context.seed) for z in DISTANCES_M}
     levels = header_levels(0)
     images = [levels * 63, *(static_frame(z, levels, context.seed)[0].pixels for z in DISTANCES_M[:4])]
     names = ["sent", *(f"received at {z:g} m" for z in DISTANCES_M[:4])]
     return ExperimentResult(
         key="fig7",
         title="Fig. 7: the header",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[_autocorrelation(), _received(wrong[25.0])],
         pictures=[
             (plots.image_row(images, names), "The header of identity 0; Fig. 7 of the paper has another layout.")
@@ -37,11 +46,6 @@ def run(context: Context) -> ExperimentResult:
         ],
         data={"wrong_cells": {f"{z:g} m": [c.errors, c.trials] for z, c in wrong.items()}},
     )
-
-
-def measure(identities: range, seed: int) -> dict[float, Count]:
-    """Cells read wrong, by distance in m."""
-    return {z: _wrong_cells(z, identities, seed) for z in DISTANCES_M}
 
 
 def _autocorrelation() -> Finding:

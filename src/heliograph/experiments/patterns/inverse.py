@@ -16,7 +16,7 @@ from heliograph.channel import film
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
 from heliograph.experiments.patterns.received import led_points, luminance_at
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.signal import haar
 from heliograph.signal.packet import with_inverses
 
@@ -43,7 +43,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="fig8",
         title="Fig. 8 and 9: inverted pattern and sum",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[judge(spreads)],
         pictures=[(plots.image_row(images, names, rows=2), "A data pattern, the inverse, and half the sum.")],
         tables=[

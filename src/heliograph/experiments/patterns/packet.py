@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from heliograph.experiments import plots
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, transmitters
 from heliograph.signal.settings import LAYERS
@@ -46,7 +46,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="fig5",
         title="Fig. 5: packet format",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[judge(sent)],
         pictures=[
             (plots.image_row(list(first[:10]), names, 2, 4), "The first patterns of a packet; white is level 4."),

@@ -7,7 +7,7 @@ left out unless stated.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.experiments.tracking.experiment import rates
 from heliograph.link.settings import LinkSettings, load_settings
 
@@ -75,7 +75,7 @@ def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experimen
     return ExperimentResult(
         key="tables",
         title="Tables I and II, data rates",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=judge(link),
         tables=[
             *(

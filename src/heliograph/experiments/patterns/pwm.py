@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from heliograph.channel import film
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.signal import pwm
 from heliograph.signal.settings import SignalSettings
 
@@ -32,7 +32,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="fig4",
         title="Fig. 4: pulse width modulation",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=judge(luminances),
         pictures=[(_waveforms(), "Light of an LED by level over a pattern and the inverse; orange: open shutter.")],
         tables=[Table("Luminance by level, relative to level 4", ["exposure", *map(str, LEVELS)], rows)],

@@ -17,7 +17,7 @@ from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth, film
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
-from heliograph.experiments.report import Context, ExperimentResult, Finding, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, description, verdict_of
 from heliograph.receive import Pose
 from heliograph.signal import haar
 
@@ -39,7 +39,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="fig3",
         title="Fig. 3: received image",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[judge(contrasts)],
         pictures=[
             (plots.image_row(images, names), "Camera image of the array, pixel for pixel."),

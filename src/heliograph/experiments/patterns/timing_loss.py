@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description
 from heliograph.receive.sync import combine as partial_exposure
 from heliograph.receive.sync.combine import Combination, combine_pair
 
@@ -100,7 +100,7 @@ def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experimen
     return ExperimentResult(
         key="timing-loss",
         title="Loss of an unsynchronised camera",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=[
             Finding(
                 "Question: the loss of frames across two patterns.",

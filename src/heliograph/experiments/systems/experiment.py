@@ -10,6 +10,7 @@ correlation of errors within a film.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from matplotlib.figure import Figure
 
 from heliograph.experiments import plots
 from heliograph.experiments.plots import DARK_GRAY, LAYER_COLOURS
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.experiments.systems.schemes import SCHEMES, BitCounts, ReadMethod, count_bits
 from heliograph.measure.statistics import Count
 from heliograph.sweeps.plot import legend_entries
@@ -181,7 +182,7 @@ METHODS: Mapping[str, tuple[ReadMethod, ...]] = {
 class SystemEffort:
     """Distances and bits of each scheme."""
 
-    # Bits of on-off keying at each distance; other schemes send fewer per film
+    # Bits of on-off keying at each distance
     bits: int
     distances_m: Mapping[str, Sequence[float]]
 
@@ -206,36 +207,19 @@ FULL = SystemEffort(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class SystemTask:
-    """Scheme and distance."""
-
-    scheme: str
-    distance_m: float
-    # Target of bits for each part; `ENOUGH` errors end the count earlier
-    target: int
-    seed: int
-
-
-def measure(task: SystemTask) -> BitCounts:
+def _count_scheme(bits: int, seed: int, work: tuple[str, float]) -> BitCounts:
     """Count the bits of a scheme at a distance."""
-    return count_bits(SCHEMES[task.scheme], METHODS[task.scheme], task.distance_m, task.target, task.seed)
-
-
-def tasks(effort: SystemEffort, seed: int) -> list[SystemTask]:
-    """All schemes and distances."""
-    fractions = {"ook": 1.0, "haar": 0.5, "repeat2": 0.25, "repeat4": 0.25}
-    return [
-        SystemTask(key, float(z), round(fractions[key] * effort.bits), seed)
-        for key in METHODS
-        for z in effort.distances_m[key]
-    ]
+    key, distance_m = work
+    # other schemes than on-off keying send fewer bits per film
+    target = round({"ook": 1.0, "haar": 0.5}.get(key, 0.25) * bits)
+    return count_bits(SCHEMES[key], METHODS[key], distance_m, target, seed)
 
 
 def run(context: Context, effort: SystemEffort | None = None) -> ExperimentResult:
     """Error rates before any code by distance, and ranges of all systems."""
-    todo = tasks(effort or (QUICK if context.quick else FULL), context.seed)
-    counted = context.each("other systems", measure, todo)
+    effort = effort or (QUICK if context.quick else FULL)
+    todo = [(key, float(z)) for key in METHODS for z in effort.distances_m[key]]
+    counted = context.each("other systems", partial(_count_scheme, effort.bits, context.seed), todo)
     points = {curve.name: _points(curve, todo, counted) for curve in CURVES}
     head = ("system", "bits per pattern", "error-free to", "bits read to there, bound", "BER 1e-3 at", "BER 1e-2 at")
     caption = (
@@ -245,25 +229,25 @@ def run(context: Context, effort: SystemEffort | None = None) -> ExperimentResul
     return ExperimentResult(
         key="systems",
         title="Other systems in the same channel",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=findings(points),
         pictures=[(error_rates(points), caption)],
         tables=[Table("Ranges before any code", head, [_row(curve, points[curve.name]) for curve in CURVES])],
         data={
             "systems": [_plain(curve, points[curve.name]) for curve in CURVES],
             "films": [
-                {"scheme": t.scheme, "distance_m": t.distance_m, "films": c.films, "found": c.found}
-                for t, c in zip(todo, counted, strict=True)
+                {"scheme": key, "distance_m": z, "films": bits.films, "found": bits.found}
+                for (key, z), bits in zip(todo, counted, strict=True)
             ],
         },
     )
 
 
-def _points(curve: SystemCurve, todo: Sequence[SystemTask], counted: Sequence[BitCounts]) -> Points:
+def _points(curve: SystemCurve, todo: Sequence[tuple[str, float]], counted: Sequence[BitCounts]) -> Points:
     counts = [
-        (task.distance_m, bits.counts.get((curve.method, curve.part), Count()))
-        for task, bits in zip(todo, counted, strict=True)
-        if task.scheme == curve.scheme
+        (z, bits.counts.get((curve.method, curve.part), Count()))
+        for (key, z), bits in zip(todo, counted, strict=True)
+        if key == curve.scheme
     ]
     return sorted(counts, key=lambda pair: pair[0])
 

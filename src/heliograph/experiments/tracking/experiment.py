@@ -31,7 +31,7 @@ from matplotlib.figure import Figure
 
 from heliograph.base.arrays import Floats
 from heliograph.experiments import plots
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.experiments.tracking.runs import KNOWN, OURS, TRACKERS, TrackingFilm, TrackingRun, run_trackers
 from heliograph.experiments.tracking.trackers import known_leds
 from heliograph.link.settings import load_settings
@@ -292,7 +292,7 @@ def run(context: Context) -> ExperimentResult:
     return ExperimentResult(
         key="fig11",
         title="Fig. 11 and 12: tracking",
-        text=__doc__ or "",
+        text=description(__doc__),
         findings=findings(table, dark, full=not context.quick),
         pictures=pictures(runs),
         tables=tables(table),

@@ -46,7 +46,8 @@ TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
 Pair = tuple[Frame, Frame, ArrayTruth, ArrayTruth]
 """Two successive frames, and the truth of the array in both."""
 
-Triple = tuple[float, float, float]
+Error = tuple[float, float, float]
+"""Errors of x and y in px, and relative error of the pitch."""
 
 Cut = tuple[float, tuple[Floats, Floats]]
 """Time, and the sum cut out at the first pose and at the tracked pose."""
@@ -69,9 +70,8 @@ class TrackingRun:
     """Errors of the trackers in a film, by pair of frames."""
 
     name: str
-    # (n,) time in s, true distance in m and true side of the array in px
+    # (n,) time in s, and true side of the array in px
     times_s: Floats
-    distance_m: Floats
     side_px: Floats
     # (n,) number of the packet
     packet: NDArray[np.int64]
@@ -99,10 +99,10 @@ def run_trackers(job: TrackingFilm) -> TrackingRun:
     others = [name for name in TRACKERS if name != KNOWN]
     rows, errors, cuts = _follow(settings, found, chain(held, pairs), others, cut_frames)
     errors |= _follow(settings, found, _pairs(_known_film(job, recordings)), [KNOWN])[1]
-    times, distance, pitch = np.array(rows).T
+    times, pitch = np.array(rows).T
     packet = np.floor(times / settings.signal.packet_s + 1e-6).astype(np.int64)
     arrays = {name: np.array(errors[name]) for name in TRACKERS}
-    return TrackingRun(job.name, times, distance, settings.signal.side * pitch, packet, arrays, cuts)
+    return TrackingRun(job.name, times, settings.signal.side * pitch, packet, arrays, cuts)
 
 
 def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Frame, Truth]]:
@@ -144,24 +144,22 @@ def _follow(
     pairs: Iterable[Pair],
     names: Sequence[str],
     cut_frames: Sequence[int] = (),
-) -> tuple[list[Triple], dict[str, list[Triple]], list[Cut]]:
+) -> tuple[list[tuple[float, float]], dict[str, list[Error]], list[Cut]]:
     """Start trackers at the last pair of the detected header, and follow the array.
 
-    Returns time, distance and pitch of each pair, errors by tracker, and the sums of the first pairs from `cut_frames`
+    Returns time and pitch of each pair, errors by tracker, and the sums of the first pairs from `cut_frames`
     on, cut out twice as wide as the array.
     """
     signal, frames = settings.signal, list(cut_frames)
     followers = {name: TRACKERS[name](settings) for name in names}
-    poses, rows, cuts = dict[str, Pose](), list[Triple](), list[Cut]()
-    errors: dict[str, list[Triple]] = {name: [] for name in names}
+    poses, rows, cuts = dict[str, Pose](), list[tuple[float, float]](), list[Cut]()
+    errors: dict[str, list[Error]] = {name: [] for name in names}
     started = False
     for pattern, inverted, true, later in pairs:
         since = pattern.time_s - found.start_time_s
         if started:
-            x, y, pitch, distance = (
-                0.5 * (getattr(true, name) + getattr(later, name)) for name in ("x", "y", "pitch_px", "distance_m")
-            )
-            rows.append((pattern.time_s, distance, pitch))
+            x, y, pitch = (0.5 * (getattr(true, n) + getattr(later, n)) for n in ("x", "y", "pitch_px"))
+            rows.append((pattern.time_s, pitch))
             for name, follower in followers.items():
                 pose = poses[name] = follower.update(pattern, inverted)
                 relative = pose.pitch / pitch - 1 if follower.sized else np.nan
