@@ -68,7 +68,7 @@ def test_the_page_has_pictures_and_messages_of_both_arrays(two: tuple[Path, Demo
     assert page.count("Signal ahead: red for 12 s. Prepare to stop.") == 2
     assert page.count("Tram 4 crosses") == 6
     assert "rms error of position" in page
-    assert "Codewords taken for right that were not sent: 0." in page
+    assert "Accepted codewords that were not sent: 0." in page
 
 
 def test_the_messages_are_files_as_well(two: tuple[Path, Demonstration]) -> None:
@@ -88,7 +88,7 @@ def test_nothing_to_see_is_a_report_as_well(tmp_path: Path) -> None:
     assert made.ending is None
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "No message is complete." in page
-    assert "No packet was received, and none was filmed whole." in page
+    assert "No packet was received, and none was completely filmed." in page
 
 
 def test_missed_packets_are_a_report_as_well(tmp_path: Path) -> None:
@@ -126,9 +126,9 @@ def test_no_error_is_drawn_as_a_bound_of_three_by_n() -> None:
     layers = {"high": LayerCounts(bits=6000), "middle": LayerCounts(), "low": LayerCounts(bits=1000, bit_errors=10)}
     after = plots.errors_by_distance({50.0: layers}).axes[1]
     points = [(float(x), float(y)) for line in after.lines for x, y in np.array(line.get_xydata())]
-    # layers are drawn with a small offset
-    assert (52.5 - plots.ASIDE_M, 3 / 6000) in points
-    assert (52.5 + plots.ASIDE_M, 0.01) in points
+    # each layer is drawn a little aside
+    assert (52.5 - 0.7, 3 / 6000) in points
+    assert (52.5 + 0.7, 0.01) in points
 
 
 def test_the_page_opens_with_what_moves_and_lists_its_sections(two: tuple[Path, Demonstration]) -> None:
@@ -140,7 +140,7 @@ def test_the_page_opens_with_what_moves_and_lists_its_sections(two: tuple[Path, 
     assert page.index("data:image/webp") < page.index("data:image/png") < page.index("<table")
     headings = re.findall(r"<h2 id=(part-\d+)>([^<]*)</h2>", page)
     assert re.findall(r"<a href=#(part-\d+)>([^<]*)</a>", page) == headings
-    assert '<span class="badge good">taken for right, but not sent: 0</span>' in page
+    assert '<span class="badge good">accepted, but not sent: 0</span>' in page
 
 
 def test_the_lights_are_counted_down_on_the_page(two: tuple[Path, Demonstration]) -> None:

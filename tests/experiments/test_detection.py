@@ -12,7 +12,7 @@ from heliograph.base.frames import Frame
 from heliograph.channel import Placement
 from heliograph.experiments.detection import ablation, trials
 from heliograph.experiments.detection import experiment as detection
-from heliograph.experiments.detection.ablation import VARIANTS, DetectionScores, VariantDetector
+from heliograph.experiments.detection.ablation import VARIANTS, VariantDetector
 from heliograph.experiments.detection.clutter import (
     FRAMES,
     SIZE,
@@ -24,7 +24,7 @@ from heliograph.experiments.detection.clutter import (
 )
 from heliograph.experiments.detection.experiment import compared, ingredients
 from heliograph.experiments.detection.identities import confusion, identities_seen, small_camera
-from heliograph.experiments.detection.trials import DetectionEffort, DetectionTrials
+from heliograph.experiments.detection.trials import DetectionEffort, DetectionScores, DetectionTrials
 from heliograph.experiments.report import Context, ExperimentResult
 from heliograph.measure.statistics import Count
 from heliograph.media import create_film
@@ -66,35 +66,35 @@ def measured() -> DetectionTrials:
 def test_m_sequence_dominates_at_equal_false_alarms(measured: DetectionTrials) -> None:
     all_on, sequence = measured.scores[VARIANTS[0].name], measured.scores[VARIANTS[3].name]
     assert sequence.all_false().max() < all_on.all_false().max()
-    for distance in trials.DISTANCES:
+    for distance in trials.DISTANCES_M:
         for share in (0.0, 0.2, 0.5):
-            ours, theirs = (trials.found_at(one, distance, share) for one in (sequence, all_on))
+            ours, theirs = (one.found_at(distance, share) for one in (sequence, all_on))
             assert ours.trials == theirs.trials == 2
             assert ours.errors >= theirs.errors
-    assert trials.false_alarms(all_on).errors > trials.false_alarms(sequence).errors
+    assert all_on.false_alarms().errors > sequence.false_alarms().errors
 
 
 def test_films_are_counted_once_by_each_way(measured: DetectionTrials) -> None:
     for variant in VARIANTS:
-        assert measured.scores[variant.name].all_false().size == 2 * trials.LAMP_FILMS + 2
-        assert [measured.scores[variant.name].all_true(z).size for z in trials.DISTANCES] == [2, 2, 2]
-    assert {scene: count.trials for scene, count in measured.receiver_false.items()} == {"lamps": 6, "drawn scene": 2}
-    assert measured.set_false().trials == 8
-    assert [measured.set_found(z, ["lamps"]).trials for z in trials.DISTANCES] == [1, 1, 1]
+        assert measured.scores[variant.name].all_false().size == 2 * 3 + 2
+        assert [measured.scores[variant.name].all_true(z).size for z in trials.DISTANCES_M] == [2, 2, 2]
+    receiver = measured.scores[trials.RECEIVER]
+    assert {scene: len(found) for scene, found in receiver.false.items()} == {"lamps": 6, "drawn scene": 2}
+    assert receiver.false_alarms().trials == 8
+    assert [receiver.found(scenes=["lamps"], distance_m=z).trials for z in trials.DISTANCES_M] == [1, 1, 1]
     assert measured.example is not None
 
 
-def test_results_do_not_depend_on_how_films_are_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_do_not_depend_on_how_films_are_handed_out() -> None:
     scenes, effort = {"drawn scene": drawn_backdrop}, DetectionEffort(1, 0, 4, 1)
     whole = trials.measure(scenes, effort, None, Context())
-    monkeypatch.setattr(trials, "BATCH", 1)
-    assert trials.measure(scenes, effort, None, Context(workers=2)).scores == whole.scores
+    assert trials.measure(scenes, effort, None, Context(workers=2), batch_size=1).scores == whole.scores
 
 
 def test_lamps_are_judged_apart_from_what_is_filmed() -> None:
     scenes = {"clip": 40, "drawn scene": 40, "lamps": 120}
     false = {scene: [0.0] * films for scene, films in scenes.items()}
-    true = {(scene, z): [0.99] for scene in scenes for z in trials.DISTANCES}
+    true = {(scene, z): [0.99] for scene in scenes for z in trials.DISTANCES_M}
     alarms = false | {"lamps": [0.95] * 60 + [0.0] * 60}
     counts = DetectionTrials(
         {variant.name: DetectionScores(alarms if variant.detector == "all_on" else false, true) for variant in VARIANTS}

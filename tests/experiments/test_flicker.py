@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from heliograph.experiments.flicker import experiment, metrics
 from heliograph.experiments.flicker import experiment as signals
 from heliograph.experiments.flicker import experiment as verdicts
+from heliograph.experiments.flicker.experiment import Signal
 from heliograph.experiments.flicker.metrics import Spectrum
 from heliograph.experiments.report import Context
 
@@ -72,20 +73,20 @@ def test_flickering_period_of_known_lights() -> None:
 
 @pytest.fixture(scope="module")
 def waves() -> dict[str, NDArray[np.float64]]:
-    return {name: signals.wave(name, 0.5) for name in signals.SIGNALS}
+    return {name: signals.wave(name, 0.5) for name in Signal}
 
 
 def test_pairs_keep_the_mean_of_2_ms(waves: dict[str, NDArray[np.float64]]) -> None:
-    for name in (signals.PAIRS, signals.ALL_ON, signals.ORDERED):
+    for name in (Signal.PAIRS, Signal.ALL_ON, Signal.ORDERED):
         assert np.allclose(signals.pair_means(waves[name]), 0.5, atol=1e-12)
         assert metrics.measure(waves[name], SLOT_S).period_s <= 2e-3 + 1e-12
-    assert np.ptp(signals.pair_means(waves[signals.BARE])) > 0.01
-    assert metrics.measure(waves[signals.BARE], SLOT_S).period_s > metrics.MFTP_S
+    assert np.ptp(signals.pair_means(waves[Signal.BARE])) > 0.01
+    assert metrics.measure(waves[Signal.BARE], SLOT_S).period_s > metrics.MFTP_S
 
 
 def test_the_single_mode_is_as_even_as_pairs(waves: dict[str, NDArray[np.float64]]) -> None:
-    single, pairs, bare = (metrics.measure(waves[n], SLOT_S) for n in (signals.SINGLE, signals.PAIRS, signals.BARE))
-    # uncoded light exceeds the limit below 90 Hz
+    single, pairs, bare = (metrics.measure(waves[n], SLOT_S) for n in (Signal.SINGLE, Signal.PAIRS, Signal.BARE))
+    # light not balanced by coding breaks the limit below 90 Hz
     assert bare.slow_limit_share > 1
     assert single.slow_percent < pairs.slow_percent
     assert single.slow_limit_share < pairs.slow_limit_share
@@ -95,8 +96,8 @@ def test_the_single_mode_is_as_even_as_pairs(waves: dict[str, NDArray[np.float64
 
 
 def test_all_on_headers_break_what_m_sequences_keep(waves: dict[str, NDArray[np.float64]]) -> None:
-    header, all_on = (metrics.measure(waves[name], SLOT_S) for name in (signals.HEADER, signals.ALL_ON_HEADER))
-    assert np.ptp(waves[signals.HEADER]) == 0
+    header, all_on = (metrics.measure(waves[name], SLOT_S) for name in (Signal.HEADER, Signal.ALL_ON_HEADER))
+    assert np.ptp(waves[Signal.HEADER]) == 0
     assert header.percent == 0
     assert header.svm == pytest.approx(0, abs=1e-9)
     assert all_on.percent == 100
@@ -117,7 +118,7 @@ def test_limits_are_judged_by_the_spread_of_the_stretches() -> None:
 def test_the_result_judges_by_its_numbers() -> None:
     done = experiment.run(Context())
     verdicts = [finding.verdict for finding in done.findings]
-    numbers = done.data[signals.PAIRS]
+    numbers = done.data[Signal.PAIRS]
     assert len(numbers["svm"]) == signals.STRETCHES
     assert np.ptp(numbers["svm"]) > 0  # random data differ between stretches
     low, high = ([np.quantile(numbers[name], q) for name in ("svm", "limit_share")] for q in (0.05, 0.95))

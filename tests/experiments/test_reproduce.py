@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -46,7 +47,7 @@ def test_report_pictures_and_data(tmp_path: Path) -> None:
     assert (tmp_path / "fig5-1.png").read_bytes().startswith(b"\x89PNG")
     findings = json.loads((tmp_path / "tables.json").read_text())["findings"]
     assert {f["verdict"] for f in findings} <= {"holds", "differs", "shown"}
-    assert all(f["claim"] in page.replace("&#x27;", "'").replace("&quot;", '"') for f in findings)
+    assert all(f["claim"] in unescape(page) for f in findings)
     assert not list(tmp_path.glob(".*"))
     again = CliRunner().invoke(app, ["reproduce", "fig5", "table1", "--quick", "--output", str(tmp_path)])
     assert "2 of 2 experiments were done before" in again.output

@@ -92,12 +92,9 @@ def test_ranges() -> None:
 
 
 @pytest.mark.slow
-def test_result(monkeypatch: pytest.MonkeyPatch, short_films: None) -> None:
-    monkeypatch.setattr(experiment, "QUICK_BITS", 500)
-    monkeypatch.setattr(
-        experiment, "QUICK_M", {"ook": (40, 50, 60), "haar": (60,), "repeat2": (100,), "repeat4": (150,)}
-    )
-    result = experiment.run(Context())
+def test_result(short_films: None) -> None:
+    places = {"ook": (40, 50, 60), "haar": (60,), "repeat2": (100,), "repeat4": (150,)}
+    result = experiment.run(Context(), experiment.SystemEffort(500, places))
     assert result.key == "systems"
     assert len(result.pictures) == 1
     assert result.findings[0].verdict == "holds"

@@ -11,7 +11,6 @@ from heliograph.experiments.report import Finding
 from heliograph.experiments.tracking import experiment as tracking
 from heliograph.experiments.tracking.experiment import (
     BACKGROUND,
-    OURS,
     TrackingScore,
     findings,
     pictures,
@@ -20,7 +19,7 @@ from heliograph.experiments.tracking.experiment import (
     score,
     scores,
 )
-from heliograph.experiments.tracking.runs import KNOWN, TRACKERS, TrackingFilm, TrackingRun, run_trackers
+from heliograph.experiments.tracking.runs import KNOWN, OURS, TRACKERS, TrackingFilm, TrackingRun, run_trackers
 from heliograph.experiments.tracking.trackers import GROWTH, KNOWN_SPREAD, KnownPattern, known_leds, known_light
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.receive import Pose
@@ -128,7 +127,7 @@ def test_scores_of_known_errors() -> None:
     errors = np.column_stack([np.full(n, 0.3), np.full(n, 0.4), np.full(n, np.nan)])
     errors[0, :2] = 20.0, 0.0
     times = np.linspace(0, 2e-3 * (n - 1), n)
-    run = TrackingRun("film", times, np.full(n, 50.0), np.full(n, 18.0), (times / 0.1 + 1e-6).astype(np.int64), {})
+    run = TrackingRun("film", times, np.full(n, 18.0), (times / 0.1 + 1e-6).astype(np.int64), {})
     found = score(run, errors)
     assert (found.pairs, found.near, found.lost, found.pitch) == (n, 0, 1, None)
     assert found.rms_px == pytest.approx(np.sqrt((199 * 0.25 + 400) / 200))
@@ -176,7 +175,7 @@ def test_verdicts_follow_the_numbers(start: str, change: dict[str, TrackingScore
 
 def test_a_part_of_the_drive_tells_nothing_against_fig_11() -> None:
     (part,) = (
-        f for f in findings(fake(day_none=GOOD), {"at night": {DARK: [DAY]}}, whole=False) if "Fig. 11" in f.claim
+        f for f in findings(fake(day_none=GOOD), {"at night": {DARK: [DAY]}}, full=False) if "Fig. 11" in f.claim
     )
     assert part.verdict == "shown"
     assert DAY in part.why

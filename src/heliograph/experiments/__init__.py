@@ -1,1 +1,1 @@
-"""Experiments with the link, and reports of them."""
+"""Experiments on the link, with a report."""

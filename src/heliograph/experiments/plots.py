@@ -1,8 +1,11 @@
-"""Colours and pictures that several experiments share."""
+"""Style, colours and plots that several experiments share."""
 
+import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,116 +17,114 @@ from heliograph.measure.statistics import Count
 from heliograph.signal.settings import LAYERS
 from heliograph.sweeps.plot import ARROW, BOUND, legend_entries
 
-BLUE, ORANGE, GREEN, PINK, PURPLE = "#1b6ca8", "#d1741f", "#5b8c3a", "#b5446e", "#6b4fa0"
-VIOLET, RED = "#8e44ad", "#c0392b"
-BLACK, DARK_GRAY, GRAY, MIDDLE_GRAY = "#1d2126", "#4a5056", "#8a929b", "#9aa1a8"
-LIGHT_GRAY, PALE_GRAY = "#c9ced6", "#eef0f2"
-ASIDE_M = 0.7
-"""Distance in m by which layers are drawn beside each other."""
+BLUE, ORANGE, GREEN, RED = "#1b6ca8", "#d1741f", "#5b8c3a", "#c0392b"
+DARK_GRAY, GRAY = "#4a5056", "#8a929b"
 
-MARK = "#ff6b35"
-"""Colour that marks a place in an image."""
+LAYER_COLOURS = dict(zip(LAYERS, (BLUE, ORANGE, GREEN), strict=True))
 
-LAYER_COLOURS = {"high": BLUE, "middle": ORANGE, "low": GREEN}
-"""Colour of each layer."""
+styled = mpl.rc_context(fname=Path(__file__).with_name("plots.mplstyle"))
+"""Decorator of functions that draw or save a figure in the common style."""
 
 
 def tidy(axes: Axes) -> None:
-    """Take the upper and the right line of the frame off, and draw a pale grid."""
+    """Remove the upper and right spine of axes drawn in another style, and add the grid."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.25, lw=0.6)
 
 
+@styled
+def figure_png(figure: Figure) -> bytes:
+    """PNG file of a figure."""
+    out = io.BytesIO()
+    figure.savefig(out, format="png")
+    return out.getvalue()
+
+
+def legend_below(figure: Figure) -> None:
+    """Draw a common legend below all axes of a figure."""
+    handles = {label: handle for axes in figure.axes for handle, label in zip(*legend_entries(axes), strict=True)}
+    figure.set_layout_engine("tight", rect=(0, 0.36 / figure.get_figheight(), 1, 1))
+    if handles:
+        figure.legend(list(handles.values()), list(handles), ncols=len(handles), loc="lower center")
+
+
+@styled
 def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int = 1, largest: float = 255) -> Figure:
     """Gray images side by side, each with a title."""
     columns = -(-len(images) // rows)
     figure = Figure(figsize=(min(2.0 * columns, 12), 2.3 * rows))
-    for k, (image, title) in enumerate(zip(images, titles, strict=True)):
-        axes = figure.add_subplot(rows, columns, k + 1)
-        axes.imshow(image, cmap="gray", vmin=0, vmax=largest, interpolation="nearest")
-        axes.set_title(title, fontsize=9)
+    for k, (image, title) in enumerate(zip(images, titles, strict=True), 1):
+        axes = figure.add_subplot(rows, columns, k, title=title)
+        axes.imshow(image, vmin=0, vmax=largest)
         axes.set_axis_off()
-    figure.tight_layout(pad=0.4)
     return figure
 
 
+@styled
 def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, title: str, largest: float = 255) -> Figure:
-    """A whole frame, the array marked, and the array enlarged beside it."""
+    """Frame with the array marked, and an enlarged view of the array."""
     figure = Figure(figsize=(12, 3.6))
-    whole, near = figure.subplots(1, 2, width_ratios=(2.2, 1))
-    whole.imshow(pixels, cmap="gray", vmin=0, vmax=largest)
-    for axes in (whole, near):
-        axes.set_xticks([])
-        axes.set_yticks([])
-    box_x = [x - half, x + half, x + half, x - half, x - half]
-    whole.plot(box_x, [y - half, y - half, y + half, y + half, y - half], color=MARK, lw=1)
-    near.imshow(pixels, cmap="gray", vmin=0, vmax=largest, interpolation="nearest")
-    near.set_xlim(x - half, x + half)
-    near.set_ylim(y + half, y - half)
-    whole.set_title(title, fontsize=10)
-    near.set_title("the array", fontsize=10)
-    figure.tight_layout()
+    frame, detail = figure.subplots(1, 2, width_ratios=(2.2, 1), subplot_kw={"xticks": [], "yticks": []})
+    for axes in (frame, detail):
+        axes.imshow(pixels, vmin=0, vmax=largest)
+    mark_square(frame, x, y, half)
+    frame.set_title(title)
+    detail.set(xlim=(x - half, x + half), ylim=(y + half, y - half), title="the array")
     return figure
 
 
+def mark_square(axes: Axes, x: float, y: float, half: float) -> None:
+    """Outline a square of an image."""
+    corners = half * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
+    axes.plot(x + corners[0], y + corners[1], color="#ff6b35", lw=1)
+
+
+@styled
 def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping[str, NDArray[Any]]) -> Figure:
-    """Position and distance over time, found and true, and the errors of position."""
+    """Estimated and true position and distance over time, and position errors."""
     figure = Figure(figsize=(12, 6))
     axes = figure.subplots(2, 2, sharex=True)
     panels = (("x", "x (px)"), ("y", "y (px)"), ("distance_m", "distance (m)"))
-    for (name, label), place in zip(panels, axes.flat, strict=False):
-        place.plot(times, truth[name], color="#cdd3da", lw=5, label="true")
-        place.plot(times, found[name], color=BLUE, lw=1, label="found")
-        place.set_ylabel(label)
-    axes[0, 0].legend(frameon=False)
-    for name, colour in (("x", BLUE), ("y", ORANGE)):
-        axes[1, 1].plot(times, found[name] - truth[name], color=colour, lw=0.6, label=f"error of {name}")
-    axes[1, 1].set_ylabel("error (px)")
-    axes[1, 1].set_ylim(-0.3, 0.3)
-    axes[1, 1].legend(frameon=False, ncols=2)
-    for place in axes[1]:
-        place.set_xlabel("time (s)")
-    _tidy_all(figure)
+    for (name, label), panel in zip(panels, axes.flat, strict=False):
+        panel.plot(times, truth[name], color="lightgray", lw=5, label="true")
+        panel.plot(times, found[name], color=BLUE, lw=1, label="found")
+        panel.set_ylabel(label)
+    for name in ("x", "y"):
+        axes[1, 1].plot(times, found[name] - truth[name], lw=0.6, label=f"error of {name}")
+    axes[1, 1].set(ylabel="error (px)", ylim=(-0.3, 0.3))
+    for panel in (axes[0, 0], axes[1, 1]):
+        panel.legend(ncols=2)
+    for panel in axes[1]:
+        panel.set_xlabel("time (s)")
     return figure
 
 
-def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]]) -> Figure:
-    """Bit error rate before and after the turbo code, by layer; no error counted is an arrow at its upper bound."""
+@styled
+def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]], offset_m: float = 0.7) -> Figure:
+    """Bit error rates before and after the turbo code, with the layers `offset_m` apart in distance."""
     figure = Figure(figsize=(12, 4.2))
     for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "decoded_bits"), ("before", "after"), strict=True):
         for k, name in enumerate(LAYERS):
-            # a little aside, so that no bar hides another
             counts = [
-                (start + BIN_M / 2 + ASIDE_M * (k - 1), getattr(layers[name], kind)) for start, layers in bins.items()
+                (start + BIN_M / 2 + offset_m * (k - 1), getattr(layers[name], kind)) for start, layers in bins.items()
             ]
-            style = {"color": LAYER_COLOURS[name], "ms": 5, "lw": 1.8, "elinewidth": 1.2, "capsize": 3}
-            draw_rates(axes, counts, name, **style)
-        axes.set_yscale("log")
-        axes.set_ylim(1e-5, 1)
-        axes.set_xlabel("distance (m)")
-        axes.set_ylabel("bit error rate")
-        axes.set_title(f"{title} the turbo code", fontsize=10)
-        if axes.get_legend_handles_labels()[0]:  # nothing received: no bit counted
-            axes.legend(*legend_entries(axes), frameon=False)
-    _tidy_all(figure)
+            draw_rates(axes, counts, name, color=LAYER_COLOURS[name], ms=5, lw=1.8, elinewidth=1.2, capsize=3)
+        axes.set(yscale="log", ylim=(1e-5, 1), xlabel="distance (m)", ylabel="bit error rate")
+        axes.set_title(f"{title} the turbo code")
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(*legend_entries(axes))
     return figure
 
 
 def draw_rates(axes: Axes, counts: Sequence[tuple[float, Count]], label: str, **style: Any) -> None:
-    """Draw error rates: those measured with 95 % intervals and a line, bounds as arrows that no line joins."""
+    """Draw measured error rates with 95 % intervals, joined by a line, and upper bounds as arrows."""
     counts = [(z, count) for z, count in counts if count.trials]
     if not counts:
         return
     style = {"marker": "o", "label": label} | style
-    met = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
-    z, rate, low, high = np.array(met).reshape(-1, 4).T
+    measured = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
+    z, rate, low, high = np.array(measured).reshape(-1, 4).T
     axes.errorbar(z, rate, (rate - low, high - rate), **style)
-    if free := [(z, c.bound) for z, c in counts if not c.errors]:
-        z, bound = np.array(free).T
+    if bounds := [(z, c.bound) for z, c in counts if not c.errors]:
+        z, bound = np.array(bounds).T
         axes.plot(z, bound, color=style["color"], marker=ARROW, ms=8, ls="none", alpha=0.7, gid=BOUND)
-
-
-def _tidy_all(figure: Figure) -> None:
-    for axes in figure.axes:
-        tidy(axes)
-    figure.tight_layout()

@@ -1,1 +1,1 @@
-"""Predicted error probabilities and distances beside the truth, and the receiver beside one with the true channel."""
+"""Calibration of the soft receiver, and the loss by channel estimation."""

@@ -1,1 +1,1 @@
-"""The demonstration: a drive filmed, received and shown."""
+"""Demonstration: a simulated and received drive with a report."""

@@ -1,4 +1,4 @@
-"""The demonstration in motion: the tracked array beside the picture that grows, and the light's seconds."""
+"""Animation of the demonstration: the tracked array, the received picture and the countdown of the signals."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -12,67 +12,78 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.measure.journal import message_row
 from heliograph.receive import Packet, Pose
-from heliograph.receive.events import DetectEvent, Event, ExtractEvent
+from heliograph.receive.events import DetectEvent, Event, ExtractEvent, TrackEvent
 from heliograph.road.countdown import Countdown
 from heliograph.signal.message import Message
 
-WIDTH, HEIGHT = 640, 304
-CUT = (12, 12, 240)
-"""Left, top and side of the array's place in px."""
-
-RATE_HZ = 10
-"""Frames a second: one for each packet of the reference link."""
-
+Rgb = NDArray[np.uint8]
 Colour = tuple[int, int, int]
+
 PALE: Colour = (201, 206, 214)
 DIM: Colour = (110, 118, 128)
-LIGHTS: Mapping[str, Colour] = {
-    "red": (235, 64, 52), "red-yellow": (245, 140, 40), "yellow": (245, 200, 60), "flashing": (245, 200, 60),
-    "green": (70, 190, 100), "green-free": (70, 190, 100),
-}  # fmt: skip
-"""Red, green and blue of what a light shows."""
 
-Rgb = NDArray[np.uint8]
+LIGHTS: Mapping[str, Colour] = {
+    "red": (220, 60, 48), "red-yellow": (230, 135, 40), "yellow": (235, 185, 50), "flashing": (235, 185, 50),
+    "green": (55, 170, 85), "green-free": (55, 170, 85),
+}  # fmt: skip
+"""Colour of each signal phase."""
+
+CUT_PX = 240
+"""Side of the cut-out of the array."""
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What is shown after a packet."""
+    """State after a packet."""
 
-    # (h, w) uint8: the array as the camera saw it, cut out where it was tracked; None where it was not
+    # (h, w) cut-out of the tracked array; None if it was not tracked
     cut: NDArray[np.uint8] | None
-    # The newest picture received, as a file; None before the first
+    # File of the best received picture
     picture: bytes | None
-    # Distance of the array in m
     distance_m: float
-    # Codewords read and sent of each layer, by name
+    # Read and sent codewords by layer
     layers: Mapping[str, tuple[int, int]]
-    # Phase and seconds left of each signal group, of `Countdown`
+    # Phase and remaining seconds of each signal group, from `Countdown`
     lights: Sequence[Mapping[str, Any]]
 
 
 @dataclass(slots=True)
-class Filmed:
-    """Observer of the receiver that keeps a moment for each packet of the array that was found first."""
+class DriveRecorder:
+    """Observer that records the array detected first."""
 
-    # Number of that array, 0 to 29; None before it is found
+    # Numbers of the frames at which pairs are kept
+    cut_frames: list[int]
+    # Identity of the array
     identity: int | None = None
-    # What is shown, packet by packet
+    # Time in s, number of the first frame and pose of each pair
+    track: list[tuple[float, int, Pose]] = field(default_factory=list)
+    # Number of the first frame, pose and frames of each kept pair
+    cuts: list[tuple[int, Pose, Frame, Frame]] = field(default_factory=list)
+    # State after each packet
     moments: list[Moment] = field(default_factory=list)
     _seen: tuple[Pose, Frame] | None = None
     _picture: bytes | None = None
     _lights: Countdown = field(default_factory=Countdown)
 
     def __call__(self, event: Event) -> None:
-        """Take an event."""
+        """Record an event."""
         if isinstance(event, DetectEvent) and self.identity is None:
             self.identity = event.detection.identity
-        # combined frames show the array's surroundings alone
-        if isinstance(event, ExtractEvent) and event.identity == self.identity and isinstance(event.frames[0], Frame):
-            self._seen = event.poses[0], event.frames[0]
+        elif isinstance(event, TrackEvent) and event.identity == self.identity:
+            state = event.tracked.state
+            self.track.append((state.time_s, event.frame, state.pose))
+        elif isinstance(event, ExtractEvent) and event.identity == self.identity:
+            pattern, inverted = event.frames
+            # combined frames are sections of the image
+            if not isinstance(pattern, Frame) or not isinstance(inverted, Frame):
+                return
+            self._seen = event.poses[0], pattern
+            if self.cut_frames and pattern.index >= self.cut_frames[0]:
+                self.cut_frames.pop(0)
+                self.cuts.append((pattern.index, event.poses[0], pattern, inverted))
 
-    def packet(self, packet: Packet, messages: Sequence[Message]) -> None:
-        """Take a packet and the messages that it completes; those of other arrays are passed over."""
+    def add_packet(self, packet: Packet, messages: Sequence[Message]) -> None:
+        """Record a packet of the array, and the messages completed by the packet."""
         if packet.identity != self.identity:
             return
         for message in messages:
@@ -89,35 +100,30 @@ class Filmed:
 
 
 def is_picture(data: bytes) -> bool:
-    """Whether a message is a picture: PNG or WebP."""
+    """True for a PNG or WebP file."""
     return data.startswith(b"\x89PNG") or (data.startswith(b"RIFF") and data[8:12] == b"WEBP")
 
 
 def pixels_of(data: bytes) -> Rgb | None:
-    """Return a picture's pixels, (height, width, 3) uint8 red, green, blue; None where it is damaged."""
-    found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    return None if found is None else np.asarray(found[..., ::-1], np.uint8)
+    """Pixels of a picture file, (height, width, 3) uint8 red, green, blue; None for a damaged file."""
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    return None if pixels is None else np.asarray(pixels[..., ::-1], np.uint8)
 
 
 def cut_out_of(pose: Pose, frame: Frame) -> NDArray[np.uint8]:
-    """Return the array and its surroundings, always as large, with the camera's own pixels."""
-    side = CUT[2]
-    # side of what is cut out, in pitches of the array, which has 16
-    scale = side / (22.0 * pose.pitch)
+    """Array and surroundings, 22 pitches wide, scaled to a fixed size with no interpolation."""
+    scale = CUT_PX / (22.0 * pose.pitch)
     x, y = pose.x - frame.origin[0], pose.y - frame.origin[1]
-    place = np.array([[scale, 0, side / 2 - scale * x], [0, scale, side / 2 - scale * y]])
+    place = np.array([[scale, 0, CUT_PX / 2 - scale * x], [0, scale, CUT_PX / 2 - scale * y]])
     pixels = (frame.pixels.astype(np.float32) * (255 / frame.full_scale)).astype(np.uint8)
-    return np.asarray(cv2.warpAffine(pixels, place, (side, side), flags=cv2.INTER_NEAREST), np.uint8)
+    return np.asarray(cv2.warpAffine(pixels, place, (CUT_PX, CUT_PX), flags=cv2.INTER_NEAREST), np.uint8)
 
 
 def drawn(moment: Moment) -> Rgb:
-    """Return a moment as an image, (304, 640, 3) uint8 red, green, blue."""
-    image = np.empty((HEIGHT, WIDTH, 3), np.uint8)
-    image[:] = (24, 27, 32)
-    left, top, side = CUT
+    """Image of a moment, (304, 640, 3) uint8 red, green, blue."""
+    image = np.full((304, 640, 3), (24, 27, 32), np.uint8)
     if moment.cut is not None:
-        image[top : top + side, left : left + side] = moment.cut[..., None]
-    # left, top, width and height of the picture's place in px
+        image[12 : 12 + CUT_PX, 12 : 12 + CUT_PX] = moment.cut[..., None]
     x, y, width, height = (268, 12, 360, 240)
     picture = pixels_of(moment.picture) if moment.picture else None
     if picture is None:
@@ -125,11 +131,11 @@ def drawn(moment: Moment) -> Rgb:
         _write(image, "the picture comes with the low layer", (x + 46, y + 124), DIM)
     else:
         image[y : y + height, x : x + width] = cv2.resize(picture, (width, height), interpolation=cv2.INTER_NEAREST)
-    _write(image, f"{moment.distance_m:.0f} m", (left, 286), PALE, 0.7)
+    _write(image, f"{moment.distance_m:.0f} m", (12, 286), PALE, 0.7)
     for k, (name, (read, sent)) in enumerate(moment.layers.items()):
-        _write(image, f"{name} {read}/{sent}", (left + 90, 266 + 15 * k), PALE if read == sent else DIM, 0.38)
+        _write(image, f"{name} {read}/{sent}", (102, 266 + 15 * k), PALE if read == sent else DIM, 0.38)
     for k, group in enumerate(moment.lights[:2]):
-        at = 268 + 180 * k
+        at = x + 180 * k
         cv2.circle(image, (at + 12, 279), 10, LIGHTS.get(group["phase"], DIM), -1, cv2.LINE_AA)
         left_s = "" if group["left_s"] is None else f"{max(group['left_s'], 0):.0f} s"
         _write(image, f"{group['phase']} {left_s}", (at + 30, 284), PALE, 0.55)
@@ -137,19 +143,20 @@ def drawn(moment: Moment) -> Rgb:
 
 
 def animated(moments: Sequence[Moment]) -> bytes:
-    """Return moments as an animated WebP that runs again and again; empty without any."""
+    """Animated WebP of moments in an endless loop; empty for no moments."""
     import av
 
     if not moments:
         return b""
-    out = io.BytesIO()
+    out, rate_hz = io.BytesIO(), 10
+    images = [drawn(moment) for moment in moments]
+    # the last image stays for a second
+    images += [images[-1]] * rate_hz
     with av.open(out, "w", format="webp", options={"loop": "0"}) as container:
-        stream = container.add_stream("libwebp_anim", rate=RATE_HZ)
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-        # quality of the animation as WebP, 0 to 100
-        stream.options = {"quality": str(60)}
-        last = drawn(moments[-1])
-        for image in [*map(drawn, moments), *[last] * RATE_HZ]:  # it rests at its end for a second
+        stream = container.add_stream("libwebp_anim", rate=rate_hz)
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt, stream.options = "yuv420p", {"quality": "60"}
+        for image in images:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         container.mux(stream.encode(None))
     return out.getvalue()

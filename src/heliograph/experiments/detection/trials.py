@@ -1,131 +1,159 @@
 """Films with and without an array, searched by each variant of the detector and by the receiver."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.channel import ImuTrace
 from heliograph.experiments.detection import ablation
-from heliograph.experiments.detection.ablation import VARIANTS, DetectionScores, VariantDetector
+from heliograph.experiments.detection.ablation import VARIANTS, VariantDetector
 from heliograph.experiments.detection.clutter import Backdrop, ClutterFilm, film_moment
 from heliograph.experiments.detection.identities import detections
 from heliograph.experiments.report import Context
 from heliograph.measure.statistics import Count
 from heliograph.receive import Pose
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.header import IDENTITIES
 
-DISTANCES = (25.0, 50.0, 80.0)
+DISTANCES_M = (25.0, 50.0, 80.0)
+
 FOUND = 0.95
-"""Fraction of the arrays that exceed the second threshold."""
+"""Fraction of the arrays above the fitted threshold."""
 
 SCORE = ReceiveSettings().detect.score
-"""The receiver's own threshold, the first by which the variants are compared."""
+"""Threshold of the receiver."""
+
+RECEIVER = "receiver as set"
+"""Name of the receiver in tables; its scores are 1 for a detection, else 0."""
 
 LAMPS = "lamps"
-"""The scene full of lamps, which move, flicker and turn; the others are footage and a drawn street at rest."""
+"""Scene full of lamps, with three times as many films."""
 
-BATCH = 15
-"""Films of a scene that a worker takes at a time."""
 
-LAMP_FILMS = 3
-"""Times as many films of the lamps as of the other scenes: there the false alarms are."""
+@dataclass(slots=True)
+class DetectionScores:
+    """Best scores of a detector in each film."""
+
+    # By scene: score of the best candidate in films with no array, 0 for none
+    false: dict[str, list[float]] = field(default_factory=dict)
+    # By scene and distance in m: score of the array, 0 if missed
+    true: dict[tuple[str, float], list[float]] = field(default_factory=dict)
+
+    def all_false(self, scenes: Collection[str] | None = None) -> NDArray[np.float64]:
+        """Scores of films with no array, (n,)."""
+        return np.hstack([[], *(self.false[scene] for scene in self.false if scenes is None or scene in scenes)])
+
+    def all_true(self, distance_m: float | None = None, scenes: Collection[str] | None = None) -> NDArray[np.float64]:
+        """Scores of films with an array, (n,)."""
+        chosen = [
+            place for place in self.true if distance_m in (None, place[1]) and (scenes is None or place[0] in scenes)
+        ]
+        return np.hstack([[], *(self.true[place] for place in chosen)])
+
+    def false_alarms(self, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
+        """Films with no array and a candidate above a threshold."""
+        return _count_above(self.all_false(scenes), threshold)
+
+    def found(
+        self, threshold: float = SCORE, scenes: Collection[str] | None = None, distance_m: float | None = None
+    ) -> Count:
+        """Arrays with a score above a threshold."""
+        return _count_above(self.all_true(distance_m, scenes), threshold)
+
+    def fitted_threshold(self) -> float:
+        """Threshold that the fraction `FOUND` of all arrays exceeds."""
+        return ablation.threshold_for_found(self.all_true(), FOUND)
+
+    def found_at(self, distance_m: float, fraction: float) -> Count:
+        """Arrays found at the threshold that at most a fraction of the films with no array exceeds."""
+        return self.found(ablation.threshold_for_false(self.all_false(), fraction), distance_m=distance_m)
+
+
+def _count_above(scores: NDArray[np.float64], threshold: float) -> Count:
+    return Count(scores.size, int((scores > threshold).sum()))
 
 
 @dataclass(frozen=True, slots=True)
 class DetectionEffort:
-    """How many films are taken."""
+    """Number of films."""
 
-    # without, with_array: films of each scene without an array, and with one at each distance
+    # Films of each scene with no array, and with an array at each distance
     without: int
     with_array: int
-    # Frames of a clip that are used, from the first on
+    # Frames of a clip, from the first on
     reach: int
     # Films of an identity at each distance
     repeats: int
-    # Every `step`-th identity is filmed
+    # Step between filmed identities
     step: int = 1
 
 
 @dataclass(slots=True)
 class DetectionTrials:
-    """Scores of the variants, and counts of the receiver as it is set."""
+    """Scores of the variants and of the receiver."""
 
-    # Best scores in each film, by the variant's name
     scores: dict[str, DetectionScores] = field(
-        default_factory=lambda: {variant.name: DetectionScores({}, {}) for variant in VARIANTS}
+        default_factory=lambda: {name: DetectionScores() for name in (*(v.name for v in VARIANTS), RECEIVER)}
     )
-    # Films without an array by scene; those in which the receiver finds one count as errors
-    receiver_false: dict[str, Count] = field(default_factory=dict)
-    # Films with an array by scene and distance in m; those in which the receiver finds it count as errors
-    receiver_found: dict[tuple[str, float], Count] = field(default_factory=dict)
-    # The worst false alarm of the first variant: score, film and pose
+    # Worst false alarm of the first variant: score, film and pose
     example: tuple[float, ClutterFilm, Pose] | None = None
 
     def add(self, more: "DetectionTrials") -> None:
-        """Count the films of another batch as well."""
+        """Add the films of another batch."""
         for name, scores in more.scores.items():
             for scene, false in scores.false.items():
                 self.scores[name].false.setdefault(scene, []).extend(false)
-            for where, true in scores.true.items():
-                self.scores[name].true.setdefault(where, []).extend(true)
-        for scene, count in more.receiver_false.items():
-            self.receiver_false.setdefault(scene, Count()).add(count.trials, count.errors)
-        for where, count in more.receiver_found.items():
-            self.receiver_found.setdefault(where, Count()).add(count.trials, count.errors)
+            for place, true in scores.true.items():
+                self.scores[name].true.setdefault(place, []).extend(true)
         if more.example and (self.example is None or more.example[0] > self.example[0]):
             self.example = more.example
-
-    def set_false(self, scenes: Collection[str] | None = None) -> Count:
-        """False alarms of the receiver as it is set."""
-        return together(count for scene, count in self.receiver_false.items() if scenes is None or scene in scenes)
-
-    def set_found(self, distance_m: float, scenes: Collection[str] | None = None) -> Count:
-        """Arrays that the receiver as it is set finds."""
-        return together(
-            count
-            for (scene, z), count in self.receiver_found.items()
-            if z == distance_m and (scenes is None or scene in scenes)
-        )
 
 
 @dataclass(frozen=True, slots=True)
 class SceneFilms:
     """Films of a scene."""
 
-    # scene, backdrop, place: name of the scene, the scene, and its number among all
     scene: str
     backdrop: Backdrop
-    place: int
-    # Distance of the array in m; None: there is none
+    # Number of the scene
+    number: int
+    # Distance of the array in m; None: no array
     distance_m: float | None
-    # Numbers of the films among those of their scene and distance, each 0 or more
+    # Numbers of the films
     trials: range
     # Recorded motion; None: a road of class C
     imu: ImuTrace | None
-    # Seed of all films, 0 or more
     seed: int
 
 
 def measure(
-    scenes: Mapping[str, Backdrop], effort: DetectionEffort, imu: ImuTrace | None, context: Context
+    scenes: Mapping[str, Backdrop],
+    effort: DetectionEffort,
+    imu: ImuTrace | None,
+    context: Context,
+    batch_size: int = 15,
 ) -> DetectionTrials:
-    """Scores of all variants in all films."""
+    """Score all variants in all films; a worker takes `batch_size` films at a time."""
     out = DetectionTrials()
-    for one in context.each("detection", film_scene, _batches(scenes, effort, imu, context.seed), (0.0, 0.7)):
-        out.add(one)
+    for batch in context.each(
+        "detection", film_scene, _batches(scenes, effort, imu, context.seed, batch_size), (0, 0.7)
+    ):
+        out.add(batch)
     return out
 
 
 def _batches(
-    scenes: Mapping[str, Backdrop], effort: DetectionEffort, imu: ImuTrace | None, seed: int
+    scenes: Mapping[str, Backdrop], effort: DetectionEffort, imu: ImuTrace | None, seed: int, batch_size: int
 ) -> Iterator[SceneFilms]:
-    for place, (name, scene) in enumerate(scenes.items()):
-        for distance in (None, *DISTANCES):
-            bare = effort.without * (LAMP_FILMS if name == LAMPS else 1)
-            films = range(bare if distance is None else effort.with_array)
-            for start in films[::BATCH]:
-                yield SceneFilms(name, scene, place, distance, films[start : start + BATCH], imu, seed)
+    for number, (name, scene) in enumerate(scenes.items()):
+        for distance in (None, *DISTANCES_M):
+            without = effort.without * (3 if name == LAMPS else 1)
+            films = range(without if distance is None else effort.with_array)
+            for start in films[::batch_size]:
+                yield SceneFilms(name, scene, number, distance, films[start : start + batch_size], imu, seed)
 
 
 def film_scene(batch: SceneFilms) -> DetectionTrials:
@@ -133,82 +161,49 @@ def film_scene(batch: SceneFilms) -> DetectionTrials:
     out, detectors = DetectionTrials(), {variant.name: VariantDetector(variant) for variant in VARIANTS}
     for trial in batch.trials:
         if batch.distance_m is None:
-            rng = np.random.default_rng([batch.seed, batch.place, trial, 0])
-            _without(out, detectors, batch.scene, film_moment(batch.backdrop(rng), rng, batch.imu))
+            _search_without_array(out, detectors, batch, trial)
         else:
-            seed = (batch.seed, batch.place, trial, round(batch.distance_m))
-            _with(out, detectors, batch.scene, batch.backdrop, batch.distance_m, seed, batch.imu)
+            _search_with_array(out, detectors, batch, trial, batch.distance_m)
     return out
 
 
-def _without(out: DetectionTrials, detectors: Mapping[str, VariantDetector], scene: str, film: ClutterFilm) -> None:
+def _search_without_array(
+    out: DetectionTrials, detectors: Mapping[str, VariantDetector], batch: SceneFilms, trial: int
+) -> None:
+    rng = np.random.default_rng([batch.seed, batch.number, trial, 0])
+    film = film_moment(batch.backdrop(rng), rng, batch.imu)
     for name, detector in detectors.items():
         best = ablation.best_false(detector.candidates(film))
         score = best.score if best else 0.0
-        out.scores[name].false.setdefault(scene, []).append(score)
+        out.scores[name].false.setdefault(batch.scene, []).append(score)
         if best and name == VARIANTS[0].name and (out.example is None or score > out.example[0]):
             out.example = score, film, best.pose
-    out.receiver_false.setdefault(scene, Count()).add(1, bool(detections(film)))
+    out.scores[RECEIVER].false.setdefault(batch.scene, []).append(float(bool(detections(film))))
 
 
-def _with(
-    out: DetectionTrials,
-    detectors: Mapping[str, VariantDetector],
-    scene: str,
-    backdrop: Backdrop,
-    distance: float,
-    seed: tuple[int, ...],
-    imu: ImuTrace | None,
+def _search_with_array(
+    out: DetectionTrials, detectors: Mapping[str, VariantDetector], batch: SceneFilms, trial: int, distance_m: float
 ) -> None:
-    """The same moment with an array of each kind of header."""
-    films: dict[str, ClutterFilm] = {}
-    for variant in VARIANTS:
-        if variant.detector not in films:
-            rng = np.random.default_rng(seed)
-            identity = int(rng.integers(30))
-            films[variant.detector] = film_moment(backdrop(rng), rng, imu, distance, variant.detector, (identity,))
-        film, wanted = films[variant.detector], identity if variant.detector == "m_sequence" else None
-        assert film.truth is not None
-        score = ablation.score_of_array(detectors[variant.name].candidates(film), film.truth, wanted)
-        out.scores[variant.name].true.setdefault((scene, distance), []).append(score)
-    film = films["m_sequence"]
-    assert film.truth is not None
-    truth = film.truth
-    found = any(ablation.same(one.fit.pose, truth) and one.identity == identity for one in detections(film))
-    out.receiver_found.setdefault((scene, distance), Count()).add(1, found)
-
-
-def together(counts: Iterable[Count]) -> Count:
-    """The sum of counts."""
-    every = list(counts)
-    return Count(sum(c.trials for c in every), sum(c.errors for c in every))
-
-
-def false_alarms(scores: DetectionScores, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
-    """Films without an array in which a candidate exceeds a threshold."""
-    false = [s for scene, found in scores.false.items() if scenes is None or scene in scenes for s in found]
-    return Count(len(false), sum(s > threshold for s in false))
-
-
-def found_above(scores: DetectionScores, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
-    """Arrays at all distances whose score exceeds a threshold."""
-    true = [s for (scene, _), found in scores.true.items() if scenes is None or scene in scenes for s in found]
-    return Count(len(true), sum(s > threshold for s in true))
-
-
-def threshold_of(scores: DetectionScores) -> float:
-    """The threshold that `FOUND` of the arrays exceed, all distances together."""
-    return ablation.threshold_for_found(np.concatenate([scores.all_true(z) for z in DISTANCES]), FOUND)
-
-
-def found_at(scores: DetectionScores, distance: float, fraction: float) -> Count:
-    """Arrays found at the threshold that at most a fraction of the films without one exceed."""
-    true = scores.all_true(distance)
-    return Count(true.size, int((true > ablation.threshold_for_false(scores.all_false(), fraction)).sum()))
+    """Search the same moment with an array of each kind of header."""
+    place = batch.scene, distance_m
+    kinds: tuple[Literal["all_on", "m_sequence"], ...] = ("all_on", "m_sequence")
+    for kind in kinds:
+        rng = np.random.default_rng((batch.seed, batch.number, trial, round(distance_m)))
+        identity = int(rng.integers(IDENTITIES))
+        film = film_moment(batch.backdrop(rng), rng, batch.imu, distance_m, kind, (identity,))
+        (truth,) = film.truths
+        for variant in VARIANTS:
+            if variant.detector == kind:
+                candidates = detectors[variant.name].candidates(film)
+                score = ablation.score_of_array(candidates, truth, identity if kind == "m_sequence" else None)
+                out.scores[variant.name].true.setdefault(place, []).append(score)
+        if kind == "m_sequence":
+            hit = any(ablation.is_same(d.fit.pose, truth) and d.identity == identity for d in detections(film))
+            out.scores[RECEIVER].true.setdefault(place, []).append(float(hit))
 
 
 def is_lower(a: Count, b: Count) -> bool | None:
-    """Whether a rate is below another; None where their 95 % intervals overlap."""
+    """True if a rate is lower than another; None if their 95 % intervals overlap."""
     if a.interval()[1] < b.interval()[0]:
         return True
     return False if a.interval()[0] > b.interval()[1] else None

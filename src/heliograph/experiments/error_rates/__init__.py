@@ -1,1 +1,1 @@
-"""Error rates by distance, at rest and driving: films counted packet by packet, compared, judged and drawn."""
+"""Error rates at rest, on drives, in difficult scenes and with recorded input."""

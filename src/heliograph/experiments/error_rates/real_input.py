@@ -1,15 +1,14 @@
-"""Real input: drives over real footage, clips without any array, and films encoded again by another program.
+"""Recorded input: drives over real footage, clips with no array, and films transcoded by another program.
 
-Frames go from channel to receiver without a file, as those of a lossless film do.
+Frames pass from channel to receiver with no file, as in a lossless film.
 """
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,45 +23,37 @@ from heliograph.measure.reception import Reception, receive_film
 from heliograph.measure.statistics import Count
 from heliograph.media import open_film
 from heliograph.receive import Packet, make_receiver, receive_frames
-from heliograph.receive.events import DetectEvent
-
-REAL = ("channel.background.kind='footage'", "channel.shake='imu'")
-EMPTY = ("channel.arrays=[]", "transmit.identities=[]")
-CRF, ENCODER_PRESET = "18", "medium"
-"""Quality and speed of libx264."""
+from heliograph.receive.events import DetectEvent, Event
 
 
 @dataclass(frozen=True, slots=True)
 class RealScene:
-    """A simulation over a clip with recorded shake."""
+    """Simulation over a clip with recorded shake."""
 
-    # File of the footage
+    # Files of footage and motion
     clip: Path
-    # File of the motion
     imu: Path
-    # Of place and noise
     seed: int
-    # Texts ``key=value`` laid over the preset "paper"
+    # Changes ``key=value`` of the preset "paper"
     changes: Sequence[str] = ()
 
     def load(self) -> tuple[LinkSettings, Recordings]:
-        """Settings and recordings; a HeliographError where one is wrong."""
-        settings = load_settings("paper", None, [*REAL, *self.changes])
+        """Load settings and recordings."""
+        recorded = ("channel.background.kind='footage'", "channel.shake='imu'")
+        settings = load_settings("paper", None, [*recorded, *self.changes])
         return settings, Recordings(footage=load_footage(self.clip), imu=load_imu(self.imu))
 
 
 @dataclass(frozen=True, slots=True)
 class DriveCounts:
-    """Errors of a drive."""
+    """Frames and errors of a drive."""
 
-    # Number of frames in the film
     frames: int
-    # Its errors, by distance and layer
     errors: ErrorCounter
 
 
 def drive(scene: RealScene, margin_px: int | None = None) -> DriveCounts:
-    """Receive a drive over real footage, and count."""
+    """Receive and count a drive over real footage."""
     settings, recordings = scene.load()
     messages = default_messages(settings)
     errors, frames = ErrorCounter(settings, messages), Count()
@@ -81,65 +72,53 @@ def drive(scene: RealScene, margin_px: int | None = None) -> DriveCounts:
 
 @dataclass(frozen=True, slots=True)
 class EmptyCounts:
-    """Results of a receiver on frames without any array: all of them are false."""
+    """False results of a receiver on frames with no array."""
 
-    # detections, packets, right: frames, and detections, packets, and packets with a right codeword among them
-    detections: Count
-    packets: Count
-    right: Count
-    # Codewords taken for right, of all packets
+    frames: int
+    detections: int
+    packets: int
+    # Packets with an accepted codeword
+    right: int
+    # Accepted codewords
     words: int
-    # Results that are no packets
+    # Results with no header
     without_header: int
 
     def __add__(self, other: "EmptyCounts") -> "EmptyCounts":
-        return EmptyCounts(
-            _both(self.detections, other.detections),
-            _both(self.packets, other.packets),
-            _both(self.right, other.right),
-            self.words + other.words,
-            self.without_header + other.without_header,
-        )
+        return EmptyCounts(*map(sum, zip(astuple(self), astuple(other), strict=True)))
 
     def text(self) -> str:
-        """The counts in a line, with bounds by frames."""
-        parts = [
-            f"{counted_text(self.detections)} detections",
-            f"{counted_text(self.packets)} packets",
-            f"{counted_text(self.right)} packets with a right codeword",
-            f"{self.words} right codewords",
-        ]
-        return ", ".join(parts)
+        """Counts in a line, with bounds per frame."""
+        names = ("detections", "packets", "packets with a right codeword")
+        counts = (self.detections, self.packets, self.right)
+        parts = [f"{counted_text(Count(self.frames, n))} {name}" for n, name in zip(counts, names, strict=True)]
+        return ", ".join([*parts, f"{self.words} right codewords"])
 
 
-def _both(one: Count, other: Count) -> Count:
-    return Count(one.trials + other.trials, one.errors + other.errors)
-
-
-def empty(scene: RealScene, most_frames: int | None = None, *, native: bool = False) -> EmptyCounts:
-    """Receive a clip without any array."""
-    settings, recordings = RealScene(scene.clip, scene.imu, scene.seed, (*EMPTY, *scene.changes)).load()
-    film = native_frames(scene.clip, settings) if native else _rendered(settings, scene.seed, recordings)
-    events, packets, frames = list[Any](), list[Packet](), 0
+def empty(scene: RealScene, max_frames: int | None = None, *, native: bool = False) -> EmptyCounts:
+    """Receive a clip with no array, in the simulation or in native frames."""
+    changes = ("channel.arrays=[]", "transmit.identities=[]", *scene.changes)
+    settings, recordings = replace(scene, changes=changes).load()
+    rendered = (frame for frame, _ in simulate(settings, [], scene.seed, recordings))
+    events, packets, frames = list[Event](), list[Packet](), 0
     receiver = make_receiver(settings.signal, settings.receive, events.append)
-    for frame in islice(film, most_frames):
+    for frame in islice(native_frames(scene.clip, settings) if native else rendered, max_frames):
         packets += receiver.push(frame)
         frames += 1
     packets += receiver.finish()
-    headed = sum(map(is_packet, packets))
-    right = sum(p.status in ("ok", "partial") for p in packets)
-    found = sum(isinstance(event, DetectEvent) for event in events)
-    words = sum(w.status == "ok" for p in packets for layer in p.layers.values() for w in layer)
-    detections, headers, read = (Count(frames, n) for n in (found, headed, right))
-    return EmptyCounts(detections, headers, read, words, len(packets) - headed)
-
-
-def _rendered(settings: LinkSettings, seed: int, recordings: Recordings) -> Iterator[Frame]:
-    return (frame for frame, _ in simulate(settings, [], seed, recordings))
+    headers = sum(map(is_packet, packets))
+    return EmptyCounts(
+        frames,
+        detections=sum(isinstance(event, DetectEvent) for event in events),
+        packets=headers,
+        right=sum(p.status in ("ok", "partial") for p in packets),
+        words=sum(w.status == "ok" for p in packets for layer in p.layers.values() for w in layer),
+        without_header=len(packets) - headers,
+    )
 
 
 def native_frames(clip: Path, settings: LinkSettings) -> Iterator[Frame]:
-    """A clip's own frames, one per pattern period, resized to the camera's frame."""
+    """Frames of a clip, a frame per pattern period, resized to the camera."""
     import cv2
 
     size = settings.channel.camera.width, settings.channel.camera.height
@@ -149,7 +128,7 @@ def native_frames(clip: Path, settings: LinkSettings) -> Iterator[Frame]:
 
 
 def encode_again(source: Path, target: Path) -> None:
-    """Encode a film again as other programs would (libx264, yuv420p), without its notes."""
+    """Transcode a film like other programs (libx264, yuv420p), with no metadata."""
     import av
 
     if source.resolve() == target.resolve():
@@ -158,9 +137,9 @@ def encode_again(source: Path, target: Path) -> None:
         if film.width % 2 or film.height % 2:
             raise MediaError(f"yuv420p needs an even width and height, not {film.width}x{film.height}")
         rate = Fraction(film.rate_hz).limit_denominator(1001)
-        stream = out.add_stream("libx264", rate=rate, options={"crf": CRF, "preset": ENCODER_PRESET})
+        stream = out.add_stream("libx264", rate=rate, options={"crf": "18", "preset": "medium"})
         stream.width, stream.height, stream.pix_fmt = film.width, film.height, "yuv420p"
-        stream.codec_context.color_range = 2  # full, as the film's
+        stream.codec_context.color_range = 2  # full range
         gray = np.full((film.height // 2, film.width), 128, np.uint8)
         for frame in film:
             luma = (frame.pixels >> (frame.bits - 8)).astype(np.uint8)
@@ -172,7 +151,7 @@ def encode_again(source: Path, target: Path) -> None:
 
 
 def receive_again(film: Path, truth: TruthFile) -> Reception:
-    """Receive a film that was encoded again, against the truth of the film it was made from."""
+    """Receive a transcoded film, with the truth of the original film."""
     reception = Reception(truth)
     with open_film(film) as source:
         deque(receive_film(source, truth.settings.signal, truth.settings, reception), maxlen=0)
@@ -180,7 +159,7 @@ def receive_again(film: Path, truth: TruthFile) -> Reception:
 
 
 def error_lines(errors: ErrorCounter) -> Iterable[str]:
-    """Codewords wrong of sent, by distance and in all, line by line."""
+    """Wrong and sent codewords as lines, by distance and in total."""
     for start, layers in errors.bins().items():
         row = ", ".join(f"{name} {e.codeword_errors}/{e.codewords}" for name, e in layers.items())
         yield f"{start:g}-{start + BIN_M:g} m: {row}"
@@ -190,7 +169,7 @@ def error_lines(errors: ErrorCounter) -> Iterable[str]:
 
 
 def counted_text(count: Count) -> str:
-    """Errors of trials with their 95 % interval, or the bound 3 / n where there was none."""
+    """Errors of trials with 95 % interval, or the upper bound 3 / n for no error."""
     if count.errors:
         low, high = count.interval()
         return f"{count.errors}/{count.trials} [{low:.1e}, {high:.1e}]"

@@ -1,4 +1,4 @@
-"""Measures of the flicker of a light that repeats, from its flux by slot.
+"""Flicker measures of a periodic light, from the flux by slot.
 
 IEEE 1789-2015 low-risk limits, stroboscopic visibility measure (CIE TN 006:2016, IEC TR 63158), flickering time period
 (IEEE 802.15.7).
@@ -11,39 +11,37 @@ from numpy.typing import ArrayLike
 
 from heliograph.base.arrays import Floats
 
-SVM_EXPONENT = 3.7
 SVM_LIMIT = 0.4
-"""Largest SVM the EU's ecodesign rules allow; 1 is the threshold of an average observer."""
+"""Largest SVM that the EU ecodesign rules allow; 1 is the threshold of an average observer."""
 
 MFTP_S = 5e-3
-"""Maximum flickering time period of IEEE 802.15.7: changes of the light that last no longer are not seen."""
+"""Maximum flickering time period of IEEE 802.15.7: shorter changes of the light are invisible."""
 
 LIMITED_HZ = 1250.0
-"""IEEE 1789's low-risk limit reaches 100 % here."""
+"""Frequency at which the low-risk limit of IEEE 1789 reaches 100 %."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
     """Modulation by frequency."""
 
-    # (n,) frequencies in Hz
     hz: Floats
-    # (n,) amplitude of each Fourier component by the mean
+    # Amplitude of each Fourier component relative to the mean
     modulation: Floats
 
 
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """Measures of a light."""
+    """Flicker measures of a light."""
 
-    # (largest - least) / (largest + least) flux in percent
+    # (max - min) / (max + min) of the flux in percent
     percent: float
-    # Largest modulation below 90 Hz, in percent
+    # Largest modulation below 90 Hz in percent
     slow_percent: float
-    # limit_share, limit_hz: modulation by IEEE 1789's low-risk limit where this is largest, and that frequency
+    # Largest ratio of modulation to the low-risk limit of IEEE 1789, and the frequency of this component
     limit_share: float
     limit_hz: float
-    # The same below 90 Hz alone
+    # Largest ratio below 90 Hz
     slow_limit_share: float
     # Stroboscopic visibility measure; 1 is just visible
     svm: float
@@ -51,12 +49,12 @@ class Flicker:
     period_s: float
 
     def plain(self) -> dict[str, float]:
-        """The measures by name."""
+        """Measures by name."""
         return asdict(self)
 
 
 def measure(flux: ArrayLike, slot_s: float) -> Flicker:
-    """All measures of a light that is repeated without end."""
+    """Measure a light with endless repetition."""
     f = np.asarray(flux, float)
     lines = spectrum(f, slot_s)
     ratio = lines.modulation / low_risk_limit(lines.hz)
@@ -72,33 +70,33 @@ def measure(flux: ArrayLike, slot_s: float) -> Flicker:
     )
 
 
-def spectrum(flux: ArrayLike, slot_s: float, top_hz: float = 2000.0) -> Spectrum:
-    """Fourier components of a light that holds each value for a slot and then repeats, without its mean."""
+def spectrum(flux: ArrayLike, slot_s: float) -> Spectrum:
+    """Fourier components up to 2 kHz of a periodic light with constant flux in each slot, excluding the mean."""
     f = np.asarray(flux, float)
-    hz = np.arange(1, int(top_hz * f.size * slot_s + 1e-9) + 1) / (f.size * slot_s)
+    hz = np.arange(1, int(2000.0 * f.size * slot_s + 1e-9) + 1) / (f.size * slot_s)
     lines = np.fft.fft(f) / f.size
-    # a value held for a slot: c_k = DFT_k / N sinc(f slot), beyond the DFT's end by its period
+    # a constant slot gives c_k = DFT_k / N sinc(f slot); the DFT continues periodically
     held = np.abs(lines[np.arange(1, hz.size + 1) % f.size] * np.sinc(hz * slot_s))
     return Spectrum(hz, 2 * held / max(float(f.mean()), 1e-12))
 
 
 def percent_flicker(flux: ArrayLike) -> float:
-    """Largest less least flux by their sum, in percent: 0 for a steady light, 100 for one that goes out."""
+    """(max - min) / (max + min) in percent: 0 for a steady light, 100 for a light that goes out."""
     f = np.asarray(flux, float)
     low, high = float(f.min()), float(f.max())
     return 100 * (high - low) / max(high + low, 1e-12)
 
 
 def low_risk_limit(hz: ArrayLike) -> Floats:
-    """Largest modulation of low risk (IEEE 1789-2015), 1 for 100 %; infinite where none is set."""
+    """Largest modulation of low risk by IEEE 1789-2015, 1 for 100 %; infinite above 1250 Hz."""
     f = np.asarray(hz, float)
-    # 0.025 f % below 90 Hz (and never above 5 %), 0.08 f % up to 1250 Hz
+    # 0.025 f % below 90 Hz and at most 5 %; 0.08 f % up to 1250 Hz
     limit = np.where(f < 90, np.minimum(0.025 * f, 5.0), 0.08 * f) / 100
     return np.where(f > LIMITED_HZ, np.inf, limit)
 
 
 def visibility_threshold(hz: ArrayLike) -> Floats:
-    """Modulation of a sine that half of the observers see (Perz et al. 2018, CIE TN 006), 1 for 100 %."""
+    """Modulation of a sine visible to half of the observers (Perz et al. 2018, CIE TN 006), 1 for 100 %."""
     f = np.asarray(hz, float)
     # T(f) = 1 / (1 + exp(-0.00518 (f - 306.6))) + 20 exp(-f / 10)
     return 1 / (1 + np.exp(-0.00518 * (f - 306.6))) + 20 * np.exp(-f / 10)
@@ -108,16 +106,14 @@ def svm(lines: Spectrum) -> float:
     """Stroboscopic visibility measure: 1 is just visible."""
     # SVM = (sum (C_m / T_m)^3.7)^(1 / 3.7)
     ratio = lines.modulation / visibility_threshold(lines.hz)
-    return float((ratio**SVM_EXPONENT).sum() ** (1 / SVM_EXPONENT))
+    return float((ratio**3.7).sum() ** (1 / 3.7))
 
 
 def flickering_period(flux: ArrayLike, slot_s: float) -> float:
-    """Longest time in s between instants at which the light given so far equals a steady light's of the same mean.
-
-    Over such a stretch the mean brightness is the light's own; within it, it is not. 0 for a steady light.
-    """
+    """Longest time in s between two instants with equal mean flux so far; 0 for a steady light."""
     f = np.asarray(flux, float)
-    ahead = np.append(0.0, np.cumsum(f - f.mean()))  # straight lines in between
+    # cumulative excess over a steady light, linear within a slot
+    ahead = np.append(0.0, np.cumsum(f - f.mean()))
     small = 1e-9 * max(float(f.mean()), 1e-12) * f.size
     ahead[np.abs(ahead) < small] = 0.0
     if not ahead.any():

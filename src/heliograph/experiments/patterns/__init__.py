@@ -1,1 +1,1 @@
-"""Single patterns and packets, as sent and as filmed, and the preset's parameters beside the paper's."""
+"""Experiments on single patterns and packets, and on the parameters of the paper."""

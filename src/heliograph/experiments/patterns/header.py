@@ -1,72 +1,68 @@
-"""Fig. 7: the header's M-sequence, sent and received near and at 25 m."""
+"""Header, sent and received near and at 25 m.
 
-import numpy as np
-from numpy.typing import NDArray
+The header shows the 15 chips of the M-sequence on 4 x 4 cells; the 16th cell is dark. The header of each identity is
+filmed at rest. A cell is read as lit if the mean luminance at the 16 LEDs exceeds the mean of the array.
+"""
 
 from heliograph.experiments import plots
 from heliograph.experiments.patterns.received import led_points, luminance_at, static_frame
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import (
+    Context,
+    ExperimentResult,
+    Finding,
+    Table,
+    description,
+    interval_text,
+    verdict_of,
+)
 from heliograph.measure.statistics import Count
 from heliograph.signal.header import IDENTITIES, header_cells, header_levels
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence, periodic_correlation
 
-NEAR_M, PAPER_M = 10.0, 25.0
-DISTANCES = (NEAR_M, PAPER_M, 50.0, 80.0, 150.0)
-
-TEXT = (
-    "The 15 chips of the M-sequence on 4 x 4 cells, the 16th dark. Each identity's header is filmed at rest; a cell is "
-    "read as lit where the light at its 16 LEDs' places is above the mean of the array."
-)
+DISTANCES_M = (10.0, 25.0, 50.0, 80.0, 150.0)
 
 
 def run(context: Context) -> ExperimentResult:
-    """Film headers and read their cells."""
-    wrong = measure(range(0, IDENTITIES, 3 if context.quick else 1), context.seed)
-    pictures = [
-        header_levels(0) * 63,
-        *(static_frame(z, header_levels(0), context.seed)[0].pixels for z in DISTANCES[:4]),
-    ]
-    names = ["sent", *(f"received at {z:g} m" for z in DISTANCES[:4])]
+    """Film headers and read the cells."""
+    identities = range(0, IDENTITIES, 3 if context.quick else 1)
+    wrong = {z: _wrong_cells(z, identities, context.seed) for z in DISTANCES_M}
+    levels = header_levels(0)
+    images = [levels * 63, *(static_frame(z, levels, context.seed)[0].pixels for z in DISTANCES_M[:4])]
+    names = ["sent", *(f"received at {z:g} m" for z in DISTANCES_M[:4])]
     return ExperimentResult(
         key="fig7",
         title="Fig. 7: the header",
-        text=TEXT,
-        findings=[_autocorrelation(), _received(wrong[PAPER_M])],
+        text=description(__doc__),
+        findings=[_autocorrelation(), _received(wrong[25.0])],
         pictures=[
-            (plots.image_row(pictures, names), "The header of identity 0 (another layout than the paper's Fig. 7).")
+            (plots.image_row(images, names), "The header of identity 0; Fig. 7 of the paper has another layout.")
         ],
         tables=[
             Table(
                 "Cells of the header read wrong, one frame each",
                 ["distance", "wrong", "of", "95 % interval"],
-                [[f"{z:g} m", str(c.errors), str(c.trials), _interval(c)] for z, c in wrong.items()],
+                [[f"{z:g} m", str(c.errors), str(c.trials), interval_text(c, ".2%")] for z, c in wrong.items()],
             )
         ],
         data={"wrong_cells": {f"{z:g} m": [c.errors, c.trials] for z, c in wrong.items()}},
     )
 
 
-def measure(identities: range, seed: int) -> dict[float, Count]:
-    """Cells read wrong, by distance in m."""
-    return {z: _wrong_cells(z, identities, seed) for z in DISTANCES}
-
-
 def _autocorrelation() -> Finding:
     peaks = [periodic_correlation(m_sequence(p), m_sequence(p)) for p in HEADER_POLYNOMIALS]
-    good = all(p[0] == 15 and set(p[1:].tolist()) == {-1} for p in peaks)
     return Finding(
         "Section IV-A: the 15-bit M-sequence of x^4 + x^3 + 1 has a good autocorrelation.",
         f"Periodic autocorrelation of both polynomials: {peaks[0][0]} at shift 0, "
         f"{peaks[0][1:].min()} to {peaks[0][1:].max()} at the 14 others.",
-        "holds" if good else "differs",
+        verdict_of(all(p[0] == 15 and set(p[1:].tolist()) == {-1} for p in peaks)),
     )
 
 
 def _received(wrong: Count) -> Finding:
     return Finding(
         "Fig. 7(b): the pattern is received at 25 m.",
-        f"{wrong.errors} of {wrong.trials} cells read wrong at {PAPER_M:g} m (rate {wrong.text()}).",
-        "holds" if not wrong.errors else "differs",
+        f"{wrong.errors} of {wrong.trials} cells read wrong at 25 m (rate {wrong.text()}).",
+        verdict_of(not wrong.errors),
     )
 
 
@@ -74,14 +70,7 @@ def _wrong_cells(distance: float, identities: range, seed: int) -> Count:
     count = Count()
     for number in identities:
         frame, truth = static_frame(distance, header_levels(number), seed + number)
-        count.add(16, int((_cells(luminance_at(frame, led_points(truth))) != (header_cells(number) > 0)).sum()))
+        light = luminance_at(frame, led_points(truth))
+        lit = light.reshape(4, 4, 4, 4).mean((1, 3)) > light.mean()
+        count.add(16, int((lit != (header_cells(number) > 0)).sum()))
     return count
-
-
-def _cells(light: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return np.asarray(light.reshape(4, 4, 4, 4).mean((1, 3)) > light.mean())
-
-
-def _interval(count: Count) -> str:
-    low, high = count.interval()
-    return f"{low:.2%} to {high:.2%}"

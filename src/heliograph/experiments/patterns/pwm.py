@@ -1,4 +1,9 @@
-"""Fig. 4: pulse width modulation, and what an exposure makes of it."""
+"""Pulse width modulation and the exposure.
+
+Arrays with a single level, 60 m away, filmed with an exposure of the pattern period T_b = 1 ms and of half of it. At 60
+m no LED saturates the sensor. The summed luminance of the array in the frame, minus that of the dark array, measures
+the integral of equation (6); results are relative to level 4.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,81 +15,63 @@ from numpy.typing import NDArray
 from heliograph.channel import film
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
 from heliograph.signal import pwm
 from heliograph.signal.settings import SignalSettings
 
-DISTANCE_M = 60.0
-"""Far enough that no LED saturates the sensor."""
-
 LEVELS = np.arange(5, dtype=np.uint8)
 
-EXPOSURES_S = (1e-3, 0.5e-3)
-
-TEXT = (
-    f"Arrays of one level each, {DISTANCE_M:g} m away, filmed with an exposure of the whole pattern period T_b = 1 ms "
-    "and of half of it. The light of the array in the frame, the dark array's taken off, stands for the integral of "
-    "equation (6); it is stated by that of level 4."
-)
-
-
 Luminances = Mapping[float, NDArray[np.float64]]
-"""Light by level of each film, (films, 5) with 1 for level 4, by exposure in s."""
+"""Luminance by level of each film, (films, 5) relative to level 4, by exposure in s."""
 
 
 def run(context: Context) -> ExperimentResult:
     """Draw the waveforms and film each level."""
-    light = measure(range(context.seed, context.seed + (4 if context.quick else 40)))
+    luminances = measure(range(context.seed, context.seed + (4 if context.quick else 40)))
+    rows = [[f"{1e3 * tau:g} ms", *(f"{v:.3f}" for v in rows.mean(0))] for tau, rows in luminances.items()]
     return ExperimentResult(
         key="fig4",
         title="Fig. 4: pulse width modulation",
-        text=TEXT,
-        findings=judge(light),
-        pictures=[
-            (_waveforms(), "Light of an LED by level over a pattern and its inverse; the shutter is open above.")
-        ],
-        tables=[_table(light)],
-        data={f"{1e3 * tau:g} ms": rows.tolist() for tau, rows in light.items()},
+        text=description(__doc__),
+        findings=judge(luminances),
+        pictures=[(_waveforms(), "Light of an LED by level over a pattern and the inverse; orange: open shutter.")],
+        tables=[Table("Luminance by level, relative to level 4", ["exposure", *map(str, LEVELS)], rows)],
+        data={f"{1e3 * tau:g} ms": rows.tolist() for tau, rows in luminances.items()},
     )
 
 
 def measure(seeds: Sequence[int]) -> Luminances:
     """Film each level with each exposure."""
-    return {tau: np.array([filmed(tau, seed) for seed in seeds]) for tau in EXPOSURES_S}
+    return {tau: np.array([filmed(tau, seed) for seed in seeds]) for tau in (1e-3, 0.5e-3)}
 
 
-def judge(light: Luminances) -> list[Finding]:
-    """Whether the light grows with the level, with an exposure of T_b and with half of it."""
-    whole, half = (light[tau] for tau in EXPOSURES_S)
-    off = np.abs(whole.mean(0) - LEVELS / 4).max()
-    lost = _lost_steps(half.mean(0))
-    # largest deviation from a straight line, by the highest level, that counts as none
+def judge(luminances: Luminances) -> list[Finding]:
+    """Check that the luminance grows with the level for both exposures."""
+    full, half = luminances.values()
+    off = np.abs(full.mean(0) - LEVELS / 4).max()
+    # a step is lost below half of the nominal size
+    lost = int((np.diff(half.mean(0)) < 0.5 / 4).sum())
     return [
         Finding(
             "Fig. 4: an LED lit for a fraction of T_b has that fraction of the luminance.",
-            f"Levels 0 to 4 give {_numbers(whole.mean(0))} of the light ({len(whole)} films of each); largest "
-            f"deviation from a straight line {off:.2%}, from film to film {whole.std(0).max():.2%}.",
-            "holds" if off < 0.02 else "differs",
+            f"Levels 0 to 4 give {_numbers(full.mean(0))} of the light ({len(full)} films of each); largest "
+            f"deviation from a straight line {off:.2%}, from film to film {full.std(0).max():.2%}.",
+            verdict_of(bool(off < 0.02)),
         ),
         Finding(
             "Section II-B allows an exposure shorter than T_b.",
             f"With half of T_b, and slots lit from the first on, levels 0 to 4 give {_numbers(half.mean(0))}: "
             f"{lost} of 4 steps between levels are lost.",
-            "differs" if lost else "holds",
-            "An exposure must last the whole T_b for PWM, or the levels lit after its end look alike." if lost else "",
+            verdict_of(not lost),
+            "PWM needs an exposure of T_b: levels that differ after the exposure look alike." if lost else "",
         ),
     ]
 
 
-def _table(light: Luminances) -> Table:
-    rows = [[f"{1e3 * tau:g} ms", *(f"{v:.3f}" for v in rows.mean(0))] for tau, rows in light.items()]
-    return Table("Light by level, by that of level 4", ["exposure", *map(str, LEVELS)], rows)
-
-
 def filmed(exposure_s: float, seed: int) -> NDArray[np.float64]:
-    """Light of the array in a frame at each level, less that of the dark array, by that of level 4."""
+    """Luminance of the array at each level, minus the dark array, relative to level 4."""
     rng = np.random.default_rng(seed)
-    settings = centred_link(DISTANCE_M, rng).channel
+    settings = centred_link(60.0, rng).channel
     settings = replace(settings, duration_s=5e-3, camera=replace(settings.camera, exposure_s=exposure_s))
     patterns = [np.full((16, 16), level, np.uint8) for level in LEVELS]
     frames = [f for f, _ in film(settings, [patterns], rng, pattern_period_s=1e-3, roi_margin_px=4)]
@@ -92,31 +79,25 @@ def filmed(exposure_s: float, seed: int) -> NDArray[np.float64]:
     return np.asarray((light - light[0]) / (light[4] - light[0]))
 
 
-def _lost_steps(light: NDArray[np.float64]) -> int:
-    """Steps from level to level that are less than half of what they should be."""
-    return int((np.diff(light) < 0.5 / 4).sum())
-
-
 def _numbers(values: NDArray[np.float64]) -> str:
     return ", ".join(f"{v:.3f}" for v in values)
 
 
+@plots.styled
 def _waveforms() -> Figure:
-    order = SignalSettings().slot_order
+    order, times = SignalSettings().slot_order, np.arange(9) / 4
     figure = Figure(figsize=(9, 4))
-    axes = figure.add_subplot()
+    axes = figure.add_subplot(xlim=(-0.3, 2.02), ylim=(-5.1, 1.7), xlabel="time (ms)")
+    axes.set(yticks=[], xticks=[0, 0.25, 0.5, 0.75, 1, 1.5, 2])
+    axes.spines["left"].set_visible(False)
     for level in LEVELS:
         pair = np.array([[[level]], [[4 - level]]], dtype=np.uint8)
-        wave = np.append(pwm.waveform(pair, order), 0)
-        axes.step(np.arange(9) / 4, 0.8 * wave - 1.2 * level, where="post", color=plots.BLUE, lw=1.4)
-        axes.fill_between(
-            np.arange(9) / 4, -1.2 * level, 0.8 * wave - 1.2 * level, step="post", color=plots.BLUE, alpha=0.15, lw=0
-        )
-        axes.text(-0.05, 0.3 - 1.2 * level, f"x = {level}/4", ha="right", fontsize=9)
-    for start in (0, 1):
+        base = -1.2 * level
+        wave = base + 0.8 * np.append(pwm.waveform(pair, order), 0)
+        axes.step(times, wave, where="post", color=plots.BLUE)
+        axes.fill_between(times, base, wave, step="post", color=plots.BLUE, alpha=0.15, lw=0)
+        axes.text(-0.05, 0.3 + base, f"x = {level}/4", ha="right", fontsize=9)
+    for start, name in enumerate(("pattern", "inverse")):
         axes.plot([start + 0.01, start + 0.99], [1.15, 1.15], color=plots.ORANGE, lw=3)
-        axes.text(start + 0.5, 1.3, ("pattern", "inverse")[start], ha="center", fontsize=9)
-    axes.set(xlim=(-0.3, 2.02), ylim=(-5.1, 1.7), xlabel="time (ms)", yticks=[], xticks=[0, 0.25, 0.5, 0.75, 1, 1.5, 2])
-    axes.spines[["top", "right", "left"]].set_visible(False)
-    figure.tight_layout()
+        axes.text(start + 0.5, 1.3, name, ha="center", fontsize=9)
     return figure

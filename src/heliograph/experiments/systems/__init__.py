@@ -1,1 +1,1 @@
-"""Other systems in the same channel: on-off keying, repetition and the hierarchical code."""
+"""Error rates of other systems in the same channel."""

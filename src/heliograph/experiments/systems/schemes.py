@@ -1,7 +1,7 @@
-"""Other systems in the same channel: random bits shown in another way, read by the receiver's own tracking.
+"""Other systems in the same channel: random bits in other patterns, read by the tracking of the plain receiver.
 
-Each scheme sends the paper's header and then pairs of pattern and inverse, so that detection and tracking are those of
-the plain receiver. Only what the LEDs' luminances mean differs.
+Each scheme sends the header of the paper and then pairs of pattern and inverse, so that the plain receiver does
+detection and tracking. Only the meaning of the luminances differs.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,25 +23,24 @@ from heliograph.receive.events import Event, ExtractEvent
 from heliograph.signal import haar, ook
 from heliograph.signal.header import header_levels
 from heliograph.signal.packet import PacketFormat, with_inverses
-from heliograph.signal.settings import LAYERS, SignalSettings
+from heliograph.signal.settings import SignalSettings
 
 SIDE = 16
 
 ENOUGH = 200
-"""Errors after which no more are counted: their rate is known to about 15 %."""
+"""Errors at which counting ends: the rate is known to about 15 %."""
 
 ReadMethod = Literal["plain", "inverse", "known"]
-"""The luminance at each LED's position; the blur inverted; the blur inverted with the true pose and blur."""
+"""Luminance at each LED position; the blur inverted; the blur inverted with the true pose and blur."""
 
 
 @dataclass(frozen=True)
 class Scheme:
-    """How bits are sent."""
+    """Mapping of bits to patterns."""
 
-    # "ook", one bit per LED; "haar", the hierarchical code; "repeat2" and "repeat4", one bit per square of 2 x 2 or 4 x
-    # 4 LEDs
+    # "ook": a bit per LED; "haar": the hierarchical code; "repeat2", "repeat4": a bit per square of 2 x 2 or 4 x 4 LEDs
     key: str
-    # Place in the bits of a pattern of each part that is counted by itself
+    # Parts of the bits of a pattern that are counted separately
     parts: Mapping[str, slice]
 
     @property
@@ -51,50 +50,35 @@ class Scheme:
 
     @property
     def square(self) -> int:
-        """LEDs in a row that show the same bit."""
+        """LEDs in a row with the same bit."""
         return int(self.key.removeprefix("repeat")) if self.key.startswith("repeat") else 1
 
     def encode(self, bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Patterns (pairs, 16, 16) of levels 0 to 4 that show bits.
-
-        Parameters
-        ----------
-        bits
-            (pairs, bits) bits, 0 or 1; as many in a row as a pattern has.
-        """
+        """Patterns (pairs, 16, 16) of levels 0 to 4 for (pairs, bits) bits."""
         d = 1 - 2 * bits.astype(np.int8)
         if self.key == "haar":
-            return haar.encode(_form().join(d))
+            return haar.encode(_packet_format().join(d))
         small = d.reshape(-1, SIDE // self.square, SIDE // self.square)
         return ook.encode(np.kron(small, np.ones((1, self.square, self.square), np.int8)))
 
     def decode(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Soft bits (bits,), positive for 0; the luminances of one bit are added.
-
-        Parameters
-        ----------
-        x
-            (16, 16) luminances of a pair, x' = level - 2 times any gain.
-        """
+        """Soft bits (bits,), positive for 0, of (16, 16) luminances x' = gain (level - 2)."""
         if self.key == "haar":
-            return np.concatenate([part[0] for part in _form().split(haar.decode(x)[None]).values()])
+            return np.concatenate([part[0] for part in _packet_format().split(haar.decode(x)[None]).values()])
         n = SIDE // self.square
         return np.asarray(ook.decode(x).reshape(n, self.square, n, self.square).sum(axis=(1, 3)).ravel())
 
 
-def _form() -> PacketFormat:
+def _packet_format() -> PacketFormat:
     return PacketFormat(SignalSettings(side=SIDE))
 
 
-def _schemes() -> Iterator[Scheme]:
-    layers = dict(zip(LAYERS, (slice(0, 64), slice(64, 192), slice(192, 256)), strict=True))
-    yield Scheme("ook", {"all": slice(0, 256)})
-    yield Scheme("haar", layers)
-    yield Scheme("repeat2", {"all": slice(0, 64)})
-    yield Scheme("repeat4", {"all": slice(0, 16)})
-
-
-SCHEMES = {scheme.key: scheme for scheme in _schemes()}
+SCHEMES = {
+    "ook": Scheme("ook", {"all": slice(0, 256)}),
+    "haar": Scheme("haar", {"high": slice(0, 64), "middle": slice(64, 192), "low": slice(192, 256)}),
+    "repeat2": Scheme("repeat2", {"all": slice(0, 64)}),
+    "repeat4": Scheme("repeat4", {"all": slice(0, 16)}),
+}
 
 
 @dataclass(slots=True)
@@ -103,8 +87,8 @@ class BitCounts:
 
     # Bits and errors by method and part, clustered by film
     counts: dict[tuple[ReadMethod, str], Clustered] = field(default_factory=dict)
-    # films, found: films, and those in which the array was found
     films: int = 0
+    # Films with a detected array
     found: int = 0
 
     def add(self, method: ReadMethod, part: str, trials: int, errors: int) -> None:
@@ -112,15 +96,14 @@ class BitCounts:
         self.counts.setdefault((method, part), Clustered(scattered=True)).add(trials, errors)
 
     def settled(self, target: int) -> bool:
-        """Whether every count has bits or errors enough, or the array is out of reach."""
-        # films in which the array is not found after which it counts as out of reach
+        """True if every count has enough bits or errors, or four films show the array to be out of reach."""
         if self.films >= 4 and not self.found:
             return True
         return bool(self.counts) and all(c.trials >= target or c.errors >= ENOUGH for c in self.counts.values())
 
 
 def count_bits(scheme: Scheme, methods: Sequence[ReadMethod], distance_m: float, target: int, seed: int) -> BitCounts:
-    """Read films at rest, each at its own place on the pixel grid, until enough bits or errors are counted."""
+    """Read films at rest, each with another pixel phase of the array, up to enough bits or errors."""
     counted, number = BitCounts(), 0
     while not counted.settled(target):
         rng = np.random.default_rng([seed, number, round(1000 * distance_m), *scheme.key.encode()])
@@ -132,21 +115,21 @@ def count_bits(scheme: Scheme, methods: Sequence[ReadMethod], distance_m: float,
 def _count_film(
     scheme: Scheme, methods: Sequence[ReadMethod], settings: LinkSettings, rng: np.random.Generator, counted: BitCounts
 ) -> None:
-    """One film of a packet; the receiver expects a longer one, so that it decodes nothing."""
+    """Count a film of a packet; the receiver expects a longer packet, so that it decodes nothing."""
     pairs, header = settings.signal.data_pairs, settings.signal.header_pairs
     bits = rng.integers(0, 2, (pairs, scheme.bits), dtype=np.uint8)
     truths: list[ArrayTruth] = []
     counts: dict[tuple[ReadMethod, str], Count] = {}
 
     def observe(event: Event) -> None:
-        if isinstance(event, ExtractEvent) and 0 <= (place := event.frames[0].index // 2 - header) < pairs:
-            _count(scheme, methods, event, truths, settings, bits[place], counts)
+        if isinstance(event, ExtractEvent) and 0 <= (number := event.frames[0].index // 2 - header) < pairs:
+            _count_pair(scheme, methods, event, truths, settings, bits[number], counts)
 
     longer = replace(settings.signal, data_pairs=pairs + 1)
-    # down to 5 px: the high layer is read from further than the default search reaches
+    # the high layer is readable beyond the reach of the default search
     detect = replace(settings.receive.detect, min_side_px=5.0)
     receiver = make_receiver(longer, replace(settings.receive, detect=detect), observe)
-    for frame, truth in _shown(scheme, bits, settings, rng):
+    for frame, truth in _film_bits(scheme, bits, settings, rng):
         truths.append(truth)
         for _ in receiver.push(frame):
             pass
@@ -156,10 +139,10 @@ def _count_film(
         counted.add(method, part, count.trials, count.errors)
 
 
-def _shown(
+def _film_bits(
     scheme: Scheme, bits: NDArray[np.uint8], settings: LinkSettings, rng: np.random.Generator
 ) -> Iterator[tuple[Frame, ArrayTruth]]:
-    """Frames of header and data, and the truth of the array in each."""
+    """Frames of header and data with the truth of the array."""
     head = header_levels(settings.transmit.identities[0], SIDE)[None].repeat(settings.signal.header_pairs, 0)
     patterns = with_inverses(np.concatenate([head, scheme.encode(bits)]))
     period, margin = settings.signal.pattern_period_s, window_margin_px(settings)
@@ -167,7 +150,7 @@ def _shown(
         yield frame, truth.arrays[0]
 
 
-def _count(
+def _count_pair(
     scheme: Scheme,
     methods: Sequence[ReadMethod],
     event: ExtractEvent,
@@ -177,13 +160,13 @@ def _count(
     counts: dict[tuple[ReadMethod, str], Count],
 ) -> None:
     pattern, inverted = event.frames
+    # signs do not depend on the gain
+    gain = settings.channel.emitter.all_on * settings.channel.sensor.full_scale
     for method in methods:
         poses = event.poses[0], event.poses[1]
         if method == "known":
             poses = true_pose(truths[pattern.index], settings), true_pose(truths[inverted.index], settings)
         equaliser: Literal["none", "inverse"] = "none" if method == "plain" else "inverse"
-        # a scale: signs do not depend on it
-        gain = settings.channel.emitter.all_on * settings.channel.sensor.full_scale
         luminances = pair_luminances(event.frames, poses, gain, SIDE, equaliser)
         wrong = (scheme.decode(luminances) < 0) != bits
         for name, part in scheme.parts.items():

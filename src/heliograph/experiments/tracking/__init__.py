@@ -1,1 +1,1 @@
-"""Trackers of an array compared: all start from one detection and see the same frames."""
+"""Comparison of trackers from the same detection on the same frames."""

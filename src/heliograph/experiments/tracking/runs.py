@@ -1,9 +1,10 @@
-"""Films of one drive before different backgrounds, and all trackers run on them."""
+"""Films of a drive with different backgrounds, and all trackers on them."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
-from heliograph.channel import ArrayTruth, film
+from heliograph.channel import ArrayTruth, Truth, film
 from heliograph.experiments.tracking.trackers import (
     BackgroundMotion,
     Follower,
@@ -20,7 +21,7 @@ from heliograph.experiments.tracking.trackers import (
     MultipleInstance,
     NoTracking,
     TemplateMatch,
-    in_header,
+    is_in_header,
     known_light,
 )
 from heliograph.link.settings import LinkSettings
@@ -31,10 +32,10 @@ from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.geometry.window import cut_out
 
-KNOWN = "known pattern"
+KNOWN, OURS = "known pattern", "inverted signals"
 TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
     "none": lambda _: NoTracking(),
-    "inverted signals": InvertedSignals,
+    OURS: InvertedSignals,
     KNOWN: KnownPattern,
     "background": lambda _: BackgroundMotion(),
     "OpenCV MIL": lambda _: MultipleInstance(),
@@ -43,20 +44,23 @@ TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
 """Trackers by name."""
 
 Pair = tuple[Frame, Frame, ArrayTruth, ArrayTruth]
-"""A pattern and the one after it, and the array's truth in both."""
+"""Two successive frames, and the truth of the array in both."""
+
+Error = tuple[float, float, float]
+"""Errors of x and y in px, and relative error of the pitch."""
+
+Cut = tuple[float, tuple[Floats, Floats]]
+"""Time, and the sum cut out at the first pose and at the tracked pose."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingFilm:
-    """A film to run the trackers on."""
+    """Film for the trackers."""
 
-    # Name of the film in tables
     name: str
-    # Settings of the link that is filmed
     settings: LinkSettings
-    # Seed of road, scene and noise, 0 or more
     seed: int
-    # clip, imu: files of recorded footage and motion; None: as the settings draw them
+    # Recorded footage and motion; None: as in the settings
     clip: Path | None = None
     imu: Path | None = None
 
@@ -65,53 +69,45 @@ class TrackingFilm:
 class TrackingRun:
     """Errors of the trackers in a film, by pair of frames."""
 
-    # Name of the film in tables
     name: str
-    # times_s, distance_m, side_px: (n,) time of the pair since the film's start in s; true distance in m and side of
-    # the array in px
+    # (n,) time in s, and true side of the array in px
     times_s: Floats
-    distance_m: Floats
     side_px: Floats
-    # (n,) number of the packet the pair belongs to
+    # (n,) number of the packet
     packet: NDArray[np.int64]
-    # By tracker (n, 3): x and y, found minus true, in px, and pitch found over true, less 1 (NaN: not given)
+    # By tracker (n, 3): error of x and y in px, and relative error of the pitch (NaN: not estimated)
     errors: Mapping[str, Floats]
-    # Moments for the pictures: time, and the sum cut out at the first pose and at the tracked one
-    cuts: list[tuple[float, tuple[Floats, Floats]]] = field(default_factory=list)
+    # Sums for the pictures
+    cuts: list[Cut] = field(default_factory=list)
 
 
 def run_trackers(job: TrackingFilm) -> TrackingRun:
     """Run all trackers on a film."""
+    settings, channel = job.settings, job.settings.channel
     recordings = Recordings(
         footage=load_footage(job.clip) if job.clip else None, imu=load_imu(job.imu) if job.imu else None
     )
-    group = _TrackerGroup(job.settings, [name for name in TRACKERS if name != KNOWN])
-    frames = simulate(job.settings, default_messages(job.settings), job.seed, recordings)
-    moments = _moments(job.settings)
-    for pair in _pairs(frames):
-        group.push(pair)
-        if moments and group.found and pair[0].index >= moments[0]:
-            moments.pop(0)
-            group.cut(pair)
-    if group.found is None:
+    pairs = _pairs(simulate(settings, default_messages(settings), job.seed, recordings))
+    # the detector needs fewer pairs after a header
+    held = deque[Pair](maxlen=17)
+    found = _detect(settings, pairs, held)
+    if found is None:
         raise HeliographError(f"the array was not found in the film '{job.name}'")
-    known = _TrackerGroup(job.settings, [KNOWN], group.found)
-    for pair in _pairs(_known_film(job, recordings)):
-        known.push(pair)
-    return _result(job, group, known)
+    length_s = channel.duration_s or (channel.distance_m - channel.stop_m) / channel.speed_m_s
+    moments = np.linspace(0.02, 0.97, 8) * length_s * channel.camera.fps
+    cut_frames = [max(int(k), held[-1][0].index) for k in moments]
+    others = [name for name in TRACKERS if name != KNOWN]
+    rows, errors, cuts = _follow(settings, found, chain(held, pairs), others, cut_frames)
+    errors |= _follow(settings, found, _pairs(_known_film(job, recordings)), [KNOWN])[1]
+    times, pitch = np.array(rows).T
+    packet = np.floor(times / settings.signal.packet_s + 1e-6).astype(np.int64)
+    arrays = {name: np.array(errors[name]) for name in TRACKERS}
+    return TrackingRun(job.name, times, settings.signal.side * pitch, packet, arrays, cuts)
 
 
-def _moments(settings: LinkSettings) -> list[int]:
-    channel = settings.channel
-    length = channel.duration_s or (channel.distance_m - channel.stop_m) / channel.speed_m_s
-    return [int(k) for k in np.linspace(0.02, 0.97, 8) * length * channel.camera.fps]
-
-
-def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Frame, Any]]:
-    """The same drive, scene and noise with the light of the known pattern."""
+def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Frame, Truth]]:
+    """The same drive, scene and noise with the light of the known pattern, rendered around the array."""
     settings, signal = job.settings, job.settings.signal
-    # pixels rendered around the array for the known pattern: its window needs no more while it is not lost, and they
-    # are the pixels of whole frames
     return film(
         settings.channel,
         [known_light(settings, settings.transmit.identities[0], job.seed)],
@@ -120,95 +116,67 @@ def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Fra
         slot_order=signal.slot_order,
         footage=recordings.footage,
         imu=recordings.imu,
+        # more than the window of a tracker on the array
         roi_margin_px=24,
     )
 
 
-def _pairs(frames: Iterator[tuple[Frame, Any]]) -> Iterator[Pair]:
-    """Frames 0 and 1, 2 and 3, ...: each pattern with the one after it."""
+def _pairs(frames: Iterator[tuple[Frame, Truth]]) -> Iterator[Pair]:
+    """Frames 0 and 1, 2 and 3, ..."""
     for (first, true), (second, later) in zip(frames, frames, strict=False):
         yield first, second, true.arrays[0], later.arrays[0]
 
 
-class _TrackerGroup:
-    """Trackers that get one film: the detector first, then all of them from the end of the header on."""
+def _detect(settings: LinkSettings, pairs: Iterable[Pair], held: deque[Pair]) -> Detection | None:
+    """Search pairs for the array, and hold the last pairs."""
+    parameters = search_parameters(settings.receive, settings.signal, PLAIN_REGULARITY)
+    detector = PyramidSearch(parameters, settings.signal)
+    for pair in pairs:
+        held.append(pair)
+        if hits := [hit for frame in pair[:2] for hit in detector.search(frame)]:
+            return hits[0]
+    return None
 
-    def __init__(self, settings: LinkSettings, names: list[str], found: Detection | None = None):
-        self._settings, self.found = settings, found
-        self._detector = PyramidSearch(
-            search_parameters(settings.receive, settings.signal, PLAIN_REGULARITY), settings.signal
-        )
-        self._followers = {name: TRACKERS[name](settings) for name in names}
-        self._held: list[Pair] = []
-        self._started = False
-        self.rows: list[tuple[float, float, float]] = []
-        self.errors: dict[str, list[tuple[float, float, float]]] = {name: [] for name in names}
-        self.cuts: list[tuple[float, tuple[Floats, Floats]]] = []
-        self.first: Pose | None = None
-        self.poses: dict[str, Pose] = {}
 
-    def push(self, pair: Pair) -> None:
-        """Take a pair; those held back until the array is found are followed then."""
-        # pairs kept until the array is found: more than its header and what the detector waits for
-        self._held = [*self._held[-16:], pair]
-        if self.found is None:
-            hits = [hit for frame in pair[:2] for hit in self._detector.search(frame)]
-            self.found = hits[0] if hits else None
-        if self.found is None:
-            return
-        held, self._held = self._held, []
-        for one in held:
-            self._follow(self.found, one)
+def _follow(
+    settings: LinkSettings,
+    found: Detection,
+    pairs: Iterable[Pair],
+    names: Sequence[str],
+    cut_frames: Sequence[int] = (),
+) -> tuple[list[tuple[float, float]], dict[str, list[Error]], list[Cut]]:
+    """Start trackers at the last pair of the detected header, and follow the array.
 
-    def _follow(self, found: Detection, pair: Pair) -> None:
-        pattern, inverted, true, later = pair
+    Returns time and pitch of each pair, errors by tracker, and the sums of the first pairs from `cut_frames`
+    on, cut out twice as wide as the array.
+    """
+    signal, frames = settings.signal, list(cut_frames)
+    followers = {name: TRACKERS[name](settings) for name in names}
+    poses, rows, cuts = dict[str, Pose](), list[tuple[float, float]](), list[Cut]()
+    errors: dict[str, list[Error]] = {name: [] for name in names}
+    started = False
+    for pattern, inverted, true, later in pairs:
         since = pattern.time_s - found.start_time_s
-        if since < -1e-9:
-            return
-        if not self._started:
-            # all begin at the last pair of the header
-            self._started = not in_header(self._settings, since + 2 * self._settings.signal.pattern_period_s)
-            if self._started:
-                self._begin(found, pattern, inverted)
-            return
-        self.rows.append((pattern.time_s, _mean(true, later, "distance_m"), _mean(true, later, "pitch_px")))
-        for name, follower in self._followers.items():
-            pose = follower.update(pattern, inverted)
-            self.poses[name] = pose
-            self.errors[name].append(_error(pose, true, later, follower.sized))
-
-    def _begin(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        self.first = found.fit.pose
-        for follower in self._followers.values():
-            follower.start(found, pattern, inverted)
-
-    def cut(self, pair: Pair) -> None:
-        """Keep the sum at the first pose and at that of the inverted signals, twice the array's side across."""
-        if self.first is None or "inverted signals" not in self.poses:
-            return
-        fixed, tracked = (
-            _cut(pair, pose, self._settings.signal.side) for pose in (self.first, self.poses["inverted signals"])
-        )
-        self.cuts.append((pair[0].time_s, (fixed, tracked)))
+        if started:
+            x, y, pitch = (0.5 * (getattr(true, n) + getattr(later, n)) for n in ("x", "y", "pitch_px"))
+            rows.append((pattern.time_s, pitch))
+            for name, follower in followers.items():
+                pose = poses[name] = follower.update(pattern, inverted)
+                relative = pose.pitch / pitch - 1 if follower.sized else np.nan
+                errors[name].append((pose.x - x, pose.y - y, relative))
+        elif since > -1e-9 and not is_in_header(settings, since + 2 * signal.pattern_period_s):
+            started = True
+            for follower in followers.values():
+                follower.start(found, pattern, inverted)
+        if frames and pattern.index >= frames[0]:
+            frames.pop(0)
+            if OURS in poses:
+                fixed, tracked = (_sum_at(pattern, inverted, p, signal.side) for p in (found.fit.pose, poses[OURS]))
+                cuts.append((pattern.time_s, (fixed, tracked)))
+    return rows, errors, cuts
 
 
-def _mean(true: ArrayTruth, later: ArrayTruth, name: str) -> float:
-    return 0.5 * (getattr(true, name) + getattr(later, name))
-
-
-def _error(pose: Pose, true: ArrayTruth, later: ArrayTruth, sized: bool) -> tuple[float, float, float]:
-    x, y, pitch = (_mean(true, later, name) for name in ("x", "y", "pitch_px"))
-    return pose.x - x, pose.y - y, pose.pitch / pitch - 1 if sized else np.nan
-
-
-def _cut(pair: Pair, pose: Pose, side: int) -> Floats:
+def _sum_at(pattern: Frame, inverted: Frame, pose: Pose, side: int) -> Floats:
     half = round(side * pose.pitch)
-    place = (round(pose.x) - half, round(pose.y) - half, 2 * half + 1, 2 * half + 1)
-    return cut_out(pair[0], place) + cut_out(pair[1], place)
-
-
-def _result(job: TrackingFilm, group: _TrackerGroup, known: _TrackerGroup) -> TrackingRun:
-    times, distance, pitch = np.array(group.rows).T
-    errors = {name: np.array((group.errors | known.errors)[name]) for name in TRACKERS}
-    packet = np.floor(times / job.settings.signal.packet_s + 1e-6).astype(np.int64)
-    return TrackingRun(job.name, times, distance, job.settings.signal.side * pitch, packet, errors, group.cuts)
+    window = (round(pose.x) - half, round(pose.y) - half, 2 * half + 1, 2 * half + 1)
+    return cut_out(pattern, window) + cut_out(inverted, window)

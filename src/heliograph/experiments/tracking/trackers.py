@@ -1,4 +1,4 @@
-"""Trackers under comparison: none, the receiver's own, image motion, OpenCV's, and a partially known pattern."""
+"""Trackers: none, that of the receiver, background motion, OpenCV trackers, and a partially known pattern."""
 
 from collections.abc import Iterator
 from itertools import count
@@ -13,6 +13,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
 from heliograph.receive.detect.detection import Detection
+from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.window import cut_out, window_around
 from heliograph.receive.sync.pairing import FramePair, sum_late_s
@@ -24,36 +25,36 @@ from heliograph.signal.pwm import SLOTS
 
 
 class Follower(Protocol):
-    """Follows one array from pair to pair of frames."""
+    """Tracker of an array over pairs of frames."""
 
-    # Whether its poses have the array's pitch; else the pitch is that of the start
+    # True if the tracker estimates the pitch
     sized: bool
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Begin where the array was found."""
+        """Start at a detection."""
         ...
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """The pose in the middle of the next pair, `pattern` and `inverted`."""
+        """Estimate the pose in the middle of the next pair."""
         ...
 
 
 class NoTracking:
-    """No tracking: the array stays where it was found."""
+    """No tracking: the pose of the detection."""
 
     sized = False
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
-        """Keep the pose; see `Follower`."""
+    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - the protocol
+        """Keep the pose."""
         self._pose = found.fit.pose
 
-    def update(self, pattern: Frame, inverted: Frame) -> Pose:  # noqa: ARG002 - as all trackers
-        """The pose kept; see `Follower`."""
+    def update(self, pattern: Frame, inverted: Frame) -> Pose:  # noqa: ARG002 - the protocol
+        """Return the first pose."""
         return self._pose
 
 
 class InvertedSignals:
-    """The paper's way, as in the receiver: the sum of a pattern and its inverse shows every LED."""
+    """Tracker of the receiver and the paper: the sum of a pattern and the inverse shows every LED."""
 
     sized = True
 
@@ -62,16 +63,16 @@ class InvertedSignals:
         model = MotionModel(settings.signal.pattern_period_s, settings.receive.track.acceleration_px)
         self._tracker = Tracker(settings.signal.side, model)
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
-        """Start the receiver's tracker; see `Follower`."""
+    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - the protocol
+        """Start the tracker of the receiver."""
         side = self._settings.signal.side
         self._weights = header_levels(found.identity, side) / 2.0 - 1.0
         self._track = self._tracker.start(found)
         self._start_s = found.start_time_s
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Follow a pair; a header's pair refines the pose for the next; see `Follower`."""
-        header = in_header(self._settings, pattern.time_s - self._start_s)
+        """Follow a pair; pairs of a header refine the track."""
+        header = is_in_header(self._settings, pattern.time_s - self._start_s)
         pair = FramePair(pattern, inverted, 0.0 if header else sum_late_s(self._settings.signal))
         tracked = self._tracker.follow(self._track, pair)
         self._track = tracked.track
@@ -80,22 +81,22 @@ class InvertedSignals:
         return tracked.state.pose
 
 
-def in_header(settings: LinkSettings, since_s: float) -> bool:
-    """Whether the pattern shown at a time belongs to a header."""
+def is_in_header(settings: LinkSettings, since_s: float) -> bool:
+    """True if the pattern at a time belongs to a header."""
     signal = settings.signal
     return round(since_s / signal.pattern_period_s) % signal.packet_patterns < 2 * signal.header_pairs
 
 
 REACH_PX = 3
-"""Largest motion in px from pair to pair that is searched; in the drives here it is up to 2 px."""
+"""Search range in px from pair to pair; the motion in these drives is at most 2 px."""
 
 
 class BackgroundMotion:
-    """Motion of the background, section IV.B.2: the median motion of its features is added to the array's position.
+    """Background motion, section IV.B.2: the position of the array follows the median motion of background features.
 
-    Pyramidal Lucas-Kanade from a key pair to each of the next, on the sums of pairs, scaled to 8 bits by the key
-    pair's. The array and its panel are left out. The tracker has no measure of the array's size and of its own drift,
-    and takes a near array to move like the background far behind it.
+    Pyramidal Lucas-Kanade from a key pair to the following pairs, on the sums of pairs, scaled to 8 bits. A mask
+    excludes the array and the panel. The tracker estimates neither the size of the array nor drift, and assumes that a
+    near array moves like the far background.
     """
 
     sized = False
@@ -104,18 +105,18 @@ class BackgroundMotion:
     _way: tuple[float, float]
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Choose features around the array; see `Follower`."""
+        """Choose features around the array."""
         self._pose: Pose = found.fit.pose
         self._side = 16 * self._pose.pitch
         self._renew(_sum(pattern, inverted))
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Move with the background; see `Follower`."""
+        """Move with the background."""
         both = _sum(pattern, inverted)
         self._age += 1
         if len(self._old):
             self._follow(self._stretched(both))
-        # background features, and pairs after which they are chosen again
+        # choose new features after 10 pairs
         if self._age >= 10 or not len(self._old):
             self._renew(both)
         return self._pose
@@ -133,7 +134,7 @@ class BackgroundMotion:
             self._pose = self._at.moved(*self._way)
 
     def _renew(self, both: NDArray[np.float32]) -> None:
-        """A new key pair and new features."""
+        """Choose a new key pair and new features."""
         self._age, self._at, self._way = 0, self._pose, (0.0, 0.0)
         self._alpha = 255 / max(float(np.quantile(both[::8, ::8], 0.995)), 16.0)
         self._key = self._stretched(both)
@@ -148,31 +149,31 @@ class BackgroundMotion:
 
 
 class MultipleInstance:
-    """OpenCV's TrackerMIL on the sums: the only general tracker of OpenCV 5 that needs no trained model.
+    """OpenCV TrackerMIL on the sums: the only general tracker of OpenCV 5 that needs no trained model.
 
-    It learns a box of twice the array's side and gives boxes of whole pixels and of one size.
-    Its features come from a generator of OpenCV's that goes on through a process and has no seed.
+    The box is twice as wide as the array, with a fixed size and integer coordinates. The random generator of the
+    features has no seed.
     """
 
     sized = False
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Learn the array; see `Follower`."""
-        opencv: Any = cv2  # its type hints leave this tracker out
+        """Learn the array."""
+        opencv: Any = cv2  # the type hints lack this tracker
         params = opencv.TrackerMIL_Params()
         params.samplerSearchWinSize = float(REACH_PX)
         cv2.setRNGSeed(0)
         self._tracker: Any = opencv.TrackerMIL_create(params)
         self._pose, side = found.fit.pose, round(32 * found.fit.pose.pitch)
         left, top = round(self._pose.x - side / 2), round(self._pose.y - side / 2)
-        # the box's whole pixels lie a fraction of a pixel beside the array's centre
+        # distance of the array from the corner of the box
         self._rest = self._pose.x - left, self._pose.y - top
         view, corner = self._view(pattern, inverted)
         self._tracker.init(view, (left - corner[0], top - corner[1], side, side))
         self._corner = corner
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Ask OpenCV for the box; where it has none the last one stays; see `Follower`."""
+        """Move to the box of OpenCV, if found."""
         view, _ = self._view(pattern, inverted)
         found, (left, top, _, _) = self._tracker.update(view)
         if found:
@@ -181,26 +182,26 @@ class MultipleInstance:
         return self._pose
 
     def _view(self, pattern: Frame, inverted: Frame) -> tuple[Gray, tuple[int, int]]:
-        """Half of the sum in colour, and its corner on the sensor."""
+        """Half of the sum in colour, and the corner on the sensor."""
         gray = cv2.addWeighted(pattern.pixels, 0.5, inverted.pixels, 0.5, 0)
         return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8), pattern.origin
 
 
 class TemplateMatch:
-    """OpenCV's template matching on the sums: normalised correlation, its peak between pixels by parabolas.
+    """OpenCV template matching on the sums: normalised correlation with a parabolic peak between pixels.
 
-    The template, twice the array's side, is led after what was found by a tenth a pair, so it grows with the array.
+    The template is twice as wide as the array and adapts by a tenth per pair, so it grows with the array.
     """
 
     sized = False
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Cut the template out; see `Follower`."""
+        """Cut the template out."""
         self._pose, self._side = found.fit.pose, 2 * round(16 * found.fit.pose.pitch) + 1
         self._template = self._patch(_sum(pattern, inverted), self._side)
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Move to the best match; see `Follower`."""
+        """Move to the best match."""
         both = _sum(pattern, inverted)
         area = self._patch(both, self._side + 2 * REACH_PX)
         match = np.asarray(cv2.matchTemplate(area, self._template, cv2.TM_CCOEFF_NORMED), np.float32)
@@ -218,7 +219,7 @@ def _sum(pattern: Frame, inverted: Frame) -> NDArray[np.float32]:
 
 
 def _peak(values: NDArray[np.float32], k: int) -> float:
-    """Place of a parabola's peak beside sample k."""
+    """Offset of the peak of a parabola from sample k."""
     if not 0 < k < len(values) - 1:
         return 0.0
     left, middle, right = (float(values[k + d]) for d in (-1, 0, 1))
@@ -226,24 +227,21 @@ def _peak(values: NDArray[np.float32], k: int) -> float:
     return 0.5 * (left - right) / bend if bend < 0 else 0.0
 
 
-KNOWN_BLOCK_PX = 4
-"""Side of a block of known LEDs."""
-
 KNOWN_SPREAD = 0.25
-"""Rms of a data LED's luminance about its mean, 1/2: levels 0 to 4 with probabilities 1, 4, 6, 4, 1 of 16."""
+"""Rms deviation of a data LED from the mean luminance 1/2: levels 0 to 4 with probabilities 1, 4, 6, 4, 1 of 16."""
 
 GROWTH = (0.5, 5.0)
-"""Least and largest pitch, by the one found, of an array that is not lost; in a drive it grows by less than 4."""
+"""Range of the pitch of a tracked array, relative to the detection; the pitch grows by less than 4 in a drive."""
 
 
 def known_leds(side: int) -> NDArray[np.bool_]:
-    """Which LEDs are known, (side, side)."""
-    near = (np.arange(side) < KNOWN_BLOCK_PX) | (np.arange(side) >= side - KNOWN_BLOCK_PX)
+    """Known LEDs: blocks of 4 x 4 in the corners, (side, side)."""
+    near = (np.arange(side) < 4) | (np.arange(side) >= side - 4)
     return near[:, None] & near
 
 
 def known_light(settings: LinkSettings, identity: int, seed: int) -> Iterator[NDArray[np.uint8]]:
-    """Endless patterns: headers as in the signal, and random data without inverses, the known LEDs lit."""
+    """Endless patterns: headers, and random data with the known LEDs lit and no inverses."""
     signal, rng = settings.signal, np.random.default_rng(seed)
     header, known = header_levels(identity, signal.side), known_leds(signal.side)
     for number in count():
@@ -256,10 +254,9 @@ def known_light(settings: LinkSettings, identity: int, seed: int) -> Iterator[ND
 
 
 class KnownPattern:
-    """Fits the expected image to each frame: known LEDs lit, data LEDs at their mean with a large variance.
+    """Fit of the expected image to each frame: known LEDs lit, data LEDs at the mean with a large variance.
 
-    Once its fit has left the frame, or has a size the array cannot have, it is lost and stays where it was: only a
-    header could find the array again, and its window, as large as its array, would grow without end.
+    The tracker is lost and stops when the fit leaves the frame or has an implausible size.
     """
 
     sized = True
@@ -269,8 +266,8 @@ class KnownPattern:
         self._side = settings.signal.side
         self._model = MotionModel(settings.signal.pattern_period_s, settings.receive.track.acceleration_px)
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
-        """Begin at the detection; see `Follower`."""
+    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - the protocol
+        """Start at the detection."""
         wider = widen_covariance(found.fit.covariance)[:POSE_SIZE, :POSE_SIZE]
         self._state = PoseState.start(found.time_s, found.fit.vector[:POSE_SIZE], wider, self._model)
         self._start_s, self._gain = found.start_time_s, found.fit.gain
@@ -280,7 +277,7 @@ class KnownPattern:
         self._expected = [(header, none), (1 - header, none), (np.where(known, 1.0, 0.5), np.where(known, 0.0, 1.0))]
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Fit both frames by themselves: there is no inverse; see `Follower`."""
+        """Fit the two frames separately, as there is no inverse."""
         first, second = self._frame_pose(pattern), self._frame_pose(inverted)
         return Pose.from_vector(0.5 * (first + second))
 
@@ -295,11 +292,11 @@ class KnownPattern:
             self._state = before.predict(frame.time_s, self._model)
         mean, data = self._expected[self._kind(frame.time_s - self._start_s)]
         vector, covariance = self._fit(frame, mean, data)
-        self._lost = not self._possible(frame, Pose.from_vector(vector))
+        self._lost = not self._is_plausible(frame, Pose.from_vector(vector))
         self._state = before if self._lost else self._state.condition(vector, covariance, POSE)
 
-    def _possible(self, frame: Frame, pose: Pose) -> bool:
-        """Whether the array may be there: its centre in the frame, its size about what it was."""
+    def _is_plausible(self, frame: Frame, pose: Pose) -> bool:
+        """True if the centre lies in the frame and the size is in range."""
         rows, cols = frame.pixels.shape
         inside = 0 <= pose.x - frame.origin[0] < cols and 0 <= pose.y - frame.origin[1] < rows
         return bool(inside and GROWTH[0] <= pose.pitch / self._pitch <= GROWTH[1])
@@ -310,18 +307,24 @@ class KnownPattern:
         return place % 2 if place < 2 * signal.header_pairs else 2
 
     def _fit(self, frame: Frame, mean: Floats, data: Floats) -> tuple[Floats, Floats]:
-        """Posterior pose and covariance by Gauss-Newton; noise and light of data LEDs weight the pixels."""
+        """Posterior pose and covariance by Gauss-Newton, with pixels weighted by noise and light of data LEDs."""
         start, prior = self._state.mean[:5], np.linalg.inv(self._state.covariance[:5, :5])
         window = window_around(self._state.pose, self._side, 3.0)
         (x0, y0), image = window[:2], cut_out(frame, window)
-        trust, scene = self._trust(image, data, (x0, y0)), _ArrayImages(image.shape, (x0, y0))
-        vector = start.copy()
+        weights, vector = self._weights(image, data, (x0, y0)), start.copy()
+        # images of array, panel squares and a plane, with derivatives
+        shapes = np.zeros((4 + len(FIT.panel_margins), 6, *image.shape))
+        shapes[-3, 0] = 1
+        shapes[-2, 0] = np.linspace(-0.5, 0.5, image.shape[1])
+        shapes[-1, 0] = np.linspace(-0.5, 0.5, image.shape[0])[:, None]
         for _ in range(3):
-            shapes = scene.place(vector, mean)
-            linear = self._light(image, shapes, trust)
+            kernels.render(vector, mean, float(x0), float(y0), shapes[0], 0.0, 0.0)
+            for shape, margin in zip(shapes[1:-3], FIT.panel_margins, strict=True):
+                kernels.render_box(vector, 0.5 * len(mean) + margin, float(x0), float(y0), shape, 0.0, 0.0)
+            linear = self._light(image, shapes, weights)
             slopes = np.tensordot(linear[:-3], shapes[:-3, 1:], 1)
             columns = np.concatenate([slopes, shapes[:, 0]]).reshape(5 + len(linear), -1)
-            matrix, rhs = _normal(columns, trust, image - np.tensordot(linear, shapes[:, 0], 1))
+            matrix, rhs = _normal(columns, weights, image - np.tensordot(linear, shapes[:, 0], 1))
             matrix[:5, :5] += prior
             rhs[:5] += prior @ (start - vector)
             matrix += 1e-9 * np.diag(np.diag(matrix) + 1e-3)
@@ -329,46 +332,24 @@ class KnownPattern:
         self._gain += 0.02 * (float(linear[0]) - self._gain)
         return vector, np.asarray(np.linalg.inv(matrix)[:5, :5], np.float64)
 
-    def _trust(self, image: Floats, data: Floats, corner: tuple[int, int]) -> Floats:
-        """One over the variance of each pixel."""
-        from heliograph.receive.geometry import kernels  # Numba is slow to import
-
+    def _weights(self, image: Floats, data: Floats, corner: tuple[int, int]) -> Floats:
+        """Inverse variance of each pixel."""
         shape = np.empty((6, *image.shape))
         kernels.render(self._state.mean[:5].copy(), data, float(corner[0]), float(corner[1]), shape, 0.0, 0.0)
         noise = 1.0 + self._gain * np.maximum(image, 0) / 15000
         return np.asarray(1 / (noise + (KNOWN_SPREAD * self._gain * shape[0]) ** 2))
 
-    def _light(self, image: Floats, shapes: Floats, trust: Floats) -> Floats:
-        """Gain, panel and background at a pose, the gain near what it was."""
+    def _light(self, image: Floats, shapes: Floats, weights: Floats) -> Floats:
+        """Gain, panel and background at a pose, with the previous gain as prior."""
         columns = shapes[:, 0].reshape(len(shapes), -1)
-        matrix, rhs = _normal(columns, trust, image)
+        matrix, rhs = _normal(columns, weights, image)
         weight = (0.1 * self._gain) ** -2
         matrix[0, 0] += weight
         rhs[0] += weight * self._gain
         return np.asarray(np.linalg.solve(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3), rhs))
 
 
-class _ArrayImages:
-    """Images of the array, the panel's two squares and a plane, with their derivatives: (6, 6, rows, columns)."""
-
-    def __init__(self, shape: tuple[int, ...], corner: tuple[int, int]):
-        rows, cols = shape
-        self._corner = float(corner[0]), float(corner[1])
-        self._shapes = np.zeros((4 + len(FIT.panel_margins), 6, rows, cols))
-        self._shapes[-3, 0] = 1
-        self._shapes[-2, 0] = np.linspace(-0.5, 0.5, cols)
-        self._shapes[-1, 0] = np.linspace(-0.5, 0.5, rows)[:, None]
-
-    def place(self, vector: Floats, mean: Floats) -> Floats:
-        from heliograph.receive.geometry import kernels
-
-        kernels.render(vector, mean, *self._corner, self._shapes[0], 0.0, 0.0)
-        for shape, margin in zip(self._shapes[1:-3], FIT.panel_margins, strict=True):
-            kernels.render_box(vector, 0.5 * len(mean) + margin, *self._corner, shape, 0.0, 0.0)
-        return self._shapes
-
-
-def _normal(columns: Floats, trust: Floats, image: Floats) -> tuple[Floats, Floats]:
+def _normal(columns: Floats, weights: Floats, image: Floats) -> tuple[Floats, Floats]:
     """Weighted normal equations."""
-    weighted = columns * trust.ravel()
+    weighted = columns * weights.ravel()
     return weighted @ columns.T, weighted @ image.ravel()
