@@ -2,20 +2,17 @@
 
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.media import arrays, hdf5, images, phantom, photron, raw_dumps, tiff, video_read, video_write
-from heliograph.media import hdf5 as hdf5_write
-from heliograph.media import images as animations
-from heliograph.media.arrays import ArrayReader
+from heliograph.media import hdf5, images, phantom, photron, tiff, video_read, video_write
+from heliograph.media.arrays import ArrayReader, refuse_dump
 from heliograph.media.live.reader import LiveReader, film_path, is_camera
 from heliograph.media.live.settings import CameraSettings, camera_settings
 from heliograph.media.phantom import PhantomReader
 from heliograph.media.photron import PhotronReader
-from heliograph.media.reader import FilmReader, Reading
+from heliograph.media.reader import FilmReader, Reading, clear_read_errors
 from heliograph.media.record import FilmSpec
 from heliograph.media.tiff import TiffReader
 from heliograph.media.view import View, ViewReader
@@ -25,30 +22,17 @@ FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
 """Suffixes of films that can be created."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Kind:
-    """A kind of recording: its reader, the check of its content, and its usual suffixes."""
-
-    open: Callable[[Path, Reading], FilmReader]
-    knows: Callable[[Path, bytes], bool] | None
-    suffixes: tuple[str, ...] = ()
-
-
-def _begins(*signatures: bytes) -> Callable[[Path, bytes], bool]:
-    """Whether a file begins with one of some signatures."""
-    return lambda _, head: head.startswith(signatures)
-
-
-_KINDS = (
-    _Kind(PhotronReader, None, photron.SUFFIXES),  # raw frames begin with any bytes
-    _Kind(animations.AnimationReader, animations.is_animation),
-    _Kind(images.ImagesReader, images.is_picture),
-    _Kind(PhantomReader, _begins(phantom.SIGNATURE), phantom.SUFFIXES),
-    _Kind(TiffReader, _begins(*tiff.SIGNATURES), tiff.SUFFIXES),
-    _Kind(ArrayReader, _begins(arrays.SIGNATURE), arrays.SUFFIXES),
-    _Kind(hdf5.Hdf5Reader, lambda path, _: hdf5.is_hdf5(path), hdf5.SUFFIXES),
+_KINDS: tuple[tuple[Callable[[Path, Reading], FilmReader], Callable[[Path, bytes], bool], tuple[str, ...]], ...] = (
+    # raw frames begin with any bytes
+    (PhotronReader, lambda path, _: path.suffix.lower() in photron.SUFFIXES, ()),
+    (images.AnimationReader, images.is_animation, ()),
+    (images.ImagesReader, images.is_picture, ()),
+    (PhantomReader, lambda _, head: head.startswith(phantom.SIGNATURE), (".cine",)),
+    (TiffReader, lambda _, head: head.startswith(tiff.SIGNATURES), tiff.SUFFIXES),
+    (ArrayReader, lambda _, head: head.startswith(b"\x93NUMPY"), (".npy",)),
+    (hdf5.Hdf5Reader, lambda path, _: hdf5.is_hdf5(path), hdf5.SUFFIXES),
 )
-"""Kinds of files that are read without FFmpeg; all others are taken for videos."""
+"""Reader, check of path and first bytes, and usual suffixes of the kinds that are read without FFmpeg."""
 
 _NO_FILMS = {
     b"MATLAB 5.0 MAT-file": "is of MATLAB before 7.3: save it there with '-v7.3', the frames as (row, column, frame)",
@@ -56,9 +40,6 @@ _NO_FILMS = {
     b"\x1f\x8b": "is compressed by gzip: unpack it first",
 }
 """Advice on files of other kinds, by their first bytes."""
-
-_HEAD = 64
-"""Bytes of a file that tell its kind, but for HDF5, which may begin later."""
 
 
 def open_film(
@@ -141,45 +122,39 @@ def open_film(
     elif asked != CameraSettings():
         raise MediaError(f"{path} is a recording: only a live camera, such as camera:aravis, takes settings")
     else:
-        film = _opened(path, reading)
+        film = _open_recording(path, reading)
     return film if view.is_whole else ViewReader(film, view)
 
 
-def _opened(path: Path, reading: Reading) -> FilmReader:
-    try:
-        pictures, there, head = path.is_dir() or images.is_pattern(path), path.exists(), None
-        kind: _Kind | None = None
+def _open_recording(path: Path, reading: Reading) -> FilmReader:
+    head = None
+    with clear_read_errors(path):
+        is_there = path.exists()
+        if path.is_dir() or images.is_pattern(path):
+            return images.ImagesReader(path, reading)
         if path.is_file():
             with path.open("rb") as file:
-                head = file.read(_HEAD)
-            kind = next((kind for kind in _KINDS if _knows(kind, path, head)), None)
-    except OSError as error:
-        raise MediaError(f"cannot read {path}: {error.strerror}") from error
-    if pictures:
-        return images.ImagesReader(path, reading)
-    if not there:
+                head = file.read(64)
+            for open_kind, matches, _ in _KINDS:
+                if matches(path, head):
+                    return open_kind(path, reading)
+    if not is_there:
         raise MediaError(f"there is no file {path}: check the name")
     if head is None:
         raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
     if not head:
         raise MediaError(f"{path} is empty: copy or record it again")
-    if kind is not None:
-        return kind.open(path, reading)
     for signature, advice in _NO_FILMS.items():
         if head.startswith(signature):
             raise MediaError(f"{path} {advice}")
-    named = next((kind for kind in _KINDS if kind.knows and path.suffix.lower() in kind.suffixes), None)
-    raw_dumps.check_header(path)
+    refuse_dump(path)
     try:
         return video_read.VideoReader(path, reading)
     except MediaError:
-        if named is None:
-            raise
-    return named.open(path, reading)  # which tells what is wrong with it
-
-
-def _knows(kind: _Kind, path: Path, head: bytes) -> bool:
-    return kind.knows(path, head) if kind.knows else path.suffix.lower() in kind.suffixes
+        for open_kind, _, suffixes in _KINDS:
+            if path.suffix.lower() in suffixes:
+                return open_kind(path, reading)  # reports the damage
+        raise
 
 
 def create_film(
@@ -286,5 +261,5 @@ def _codec(
 
 def _sink(partial: Path, target: Path, spec: FilmSpec, codec: video_write.VideoCodec | None) -> Sink:
     if codec is None:
-        return hdf5_write.Hdf5Sink(partial, target, spec)  # writes faster than a queue hands over
+        return hdf5.Hdf5Sink(partial, target, spec)  # writes faster than a queue hands over
     return ThreadedSink(video_write.VideoSink(partial, target, spec, codec))

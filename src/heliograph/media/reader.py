@@ -4,7 +4,8 @@ import queue
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -12,129 +13,45 @@ from types import TracebackType
 from typing import ClassVar, Self
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.base.frames import LATEST_S, Frame, Pixels
+from heliograph.base.frames import LATEST_S, Frame
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ
 
 CHANNELS = ("luma", "red", "green", "blue")
-"""What is taken of a colour for a gray level."""
+"""Parts of a colour that give a gray level."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """How a film is to be read."""
+    """Options for reading a film."""
 
-    # Frames per second that the camera took, 1e-6 to 1e6; None believes the file
+    # Frames per second of the camera, 1e-6 to 1e6; None for the rate of the file
     rate_hz: float | None = None
-    # Whether to stretch limited-range video (black at 16, white at 235) to the full scale
+    # True to stretch limited-range video (black at 16, white at 235) to full scale
     expand_range: bool = False
-    # One of `CHANNELS`; of gray films all of them are the gray levels
+    # One of `CHANNELS`; gray films ignore it
     channel: str = "luma"
 
     def __post_init__(self) -> None:
-        if self.rate_hz is not None and not _is_rate(self.rate_hz):
+        rate_hz = self.rate_hz
+        if rate_hz is not None and not (isinstance(rate_hz, Real) and SLOWEST_HZ <= rate_hz <= FASTEST_HZ):
             raise MediaError(
-                f"a camera takes {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames/s, not {shown(self.rate_hz)}; give the rate "
-                "it was set to"
+                f"a camera takes {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames/s, not {shown(rate_hz)}; give the rate it was "
+                "set to"
             )
         if self.channel not in CHANNELS:
             raise MediaError(f"there is no channel {shown(self.channel)}: choose one of {', '.join(CHANNELS)}")
 
 
-def _is_rate(value: object) -> bool:
-    return isinstance(value, Real) and bool(value <= FASTEST_HZ) and not value < SLOWEST_HZ
-
-
-FRAMES_AHEAD = 8
-"""Frames that wait for their use at most; bounds memory. Chosen, as for films that are written: a receiver that stops
-for 50 ms, looking for an array, then goes on with frames of FFV1 that were decoded meanwhile."""
-
-
-def read_ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
-    """Yield frames in their order while the next ones are read.
-
-    The thread begins with the first frame that is asked for. It ends with the frames, or where no more are asked for:
-    by an error, by Ctrl-C, or when the iterator is closed. It is then waited for, so that the film's file is closed.
-    """
-    waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(FRAMES_AHEAD)
-    wanted = threading.Event()
-    wanted.set()
-    thread = threading.Thread(target=_read, args=(frames, waiting, wanted), name="film-reader", daemon=True)
-    thread.start()
-    ended = False
-    try:
-        while True:
-            got = waiting.get()
-            if not isinstance(got, Frame):
-                ended = True
-                if got is not None:
-                    raise got
-                return
-            yield got
-    finally:
-        wanted.clear()
-        while not ended:  # the thread may wait for room
-            ended = not isinstance(waiting.get(), Frame)
-        thread.join()
-
-
-def _read(
-    frames: Iterator[Frame], waiting: "queue.Queue[Frame | BaseException | None]", wanted: threading.Event
-) -> None:  # fmt: skip
-    """Put frames in the queue while they are wanted, and last of all the error that ended them, or None."""
-    end: BaseException | None = None
-    try:
-        for frame in frames:
-            waiting.put(frame)
-            if not wanted.is_set():
-                break
-        close = getattr(frames, "close", None)
-        if close is not None:
-            close()
-    except BaseException as error:  # raised in the thread that asks for the frames, which waits for an end
-        end = error
-    waiting.put(end)
-
-
-MOST_PIXELS = 1 << 27
-"""Most pixels of a frame: twice those of the largest camera of the settings. A damaged film may claim more."""
-
-
-def checked_size(path: Path, width: int, height: int) -> None:
-    """Check the size of a film's frames."""
-    if not 0 < width * height <= MOST_PIXELS:
-        raise MediaError(f"{path} has frames of {width}x{height} pixels: it is no film, or damaged; copy it again")
-
-
-def checked_time(path: Path, time_s: float, count: int) -> float:
-    """Return the time of a frame if it is one."""
-    if not abs(time_s) <= LATEST_S:
-        raise MediaError(
-            f"{path} has a frame at {time_s:g} s after {count} whole frames: times are in seconds, at most "
-            f"{LATEST_S:g}; correct them, or cut the film there"
-        )
-    return time_s
-
-
-def check_levels(path: Path, pixels: Pixels, bits: int, count: int) -> None:
-    """Check that gray levels have no more bits than the file says."""
-    if bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
-        raise MediaError(
-            f"{path} has a gray level of {int(pixels.max())} after {count} whole frames, and its header says {bits} "
-            "bits: correct the header, or save the recording again"
-        )
-
-
 class FilmReader(ABC):
-    """A film opened for reading: iterate it for its frames, one at a time; each iteration starts at the first frame.
+    """A film opened for reading: iterate it for its frames; each iteration starts at the first frame.
 
     Memory does not grow with the film. Pixels are read-only. Use it as a context manager, or call `close`.
     """
 
+    # True if frames are decoded, which takes longer than a change of threads
     _decodes: ClassVar[bool] = False
-    """Whether its frames are decoded, which takes longer than to hand them from thread to thread."""
-
+    # False if a decoder keeps the levels within their bits
     _checks_levels: bool = True
-    """False if a decoder keeps the levels within their bits."""
 
     path: Path
     width: int
@@ -153,7 +70,7 @@ class FilmReader(ABC):
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second of the camera: as it was said where the film was opened, or else as the file says."""
+        """Frames per second of the camera: the rate given to `open_film`, else that of the file."""
         return self._true_hz or self.claimed_hz
 
     def __iter__(self) -> Iterator[Frame]:
@@ -165,7 +82,7 @@ class FilmReader(ABC):
         return self._running
 
     def _clocked(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """The frames, the time that they take counted."""
+        """Yield the frames and count the time for reading them."""
         try:
             while True:
                 start = time.perf_counter()
@@ -178,14 +95,17 @@ class FilmReader(ABC):
             _stop(frames)
 
     def _checked(self) -> Iterator[Frame]:
-        """Frames whose levels fit into the film's bits."""
+        """Yield read-only frames, and refuse a level above the film's bits."""
         frames = self._frames()
         try:
             for count, frame in enumerate(frames):
-                if self._checks_levels:
-                    check_levels(self.path, frame.pixels, frame.bits, count)
-                # receivers copy pixels that may change
-                frame.pixels.setflags(write=False)
+                pixels, bits = frame.pixels, frame.bits
+                if self._checks_levels and bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
+                    raise MediaError(
+                        f"{self.path} has a gray level of {int(pixels.max())} after {count} whole frames, and its "
+                        f"header says {bits} bits: correct the header, or save the recording again"
+                    )
+                pixels.setflags(write=False)  # receivers copy pixels that may change
                 yield frame
         finally:
             _stop(frames)
@@ -209,7 +129,112 @@ class FilmReader(ABC):
 
 
 def _stop(frames: Iterator[Frame] | None) -> None:
-    """Close a generator of frames: it holds the file open until then."""
-    stop = getattr(frames, "close", None)
-    if stop is not None:
-        stop()
+    """Close a generator of frames, which holds the file open until then."""
+    if (close := getattr(frames, "close", None)) is not None:
+        close()
+
+
+def read_ahead(frames: Iterator[Frame], queued: int = 8) -> Iterator[Frame]:
+    """Yield frames in order while a thread reads the next ones into a queue.
+
+    The thread starts with the first request. The iterator ends the thread and joins it at the last frame, at an error,
+    at Ctrl-C or when closed, so that the film's file is closed.
+    """
+    waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(queued)
+    wanted = threading.Event()
+    wanted.set()
+    thread = threading.Thread(target=_read, args=(frames, waiting, wanted), name="film-reader", daemon=True)
+    thread.start()
+    ended = False
+    try:
+        while True:
+            got = waiting.get()
+            if not isinstance(got, Frame):
+                ended = True
+                if got is not None:
+                    raise got
+                return
+            yield got
+    finally:
+        wanted.clear()
+        while not ended:  # the thread may wait for a free place
+            ended = not isinstance(waiting.get(), Frame)
+        thread.join()
+
+
+def _read(
+    frames: Iterator[Frame], waiting: "queue.Queue[Frame | BaseException | None]", wanted: threading.Event
+) -> None:
+    """Queue frames while they are wanted, then the error that ended them, or None."""
+    end: BaseException | None = None
+    try:
+        for frame in frames:
+            waiting.put(frame)
+            if not wanted.is_set():
+                break
+        _stop(frames)
+    except BaseException as error:  # raised again in the thread of the receiver
+        end = error
+    waiting.put(end)
+
+
+def checked_size(path: Path, width: int, height: int) -> None:
+    """Refuse a size that no frame has; 2^27 pixels are twice those of the largest camera of the settings."""
+    if not 0 < width * height <= 1 << 27:
+        raise MediaError(f"{path} has frames of {width}x{height} pixels: it is no film, or damaged; copy it again")
+
+
+def checked_time(path: Path, time_s: float, count: int) -> float:
+    """Return the time of a frame, or refuse it."""
+    if not abs(time_s) <= LATEST_S:
+        raise MediaError(
+            f"{path} has a frame at {time_s:g} s after {count} whole frames: times are in seconds, at most "
+            f"{LATEST_S:g}; correct them, or cut the film there"
+        )
+    return time_s
+
+
+def camera_rate(path: Path, given_hz: float | None, stated_hz: float | None = None) -> float:
+    """Return the rate of a file, else the given rate."""
+    rate = stated_hz or given_hz
+    if not rate:
+        raise MediaError(
+            f"{path} has no clock: say how many frames a second the camera took, by --fps (rate_hz; on page Watch "
+            "Frames/s)"
+        )
+    return rate
+
+
+@contextmanager
+def clear_read_errors(path: Path | str) -> Iterator[None]:
+    """Turn an OSError into a MediaError of one line."""
+    try:
+        yield
+    except MediaError:
+        raise
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def truncated(path: Path, count: int) -> MediaError:
+    """Return the error for a file that ends within a frame."""
+    return MediaError(f"{path} ends in the middle, after {count} whole frames: copy it again")
+
+
+def expected_frames(path: Path, claimed: int, frame_bytes: int) -> int:
+    """Return the number of frames that a file claims and has room for."""
+    return min(claimed, path.stat().st_size // frame_bytes)
+
+
+def read_blocks(path: Path, places: Iterable[int], size: int) -> Iterator[bytearray]:
+    """Yield the bytes of each frame of a file, writable because kernels are compiled for writable arrays."""
+    with clear_read_errors(path), path.open("rb") as file:
+        length = path.stat().st_size
+        for count, place in enumerate(places):
+            if place + size > length:  # checked before the allocation
+                raise truncated(path, count)
+            file.seek(place)
+            block = bytearray(size)
+            if file.readinto(block) < size:
+                raise truncated(path, count)
+            yield block

@@ -62,41 +62,46 @@ class Pace:
 
 
 class TimedReader(FilmReader):
-    """A film whose frames have time stamps; see `FilmReader`.
+    """A film whose frames have time stamps or numbers; see `FilmReader`.
 
-    With the camera's own rate given, frame k is taken at ``k / rate_hz``. The number k counts from 0; in a film that
-    states its own rate, from its first frame's number. Frames that even stamps show as missing count as well.
+    If the user gives the rate of the camera, frame k has the time ``k / rate_hz``. The number k counts from 0; in a
+    film with a nominal rate, from the number of the first frame. Frames missing between even stamps count as well.
     """
 
+    # True if the stamps are whole multiples of a period that the film states
     _states_numbers: bool = False
-    """True if the stamps are whole multiples of a period that the film itself states."""
-
+    # Frame rate of the stamps; None if they show none
     _pace: Pace | None = None
-    """Frame rate by the stamps; None if they show none."""
+
+    def _number_frames(self, rate_hz: float) -> None:
+        """Set the rate of a film that has frame numbers in place of stamps."""
+        self.claimed_hz, self._pace, self._states_numbers = rate_hz, Pace(rate_hz, is_even=True), True
 
     def _frames(self) -> Iterator[Frame]:
-        index, last_s = -1, -math.inf
-        for count, (stamp_s, pixels, bits) in enumerate(self._pictures()):
+        index, last_s, count = -1, -math.inf, 0
+        for count, (stamp_s, pixels, bits) in enumerate(self._pictures(), 1):
             if self._true_hz is not None:
-                if count:
+                if count > 1:
                     index += self._pace.steps(stamp_s - last_s) if self._pace else 1
                 else:
                     index = max(0, round(stamp_s * self.claimed_hz)) if self._states_numbers else 0
-                time_s = checked_time(self.path, index / self._true_hz, count)
+                time_s = checked_time(self.path, index / self._true_hz, count - 1)
             else:
-                time_s = checked_time(self.path, stamp_s, count)
+                time_s = checked_time(self.path, stamp_s, count - 1)
                 if time_s < last_s:
                     raise MediaError(
-                        f"{self.path} has a frame at {time_s:.6f} s after one at {last_s:.6f} s, after {count} whole "
-                        "frames: times must rise; correct them, or number the frames by --fps (rate_hz)"
+                        f"{self.path} has a frame at {time_s:.6f} s after one at {last_s:.6f} s, after {count - 1} "
+                        "whole frames: times must rise; correct them, or number the frames by --fps (rate_hz)"
                     )
                 index = max(index + 1, round(time_s * self.claimed_hz))
             last_s = stamp_s
             yield Frame(index, time_s, pixels, bits)
+        if not count:
+            raise MediaError(f"{self.path} holds no frames: record it again")
 
     @abstractmethod
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
-        """Yield each frame's time stamp in s, its gray levels and their bits."""
+        """Yield each frame's time stamp in s, gray levels and bits."""
 
 
 def measure_pace(stamps_s: Sequence[float] | Floats, limits: StampLimits = LIMITS) -> Pace | None:

@@ -18,8 +18,7 @@ import numpy as np
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
 from heliograph.media import planes, whole
-from heliograph.media.numbered import camera_rate
-from heliograph.media.reader import Reading, checked_size
+from heliograph.media.reader import Reading, camera_rate, checked_size
 from heliograph.media.record import from_tags, restored_time
 from heliograph.media.stamps import LIMITS, Pace, StampClock, TimedReader
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Pixels
 from heliograph.media.images import to_gray
-from heliograph.media.numbered import unpack_low_first, unpack_pairs
 
 READ = (
     "Mono8, Mono10, Mono12, Mono14, Mono16, the same as Bayer mosaics, with p or Packed at the end for 10 and 12 bits; "
@@ -70,6 +69,27 @@ class PixelFormat:
         lacking = -len(data) % _GROUP_BYTES[self.packing, self.bits]
         whole = np.append(data, np.zeros(lacking, np.uint8)) if lacking else data
         return _UNPACK[self.packing](whole, self.bits)[:count]
+
+
+def unpack_low_first(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
+    """Return gray levels packed without gaps, the lower bits first (PFNC, "p")."""
+    held, size = {10: (4, 5), 12: (2, 3)}[bits]  # levels and bytes of a group
+    groups = data[: len(data) // size * size].reshape(-1, size).astype(np.uint16)
+    levels = np.empty((len(groups), held), np.uint16)
+    for place in range(held):
+        first, shift = divmod(place * bits, 8)
+        levels[:, place] = (groups[:, first] >> shift | groups[:, first + 1] << (8 - shift)) & ((1 << bits) - 1)
+    return levels.ravel()
+
+
+def unpack_pairs(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
+    """Return gray levels of GigE Vision 1: two upper bytes around a byte with the lower bits of both."""
+    groups = data[: len(data) // 3 * 3].reshape(-1, 3).astype(np.uint16)
+    lower = bits - 8
+    levels = np.empty((len(groups), 2), np.uint16)
+    levels[:, 0] = groups[:, 0] << lower | groups[:, 1] & ((1 << lower) - 1)
+    levels[:, 1] = groups[:, 2] << lower | groups[:, 1] >> 4 & ((1 << lower) - 1)
+    return levels.ravel()
 
 
 _GROUP_BYTES = {("p", 10): 5, ("p", 12): 3, ("Packed", 10): 3, ("Packed", 12): 3}
