@@ -19,8 +19,8 @@ from waiting import HANG_S
 
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.media import open_film
-from heliograph.media.live import grabber
 from heliograph.media.live.aravis import aravis
+from heliograph.media.live.grabber import CameraTiming
 from heliograph.media.live.reader import LiveReader
 
 pytestmark = pytest.mark.slow
@@ -174,11 +174,10 @@ class TestLive:
         says = failed(heliograph("receive", "camera:aravis:nobody", cwd=tmp_path))
         assert "no camera 'nobody' is found by Aravis" in says
 
-    def test_it_comes_back_after_it_was_away(self, camera: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(grabber, "SILENT_S", 1.0)
+    def test_it_comes_back_after_it_was_away(self, camera: Served) -> None:
         said: list[str] = []
         with opened(duration_s=40) as film:
-            film.say = said.append
+            film.say, film.timing = said.append, CameraTiming(silent_s=1.0)
             indices: list[int] = []
             times: list[float] = []
             for frame in film:

@@ -264,7 +264,7 @@ def test_transmit_answers_a_crash_wherever_it_is(
 def test_a_crash_while_cameras_are_listed_is_answered_in_a_line(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("heliograph.web.watch.cameras_there", raises(ValueError("broken")))
+    monkeypatch.setattr("heliograph.web.watch.list_cameras", raises(ValueError("broken")))
     answer = client.get("/api/watch/cameras")
     assert (answer.status_code, "ValueError: broken" in answer.json()["error"]) == (500, True)
 

@@ -115,7 +115,7 @@ def measure_pace(stamps_s: Sequence[float] | Floats, limits: StampLimits = LIMIT
     if len(longer) < limits.even_ratio * len(gaps):  # several frames share a stamp: its tick is too coarse for them
         span_s = float(known[-1] - known[0])
         return Pace((len(known) - 1) / span_s, is_even=False) if span_s > 0 else None
-    period_s = frame_period(longer)
+    period_s = frame_period(longer.tolist())
     usual = gaps[(gaps > 0) & (gaps < limits.unit_ratio * period_s)]
     steps = np.maximum(np.round(usual / period_s), 1)
     even_hz, mean_hz = float(steps.sum() / usual.sum()), float(len(usual) / usual.sum())
@@ -124,11 +124,12 @@ def measure_pace(stamps_s: Sequence[float] | Floats, limits: StampLimits = LIMIT
     return Pace(even_hz if is_even else mean_hz, is_even)
 
 
-def frame_period(gaps_s: Floats) -> float:
-    """Median of the gaps of one frame period, of which up to three quarters may hold missing frames."""
-    median = float(np.median(gaps_s))
-    short = gaps_s[gaps_s < 0.7 * median]
-    return float(np.median(short)) if len(short) >= len(gaps_s) / 4 else median
+def frame_period(gaps_s: Iterable[float]) -> float:
+    """Return the median of gaps of one frame period; up to three quarters of the gaps may hold missing frames."""
+    gaps = sorted(gaps_s)
+    median = gaps[len(gaps) // 2]
+    short = [gap for gap in gaps if gap < 0.7 * median]
+    return short[len(short) // 2] if len(short) >= len(gaps) / 4 else median
 
 
 class StampClock:

@@ -1,4 +1,4 @@
-"""The last seconds of a live camera, kept where something failed."""
+"""Record the last seconds of a live camera after a failure."""
 
 import threading
 from collections import deque
@@ -12,19 +12,17 @@ from heliograph.media.hdf5 import SUFFIXES
 from heliograph.media.reader import FilmReader
 from heliograph.media.record import FASTEST_HZ
 
-MOST_KEPT = 1 << 30
-"""Most bytes of frames that are kept. Chosen: ten seconds of 256 x 400 pixels at 1000 frames/s. Where a disk is slow,
-up to three times as many are held: those being written, those that wait for that, and the last ones."""
-
 
 class Recorder:
-    """Keeps the last frames, and writes them to a film where something failed; the newest film replaces the one before.
+    """Keeps the last frames, and writes them to a film after a failure; each film replaces the previous one.
 
-    Films do not overlap: what fails within the time of a film after it was begun is in the next one. They are written
-    in a thread, and appear whole or not at all.
+    Films do not overlap: a failure within the time of a new film is in the next film. A thread writes the films
+    completely or not at all. Memory holds up to three times `max_bytes` of frames if the disk is slow.
     """
 
-    def __init__(self, path: Path, seconds: float, source: FilmReader, metadata: Mapping[str, str]):
+    def __init__(
+        self, path: Path, seconds: float, source: FilmReader, metadata: Mapping[str, str], max_bytes: int = 1 << 30
+    ):
         if path.suffix.lower() not in SUFFIXES:
             raise MediaError(f"{path}: a camera is recorded as HDF5, so its name ends in one of {', '.join(SUFFIXES)}")
         if not path.parent.is_dir() or path.is_dir():
@@ -32,7 +30,7 @@ class Recorder:
         self.written = 0
         self.path, self._source, self._metadata = path, source, {**source.metadata, **metadata}
         size = source.width * source.height * (1 if source.bits == 8 else 2)
-        self._most = max(2, MOST_KEPT // size)
+        self._most = max(2, max_bytes // size)
         self.seconds = min(seconds, self._most / source.rate_hz)
         self._frames: deque[Frame] = deque(maxlen=self._most)
         self._waiting: list[Frame] = []
@@ -42,7 +40,7 @@ class Recorder:
         self._error: BaseException | None = None
 
     def saw(self, frame: Frame) -> None:
-        """Keep a frame, and begin a film where something failed."""
+        """Keep a frame, and start a film after a failure."""
         while self._frames and self._frames[0].time_s < frame.time_s - self.seconds:
             self._frames.popleft()
         self._frames.append(frame)
@@ -55,11 +53,11 @@ class Recorder:
             self._thread.start()
 
     def failed(self) -> None:
-        """Take note that something failed in the frames so far."""
+        """Note a failure in the frames so far."""
         self._failed = True
 
     def close(self) -> None:
-        """Write what is still to be written."""
+        """Write the remaining film."""
         self._finish()
         left = [*self._frames] if self._failed else self._waiting
         self._failed, self._waiting = False, []
@@ -68,7 +66,7 @@ class Recorder:
             self._finish()
 
     def _finish(self) -> None:
-        """Wait for the film that is being written, and raise its error."""
+        """Wait for the running film, and raise its error."""
         if self._thread is not None:
             self._thread.join()
             self._thread = None
