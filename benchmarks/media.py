@@ -137,12 +137,11 @@ def report_ffv1(count: int, runs: int, folder: Path) -> None:
 def report_overlap(count: int, folder: Path) -> None:
     """Print how much the encoder's thread saves beside a renderer that needs 4 ms of one core a frame."""
     spec = FilmSpec(width=WIDTH, height=HEIGHT, rate_hz=1000)
-    codec = video_write.VideoCodec(name="ffv1")
     frames = list(film_frames(count, 8))
 
     def run(background: bool) -> None:
         path = folder / f"overlap{background}.nut"
-        direct = video_write.VideoSink(path, path, spec, codec)
+        direct = video_write.VideoSink(path, path, spec, "ffv1")
         sink = ThreadedSink(direct) if background else direct
         for frame in frames:
             busy_until = time.perf_counter() + 0.004

@@ -13,12 +13,9 @@ from heliograph.base.frames import Pixels
 from heliograph.media.film import open_film
 from heliograph.media.reader import FilmReader
 
-COLOURS = ("red", "green", "blue")
-"""Channels of a frame, in this order."""
-
 
 class ColourFilm:
-    """A film opened for reading in colour: iterate it for its frames; each iteration starts at the first one.
+    """A film opened for reading in colour: iterate it for its frames; each iteration starts at the first frame.
 
     Memory does not grow with the film. Use it as a context manager, or call `close`.
 
@@ -30,7 +27,7 @@ class ColourFilm:
     Attributes
     ----------
     path
-        The film's file, which the errors name.
+        The film's file, for error messages.
     width, height
         Columns and rows of a frame in pixels.
     bits
@@ -38,7 +35,7 @@ class ColourFilm:
     rate_hz
         Frames per second of the camera.
     frame_count
-        Frames to expect, for a progress display; None where unknown.
+        Expected frames, for a progress display; None if unknown.
     """
 
     def __init__(self, films: tuple[FilmReader, FilmReader, FilmReader]) -> None:
@@ -61,13 +58,13 @@ class ColourFilm:
             The film is closed or damaged, as for `open_film`.
         """
         for frames in zip(*self._films, strict=True):
-            pixels: Pixels = np.dstack([one.pixels for one in frames])  # type: ignore[assignment]
+            pixels: Pixels = np.dstack([frame.pixels for frame in frames])  # type: ignore[assignment]
             yield pixels
 
     def close(self) -> None:
         """Close the film; may be called twice."""
-        for one in self._films:
-            one.close()
+        for film in self._films:
+            film.close()
 
     def __enter__(self) -> Self:
         return self
@@ -79,16 +76,16 @@ class ColourFilm:
 
 
 def open_colours(path: str | os.PathLike[str], **options: Any) -> ColourFilm:
-    """Open a recording in colour, for panels whose LEDs have several: any that `open_film` reads.
+    """Open a recording in colour, for panels with LEDs of several colours.
 
-    The film is decoded once for each colour. Of a gray film all three are the gray levels.
+    The film is decoded once for each colour. In a gray film all three colours are the gray levels.
 
     Parameters
     ----------
     path
         The file, the folder of pictures, or their names with %d or %04d for a number.
     options
-        Options of `open_film` but for its channel: rate_hz, crop, binning, rotate, expand_range.
+        Options of `open_film` except for the channel: rate_hz, crop, binning, rotate, expand_range.
 
     Returns
     -------
@@ -102,5 +99,5 @@ def open_colours(path: str | os.PathLike[str], **options: Any) -> ColourFilm:
     """
     if "channel" in options:
         raise MediaError("a film in colour has all channels: leave channel out, or use open_film")
-    red, green, blue = (open_film(path, channel=colour, **options) for colour in COLOURS)
+    red, green, blue = (open_film(path, channel=colour, **options) for colour in ("red", "green", "blue"))
     return ColourFilm((red, green, blue))

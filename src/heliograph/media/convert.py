@@ -1,4 +1,4 @@
-"""Films of one kind turned into another, with their gray levels and times."""
+"""Conversion of a film into another kind, with gray levels and times."""
 
 import os
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from heliograph.media.reader import FilmReader
 
 
 def keeps_levels(target: Path, codec: str | None, crf: float | None) -> bool:
-    """Whether a film as it is written by `convert_film` has the gray levels of its source."""
+    """True if `convert_film` keeps the gray levels of the source."""
     return crf is None and codec != "mjpeg" and target.suffix.lower() != ".avi"
 
 
@@ -63,16 +63,8 @@ def convert_film(
     coded: dict[str, Any] = {"codec": codec, "crf": crf}
     if crf is None and (codec == "h264" or (codec is None and path.suffix.lower() == ".mp4")):
         coded["lossless"] = True
-    film = create_film(
-        path,
-        width=source.width,
-        height=source.height,
-        rate_hz=source.rate_hz,
-        bits=bits,
-        metadata=source.metadata,
-        **coded,
-    )
-    with film:
+    coded |= {"width": source.width, "height": source.height, "rate_hz": source.rate_hz, "bits": bits}
+    with create_film(path, metadata=source.metadata, **coded) as film:
         try:
             for frame in source:
                 film.write(frame)

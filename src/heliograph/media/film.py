@@ -15,8 +15,8 @@ from heliograph.media.photron import PhotronReader
 from heliograph.media.reader import FilmReader, Reading, clear_read_errors
 from heliograph.media.record import FilmSpec
 from heliograph.media.tiff import TiffReader
-from heliograph.media.view import View, ViewReader
-from heliograph.media.writer import FilmWriter, Sink, ThreadedSink, partial_path, write_error
+from heliograph.media.view import ViewReader, check_view
+from heliograph.media.writer import FilmWriter, ThreadedSink, partial_path, write_error
 
 FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
 """Suffixes of films that can be created."""
@@ -114,16 +114,17 @@ def open_film(
     SettingsError
         A camera's setting is unknown or out of range, or it does not take it.
     """
-    path, view = checked_path(path), View(crop=crop, binning=binning, rotate=rotate)
+    path = checked_path(path)
+    check_view(crop, binning, rotate)
     reading = Reading(rate_hz=rate_hz, expand_range=expand_range, channel=channel)
-    asked = camera_settings(camera)
+    settings = camera_settings(camera)
     if is_camera(path):
-        film: FilmReader = LiveReader(str(path), reading, asked)
-    elif asked != CameraSettings():
+        film: FilmReader = LiveReader(str(path), reading, settings)
+    elif settings != CameraSettings():
         raise MediaError(f"{path} is a recording: only a live camera, such as camera:aravis, takes settings")
     else:
         film = _open_recording(path, reading)
-    return film if view.is_whole else ViewReader(film, view)
+    return film if (crop, binning, rotate) == (None, 1, 0) else ViewReader(film, crop, binning, rotate)
 
 
 def _open_recording(path: Path, reading: Reading) -> FilmReader:
@@ -228,38 +229,23 @@ def create_film(
     spec = FilmSpec(
         width=width, height=height, rate_hz=rate_hz, bits=bits, metadata={} if metadata is None else metadata
     )
-    sink_codec = _codec(suffix, spec, codec, crf, lossless, mbit_s)
+    is_hdf5 = suffix in hdf5.SUFFIXES
+    if is_hdf5 and (codec is not None or crf is not None or mbit_s is not None):
+        raise MediaError(f"{suffix} films are not coded: leave out codec and crf, or choose .mkv, .nut, .mp4 or .avi")
+    name = "" if is_hdf5 else video_write.choose_codec(spec, suffix, codec, crf, lossless, mbit_s)
     partial = partial_path(target)
     try:
-        sink = _sink(partial, target, spec, sink_codec)
+        if is_hdf5:  # writes faster than a queue passes frames on
+            return FilmWriter(target, partial, spec, hdf5.Hdf5Sink(partial, target, spec))
+        sink = video_write.VideoSink(partial, target, spec, name, crf, lossless, mbit_s)
+        return FilmWriter(target, partial, spec, ThreadedSink(sink))
     except (MediaError, OSError) as error:
         partial.unlink(missing_ok=True)
         raise error if isinstance(error, MediaError) else write_error(error, target) from error
-    return FilmWriter(target, partial, spec, sink)
 
 
 def checked_path(path: object) -> Path:
-    """A film's path as one."""
+    """Return the path of a film, or refuse other types."""
     if not isinstance(path, (str, os.PathLike)):
         raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(path)}")
     return film_path(path)
-
-
-def _codec(
-    suffix: str, spec: FilmSpec, name: str | None, crf: float | None, lossless: bool, mbit_s: float | None
-) -> video_write.VideoCodec | None:
-    if suffix in hdf5.SUFFIXES:
-        if name is not None or crf is not None or mbit_s is not None:
-            raise MediaError(
-                f"{suffix} films are not coded: leave out codec and crf, or choose .mkv, .nut, .mp4 or .avi"
-            )
-        return None
-    codec = video_write.chosen_codec(suffix, name, crf, lossless, mbit_s)
-    video_write.check_form(spec, suffix, codec.name)
-    return codec
-
-
-def _sink(partial: Path, target: Path, spec: FilmSpec, codec: video_write.VideoCodec | None) -> Sink:
-    if codec is None:
-        return hdf5.Hdf5Sink(partial, target, spec)  # writes faster than a queue hands over
-    return ThreadedSink(video_write.VideoSink(partial, target, spec, codec))
