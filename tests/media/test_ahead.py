@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 
 import h5py
@@ -22,7 +22,7 @@ class Source:
     def __init__(self, count: int, error: Exception | None = None) -> None:
         self.made, self.closed, self._count, self._error = 0, False, count, error
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self) -> Generator[Frame, None, None]:
         try:
             for number in range(self._count):
                 self.made += 1
@@ -51,7 +51,7 @@ def test_few_frames_wait() -> None:
     wait_until(lambda: source.made >= 10)
     time.sleep(0.05)
     assert source.made == 10  # those that wait, the one in use, and one that waits for room
-    frames.close()  # type: ignore[attr-defined]  # a generator
+    frames.close()
     assert source.closed
     assert source.made < 100
     assert not readers()

@@ -249,7 +249,7 @@ def test_a_stack_in_a_folder_is_not_taken_for_its_first_page(tmp_path: Path) -> 
     for path in (tmp_path / "a", tmp_path / "a" / "%d.tif"):
         got, says = refused(path)
         assert not got
-        assert "1.tif has several pages, not one picture: give a stack by its own name, not by its folder" in says
+        assert "1.tif has several pages, not one picture: give it by its own name" in says
 
 
 def test_wrong_bytes_in_a_png_are_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -36,7 +36,7 @@ def run_convert(
 ) -> None:
     """Write a film as another kind; Ctrl-C ends that of a live camera."""
     from heliograph.media import convert_film, open_film
-    from heliograph.media.convert import keeps_levels
+    from heliograph.media.film import keeps_levels
     from heliograph.media.live.reader import live_of
 
     options.refuse_to_replace(output, (film,))

@@ -3,21 +3,12 @@
 LED patterns in the files that drivers take, too.
 """
 
-from heliograph.media.colours import ColourFilm, open_colours
-from heliograph.media.convert import convert_film
-from heliograph.media.film import create_film, open_film
+from heliograph.media.film import ColourFilm, convert_film, create_film, open_colours, open_film
 from heliograph.media.reader import FilmReader
 from heliograph.media.slots import SlotFile, open_slots
 from heliograph.media.writer import FilmWriter
 
 __all__ = [
-    "ColourFilm",
-    "FilmReader",
-    "FilmWriter",
-    "SlotFile",
-    "convert_film",
-    "create_film",
-    "open_colours",
-    "open_film",
+    "ColourFilm", "FilmReader", "FilmWriter", "SlotFile", "convert_film", "create_film", "open_colours", "open_film",
     "open_slots",
-]
+]  # fmt: skip

@@ -48,13 +48,9 @@ def _header(path: Path) -> tuple[tuple[int, int, int], np.dtype[np.uint8] | np.d
         raise MediaError(f"{path} is no array of NumPy, or damaged: save it by numpy.save ({brief(error)})") from None
     if len(shape) != 3 or min(shape) < 0 or dtype.newbyteorder("=") not in BITS:
         got = brief(f"{shape} of {dtype}")
-        raise MediaError(
-            f"{path} holds an array {got}: a film is (frames, rows, columns) of uint8 or uint16; reshape it, use astype"
-        )
+        raise MediaError(f"{path} holds an array {got}: a film is (frames, rows, columns) of uint8 or uint16")
     if by_columns and sum(length > 1 for length in shape) > 1:
-        raise MediaError(
-            f"{path} is in Fortran's order, each frame all over the file: save numpy.ascontiguousarray of it"
-        )
+        raise MediaError(f"{path} is in Fortran's order: save numpy.ascontiguousarray of the array")
     frames, rows, columns = map(int, shape)  # a damaged length may be True
     return (frames, rows, columns), dtype, start
 

@@ -1,14 +1,18 @@
-"""Open and create films. The suffix chooses the kind of a new film, the content that of an existing one."""
+"""Open, create and convert films. The suffix chooses the kind of a new film, the content that of an existing one."""
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
+
+import numpy as np
 
 from heliograph.base.errors import MediaError, shown
+from heliograph.base.files import room_for
+from heliograph.base.frames import Pixels
 from heliograph.media import hdf5, images, phantom, photron, tiff, video_read, video_write
 from heliograph.media.arrays import ArrayReader, refuse_dump
-from heliograph.media.live.reader import LiveReader, film_path, is_camera
+from heliograph.media.live.reader import LiveReader, film_path, is_camera, live_of
 from heliograph.media.live.settings import CameraSettings, camera_settings
 from heliograph.media.phantom import PhantomReader
 from heliograph.media.photron import PhotronReader
@@ -223,9 +227,8 @@ def create_film(
     target = checked_path(path)
     suffix = target.suffix.lower()
     if suffix not in FILM_SUFFIXES:
-        raise MediaError(
-            f"unknown kind of film {target.name!r}: the name must end in one of {', '.join(FILM_SUFFIXES)}"
-        )
+        suffixes = ", ".join(FILM_SUFFIXES)
+        raise MediaError(f"unknown kind of film {target.name!r}: the name must end in one of {suffixes}")
     spec = FilmSpec(
         width=width, height=height, rate_hz=rate_hz, bits=bits, metadata={} if metadata is None else metadata
     )
@@ -249,3 +252,155 @@ def checked_path(path: object) -> Path:
     if not isinstance(path, (str, os.PathLike)):
         raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(path)}")
     return film_path(path)
+
+
+def keeps_levels(target: Path, codec: str | None, crf: float | None) -> bool:
+    """True if `convert_film` keeps the gray levels of the source."""
+    return crf is None and codec != "mjpeg" and target.suffix.lower() != ".avi"
+
+
+def convert_film(
+    source: FilmReader,
+    target: str | os.PathLike[str],
+    progress: Callable[[int], None] | None = None,
+    *,
+    codec: str | None = None,
+    crf: float | None = None,
+) -> int:
+    """Write a film's frames into a film of another kind; its rate, bits and metadata go with them.
+
+    Parameters
+    ----------
+    source
+        The film, opened by `open_film`.
+    target
+        The film to write; its suffix chooses the kind, see `create_film`.
+    progress
+        Called with the number of frames written.
+    codec
+        "ffv1", "h264" or "mjpeg"; None for the suffix's default.
+    crf
+        Quality of lossy H.264, 0 to 51; None keeps every gray level, but in AVI and MJPEG.
+
+    Returns
+    -------
+    Frames written. On Ctrl-C the film is closed with the frames so far, and KeyboardInterrupt is raised again. A film
+    that had the target's name before stays as it was, unless all is written or the source is a live camera.
+
+    Raises
+    ------
+    MediaError
+        The source is no film, or the one to be written. Or the film cannot be written, or its kind does not hold rate
+        or bits: nothing is left. Or the source is damaged: its whole frames are kept in the target, likewise.
+    """
+    if not isinstance(source, FilmReader):
+        raise MediaError(f"convert_film takes a film as open_film gives it, not {type(source).__name__}")
+    path = checked_path(target)
+    if path.exists() and source.path.exists() and path.samefile(source.path):
+        raise MediaError(f"{path} is read and would be written: give the output another name")
+    bits, new = source.bits, not path.exists()
+    if path.suffix.lower() in hdf5.SUFFIXES:
+        room_for(path, (source.frame_count or 0) * source.width * source.height * (1 if bits == 8 else 2))
+    coded: dict[str, Any] = {"codec": codec, "crf": crf}
+    if crf is None and (codec == "h264" or (codec is None and path.suffix.lower() == ".mp4")):
+        coded["lossless"] = True
+    coded |= {"width": source.width, "height": source.height, "rate_hz": source.rate_hz, "bits": bits}
+    with create_film(path, metadata=source.metadata, **coded) as film:
+        try:
+            for frame in source:
+                film.write(frame)
+                if progress is not None:
+                    progress(film.frames_written)
+        except (MediaError, KeyboardInterrupt):
+            # what a camera has shown does not come again
+            if film.frames_written and (new or live_of(source) is not None):
+                film.finish()  # does nothing where it could not be written, and is gone
+            raise
+    return film.frames_written
+
+
+class ColourFilm:
+    """A film opened for reading in colour: iterate it for its frames; each iteration starts at the first frame.
+
+    Memory does not grow with the film. Use it as a context manager, or call `close`.
+
+    Parameters
+    ----------
+    films
+        The film opened once for each of red, green and blue.
+
+    Attributes
+    ----------
+    path
+        The film's file, for error messages.
+    width, height
+        Columns and rows of a frame in pixels.
+    bits
+        Bits of a gray level, 8 to 16.
+    rate_hz
+        Frames per second of the camera.
+    frame_count
+        Expected frames, for a progress display; None if unknown.
+    """
+
+    def __init__(self, films: tuple[FilmReader, FilmReader, FilmReader]) -> None:
+        self._films, first = films, films[0]
+        self.path: Path = first.path
+        self.width, self.height, self.bits = first.width, first.height, first.bits
+        self.rate_hz, self.frame_count = first.rate_hz, first.frame_count
+
+    def __iter__(self) -> Iterator[Pixels]:
+        """Yield the frames in order of time.
+
+        Yields
+        ------
+        Pixels
+            (rows, columns, 3) uint8 for 8 bit, else uint16: red, green and blue.
+
+        Raises
+        ------
+        MediaError
+            The film is closed or damaged, as for `open_film`.
+        """
+        for frames in zip(*self._films, strict=True):
+            pixels: Pixels = np.dstack([frame.pixels for frame in frames])  # type: ignore[assignment]
+            yield pixels
+
+    def close(self) -> None:
+        """Close the film; may be called twice."""
+        for film in self._films:
+            film.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_colours(path: str | os.PathLike[str], **options: Any) -> ColourFilm:
+    """Open a recording in colour, for panels with LEDs of several colours.
+
+    The film is decoded once for each colour. In a gray film all three colours are the gray levels.
+
+    Parameters
+    ----------
+    path
+        The file, the folder of pictures, or their names with %d or %04d for a number.
+    options
+        Options of `open_film` except for the channel: rate_hz, crop, binning, rotate, expand_range.
+
+    Returns
+    -------
+    ColourFilm
+        A context manager and iterable of arrays (rows, columns, 3) of red, green and blue.
+
+    Raises
+    ------
+    MediaError
+        A channel is given, or the film cannot be read, as for `open_film`.
+    """
+    if "channel" in options:
+        raise MediaError("a film in colour has all channels: leave channel out, or use open_film")
+    red, green, blue = (open_film(path, channel=colour, **options) for colour in ("red", "green", "blue"))
+    return ColourFilm((red, green, blue))

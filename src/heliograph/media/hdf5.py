@@ -275,7 +275,8 @@ def _check_form(path: Path, file: Any) -> None:
     if external or any(dataset.is_virtual or dataset.external for dataset in datasets):
         raise MediaError(f"{path} is no whole film, its pictures lie in other files: copy them into one")
     frames, times = datasets
-    shape, lengths = frames.shape or (), times.shape or ()  # None for a dataset without data
+    shape: tuple[int, ...] = frames.shape or ()  # None for a dataset without data
+    lengths: tuple[int, ...] = times.shape or ()
     is_list = bool(lengths) and math.prod(lengths) == max(lengths)
     if is_list and len(shape) == 3 and max(lengths) == shape[2] != shape[0]:
         raise MediaError(
@@ -321,10 +322,7 @@ def _check_chunks(path: Path, *datasets: Any) -> None:
         chunk = math.prod(dataset.chunks or dataset.shape[1:]) * dataset.dtype.itemsize
         name, packed = dataset.name.strip("/"), dataset.id.get_create_plist().get_nfilters()
         if dataset.size and chunk > size and not packed:
-            raise MediaError(
-                f"{path} is damaged: '{name}' claims pieces of {chunk} bytes, the file has {size}: copy or record it "
-                "again"
-            )
+            raise MediaError(f"{path} is damaged, copy it again: '{name}' claims pieces of {chunk} bytes of {size}")
         if packed and chunk > 300_000_000:  # the largest frame has 268 MB
             raise MediaError(
                 f"{path}: '{name}' has pieces of {chunk / 1e9:.2g} GB, more than 0.3 GB, which are unpacked as a "

@@ -83,10 +83,8 @@ class ImagesReader(TimedReader):
             pixels, bits = self._picture(name, count)
             if pixels.shape != (self.height, self.width) or bits != self.bits:
                 got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {bits} bits"
-                raise MediaError(
-                    f"{self._folder / name} has {got}, those before {self.width}x{self.height} of {self.bits}: give "
-                    "each recording a separate folder"
-                )
+                wanted = f"{self.width}x{self.height} of {self.bits}"
+                raise MediaError(f"{self._folder / name} has {got}, those before {wanted}: give each film a folder")
             yield number / self.claimed_hz, pixels, bits
 
     def _picture(self, name: str, count: int) -> tuple[Pixels, int]:
@@ -193,10 +191,8 @@ def _list_folder(folder: Path) -> list[tuple[int, str]]:
         raise MediaError(f"{folder} is a folder without pictures ({kinds}): give a film in it, or a folder of pictures")
     kinds_held = sorted({_KINDS[Path(name).suffix.lower()] for name in names})
     if len(kinds_held) > 1:
-        raise MediaError(
-            f"{folder} has pictures of several kinds ({', '.join(kinds_held)}): give those you mean as a pattern, such "
-            f"as {folder / 'img%04d.png'}"
-        )
+        kinds, name = ", ".join(kinds_held), folder / "img%04d.png"
+        raise MediaError(f"{folder} has pictures of several kinds ({kinds}): give those you mean as a pattern: {name}")
     return list(enumerate(sorted(names, key=_natural_order)))
 
 

@@ -71,19 +71,13 @@ class PhantomReader(TimedReader):
         height = abs(rows)
         checked_size(path, width, height)
         if compression == 1 or packing not in (0, 256, 1024):  # JPEG pictures, or an unknown packing
-            raise MediaError(
-                f"{path} is compressed (kinds {compression} and {packing}): save it as raw .cine or as TIFF"
-            )
+            raise MediaError(f"{path} is compressed (kinds {compression}, {packing}): save it as raw .cine or as TIFF")
         if frames > min(1 << 28, size):  # the table of 2^28 frames takes 2 GB
-            raise MediaError(
-                f"{path} claims {frames} frames and has {size} bytes: it is cut, or its header is wrong; copy it again"
-            )
+            raise MediaError(f"{path} claims {frames} frames and has {size} bytes: it is cut or damaged; copy it again")
         word = {256: 10, 1024: 12}.get(packing, word)
         bits = {8: 8, 24: 8, 10: 12, 12: 12}.get(word, levels if 8 < levels <= 16 else 16)
         if word not in (8, 10, 12, 16, 24, 48):
-            raise MediaError(
-                f"{path} has pixels of {word} bits, not of 8, 10, 12 or 16: save the recording as raw or as TIFF"
-            )
+            raise MediaError(f"{path} has pixels of {word} bits, not 8, 10, 12 or 16: save it as raw or as TIFF")
         self.width, self.height, self.bits = width, height, bits
         self._word, self._upwards = word, packing == 0 and rows > 0
         self._frame_bytes = packed_size(width * height, word)

@@ -70,16 +70,11 @@ class PhotronReader(TimedReader):
             raise MediaError(f"{header} says that its frames are {brief(kind)} files: give their folder and --fps")
         self._word = _whole(header, texts, "word")
         if self._word not in (8, 12, 16) or colour not in ("mono", "raw", "bayer"):
-            raise MediaError(
-                f"{header} says {brief(colour)} of {self._word} bits, and gray of 8, 12 or 16 bits can be read: save "
-                "the recording as raw or monochrome, or as TIFF"
-            )
+            held = f"{brief(colour)} of {self._word} bits"
+            raise MediaError(f"{header} says {held}, and gray of 8, 12 or 16 bits is read: save it as raw or as TIFF")
         self.bits = min(_whole(header, texts, "depth", self._word), self._word)
         if self.bits < 8 + (self._word > 8):
-            raise MediaError(
-                f"{header} says that {self._word} bits hold levels of {self.bits}, fewer than can be read: save the "
-                "recording in 8 bits"
-            )
+            raise MediaError(f"{header} says that {self._word} bits hold levels of {self.bits}: save it in 8 bits")
         # some programs keep a level at the upper end of the word
         self._shift = self._word - self.bits if texts["side"].lower() == "higher" else 0
 
@@ -87,10 +82,8 @@ class PhotronReader(TimedReader):
         """Refuse a file longer than the header says, or of levels of other bits; a cut file is read."""
         claimed, size = self._claimed * self._frame_bytes, self.path.stat().st_size
         if size > claimed:
-            raise MediaError(
-                f"{self.path} has {size} bytes, and {header.name} says {self._claimed} frames of {self._frame_bytes}: "
-                "give it its own header"
-            )
+            held = f"{self._claimed} frames of {self._frame_bytes}"
+            raise MediaError(f"{self.path} has {size} bytes, and {header.name} says {held}: give it its own header")
         for word in {8, 12, 16} - {self._word}:
             if size == self._claimed * packed_size(self.width * self.height, word):
                 raise MediaError(
@@ -165,9 +158,7 @@ def _parse_xml(path: Path, data: bytes) -> dict[str, str]:
                 return {name: (root.findtext(place) or "").strip(" \t\r\n\0") for name, (_, place) in _PLACES.items()}
             except (ElementTree.ParseError, ValueError) as error:
                 wrong = error
-    raise MediaError(
-        f"{path} cannot be read, its XML is wrong ({brief(wrong)}): copy the header again, or correct it"
-    ) from None
+    raise MediaError(f"{path} cannot be read, its XML is wrong ({brief(wrong)}): copy the header again") from None
 
 
 def _parse_lines(text: str) -> dict[str, str]:

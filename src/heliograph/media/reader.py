@@ -4,17 +4,18 @@ import queue
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from types import TracebackType
 from typing import ClassVar, Self
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import LATEST_S, Frame
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ
+
+Frames = Generator[Frame, None, None]
 
 CHANNELS = ("luma", "red", "green", "blue")
 """Parts of a colour that give a gray level."""
@@ -34,10 +35,7 @@ class Reading:
     def __post_init__(self) -> None:
         rate_hz = self.rate_hz
         if rate_hz is not None and not (isinstance(rate_hz, Real) and SLOWEST_HZ <= rate_hz <= FASTEST_HZ):
-            raise MediaError(
-                f"a camera takes {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames/s, not {shown(rate_hz)}; give the rate it was "
-                "set to"
-            )
+            raise MediaError(f"a camera takes {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames/s, not {shown(rate_hz)}")
         if self.channel not in CHANNELS:
             raise MediaError(f"there is no channel {shown(self.channel)}: choose one of {', '.join(CHANNELS)}")
 
@@ -65,7 +63,7 @@ class FilmReader(ABC):
     def __init__(self, path: Path, rate_hz: float | None = None) -> None:
         self.path, self._true_hz = path, rate_hz
         self.read_s = 0.0
-        self._running: Iterator[Frame] | None = None
+        self._running: Frames | None = None
         self._closed = False
 
     @property
@@ -77,13 +75,12 @@ class FilmReader(ABC):
         """Yield the frames in order of time."""
         if self._closed:
             raise MediaError(f"{self.path} is closed: iterate it inside its 'with' block")
-        frames = self._checked()
-        self._running = self._clocked(read_ahead(frames) if self._decodes else frames)
+        self._running = self._clocked()
         return self._running
 
-    def _clocked(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+    def _clocked(self) -> Frames:
         """Yield the frames and count the time for reading them."""
-        try:
+        with closing(read_ahead(self._checked()) if self._decodes else self._checked()) as frames:
             while True:
                 start = time.perf_counter()
                 frame = next(frames, None)
@@ -91,50 +88,36 @@ class FilmReader(ABC):
                 if frame is None:
                     return
                 yield frame
-        finally:
-            _stop(frames)
 
-    def _checked(self) -> Iterator[Frame]:
+    def _checked(self) -> Frames:
         """Yield read-only frames, and refuse a level above the film's bits."""
-        frames = self._frames()
-        try:
+        with closing(self._frames()) as frames:
             for count, frame in enumerate(frames):
                 pixels, bits = frame.pixels, frame.bits
                 if self._checks_levels and bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
-                    raise MediaError(
-                        f"{self.path} has a gray level of {int(pixels.max())} after {count} whole frames, and its "
-                        f"header says {bits} bits: correct the header, or save the recording again"
-                    )
+                    level = f"a gray level of {int(pixels.max())} after {count} whole frames"
+                    raise MediaError(f"{self.path} has {level}, and its header says {bits} bits: correct the header")
                 pixels.setflags(write=False)  # receivers copy pixels that may change
                 yield frame
-        finally:
-            _stop(frames)
 
     @abstractmethod
-    def _frames(self) -> Iterator[Frame]: ...
+    def _frames(self) -> Frames: ...
 
     def close(self) -> None:
         """Close the film; may be called twice."""
         self._closed = True
-        _stop(self._running)
+        if self._running is not None:
+            self._running.close()
         self._running = None
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
-def _stop(frames: Iterator[Frame] | None) -> None:
-    """Close a generator of frames, which holds the file open until then."""
-    if (close := getattr(frames, "close", None)) is not None:
-        close()
-
-
-def read_ahead(frames: Iterator[Frame], queued: int = 8) -> Iterator[Frame]:
+def read_ahead(frames: Frames, queued: int = 8) -> Frames:
     """Yield frames in order while a thread reads the next ones into a queue.
 
     The thread starts with the first request. The iterator ends the thread and joins it at the last frame, at an error,
@@ -162,9 +145,7 @@ def read_ahead(frames: Iterator[Frame], queued: int = 8) -> Iterator[Frame]:
         thread.join()
 
 
-def _read(
-    frames: Iterator[Frame], waiting: "queue.Queue[Frame | BaseException | None]", wanted: threading.Event
-) -> None:
+def _read(frames: Frames, waiting: "queue.Queue[Frame | BaseException | None]", wanted: threading.Event) -> None:
     """Queue frames while they are wanted, then the error that ended them, or None."""
     end: BaseException | None = None
     try:
@@ -172,7 +153,7 @@ def _read(
             waiting.put(frame)
             if not wanted.is_set():
                 break
-        _stop(frames)
+        frames.close()
     except BaseException as error:  # raised again in the thread of the receiver
         end = error
     waiting.put(end)
@@ -187,10 +168,7 @@ def checked_size(path: Path, width: int, height: int) -> None:
 def checked_time(path: Path, time_s: float, count: int) -> float:
     """Return the time of a frame, or refuse it."""
     if not abs(time_s) <= LATEST_S:
-        raise MediaError(
-            f"{path} has a frame at {time_s:g} s after {count} whole frames: times are in seconds, at most "
-            f"{LATEST_S:g}; correct them, or cut the film there"
-        )
+        raise MediaError(f"{path} has a frame at {time_s:g} s after {count} whole frames: times are in seconds")
     return time_s
 
 

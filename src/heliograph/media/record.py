@@ -50,9 +50,7 @@ class FilmSpec:
             raise MediaError(f"a gray level has 8 to 16 bits, got bits={self.bits}")
         for name, text in self.metadata.items():
             if not (isinstance(name, str) and isinstance(text, str)):
-                raise MediaError(
-                    f"metadata maps text to text, got {shown(name)}: {shown(text)}; turn the value into text first"
-                )
+                raise MediaError(f"metadata maps text to text, got {shown(name)}: {shown(text)}; use str()")
         # plain values for JSON, out of reach of the caller
         for name, plain in (("width", int), ("height", int), ("bits", int), ("rate_hz", float), ("metadata", dict)):
             object.__setattr__(self, name, plain(getattr(self, name)))

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -187,16 +186,12 @@ def _upright(levels: Pixels, orientation: int) -> Pixels:
     return turned.copy() if turned is not levels else levels
 
 
-class _PagesEndError(Exception):
-    """The pages of a file end here, for the reason in the message."""
-
-
 def is_stack(path: Path) -> bool:
     """True if a TIFF file has more than one frame, and so is a film; False if damaged."""
     try:
         with _Stack(path) as stack:
             return stack.has_several()
-    except (MediaError, _PagesEndError):
+    except MediaError:
         return False
 
 
@@ -220,37 +215,26 @@ class TiffReader(TimedReader):
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         count = 0
         with _Stack(self.path) as stack:
-            try:
-                for page, plane in stack.frames():
-                    pixels, bits = stack.levels(page, plane, count, self._channel)
-                    if pixels.shape != (self.height, self.width) or bits != self.bits:
-                        rows, columns = pixels.shape
-                        raise MediaError(
-                            f"{self.path} has a page of {columns}x{rows} pixels of {bits} bits after {count} of "
-                            f"{self.width}x{self.height} of {self.bits}: save it without that page"
-                        )
-                    yield count / self.claimed_hz, pixels, bits
-                    count += 1
-            except _PagesEndError as error:
-                raise _cut(self.path, error, count) from None
+            for page, plane in stack.frames():
+                pixels, bits = stack.levels(page, plane, count, self._channel)
+                if pixels.shape != (self.height, self.width) or bits != self.bits:
+                    got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {bits} bits"
+                    form = f"{self.width}x{self.height} of {self.bits}"
+                    raise MediaError(
+                        f"{self.path} has a page of {got} after {count} of {form}: save it without that page"
+                    )
+                yield count / self.claimed_hz, pixels, bits
+                count += 1
+            stack.check_end(count)
 
 
 def read_picture(path: Path, channel: str) -> tuple[Pixels, int]:
     """Return the gray levels of a TIFF file of one picture, and their bits."""
     with _Stack(path) as stack:
-        try:
-            several = stack.has_several()
-        except _PagesEndError as error:
-            raise _cut(path, error, 0) from None
-        if several:
-            raise MediaError(
-                f"{path} has several pages, not one picture: give a stack by its own name, not by its folder"
-            )
+        if stack.has_several():
+            raise MediaError(f"{path} has several pages, not one picture: give it by its own name")
+        stack.check_end(0)
         return stack.first_levels(channel)
-
-
-def _cut(path: Path, error: _PagesEndError, count: int) -> MediaError:
-    return MediaError(f"{path} {error} after {count} whole frames: copy it again")
 
 
 class _Stack:
@@ -269,46 +253,40 @@ class _Stack:
         except OSError as error:
             raise MediaError(f"cannot read {path}: {error.strerror or brief(error)}") from None
         except self._errors as error:
-            raise MediaError(
-                f"{path} cannot be read as TIFF ({brief(error)}): give a TIFF stack, or copy it again if it is one"
-            ) from None
+            raise MediaError(f"{path} cannot be read as TIFF ({brief(error)}): copy it again") from None
         self._file = self._tif.filehandle
         self._description: Description | None = None
+        self._ending = ""  # reason for an irregular end of the pages
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._tif.close()
 
     def frames(self) -> Iterator[tuple["TiffPage", int]]:
         """Yield each frame as a page and the number in the page's data, without reduced copies of other pages."""
-        pages, ending = self._pages(), None
+        pages = self._pages()
         page = next(pages, None)
         while page is not None:
-            following = None
-            try:
-                following = next(pages, None)
-            except _PagesEndError as error:
-                ending = error
-            yield from ((page, plane) for plane in range(self._frames_of(page, following, complete=ending is None)))
+            following = next(pages, None)
+            yield from ((page, plane) for plane in range(self._frames_of(page, following)))
             page = following
-        if ending is not None:
-            raise ending
 
     def has_several(self) -> bool:
         """True if the file has more than one frame."""
         return len(list(islice(self.frames(), 2))) > 1
 
+    def check_end(self, count: int) -> None:
+        """Raise an error if the pages end irregularly behind `count` frames."""
+        if self._ending:
+            raise MediaError(f"{self._path} {self._ending} after {count} whole frames: copy it again")
+
     def count(self) -> int | None:
         """Return the number of frames and reduced copies; None if the file is damaged."""
-        try:
-            directories = sum(1 for _ in self._directories())
-            return directories if directories > 1 else sum(1 for _ in self.frames())
-        except _PagesEndError:
-            return None
+        directories = sum(1 for _ in self._directories())
+        count = directories if directories > 1 else sum(1 for _ in self.frames())
+        return None if self._ending else count
 
     def check_axes(self) -> None:
         """Refuse a stack that has several channels, or two axes of frames, by its description."""
@@ -328,18 +306,16 @@ class _Stack:
 
     def first_levels(self, channel: str) -> tuple[Pixels, int]:
         """Return the gray levels of the first frame, and their bits."""
-        try:
-            first = next(self.frames(), None)
-            if first is None:
-                if not len(self._tif.pages):
-                    raise MediaError(f"{self._path} holds no pages: save it again")
-                raise MediaError(
-                    f"{self._path} holds small copies alone; pictures in sub-directories, as in cameras' raw files, "
-                    "are not read: save them as TIFF"
-                )
+        first = next(self.frames(), None)
+        if first is not None:
             return self.levels(*first, 0, channel)
-        except _PagesEndError as error:
-            raise _cut(self._path, error, 0) from None
+        self.check_end(0)
+        if not len(self._tif.pages):
+            raise MediaError(f"{self._path} holds no pages: save it again")
+        raise MediaError(
+            f"{self._path} holds small copies alone; pictures in sub-directories, as in cameras' raw files, are not "
+            "read: save them as TIFF"
+        )
 
     def levels(self, page: "TiffPage", plane: int, count: int, channel: str) -> tuple[Pixels, int]:
         """Return the gray levels of a frame behind `count` others, upright, and their bits."""
@@ -347,7 +323,7 @@ class _Stack:
             checked_size(self._path, page.imagewidth, page.imagelength)
             _check_kind(self._path, page)
             if _end(page, plane) > self._file.size:
-                raise _PagesEndError("ends in the middle,")
+                raise MediaError(f"{self._path} ends in the middle, after {count} whole frames: copy it again")
             picture = images.checked_form(self._path, _colours(page, _stored(page, plane)))
             orientation = int(page.tags.valueof("Orientation", default=1))
             pixels = _upright(images.to_gray(picture, channel), orientation)
@@ -363,35 +339,32 @@ class _Stack:
     def _stated(self) -> Description:
         """Return the description of the first page."""
         if self._description is None:
-            try:
-                page = next(self._pages(), None)
-            except _PagesEndError:
-                page = None
+            page = next(self._pages(), None)
             self._description = Description() if page is None else read_description(page)
         return self._description
 
     def _directories(self) -> Iterator[int]:
         """Yield the place of each page's directory; tifffile hides the reason for the end of the chain."""
-        form = self._tif.tiff
-        self._file.seek(8 if self._tif.is_bigtiff else 4)
-        place, places = self._number(form.offsetformat, form.offsetsize), set[int]()
-        while place:
-            if place in places:
-                raise _PagesEndError("is damaged")
-            if place >= self._file.size:
-                raise _PagesEndError("ends in the middle,")
-            places.add(place)
-            yield place
-            self._file.seek(place)
-            tags = self._number(form.tagnoformat, form.tagnosize)
-            self._file.seek(min(place + form.tagnosize + tags * form.tagsize, self._file.size))
+        form, places = self._tif.tiff, set[int]()
+        self._ending = ""
+        try:
+            self._file.seek(8 if self._tif.is_bigtiff else 4)
             place = self._number(form.offsetformat, form.offsetsize)
+            while place:
+                if place in places:
+                    self._ending = "is damaged"
+                    return
+                places.add(place)
+                self._file.seek(min(place, self._file.size))
+                tags = self._number(form.tagnoformat, form.tagnosize)
+                yield place
+                self._file.seek(min(place + form.tagnosize + tags * form.tagsize, self._file.size))
+                place = self._number(form.offsetformat, form.offsetsize)
+        except struct.error:
+            self._ending = "ends in the middle,"
 
     def _number(self, form: str, size: int) -> int:
-        data = self._file.read(size)
-        if len(data) < size:
-            raise _PagesEndError("ends in the middle,")
-        return int(struct.unpack(form, data)[0])
+        return int(struct.unpack(form, self._file.read(size))[0])
 
     def _pages(self) -> Iterator["TiffPage"]:
         """Yield the pages except for reduced copies of others."""
@@ -403,12 +376,14 @@ class _Stack:
                 page = tifffile.TiffPage(self._tif, index=number)
                 is_reduced = int(page.subfiletype) & 1  # TIFF 6.0, section 8
             except (OSError, *self._errors):
-                raise _PagesEndError("is damaged") from None
+                self._ending = "is damaged"
+                return
             if not is_reduced:
                 yield page
 
-    def _frames_of(self, page: "TiffPage", following: "TiffPage | None", *, complete: bool) -> int:
-        """Return the number of frames in a page's data; `complete` is True if the chain of pages has a regular end."""
+    def _frames_of(self, page: "TiffPage", following: "TiffPage | None") -> int:
+        """Return the number of frames in a page's data."""
+        complete = not self._ending
         try:
             stated = read_description(page)
             frames = stated.frames if stated.in_one_page or not complete else 1

@@ -96,10 +96,7 @@ class VideoReader(TimedReader):
 
     def _check_form(self, pixels: Pixels, bits: int, count: int) -> None:
         if self._record and (bits > 8) != (self.bits > 8):
-            raise MediaError(
-                f"{self.path} has pictures of {bits} bits, but notes {self.bits}: it was converted or is damaged; "
-                f"convert it without its metadata, or copy it again"
-            )
+            raise MediaError(f"{self.path} has pictures of {bits} bits, but notes {self.bits}: drop its metadata")
         if pixels.shape != (self.height, self.width):
             sizes = f"{self.width}x{self.height} to {pixels.shape[1]}x{pixels.shape[0]}"
             raise MediaError(f"{self.path} changes its size from {sizes} pixels after {count} frames: cut it there")

@@ -56,9 +56,7 @@ def choose_codec(
     if spec.bits > most_bits:
         raise MediaError(f"{name} holds at most {most_bits} bits, the film has {spec.bits}: use ffv1 or .h5")
     if suffix in (".mkv", ".avi") and spec.rate_hz > 1000:  # FFmpeg's reader of AVI takes no higher rate
-        raise MediaError(
-            f"{suffix} keeps time to 1 ms at best, too coarse for {spec.rate_hz:g} frames/s: use .nut, .mp4 or .h5"
-        )
+        raise MediaError(f"{suffix} keeps 1 ms, too coarse for {spec.rate_hz:g} frames/s: use .nut, .mp4 or .h5")
     return name
 
 
@@ -151,10 +149,7 @@ class VideoSink:
                 f"{elapsed_s:.9f} s after the start: leave more time between frames, or use .nut or .h5"
             )
         if self._suffix == ".avi" and abs(tick - elapsed_s * self._spec.rate_hz) > 0.01:
-            raise MediaError(
-                f".avi holds whole frame periods only, got a frame {elapsed_s:.9f} s after the start "
-                f"at {self._spec.rate_hz:g} frames/s: use .nut, .mp4 or .h5"
-            )
+            raise MediaError(f".avi holds whole frame periods only, got {elapsed_s:.9f} s: use .nut, .mp4 or .h5")
         self._last_tick = tick
         return tick
 

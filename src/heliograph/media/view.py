@@ -1,6 +1,5 @@
 """Crop, binning and rotation of a film."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from numbers import Integral
 from typing import Any
@@ -8,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.base.frames import Frame, Pixels
-from heliograph.media.reader import FilmReader
+from heliograph.base.frames import Pixels
+from heliograph.media.reader import FilmReader, Frames
 
 
 def check_view(crop: Any, binning: Any, rotate: Any) -> None:
@@ -17,9 +16,8 @@ def check_view(crop: Any, binning: Any, rotate: Any) -> None:
     if rotate not in (0, 90, 180, 270):
         raise MediaError(f"a film is turned by 0, 90, 180 or 270 degrees clockwise, not by {shown(rotate)}")
     if not (isinstance(binning, Integral) and 1 <= int(binning) <= 16):
-        raise MediaError(
-            f"squares of 1 to 16 pixels a side are averaged, not of {shown(binning)}: give 2 for a Bayer mosaic"
-        )
+        text = shown(binning)
+        raise MediaError(f"squares of 1 to 16 pixels a side are averaged, not of {text}: give 2 for a Bayer mosaic")
     if crop is None:
         return
     is_whole = isinstance(crop, (tuple, list)) and all(isinstance(side, Integral) and int(side) >= 0 for side in crop)
@@ -40,9 +38,8 @@ class ViewReader(FilmReader):
                     f"{film.width}x{film.height} pixels"
                 )
             if min(width, height) < binning:
-                raise MediaError(
-                    f"{film.path} is seen in {width}x{height} pixels, less than a square of {binning}: average fewer"
-                )
+                size = f"{width}x{height} pixels"
+                raise MediaError(f"{film.path} is seen in {size}, less than a square of {binning}: average fewer")
         except MediaError:
             film.close()
             raise
@@ -53,7 +50,7 @@ class ViewReader(FilmReader):
         self.bits, self.claimed_hz = film.bits, film.rate_hz
         self.frame_count, self.metadata, self.faster = film.frame_count, film.metadata, film.faster
 
-    def _frames(self) -> Iterator[Frame]:
+    def _frames(self) -> Frames:
         for frame in self.film:
             pixels: Any = _bin(frame.pixels[self._part], self._binning)
             # NumPy rotates counterclockwise

@@ -6,7 +6,6 @@ import os
 import queue
 import threading
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol, Self
 
 import numpy as np
@@ -128,9 +127,7 @@ class FilmWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
             self.finish()
         else:
@@ -139,9 +136,7 @@ class FilmWriter:
     def _check(self, frame: Frame) -> None:
         """Refuse a frame that does not fit the film in size, type, levels or time."""
         if not isinstance(frame, Frame):
-            raise MediaError(
-                f"a film takes heliograph.Frame, not {shown(frame)}; write Frame(index, time_s, pixels, bits)"
-            )
+            raise MediaError(f"a film takes heliograph.Frame, not {shown(frame)}")
         pixels, spec, dtype = frame.pixels, self.spec, np.dtype(np.uint8 if self.spec.bits == 8 else np.uint16)
         if pixels.shape != (spec.height, spec.width):
             size = f"{pixels.shape[1]}x{pixels.shape[0]}"
@@ -149,9 +144,7 @@ class FilmWriter:
         if pixels.dtype != dtype:
             raise MediaError(f"a film of {spec.bits} bits takes {dtype} pixels, got {pixels.dtype}")
         if frame.bits != spec.bits:
-            raise MediaError(
-                f"the film has {spec.bits} bits, the frame {frame.bits}: create the film with the same bits"
-            )
+            raise MediaError(f"the film has {spec.bits} bits, the frame {frame.bits}: they must be the same")
         if spec.bits not in (8, 16) and int(pixels.max()) >> spec.bits:
             raise MediaError(f"gray level {int(pixels.max())} does not fit into the film's {spec.bits} bits")
         if frame.time_s <= self._last_time_s:

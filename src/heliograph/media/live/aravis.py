@@ -15,53 +15,46 @@ from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError
 from heliograph.media.live.features import FeatureCamera
 from heliograph.media.live.settings import CameraSettings, Value
 
-_PLAIN: dict[str, tuple[Any, tuple[Any, ...]]] = {
-    "arv_update_device_list": (None, ()),
-    "arv_get_n_devices": (c_uint, ()),
-    "arv_get_device_id": (c_char_p, (c_uint,)),
-    "arv_get_device_serial_nbr": (c_char_p, (c_uint,)),
-    "arv_get_device_vendor": (c_char_p, (c_uint,)),
-    "arv_get_device_model": (c_char_p, (c_uint,)),
-    "arv_get_device_protocol": (c_char_p, (c_uint,)),
-    "arv_get_device_address": (c_char_p, (c_uint,)),
-    "arv_camera_get_device": (c_void_p, (c_void_p,)),
-    "arv_camera_is_gv_device": (c_int, (c_void_p,)),
-    "arv_camera_set_range_check_policy": (None, (c_void_p, c_int)),
-    "arv_gv_device_is_controller": (c_int, (c_void_p,)),
-    "arv_device_get_feature": (c_void_p, (c_void_p, c_char_p)),
-    "arv_buffer_new": (c_void_p, (c_size_t, c_void_p)),
-    "arv_stream_push_buffer": (None, (c_void_p, c_void_p)),
-    "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64)),
+_Signatures = dict[tuple[Any, tuple[Any, ...]], str]
+"""Names of functions by result and arguments."""
+
+_PLAIN: _Signatures = {
+    (None, ()): "arv_update_device_list",
+    (c_uint, ()): "arv_get_n_devices",
+    (c_char_p, (c_uint,)): "arv_get_device_id arv_get_device_serial_nbr arv_get_device_vendor arv_get_device_model "
+    "arv_get_device_protocol arv_get_device_address",
+    (c_void_p, (c_void_p,)): "arv_camera_get_device",
+    (c_int, (c_void_p,)): "arv_camera_is_gv_device arv_gv_device_is_controller",
+    (None, (c_void_p, c_int)): "arv_camera_set_range_check_policy",
+    (c_void_p, (c_void_p, c_char_p)): "arv_device_get_feature",
+    (c_void_p, (c_size_t, c_void_p)): "arv_buffer_new",
+    (None, (c_void_p, c_void_p)): "arv_stream_push_buffer",
+    (c_void_p, (c_void_p, c_uint64)): "arv_stream_timeout_pop_buffer",
     # names and values of any number, up to a null
-    "g_object_set": (None, (c_void_p, c_char_p, c_int, c_char_p, c_int, c_void_p)),
-    "g_object_unref": (None, (c_void_p,)),
-    "g_free": (None, (c_void_p,)),
-    "g_error_free": (None, (c_void_p,)),
+    (None, (c_void_p, c_char_p, c_int, c_char_p, c_int, c_void_p)): "g_object_set",
+    (None, (c_void_p,)): "g_object_unref g_free g_error_free",
 }
-"""Result and arguments of functions that cannot fail."""
+"""Functions that cannot fail."""
 
-_FAILING: dict[str, tuple[Any, tuple[Any, ...]]] = {
-    "arv_camera_new": (c_void_p, (c_char_p,)),
-    "arv_camera_get_model_name": (c_char_p, (c_void_p,)),
-    "arv_camera_get_vendor_name": (c_char_p, (c_void_p,)),
-    "arv_camera_is_feature_available": (c_int, (c_void_p, c_char_p)),
-    "arv_device_dup_available_enumeration_feature_values_as_strings": (c_void_p, (c_void_p, c_char_p, POINTER(c_uint))),
-    "arv_gc_feature_node_get_value_as_string": (c_char_p, (c_void_p,)),
-    "arv_gc_feature_node_set_value_from_string": (None, (c_void_p, c_char_p)),
-    "arv_camera_get_payload": (c_uint, (c_void_p,)),
-    "arv_camera_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p)),
-    "arv_camera_start_acquisition": (None, (c_void_p,)),
-    "arv_camera_stop_acquisition": (None, (c_void_p,)),
+_FAILING: _Signatures = {
+    (c_void_p, (c_char_p,)): "arv_camera_new",
+    (c_char_p, (c_void_p,)): "arv_camera_get_model_name arv_camera_get_vendor_name "
+    "arv_gc_feature_node_get_value_as_string",
+    (c_int, (c_void_p, c_char_p)): "arv_camera_is_feature_available",
+    (c_void_p, (c_void_p, c_char_p, POINTER(c_uint))): "arv_device_dup_available_enumeration_feature_values_as_strings",
+    (None, (c_void_p, c_char_p)): "arv_gc_feature_node_set_value_from_string",
+    (c_uint, (c_void_p,)): "arv_camera_get_payload",
+    (c_void_p, (c_void_p, c_void_p, c_void_p)): "arv_camera_create_stream",
+    (None, (c_void_p,)): "arv_camera_start_acquisition arv_camera_stop_acquisition",
 }
-"""Result and arguments, without the place of the error, of functions that may fail."""
+"""Functions that may fail; the place of the error follows the arguments."""
 
-_QUICK: dict[str, tuple[Any, tuple[Any, ...]]] = {
-    "arv_stream_try_pop_buffer": (c_void_p, (c_void_p,)),
-    "arv_buffer_get_status": (c_int, (c_void_p,)),
-    "arv_buffer_get_frame_id": (c_uint64, (c_void_p,)),
-    "arv_buffer_get_timestamp": (c_uint64, (c_void_p,)),
-    "arv_buffer_get_image_data": (c_void_p, (c_void_p, POINTER(c_size_t))),
-    "arv_buffer_get_image_padding": (None, (c_void_p, POINTER(c_int), POINTER(c_int))),
+_QUICK: _Signatures = {
+    (c_void_p, (c_void_p,)): "arv_stream_try_pop_buffer",
+    (c_int, (c_void_p,)): "arv_buffer_get_status",
+    (c_uint64, (c_void_p,)): "arv_buffer_get_frame_id arv_buffer_get_timestamp",
+    (c_void_p, (c_void_p, POINTER(c_size_t))): "arv_buffer_get_image_data",
+    (None, (c_void_p, POINTER(c_int), POINTER(c_int))): "arv_buffer_get_image_padding",
 }
 """Functions called for each frame. They keep Python's lock, as another thread might hold it for 5 ms each time."""
 
@@ -72,11 +65,12 @@ def aravis() -> Any:
     calls = SimpleNamespace()
     try:
         library, quick = ctypes.CDLL("libaravis-0.8.so.0"), ctypes.PyDLL("libaravis-0.8.so.0")
-        for source, types in ((library, _PLAIN), (quick, _QUICK), (library, _FAILING)):
-            for name, (returned, taken) in types.items():
-                call = getattr(source, name)
-                call.restype, call.argtypes = returned, (*taken, c_void_p) if types is _FAILING else taken
-                setattr(calls, name.removeprefix("arv_"), _checked(calls, call) if types is _FAILING else call)
+        for source, signatures in ((library, _PLAIN), (quick, _QUICK), (library, _FAILING)):
+            for (result, arguments), names in signatures.items():
+                for name in names.split():
+                    call, can_fail = getattr(source, name), signatures is _FAILING
+                    call.restype, call.argtypes = result, (*arguments, c_void_p) if can_fail else arguments
+                    setattr(calls, name.removeprefix("arv_"), _checked(calls, call) if can_fail else call)
     except (OSError, AttributeError) as error:
         lacking = f" ({error})" if isinstance(error, AttributeError) else ""
         raise MediaError(
@@ -116,9 +110,7 @@ class AravisCamera(FeatureCamera):
             self._camera = calls.camera_new(self._find_name().encode() or None)
         except MediaError as error:
             camera = f"camera '{self._address}'" if self._address else "camera"
-            raise MediaError(
-                f"no {camera} is found by Aravis ({error}); 'heliograph cameras' lists what is there"
-            ) from None
+            raise MediaError(f"no {camera} is found by Aravis ({error}); see 'heliograph cameras'") from None
         self._device = calls.camera_get_device(self._camera)
         calls.camera_set_range_check_policy(self._camera, 1)  # values out of range are errors
         vendor, model = calls.camera_get_vendor_name(self._camera), calls.camera_get_model_name(self._camera)

@@ -38,9 +38,7 @@ class GenicamCamera(FeatureCamera):
         try:
             self._acquirer = self._harvester.create(cameras.index(info))
         except Exception as error:  # harvesters and genicam raise many types
-            raise MediaError(
-                f"camera '{info.id_}' cannot be opened ({brief(error)}): does another program use it?"
-            ) from None
+            raise MediaError(f"camera '{info.id_}' cannot be opened ({brief(error)}): is it in use?") from None
         self._acquirer.add_callback(self._acquirer.Events.INCOMPLETE_BUFFER, self)
         form = self._configure(settings, f"{_text(info, 'vendor')} {_text(info, 'model')}")
         self._acquirer.num_buffers = self.n_buffers
@@ -170,9 +168,7 @@ def _harvester(settings: CameraSettings) -> Any:
     try:
         from harvesters.core import Harvester
     except ImportError as error:
-        raise MediaError(
-            f"GenICam cameras need the package harvesters ({brief(error)}): pip install harvesters"
-        ) from None
+        raise MediaError(f"GenICam cameras need 'pip install harvesters' ({brief(error)})") from None
     files = producers(settings)
     logging.getLogger("harvesters").setLevel(logging.CRITICAL)  # the errors below take one line
     harvester = Harvester()

@@ -156,17 +156,9 @@ class Grabber:
         """Counts of the frames so far."""
         numbering = self._numbering
         return CameraCounts(
-            frames=self._frames,
-            lost=numbering.lost,
-            incomplete=numbering.incomplete,
-            skipped=numbering.skipped,
-            dropped=self._queue.dropped,
-            waiting=len(self._queue),
-            jumps=numbering.jumps,
-            reconnections=self._reconnections,
-            host_clock=numbering.host_clock,
-            rate_hz=1 / numbering.period_s,
-        )
+            self._frames, numbering.lost, numbering.incomplete, numbering.skipped, self._queue.dropped,
+            len(self._queue), numbering.jumps, self._reconnections, numbering.host_clock, 1 / numbering.period_s,
+        )  # fmt: skip
 
     def _work(self) -> None:
         try:
@@ -244,11 +236,9 @@ class Grabber:
             except HeliographError as failed:
                 self._release()
                 why = str(failed)
-        if (form.width, form.height, form.bits) != (self._form.width, self._form.height, self._form.bits):
-            raise MediaError(
-                f"{self._name} came back with {form.width}x{form.height} pixels of {form.bits} bits in place of "
-                f"{self._form.width}x{self._form.height} of {self._form.bits}: start again"
-            )
+        before, now = (f"{each.width}x{each.height} pixels of {each.bits} bits" for each in (self._form, form))
+        if now != before:
+            raise MediaError(f"{self._name} came back with {now} in place of {before}: start again")
         self._reconnections += 1
         self._numbering.restart()
         self._heard_s = time.monotonic()

@@ -1,17 +1,16 @@
 """Live camera as a film: frames as they come."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import HeliographError, MediaError, brief
-from heliograph.base.frames import Frame
 from heliograph.media.live.camera import PREFIX, Camera, CameraCrashError, CameraForm, camera_kind
 from heliograph.media.live.grabber import CameraCounts, CameraTiming, FrameQueue, Grabber
 from heliograph.media.live.settings import CameraSettings
-from heliograph.media.reader import FilmReader, Reading, checked_size
+from heliograph.media.reader import FilmReader, Frames, Reading, checked_size
 from heliograph.media.record import FASTEST_HZ
 
 
@@ -102,7 +101,7 @@ class LiveReader(FilmReader):
             self._camera.close()
             self._camera = None
 
-    def _frames(self) -> Iterator[Frame]:
+    def _frames(self) -> Frames:
         if self._camera is None:
             self._open()
         camera, self._camera, self._stopping = self._camera, None, False

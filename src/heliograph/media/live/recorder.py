@@ -1,9 +1,10 @@
 """Record the last seconds of a live camera after a failure."""
 
-import threading
 from collections import deque
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
@@ -30,14 +31,14 @@ class Recorder:
         self.written = 0
         self.path, self._source, self._metadata = path, source, {**source.metadata, **metadata}
         size = source.width * source.height * (1 if source.bits == 8 else 2)
-        self._most = max(2, max_bytes // size)
-        self.seconds = min(seconds, self._most / source.rate_hz)
-        self._frames: deque[Frame] = deque(maxlen=self._most)
+        most = max(2, max_bytes // size)
+        self.seconds = min(seconds, most / source.rate_hz)
+        self._frames: deque[Frame] = deque(maxlen=most)
         self._waiting: list[Frame] = []
         self._failed = False
         self._covered_s = float("-inf")
-        self._thread: threading.Thread | None = None
-        self._error: BaseException | None = None
+        self._executor = ThreadPoolExecutor(1, "recorder")
+        self._running: Future[None] | None = None
 
     def saw(self, frame: Frame) -> None:
         """Keep a frame, and start a film after a failure."""
@@ -46,11 +47,10 @@ class Recorder:
         self._frames.append(frame)
         if self._failed and frame.time_s >= self._covered_s + self.seconds:
             self._covered_s, self._failed, self._waiting = frame.time_s, False, [*self._frames]
-        if self._waiting and not (self._thread is not None and self._thread.is_alive()):
+        if self._waiting and (self._running is None or self._running.done()):
             self._finish()
-            self._thread = threading.Thread(target=self._write, args=(self._waiting,), name="recorder")
+            self._running = self._executor.submit(self._write, self._waiting)
             self._waiting = []
-            self._thread.start()
 
     def failed(self) -> None:
         """Note a failure in the frames so far."""
@@ -59,33 +59,23 @@ class Recorder:
     def close(self) -> None:
         """Write the remaining film."""
         self._finish()
+        self._executor.shutdown()
         left = [*self._frames] if self._failed else self._waiting
         self._failed, self._waiting = False, []
         if left:
             self._write(left)
-            self._finish()
 
     def _finish(self) -> None:
         """Wait for the running film, and raise its error."""
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-        if self._error is not None:
-            error, self._error = self._error, None
-            raise error
+        running, self._running = self._running, None
+        if running is not None:
+            running.result()
 
     def _write(self, frames: list[Frame]) -> None:
-        try:
-            with create_film(
-                self.path,
-                width=self._source.width,
-                height=self._source.height,
-                rate_hz=min(self._source.rate_hz, FASTEST_HZ),
-                bits=self._source.bits,
-                metadata=self._metadata,
-            ) as film:
-                for frame in frames:
-                    film.write(frame)
-            self.written = len(frames)
-        except BaseException as error:  # raised by `saw` or `close`, in the receiver's thread
-            self._error = error
+        source = self._source
+        form: dict[str, Any] = {"width": source.width, "height": source.height, "bits": source.bits}
+        rate_hz = min(source.rate_hz, FASTEST_HZ)
+        with create_film(self.path, rate_hz=rate_hz, metadata=self._metadata, **form) as film:
+            for frame in frames:
+                film.write(frame)
+        self.written = len(frames)
