@@ -34,7 +34,7 @@ class Source:
 
 
 def readers() -> list[threading.Thread]:
-    return [thread for thread in threading.enumerate() if thread.name == "film-reader"]
+    return [thread for thread in threading.enumerate() if thread.name.startswith("film-reader")]
 
 
 def test_frames_keep_their_order() -> None:

@@ -1,10 +1,10 @@
 """Common interface for reading films, and frames read ahead in a thread."""
 
-import queue
-import threading
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from numbers import Real
@@ -118,45 +118,21 @@ class FilmReader(ABC):
 
 
 def read_ahead(frames: Frames, queued: int = 8) -> Frames:
-    """Yield frames in order while a thread reads the next ones into a queue.
+    """Yield frames in order while a thread reads the next ones.
 
-    The thread starts with the first request. The iterator ends the thread and joins it at the last frame, at an error,
-    at Ctrl-C or when closed, so that the film's file is closed.
+    The thread starts with the first request. At the last frame, at an error, at Ctrl-C or when the iterator is closed,
+    it closes `frames`, and so the film's file, and ends.
     """
-    waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(queued)
-    wanted = threading.Event()
-    wanted.set()
-    thread = threading.Thread(target=_read, args=(frames, waiting, wanted), name="film-reader", daemon=True)
-    thread.start()
-    ended = False
-    try:
-        while True:
-            got = waiting.get()
-            if not isinstance(got, Frame):
-                ended = True
-                if got is not None:
-                    raise got
-                return
-            yield got
-    finally:
-        wanted.clear()
-        while not ended:  # the thread may wait for a free place
-            ended = not isinstance(waiting.get(), Frame)
-        thread.join()
-
-
-def _read(frames: Frames, waiting: "queue.Queue[Frame | BaseException | None]", wanted: threading.Event) -> None:
-    """Queue frames while they are wanted, then the error that ended them, or None."""
-    end: BaseException | None = None
-    try:
-        for frame in frames:
-            waiting.put(frame)
-            if not wanted.is_set():
-                break
-        frames.close()
-    except BaseException as error:  # raised again in the thread of the receiver
-        end = error
-    waiting.put(end)
+    with ThreadPoolExecutor(1, "film-reader") as thread:
+        pending = deque(thread.submit(next, frames, None) for _ in range(queued + 1))
+        try:
+            while (frame := pending.popleft().result()) is not None:
+                pending.append(thread.submit(next, frames, None))
+                yield frame
+        finally:
+            for future in pending:
+                future.cancel()
+            thread.submit(frames.close).result()
 
 
 def checked_size(path: Path, width: int, height: int) -> None:

@@ -1,10 +1,9 @@
 """Common interface for writing films: checks, a file that appears only when complete, encoding in a thread."""
 
-import dataclasses
 import errno
 import os
-import queue
-import threading
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Protocol, Self
 
@@ -33,43 +32,29 @@ class ThreadedSink:
     """A sink in a thread, so that a codec, which releases the GIL, runs in parallel to the caller."""
 
     def __init__(self, sink: Sink, queued: int = 8) -> None:
-        self._sink = sink
-        self._queue: queue.Queue[Frame | None] = queue.Queue(queued)
-        self._error: BaseException | None = None
-        self._stopping = False
-        self._thread = threading.Thread(target=self._work, name="film-encoder", daemon=True)
-        self._thread.start()
+        self._sink, self._queued = sink, queued
+        self._thread = ThreadPoolExecutor(1, "film-encoder")
+        self._pending = deque[Future[None]]()
 
     def put(self, frame: Frame) -> None:
         """Queue a copy of a frame, and raise the error of an earlier frame; see `Sink`."""
-        self._raise_error()
-        self._queue.put(dataclasses.replace(frame, pixels=frame.pixels.copy()))  # the caller may reuse the array
+        while self._pending and (len(self._pending) > self._queued or self._pending[0].done()):
+            self._pending[0].result()
+            self._pending.popleft()
+        # the caller may reuse the array
+        self._pending.append(self._thread.submit(self._sink.put, frame.copied()))
 
     def close(self) -> None:
         """Encode the queued frames, then finish the file, or raise an error."""
-        self._queue.put(None)
-        self._thread.join()
-        self._raise_error()
+        for future in self._pending:
+            future.result()
+        self._thread.shutdown()
         self._sink.close()
 
     def discard(self) -> None:
         """Drop the queued frames and close the file."""
-        self._stopping = True
-        self._queue.put(None)
-        self._thread.join()
+        self._thread.shutdown(cancel_futures=True)
         self._sink.discard()
-
-    def _work(self) -> None:
-        while (frame := self._queue.get()) is not None:
-            if self._error is None and not self._stopping:  # else empty the queue, as the caller may wait
-                try:
-                    self._sink.put(frame)
-                except BaseException as error:  # raised again in the caller's thread
-                    self._error = error
-
-    def _raise_error(self) -> None:
-        if self._error is not None:
-            raise self._error
 
 
 class FilmWriter:
