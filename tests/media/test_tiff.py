@@ -428,7 +428,7 @@ def test_pictures_below_a_small_copy_are_not_read(tmp_path: Path) -> None:
         stack.write(picture[::2, ::2], subifds=1, subfiletype=1, metadata=None)
         stack.write(picture, metadata=None)
     says = refused(tmp_path / "a.tif")[1]
-    assert "holds small copies alone; pictures in sub-directories, as in cameras' raw files, are not read" in says
+    assert "holds only small copies; pictures in sub-directories, as in cameras' raw files, are not read" in says
 
 
 def test_a_file_without_pages(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """Films: timed gray frames in video files (FFV1, H.264, MJPEG) and HDF5, streamed, with exact gray levels.
 
-LED patterns in the files that drivers take, too.
+Also LED patterns in files for LED drivers.
 """
 
 from heliograph.media.film import ColourFilm, convert_film, create_film, open_colours, open_film

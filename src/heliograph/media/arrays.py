@@ -1,4 +1,4 @@
-"""Films without a header: NumPy's .npy files of an array (frames, rows, columns), and advice on raw dumps."""
+"""Headerless films: NumPy's .npy files of an array (frames, rows, columns), and advice on raw dumps."""
 
 import mmap
 import warnings
@@ -63,7 +63,7 @@ _YUV_DUMPS = (".yuv", ".i420", ".yv12", ".nv12", ".nv21", ".yuv420p")
 
 
 def refuse_dump(path: Path) -> None:
-    """Refuse a raw dump, a file of levels without a header, by its suffix, unless FFmpeg knows the content."""
+    """Refuse a raw dump, a headerless file of levels, by the suffix, unless FFmpeg knows the content."""
     suffix = path.suffix.lower()
     if suffix not in (*_GRAY_DUMPS, *_YUV_DUMPS) or _is_video(path):
         return

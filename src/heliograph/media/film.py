@@ -1,4 +1,4 @@
-"""Open, create and convert films. The suffix chooses the kind of a new film, the content that of an existing one."""
+"""Open, create and convert films. A suffix selects the kind of a new film."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -23,7 +23,7 @@ from heliograph.media.view import ViewReader, check_view
 from heliograph.media.writer import FilmWriter, ThreadedSink, partial_path, write_error
 
 FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
-"""Suffixes of films that can be created."""
+"""Suffixes of new films."""
 
 
 _KINDS: tuple[tuple[Callable[[Path, Reading], FilmReader], Callable[[Path, bytes], bool], tuple[str, ...]], ...] = (
@@ -36,14 +36,14 @@ _KINDS: tuple[tuple[Callable[[Path, Reading], FilmReader], Callable[[Path, bytes
     (ArrayReader, lambda _, head: head.startswith(b"\x93NUMPY"), (".npy",)),
     (hdf5.Hdf5Reader, lambda path, _: hdf5.is_hdf5(path), hdf5.SUFFIXES),
 )
-"""Reader, check of path and first bytes, and usual suffixes of the kinds that are read without FFmpeg."""
+"""Reader, check of path and first bytes, and usual suffixes of kinds for which FFmpeg is not needed."""
 
 _NO_FILMS = {
     b"MATLAB 5.0 MAT-file": "is of MATLAB before 7.3: save it there with '-v7.3', the frames as (row, column, frame)",
     b"PK\x03\x04": "is an archive, such as .zip or .npz: unpack it and give the film in it",
     b"\x1f\x8b": "is compressed by gzip: unpack it first",
 }
-"""Advice on files of other kinds, by their first bytes."""
+"""Advice on files of other kinds, by first bytes."""
 
 
 def open_film(
@@ -57,53 +57,53 @@ def open_film(
     channel: str = "luma",
     camera: Mapping[str, Any] | Iterable[str] = (),
 ) -> FilmReader:
-    """Open a recording as gray frames: a film of `create_film`, a video, a camera's own file, or pictures; or a camera.
+    """Open a recording or a camera as gray frames: a film of `create_film`, a video, a camera file, or pictures.
 
     ======================================== ============================ =================================
-    recording                                what is named                rate and times
+    recording                                name                         rate and times
     ======================================== ============================ =================================
-    HDF5 of `create_film`                    .h5, .hdf5                   the file's
+    HDF5 of `create_film`                    .h5, .hdf5                   of the file
     Photron                                  .mraw, .cih or .cihx         header: record rate over step
     Phantom                                  .cine                        the camera's rate and stamps
     TIFF, a page for each frame              .tif, .tiff                  ``rate_hz``
     a picture for each frame                 folder, or ``img%04d.png``   ``rate_hz``
-    one picture                              .png, .jpg, .bmp, .webp ...  ``rate_hz``
+    single picture                           .png, .jpg, .bmp, .webp ...  ``rate_hz``
     animated picture                         .gif, .png, .webp            the pictures' delays
     NumPy's array (frames, rows, columns)    .npy                         ``rate_hz``
-    any video that FFmpeg reads              .mp4, .mov, .avi, .y4m ...   the file's
+    any video known to FFmpeg                .mp4, .mov, .avi, .y4m ...   of the file
     a live camera                            ``camera:KIND:ADDRESS``      the camera's rate and clock
     ======================================== ============================ =================================
 
     Gray levels are those in the file: luma of YUV video is not rescaled, RGB is weighted to luma by Rec. ITU-R BT.601.
-    Videos are put upright as their display matrix says.
+    The display matrix of a video puts the frames upright.
 
     Parameters
     ----------
     path
-        The file, the folder of pictures, or their names with %d or %04d for a number. A file's content tells its kind;
-        the suffix counts for Photron alone.
+        The file, the folder of pictures, or a pattern of names with %d or %04d for a number. The content selects the
+        kind; only Photron needs the suffix.
     expand_range
-        Stretch limited-range video (black at 16, white at 235, usual for dashcams) to the full scale, as the commands
-        and the pages do. YUV video without a tag counts as limited, as in FFmpeg and players; MJPEG, RGB, gray and raw
-        recordings count as full range. Films written here are full range and stay as they are.
+        True to stretch limited-range video (black at 16, white at 235, usual for dashcams) to full scale, as the
+        commands and the pages do. Untagged YUV video counts as limited, as in FFmpeg and players; MJPEG, RGB, gray and
+        raw recordings count as full range. Films of `create_film` are full range and stay unchanged.
     rate_hz
-        Frames per second that the camera took, above 0, if the file claims another rate, as films in slow motion do, or
-        has no clock. Frame k is then taken at ``k / rate_hz``; gaps between even stamps count as missing frames. None
-        uses the times of the file.
+        Frames per second of the camera, above 0, if the file claims another rate, as in slow motion, or has no clock.
+        Frame k then has the time ``k / rate_hz``; gaps between even stamps count as missing frames. None for the times
+        of the file.
     crop
-        (x, y, width, height) in pixels of the upright frames, of the part that is kept; x and y count from 0 at the
-        upper left. None keeps all.
+        (x, y, width, height) of the kept part in pixels of the upright frames; x and y count from 0 at the upper left.
+        None for the full frames.
     binning
-        Pixels along a side of the squares of the part that are replaced by their mean, 1 to 16. With 2 the pixels of a
-        Bayer mosaic have all its filters.
+        Side in pixels, 1 to 16, of squares in the kept part; each square becomes a pixel with the mean level. With 2 a
+        pixel averages all filters of a Bayer mosaic.
     rotate
-        0, 90, 180 or 270 degrees clockwise by which the part is then turned.
+        Clockwise rotation of the part afterwards: 0, 90, 180 or 270 degrees.
     channel
-        "luma", "red", "green" or "blue": what is taken of a colour for a gray level.
+        "luma", "red", "green" or "blue": gray level of a colour.
     camera
-        Settings of a live camera by name, as of `heliograph.media.live.settings.CameraSettings`, or texts such as
-        "exposure_us=500". Recordings take none. A camera's film lasts until it is stopped; ``rate_hz`` then only
-        says what a camera does not know, and leaves its times as they are.
+        Settings of a live camera by name, see `heliograph.media.live.settings.CameraSettings`, or texts such as
+        "exposure_us=500". Recordings take none. A live film lasts until stopped; ``rate_hz`` then replaces only a
+        missing rate of the camera, and no times.
 
     Returns
     -------
@@ -113,10 +113,10 @@ def open_film(
     Raises
     ------
     MediaError
-        An option is none of those, or a rate is needed; the file is missing, empty, no film, or damaged beyond reading;
-        or a folder has no pictures. Damage further on is reported while iterating, after the whole frames.
+        An option is invalid, or a rate is needed; the file is missing, empty, no film, or damaged beyond reading;
+        or a folder has no pictures. Iterating reports later damage, after the good frames.
     SettingsError
-        A camera's setting is unknown or out of range, or it does not take it.
+        The camera does not know a setting, or the value is out of range.
     """
     path = checked_path(path)
     check_view(crop, binning, rotate)
@@ -175,7 +175,7 @@ def create_film(
     lossless: bool = False,
     mbit_s: float | None = None,
 ) -> FilmWriter:
-    """Create a film; the suffix chooses its kind.
+    """Create a film; the suffix selects the kind.
 
     ======= ======================= =============== ==================================================================
     suffix  codecs, default first   exact levels    times
@@ -187,7 +187,7 @@ def create_film(
     .h5     none                    yes             exact
     ======= ======================= =============== ==================================================================
 
-    The grid is the first frame's time plus whole multiples of ``1 / rate_hz``; frames may be missing from it.
+    The grid is the first frame's time plus multiples of ``1 / rate_hz``; frames may be missing.
 
     Parameters
     ----------
@@ -206,13 +206,13 @@ def create_film(
     metadata
         Text to keep with the film, by name.
     crf
-        Quality of lossy H.264, from 0 (best) to 51; None for 12, whose error is about 1.4 gray levels rms in noise of
-        1.5, without bias. The usual 18 wipes the noise out.
+        Quality of lossy H.264, from 0 (best) to 51; None for 12, an unbiased error of about 1.4 gray levels rms in
+        noise of 1.5. The usual 18 wipes the noise out.
     lossless
-        Whether H.264 keeps every bit: faster than FFV1, but few players show it.
+        True for H.264 that keeps every bit: faster than FFV1, but few players show such films.
     mbit_s
-        Bit rate of H.264 or H.265 in Mbit/s, 0.1 to 1000: the film is written as a phone writes it, in 4:2:0 and
-        limited range. None for a constant quality.
+        Bit rate of H.264 or H.265 in Mbit/s, 0.1 to 1000: the film is then like a phone's, in 4:2:0 and limited
+        range. None for a constant quality.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def create_film(
     Raises
     ------
     MediaError
-        Unknown suffix or codec, settings that do not go together, or a place that cannot be written.
+        Unknown suffix or codec, settings in conflict, or no right to write there.
     """
     target = checked_path(path)
     suffix = target.suffix.lower()
@@ -267,14 +267,14 @@ def convert_film(
     codec: str | None = None,
     crf: float | None = None,
 ) -> int:
-    """Write a film's frames into a film of another kind; its rate, bits and metadata go with them.
+    """Write a film's frames, rate, bits and metadata into a film of another kind.
 
     Parameters
     ----------
     source
         The film, opened by `open_film`.
     target
-        The film to write; its suffix chooses the kind, see `create_film`.
+        The film to write; the suffix selects the kind, see `create_film`.
     progress
         Called with the number of frames written.
     codec
@@ -284,14 +284,14 @@ def convert_film(
 
     Returns
     -------
-    Frames written. On Ctrl-C the film is closed with the frames so far, and KeyboardInterrupt is raised again. A film
-    that had the target's name before stays as it was, unless all is written or the source is a live camera.
+    Frames written. Ctrl-C closes the film with the frames so far and raises KeyboardInterrupt again. An existing
+    target is replaced only if all is written, or if the source is a live camera.
 
     Raises
     ------
     MediaError
-        The source is no film, or the one to be written. Or the film cannot be written, or its kind does not hold rate
-        or bits: nothing is left. Or the source is damaged: its whole frames are kept in the target, likewise.
+        The source is no film, or is the target. The target cannot be written, or does not support rate or bits; no
+        file is left. The source is damaged; the target keeps the good frames, as after Ctrl-C.
     """
     if not isinstance(source, FilmReader):
         raise MediaError(f"convert_film takes a film as open_film gives it, not {type(source).__name__}")
@@ -312,15 +312,15 @@ def convert_film(
                 if progress is not None:
                     progress(film.frames_written)
         except (MediaError, KeyboardInterrupt):
-            # what a camera has shown does not come again
+            # frames of a camera do not come again
             if film.frames_written and (new or live_of(source) is not None):
-                film.finish()  # does nothing where it could not be written, and is gone
+                film.finish()  # no effect after a failed write
             raise
     return film.frames_written
 
 
 class ColourFilm:
-    """A film opened for reading in colour: iterate it for its frames; each iteration starts at the first frame.
+    """A film opened for reading in colour: iterate it for the frames; each iteration starts at the first frame.
 
     Memory does not grow with the film. Use it as a context manager, or call `close`.
 
@@ -386,7 +386,7 @@ def open_colours(path: str | os.PathLike[str], **options: Any) -> ColourFilm:
     Parameters
     ----------
     path
-        The file, the folder of pictures, or their names with %d or %04d for a number.
+        The file, the folder of pictures, or a pattern of names with %d or %04d for a number.
     options
         Options of `open_film` except for the channel: rate_hz, crop, binning, rotate, expand_range.
 

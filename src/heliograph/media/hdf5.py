@@ -97,15 +97,15 @@ def is_hdf5(path: Path) -> bool:
 
 
 def _frame_reader(file: Any, frames: Any) -> Callable[[int], Pixels]:
-    """Return a function that reads a frame by number, without HDF5's copy if each frame is a plain chunk."""
+    """Return a function from number to frame, which avoids HDF5's copy if each frame is a plain chunk."""
     import h5py
 
     with suppress(OSError, AttributeError, ValueError):  # some systems lack this call
-        # the system reads ahead: a thread of our own costs more than reading
+        # the system reads ahead: a thread would cost more than reading
         os.posix_fadvise(file.id.get_vfd_handle(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
     shape, dtype = frames.shape[1:], frames.dtype
     plain = frames.chunks == (1, *shape) and dtype.isnative and not frames.id.get_create_plist().get_nfilters()
-    plain = plain and h5py.version.version_tuple[:2] >= (3, 9)  # the first release that reads into an array
+    plain = plain and h5py.version.version_tuple[:2] >= (3, 9)  # which reads into an array
     # decompress a chunk of several frames once, up to 67 MB
     chunk_frames = frames.chunks[0] if frames.chunks else 1
     at_once = chunk_frames if chunk_frames * math.prod(shape) * dtype.itemsize <= 1 << 26 else 1
@@ -141,7 +141,7 @@ def _read_metadata(attributes: Any) -> dict[str, str]:
 
 
 def _number(path: Path, attributes: Any, name: str, least: float, most: float) -> float:
-    """Return an attribute that is a number; 0 if missing."""
+    """Return a number from an attribute; 0 if missing."""
     held = _attribute(attributes, name, 0)
     try:
         value = math.nan if np.iscomplexobj(held) else float(np.asarray(held).item())
@@ -186,7 +186,7 @@ def _reason(error: Exception) -> str:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     with clear_read_errors(path), path.open("rb") as raw:
-        _check_heaps(path, raw.read(1 << 20))  # films of this package have their texts in the first 12 kB
+        _check_heaps(path, raw.read(1 << 20))  # films of this package have texts in the first 12 kB
     with _open_file(path) as file:
         with _clear_damage(path, 0):
             _check_form(path, file)
@@ -196,7 +196,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _open_file(path: Path) -> Any:
-    """Open a file, even for reading while it is written (SWMR), or on a system without locks."""
+    """Open a file, even while another program writes (SWMR), or on a system that lacks locks."""
     import h5py
 
     try:
@@ -211,24 +211,17 @@ def _open_file(path: Path) -> Any:
             return h5py.File(path, "r", locking=False)
     causes = {
         "truncated file": "ends in the middle and cannot be read: copy or record it again",
-        "already open for write": (
-            "was left open for writing, or a program still writes it: wait for that program; if it ended without "
-            f"closing the film, run 'h5clear -s {path}', on a copy"
-        ),
-        "unable to lock file": (
-            "is locked, as by a program that still writes it: wait for that program; if no program does, set "
-            "HDF5_USE_FILE_LOCKING=FALSE"
-        ),
-        "signature not found": "is not a readable HDF5 file, it has no signature of HDF5: check that it is a film",
-        "": (
-            f"is not a readable HDF5 file, and HDF5 says only {_reason(cause)!r}: it may be damaged, or of a newer HDF5"
-        ),
+        "already open for write": f"was left open, or is still written: wait, or run 'h5clear -s {path}' on a copy",
+        "unable to lock file": "is locked, as by a program that still writes it: wait for that program, or set "
+        "HDF5_USE_FILE_LOCKING=FALSE",
+        "signature not found": "is not a readable HDF5 file, as the signature is missing: check the file",
+        "": f"is not readable, and HDF5 reports only {_reason(cause)!r}: it may be damaged, or of a newer HDF5",
     }
     raise MediaError(f"{path} {next(advice for sign, advice in causes.items() if sign in text)}")
 
 
 def _check_filters(path: Path, dataset: Any) -> None:
-    """Refuse data compressed by a filter that is not installed."""
+    """Refuse data that need a missing filter."""
     import h5py
 
     created = dataset.id.get_create_plist()
@@ -240,12 +233,12 @@ def _check_filters(path: Path, dataset: Any) -> None:
             name = _FILTERS.get(number) or label.decode(errors="replace").strip("\0") or "no known name"
             raise MediaError(
                 f"{path}: '{dataset.name.strip('/')}' is packed by the filter {name} (number {number}), which is not "
-                "installed: 'pip install hdf5plugin', or save the film without it"
+                "installed: 'pip install hdf5plugin', or save the film uncompressed"
             )
 
 
 def _check_heaps(path: Path, head: bytes) -> None:
-    """Refuse a heap of texts that HDF5 would search without end: an object of length 0 follows itself."""
+    """Refuse a heap of texts that sends HDF5 into an endless loop: an object of length 0 follows itself."""
     start = head.find(b"GCOL\x01\0\0\0")
     while start >= 0:
         # 16 bytes before the objects, and before each object: index (2), references (2), zeros (4), length (8)
@@ -259,7 +252,7 @@ def _check_heaps(path: Path, head: bytes) -> None:
 
 
 def _check_form(path: Path, file: Any) -> None:
-    """Refuse a file whose datasets are missing, lie in other files, or are no film."""
+    """Refuse a file if datasets are missing, lie in other files, or are no film."""
     import h5py
 
     try:
@@ -273,9 +266,9 @@ def _check_form(path: Path, file: Any) -> None:
         )
     # the shape of a virtual dataset opens other files
     if external or any(dataset.is_virtual or dataset.external for dataset in datasets):
-        raise MediaError(f"{path} is no whole film, its pictures lie in other files: copy them into one")
+        raise MediaError(f"{path} is no complete film, its pictures lie in other files: copy them into one")
     frames, times = datasets
-    shape: tuple[int, ...] = frames.shape or ()  # None for a dataset without data
+    shape: tuple[int, ...] = frames.shape or ()  # None for an empty dataset
     lengths: tuple[int, ...] = times.shape or ()
     is_list = bool(lengths) and math.prod(lengths) == max(lengths)
     if is_list and len(shape) == 3 and max(lengths) == shape[2] != shape[0]:
@@ -283,7 +276,7 @@ def _check_form(path: Path, file: Any) -> None:
             f"{path}: 'frames' {shape} counts its frames along the last axis: save it as (frame, row, column), "
             "such as by numpy.moveaxis; from MATLAB as (row, column, frame)"
         )
-    # a running writer may have written a frame without the time
+    # a running writer may have written a frame and no time yet
     fits = is_list and len(shape) == 3 and (max(lengths) == shape[0] or file.swmr_mode)
     if not fits or frames.dtype not in BITS or times.dtype.kind not in "fiu":
         got = f"'frames' {shape} of {frames.dtype} and 'times_s' {lengths} of {times.dtype}"
@@ -316,7 +309,7 @@ def _is_external(file: Any, name: bytes) -> bool:
 
 
 def _check_chunks(path: Path, *datasets: Any) -> None:
-    """Refuse chunks larger than the file, or too large to decompress: HDF5 allocates each chunk as a whole."""
+    """Refuse chunks larger than the file, or too large to decompress: HDF5 allocates complete chunks."""
     size = path.stat().st_size
     for dataset in datasets:
         chunk = math.prod(dataset.chunks or dataset.shape[1:]) * dataset.dtype.itemsize
@@ -331,7 +324,7 @@ def _check_chunks(path: Path, *datasets: Any) -> None:
 
 
 class PatientFile:
-    """A file that hides a failed write from HDF5, which would crash the process at exit; the user reads ``error``."""
+    """A file for HDF5, which crashes the process at exit after a failed write; the user reads ``error``."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("w+b", buffering=0)
@@ -339,7 +332,7 @@ class PatientFile:
         self.read, self.close = self._file.read, self._file.close
 
     def flush(self) -> None:
-        """Do nothing: the file has no buffer."""
+        """Return: the file has no buffer."""
 
     def seek(self, offset: int, whence: int = 0) -> int:
         """Seek; after an interrupt HDF5 may write to the closed file at exit."""

@@ -37,13 +37,13 @@ _NETPBM = re.compile(rb"P([2-6])(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)(?
 # a name with a number: %d, or %04d for four digits and more
 _PATTERN = re.compile(r"(?P<before>[^%]*)%(?:0(?P<digits>\d+))?d(?P<after>[^%]*)")
 
-_ANIMATED = ("GIF", "PNG", "WEBP")  # Pillow's names of formats that may hold an animation
+_ANIMATED = ("GIF", "PNG", "WEBP")  # Pillow's names of formats for animations
 _BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, IndexError, KeyError, TypeError)
 """Errors of Pillow for damaged files."""
 
 
 def checked_form(path: Path, picture: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Refuse a picture that is neither gray nor of three colours."""
+    """Refuse a picture with other channels than gray or three colours."""
     if picture.dtype not in BITS or picture.shape[2:] not in ((), (3,)):
         kind = f"{picture.dtype} in {(*picture.shape, 1)[2]} channels"
         raise MediaError(f"{path} has pixels of {kind}: save gray or RGB of 8 or 16 bits")
@@ -88,7 +88,7 @@ class ImagesReader(TimedReader):
             yield number / self.claimed_hz, pixels, bits
 
     def _picture(self, name: str, count: int) -> tuple[Pixels, int]:
-        """Return the gray levels of a picture, and their bits."""
+        """Return the gray levels of a picture, and the bits."""
         path = self._folder / name
         try:
             # OpenCV reads less than 2 GiB
@@ -119,7 +119,7 @@ def is_picture(path: Path, head: bytes) -> bool:
 
 
 def is_pattern(path: Path) -> bool:
-    """True if a path names pictures by a number, such as img%04d.png, and no file has that name."""
+    """True if a path names pictures by a number, such as img%04d.png, and no file has this name."""
     return _PATTERN.fullmatch(path.name) is not None and not path.exists()
 
 
@@ -129,7 +129,7 @@ def _decode(data: bytes) -> NDArray[np.generic] | None:
 
     log = getattr(cv2.utils, "logging", cv2)  # OpenCV 4.5 has no module for it
     before = log.getLogLevel()
-    log.setLogLevel(0)  # LOG_LEVEL_SILENT: damage is reported in one line
+    log.setLogLevel(0)  # LOG_LEVEL_SILENT: errors report damage
     try:
         flags = int(cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
         picture: NDArray[np.generic] | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -150,7 +150,7 @@ def _is_sound(path: Path, data: bytes) -> bool:
                 checked_size(path, *image.size)
                 if image.format in _ANIMATED and (several := getattr(image, "n_frames", 1)) > 1:
                     raise MediaError(
-                        f"{path} holds {several} pictures, not one: give it by its own name, not by its folder"
+                        f"{path} holds {several} pictures, not one: give the file's name, not the folder's"
                     )
                 if image.format == "PNG":
                     image.verify()
@@ -173,7 +173,7 @@ def _check_single(path: Path, header: re.Match[bytes], data: bytes) -> None:
     samples = rows * columns * (3 if kind == 6 else 1)
     size = rows * -(-columns // 8) if kind == 4 else samples * (2 if largest > 255 else 1)
     if kind >= 4 and _NETPBM.match(data, header.end() + size):
-        raise MediaError(f"{path} holds several pictures, not one: give it by its own name, not by its folder")
+        raise MediaError(f"{path} holds several pictures, not one: give the file's name, not the folder's")
 
 
 def _find_pictures(path: Path) -> tuple[Path, list[tuple[int, str]]]:
@@ -192,7 +192,7 @@ def _list_folder(folder: Path) -> list[tuple[int, str]]:
     kinds_held = sorted({_KINDS[Path(name).suffix.lower()] for name in names})
     if len(kinds_held) > 1:
         kinds, name = ", ".join(kinds_held), folder / "img%04d.png"
-        raise MediaError(f"{folder} has pictures of several kinds ({kinds}): give those you mean as a pattern: {name}")
+        raise MediaError(f"{folder} has pictures of several kinds ({kinds}): give some of them as a pattern: {name}")
     return list(enumerate(sorted(names, key=_natural_order)))
 
 
@@ -207,7 +207,7 @@ def _list_pattern(path: Path) -> list[tuple[int, str]]:
     name = re.compile(rf"{re.escape(parts['before'])}([0-9]+){re.escape(parts['after'])}")
     with clear_read_errors(f"the folder {path.parent}"):
         named = [(match[1], entry.name) for entry in path.parent.iterdir() if (match := name.fullmatch(entry.name))]
-    # img1 and img01 have the same number; the pattern gives one of the two names
+    # img1 and img01 have the same number; the pattern selects a name
     found = sorted((int(number), held) for number, held in named if number == f"{int(number):0{digits}}")
     if not found:
         raise MediaError(f"there is no picture {path}: check the name, and how many digits the number has")
@@ -215,7 +215,7 @@ def _list_pattern(path: Path) -> list[tuple[int, str]]:
 
 
 def _natural_order(name: str) -> tuple[list[tuple[int, int, str]], str]:
-    """Return a key that sorts img10 behind img9, for any characters."""
+    """Return a sort key, by which img10 follows img9, for any characters."""
     parts = re.split(r"([0-9]+)", name)  # numbers stand at odd places; \d has digits of other scripts, too
     texts = [(1, 0, text) if place % 2 == 0 else (0, int(text), "") for place, text in enumerate(parts) if text]
     return texts, name
@@ -252,7 +252,7 @@ class AnimationReader(TimedReader):
                 for count in range(getattr(image, "n_frames", 1)):
                     image.seek(count)
                     image.load()
-                    # browsers show a picture without a time for 0.1 s
+                    # browsers use 0.1 s if the time is missing
                     yield _levels(image, self._channel), float(image.info.get("duration") or 100) / 1e3
         except MediaError:
             raise

@@ -36,7 +36,7 @@ class PhantomReader(TimedReader):
     """A Phantom recording; see `FilmReader`.
 
     Times are the camera's stamps since the first frame, or follow from the rate if the file has no stamps. A stamp not
-    later than the previous one, or later by more than an hour, is replaced by one period later. The curve of levels
+    later than the previous stamp, or more than an hour later, is replaced by a time a period later. The curve of levels
     packed in 10 bits is inverted: they become 12 bits in proportion to the light.
     """
 
@@ -65,8 +65,8 @@ class PhantomReader(TimedReader):
         mark, length, rate, levels = _unpack_at(file, settings, "<140x2sH624xI124xI")
         if mark != b"ST":
             raise MediaError(
-                f"{path} has no camera settings where its header says: it is damaged, or its version is not read; copy "
-                "it again, or save it by a newer version of the camera's program"
+                f"{path} has no camera settings where its header points: copy the file again, or save the recording "
+                "by a newer version of the camera's program"
             )
         height = abs(rows)
         checked_size(path, width, height)
@@ -97,7 +97,7 @@ class PhantomReader(TimedReader):
             for count, entry in enumerate(read_blocks(self.path, table, 8)):
                 place = int.from_bytes(entry, "little")
                 file.seek(min(place, 1 << 62))
-                annotation = file.read(4)  # its length, with these bytes
+                annotation = file.read(4)  # starting with the length
                 if len(annotation) < 4:
                     raise truncated(self.path, count)
                 yield place + int.from_bytes(annotation, "little")
@@ -110,7 +110,7 @@ class PhantomReader(TimedReader):
         places = (self._stamps + 8 * count for count in range(self._count))
         period, first, last = max(1, round(_TICKS / self.claimed_hz)), None, 0
         for data in read_blocks(self.path, places, 8):
-            stamp = int.from_bytes(data, "little") & ~3  # without two flags of the camera
+            stamp = int.from_bytes(data, "little") & ~3  # clears two flags of the camera
             if first is None:
                 first = stamp
             elif not 0 < stamp - last <= 3600 * _TICKS:
@@ -149,7 +149,7 @@ def _curve() -> NDArray[np.uint16]:
 
 
 def unpack_levels(data: bytes | bytearray, bits: int) -> NDArray[np.uint16]:
-    """Return gray levels that are packed without gaps, the upper bits first."""
+    """Return densely packed gray levels, the upper bits first."""
     from imagecodecs import packints_decode
 
     levels: NDArray[np.uint16] = packints_decode(bytes(data), np.uint16, bits)
@@ -157,7 +157,7 @@ def unpack_levels(data: bytes | bytearray, bits: int) -> NDArray[np.uint16]:
 
 
 def packed_size(levels: int, bits: int) -> int:
-    """Return the bytes of packed levels; the last group of levels that ends with a byte is filled up."""
+    """Return the bytes of packed levels; the last byte-aligned group of levels is filled up."""
     group = {10: 4, 12: 2}.get(bits, 1)
     return -(-levels // group) * group * bits // 8
 

@@ -43,8 +43,8 @@ _PLACES = {
 class PhotronReader(TimedReader):
     """A Photron recording; see `FilmReader`.
 
-    The rate is that of the saved frames: the record rate over the save step. A recording of 10,000 frames a second that
-    keeps each tenth frame has 1000 frames a second; the others do not count as lost.
+    The rate counts saved frames: the record rate over the save step. A recording of 10,000 frames a second with
+    a step of 10 has 1000 frames a second; the others do not count as lost.
     """
 
     def __init__(self, path: Path, reading: Reading) -> None:
@@ -64,10 +64,10 @@ class PhotronReader(TimedReader):
         self._check_length(header)
 
     def _check_kind(self, header: Path, texts: Mapping[str, str]) -> None:
-        """Set the bits of a level and of a word, or refuse a kind that is not read."""
+        """Set the bits of a level and of a word, or refuse the kind."""
         kind, colour = texts["kind"] or "mraw", texts["colour"].lower() or "mono"
         if kind.lower() != "mraw":
-            raise MediaError(f"{header} says that its frames are {brief(kind)} files: give their folder and --fps")
+            raise MediaError(f"{header} states that its frames are {brief(kind)} files: give the folder and --fps")
         self._word = _whole(header, texts, "word")
         if self._word not in (8, 12, 16) or colour not in ("mono", "raw", "bayer"):
             held = f"{brief(colour)} of {self._word} bits"
@@ -79,16 +79,16 @@ class PhotronReader(TimedReader):
         self._shift = self._word - self.bits if texts["side"].lower() == "higher" else 0
 
     def _check_length(self, header: Path) -> None:
-        """Refuse a file longer than the header says, or of levels of other bits; a cut file is read."""
+        """Refuse a file longer than in the header, or with levels of other bits; a cut file is read."""
         claimed, size = self._claimed * self._frame_bytes, self.path.stat().st_size
         if size > claimed:
             held = f"{self._claimed} frames of {self._frame_bytes}"
-            raise MediaError(f"{self.path} has {size} bytes, and {header.name} says {held}: give it its own header")
+            raise MediaError(f"{self.path} has {size} bytes, and {header.name} says {held}: give the matching header")
         for word in {8, 12, 16} - {self._word}:
             if size == self._claimed * packed_size(self.width * self.height, word):
                 raise MediaError(
                     f"{self.path} has {size} bytes, which are {self._claimed} frames of {word} bits, and {header.name} "
-                    f"says {self._word} bits: give it its own header, or correct its color bit"
+                    f"says {self._word} bits: give the matching header, or correct the color bit"
                 )
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
@@ -105,7 +105,7 @@ class PhotronReader(TimedReader):
 
 
 def _find_pair(path: Path) -> tuple[Path, Path]:
-    """Return the file of frames and the header; `path` is one of the two."""
+    """Return the file of frames and the header; `path` is either."""
     with clear_read_errors(f"the folder {path.parent}"):
         # in sorted order small letters come last, and win
         files = {file.suffix.lower(): file for file in sorted(path.parent.iterdir()) if file.stem == path.stem}
@@ -113,10 +113,10 @@ def _find_pair(path: Path) -> tuple[Path, Path]:
     if path.suffix.lower() == ".mraw":
         header = next((file for file in held if file.suffix.lower() != ".mraw"), None)
         if header is None:
-            raise MediaError(f"{path} has no header beside it: copy {path.stem}.cihx or .cih to the same folder")
+            raise MediaError(f"{path} has no header next to it: copy {path.stem}.cihx or .cih to the same folder")
         return path, header
     if not held or held[0].suffix.lower() != ".mraw":
-        raise MediaError(f"{path} has no frames beside it: copy {path.stem}.mraw to the same folder")
+        raise MediaError(f"{path} has no frames next to it: copy {path.stem}.mraw to the same folder")
     return held[0], path
 
 
@@ -132,7 +132,7 @@ def _read_header(path: Path) -> dict[str, str]:
 
 
 def _decode(data: bytes) -> str:
-    """Return the text of a header; without a byte order mark, UTF-16 has a zero in every second place."""
+    """Return the text of a header; UTF-16 that lacks a byte order mark has a zero in every second place."""
     zeros = data[::2].count(0), data[1::2].count(0)
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", "replace")
@@ -147,7 +147,7 @@ def _decode(data: bytes) -> str:
 
 
 def _parse_xml(path: Path, data: bytes) -> dict[str, str]:
-    # the element <cih> alone has no declarations, so no entity can expand
+    # the element <cih> has no declarations, so no entity can expand
     wrong: Exception | None = None
     for name in ("ascii", "utf-16-le", "utf-16-be"):
         first, last = "<cih>".encode(name), "</cih>".encode(name)
@@ -158,7 +158,7 @@ def _parse_xml(path: Path, data: bytes) -> dict[str, str]:
                 return {name: (root.findtext(place) or "").strip(" \t\r\n\0") for name, (_, place) in _PLACES.items()}
             except (ElementTree.ParseError, ValueError) as error:
                 wrong = error
-    raise MediaError(f"{path} cannot be read, its XML is wrong ({brief(wrong)}): copy the header again") from None
+    raise MediaError(f"{path} cannot be read, the XML is wrong ({brief(wrong)}): copy the header again") from None
 
 
 def _parse_lines(text: str) -> dict[str, str]:
@@ -171,12 +171,12 @@ def _parse_lines(text: str) -> dict[str, str]:
 
 
 def _whole(path: Path, texts: Mapping[str, str], name: str, missing: int | None = None) -> int:
-    """Return a whole number of the header."""
+    """Return an integer of the header."""
     text, line = texts[name], _PLACES[name][0]
     if not text and missing is not None:
         return missing
     if not text:
-        raise MediaError(f"{path} does not state its {line}: copy the header that was saved with the frames, or add it")
+        raise MediaError(f"{path} does not state its {line}: copy the header saved with the frames, or add the line")
     with suppress(ValueError):
         if 0 <= int(text) < 1 << 31:
             return int(text)

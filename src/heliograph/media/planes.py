@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 LIMITED, FULL = 1, 2
 """FFmpeg's AVCOL_RANGE_MPEG (levels 16 to 235) and AVCOL_RANGE_JPEG (levels 0 to 255)."""
 
-# formats whose plane 0 is luma alone, samples in the low bits, little endian
+# formats with pure luma in plane 0, samples in the low bits, little endian
 _LUMA_FIRST = re.compile(r"(gray|yuva?4[0-4][0-4]p|yuvj4[0-4][0-4]p|nv(12|21|16|24))(9le|1[0-6]le)?")
 _GRAY = {8: "gray", 9: "gray9le", 10: "gray10le", 12: "gray12le", 14: "gray14le", 16: "gray16le"}
 """FFmpeg's gray pixel formats by bits."""
@@ -41,10 +41,10 @@ def to_video(pixels: Pixels, pixel_format: str, span: int = FULL) -> "av.VideoFr
 
 
 def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma") -> tuple[Pixels, int]:
-    """Return a copy of the gray levels and their bits.
+    """Return a copy of the gray levels, and the bits.
 
-    Luma keeps its stored levels, and so do numbers without a palette. Colours are converted by Rec. ITU-R BT.601. Red,
-    green and blue of YUV follow from the matrix of the file, Rec. 601 or 709, else from Rec. 601, in full range.
+    Luma keeps the stored levels, and so do numbers if the palette is missing. Colours are converted by Rec. ITU-R
+    BT.601. Red, green and blue of YUV follow from the matrix of the file, Rec. 601 or 709, by default 601, full range.
     """
     if picture.format.name == "pal8":
         _repair_palette(picture)
@@ -64,7 +64,7 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma")
 
 
 def _is_limited(picture: "av.VideoFrame") -> bool:
-    """True if black is at 16 and white at 235; YUV video without a stated range counts as limited."""
+    """True if black is at 16 and white at 235; YUV video of unknown range counts as limited."""
     name = picture.format.name
     if picture.format.is_rgb or picture.format.has_palette or name.startswith(("mono", "yuvj")):
         return False
@@ -72,7 +72,7 @@ def _is_limited(picture: "av.VideoFrame") -> bool:
 
 
 def _repair_palette(picture: "av.VideoFrame") -> None:
-    """Replace a palette of one colour by gray levels: AVI files of gray levels may lack a palette."""
+    """Replace a constant palette by gray levels: AVI files of gray levels may lack a palette."""
     plane: Any = picture.planes[1]
     palette = np.frombuffer(plane, np.uint8).reshape(-1, 4)
     if not np.ptp(palette, axis=0).any():
@@ -82,7 +82,7 @@ def _repair_palette(picture: "av.VideoFrame") -> None:
 def _as_gray(picture: "av.VideoFrame") -> "av.VideoFrame":
     bits = max(picture.format.components[0].bits, 8)
     if not picture.format.is_rgb and len(picture.format.components) > 2:
-        # from YUV to YUV luma keeps its levels; a conversion to gray may stretch the range
+        # from YUV to YUV luma keeps the levels; a conversion to gray may stretch the range
         return picture.reformat(format=f"yuv444p{bits}le" if bits > 8 else "yuv444p")
     # the same range on both sides, full range, keeps the levels
     return picture.reformat(format=_GRAY.get(bits, "gray16le"), src_color_range="JPEG", dst_color_range="JPEG")

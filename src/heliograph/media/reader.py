@@ -18,7 +18,7 @@ from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ
 Frames = Generator[Frame, None, None]
 
 CHANNELS = ("luma", "red", "green", "blue")
-"""Parts of a colour that give a gray level."""
+"""Choices of a gray level for a colour."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,14 +41,14 @@ class Reading:
 
 
 class FilmReader(ABC):
-    """A film opened for reading: iterate it for its frames; each iteration starts at the first frame.
+    """A film opened for reading: iterate it for the frames; each iteration starts at the first frame.
 
     Memory does not grow with the film. Pixels are read-only. Use it as a context manager, or call `close`.
     """
 
     # True if frames are decoded, which takes longer than a change of threads
     _decodes: ClassVar[bool] = False
-    # False if a decoder keeps the levels within their bits
+    # False if a decoder limits the levels
     _checks_levels: bool = True
 
     path: Path
@@ -68,7 +68,7 @@ class FilmReader(ABC):
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second of the camera: the rate given to `open_film`, else that of the file."""
+        """Frames per second of the camera: the rate given to `open_film`, or the rate of the file."""
         return self._true_hz or self.claimed_hz
 
     def __iter__(self) -> Iterator[Frame]:
@@ -79,7 +79,7 @@ class FilmReader(ABC):
         return self._running
 
     def _clocked(self) -> Frames:
-        """Yield the frames and count the time for reading them."""
+        """Yield the frames and count the reading time."""
         with closing(read_ahead(self._checked()) if self._decodes else self._checked()) as frames:
             while True:
                 start = time.perf_counter()
@@ -97,7 +97,7 @@ class FilmReader(ABC):
                 if self._checks_levels and bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
                     level = f"a gray level of {int(pixels.max())} after {count} whole frames"
                     raise MediaError(f"{self.path} has {level}, and its header says {bits} bits: correct the header")
-                pixels.setflags(write=False)  # receivers copy pixels that may change
+                pixels.setflags(write=False)  # receivers copy writable pixels
                 yield frame
 
     @abstractmethod
@@ -121,7 +121,7 @@ def read_ahead(frames: Frames, queued: int = 8) -> Frames:
     """Yield frames in order while a thread reads the next ones.
 
     The thread starts with the first request. At the last frame, at an error, at Ctrl-C or when the iterator is closed,
-    it closes `frames`, and so the film's file, and ends.
+    the thread closes `frames`, and so the film's file, and ends.
     """
     with ThreadPoolExecutor(1, "film-reader") as thread:
         pending = deque(thread.submit(next, frames, None) for _ in range(queued + 1))
@@ -136,7 +136,7 @@ def read_ahead(frames: Frames, queued: int = 8) -> Frames:
 
 
 def checked_size(path: Path, width: int, height: int) -> None:
-    """Refuse a size that no frame has; 2^27 pixels are twice those of the largest camera of the settings."""
+    """Refuse an impossible size; the limit of 2^27 pixels is twice the largest camera of the settings."""
     if not 0 < width * height <= 1 << 27:
         raise MediaError(f"{path} has frames of {width}x{height} pixels: it is no film, or damaged; copy it again")
 
@@ -149,7 +149,7 @@ def checked_time(path: Path, time_s: float, count: int) -> float:
 
 
 def camera_rate(path: Path, given_hz: float | None, stated_hz: float | None = None) -> float:
-    """Return the rate of a file, else the given rate."""
+    """Return the rate of a file, or the given rate."""
     rate = stated_hz or given_hz
     if not rate:
         raise MediaError(
@@ -161,7 +161,7 @@ def camera_rate(path: Path, given_hz: float | None, stated_hz: float | None = No
 
 @contextmanager
 def clear_read_errors(path: Path | str) -> Iterator[None]:
-    """Turn an OSError into a MediaError of one line."""
+    """Turn an OSError into a MediaError."""
     try:
         yield
     except MediaError:
@@ -171,12 +171,12 @@ def clear_read_errors(path: Path | str) -> Iterator[None]:
 
 
 def truncated(path: Path, count: int) -> MediaError:
-    """Return the error for a file that ends within a frame."""
+    """Return the error for a truncated file."""
     return MediaError(f"{path} ends in the middle, after {count} whole frames: copy it again")
 
 
 def expected_frames(path: Path, claimed: int, frame_bytes: int) -> int:
-    """Return the number of frames that a file claims and has room for."""
+    """Return the number of claimed frames, limited by the size of the file."""
     return min(claimed, path.stat().st_size // frame_bytes)
 
 

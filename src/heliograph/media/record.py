@@ -11,7 +11,7 @@ from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import LATEST_S
 
 FASTEST_HZ = 1e6
-"""Largest frame rate: one frame a tick."""
+"""Largest frame rate: a frame a tick."""
 
 SLOWEST_HZ = 1e-6
 """Smallest frame rate, a frame in twelve days; it separates rates from damaged numbers."""
@@ -43,7 +43,7 @@ class FilmSpec:
             if not isinstance(getattr(self, name), kind):
                 raise MediaError(f"{name} of a film is {label}, got {shown(getattr(self, name))}")
         if self.width < 1 or self.height < 1:
-            raise MediaError(f"a film is at least 1x1 pixels, asked for {self.width}x{self.height}")
+            raise MediaError(f"a film is at least 1x1 pixels, got {self.width}x{self.height}")
         if not 0 < self.rate_hz <= FASTEST_HZ:
             raise MediaError(f"rate_hz must lie above 0 and at most 1e6 frames a second, got {shown(self.rate_hz)}")
         if not 8 <= self.bits <= 16:
@@ -68,11 +68,11 @@ class FilmRecord:
     start_s: float
     # Text kept with the film
     metadata: dict[str, str]
-    # CRC-32 of the codec's private data, which shows a later re-encoding that kept the tag
+    # CRC-32 of the codec's private data, which shows later re-encoding
     codec_crc: int = 0
 
     def dumps(self) -> str:
-        """Return the record as one line of ASCII."""
+        """Return the record as a line of ASCII."""
         return json.dumps({"version": 1, **{name: getattr(self, name) for name in self.__slots__}})
 
     @classmethod
@@ -118,7 +118,7 @@ def rational_rate(rate_hz: float) -> Fraction:
 
 
 def fine_time_base(rate_hz: float) -> Fraction:
-    """Return a tick in s of about 1 us that divides the frame period, if small numbers allow it."""
+    """Return a tick in s of about 1 us, a fraction of the frame period if small numbers allow."""
     steps = rational_rate(rate_hz).numerator
     if steps > 2 * _FINEST_TICKS:
         return Fraction(1, _FINEST_TICKS)
@@ -132,6 +132,6 @@ def restored_time(record: FilmRecord, elapsed_s: float, tick_s: float) -> float:
 
 
 def _on_grid(time_s: float, rate_hz: float, tolerance_s: float) -> float:
-    """Return the nearest multiple of the frame period if it is within a tolerance, else the time."""
+    """Return the nearest multiple of the frame period within a tolerance, or the time."""
     nearest = round(time_s * rate_hz) / rate_hz
     return nearest if abs(nearest - time_s) <= tolerance_s else time_s

@@ -76,7 +76,7 @@ class SlotForm:
         Raises
         ------
         MediaError
-            The period is too far from a whole number of ns.
+            The period is too far from a multiple of 1 ns.
         """
         slot_ns = round(slot_s * 1e9)
         # 1e-4 is the tolerance of section 3 of the air interface
@@ -104,7 +104,7 @@ class SlotFile:
     Attributes
     ----------
     path
-        The file that is read.
+        The file.
     form
         LEDs of a side, slots of a pattern, period of a slot in ns, number of slots.
     """
@@ -142,7 +142,7 @@ class SlotFile:
 
 
 def open_slots(path: str | os.PathLike[str]) -> SlotFile:
-    """Open LED patterns that `heliograph transmit` wrote for a driver: .bits, .hub75, .shift, a C header, or .csv.
+    """Open LED patterns of `heliograph transmit` for a driver: .bits, .hub75, .shift, a C header, or .csv.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def open_slots(path: str | os.PathLike[str]) -> SlotFile:
                 return SlotFile(file, _read_table_form(file))
             *values, size = _read_c_head(file)[0] if kind == ".h" else _read_head(file, kind)
         except (ValueError, KeyError, struct.error):
-            raise MediaError(f"{file} is no {kind} file of LED patterns; 'heliograph transmit' writes those") from None
+            raise MediaError(f"{file} is no {kind} file of LED patterns; see 'heliograph transmit'") from None
     form = SlotForm(*values)
     if not _is_side(form.side) or min(form.slots_per_pattern, form.slot_ns) < 1 or size != _slot_bytes(kind, form.side):
         raise MediaError(f"{file} is damaged: no slots are {form.side} LEDs a side in {size} bytes; {_AGAIN}")
@@ -228,7 +228,7 @@ def _pack(kind: str, slot: Slot) -> bytes:
         half = len(slot) // 2
         lit = _RGB * slot[:half] | _RGB * slot[half:] << 3
         return np.insert(lit, 0, np.arange(half), axis=1).tobytes()
-    # the first bit that enters a chain of registers ends at the far end
+    # the first bit in a chain of registers ends at the far end
     return np.packbits(slot.ravel()[::-1] if kind == ".shift" else slot).tobytes()
 
 
@@ -237,7 +237,7 @@ def _unpack(kind: str, data: bytes, side: int) -> Slot:
     if kind == ".hub75":
         rows = held.reshape(side // 2, 1 + side)
         if (rows[:, 0] != np.arange(side // 2)).any():
-            raise ValueError("its rows do not come in the order of their addresses")
+            raise ValueError("its rows do not come in the order of addresses")
         lit = np.concatenate([rows[:, 1:] & _RGB, rows[:, 1:] >> 3])
         if not np.isin(lit, (0, _RGB)).all():
             raise ValueError("R, G and B of an LED differ")

@@ -32,7 +32,7 @@ class StampLimits:
     missing_ratio: float = 0.25
     # Distance of a stamp from the grid of frames, in ticks: half a tick, and rounding errors
     rounding_ticks: float = 0.51
-    # Smallest rate without a stated rate; milliseconds and frame numbers give less
+    # Smallest rate if none is stated; milliseconds and frame numbers give less
     min_rate_hz: float = 2.0
     # Largest resolution of the time values, in frame periods
     resolution_periods: float = 0.25
@@ -45,7 +45,7 @@ LIMITS = StampLimits()
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """Frame rate of a film by its stamps."""
+    """Frame rate of a film by the stamps."""
 
     # Frames per second
     rate_hz: float
@@ -58,19 +58,19 @@ class Pace:
 
 
 class TimedReader(FilmReader):
-    """A film whose frames have time stamps or numbers; see `FilmReader`.
+    """A film with time stamps or frame numbers; see `FilmReader`.
 
     If the user gives the rate of the camera, frame k has the time ``k / rate_hz``. The number k counts from 0; in a
     film with a nominal rate, from the number of the first frame. Frames missing between even stamps count as well.
     """
 
-    # True if the stamps are whole multiples of a period that the film states
+    # True if the stamps are multiples of a stated period
     _states_numbers: bool = False
     # Frame rate of the stamps; None if they show none
     _pace: Pace | None = None
 
     def _number_frames(self, rate_hz: float) -> None:
-        """Set the rate of a film that has frame numbers in place of stamps."""
+        """Set the rate of a film with frame numbers in place of stamps."""
         self.claimed_hz, self._pace, self._states_numbers = rate_hz, Pace(rate_hz, is_even=True), True
 
     def _frames(self) -> Frames:
@@ -120,7 +120,7 @@ def measure_pace(stamps_s: Sequence[float] | Floats, limits: StampLimits = LIMIT
 
 
 def frame_period(gaps_s: Iterable[float]) -> float:
-    """Return the median of gaps of one frame period; up to three quarters of the gaps may hold missing frames."""
+    """Return the median of single frame periods; up to three quarters of the gaps may hold missing frames."""
     gaps = sorted(gaps_s)
     median = gaps[len(gaps) // 2]
     short = [gap for gap in gaps if gap < 0.7 * median]
@@ -128,7 +128,7 @@ def frame_period(gaps_s: Iterable[float]) -> float:
 
 
 class StampClock:
-    """Times of frames by stamps that a container rounds to its tick.
+    """Times of frames by stamps rounded to the tick of a container.
 
     If a stated rate explains the stamps of the sample, the clock moves such stamps back to the grid of frames.
     """
@@ -157,7 +157,7 @@ class StampClock:
                 return
 
     def time(self, stamp_s: float, next_s: float | None) -> float:
-        """Return the time in s of the next frame, by its stamp and the following stamp."""
+        """Return the time in s of the next frame, by this stamp and the following stamp."""
         time_s, fell = stamp_s, stamp_s < self._stamp_s
         self._stamp_s = stamp_s
         if self._grid_hz is not None:
@@ -174,7 +174,7 @@ class StampClock:
 
 
 def _frame_number(last: int, stamp_s: float, origin_s: float, rate_hz: float, rounding_s: float) -> int | None:
-    """Return the first frame after the last one with a time that rounds to a stamp; None if no frame does."""
+    """Return the first frame after the last frame with a time near a stamp; None if no frame has."""
     number = max(last + 1, math.ceil((stamp_s - origin_s - rounding_s) * rate_hz))
     return number if number <= (stamp_s - origin_s + rounding_s) * rate_hz else None
 
@@ -182,7 +182,7 @@ def _frame_number(last: int, stamp_s: float, origin_s: float, rate_hz: float, ro
 def _fit_grid(
     sample_s: Sequence[float], rate_hz: float, tick_s: float, limits: StampLimits
 ) -> tuple[float | None, int]:
-    """Return the start in s of a grid of frames that explains the stamps, or None, and the number of missing frames."""
+    """Return the start in s of a grid of frames at the stamps, or None, and the number of missing frames."""
     fits: dict[float, tuple[int, int]] = {}
     for origin_s in sample_s[0] + tick_s * np.linspace(-0.5, 0.5, 11):
         last, count = -1, 0
@@ -196,7 +196,7 @@ def _fit_grid(
 
 
 def check_times(path: Path, times: Any, stated_hz: float, numbered: bool, limits: StampLimits = LIMITS) -> Pace | None:
-    """Return the frame rate by the times in a file, or refuse times that cannot be seconds."""
+    """Return the frame rate by the times in a file, or refuse other units than seconds."""
     with np.errstate(over="ignore", invalid="ignore"):  # numbers too large for a double become infinite
         known = np.asarray(times, np.float64)
     known = known[np.isfinite(known)]
@@ -225,12 +225,12 @@ def check_times(path: Path, times: Any, stated_hz: float, numbered: bool, limits
 
 
 def agrees(stated_hz: float, pace: Pace, limits: StampLimits = LIMITS) -> bool:
-    """True if a stated rate and that of the stamps have the same unit of time."""
+    """True if a stated rate and the rate of the stamps have the same unit of time."""
     return 1 / limits.unit_ratio < stated_hz / pace.rate_hz < limits.unit_ratio
 
 
 def _guess_unit(rate_hz: float, ratio: float) -> str:
-    """Return a clause with the likely unit of times; without a stated rate, by camera rates of 10 to 10,000."""
+    """Return a clause with the likely unit of times; if no rate is stated, by camera rates of 10 to 10,000."""
     units = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
     if ratio != 1.0:
         fits = [unit for unit, factor in units.items() if 1 / 2 < ratio / factor < 2]

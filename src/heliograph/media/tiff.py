@@ -1,4 +1,4 @@
-"""TIFF stacks by tifffile, one frame in memory at a time."""
+"""TIFF stacks by tifffile, read frame by frame."""
 
 import json
 import logging
@@ -36,7 +36,7 @@ _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR, _MOSAIC = 0, 1, 2, 3, 6,
 _SAMPLES = {_WHITE_IS_ZERO: 1, _BLACK_IS_ZERO: 1, _RGB: 3, _PALETTE: 1, _YCBCR: 3, _MOSAIC: 1}
 """Samples of a pixel for gray or colour; further samples may be opacity."""
 
-# tifffile logs what the errors below report
+# the errors below report problems of tifffile
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 
@@ -48,14 +48,14 @@ class Description:
     axes: Mapping[str, int] = field(default_factory=dict)
     # Number of pictures; 1 if the description states none
     frames: int = 1
-    # True if the program writes stacks as one page with all pictures as data
+    # True if the program writes stacks as a page with all pictures as data
     in_one_page: bool = True
     # Bits of a gray level; None if the description states none
     bits: int | None = None
 
 
 def read_description(page: "TiffPage") -> Description:
-    """Return the axes and bits that a page's description states, by ImageJ, as OME-XML or by tifffile."""
+    """Return the axes and bits stated by a page's description, of ImageJ, OME-XML or tifffile."""
     text = page.description
     if text.startswith("ImageJ="):
         lengths = re.findall(r"^(images|channels|slices|frames)=(\d{1,9})\s*$", text, re.MULTILINE)
@@ -88,7 +88,7 @@ def _long(lengths: Mapping[str, int], but: str = "") -> dict[str, int]:
 
 
 def _check_kind(path: Path, page: "TiffPage") -> None:
-    """Refuse a page whose samples are neither gray nor red, green and blue."""
+    """Refuse a page with other samples than gray or red, green and blue."""
     wanted = _SAMPLES.get(_meaning(page))
     if wanted is None or page.samplesperpixel < wanted:
         kind = getattr(page.photometric, "name", page.photometric)
@@ -107,14 +107,14 @@ def _check_kind(path: Path, page: "TiffPage") -> None:
 
 
 def _is_plain(page: "TiffPage") -> bool:
-    """True if the levels lie in the file without compression, row after row."""
+    """True if the levels lie in the file uncompressed, row after row."""
     places, sizes = page.dataoffsets, page.databytecounts
     in_one_piece = all(place + size == end for place, size, end in zip(places, sizes, places[1:], strict=False))
     return page.compression == 1 and not page.is_tiled and in_one_piece
 
 
 def _plane_bytes(page: "TiffPage") -> int:
-    """Return the bytes of a frame of a page without compression."""
+    """Return the bytes of a frame of an uncompressed page."""
     rows, row, bits = page.shaped[0] * page.shaped[2], page.shaped[3] * page.shaped[4], page.bitspersample
     words = 2 * rows * row
     # some programs write levels of 9 to 15 bits as words of 16 and state the bits of the level
@@ -229,10 +229,10 @@ class TiffReader(TimedReader):
 
 
 def read_picture(path: Path, channel: str) -> tuple[Pixels, int]:
-    """Return the gray levels of a TIFF file of one picture, and their bits."""
+    """Return the gray levels of a TIFF file of a single picture, and the bits."""
     with _Stack(path) as stack:
         if stack.has_several():
-            raise MediaError(f"{path} has several pages, not one picture: give it by its own name")
+            raise MediaError(f"{path} has several pages, not one picture: give the file's name")
         stack.check_end(0)
         return stack.first_levels(channel)
 
@@ -265,7 +265,7 @@ class _Stack:
         self._tif.close()
 
     def frames(self) -> Iterator[tuple["TiffPage", int]]:
-        """Yield each frame as a page and the number in the page's data, without reduced copies of other pages."""
+        """Yield each frame as a page and the number in the page's data; skip reduced copies of other pages."""
         pages = self._pages()
         page = next(pages, None)
         while page is not None:
@@ -289,10 +289,10 @@ class _Stack:
         return None if self._ending else count
 
     def check_axes(self) -> None:
-        """Refuse a stack that has several channels, or two axes of frames, by its description."""
+        """Refuse a stack of several channels, or two axes of frames, by the description."""
         axes = self._stated().axes
         text = ", ".join(f"{name}={length}" for name, length in axes.items())
-        # without axes tifffile writes any stack as channels of ImageJ, which shows 7 at most
+        # tifffile by default writes any stack as channels of ImageJ, which shows 7 at most
         if any(name in axes and (len(axes) > 1 or axes[name] <= 7) for name in ("channels", "SizeC", "C")):
             raise MediaError(
                 f"{self._path} has several channels ({text} in its description): save one channel as a separate stack, "
@@ -305,7 +305,7 @@ class _Stack:
             )
 
     def first_levels(self, channel: str) -> tuple[Pixels, int]:
-        """Return the gray levels of the first frame, and their bits."""
+        """Return the gray levels of the first frame, and the bits."""
         first = next(self.frames(), None)
         if first is not None:
             return self.levels(*first, 0, channel)
@@ -313,12 +313,12 @@ class _Stack:
         if not len(self._tif.pages):
             raise MediaError(f"{self._path} holds no pages: save it again")
         raise MediaError(
-            f"{self._path} holds small copies alone; pictures in sub-directories, as in cameras' raw files, are not "
-            "read: save them as TIFF"
+            f"{self._path} holds only small copies; pictures in sub-directories, as in cameras' raw files, are not "
+            "read: save TIFF"
         )
 
     def levels(self, page: "TiffPage", plane: int, count: int, channel: str) -> tuple[Pixels, int]:
-        """Return the gray levels of a frame behind `count` others, upright, and their bits."""
+        """Return the gray levels of a frame behind `count` others, upright, and the bits."""
         try:
             checked_size(self._path, page.imagewidth, page.imagelength)
             _check_kind(self._path, page)

@@ -42,7 +42,7 @@ class VideoReader(TimedReader):
             checked_size(path, context.width, context.height)
             self.faster = ("HDF5",) if context.name == "h264" else ("HDF5", "lossless H.264")
             self.metadata = self._record.metadata if self._record else {**container.metadata, **stream.metadata}
-            # FFmpeg's AVFMT_NOTIMESTAMPS: coded pictures alone, such as .h264, with artificial stamps
+            # FFmpeg's AVFMT_NOTIMESTAMPS: coded pictures only, such as .h264, with artificial stamps
             self._unstamped = bool(int(container.format.flags) & 0x80)
             self._has_end = container.format.name in ("matroska,webm", "nut")
             first, sample_s = _sample(container, stream)
@@ -135,9 +135,9 @@ class VideoReader(TimedReader):
             raise MediaError(f"{self.path} is damaged after {count} whole frames: copy or record it again")
 
     def _in_order(self, container: "InputContainer") -> Iterator[tuple["av.VideoFrame", float, float | None]]:
-        """Yield pictures in display order, each with the earliest remaining stamp in s and the next one.
+        """Yield pictures in display order, each with the earliest remaining stamp in s and the next stamp.
 
-        Some writers stamp pictures in coding order: the set of stamps is right, and their order is not.
+        Some writers stamp pictures in coding order: the set of stamps is right, and the order is not.
         """
         # H.264 and H.265 hold back 16 pictures for bidirectional prediction
         held_back = 16 if self._stream(container).codec_context.has_b_frames else 1
@@ -194,7 +194,7 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
         raise MediaError(f"not allowed to read {path}: check its rights") from error
     except (av.error.FFmpegError, OSError) as error:
         if whole.ends_early(path):
-            reason = "ends in the middle and cannot be read without its end: copy or record it again"
+            reason = "ends in the middle and cannot be read without the end: copy or record it again"
         else:
             reason = (
                 "is not a video that can be read: give a video (.mkv, .mp4 ...), .h5, .mraw, .cine, TIFF, .npy or a "
@@ -206,7 +206,7 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
 
 
 def _film_stream(path: Path, container: "InputContainer") -> "av.VideoStream":
-    """Return the track with the most pixels in all frames, without single pictures."""
+    """Return the track with the most pixels in all frames; ignore single pictures."""
     # FFmpeg reads text files as films of letters on a terminal
     is_text = container.format.name in ("tty", "lrc", "srt", "ass", "webvtt")
     streams = () if is_text else container.streams.video
@@ -236,7 +236,7 @@ def _film_stream(path: Path, container: "InputContainer") -> "av.VideoStream":
 
 
 def _count_frames(container: "InputContainer", films: "list[av.VideoStream]") -> dict[int, int]:
-    """Return the frames of each track as the container states them, else among the first 500 packets."""
+    """Return the frames of each track, stated by the container or counted in 500 packets."""
     if all(stream.frames for stream in films):
         return {stream.index: stream.frames for stream in films}
     import av
@@ -268,11 +268,11 @@ def _sample(container: "InputContainer", stream: "av.VideoStream") -> tuple["av.
 
 
 def _frame_count(container: "InputContainer", stream: "av.VideoStream", rate_hz: float) -> int | None:
-    """Return the smaller of the container's count and its duration times the rate: edit lists hide stored frames."""
+    """Return the smaller of the container's count and the duration times the rate: edit lists hide stored frames."""
     counts = [stream.frames] if stream.frames else []
     if stream.duration and stream.time_base:
         counts.append(round(stream.duration * float(stream.time_base) * rate_hz))
     elif container.duration:
-        is_nut = "nut" in container.format.name  # whose duration lacks the last frame
+        is_nut = "nut" in container.format.name  # the duration lacks the last frame
         counts.append(round(container.duration * 1e-6 * rate_hz) + is_nut)
     return min(counts, default=None)

@@ -32,7 +32,7 @@ CODECS = {
 def choose_codec(
     spec: FilmSpec, suffix: str, name: str | None, crf: float | None, lossless: bool, mbit_s: float | None
 ) -> str:
-    """Return the codec of a film, or refuse settings that codec and container do not support."""
+    """Return the codec of a film, or refuse settings unsupported by codec or container."""
     known = CODECS[suffix]
     name = name or ("h264" if mbit_s is not None and "h264" in known else known[0])
     if name not in known:
@@ -41,7 +41,7 @@ def choose_codec(
     if name in ("ffv1", "mjpeg") and given:
         raise MediaError(f"{given} is a setting of h264 and h265, the codec of this film is {name}: leave it out")
     if mbit_s is not None and (crf is not None or lossless):
-        raise MediaError("give one of mbit_s, crf and lossless: each of them decides the size of the film")
+        raise MediaError("give one of mbit_s, crf and lossless: each decides the size of the film")
     if mbit_s is not None and not (isinstance(mbit_s, Real) and 0.1 <= mbit_s <= 1000):
         raise MediaError(f"mbit_s lies between 0.1 and 1000, got {shown(mbit_s)}")
     if name in ("mjpeg", "h265") and lossless:
@@ -82,7 +82,7 @@ class VideoSink:
         with self._clear_errors():
             import av
 
-            flags = {"movflags": "use_metadata_tags"} if self._suffix == ".mp4" else {}  # else MP4 drops the record
+            flags = {"movflags": "use_metadata_tags"} if self._suffix == ".mp4" else {}  # MP4 would drop the record
             # "file:" because a colon in a name would denote a protocol
             self._container = av.open(f"file:{partial}", "w", options=flags)
             self._stream = self._add_stream(codec, options, mbit_s)
@@ -99,7 +99,7 @@ class VideoSink:
             self._mux(self._stream.encode(picture))
 
     def close(self) -> None:
-        """Encode the frames that the codec holds back and write the index."""
+        """Encode the remaining frames and write the index."""
         with self._clear_errors():
             self._mux(self._stream.encode())
             self._container.close()
@@ -121,7 +121,7 @@ class VideoSink:
             context.bit_rate, context.gop_size = round(mbit_s * 1e6), max(1, round(self._spec.rate_hz))
         context.thread_count = 2
         if codec == "ffv1":
-            context.gop_size = 1  # damage stays within one picture
+            context.gop_size = 1  # damage stays within a picture
         context.open()
         return stream
 
@@ -190,7 +190,7 @@ def _coding(
     if codec == "h265":
         return "yuv420p", {"preset": "ultrafast", "crf": quality, "x265-params": "log-level=none:bframes=0"}
     even = spec.width % 2 == 0 and spec.height % 2 == 0
-    # players show 4:2:0 alone, and lossless films in no format
+    # players show only 4:2:0, and lossless films in no format
     is_colour = spec.bits == 8 and even and not lossless
     pixel_format = "yuv420p" if is_colour else planes.gray_format(max(spec.bits, 10) if spec.bits > 8 else 8)
     return pixel_format, {"preset": "ultrafast", "bf": "0", **({"qp": "0"} if lossless else {"crf": quality})}

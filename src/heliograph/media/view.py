@@ -12,7 +12,7 @@ from heliograph.media.reader import FilmReader, Frames
 
 
 def check_view(crop: Any, binning: Any, rotate: Any) -> None:
-    """Refuse a crop, a binning or a rotation that no film has."""
+    """Refuse an invalid crop, binning or rotation."""
     if rotate not in (0, 90, 180, 270):
         raise MediaError(f"a film is turned by 0, 90, 180 or 270 degrees clockwise, not by {shown(rotate)}")
     if not (isinstance(binning, Integral) and 1 <= int(binning) <= 16):

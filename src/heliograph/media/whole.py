@@ -1,4 +1,4 @@
-"""Detection of truncated and damaged video files by their bytes; FFmpeg ends silently at a cut."""
+"""Detection of truncated and damaged video files; FFmpeg ends silently at a cut."""
 
 import os
 import re
@@ -31,13 +31,13 @@ def ends_early(path: Path) -> bool | None:
 def slices_whole(packet: bytes) -> bool:
     """True if every slice of an FFV1 picture has a correct checksum; the decoder logs errors and repeats a picture.
 
-    A slice ends with its size (3 bytes), a status (1) and the checksum (4) (RFC 9043).
+    A slice ends with a size (3 bytes), a status (1) and the checksum (4) (RFC 9043).
     """
     end = len(packet)
     while end > 8:
         start = end - 8 - int.from_bytes(packet[end - 8 : end - 5], "big")
-        # FFV1 feeds the bits of a byte from the top, zlib from the bottom. zlib inverts the CRC at both ends, so that
-        # the start value of a slice with remainder 0 comes back
+        # FFV1 feeds the bits of a byte from the top, zlib from the bottom. zlib inverts the CRC at both ends, so
+        # remainder 0 returns the start value
         if start < 0 or zlib.crc32(packet[start:end].translate(_MIRROR), 0xFFFFFFFF) != 0xFFFFFFFF:
             return False
         end = start
@@ -53,12 +53,12 @@ def _matroska_cut(file: BinaryIO, size: int) -> bool | None:
     if file.read(4) != bytes.fromhex("18538067"):  # the segment
         return True
     length = _vint(file)
-    # without a length the muxer did not finish, or the file is a live stream
+    # if there is no length, the muxer did not finish, or the file is a live stream
     return None if length is None else file.tell() + length > size
 
 
 def _vint(file: BinaryIO) -> int | None:
-    """Read a number of variable size of Matroska; None for the value that means "unknown"."""
+    """Read a number of variable size of Matroska; None for "unknown"."""
     first = file.read(1) or b"\x01"
     extra = 8 - first[0].bit_length()
     value = int.from_bytes(bytes([first[0] & ((1 << (7 - extra)) - 1) if extra < 8 else 0]) + file.read(extra), "big")
@@ -66,7 +66,7 @@ def _vint(file: BinaryIO) -> int | None:
 
 
 def _has_nut_index(file: BinaryIO, size: int) -> bool:
-    """True if the file ends with an index, whose length (8 bytes) and checksum (4) come last."""
+    """True if the file ends with an index; the last fields are length (8 bytes) and checksum (4)."""
     file.seek(max(0, size - 12))
     length = int.from_bytes(file.read(8), "big")
     if not 12 <= length <= size:

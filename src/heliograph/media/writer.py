@@ -1,4 +1,4 @@
-"""Common interface for writing films: checks, a file that appears only when complete, encoding in a thread."""
+"""Common interface for writing films: checks, atomic replacement of the file, encoding in a thread."""
 
 import errno
 import os
@@ -16,7 +16,7 @@ from heliograph.media.record import FilmSpec
 
 
 class Sink(Protocol):
-    """A file of some kind that takes frames."""
+    """A file of some kind for frames."""
 
     def put(self, frame: Frame) -> None:
         """Store a frame; raise a MediaError if the file cannot be written."""
@@ -29,7 +29,7 @@ class Sink(Protocol):
 
 
 class ThreadedSink:
-    """A sink in a thread, so that a codec, which releases the GIL, runs in parallel to the caller."""
+    """A sink in a thread: codecs release the GIL and run in parallel to the caller."""
 
     def __init__(self, sink: Sink, queued: int = 8) -> None:
         self._sink, self._queued = sink, queued
@@ -60,8 +60,8 @@ class ThreadedSink:
 class FilmWriter:
     """A film for writing; made by `heliograph.media.create_film`.
 
-    The file grows under a hidden name in the target's folder and replaces the target when finished, so that the target
-    is always complete. Leaving the ``with`` block finishes the film; an exception removes it. To keep the frames before
+    The file grows under a hidden name in the target's folder and replaces the target when finished; the target is
+    always complete. Leaving the ``with`` block finishes the film; an exception removes it. To keep the frames before
     Ctrl-C, catch `KeyboardInterrupt` inside the block and call `finish`.
     """
 
@@ -75,7 +75,7 @@ class FilmWriter:
         self._open = True
 
     def write(self, frame: Frame) -> None:
-        """Append a frame; its pixels are copied, so the caller may reuse the array."""
+        """Append a frame; the pixels are copied, so the caller may reuse the array."""
         if not self._open:
             raise MediaError(f"{self.path} is already finished or aborted: no frame can be added")
         self._check(frame)
@@ -88,7 +88,7 @@ class FilmWriter:
         self.frames_written += 1
 
     def finish(self) -> None:
-        """Finish the film and put it in the target's place; do nothing if already finished or aborted."""
+        """Finish the film and replace the target; no effect if already finished or aborted."""
         if not self._open:
             return
         if not self.frames_written:
@@ -119,7 +119,7 @@ class FilmWriter:
             self.abort()
 
     def _check(self, frame: Frame) -> None:
-        """Refuse a frame that does not fit the film in size, type, levels or time."""
+        """Refuse a frame of wrong size, type, levels or time."""
         if not isinstance(frame, Frame):
             raise MediaError(f"a film takes heliograph.Frame, not {shown(frame)}")
         pixels, spec, dtype = frame.pixels, self.spec, np.dtype(np.uint8 if self.spec.bits == 8 else np.uint16)
@@ -147,12 +147,12 @@ def partial_path(target: Path) -> Path:
 
 
 def write_error(error: Exception, target: Path) -> MediaError:
-    """Turn an error of a codec or a file library into a MediaError of one line."""
+    """Turn an error of a codec or a file library into a MediaError."""
     code = getattr(error, "errno", None)
     if code in (errno.ENOSPC, errno.EDQUOT) or "No space left" in str(error):
         return MediaError(f"disk full while writing {target}: free some space or write elsewhere (nothing was kept)")
     if code in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return MediaError(f"not allowed to write {target}: check the rights of its folder")
+        return MediaError(f"not allowed to write {target}: check the rights of the folder")
     reason = " ".join(str(getattr(error, "strerror", None) or error).split())
     return MediaError(f"cannot write {target}: {reason}")
 
@@ -160,7 +160,7 @@ def write_error(error: Exception, target: Path) -> MediaError:
 def _publish(partial: Path, target: Path) -> None:
     try:
         with partial.open("rb+") as file:
-            os.fsync(file.fileno())  # else a power cut could leave the new name on an empty file
+            os.fsync(file.fileno())  # a power cut could otherwise leave the new name on an empty file
         os.replace(partial, target)
     except OSError as error:
         raise write_error(error, target) from error

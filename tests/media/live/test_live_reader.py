@@ -236,7 +236,7 @@ def test_silence_of_a_camera_that_runs_freely_is_an_error() -> None:
     with open_film("camera:odd:silent") as reader:
         assert isinstance(reader, LiveReader)
         reader.timing = CameraTiming(silent_s=0.2)
-        with pytest.raises(MediaError, match="is set, but sends no frames: see"):
+        with pytest.raises(MediaError, match="is set, but sends no frames: check"):
             list(reader)
 
 

@@ -34,7 +34,7 @@ _PLAIN: _Signatures = {
     (None, (c_void_p, c_char_p, c_int, c_char_p, c_int, c_void_p)): "g_object_set",
     (None, (c_void_p,)): "g_object_unref g_free g_error_free",
 }
-"""Functions that cannot fail."""
+"""Infallible functions."""
 
 _FAILING: _Signatures = {
     (c_void_p, (c_char_p,)): "arv_camera_new",
@@ -47,7 +47,7 @@ _FAILING: _Signatures = {
     (c_void_p, (c_void_p, c_void_p, c_void_p)): "arv_camera_create_stream",
     (None, (c_void_p,)): "arv_camera_start_acquisition arv_camera_stop_acquisition",
 }
-"""Functions that may fail; the place of the error follows the arguments."""
+"""Fallible functions; the place of the error follows the arguments."""
 
 _QUICK: _Signatures = {
     (c_void_p, (c_void_p,)): "arv_stream_try_pop_buffer",
@@ -56,12 +56,12 @@ _QUICK: _Signatures = {
     (c_void_p, (c_void_p, POINTER(c_size_t))): "arv_buffer_get_image_data",
     (None, (c_void_p, POINTER(c_int), POINTER(c_int))): "arv_buffer_get_image_padding",
 }
-"""Functions called for each frame. They keep Python's lock, as another thread might hold it for 5 ms each time."""
+"""Functions called for each frame. They keep Python's lock: other threads might hold the lock for 5 ms each time."""
 
 
 @lru_cache
 def aravis() -> Any:
-    """Load the library once; return its functions by name without "arv_". Functions that fail raise a MediaError."""
+    """Load the library once; return the functions by name, less the prefix "arv_". A failure raises a MediaError."""
     calls = SimpleNamespace()
     try:
         library, quick = ctypes.CDLL("libaravis-0.8.so.0"), ctypes.PyDLL("libaravis-0.8.so.0")
@@ -148,7 +148,7 @@ class AravisCamera(FeatureCamera):
     def _find_name(self) -> str:
         """Return the identifier or address to open the camera by.
 
-        A camera on this machine answers on all interfaces; only its address selects the interface of the frames.
+        A camera on this machine answers on all interfaces; only the address selects the interface of the frames.
         """
         if self._address.startswith("127."):
             return self._address
@@ -201,7 +201,7 @@ class AravisCamera(FeatureCamera):
             raise CameraLostError(str(error)) from None
 
     def _convert(self, buffer: int) -> Picture | None:
-        """Return the picture in a buffer; None if the stream stopped before its end."""
+        """Return the picture in a buffer; None if the stream stopped too early."""
         calls = self._calls
         status = calls.buffer_get_status(buffer)
         if status != 0:  # ARV_BUFFER_STATUS_SUCCESS; 7 is ARV_BUFFER_STATUS_ABORTED
@@ -228,7 +228,7 @@ class AravisCamera(FeatureCamera):
 
 
 def find(_settings: CameraSettings) -> list[Found]:
-    """List the cameras that Aravis finds."""
+    """List the cameras known to Aravis."""
     aravis().update_device_list()
     keys = ("id", "vendor", "model", "protocol", "address")
     cameras = [[_device_text(key, number) for key in keys] for number in range(aravis().get_n_devices())]

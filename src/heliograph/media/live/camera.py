@@ -14,7 +14,7 @@ PREFIX = "camera:"
 
 
 class CameraLostError(MediaError):
-    """The camera has stopped answering: its cable was pulled, or its power is off."""
+    """The camera has stopped answering: the cable was pulled, or the power is off."""
 
 
 class CameraCrashError(MediaError):
@@ -28,10 +28,10 @@ class Picture:
     Attributes
     ----------
     pixels
-        (rows, columns) gray levels; None if the picture is incomplete. The reader copies them before the next call of
-        `Camera.frames`: a camera may reuse the array.
+        (rows, columns) gray levels; None if the picture is incomplete. The reader copies the pixels before the
+        next call of `Camera.frames`: a camera may reuse the array.
     number
-        Frame number of the camera, one more than that of the previous picture; None if the camera gives none.
+        Frame number of the camera, incremented for each picture; None if the camera gives none.
     stamp_ns
         Start of the exposure by the camera's clock in ns; None if the camera has no clock.
     """
@@ -43,7 +43,7 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class CameraForm:
-    """Form of a camera's pictures after its settings are applied.
+    """Form of a camera's pictures with the settings applied.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class CameraForm:
     settings
         Settings as read back, by the names of `CameraSettings`.
     departures
-        A text for each setting that differs from the requested value.
+        A text for each setting with another value than the requested.
     """
 
     width: int
@@ -73,10 +73,10 @@ class CameraForm:
 
 
 class Camera(Protocol):
-    """A camera of some kind, before it is opened. One thread at a time calls its methods."""
+    """A camera of some kind, before it is opened. The methods are called from a single thread at a time."""
 
     def open(self, settings: CameraSettings) -> CameraForm:
-        """Connect, apply the settings, and read them back; start no acquisition yet.
+        """Connect, apply and read back the settings; start no acquisition yet.
 
         Parameters
         ----------
@@ -99,12 +99,12 @@ class Camera(Protocol):
 
         Returns
         -------
-        The pictures in order, or None after the last picture of a camera that ends.
+        The pictures in order, or None after the last picture.
 
         Raises
         ------
         CameraLostError
-            The camera has stopped answering. The reader closes it, then makes and opens a new one.
+            The camera has stopped answering. The reader closes this camera, then makes and opens another.
         """
 
     def close(self) -> None:
@@ -115,7 +115,7 @@ class Camera(Protocol):
 class Found:
     """A present camera."""
 
-    # Address for its kind, such as a serial number; empty if the kind has a single camera
+    # Address within the kind, such as a serial number; empty if the kind has a single camera
     address: str
     # Maker and connection, for the user
     text: str
@@ -124,7 +124,7 @@ class Found:
 class CameraKind(NamedTuple):
     """Cameras of a kind."""
 
-    # Makes a camera from an address; the empty address is that of the first camera
+    # Makes a camera from an address; the empty address selects the first camera
     make: Callable[[str], Camera]
     # Lists present cameras; a MediaError gives the reason for an empty list and the cure. None if it cannot be known
     find: Callable[[CameraSettings], list[Found]] | None = None
@@ -147,17 +147,17 @@ def register_camera(
 ) -> None:
     """Register a user-defined kind of camera.
 
-    Every place that takes a film then takes ``camera:NAME`` or ``camera:NAME:ADDRESS``. A package can offer cameras by
-    an entry point of the group "heliograph.cameras" that names a `CameraKind`, without a call.
+    Commands and functions then accept ``camera:NAME`` or ``camera:NAME:ADDRESS`` as a film. An entry point of the group
+    "heliograph.cameras" with a `CameraKind` registers cameras of a package automatically.
 
     Parameters
     ----------
     name
-        Its name: letters, digits, "-", "_" and ".".
+        Name of the kind: letters, digits, "-", "_" and ".".
     make
-        Makes a `Camera` from an address, a text that may be empty; a class with such a constructor is enough.
+        Makes a `Camera` from an address, a possibly empty text; a class with such a constructor is enough.
     find
-        Lists present cameras for ``heliograph cameras``; it takes the `CameraSettings` of the command.
+        Lists present cameras for ``heliograph cameras``, given the `CameraSettings` of the command.
 
     Raises
     ------
@@ -171,12 +171,12 @@ def camera_kind(name: str) -> tuple[CameraKind, str]:
     """Return the kind and the address of a camera's name."""
     kind, _, address = name.removeprefix(PREFIX).partition(":")
     if not kind:
-        raise MediaError(f"a camera is {PREFIX}KIND or {PREFIX}KIND:ADDRESS; 'heliograph cameras' lists what is there")
+        raise MediaError(f"a camera is {PREFIX}KIND or {PREFIX}KIND:ADDRESS; see 'heliograph cameras'")
     return CAMERAS[kind], address
 
 
 def list_cameras(settings: CameraSettings) -> tuple[list[dict[str, str]], dict[str, str]]:
-    """Return the name and text of each present camera, and the reason for each kind without cameras."""
+    """Return the name and text of each present camera, and the reason for each kind that has no cameras."""
     found: list[dict[str, str]] = []
     lacking: dict[str, str] = {}
     for kind in CAMERAS.names():
@@ -188,7 +188,7 @@ def list_cameras(settings: CameraSettings) -> tuple[list[dict[str, str]], dict[s
             continue
         if not cameras:
             built_in = CAMERAS.is_built_in(kind)
-            lacking[kind] = "no camera answers" if built_in else "cannot be listed; give its address"
+            lacking[kind] = "no camera answers" if built_in else "cannot be listed; give the address"
         for camera in cameras:
             name = f"{PREFIX}{kind}:{camera.address}".rstrip(":")
             found.append({"name": name, "text": camera.text})

@@ -24,7 +24,7 @@ _SWITCHES = {
     "exposure_us": (("ExposureAuto", "Off"),),
     "gain": (("GainAuto", "Off"),),
 }
-"""Features that a setting needs, with their values."""
+"""Additional features of a setting, with values."""
 
 
 class FeatureCamera(ABC):
@@ -49,14 +49,14 @@ class FeatureCamera(ABC):
 
     @abstractmethod
     def _values(self, name: str) -> list[str]:
-        """Return the values that a feature can have."""
+        """Return the possible values of a feature."""
 
     def _name(self, key: str) -> str | None:
         """Return the name of a setting's feature; None if the camera has none."""
         return next((name for name in _NAMES[key] if self._has(name)), None)
 
     def _configure(self, settings: CameraSettings, model: str) -> CameraForm:
-        """Apply the settings and read them back."""
+        """Apply and read back the settings."""
         if self._has("AcquisitionMode") and self._read("AcquisitionMode") != "Continuous":
             self._write("AcquisitionMode", "Continuous")
         self._apply(settings)
@@ -64,7 +64,7 @@ class FeatureCamera(ABC):
         texts, departures = compare_settings(settings, actual)
         rate_hz = float(str(actual.get("rate_hz", 0)))
         assert self._format is not None
-        # half a second of frames: one lost packet may delay all frames behind it by 0.1 s; at most 256 MB
+        # half a second of frames: a lost packet may delay all frames behind it by 0.1 s; at most 256 MB
         frame_bytes = max(1, self._format.size(self._width, self._height, 0))
         most = max(16, min(512, (1 << 28) // frame_bytes))
         self.n_buffers = min(most, max(16, round(0.5 * rate_hz))) if rate_hz else most
@@ -95,7 +95,7 @@ class FeatureCamera(ABC):
                 self._write(key, text)
 
     def _write_region(self, region: tuple[int, int, int, int]) -> None:
-        """Set the part of the sensor; the corner goes to 0 first, as it bounds the size."""
+        """Set the part of the sensor; the corner goes to 0 first, as the size depends on the corner."""
         x, y, width, height = region
         corner = {name: place for name, place in (("OffsetX", x), ("OffsetY", y)) if place or self._has(name)}
         for name, place in (*dict.fromkeys(corner, 0).items(), ("Width", width), ("Height", height), *corner.items()):

@@ -1,4 +1,4 @@
-"""GenICam cameras through their maker's producer (.cti), by harvesters."""
+"""GenICam cameras through a maker's producer (.cti), by harvesters."""
 
 import glob
 import logging
@@ -34,7 +34,7 @@ class GenicamCamera(FeatureCamera):
         cameras = self._harvester.device_info_list
         info = next((info for info in cameras if self._address in ("", info.id_, _text(info, "serial_number"))), None)
         if info is None:
-            raise MediaError(f"no producer has a camera '{self._address}'; 'heliograph cameras' lists what is there")
+            raise MediaError(f"no producer has a camera '{self._address}'; see 'heliograph cameras'")
         try:
             self._acquirer = self._harvester.create(cameras.index(info))
         except Exception as error:  # harvesters and genicam raise many types
@@ -127,7 +127,7 @@ class GenicamCamera(FeatureCamera):
 
 
 def _get(source: Any, name: str) -> Any:
-    """Return an attribute; None if the producer lacks it."""
+    """Return an attribute; None if missing."""
     try:
         return getattr(source, name)
     except Exception:  # genicam raises many types
@@ -147,7 +147,7 @@ def _bounds(node: Any) -> str:
 
 
 def producers(settings: CameraSettings) -> list[str]:
-    """Return the files of GenICam producers: the file in the settings, else those in the folders of `FOLDERS`."""
+    """Return the files of GenICam producers: the file in the settings, or the files in the folders of `FOLDERS`."""
     if settings.producer is not None:
         if not Path(settings.producer).is_file():
             raise MediaError(f"there is no producer {settings.producer}: check the name of the .cti file")
@@ -157,20 +157,20 @@ def producers(settings: CameraSettings) -> list[str]:
     if not files:
         place = f"{', '.join(folders)} has none" if folders else f"{FOLDERS} is not set"
         raise MediaError(
-            f"GenICam cameras need their maker's producer (.cti), and {place}: install the maker's driver, or give the "
+            f"GenICam cameras need a maker's producer (.cti), and {place}: install the maker's driver, or give the "
             "file by --camera producer=FILE"
         )
     return files
 
 
 def _harvester(settings: CameraSettings) -> Any:
-    """Return a harvester that knows the cameras of all producers."""
+    """Return a harvester with the cameras of all producers."""
     try:
         from harvesters.core import Harvester
     except ImportError as error:
         raise MediaError(f"GenICam cameras need 'pip install harvesters' ({brief(error)})") from None
     files = producers(settings)
-    logging.getLogger("harvesters").setLevel(logging.CRITICAL)  # the errors below take one line
+    logging.getLogger("harvesters").setLevel(logging.CRITICAL)  # the errors below are enough
     harvester = Harvester()
     for file in files:
         try:

@@ -1,4 +1,4 @@
-"""Thread that queues the pictures of a camera with numbers and times, and reconnects a lost camera."""
+"""Thread for the pictures of a camera, with numbers, times and reconnection."""
 
 import threading
 import time
@@ -14,9 +14,9 @@ from heliograph.media.live.settings import CameraSettings
 
 
 class FrameQueue:
-    """Frames that wait for the receiver. A full queue drops new frames until half of it is taken.
+    """Queue of frames before the receiver. A full queue drops new frames until half of the queue is free.
 
-    Frames are then lost in one run and received in one run, which can hold complete packets.
+    Lost frames then form long runs, and so do received frames, which can hold complete packets.
     """
 
     def __init__(self, most: int):
@@ -44,7 +44,7 @@ class FrameQueue:
 
     @property
     def over(self) -> bool:
-        """True after the last frame was taken."""
+        """True after the last frame."""
         with self._changed:
             return self._ended and not self._frames
 
@@ -65,9 +65,9 @@ class CameraTiming:
 
     # Longest single wait for a picture, and so for the reaction to a stop
     picture_s: float = 0.1
-    # Time without a picture after which a freely running camera counts as lost; longer than usual exposures
+    # Silence after which a freely running camera counts as lost; longer than usual exposures
     silent_s: float = 5.0
-    # Pauses before the attempts to reach a lost camera; the last one repeats. Six take a minute, a camera's start
+    # Pauses before the attempts to reach a lost camera; the last value repeats. Six take a minute, a camera's start
     retry_s: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0)
     # Time for the camera to end
     closing_s: float = 5.0
@@ -82,21 +82,21 @@ class CameraCounts:
     frames
         Complete frames.
     lost
-        Frames that the camera numbered and that never arrived.
+        Frames missing in the camera's numbers.
     incomplete
-        Frames that arrived in part; they are left out.
+        Partly received frames; they are left out.
     skipped
-        Frame periods without a frame of the camera, by its stamps.
+        Frame periods missing in the camera's stamps.
     dropped
         Complete frames dropped by the full queue of the receiver.
     waiting
         Complete frames in the queue; they are left out if the receiver stops.
     jumps
-        Number of times that the camera's clock was set or restarted.
+        Number of resets of the camera's clock.
     reconnections
-        Number of times that the camera was lost and came back.
+        Number of successful reconnections.
     host_clock
-        True if times are those of the host, as the camera has no stamps.
+        True if times come from the host's clock, as the camera has no stamps.
     rate_hz
         Frames per second by the stamps of the last frames.
     """
@@ -198,7 +198,7 @@ class Grabber:
         return self._stopping.is_set() or time.monotonic() >= self._end_s
 
     def _check_silence(self, heard: bool) -> None:
-        """Report a camera without pictures."""
+        """Report a silent camera."""
         now_s, silent_s = time.monotonic(), self._timing.silent_s
         if heard:
             self._heard_s, self._tries, self._quiet = now_s, 0, False
@@ -209,8 +209,8 @@ class Grabber:
             self.news.append(f"{self._name}: no pulse of {self._settings.trigger} for {silent_s:g} s; still waiting")
         elif not self._frames and not self._numbering.incomplete:
             raise MediaError(
-                f"{self._name} is set, but sends no frames: see that its trigger is off, that no firewall keeps its "
-                "packets back, and that nobody else uses it"
+                f"{self._name} is set, but sends no frames: check that the trigger is off, that no "
+                "firewall blocks the packets, and that no other program uses the camera"
             )
         else:
             raise CameraLostError(f"no frame came for {silent_s:g} s")

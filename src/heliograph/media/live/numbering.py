@@ -61,11 +61,11 @@ class Numbering:
         gap_s = max((host_ns - self._host_ns) / 1e9, self.period_s) if stamped_s is None else stamped_s
         periods = gap_s / self.period_s
         steps = counted or 1
-        # a camera with numbers may be slower than stated, which its gaps show
+        # a camera with numbers may be slower than stated, as gaps show
         is_sure = counted is None or (stamped_s is not None and self._knows_period)
         # a frame is missing if the stamp is late by 0.75 periods, as in `timing.camera_clock`
         if self._even and is_sure and periods >= steps + 0.75:
-            if self._number is not None or self._stamp_ns is not None:  # else the camera was lost meanwhile
+            if self._number is not None or self._stamp_ns is not None:  # the camera was not lost meanwhile
                 self.skipped += max(0, round(periods) - steps - (0 if counted else self._broken))
             steps = round(periods)
         self.lost += max(0, (counted or 1) - 1 - self._broken)
@@ -76,10 +76,10 @@ class Numbering:
         self._index, self._time_s = self._index + steps, self._time_s + gap_s
 
     def _stamp_gap(self, stamp_ns: int | None, host_ns: int) -> float | None:
-        """Return the time in s since the last frame by the camera's clock; None without a clock or after a jump."""
+        """Return the time in s since the last frame by the camera's clock; None after a jump, or if unknown."""
         if stamp_ns is None or self._stamp_ns is None:
             return None
-        # a clock that is set jumps by more than 1 s, as by time of day in place of time since power-on
+        # setting a clock moves the time by more than 1 s, as by time of day in place of time since power-on
         early = self._ahead_ns is not None and stamp_ns - host_ns > self._ahead_ns + 1e9
         if stamp_ns <= self._stamp_ns or early:
             self.jumps += 1

@@ -25,7 +25,7 @@ class PixelFormat:
     bits: int
     # Bits of a transmitted pixel
     stored: int
-    # "p" or "Packed" if levels share bytes, else empty
+    # "p" or "Packed" if levels share bytes
     packing: str = ""
     # Order of the colours, such as "RGBa"; "Y" for luma with chroma; empty for gray levels and mosaics
     colours: str = ""
@@ -63,7 +63,7 @@ class PixelFormat:
 
 
 def _unpack_low_first(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
-    """Return gray levels packed without gaps, the lower bits first (PFNC, "p")."""
+    """Return densely packed gray levels, the lower bits first (PFNC, "p")."""
     held, size = {10: (4, 5), 12: (2, 3)}[bits]  # levels and bytes of a group
     groups = data[: len(data) // size * size].reshape(-1, size).astype(np.uint16)
     levels = np.empty((len(groups), held), np.uint16)

@@ -15,9 +15,9 @@ from heliograph.media.record import FASTEST_HZ
 
 
 class LiveReader(FilmReader):
-    """A live camera; see `FilmReader`. It yields frames until it is stopped or the camera ends.
+    """A live camera; see `FilmReader`. The film ends with the camera, or by `stop`.
 
-    Times are those of the camera's clock, from 0 at the first frame; numbers count the camera's frames, with a gap for
+    Times are by the camera's clock, from 0 at the first frame; numbers count the camera's frames, with a gap for
     each missing frame. Each iteration starts with the next frame of the camera. `frame_count` is None.
 
     Parameters
@@ -25,7 +25,7 @@ class LiveReader(FilmReader):
     name
         Name of the camera, ``camera:KIND`` or ``camera:KIND:ADDRESS``.
     reading
-        Its rate is that of the exposures if the camera does not state it; times do not depend on it.
+        The rate replaces a missing rate of the camera; times do not depend on the rate.
     settings
         Requested settings.
 
@@ -34,9 +34,9 @@ class LiveReader(FilmReader):
     form
         Form of the pictures, and the actual settings.
     say
-        Called with a line of text when the camera is lost or comes back; set it to receive the lines.
+        Called with a line of text when the camera is lost or comes back.
     timing
-        Times of waiting for the camera; set it before iterating.
+        Times of waiting for the camera, to be set before iterating.
 
     Raises
     ------
@@ -131,7 +131,7 @@ class LiveReader(FilmReader):
 
 
 def is_camera(path: Any) -> bool:
-    """True if the name of a film is that of a live camera, and no file has this name."""
+    """True if the name of a film denotes a live camera, and no file has this name."""
     return str(path).startswith(PREFIX) and not os.path.lexists(path)
 
 
@@ -149,7 +149,7 @@ def live_of(film: FilmReader) -> LiveReader | None:
 
 
 def _rate(name: str, given_hz: float | None, settings: CameraSettings, form: CameraForm) -> float:
-    """Return the rate given by the user, else that of the camera."""
+    """Return the user's rate, or the camera's."""
     rate_hz = given_hz or (None if settings.triggered else form.rate_hz)
     if rate_hz is None:
         reason = "its trigger sets its rate" if settings.triggered else "it does not say its rate"

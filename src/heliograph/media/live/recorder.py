@@ -15,7 +15,7 @@ from heliograph.media.record import FASTEST_HZ
 
 
 class Recorder:
-    """Keeps the last frames, and writes them to a film after a failure; each film replaces the previous one.
+    """Keeps the last frames; a failure writes a film, which replaces the previous film.
 
     Films do not overlap: a failure within the time of a new film is in the next film. A thread writes the films
     completely or not at all. Memory holds up to three times `max_bytes` of frames if the disk is slow.
@@ -66,7 +66,7 @@ class Recorder:
             self._write(left)
 
     def _finish(self) -> None:
-        """Wait for the running film, and raise its error."""
+        """Wait for the running film, and raise any error."""
         running, self._running = self._running, None
         if running is not None:
             running.result()

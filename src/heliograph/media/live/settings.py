@@ -30,7 +30,7 @@ class CameraSettings:
     Attributes
     ----------
     exposure_us
-        Exposure time in us, above 0. One pattern period collects all light. Automatic exposure is switched off.
+        Exposure time in us, above 0. A full pattern period collects all light. Automatic exposure is switched off.
     gain
         Gain in units of the camera, mostly dB. Automatic gain is switched off.
     rate_hz
@@ -40,11 +40,11 @@ class CameraSettings:
     pixel_format
         Format of transmitted pixels, such as Mono8, Mono12p or BayerRG8.
     trigger
-        Name of the line whose pulses start the exposures, such as Line1; "off" lets the camera run freely.
+        Name of the line with pulses for the exposures, such as Line1; "off" lets the camera run freely.
     producer
         File of a GenICam producer (.cti), for cameras of the kind "genicam".
     duration_s
-        Time in s after which the film ends, above 0; None for a film that lasts until it is stopped.
+        Time in s after which the film ends, above 0; None for an endless film.
     queue_s
         Longest time in s for which frames wait for the receiver, 0.01 to 60, within half a GB. A full queue drops
         frames. Until the receiver finds an array, a frame takes several times as long as later.
@@ -123,7 +123,7 @@ Value = str | float | Sequence[int]
 
 @contextmanager
 def setting_errors(name: str, value: Value, known: Callable[[], Sequence[str]] | None = None) -> Iterator[None]:
-    """Turn a camera's error in the block into an error that names the setting."""
+    """Add the setting to a camera's error in the block."""
     try:
         yield
     except MediaError as error:
@@ -134,7 +134,7 @@ def setting_errors(name: str, value: Value, known: Callable[[], Sequence[str]] |
 def compare_settings(
     requested: CameraSettings, actual: Mapping[str, Value]
 ) -> tuple[dict[str, object], tuple[str, ...]]:
-    """Return the actual values as text, and a text for each value that differs from the requested one."""
+    """Return the actual values as text, and a text for each difference from a requested value."""
     departures = []
     for name, value in actual.items():
         wanted = requested.features.get(name) if name[:1].isupper() else getattr(requested, name)
@@ -144,7 +144,7 @@ def compare_settings(
 
 
 def _is_same(requested: Value, actual: Value) -> bool:
-    """True if texts are equal, or numbers are; cameras may round to single precision or to whole lines."""
+    """True if texts are equal, or numbers are; cameras may round to single precision or to lines."""
     first, second = _written(requested), _written(actual)
     try:
         return requested == actual or abs(float(first) - float(second)) <= 1e-4 * abs(float(first))

@@ -32,7 +32,7 @@ class Webcam:
         self._address = address or "/dev/video0"
         self._container: Any = None
         self._channel = "luma"
-        # Linux drops newer pictures if its buffers are full as well
+        # Linux drops newer pictures if the buffers are full as well
         self._pictures: queue.Queue[Picture | BaseException | None] = queue.Queue(8)
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
@@ -47,7 +47,7 @@ class Webcam:
             self._container = av.open(self._address, "r", format=self.device, options=options)
         except (av.error.FFmpegError, OSError) as error:
             reason = getattr(error, "strerror", None) or str(error)
-            cure = "'heliograph cameras' lists what is there; you may have to join the group video"
+            cure = "see 'heliograph cameras'; you may have to join the group video"
             raise MediaError(f"{self._address} cannot be opened as a webcam ({reason}): {cure}") from None
         stream = self._container.streams.video[0]
         context, layout = stream.codec_context, stream.codec_context.format
@@ -100,7 +100,7 @@ class Webcam:
             self._container = None
 
     def _read(self) -> None:
-        """Queue pictures in a thread, as FFmpeg waits for the next picture without a limit."""
+        """Queue pictures in a thread, as FFmpeg may wait endlessly for the next picture."""
         import av
 
         end: BaseException | None = None
@@ -132,7 +132,7 @@ class Webcam:
             return [Picture(None)]
 
     def _options(self, settings: CameraSettings) -> dict[str, str]:
-        """Return FFmpeg's options, or refuse a setting that FFmpeg lacks."""
+        """Return FFmpeg's options, or refuse a setting."""
         cure = "webcams are set by v4l2-ctl (package v4l-utils), such as 'v4l2-ctl -d {} -c {}=...'"
         for key, control in (("exposure_us", "auto_exposure=1,exposure_time_absolute"), ("gain", "gain")):
             if getattr(settings, key) is not None:
@@ -166,7 +166,7 @@ def find(_settings: CameraSettings, devices: Path = DEVICES) -> list[Found]:
         if first == "0":  # further devices of a camera have no pictures
             found.append(Found(f"/dev/{folder.name}", (folder / "name").read_text(errors="replace").strip()))
     if not found:
-        raise MediaError("webcams: Linux knows of none (/dev/video*): plug one in; they need no library of their own")
+        raise MediaError("webcams: Linux knows of none (/dev/video*): plug one in; no library is needed")
     return found
 
 
