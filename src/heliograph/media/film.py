@@ -240,7 +240,7 @@ def create_film(
     try:
         if is_hdf5:  # writes faster than a queue passes frames on
             return FilmWriter(target, partial, spec, hdf5.Hdf5Sink(partial, target, spec))
-        sink = video_write.VideoSink(partial, target, spec, name, crf, lossless, mbit_s)
+        sink = video_write.VideoSink(partial, target, spec, name, crf=crf, lossless=lossless, mbit_s=mbit_s)
         return FilmWriter(target, partial, spec, ThreadedSink(sink))
     except (MediaError, OSError) as error:
         partial.unlink(missing_ok=True)

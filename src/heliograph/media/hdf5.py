@@ -231,10 +231,8 @@ def _check_filters(path: Path, dataset: Any) -> None:
                 importlib.import_module("hdf5plugin")  # registers the usual filters
         if not h5py.h5z.filter_avail(number):
             name = _FILTERS.get(number) or label.decode(errors="replace").strip("\0") or "no known name"
-            raise MediaError(
-                f"{path}: '{dataset.name.strip('/')}' is packed by the filter {name} (number {number}), which is not "
-                "installed: 'pip install hdf5plugin', or save the film uncompressed"
-            )
+            text = f"'{dataset.name.strip('/')}' is packed by the filter {name} (number {number})"
+            raise MediaError(f"{path}: {text}, which is not installed: 'pip install hdf5plugin'")
 
 
 def _check_heaps(path: Path, head: bytes) -> None:
@@ -261,9 +259,8 @@ def _check_form(path: Path, file: Any) -> None:
     except _BROKEN as error:
         raise MediaError(f"{path} is not a film: its links lead nowhere; expected the datasets {_EXPECTED}") from error
     if not all(isinstance(dataset, h5py.Dataset) for dataset in datasets):
-        raise MediaError(
-            f"{path} is not a film: expected the datasets {_EXPECTED}, it holds {', '.join(sorted(file)) or 'nothing'}"
-        )
+        held = ", ".join(sorted(file)) or "nothing"
+        raise MediaError(f"{path} is not a film: expected the datasets {_EXPECTED}, it holds {held}")
     # the shape of a virtual dataset opens other files
     if external or any(dataset.is_virtual or dataset.external for dataset in datasets):
         raise MediaError(f"{path} is no complete film, its pictures lie in other files: copy them into one")
@@ -272,10 +269,8 @@ def _check_form(path: Path, file: Any) -> None:
     lengths: tuple[int, ...] = times.shape or ()
     is_list = bool(lengths) and math.prod(lengths) == max(lengths)
     if is_list and len(shape) == 3 and max(lengths) == shape[2] != shape[0]:
-        raise MediaError(
-            f"{path}: 'frames' {shape} counts its frames along the last axis: save it as (frame, row, column), "
-            "such as by numpy.moveaxis; from MATLAB as (row, column, frame)"
-        )
+        cure = "save it as (frame, row, column); from MATLAB as (row, column, frame)"
+        raise MediaError(f"{path}: 'frames' {shape} counts its frames along the last axis: {cure}")
     # a running writer may have written a frame and no time yet
     fits = is_list and len(shape) == 3 and (max(lengths) == shape[0] or file.swmr_mode)
     if not fits or frames.dtype not in BITS or times.dtype.kind not in "fiu":
@@ -317,10 +312,8 @@ def _check_chunks(path: Path, *datasets: Any) -> None:
         if dataset.size and chunk > size and not packed:
             raise MediaError(f"{path} is damaged, copy it again: '{name}' claims pieces of {chunk} bytes of {size}")
         if packed and chunk > 300_000_000:  # the largest frame has 268 MB
-            raise MediaError(
-                f"{path}: '{name}' has pieces of {chunk / 1e9:.2g} GB, more than 0.3 GB, which are unpacked as a "
-                "whole: repack it with one frame a chunk"
-            )
+            cure = "more than 0.3 GB, which are unpacked as a whole: repack it with one frame a chunk"
+            raise MediaError(f"{path}: '{name}' has pieces of {chunk / 1e9:.2g} GB, {cure}")
 
 
 class PatientFile:

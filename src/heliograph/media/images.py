@@ -257,9 +257,8 @@ class AnimationReader(TimedReader):
         except MediaError:
             raise
         except _BROKEN as error:
-            raise MediaError(
-                f"{self.path} cannot be read after {count} whole frames ({brief(error)}): copy it again"
-            ) from None
+            text = f"cannot be read after {count} whole frames ({brief(error)}): copy it again"
+            raise MediaError(f"{self.path} {text}") from None
 
 
 def is_animation(path: Path, head: bytes) -> bool:

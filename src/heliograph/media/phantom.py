@@ -64,10 +64,7 @@ class PhantomReader(TimedReader):
         # Setup structure: Mark at byte 140, Length 142, FrameRate 768, RealBPP 896
         mark, length, rate, levels = _unpack_at(file, settings, "<140x2sH624xI124xI")
         if mark != b"ST":
-            raise MediaError(
-                f"{path} has no camera settings where its header points: copy the file again, or save the recording "
-                "by a newer version of the camera's program"
-            )
+            raise MediaError(f"{path} has no camera settings where its header points: copy the file again")
         height = abs(rows)
         checked_size(path, width, height)
         if compression == 1 or packing not in (0, 256, 1024):  # JPEG pictures, or an unknown packing

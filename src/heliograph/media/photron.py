@@ -86,10 +86,9 @@ class PhotronReader(TimedReader):
             raise MediaError(f"{self.path} has {size} bytes, and {header.name} says {held}: give the matching header")
         for word in {8, 12, 16} - {self._word}:
             if size == self._claimed * packed_size(self.width * self.height, word):
-                raise MediaError(
-                    f"{self.path} has {size} bytes, which are {self._claimed} frames of {word} bits, and {header.name} "
-                    f"says {self._word} bits: give the matching header, or correct the color bit"
-                )
+                held = f"{size} bytes, which are {self._claimed} frames of {word} bits"
+                said = f"{header.name} says {self._word} bits"
+                raise MediaError(f"{self.path} has {held}, and {said}: give the matching header")
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         places = (count * self._frame_bytes for count in range(self._claimed))

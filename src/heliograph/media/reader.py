@@ -152,10 +152,8 @@ def camera_rate(path: Path, given_hz: float | None, stated_hz: float | None = No
     """Return the rate of a file, or the given rate."""
     rate = stated_hz or given_hz
     if not rate:
-        raise MediaError(
-            f"{path} has no clock: say how many frames a second the camera took, by --fps (rate_hz; on page Watch "
-            "Frames/s)"
-        )
+        cure = "by --fps (rate_hz; on page Watch Frames/s)"
+        raise MediaError(f"{path} has no clock: say how many frames a second the camera took, {cure}")
     return rate
 
 

@@ -80,13 +80,10 @@ class FilmRecord:
         """Return the record in a text, or None."""
         try:
             fields = json.loads(text)
-            record = cls(
-                rate_hz=float(fields["rate_hz"]),
-                bits=int(fields["bits"]),
-                start_s=float(fields["start_s"]),
-                metadata={str(k): str(v) for k, v in fields["metadata"].items()},
-                codec_crc=int(fields["codec_crc"]),
-            )
+            metadata = {str(name): str(text) for name, text in fields["metadata"].items()}
+            rate_hz, start_s = float(fields["rate_hz"]), float(fields["start_s"])
+            bits, crc = int(fields["bits"]), int(fields["codec_crc"])
+            record = cls(rate_hz=rate_hz, bits=bits, start_s=start_s, metadata=metadata, codec_crc=crc)
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             return None
         is_valid = SLOWEST_HZ <= record.rate_hz <= FASTEST_HZ and 8 <= record.bits <= 16

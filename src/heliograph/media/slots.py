@@ -81,10 +81,7 @@ class SlotForm:
         slot_ns = round(slot_s * 1e9)
         # 1e-4 is the tolerance of section 3 of the air interface
         if abs(slot_ns - slot_s * 1e9) > 1e-4 * slot_s * 1e9:
-            raise MediaError(
-                f"a slot of {slot_s * 1e9:.7g} ns is no whole number of ns, the unit of drivers: change "
-                f"signal.pattern_period_s, {slots_per_pattern} slots"
-            )
+            raise MediaError(f"a slot of {slot_s * 1e9:.7g} ns is no whole number of ns: set signal.pattern_period_s")
         return cls(side, slots_per_pattern, slot_ns, count)
 
 

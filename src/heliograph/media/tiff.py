@@ -36,6 +36,8 @@ _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR, _MOSAIC = 0, 1, 2, 3, 6,
 _SAMPLES = {_WHITE_IS_ZERO: 1, _BLACK_IS_ZERO: 1, _RGB: 3, _PALETTE: 1, _YCBCR: 3, _MOSAIC: 1}
 """Samples of a pixel for gray or colour; further samples may be opacity."""
 
+_SPLIT = "save one channel, in ImageJ by Image > Color > Split Channels"
+
 # the errors below report problems of tifffile
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
@@ -94,16 +96,10 @@ def _check_kind(path: Path, page: "TiffPage") -> None:
         kind = getattr(page.photometric, "name", page.photometric)
         raise MediaError(f"{path} has pixels of kind {kind}: save gray or RGB of 8 or 16 bits")
     if page.imagedepth > 1 and not _is_plain(page):
-        raise MediaError(
-            f"{path} has {page.imagedepth} pictures in one page (ImageDepth) that is compressed or tiled: save a page "
-            "for each frame"
-        )
+        raise MediaError(f"{path} has {page.imagedepth} pictures in one page that is compressed or tiled: save pages")
     # values 1 and 2 of ExtraSamples are opacity
     if page.samplesperpixel > wanted == 1 and not all(extra in (1, 2) for extra in page.extrasamples or (0,)):
-        raise MediaError(
-            f"{path} has several channels ({page.samplesperpixel} samples a pixel): save one channel as a separate "
-            "stack, in ImageJ by Image > Color > Split Channels"
-        )
+        raise MediaError(f"{path} has several channels ({page.samplesperpixel} samples a pixel): {_SPLIT}")
 
 
 def _is_plain(page: "TiffPage") -> bool:
@@ -220,9 +216,7 @@ class TiffReader(TimedReader):
                 if pixels.shape != (self.height, self.width) or bits != self.bits:
                     got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {bits} bits"
                     form = f"{self.width}x{self.height} of {self.bits}"
-                    raise MediaError(
-                        f"{self.path} has a page of {got} after {count} of {form}: save it without that page"
-                    )
+                    raise MediaError(f"{self.path} has a page of {got} after {count} of {form}: remove it")
                 yield count / self.claimed_hz, pixels, bits
                 count += 1
             stack.check_end(count)
@@ -294,15 +288,10 @@ class _Stack:
         text = ", ".join(f"{name}={length}" for name, length in axes.items())
         # tifffile by default writes any stack as channels of ImageJ, which shows 7 at most
         if any(name in axes and (len(axes) > 1 or axes[name] <= 7) for name in ("channels", "SizeC", "C")):
-            raise MediaError(
-                f"{self._path} has several channels ({text} in its description): save one channel as a separate stack, "
-                "in ImageJ by Image > Color > Split Channels"
-            )
+            raise MediaError(f"{self._path} has several channels ({text} in its description): {_SPLIT}")
         if len(axes) > 1:
-            raise MediaError(
-                f"{self._path} has several axes of pictures ({text} in its description), and a film has one: save a "
-                "stack along the axis of time, in ImageJ by Image > Hyperstacks > Reduce Dimensionality"
-            )
+            cure = "save one axis, in ImageJ by Image > Hyperstacks > Reduce Dimensionality"
+            raise MediaError(f"{self._path} has several axes of pictures ({text} in its description): {cure}")
 
     def first_levels(self, channel: str) -> tuple[Pixels, int]:
         """Return the gray levels of the first frame, and the bits."""
@@ -312,10 +301,8 @@ class _Stack:
         self.check_end(0)
         if not len(self._tif.pages):
             raise MediaError(f"{self._path} holds no pages: save it again")
-        raise MediaError(
-            f"{self._path} holds only small copies; pictures in sub-directories, as in cameras' raw files, are not "
-            "read: save TIFF"
-        )
+        text = "pictures in sub-directories, as in cameras' raw files, are not read: save TIFF"
+        raise MediaError(f"{self._path} holds only small copies; {text}")
 
     def levels(self, page: "TiffPage", plane: int, count: int, channel: str) -> tuple[Pixels, int]:
         """Return the gray levels of a frame behind `count` others, upright, and the bits."""
@@ -331,10 +318,8 @@ class _Stack:
         except MediaError:
             raise
         except (OSError, *self._errors) as error:
-            raise MediaError(
-                f"{self._path} has a page after {count} whole frames that cannot be decoded ({brief(error)}): it is "
-                "damaged, or of a kind that is not read; copy it again, or save gray or RGB of 8 or 16 bits"
-            ) from None
+            text = f"a page after {count} whole frames that cannot be decoded ({brief(error)})"
+            raise MediaError(f"{self._path} has {text}: copy it again, or save gray or RGB of 8 or 16 bits") from None
 
     def _stated(self) -> Description:
         """Return the description of the first page."""

@@ -88,10 +88,8 @@ class VideoReader(TimedReader):
         try:
             pixels, bits = planes.to_gray(picture, self._expanded, self._reading.channel)
         except (av.error.FFmpegError, ValueError) as error:
-            raise MediaError(
-                f"{self.path} has pictures of the form {picture.format.name}, which give no gray levels, after {count} "
-                "whole frames: convert it, such as to FFV1"
-            ) from error
+            text = f"pictures of the form {picture.format.name}, which give no gray levels"
+            raise MediaError(f"{self.path} has {text}, after {count} whole frames: convert it") from error
         return (_upright(pixels, *self._turn) if any(self._turn) else pixels), bits
 
     def _check_form(self, pixels: Pixels, bits: int, count: int) -> None:
@@ -196,10 +194,8 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
         if whole.ends_early(path):
             reason = "ends in the middle and cannot be read without the end: copy or record it again"
         else:
-            reason = (
-                "is not a video that can be read: give a video (.mkv, .mp4 ...), .h5, .mraw, .cine, TIFF, .npy or a "
-                "folder of pictures"
-            )
+            kinds = "a video (.mkv, .mp4 ...), .h5, .mraw, .cine, TIFF, .npy or a folder of pictures"
+            reason = f"is not a video that can be read: give {kinds}"
         raise MediaError(f"{path} {reason}") from error
     with container:
         yield container

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from fractions import Fraction
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Frame
@@ -63,19 +63,11 @@ def choose_codec(
 class VideoSink:
     """Sink for a video file; the header holds the time of the first frame, so both are written together."""
 
-    def __init__(
-        self,
-        partial: Path,
-        target: Path,
-        spec: FilmSpec,
-        codec: str,
-        crf: float | None = None,
-        lossless: bool = False,
-        mbit_s: float | None = None,
-    ) -> None:
+    def __init__(self, partial: Path, target: Path, spec: FilmSpec, codec: str, **quality: Any) -> None:
+        mbit_s: float | None = quality.get("mbit_s")
         self._target, self._spec, self._suffix = target, spec, target.suffix.lower()
         self._time_base = _time_base(self._suffix, spec.rate_hz)
-        self._pixel_format, options = _coding(spec, codec, crf, lossless, mbit_s)
+        self._pixel_format, options = _coding(spec, codec, **quality)
         self._range = planes.FULL if mbit_s is None else planes.LIMITED
         self._start_s: float | None = None
         self._last_tick = -1
@@ -132,22 +124,16 @@ class VideoSink:
             self._container.mux(packet)
 
     def _write_record(self, start_s: float) -> None:
-        record = FilmRecord(
-            rate_hz=self._spec.rate_hz,
-            bits=self._spec.bits,
-            start_s=start_s,
-            metadata=dict(self._spec.metadata),
-            codec_crc=zlib.crc32(self._stream.codec_context.extradata or b""),
-        )
+        crc, spec = zlib.crc32(self._stream.codec_context.extradata or b""), self._spec
+        form: dict[str, Any] = {"rate_hz": spec.rate_hz, "bits": spec.bits, "metadata": dict(spec.metadata)}
+        record = FilmRecord(start_s=start_s, codec_crc=crc, **form)
         self._container.metadata.update(to_tags(record, self._suffix))
 
     def _tick(self, elapsed_s: float) -> int:
         tick = round(elapsed_s * self._time_base.denominator / self._time_base.numerator)
         if tick <= self._last_tick:
-            raise MediaError(
-                f"two frames fall on the same {float(self._time_base):.3g} s tick of {self._suffix}, the second "
-                f"{elapsed_s:.9f} s after the start: leave more time between frames, or use .nut or .h5"
-            )
+            tick_s, cure = f"{float(self._time_base):.3g} s tick of {self._suffix}", "use .nut or .h5"
+            raise MediaError(f"two frames fall on the same {tick_s}, {elapsed_s:.9f} s after the start: {cure}")
         if self._suffix == ".avi" and abs(tick - elapsed_s * self._spec.rate_hz) > 0.01:
             raise MediaError(f".avi holds whole frame periods only, got {elapsed_s:.9f} s: use .nut, .mp4 or .h5")
         self._last_tick = tick
@@ -172,7 +158,7 @@ def _time_base(suffix: str, rate_hz: float) -> Fraction:
 
 
 def _coding(
-    spec: FilmSpec, codec: str, crf: float | None, lossless: bool, mbit_s: float | None
+    spec: FilmSpec, codec: str, crf: float | None = None, lossless: bool = False, mbit_s: float | None = None
 ) -> tuple[str, dict[str, str]]:
     """Return pixel format and options of the encoder, the fastest in benchmarks/media.py."""
     quality = f"{12.0 if crf is None else crf:g}"

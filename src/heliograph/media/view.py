@@ -33,10 +33,8 @@ class ViewReader(FilmReader):
         x, y, width, height = crop or (0, 0, film.width, film.height)
         try:
             if x + width > film.width or y + height > film.height:
-                raise MediaError(
-                    f"the crop {x},{y},{width},{height} reaches beyond the frames of {film.path}, which have "
-                    f"{film.width}x{film.height} pixels"
-                )
+                place, size = f"{x},{y},{width},{height}", f"{film.width}x{film.height}"
+                raise MediaError(f"the crop {place} reaches beyond the frames of {film.path}, which have {size} pixels")
             if min(width, height) < binning:
                 size = f"{width}x{height} pixels"
                 raise MediaError(f"{film.path} is seen in {size}, less than a square of {binning}: average fewer")

@@ -73,10 +73,8 @@ def aravis() -> Any:
                     setattr(calls, name.removeprefix("arv_"), _checked(calls, call) if can_fail else call)
     except (OSError, AttributeError) as error:
         lacking = f" ({error})" if isinstance(error, AttributeError) else ""
-        raise MediaError(
-            f"GigE and USB3 Vision cameras need the library Aravis 0.8{lacking}: 'apt-get install libaravis-0.8-0' "
-            "(Debian, Ubuntu), 'dnf install aravis' (Fedora)"
-        ) from None
+        cure = "'apt-get install libaravis-0.8-0' (Debian, Ubuntu), 'dnf install aravis' (Fedora)"
+        raise MediaError(f"GigE and USB3 Vision cameras need the library Aravis 0.8{lacking}: {cure}") from None
     return calls
 
 

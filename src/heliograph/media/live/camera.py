@@ -130,15 +130,8 @@ class CameraKind(NamedTuple):
     find: Callable[[CameraSettings], list[Found]] | None = None
 
 
-CAMERAS: Registry[CameraKind] = Registry(
-    "camera",
-    "heliograph.cameras",
-    {
-        "aravis": "heliograph.media.live.aravis:KIND",
-        "genicam": "heliograph.media.live.genicam:KIND",
-        "webcam": "heliograph.media.live.webcam:KIND",
-    },
-)
+_BUILT_IN = {name: f"heliograph.media.live.{name}:KIND" for name in ("aravis", "genicam", "webcam")}
+CAMERAS: Registry[CameraKind] = Registry("camera", "heliograph.cameras", _BUILT_IN)
 """Kinds of cameras by the word after ``camera:``."""
 
 

@@ -156,10 +156,8 @@ def producers(settings: CameraSettings) -> list[str]:
     files = sorted(file for folder in folders for file in glob.glob(os.path.join(glob.escape(folder), "*.cti")))
     if not files:
         place = f"{', '.join(folders)} has none" if folders else f"{FOLDERS} is not set"
-        raise MediaError(
-            f"GenICam cameras need a maker's producer (.cti), and {place}: install the maker's driver, or give the "
-            "file by --camera producer=FILE"
-        )
+        cure = "install the maker's driver, or give the file by --camera producer=FILE"
+        raise MediaError(f"GenICam cameras need a maker's producer (.cti), and {place}: {cure}")
     return files
 
 

@@ -117,16 +117,9 @@ class Grabber:
     """Queues the pictures of a camera in a thread until it is stopped or the camera ends."""
 
     def __init__(
-        self,
-        name: str,
-        make: Callable[[], Camera],
-        camera: Camera,
-        form: CameraForm,
-        settings: CameraSettings,
-        rate_hz: float,
-        queue: FrameQueue,
-        timing: CameraTiming,
-    ):
+        self, name: str, make: Callable[[], Camera], camera: Camera, form: CameraForm, settings: CameraSettings,
+        rate_hz: float, queue: FrameQueue, timing: CameraTiming,
+    ):  # fmt: skip
         self.error: MediaError | None = None
         self.news: deque[str] = deque()
         self._name, self._make, self._camera, self._form = name, make, camera, form
@@ -208,10 +201,8 @@ class Grabber:
             self._quiet = True
             self.news.append(f"{self._name}: no pulse of {self._settings.trigger} for {silent_s:g} s; still waiting")
         elif not self._frames and not self._numbering.incomplete:
-            raise MediaError(
-                f"{self._name} is set, but sends no frames: check that the trigger is off, that no "
-                "firewall blocks the packets, and that no other program uses the camera"
-            )
+            cure = "check its trigger, the firewall, and other programs with the camera"
+            raise MediaError(f"{self._name} is set, but sends no frames: {cure}")
         else:
             raise CameraLostError(f"no frame came for {silent_s:g} s")
 
