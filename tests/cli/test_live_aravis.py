@@ -19,8 +19,8 @@ from waiting import HANG_S
 
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.media import open_film
-from heliograph.media.live import grabber
 from heliograph.media.live.aravis import aravis
+from heliograph.media.live.grabber import CameraTiming
 from heliograph.media.live.reader import LiveReader
 
 pytestmark = pytest.mark.slow
@@ -163,17 +163,10 @@ class TestLive:
         says = failed(within(tmp_path, "receive", "camera:aravis:nobody"))
         assert "no camera 'nobody' is found by Aravis" in says
 
-    def test_it_comes_back_after_it_was_away(self, camera: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(grabber, "SILENT_S", 1.0)
-        said, let_go = list[str](), grabber.Grabber._let_go
-
-        def let_go_of_a_lost_camera(lost: grabber.Grabber) -> None:
-            threading.Timer(0.5, camera.send_signal, (signal.SIGCONT,)).start()
-            let_go(lost)
-
-        monkeypatch.setattr(grabber.Grabber, "_let_go", let_go_of_a_lost_camera)
-        with opened() as film:
-            film.say = said.append
+    def test_it_comes_back_after_it_was_away(self, camera: Served) -> None:
+        said: list[str] = []
+        with opened(duration_s=40) as film:
+            film.say, film.timing = said.append, CameraTiming(silent_s=1.0)
             indices: list[int] = []
             times: list[float] = []
             after = 0
@@ -182,6 +175,7 @@ class TestLive:
                 times.append(frame.time_s)
                 if len(indices) == 20:  # as if unplugged
                     camera.send_signal(signal.SIGSTOP)
+                    threading.Timer(4, camera.send_signal, (signal.SIGCONT,)).start()
                 after += bool(said) and "is back" in said[-1]
                 if after == 20:
                     break

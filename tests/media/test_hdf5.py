@@ -242,7 +242,7 @@ def test_a_system_without_locks_needs_none(tmp_path: Path, number: int, monkeypa
 
 def test_a_cause_that_hdf5_does_not_tell_is_not_made_up(tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + b"x" * 1000)
-    assert "HDF5 says only 'bad superblock version number': it may be damaged, or of a newer" in refused(
+    assert "HDF5 reports only 'bad superblock version number': it may be damaged, or of a newer" in refused(
         tmp_path / "a.h5"
     )
 

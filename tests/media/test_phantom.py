@@ -130,7 +130,7 @@ def test_a_file_cut_within_its_headers(tmp_path: Path) -> None:
     (52, "<i", 1 << 30, "frames of 8x1073741824 pixels"),
     (58, "<H", 14, "pixels of 14 bits"),
     (60, "<I", 512, "is compressed"),
-    (28, "<I", 90, "has no camera settings where its header says"),
+    (28, "<I", 90, "has no camera settings where its header points"),
     (84 + 768, "<I", 0, "--fps"),
     (32, "<I", 0xFFFFFFF0, "ends in the middle, after 0 whole frames"),
 ])  # fmt: skip

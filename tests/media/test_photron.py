@@ -90,13 +90,13 @@ def test_a_cut_file_gives_its_whole_frames_first(tmp_path: Path, word: int, lost
     ({"width": 1 << 30, "height": 1 << 30}, "frames of 1073741824x1073741824 pixels"),
     ({"height": -6}, "'-6' for its image height"),
     ({"width": "wide"}, "'wide' for its image width"),
-    ({"frames": ""}, "does not state its total frame: copy the header that was saved"),
+    ({"frames": ""}, "does not state its total frame: copy the header saved with"),
     ({"frames": 4}, "has 300 bytes, and a.cih says 4 frames of 60"),
     ({"frames": 0}, "says 0 frames"),
     ({"word": 10, "written": 8}, "mono of 10 bits, and gray of 8, 12 or 16"),
     ({"colour": "Color", "word": 24, "written": 8}, "color of 24 bits"),
     ({"depth": 6}, "levels of 6"),
-    ({"kind": "Tiff"}, "its frames are Tiff files: give their folder"),
+    ({"kind": "Tiff"}, "its frames are Tiff files: give the folder"),
 ])  # fmt: skip
 def test_headers_that_say_what_is_not_so(tmp_path: Path, said: dict[str, Any], says: str) -> None:
     path = write_mraw(tmp_path / "a.mraw", noise(5, 6, 10, 8), 8, 8)
@@ -135,7 +135,7 @@ def test_a_line_that_a_header_lacks_is_named(tmp_path: Path, line: str) -> None:
     text = path.with_suffix(".cih").read_text()
     path.with_suffix(".cih").write_text("".join(row for row in text.splitlines(True) if not row.startswith(line)))
     says = refused(path)[1]
-    assert f"does not state its {line.lower()}: copy the header that was saved with the frames, or add it" in says
+    assert f"does not state its {line.lower()}: copy the header saved with the frames, or add the line" in says
 
 
 @pytest.mark.parametrize(("held", "said"), [(8, 12), (8, 16), (12, 16)])
@@ -146,7 +146,7 @@ def test_levels_of_other_bits_than_the_header_says(tmp_path: Path, held: int, sa
     path.with_suffix(".cih").write_text(text.replace(f"Depth : {held}", f"Depth : {said}"))
     got, says = refused(path)
     assert not got
-    assert f"which are 4 frames of {held} bits, and a.cih says {said} bits: give it its own header" in says
+    assert f"which are 4 frames of {held} bits, and a.cih says {said} bits: give the matching header" in says
 
 
 @pytest.mark.parametrize("rate", [0, float("nan"), -5])
@@ -166,8 +166,8 @@ def test_levels_above_the_bits_of_the_header(tmp_path: Path) -> None:
 def test_a_file_without_its_other_half(tmp_path: Path) -> None:
     path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8)
     path.with_suffix(".cih").rename(tmp_path / "b.cih")
-    assert "a.mraw has no header beside it: copy a.cihx or .cih" in refused(path)[1]
-    assert "b.cih has no frames beside it: copy b.mraw" in refused(tmp_path / "b.cih")[1]
+    assert "a.mraw has no header next to it: copy a.cihx or .cih" in refused(path)[1]
+    assert "b.cih has no frames next to it: copy b.mraw" in refused(tmp_path / "b.cih")[1]
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,7 @@ from waiting import run_alone
 
 from heliograph.base.errors import MediaError
 from heliograph.media import open_slots
-from heliograph.media.slot_table import write_table
-from heliograph.media.slots import HEAD, SUFFIXES, SlotForm, file_size, write_slots
+from heliograph.media.slots import HEAD, SUFFIXES, SlotForm, file_size, write_slots, write_table
 from heliograph.signal import pwm
 
 Slots = NDArray[np.uint8]

@@ -12,7 +12,6 @@ from made_recordings import Y4M_FORMS, noise, write_y4m
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import convert_film, create_film, open_film, planes, whole
-from heliograph.media.video_read import Orientation
 
 
 def film(path: Path, bits: int = 8) -> Path:
@@ -129,12 +128,6 @@ def test_mirrored_videos_are_put_upright(tmp_path: Path, flip: str, expected: li
         coded(tmp_path / "a.mkv", "bgr0", degrees=360, hflip=flip == "hflip", vflip=flip == "vflip"), channel="red"
     ) as seen:
         assert quarters(next(iter(seen)).pixels) == expected
-
-
-def test_upright_leaves_what_is_upright() -> None:
-    pixels = noise(1, 4, 6, 8)[0]
-    assert np.array_equal(Orientation().upright(pixels), pixels)
-    assert Orientation().size(6, 4) == (6, 4)
 
 
 @pytest.mark.parametrize(("channel", "expected"), [

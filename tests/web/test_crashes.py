@@ -3,7 +3,7 @@
 import asyncio
 import json
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -273,14 +273,14 @@ def test_transmit_answers_a_crash_wherever_it_is(
 def test_a_crash_while_cameras_are_listed_is_answered_in_a_line(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("heliograph.web.watch.cameras_there", raises(ValueError("broken")))
+    monkeypatch.setattr("heliograph.web.watch.list_cameras", raises(ValueError("broken")))
     answer = client.get("/api/watch/cameras")
     assert (answer.status_code, "ValueError: broken" in answer.json()["error"]) == (500, True)
 
 
 @pytest.mark.parametrize("error", [ValueError("broken"), KeyboardInterrupt(), SystemExit(1)])
 def test_frames_read_ahead_end_with_any_exception_of_their_thread(error: BaseException) -> None:
-    def frames() -> Iterator[Frame]:
+    def frames() -> Generator[Frame, None, None]:
         yield Frame(0, 0.0, np.zeros((4, 4), np.uint8))
         raise error
 

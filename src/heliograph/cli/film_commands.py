@@ -15,11 +15,10 @@ from heliograph.cli.live import LiveOptions, attend, ended_by_ctrl_c, show_count
 
 def run_cameras(assignments: list[str] | None, as_json: bool) -> None:
     """List the cameras that are there, and say of each kind without any what it lacks."""
-    from heliograph.media.live.camera import PREFIX
-    from heliograph.media.live.listing import cameras_there
+    from heliograph.media.live.camera import PREFIX, list_cameras
     from heliograph.media.live.settings import camera_settings
 
-    found, lacking = cameras_there(camera_settings(assignments or ()))
+    found, lacking = list_cameras(camera_settings(assignments or ()))
     if as_json:
         console.say_json({"cameras": found, "lacking": lacking})
         return
@@ -37,7 +36,7 @@ def run_convert(
 ) -> None:
     """Write a film as another kind; Ctrl-C ends that of a live camera."""
     from heliograph.media import convert_film, open_film
-    from heliograph.media.convert import keeps_levels
+    from heliograph.media.film import keeps_levels
     from heliograph.media.live.reader import live_of
 
     options.refuse_to_replace(output, (film,))

@@ -71,8 +71,7 @@ def _write(
     output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], light: tuple[float, int, float]
 ) -> None:
     from heliograph.media.film import FILM_SUFFIXES
-    from heliograph.media.slot_table import write_table
-    from heliograph.media.slots import SUFFIXES
+    from heliograph.media.slots import SUFFIXES, write_table
 
     (period, top, _), kind = light, output.suffix.lower()
     if kind == ".npy":

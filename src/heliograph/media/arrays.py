@@ -1,5 +1,6 @@
-"""Read films that NumPy saved: .npy files of an array (frames, rows, columns)."""
+"""Headerless films: NumPy's .npy files of an array (frames, rows, columns), and advice on raw dumps."""
 
+import mmap
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,61 +11,82 @@ import numpy as np
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
-from heliograph.media.numbered import NumberedReader, blocks, camera_rate, expected_frames
-from heliograph.media.reader import Reading, checked_size
-
-SUFFIXES = (".npy",)
-"""Suffixes of arrays."""
-
-SIGNATURE = b"\x93NUMPY"
-"""First bytes of an .npy file, by its format specification."""
-
-_BROKEN = (ValueError, OSError, SyntaxError, TypeError, IndexError, RecursionError, MemoryError, TokenError)
-"""All that NumPy makes of a damaged header."""
+from heliograph.media.reader import Reading, camera_rate, checked_size, expected_frames, read_blocks
+from heliograph.media.stamps import TimedReader
 
 
-class ArrayReader(NumberedReader):
-    """A film in an .npy file; see `FilmReader`. It has no clock, so the rate is needed."""
+class ArrayReader(TimedReader):
+    """A film in an .npy file; see `FilmReader`. The format has no clock, so the rate is needed."""
 
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading.rate_hz)
-        shape, self._dtype, self._start = _header(path)
-        self._claimed, self.height, self.width = shape
+        (self._claimed, self.height, self.width), self._dtype, self._start = _header(path)
         self.bits = 8 * self._dtype.itemsize
         checked_size(path, self.width, self.height)
         self._frame_bytes = self.width * self.height * self._dtype.itemsize
         self.frame_count = expected_frames(path, self._claimed, self._frame_bytes)
-        self.claimed_hz = camera_rate(path, reading.rate_hz)
+        self._number_frames(camera_rate(path, reading.rate_hz))
         self.metadata = {}
 
-    def _pictures(self) -> Iterator[tuple[int, Pixels]]:
+    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         places = (self._start + count * self._frame_bytes for count in range(self._claimed))
-        for number, data in enumerate(blocks(self.path, places, self._frame_bytes)):
+        for number, data in enumerate(read_blocks(self.path, places, self._frame_bytes)):
             levels: Any = np.frombuffer(data, self._dtype).reshape(self.height, self.width)
-            yield number, levels.astype(self._dtype.newbyteorder("="), copy=False)
+            yield number / self.claimed_hz, levels.astype(self._dtype.newbyteorder("="), copy=False), self.bits
 
 
 def _header(path: Path) -> tuple[tuple[int, int, int], np.dtype[np.uint8] | np.dtype[np.uint16], int]:
-    """The array's shape and type, and where its numbers begin."""
+    """Return the shape and type of the array, and the place of the first number."""
     try:
-        # it warns of files of Python 2, which it reads, and of old names of types, which are no film
+        # NumPy warns about files of Python 2, which are films, and about old names of types, which are none
         with path.open("rb") as file, warnings.catch_warnings(action="ignore"):
             version = np.lib.format.read_magic(file)
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
             shape, by_columns, dtype = read(file)
             start = file.tell()
-    except _BROKEN as error:
-        raise MediaError(
-            f"{path} is no array of NumPy, or damaged: save it again by numpy.save ({brief(error)})"
-        ) from None
+    except (ValueError, OSError, SyntaxError, TypeError, IndexError, RecursionError, MemoryError, TokenError) as error:
+        raise MediaError(f"{path} is no array of NumPy, or damaged: save it by numpy.save ({brief(error)})") from None
     if len(shape) != 3 or min(shape) < 0 or dtype.newbyteorder("=") not in BITS:
         got = brief(f"{shape} of {dtype}")
-        raise MediaError(
-            f"{path} holds an array {got}: a film is (frames, rows, columns) of uint8 or uint16; reshape it, use astype"
-        )
+        raise MediaError(f"{path} holds an array {got}: a film is (frames, rows, columns) of uint8 or uint16")
     if by_columns and sum(length > 1 for length in shape) > 1:
-        raise MediaError(
-            f"{path} is in Fortran's order, each frame all over the file: save numpy.ascontiguousarray of it"
-        )
+        raise MediaError(f"{path} is in Fortran's order: save numpy.ascontiguousarray of the array")
     frames, rows, columns = map(int, shape)  # a damaged length may be True
     return (frames, rows, columns), dtype, start
+
+
+_GRAY_DUMPS = (
+    ".raw", ".raw8", ".raw10", ".raw12", ".raw16", ".bin", ".dat", ".data", ".dump", ".gray", ".gray8", ".gray16",
+    ".grey", ".y", ".y8", ".y10", ".y12", ".y16", ".mono8", ".mono16", ".bayer", ".rgb", ".bgr", ".img",
+)  # fmt: skip
+_YUV_DUMPS = (".yuv", ".i420", ".yv12", ".nv12", ".nv21", ".yuv420p")
+
+
+def refuse_dump(path: Path) -> None:
+    """Refuse a raw dump, a headerless file of levels, by the suffix, unless FFmpeg knows the content."""
+    suffix = path.suffix.lower()
+    if suffix not in (*_GRAY_DUMPS, *_YUV_DUMPS) or _is_video(path):
+        return
+    # in YUV half a frame of colours follows the gray levels of each frame
+    shape = "-1, ROWS, COLUMNS))" if suffix in _GRAY_DUMPS else "-1, ROWS * 3 // 2, COLUMNS)[:, :ROWS])"
+    raise MediaError(
+        f"{path} ({path.stat().st_size} bytes) has no known header. A raw dump does not tell the size of its frames: "
+        f"save it as .npy by python -c \"import numpy as n; n.save('{path.stem}.npy', "
+        f"n.fromfile('{path.name}', 'u1').reshape({shape}\", with '<u2' in place of 'u1' for words of 16 bits"
+    )
+
+
+def _is_video(path: Path) -> bool:
+    """True if FFmpeg finds pictures in the content; by the suffix FFmpeg would read any .bin file as text art."""
+    import av
+
+    try:
+        # a file object would show FFmpeg the name
+        with (
+            path.open("rb") as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content,
+            av.open(content) as container,
+        ):
+            return any(stream.width and stream.height for stream in container.streams.video)
+    except (av.error.FFmpegError, OSError, ValueError):
+        return False

@@ -1,64 +1,49 @@
-"""Open and create films. The suffix chooses the kind of a new film, the content that of an existing one."""
+"""Open, create and convert films. A suffix selects the kind of a new film."""
 
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
+
+import numpy as np
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.media import arrays, hdf5, images, phantom, photron, raw_dumps, tiff, video_read, video_write
-from heliograph.media import hdf5 as hdf5_write
-from heliograph.media import images as animations
-from heliograph.media.arrays import ArrayReader
-from heliograph.media.live.reader import LiveReader, film_path, is_camera
+from heliograph.base.files import room_for
+from heliograph.base.frames import Pixels
+from heliograph.media import hdf5, images, phantom, photron, tiff, video_read, video_write
+from heliograph.media.arrays import ArrayReader, refuse_dump
+from heliograph.media.live.reader import LiveReader, film_path, is_camera, live_of
 from heliograph.media.live.settings import CameraSettings, camera_settings
 from heliograph.media.phantom import PhantomReader
 from heliograph.media.photron import PhotronReader
-from heliograph.media.reader import FilmReader, Reading
+from heliograph.media.reader import FilmReader, Reading, clear_read_errors
 from heliograph.media.record import FilmSpec
 from heliograph.media.tiff import TiffReader
-from heliograph.media.view import View, ViewReader
-from heliograph.media.writer import FilmWriter, Sink, ThreadedSink, partial_path, write_error
+from heliograph.media.view import ViewReader, check_view
+from heliograph.media.writer import FilmWriter, ThreadedSink, partial_path, write_error
 
 FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
-"""Suffixes of films that can be created."""
+"""Suffixes of new films."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Kind:
-    """A kind of recording: its reader, the check of its content, and its usual suffixes."""
-
-    open: Callable[[Path, Reading], FilmReader]
-    knows: Callable[[Path, bytes], bool] | None
-    suffixes: tuple[str, ...] = ()
-
-
-def _begins(*signatures: bytes) -> Callable[[Path, bytes], bool]:
-    """Whether a file begins with one of some signatures."""
-    return lambda _, head: head.startswith(signatures)
-
-
-_KINDS = (
-    _Kind(PhotronReader, None, photron.SUFFIXES),  # raw frames begin with any bytes
-    _Kind(animations.AnimationReader, animations.is_animation),
-    _Kind(images.ImagesReader, images.is_picture),
-    _Kind(PhantomReader, _begins(phantom.SIGNATURE), phantom.SUFFIXES),
-    _Kind(TiffReader, _begins(*tiff.SIGNATURES), tiff.SUFFIXES),
-    _Kind(ArrayReader, _begins(arrays.SIGNATURE), arrays.SUFFIXES),
-    _Kind(hdf5.Hdf5Reader, lambda path, _: hdf5.is_hdf5(path), hdf5.SUFFIXES),
+_KINDS: tuple[tuple[Callable[[Path, Reading], FilmReader], Callable[[Path, bytes], bool], tuple[str, ...]], ...] = (
+    # raw frames begin with any bytes
+    (PhotronReader, lambda path, _: path.suffix.lower() in photron.SUFFIXES, ()),
+    (images.AnimationReader, images.is_animation, ()),
+    (images.ImagesReader, images.is_picture, ()),
+    (PhantomReader, lambda _, head: head.startswith(phantom.SIGNATURE), (".cine",)),
+    (TiffReader, lambda _, head: head.startswith(tiff.SIGNATURES), tiff.SUFFIXES),
+    (ArrayReader, lambda _, head: head.startswith(b"\x93NUMPY"), (".npy",)),
+    (hdf5.Hdf5Reader, lambda path, _: hdf5.is_hdf5(path), hdf5.SUFFIXES),
 )
-"""Kinds of files that are read without FFmpeg; all others are taken for videos."""
+"""Reader, check of path and first bytes, and usual suffixes of kinds for which FFmpeg is not needed."""
 
 _NO_FILMS = {
     b"MATLAB 5.0 MAT-file": "is of MATLAB before 7.3: save it there with '-v7.3', the frames as (row, column, frame)",
     b"PK\x03\x04": "is an archive, such as .zip or .npz: unpack it and give the film in it",
     b"\x1f\x8b": "is compressed by gzip: unpack it first",
 }
-"""Advice on files of other kinds, by their first bytes."""
-
-_HEAD = 64
-"""Bytes of a file that tell its kind, but for HDF5, which may begin later."""
+"""Advice on files of other kinds, by first bytes."""
 
 
 def open_film(
@@ -72,53 +57,53 @@ def open_film(
     channel: str = "luma",
     camera: Mapping[str, Any] | Iterable[str] = (),
 ) -> FilmReader:
-    """Open a recording as gray frames: a film of `create_film`, a video, a camera's own file, or pictures; or a camera.
+    """Open a recording or a camera as gray frames: a film of `create_film`, a video, a camera file, or pictures.
 
     ======================================== ============================ =================================
-    recording                                what is named                rate and times
+    recording                                name                         rate and times
     ======================================== ============================ =================================
-    HDF5 of `create_film`                    .h5, .hdf5                   the file's
+    HDF5 of `create_film`                    .h5, .hdf5                   of the file
     Photron                                  .mraw, .cih or .cihx         header: record rate over step
     Phantom                                  .cine                        the camera's rate and stamps
     TIFF, a page for each frame              .tif, .tiff                  ``rate_hz``
     a picture for each frame                 folder, or ``img%04d.png``   ``rate_hz``
-    one picture                              .png, .jpg, .bmp, .webp ...  ``rate_hz``
+    single picture                           .png, .jpg, .bmp, .webp ...  ``rate_hz``
     animated picture                         .gif, .png, .webp            the pictures' delays
     NumPy's array (frames, rows, columns)    .npy                         ``rate_hz``
-    any video that FFmpeg reads              .mp4, .mov, .avi, .y4m ...   the file's
+    any video known to FFmpeg                .mp4, .mov, .avi, .y4m ...   of the file
     a live camera                            ``camera:KIND:ADDRESS``      the camera's rate and clock
     ======================================== ============================ =================================
 
     Gray levels are those in the file: luma of YUV video is not rescaled, RGB is weighted to luma by Rec. ITU-R BT.601.
-    Videos are put upright as their display matrix says.
+    The display matrix of a video puts the frames upright.
 
     Parameters
     ----------
     path
-        The file, the folder of pictures, or their names with %d or %04d for a number. A file's content tells its kind;
-        the suffix counts for Photron alone.
+        The file, the folder of pictures, or a pattern of names with %d or %04d for a number. The content selects the
+        kind; only Photron needs the suffix.
     expand_range
-        Stretch limited-range video (black at 16, white at 235, usual for dashcams) to the full scale, as the commands
-        and the pages do. YUV video without a tag counts as limited, as in FFmpeg and players; MJPEG, RGB, gray and raw
-        recordings count as full range. Films written here are full range and stay as they are.
+        True to stretch limited-range video (black at 16, white at 235, usual for dashcams) to full scale, as the
+        commands and the pages do. Untagged YUV video counts as limited, as in FFmpeg and players; MJPEG, RGB, gray and
+        raw recordings count as full range. Films of `create_film` are full range and stay unchanged.
     rate_hz
-        Frames per second that the camera took, above 0, if the file claims another rate, as films in slow motion do, or
-        has no clock. Frame k is then taken at ``k / rate_hz``; gaps between even stamps count as missing frames. None
-        uses the times of the file.
+        Frames per second of the camera, above 0, if the file claims another rate, as in slow motion, or has no clock.
+        Frame k then has the time ``k / rate_hz``; gaps between even stamps count as missing frames. None for the times
+        of the file.
     crop
-        (x, y, width, height) in pixels of the upright frames, of the part that is kept; x and y count from 0 at the
-        upper left. None keeps all.
+        (x, y, width, height) of the kept part in pixels of the upright frames; x and y count from 0 at the upper left.
+        None for the full frames.
     binning
-        Pixels along a side of the squares of the part that are replaced by their mean, 1 to 16. With 2 the pixels of a
-        Bayer mosaic have all its filters.
+        Side in pixels, 1 to 16, of squares in the kept part; each square becomes a pixel with the mean level. With 2 a
+        pixel averages all filters of a Bayer mosaic.
     rotate
-        0, 90, 180 or 270 degrees clockwise by which the part is then turned.
+        Clockwise rotation of the part afterwards: 0, 90, 180 or 270 degrees.
     channel
-        "luma", "red", "green" or "blue": what is taken of a colour for a gray level.
+        "luma", "red", "green" or "blue": gray level of a colour.
     camera
-        Settings of a live camera by name, as of `heliograph.media.live.settings.CameraSettings`, or texts such as
-        "exposure_us=500". Recordings take none. A camera's film lasts until it is stopped; ``rate_hz`` then only
-        says what a camera does not know, and leaves its times as they are.
+        Settings of a live camera by name, see `heliograph.media.live.settings.CameraSettings`, or texts such as
+        "exposure_us=500". Recordings take none. A live film lasts until stopped; ``rate_hz`` then replaces only a
+        missing rate of the camera, and no times.
 
     Returns
     -------
@@ -128,58 +113,53 @@ def open_film(
     Raises
     ------
     MediaError
-        An option is none of those, or a rate is needed; the file is missing, empty, no film, or damaged beyond reading;
-        or a folder has no pictures. Damage further on is reported while iterating, after the whole frames.
+        An option is invalid, or a rate is needed; the file is missing, empty, no film, or damaged beyond reading;
+        or a folder has no pictures. Iterating reports later damage, after the good frames.
     SettingsError
-        A camera's setting is unknown or out of range, or it does not take it.
+        The camera does not know a setting, or the value is out of range.
     """
-    path, view = checked_path(path), View(crop=crop, binning=binning, rotate=rotate)
+    path = checked_path(path)
+    check_view(crop, binning, rotate)
     reading = Reading(rate_hz=rate_hz, expand_range=expand_range, channel=channel)
-    asked = camera_settings(camera)
+    settings = camera_settings(camera)
     if is_camera(path):
-        film: FilmReader = LiveReader(str(path), reading, asked)
-    elif asked != CameraSettings():
+        film: FilmReader = LiveReader(str(path), reading, settings)
+    elif settings != CameraSettings():
         raise MediaError(f"{path} is a recording: only a live camera, such as camera:aravis, takes settings")
     else:
-        film = _opened(path, reading)
-    return film if view.is_whole else ViewReader(film, view)
+        film = _open_recording(path, reading)
+    return film if (crop, binning, rotate) == (None, 1, 0) else ViewReader(film, crop, binning, rotate)
 
 
-def _opened(path: Path, reading: Reading) -> FilmReader:
-    try:
-        pictures, there, head = path.is_dir() or images.is_pattern(path), path.exists(), None
-        kind: _Kind | None = None
+def _open_recording(path: Path, reading: Reading) -> FilmReader:
+    head = None
+    with clear_read_errors(path):
+        is_there = path.exists()
+        if path.is_dir() or images.is_pattern(path):
+            return images.ImagesReader(path, reading)
         if path.is_file():
             with path.open("rb") as file:
-                head = file.read(_HEAD)
-            kind = next((kind for kind in _KINDS if _knows(kind, path, head)), None)
-    except OSError as error:
-        raise MediaError(f"cannot read {path}: {error.strerror}") from error
-    if pictures:
-        return images.ImagesReader(path, reading)
-    if not there:
+                head = file.read(64)
+            for open_kind, matches, _ in _KINDS:
+                if matches(path, head):
+                    return open_kind(path, reading)
+    if not is_there:
         raise MediaError(f"there is no file {path}: check the name")
     if head is None:
         raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
     if not head:
         raise MediaError(f"{path} is empty: copy or record it again")
-    if kind is not None:
-        return kind.open(path, reading)
     for signature, advice in _NO_FILMS.items():
         if head.startswith(signature):
             raise MediaError(f"{path} {advice}")
-    named = next((kind for kind in _KINDS if kind.knows and path.suffix.lower() in kind.suffixes), None)
-    raw_dumps.check_header(path)
+    refuse_dump(path)
     try:
         return video_read.VideoReader(path, reading)
     except MediaError:
-        if named is None:
-            raise
-    return named.open(path, reading)  # which tells what is wrong with it
-
-
-def _knows(kind: _Kind, path: Path, head: bytes) -> bool:
-    return kind.knows(path, head) if kind.knows else path.suffix.lower() in kind.suffixes
+        for open_kind, _, suffixes in _KINDS:
+            if path.suffix.lower() in suffixes:
+                return open_kind(path, reading)  # reports the damage
+        raise
 
 
 def create_film(
@@ -195,7 +175,7 @@ def create_film(
     lossless: bool = False,
     mbit_s: float | None = None,
 ) -> FilmWriter:
-    """Create a film; the suffix chooses its kind.
+    """Create a film; the suffix selects the kind.
 
     ======= ======================= =============== ==================================================================
     suffix  codecs, default first   exact levels    times
@@ -207,7 +187,7 @@ def create_film(
     .h5     none                    yes             exact
     ======= ======================= =============== ==================================================================
 
-    The grid is the first frame's time plus whole multiples of ``1 / rate_hz``; frames may be missing from it.
+    The grid is the first frame's time plus multiples of ``1 / rate_hz``; frames may be missing.
 
     Parameters
     ----------
@@ -226,13 +206,13 @@ def create_film(
     metadata
         Text to keep with the film, by name.
     crf
-        Quality of lossy H.264, from 0 (best) to 51; None for 12, whose error is about 1.4 gray levels rms in noise of
-        1.5, without bias. The usual 18 wipes the noise out.
+        Quality of lossy H.264, from 0 (best) to 51; None for 12, an unbiased error of about 1.4 gray levels rms in
+        noise of 1.5. The usual 18 wipes the noise out.
     lossless
-        Whether H.264 keeps every bit: faster than FFV1, but few players show it.
+        True for H.264 that keeps every bit: faster than FFV1, but few players show such films.
     mbit_s
-        Bit rate of H.264 or H.265 in Mbit/s, 0.1 to 1000: the film is written as a phone writes it, in 4:2:0 and
-        limited range. None for a constant quality.
+        Bit rate of H.264 or H.265 in Mbit/s, 0.1 to 1000: the film is then like a phone's, in 4:2:0 and limited
+        range. None for a constant quality.
 
     Returns
     -------
@@ -242,49 +222,185 @@ def create_film(
     Raises
     ------
     MediaError
-        Unknown suffix or codec, settings that do not go together, or a place that cannot be written.
+        Unknown suffix or codec, settings in conflict, or no right to write there.
     """
     target = checked_path(path)
     suffix = target.suffix.lower()
     if suffix not in FILM_SUFFIXES:
-        raise MediaError(
-            f"unknown kind of film {target.name!r}: the name must end in one of {', '.join(FILM_SUFFIXES)}"
-        )
+        suffixes = ", ".join(FILM_SUFFIXES)
+        raise MediaError(f"unknown kind of film {target.name!r}: the name must end in one of {suffixes}")
     spec = FilmSpec(
         width=width, height=height, rate_hz=rate_hz, bits=bits, metadata={} if metadata is None else metadata
     )
-    sink_codec = _codec(suffix, spec, codec, crf, lossless, mbit_s)
+    is_hdf5 = suffix in hdf5.SUFFIXES
+    if is_hdf5 and (codec is not None or crf is not None or mbit_s is not None):
+        raise MediaError(f"{suffix} films are not coded: leave out codec and crf, or choose .mkv, .nut, .mp4 or .avi")
+    name = "" if is_hdf5 else video_write.choose_codec(spec, suffix, codec, crf, lossless, mbit_s)
     partial = partial_path(target)
     try:
-        sink = _sink(partial, target, spec, sink_codec)
+        if is_hdf5:  # writes faster than a queue passes frames on
+            return FilmWriter(target, partial, spec, hdf5.Hdf5Sink(partial, target, spec))
+        sink = video_write.VideoSink(partial, target, spec, name, crf=crf, lossless=lossless, mbit_s=mbit_s)
+        return FilmWriter(target, partial, spec, ThreadedSink(sink))
     except (MediaError, OSError) as error:
         partial.unlink(missing_ok=True)
         raise error if isinstance(error, MediaError) else write_error(error, target) from error
-    return FilmWriter(target, partial, spec, sink)
 
 
 def checked_path(path: object) -> Path:
-    """A film's path as one."""
+    """Return the path of a film, or refuse other types."""
     if not isinstance(path, (str, os.PathLike)):
         raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(path)}")
     return film_path(path)
 
 
-def _codec(
-    suffix: str, spec: FilmSpec, name: str | None, crf: float | None, lossless: bool, mbit_s: float | None
-) -> video_write.VideoCodec | None:
-    if suffix in hdf5.SUFFIXES:
-        if name is not None or crf is not None or mbit_s is not None:
-            raise MediaError(
-                f"{suffix} films are not coded: leave out codec and crf, or choose .mkv, .nut, .mp4 or .avi"
-            )
-        return None
-    codec = video_write.chosen_codec(suffix, name, crf, lossless, mbit_s)
-    video_write.check_form(spec, suffix, codec.name)
-    return codec
+def keeps_levels(target: Path, codec: str | None, crf: float | None) -> bool:
+    """True if `convert_film` keeps the gray levels of the source."""
+    return crf is None and codec != "mjpeg" and target.suffix.lower() != ".avi"
 
 
-def _sink(partial: Path, target: Path, spec: FilmSpec, codec: video_write.VideoCodec | None) -> Sink:
-    if codec is None:
-        return hdf5_write.Hdf5Sink(partial, target, spec)  # writes faster than a queue hands over
-    return ThreadedSink(video_write.VideoSink(partial, target, spec, codec))
+def convert_film(
+    source: FilmReader,
+    target: str | os.PathLike[str],
+    progress: Callable[[int], None] | None = None,
+    *,
+    codec: str | None = None,
+    crf: float | None = None,
+) -> int:
+    """Write a film's frames, rate, bits and metadata into a film of another kind.
+
+    Parameters
+    ----------
+    source
+        The film, opened by `open_film`.
+    target
+        The film to write; the suffix selects the kind, see `create_film`.
+    progress
+        Called with the number of frames written.
+    codec
+        "ffv1", "h264" or "mjpeg"; None for the suffix's default.
+    crf
+        Quality of lossy H.264, 0 to 51; None keeps every gray level, but in AVI and MJPEG.
+
+    Returns
+    -------
+    Frames written. Ctrl-C closes the film with the frames so far and raises KeyboardInterrupt again. An existing
+    target is replaced only if all is written, or if the source is a live camera.
+
+    Raises
+    ------
+    MediaError
+        The source is no film, or is the target. The target cannot be written, or does not support rate or bits; no
+        file is left. The source is damaged; the target keeps the good frames, as after Ctrl-C.
+    """
+    if not isinstance(source, FilmReader):
+        raise MediaError(f"convert_film takes a film as open_film gives it, not {type(source).__name__}")
+    path = checked_path(target)
+    if path.exists() and source.path.exists() and path.samefile(source.path):
+        raise MediaError(f"{path} is read and would be written: give the output another name")
+    bits, new = source.bits, not path.exists()
+    if path.suffix.lower() in hdf5.SUFFIXES:
+        room_for(path, (source.frame_count or 0) * source.width * source.height * (1 if bits == 8 else 2))
+    coded: dict[str, Any] = {"codec": codec, "crf": crf}
+    if crf is None and (codec == "h264" or (codec is None and path.suffix.lower() == ".mp4")):
+        coded["lossless"] = True
+    coded |= {"width": source.width, "height": source.height, "rate_hz": source.rate_hz, "bits": bits}
+    with create_film(path, metadata=source.metadata, **coded) as film:
+        try:
+            for frame in source:
+                film.write(frame)
+                if progress is not None:
+                    progress(film.frames_written)
+        except (MediaError, KeyboardInterrupt):
+            # frames of a camera do not come again
+            if film.frames_written and (new or live_of(source) is not None):
+                film.finish()  # no effect after a failed write
+            raise
+    return film.frames_written
+
+
+class ColourFilm:
+    """A film opened for reading in colour: iterate it for the frames; each iteration starts at the first frame.
+
+    Memory does not grow with the film. Use it as a context manager, or call `close`.
+
+    Parameters
+    ----------
+    films
+        The film opened once for each of red, green and blue.
+
+    Attributes
+    ----------
+    path
+        The film's file, for error messages.
+    width, height
+        Columns and rows of a frame in pixels.
+    bits
+        Bits of a gray level, 8 to 16.
+    rate_hz
+        Frames per second of the camera.
+    frame_count
+        Expected frames, for a progress display; None if unknown.
+    """
+
+    def __init__(self, films: tuple[FilmReader, FilmReader, FilmReader]) -> None:
+        self._films, first = films, films[0]
+        self.path: Path = first.path
+        self.width, self.height, self.bits = first.width, first.height, first.bits
+        self.rate_hz, self.frame_count = first.rate_hz, first.frame_count
+
+    def __iter__(self) -> Iterator[Pixels]:
+        """Yield the frames in order of time.
+
+        Yields
+        ------
+        Pixels
+            (rows, columns, 3) uint8 for 8 bit, else uint16: red, green and blue.
+
+        Raises
+        ------
+        MediaError
+            The film is closed or damaged, as for `open_film`.
+        """
+        for frames in zip(*self._films, strict=True):
+            pixels: Pixels = np.dstack([frame.pixels for frame in frames])  # type: ignore[assignment]
+            yield pixels
+
+    def close(self) -> None:
+        """Close the film; may be called twice."""
+        for film in self._films:
+            film.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_colours(path: str | os.PathLike[str], **options: Any) -> ColourFilm:
+    """Open a recording in colour, for panels with LEDs of several colours.
+
+    The film is decoded once for each colour. In a gray film all three colours are the gray levels.
+
+    Parameters
+    ----------
+    path
+        The file, the folder of pictures, or a pattern of names with %d or %04d for a number.
+    options
+        Options of `open_film` except for the channel: rate_hz, crop, binning, rotate, expand_range.
+
+    Returns
+    -------
+    ColourFilm
+        A context manager and iterable of arrays (rows, columns, 3) of red, green and blue.
+
+    Raises
+    ------
+    MediaError
+        A channel is given, or the film cannot be read, as for `open_film`.
+    """
+    if "channel" in options:
+        raise MediaError("a film in colour has all channels: leave channel out, or use open_film")
+    red, green, blue = (open_film(path, channel=colour, **options) for colour in ("red", "green", "blue"))
+    return ColourFilm((red, green, blue))

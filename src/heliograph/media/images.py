@@ -6,7 +6,6 @@ import statistics
 import struct
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,49 +14,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, brief
-from heliograph.base.frames import BITS, Frame, Pixels
+from heliograph.base.frames import BITS, Pixels
 from heliograph.media import tiff
-from heliograph.media.numbered import NumberedReader, camera_rate
-from heliograph.media.reader import FilmReader, Reading, checked_size, checked_time
+from heliograph.media.reader import Reading, camera_rate, checked_size, clear_read_errors
+from heliograph.media.stamps import TimedReader
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+_KINDS = {
+    ".png": ".png", ".jpg": ".jpg", ".jpeg": ".jpg", ".jpe": ".jpg", ".tif": ".tif", ".tiff": ".tif", ".bmp": ".bmp",
+    ".dib": ".bmp", ".pgm": ".pgm", ".ppm": ".pgm", ".pnm": ".pgm", ".pbm": ".pgm", ".pam": ".pgm", ".webp": ".webp",
+    ".jp2": ".jp2",
+}  # fmt: skip
+PICTURE_SUFFIXES = tuple(_KINDS)
+"""Suffixes of pictures in a folder."""
 
-LUMA = (0.114, 0.587, 0.299)
-"""Weights of blue, green and red in luma (Rec. ITU-R BT.601)."""
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8"
+# header of a PBM, PGM or PPM picture: kind, columns, rows, and largest level
+_NETPBM = re.compile(rb"P([2-6])(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)(?:(?:\s+|#[^\n]*\n)+(\d+))?\s")
+# a name with a number: %d, or %04d for four digits and more
+_PATTERN = re.compile(r"(?P<before>[^%]*)%(?:0(?P<digits>\d+))?d(?P<after>[^%]*)")
 
-SILENT = 0
-"""OpenCV's level of logging at which it says nothing, LOG_LEVEL_SILENT."""
-
-_BGR = {"blue": 0, "green": 1, "red": 2}
-"""Place of each colour in a pixel of OpenCV and of .cine files."""
-
-
-def decode(data: bytes) -> NDArray[np.generic] | None:
-    """Return a PNG, TIFF, JPEG or other picture that OpenCV reads, turned as it says; None where it is damaged.
-
-    Parameters
-    ----------
-    data
-        The whole file, of which the first page is taken.
-
-    Returns
-    -------
-    (rows, columns) for gray, (rows, columns, 3) for blue, green and red; of the file's own type.
-    """
-    import cv2
-
-    with _silence():
-        try:
-            picture: NDArray[np.generic] | None = cv2.imdecode(np.frombuffer(data, np.uint8), _as_it_is())
-        except cv2.error:
-            return None
-    return picture
+_ANIMATED = ("GIF", "PNG", "WEBP")  # Pillow's names of formats for animations
+_BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, IndexError, KeyError, TypeError)
+"""Errors of Pillow for damaged files."""
 
 
 def checked_form(path: Path, picture: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a picture if it is one of gray levels or of three colours."""
+    """Refuse a picture with other channels than gray or three colours."""
     if picture.dtype not in BITS or picture.shape[2:] not in ((), (3,)):
         kind = f"{picture.dtype} in {(*picture.shape, 1)[2]} channels"
         raise MediaError(f"{path} has pixels of {kind}: save gray or RGB of 8 or 16 bits")
@@ -65,128 +51,55 @@ def checked_form(path: Path, picture: NDArray[np.generic]) -> NDArray[np.generic
 
 
 def to_gray(picture: NDArray[np.generic], channel: str) -> Pixels:
-    """Return the gray levels of a picture. Returns (rows, columns) gray levels of the same type."""
+    """Return the gray levels of a picture, (rows, columns) or (rows, columns, 3) for blue, green and red."""
     pixels: Pixels
     if picture.ndim == 2:
         pixels = np.ascontiguousarray(picture)
-    elif channel == "luma":
-        pixels = np.rint(picture @ np.array(LUMA)).astype(picture.dtype)
+    elif channel == "luma":  # Rec. ITU-R BT.601
+        pixels = np.rint(picture @ np.array([0.114, 0.587, 0.299])).astype(picture.dtype)
     else:
-        pixels = np.ascontiguousarray(picture[..., _BGR[channel]])
+        pixels = np.ascontiguousarray(picture[..., ("blue", "green", "red").index(channel)])
     return pixels
 
 
-def _as_it_is() -> int:
-    """OpenCV's flags for a picture with its own bits, in gray or colour, turned as it says."""
-    import cv2
-
-    return int(cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Keep OpenCV from writing of damaged pictures to standard error: what is wrong is said in one line of our own."""
-    import cv2
-
-    # OpenCV 4.5 has no room of its own for it
-    log = getattr(cv2.utils, "logging", cv2)
-    before = log.getLogLevel()
-    log.setLogLevel(SILENT)
-    try:
-        yield
-    finally:
-        log.setLogLevel(before)
-
-
-_KINDS = {
-    ".png": (".png",),
-    ".jpg": (".jpg", ".jpeg", ".jpe"),
-    ".tif": tiff.SUFFIXES,
-    ".bmp": (".bmp", ".dib"),
-    ".pgm": (".pgm", ".ppm", ".pnm", ".pbm", ".pam"),
-    ".webp": (".webp",),
-    ".jp2": (".jp2",),
-}
-"""Suffixes of each kind of picture that a folder is searched for."""
-
-_KIND_OF = {suffix: kind for kind, suffixes in _KINDS.items() for suffix in suffixes}
-
-PICTURE_SUFFIXES = tuple(_KIND_OF)
-"""Suffixes of pictures that a folder is searched for."""
-
-_PATTERN = re.compile(r"(?P<before>[^%]*)%(?:0(?P<digits>\d+))?d(?P<after>[^%]*)")
-"""A name with one place for a number: %d, or %04d for four digits and more."""
-
-_DIGITS = re.compile(r"([0-9]+)")
-"""Numbers in a name; Python's \\d has digits of other scripts, too."""
-
-_PNG = b"\x89PNG\r\n\x1a\n"
-"""First bytes of a PNG file (PNG specification, 5.2)."""
-
-_JPEG = b"\xff\xd8"
-"""First bytes of a JPEG file (ITU-T T.81, B.1.1.3)."""
-
-_STILLS = (_JPEG, b"BM", b"RIFF", b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51")
-"""First bytes of files that hold one picture, where the suffix says so: JPEG, BMP, WebP, JPEG 2000."""
-
-_NETPBM = re.compile(rb"P([2-6])(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)(?:(?:\s+|#[^\n]*\n)+(\d+))?\s")
-"""Header of a PBM, PGM or PPM picture: its kind, columns, rows, and largest level."""
-
-_JPEG_SCAN = 0xDA
-"""Kind of the segment before the blocks of a JPEG picture (ITU-T T.81, table B.1)."""
-
-_JPEG_NOTES = (frozenset(range(0xE0, 0xF0)) - {0xEE}) | {0xFE}
-"""Kinds of the segments that applications write, and of comments (the same); APP14 says how colours are meant."""
-
-_MOST_DIGITS = 255
-"""Most digits of a number in a pattern: a name has no more characters."""
-
-_MOST_BYTES = 1 << 31
-"""Most bytes of a picture's file, which is read as a whole. Chosen: OpenCV takes no more."""
-
-Numbered = list[tuple[int, str]]
-"""Numbers of frames, rising from 0, and the names of their pictures."""
-
-
-class ImagesReader(NumberedReader):
-    """A film of a picture for each frame; see `FilmReader`. It has no clock, so the rate is needed."""
+class ImagesReader(TimedReader):
+    """A film of a picture for each frame; see `FilmReader`. Pictures have no clock, so the rate is needed."""
 
     _decodes = True
     faster = ("HDF5",)
 
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading.rate_hz)
-        self._folder, self._names = _named(path)
+        self._folder, self._names = _find_pictures(path)
         self._channel = reading.channel
-        self.claimed_hz = camera_rate(path, reading.rate_hz)
+        self._number_frames(camera_rate(path, reading.rate_hz))
         first, self.bits = self._picture(self._names[0][1], 0)
         self.height, self.width = first.shape
         self.frame_count = len(self._names)
         self.metadata = {}
 
-    def _pictures(self) -> Iterator[tuple[int, Pixels]]:
+    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         for count, (number, name) in enumerate(self._names):
             pixels, bits = self._picture(name, count)
             if pixels.shape != (self.height, self.width) or bits != self.bits:
                 got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {bits} bits"
-                raise MediaError(
-                    f"{self._folder / name} has {got}, those before {self.width}x{self.height} of {self.bits}: give "
-                    "each recording a folder of its own"
-                )
-            yield number, pixels
+                wanted = f"{self.width}x{self.height} of {self.bits}"
+                raise MediaError(f"{self._folder / name} has {got}, those before {wanted}: give each film a folder")
+            yield number / self.claimed_hz, pixels, bits
 
     def _picture(self, name: str, count: int) -> tuple[Pixels, int]:
-        """Gray levels of a picture, and their bits."""
+        """Return the gray levels of a picture, and the bits."""
         path = self._folder / name
         try:
-            data = path.read_bytes() if path.is_file() and path.stat().st_size < _MOST_BYTES else b""
+            # OpenCV reads less than 2 GiB
+            data = path.read_bytes() if path.is_file() and path.stat().st_size < 1 << 31 else b""
         except OSError as error:
             raise MediaError(f"cannot read {path}, after {count} frames: {error.strerror}") from error
         if data.startswith(tiff.SIGNATURES):
-            return tiff.single_picture(path, self._channel)
-        picture = decode(data) if data and _is_whole(path, data) and _scans_whole(data) else None
+            return tiff.read_picture(path, self._channel)
+        picture = _decode(data) if data and _is_sound(path, data) else None
         if picture is None:
-            raise MediaError(f"{path} is damaged or no picture, after {count} frames: copy it again, or take it away")
+            raise MediaError(f"{path} is damaged or no picture, after {count} frames: copy it again, or remove it")
         checked_size(path, picture.shape[1], picture.shape[0])
         pixels = to_gray(checked_form(path, picture), self._channel)
         bits = 8 * pixels.itemsize
@@ -197,154 +110,119 @@ class ImagesReader(NumberedReader):
 
 
 def is_picture(path: Path, head: bytes) -> bool:
-    """Return True if a file is a single picture, which FFmpeg would take for a pattern or a stream."""
+    """True if a file is a single picture, which FFmpeg would read as a pattern or a stream."""
     if head.startswith(b"RIFF") and head[8:12] != b"WEBP":  # such as AVI
         return False
-    return head.startswith(_PNG) or (head.startswith(_STILLS) and path.suffix.lower() in PICTURE_SUFFIXES)
+    # JPEG, BMP, WebP and JPEG 2000 need the suffix as well
+    stills = (_JPEG, b"BM", b"RIFF", b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51")
+    return head.startswith(_PNG) or (head.startswith(stills) and path.suffix.lower() in PICTURE_SUFFIXES)
 
 
 def is_pattern(path: Path) -> bool:
-    """Return whether a path names pictures by a number, such as img%04d.png, and is no file itself."""
+    """True if a path names pictures by a number, such as img%04d.png, and no file has this name."""
     return _PATTERN.fullmatch(path.name) is not None and not path.exists()
 
 
-def _is_whole(path: Path, data: bytes) -> bool:
-    """True if Pillow does not know the kind of picture, or finds its size that of a camera and its PNG chunks whole."""
+def _decode(data: bytes) -> NDArray[np.generic] | None:
+    """Decode a picture by OpenCV, gray or blue, green and red, with Exif orientation; None if damaged."""
+    import cv2
+
+    log = getattr(cv2.utils, "logging", cv2)  # OpenCV 4.5 has no module for it
+    before = log.getLogLevel()
+    log.setLogLevel(0)  # LOG_LEVEL_SILENT: errors report damage
+    try:
+        flags = int(cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+        picture: NDArray[np.generic] | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        return None
+    finally:
+        log.setLogLevel(before)
+    return picture
+
+
+def _is_sound(path: Path, data: bytes) -> bool:
+    """Check a picture by Pillow, as OpenCV fills missing parts of PNG and JPEG; True for kinds unknown to Pillow."""
     from PIL import Image, UnidentifiedImageError
 
-    with warnings.catch_warnings(action="ignore"):  # of sizes that are checked here
+    with warnings.catch_warnings(action="ignore"):  # the size is checked here
         try:
             with Image.open(io.BytesIO(data)) as image:
                 checked_size(path, *image.size)
-                if image.format in ANIMATED and (several := getattr(image, "n_frames", 1)) > 1:
+                if image.format in _ANIMATED and (several := getattr(image, "n_frames", 1)) > 1:
                     raise MediaError(
-                        f"{path} holds {several} pictures, not one: give it by its own name, not by its folder"
+                        f"{path} holds {several} pictures, not one: give the file's name, not the folder's"
                     )
                 if image.format == "PNG":
                     image.verify()
+                elif image.format == "JPEG":
+                    image.load()
         except Image.DecompressionBombError:
             raise MediaError(f"{path} claims more pixels than any camera has: it is no frame, or damaged") from None
         except UnidentifiedImageError:
             return not data.startswith((_PNG, _JPEG))
         except MediaError:
             raise
-        except (OSError, SyntaxError, ValueError, EOFError, struct.error, IndexError, KeyError, TypeError):
+        except _BROKEN:
             return False
     return True
 
 
 def _check_single(path: Path, header: re.Match[bytes], data: bytes) -> None:
-    """Refuse a Netpbm file of several pictures, of which OpenCV reads the first."""
+    """Refuse a Netpbm file of several pictures; OpenCV would read the first."""
     kind, columns, rows, largest = (int(number or 0) for number in header.groups())
     samples = rows * columns * (3 if kind == 6 else 1)
     size = rows * -(-columns // 8) if kind == 4 else samples * (2 if largest > 255 else 1)
     if kind >= 4 and _NETPBM.match(data, header.end() + size):
-        raise MediaError(f"{path} holds several pictures, not one: give it by its own name, not by its folder")
+        raise MediaError(f"{path} holds several pictures, not one: give the file's name, not the folder's")
 
 
-def _scans_whole(data: bytes) -> bool:
-    """Whether a JPEG picture has all its blocks; of those that it lacks OpenCV makes gray ones. Others are whole.
-
-    What a camera notes in the file is not looked at. Of forms that FFmpeg does not know this is not found out.
-    """
-    if not data.startswith(_JPEG):
-        return True
-    import av
-
-    decoder = av.CodecContext.create("mjpeg", "r")
-    decoder.options, decoder.thread_count = {"err_detect": "explode"}, 1
-    try:
-        decoder.decode(av.Packet(_without_notes(data)))
-    except av.error.InvalidDataError:
-        return False
-    except av.error.FFmpegError:
-        return True
-    return True
-
-
-def _without_notes(data: bytes) -> bytes:
-    """A JPEG file without its segments APPn, but for the colours' APP14, and without comments."""
-    kept, place = [_JPEG], len(_JPEG)
-    while place + 4 <= len(data):
-        kind, length = struct.unpack_from(">xBH", data, place)
-        if kind == _JPEG_SCAN:
-            break
-        if kind not in _JPEG_NOTES:
-            kept.append(data[place : place + 2 + length])
-        place += 2 + length
-    return b"".join([*kept, data[place:]])
-
-
-def _named(path: Path) -> tuple[Path, Numbered]:
-    """The folder of a film's pictures, and their names."""
+def _find_pictures(path: Path) -> tuple[Path, list[tuple[int, str]]]:
+    """Return a film's folder, and the frame number and name of each picture."""
     if path.is_dir():
-        return path, _of_folder(path)
-    return path.parent, [(0, path.name)] if path.exists() else _of_pattern(path)
+        return path, _list_folder(path)
+    return path.parent, [(0, path.name)] if path.exists() else _list_pattern(path)
 
 
-def _of_folder(folder: Path) -> Numbered:
-    try:
-        names = [entry.name for entry in folder.iterdir() if _is_picture(entry)]
-    except OSError as error:
-        raise MediaError(f"cannot read the folder {folder}: {error.strerror}") from error
+def _list_folder(folder: Path) -> list[tuple[int, str]]:
+    with clear_read_errors(f"the folder {folder}"):
+        names = [entry.name for entry in folder.iterdir() if _is_named_picture(entry)]
     if not names:
         kinds = ", ".join(PICTURE_SUFFIXES)
         raise MediaError(f"{folder} is a folder without pictures ({kinds}): give a film in it, or a folder of pictures")
-    kinds_held = sorted({_KIND_OF[Path(name).suffix.lower()] for name in names})
+    kinds_held = sorted({_KINDS[Path(name).suffix.lower()] for name in names})
     if len(kinds_held) > 1:
-        raise MediaError(
-            f"{folder} has pictures of several kinds ({', '.join(kinds_held)}): give those you mean as a pattern, such "
-            f"as {folder / 'img%04d.png'}"
-        )
-    return list(enumerate(sorted(names, key=_natural)))
+        kinds, name = ", ".join(kinds_held), folder / "img%04d.png"
+        raise MediaError(f"{folder} has pictures of several kinds ({kinds}): give some of them as a pattern: {name}")
+    return list(enumerate(sorted(names, key=_natural_order)))
 
 
-def _is_picture(entry: Path) -> bool:
+def _is_named_picture(entry: Path) -> bool:
     return entry.suffix.lower() in PICTURE_SUFFIXES and not entry.name.startswith(".") and not entry.is_dir()
 
 
-def _of_pattern(path: Path) -> Numbered:
+def _list_pattern(path: Path) -> list[tuple[int, str]]:
     parts = _PATTERN.fullmatch(path.name)
     assert parts is not None
-    digits = min(int(parts["digits"] or 1), _MOST_DIGITS)
+    digits = min(int(parts["digits"] or 1), 255)  # a name has no more characters
     name = re.compile(rf"{re.escape(parts['before'])}([0-9]+){re.escape(parts['after'])}")
-    try:
+    with clear_read_errors(f"the folder {path.parent}"):
         named = [(match[1], entry.name) for entry in path.parent.iterdir() if (match := name.fullmatch(entry.name))]
-        # img1 and img01 have the same number: one of them is what the pattern makes of it
-        found = [(int(number), held) for number, held in named if number == f"{int(number):0{digits}}"]
-    except OSError as error:
-        raise MediaError(f"cannot read the folder {path.parent}: {error.strerror}") from error
+    # img1 and img01 have the same number; the pattern selects a name
+    found = sorted((int(number), held) for number, held in named if number == f"{int(number):0{digits}}")
     if not found:
         raise MediaError(f"there is no picture {path}: check the name, and how many digits the number has")
-    found.sort()
     return [(number - found[0][0], held) for number, held in found]
 
 
-def _natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
-    """Key that sorts img10 behind img9, whatever characters names have."""
-    parts = _DIGITS.split(name)  # numbers stand at odd places
+def _natural_order(name: str) -> tuple[list[tuple[int, int, str]], str]:
+    """Return a sort key, by which img10 follows img9, for any characters."""
+    parts = re.split(r"([0-9]+)", name)  # numbers stand at odd places; \d has digits of other scripts, too
     texts = [(1, 0, text) if place % 2 == 0 else (0, int(text), "") for place, text in enumerate(parts) if text]
     return texts, name
 
 
-ANIMATED = ("GIF", "PNG", "WEBP")
-"""Kinds of pictures that can be animated, under Pillow's names."""
-
-SIGNATURES = (b"GIF8", b"\x89PNG\r\n\x1a\n", b"RIFF")
-"""First bytes of such files; those that begin with RIFF may be films."""
-
-_DEFAULT_S = 0.1
-"""Time of a picture that states none, as browsers show it."""
-
-_FRAMES_TIMED = 100
-"""Pictures whose times tell the rate. Chosen: the times of later ones are read while they are decoded."""
-
-_BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, IndexError, KeyError, TypeError)
-"""Errors of Pillow on damaged files."""
-
-
-class AnimationReader(FilmReader):
-    """An animated picture; see `FilmReader`. Times are the sums of the times for which the pictures are shown."""
+class AnimationReader(TimedReader):
+    """An animated picture; see `FilmReader`. Times are sums of the display times."""
 
     _decodes = True
     faster = ("HDF5",)
@@ -352,8 +230,7 @@ class AnimationReader(FilmReader):
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading.rate_hz)
         self._channel = reading.channel
-        shown = [seconds for _, seconds in islice(self._decoded(), _FRAMES_TIMED)]
-        self.claimed_hz = 1 / statistics.median(shown)
+        self.claimed_hz = 1 / statistics.median(delay_s for _, delay_s in islice(self._decoded(), 100))
         with _opened(path) as image:
             self.width, self.height = image.size
             self.frame_count = getattr(image, "n_frames", 1)
@@ -361,33 +238,32 @@ class AnimationReader(FilmReader):
         self.bits = 8 * first.itemsize
         self.metadata = {}
 
-    def _frames(self) -> Iterator[Frame]:
-        index, time_s = -1, 0.0
-        for count, (pixels, delay_s) in enumerate(self._decoded()):
-            index = max(index + 1, round(checked_time(self.path, time_s, count) * self.rate_hz))
-            yield Frame(index, time_s, pixels, self.bits)
-            time_s += 1 / self._true_hz if self._true_hz else delay_s
+    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
+        time_s = 0.0
+        for pixels, delay_s in self._decoded():
+            yield time_s, pixels, self.bits
+            time_s += delay_s
 
     def _decoded(self) -> Iterator[tuple[Pixels, float]]:
-        """Yield the gray levels of each picture and the time in s for which it is shown."""
+        """Yield the gray levels of each picture and the display time in s."""
         count = 0
         try:
             with _opened(self.path) as image:
                 for count in range(getattr(image, "n_frames", 1)):
                     image.seek(count)
                     image.load()
-                    yield _levels(image, self._channel), float(image.info.get("duration") or 0) / 1e3 or _DEFAULT_S
+                    # browsers use 0.1 s if the time is missing
+                    yield _levels(image, self._channel), float(image.info.get("duration") or 100) / 1e3
         except MediaError:
             raise
         except _BROKEN as error:
-            raise MediaError(
-                f"{self.path} cannot be read after {count} whole frames ({brief(error)}): copy it again"
-            ) from None
+            text = f"cannot be read after {count} whole frames ({brief(error)}): copy it again"
+            raise MediaError(f"{self.path} {text}") from None
 
 
 def is_animation(path: Path, head: bytes) -> bool:
-    """Return True if a file is a GIF, or a PNG or WebP file of several pictures."""
-    if not head.startswith(SIGNATURES) or (head.startswith(b"RIFF") and path.suffix.lower() != ".webp"):
+    """True if a file is a GIF, or a PNG or WebP file of several pictures."""
+    if not (head.startswith((b"GIF8", _PNG)) or (head.startswith(b"RIFF") and path.suffix.lower() == ".webp")):
         return False
     try:
         with _opened(path) as image:
@@ -400,7 +276,7 @@ def _opened(path: Path) -> "Image":
     from PIL import Image
 
     try:
-        image = Image.open(path, formats=ANIMATED)
+        image = Image.open(path, formats=_ANIMATED)
     except Image.DecompressionBombError:
         raise MediaError(f"{path} claims more pixels than any camera has: it is no film, or damaged") from None
     except _BROKEN as error:

@@ -1,4 +1,4 @@
-"""Read recordings of Photron cameras: raw frames in a .mraw file, and their header beside it in .cih or .cihx."""
+"""Read recordings of Photron cameras: raw frames in a .mraw file and the header in a .cih or .cihx file."""
 
 import codecs
 import math
@@ -6,7 +6,6 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,42 +13,12 @@ import numpy as np
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.files import read_bounded
 from heliograph.base.frames import Pixels
-from heliograph.media.numbered import NumberedReader, blocks, camera_rate, expected_frames, packed_size, unpack
-from heliograph.media.reader import Reading, checked_size
+from heliograph.media.phantom import packed_size, unpack_levels
+from heliograph.media.reader import Reading, camera_rate, checked_size, clear_read_errors, expected_frames, read_blocks
+from heliograph.media.stamps import TimedReader
 
-FRAMES_SUFFIX = ".mraw"
-"""Suffix of the file of frames."""
-
-HEADER_SUFFIXES = (".cihx", ".cih")
-"""Suffixes of headers: XML, and lines of text by older programs."""
-
-SUFFIXES = (FRAMES_SUFFIX, *HEADER_SUFFIXES)
-"""Suffixes by which a recording may be named."""
-
-_MOST_HEADER = 1 << 24
-"""Most bytes of a header. Chosen: the largest that was seen has 19 kB, most of it tables of colours."""
-
-_START, _END = "<cih>", "</cih>"
-"""First and last element of the XML of a .cihx file; around it are bytes of another kind."""
-
-_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-"""Encodings of text by its first bytes."""
-
-_ENCODINGS = ("utf-8", "cp932")
-"""Encodings without such bytes, of which the first that fits is taken; then Latin-1. The names of a header's lines are
-the same in all."""
-
-_XML_ENCODINGS = ("ascii", "utf-16-le", "utf-16-be")
-"""Encodings of the tags of a .cihx file."""
-
-_PRIVATE = re.compile("[\ue000-\uf8ff]")
-"""Characters that no text has."""
-
-_BLANKS = " \t\r\n\0"
-"""Characters around a value."""
-
-_WORDS = (8, 12, 16)
-"""Bits that a level may take in the file."""
+SUFFIXES = (".mraw", ".cihx", ".cih")
+"""Suffixes of the frames, and of headers in XML and in lines of text."""
 
 _PLACES = {
     "width": ("image width", "imageDataInfo/resolution/width"),
@@ -68,223 +37,153 @@ _PLACES = {
     "shutter": ("shutter speed(s)", "recordInfo/shutterSpeedNsec"),
     "comment": ("comment text", "basicInfo/comment"),
 }
-"""Where a header has each value: the name of its line in .cih, in small letters, and its path in .cihx."""
-
-_NOTES = ("camera", "date", "time", "shutter", "comment", "rate", "step")
-"""Values that become metadata of the film."""
+"""Name of each value's line in .cih, in small letters, and the path in .cihx."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotronHeader:
-    """What a header says of its frames."""
-
-    # width, height: columns and rows in pixels, at least 1
-    width: int
-    height: int
-    # Number of frames in the file
-    frames: int
-    # Frames per second that the camera took; 0 where the header does not say
-    record_hz: float
-    # Each so many-th frame was saved, at least 1
-    step: int
-    # Bits of a level in the file: 8, 12 (packed) or 16
-    word: int
-    # Bits of a gray level, 8 to 16
-    bits: int
-    # Bits by which a level is moved down, as some programs keep it at the upper end of its word
-    shift: int
-    # Camera, date and the like as text, by name
-    notes: Mapping[str, str]
-
-    @property
-    def saved_hz(self) -> float:
-        """Frames per second that are in the file; 0 where the header does not say."""
-        return self.record_hz / self.step
-
-    @property
-    def frame_bytes(self) -> int:
-        """Bytes of a frame in the file."""
-        pixels = self.width * self.height
-        return packed_size(pixels, 12) if self.word == 12 else pixels * self.word // 8
-
-
-class PhotronReader(NumberedReader):
+class PhotronReader(TimedReader):
     """A Photron recording; see `FilmReader`.
 
-    Its rate is that of the frames that were saved: the record rate over the save step. To the light a camera that takes
-    10,000 frames a second and keeps each tenth is one of 1000; what it did not keep is not lost.
+    The rate counts saved frames: the record rate over the save step. A recording of 10,000 frames a second with
+    a step of 10 has 1000 frames a second; the others do not count as lost.
     """
 
     def __init__(self, path: Path, reading: Reading) -> None:
-        frames, header = _pair(path)
+        frames, header = _find_pair(path)
         super().__init__(frames, reading.rate_hz)
-        self._header = read_header(header)
-        self.width, self.height, self.bits = self._header.width, self._header.height, self._header.bits
-        self.claimed_hz = camera_rate(header, reading.rate_hz, self._header.saved_hz)
-        self.frame_count = expected_frames(frames, self._header.frames, self._header.frame_bytes)
-        self.metadata = dict(self._header.notes)
-        _check_length(frames, header, self._header)
+        texts = _read_header(header)
+        self._check_kind(header, texts)
+        self.width, self.height = _whole(header, texts, "width"), _whole(header, texts, "height")
+        checked_size(header, self.width, self.height)
+        self._claimed = _whole(header, texts, "frames")
+        self._frame_bytes = packed_size(self.width * self.height, self._word)
+        self.frame_count = expected_frames(frames, self._claimed, self._frame_bytes)
+        saved_hz = _rate(header, texts["rate"]) / max(1, _whole(header, texts, "step", 1))
+        self._number_frames(camera_rate(header, reading.rate_hz, saved_hz))
+        notes = ("camera", "date", "time", "shutter", "comment", "rate", "step")
+        self.metadata = {name: texts[name] for name in notes if texts[name]}
+        self._check_length(header)
 
-    def _pictures(self) -> Iterator[tuple[int, Pixels]]:
-        head = self._header
-        places = (count * head.frame_bytes for count in range(head.frames))
-        for count, data in enumerate(blocks(self.path, places, head.frame_bytes)):
-            yield count, _levels(data, head)
+    def _check_kind(self, header: Path, texts: Mapping[str, str]) -> None:
+        """Set the bits of a level and of a word, or refuse the kind."""
+        kind, colour = texts["kind"] or "mraw", texts["colour"].lower() or "mono"
+        if kind.lower() != "mraw":
+            raise MediaError(f"{header} states that its frames are {brief(kind)} files: give the folder and --fps")
+        self._word = _whole(header, texts, "word")
+        if self._word not in (8, 12, 16) or colour not in ("mono", "raw", "bayer"):
+            held = f"{brief(colour)} of {self._word} bits"
+            raise MediaError(f"{header} says {held}, and gray of 8, 12 or 16 bits is read: save it as raw or as TIFF")
+        self.bits = min(_whole(header, texts, "depth", self._word), self._word)
+        if self.bits < 8 + (self._word > 8):
+            raise MediaError(f"{header} says that {self._word} bits hold levels of {self.bits}: save it in 8 bits")
+        # some programs keep a level at the upper end of the word
+        self._shift = self._word - self.bits if texts["side"].lower() == "higher" else 0
+
+    def _check_length(self, header: Path) -> None:
+        """Refuse a file longer than in the header, or with levels of other bits; a cut file is read."""
+        claimed, size = self._claimed * self._frame_bytes, self.path.stat().st_size
+        if size > claimed:
+            held = f"{self._claimed} frames of {self._frame_bytes}"
+            raise MediaError(f"{self.path} has {size} bytes, and {header.name} says {held}: give the matching header")
+        for word in {8, 12, 16} - {self._word}:
+            if size == self._claimed * packed_size(self.width * self.height, word):
+                held = f"{size} bytes, which are {self._claimed} frames of {word} bits"
+                said = f"{header.name} says {self._word} bits"
+                raise MediaError(f"{self.path} has {held}, and {said}: give the matching header")
+
+    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
+        places = (count * self._frame_bytes for count in range(self._claimed))
+        for count, data in enumerate(read_blocks(self.path, places, self._frame_bytes)):
+            yield count / self.claimed_hz, self._levels(data), self.bits
+
+    def _levels(self, data: bytearray) -> Pixels:
+        shape, pixels = (self.height, self.width), self.height * self.width
+        if self._word == 8:
+            return np.frombuffer(data, np.uint8).reshape(shape)
+        levels = unpack_levels(data, 12)[:pixels] if self._word == 12 else np.frombuffer(data, "<u2").astype(np.uint16)
+        return np.right_shift(levels, np.uint16(self._shift)).reshape(shape)
 
 
-def read_header(path: Path) -> PhotronHeader:
-    """Read a .cih or .cihx file."""
-    try:
-        data = read_bounded(path, _MOST_HEADER)
-    except OSError as error:
-        raise MediaError(f"cannot read {path}: {error.strerror}") from None
-    is_xml = any(_START.encode(name) in data for name in _XML_ENCODINGS)
-    texts = _of_xml(path, data) if is_xml else _of_lines(_decoded(data))
+def _find_pair(path: Path) -> tuple[Path, Path]:
+    """Return the file of frames and the header; `path` is either."""
+    with clear_read_errors(f"the folder {path.parent}"):
+        # in sorted order small letters come last, and win
+        files = {file.suffix.lower(): file for file in sorted(path.parent.iterdir()) if file.stem == path.stem}
+    held = [file for suffix in SUFFIXES if (file := files.get(suffix)) is not None and file.is_file()]
+    if path.suffix.lower() == ".mraw":
+        header = next((file for file in held if file.suffix.lower() != ".mraw"), None)
+        if header is None:
+            raise MediaError(f"{path} has no header next to it: copy {path.stem}.cihx or .cih to the same folder")
+        return path, header
+    if not held or held[0].suffix.lower() != ".mraw":
+        raise MediaError(f"{path} has no frames next to it: copy {path.stem}.mraw to the same folder")
+    return held[0], path
+
+
+def _read_header(path: Path) -> dict[str, str]:
+    """Return the values of a header as text, empty if missing."""
+    with clear_read_errors(path):
+        data = read_bounded(path, 1 << 24)
+    is_xml = any("<cih>".encode(name) in data for name in ("ascii", "utf-16-le", "utf-16-be"))
+    texts = _parse_xml(path, data) if is_xml else _parse_lines(_decode(data))
     if not any(texts.values()):
         raise MediaError(f"{path} is no header of a Photron recording: copy the .cih or .cihx file again")
-    return _checked(path, texts)
+    return texts
 
 
-def _checked(path: Path, texts: Mapping[str, str]) -> PhotronHeader:
-    kind, colour = texts["kind"] or "mraw", texts["colour"].lower() or "mono"
-    if kind.lower() != "mraw":
-        raise MediaError(f"{path} says that its frames are {brief(kind)} files: give their folder and --fps")
-    word = _whole(path, texts, "word")
-    if word not in _WORDS or colour not in ("mono", "raw", "bayer"):
-        raise MediaError(
-            f"{path} says {brief(colour)} of {word} bits, and gray of 8, 12 or 16 bits can be read: save the recording "
-            "as raw or monochrome, or as TIFF"
-        )
-    bits = min(_whole(path, texts, "depth", word), word)
-    if bits < 8 + (word > 8):
-        raise MediaError(
-            f"{path} says that {word} bits hold levels of {bits}, fewer than can be read: save the recording in 8 bits"
-        )
-    width, height = _whole(path, texts, "width"), _whole(path, texts, "height")
-    checked_size(path, width, height)
-    return PhotronHeader(
-        width=width,
-        height=height,
-        frames=_whole(path, texts, "frames"),
-        record_hz=_rate(path, texts["rate"]),
-        step=max(1, _whole(path, texts, "step", 1)),
-        word=word,
-        bits=bits,
-        shift=word - bits if texts["side"].lower() == "higher" else 0,
-        notes={name: texts[name] for name in _NOTES if texts[name]},
-    )
-
-
-def _levels(data: bytearray, head: PhotronHeader) -> Pixels:
-    shape, pixels = (head.height, head.width), head.width * head.height
-    if head.word == 8:
-        return np.frombuffer(data, np.uint8).reshape(shape)
-    levels = unpack(data, 12)[:pixels] if head.word == 12 else np.frombuffer(data, "<u2").astype(np.uint16)
-    return np.right_shift(levels, np.uint16(head.shift)).reshape(shape)
-
-
-def _pair(path: Path) -> tuple[Path, Path]:
-    """The file of frames and its header, whichever of the two is named."""
-    if path.suffix.lower() in HEADER_SUFFIXES:
-        frames = _beside(path, (FRAMES_SUFFIX,))
-        if frames is None:
-            raise MediaError(f"{path} has no frames beside it: copy {path.stem}{FRAMES_SUFFIX} to the same folder")
-        return frames, path
-    header = _beside(path, HEADER_SUFFIXES)
-    if header is None:
-        raise MediaError(f"{path} has no header beside it: copy {path.stem}.cihx or .cih to the same folder")
-    return path, header
-
-
-def _beside(path: Path, suffixes: tuple[str, ...]) -> Path | None:
-    try:
-        # of two names that differ in case alone the one in small letters comes last, and stays
-        held = {file.suffix.lower(): file for file in sorted(path.parent.iterdir()) if file.stem == path.stem}
-    except OSError as error:
-        raise MediaError(f"cannot read the folder {path.parent}: {error.strerror}") from error
-    return next((held[suffix] for suffix in suffixes if suffix in held and held[suffix].is_file()), None)
-
-
-def _check_length(frames: Path, header: Path, head: PhotronHeader) -> None:
-    """Refuse a file that is longer than its header says, or has levels of other bits. A cut one is read."""
-    claimed, size = head.frames * head.frame_bytes, frames.stat().st_size
-    if size > claimed:
-        raise MediaError(
-            f"{frames} has {size} bytes, and {header.name} says {head.frames} frames of {head.frame_bytes}: give it "
-            "its own header"
-        )
-    for word in _WORDS:
-        if word != head.word and size == head.frames * replace(head, word=word).frame_bytes:
-            raise MediaError(
-                f"{frames} has {size} bytes, which are {head.frames} frames of {word} bits, and {header.name} says "
-                f"{head.word} bits: give it its own header, or correct its color bit"
-            )
-
-
-def _decoded(data: bytes) -> str:
-    """Text of a header; without a byte order mark, UTF-16 has a zero in every second place."""
+def _decode(data: bytes) -> str:
+    """Return the text of a header; UTF-16 that lacks a byte order mark has a zero in every second place."""
     zeros = data[::2].count(0), data[1::2].count(0)
-    wide = ("utf-16-be" if zeros[0] > zeros[1] else "utf-16-le") if max(zeros) > len(data) / 4 else None
-    marked = next((name for mark, name in _MARKS.items() if data.startswith(mark)), wide)
-    if marked:
-        return data.decode(marked, "replace")
-    for name in _ENCODINGS:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", "replace")
+    if max(zeros) > len(data) / 4:
+        return data.decode("utf-16-be" if zeros[0] > zeros[1] else "utf-16-le", "replace")
+    for name in ("utf-8-sig", "cp932"):
         with suppress(UnicodeDecodeError):
             text = data.decode(name)
-            if not _PRIVATE.search(text):  # of which Shift-JIS makes some Latin-1
+            if not re.search("[\ue000-\uf8ff]", text):  # private characters, into which Shift-JIS turns some Latin-1
                 return text
     return data.decode("latin-1")
 
 
-def _of_xml(path: Path, data: bytes) -> dict[str, str]:
-    # cut out of the file, it has no declarations, so nothing can be made to expand
+def _parse_xml(path: Path, data: bytes) -> dict[str, str]:
+    # the element <cih> has no declarations, so no entity can expand
     wrong: Exception | None = None
-    for name in _XML_ENCODINGS:
-        first, last = _START.encode(name), _END.encode(name)
+    for name in ("ascii", "utf-16-le", "utf-16-be"):
+        first, last = "<cih>".encode(name), "</cih>".encode(name)
         if first in data:
             cut = data[data.find(first) : data.rfind(last) + len(last)]
             try:
-                root = ElementTree.fromstring(_decoded(cut) if name == "ascii" else cut.decode(name, "replace"))
-                return {name: (root.findtext(place) or "").strip(_BLANKS) for name, (_, place) in _PLACES.items()}
+                root = ElementTree.fromstring(_decode(cut) if name == "ascii" else cut.decode(name, "replace"))
+                return {name: (root.findtext(place) or "").strip(" \t\r\n\0") for name, (_, place) in _PLACES.items()}
             except (ElementTree.ParseError, ValueError) as error:
                 wrong = error
-    raise MediaError(
-        f"{path} cannot be read, its XML is wrong ({brief(wrong)}): copy the header again, or correct it"
-    ) from None
+    raise MediaError(f"{path} cannot be read, the XML is wrong ({brief(wrong)}): copy the header again") from None
 
 
-def _of_lines(text: str) -> dict[str, str]:
-    held: dict[str, str] = {}
+def _parse_lines(text: str) -> dict[str, str]:
+    values: dict[str, str] = {}
     for line in text.splitlines():
         name, colon, value = line.partition(":")
         if colon:
-            held.setdefault(name.strip(_BLANKS).lower(), value.strip(_BLANKS))
-    return {name: held.get(line, "") for name, (line, _) in _PLACES.items()}
+            values.setdefault(name.strip(" \t\r\n\0").lower(), value.strip(" \t\r\n\0"))
+    return {name: values.get(line, "") for name, (line, _) in _PLACES.items()}
 
 
 def _whole(path: Path, texts: Mapping[str, str], name: str, missing: int | None = None) -> int:
-    if not texts[name] and missing is not None:
+    """Return an integer of the header."""
+    text, line = texts[name], _PLACES[name][0]
+    if not text and missing is not None:
         return missing
-    try:
-        value = int(texts[name])
-    except ValueError:
-        value = -1
-    if not texts[name]:
-        raise MediaError(
-            f"{path} does not state its {_PLACES[name][0]}: copy the header that was saved with the frames, or add it"
-        )
-    if not 0 <= value < 1 << 31:
-        raise MediaError(
-            f"{path} says {texts[name]!r:.40} for its {_PLACES[name][0]}: copy the header again, or correct it"
-        )
-    return value
+    if not text:
+        raise MediaError(f"{path} does not state its {line}: copy the header saved with the frames, or add the line")
+    with suppress(ValueError):
+        if 0 <= int(text) < 1 << 31:
+            return int(text)
+    raise MediaError(f"{path} says {text!r:.40} for its {line}: copy the header again, or correct it")
 
 
 def _rate(path: Path, text: str) -> float:
-    try:
-        rate = float(text or 0)
-    except ValueError:
-        rate = math.nan
-    if not 0 <= rate < math.inf:
-        raise MediaError(f"{path} says {text!r:.40} for its record rate: give the rate by --fps, or copy it again")
-    return rate
+    with suppress(ValueError):
+        if 0 <= float(text or 0) < math.inf:
+            return float(text or 0)
+    raise MediaError(f"{path} says {text!r:.40} for its record rate: give the rate by --fps, or copy it again")

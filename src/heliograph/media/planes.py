@@ -14,62 +14,46 @@ if TYPE_CHECKING:
 LIMITED, FULL = 1, 2
 """FFmpeg's AVCOL_RANGE_MPEG (levels 16 to 235) and AVCOL_RANGE_JPEG (levels 0 to 255)."""
 
-_BLACK = 16
-"""Level of black in limited range at 8 bits (ITU-R BT.601)."""
-
-_SPAN = 219
-"""Levels from black to white in limited range at 8 bits (ITU-R BT.601)."""
-
-_BT601 = (0.299, 0.587, 0.114)
-"""Weights of red, green and blue in luma (Rec. ITU-R BT.601)."""
-
-_NEUTRAL = 128
-"""Level of a colour plane without colour at 8 bits (ITU-R BT.601)."""
-
-# Formats whose plane 0 is luma alone, samples in the low bits, little endian.
+# formats with pure luma in plane 0, samples in the low bits, little endian
 _LUMA_FIRST = re.compile(r"(gray|yuva?4[0-4][0-4]p|yuvj4[0-4][0-4]p|nv(12|21|16|24))(9le|1[0-6]le)?")
 _GRAY = {8: "gray", 9: "gray9le", 10: "gray10le", 12: "gray12le", 14: "gray14le", 16: "gray16le"}
 """FFmpeg's gray pixel formats by bits."""
 
-_GBR = {"green": 0, "blue": 1, "red": 2}
-"""Planes of FFmpeg's planar RGB."""
-
 
 def gray_format(bits: int) -> str:
-    """Return FFmpeg's name of the smallest gray pixel format that holds gray levels."""
-    return _GRAY[min(b for b in _GRAY if b >= bits)]
+    """Return FFmpeg's name of the smallest gray pixel format for the bits."""
+    return _GRAY[min(held for held in _GRAY if held >= bits)]
 
 
 def to_video(pixels: Pixels, pixel_format: str, span: int = FULL) -> "av.VideoFrame":
-    """Copy gray levels into a picture; its colour planes, if any, are neutral."""
+    """Copy gray levels into a picture with neutral colour planes, if any."""
     import av
 
     if span == LIMITED:
-        pixels = _squeeze()[pixels]
+        pixels = np.rint(16 + np.arange(256) * 219 / 255).astype(np.uint8)[pixels]
     rows, columns = pixels.shape
     picture = av.VideoFrame(columns, rows, pixel_format)
     _plane(picture, 0, 8 * pixels.itemsize)[:rows, :columns] = pixels
     for index in range(1, len(picture.planes)):
-        _plane(picture, index, 8)[:] = _NEUTRAL
+        _plane(picture, index, 8)[:] = 128
     picture.color_range = span
     return picture
 
 
 def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma") -> tuple[Pixels, int]:
-    """Return a copy of the gray levels and their bits.
+    """Return a copy of the gray levels, and the bits.
 
-    Luma is read as it is stored, and so are numbers whose palette is missing. Only colours are converted, by
-    Rec. ITU-R BT.601. Red, green and blue of YUV follow from the matrix that the file states, Rec. 601 or 709, else
-    from Rec. 601; they have the full range.
+    Luma keeps the stored levels, and so do numbers if the palette is missing. Colours are converted by Rec. ITU-R
+    BT.601. Red, green and blue of YUV follow from the matrix of the file, Rec. 601 or 709, by default 601, full range.
     """
     if picture.format.name == "pal8":
-        _mend_palette(picture)
+        _repair_palette(picture)
         if channel == "luma":
             colours = [_colour(picture, name)[0] for name in ("red", "green", "blue")]
-            return np.rint(np.tensordot(_BT601, colours, 1)).astype(np.uint8), 8
+            return np.rint(np.tensordot((0.299, 0.587, 0.114), colours, 1)).astype(np.uint8), 8
     if channel != "luma" and (len(picture.format.components) > 2 or picture.format.has_palette):
         return _colour(picture, channel)
-    limited = is_limited(picture)
+    limited = _is_limited(picture)
     if not _LUMA_FIRST.fullmatch(picture.format.name):
         picture = _as_gray(picture)
     bits = picture.format.components[0].bits
@@ -79,16 +63,16 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma")
     return pixels.copy(), bits
 
 
-def is_limited(picture: "av.VideoFrame") -> bool:
-    """Return whether black is at 16 and white at 235; YUV video that does not state its range counts as limited."""
+def _is_limited(picture: "av.VideoFrame") -> bool:
+    """True if black is at 16 and white at 235; YUV video of unknown range counts as limited."""
     name = picture.format.name
     if picture.format.is_rgb or picture.format.has_palette or name.startswith(("mono", "yuvj")):
         return False
     return picture.color_range == LIMITED or (picture.color_range != FULL and not name.startswith("gray"))
 
 
-def _mend_palette(picture: "av.VideoFrame") -> None:
-    """Make a palette of one colour one of gray levels: AVI of gray levels may come without a palette, all black."""
+def _repair_palette(picture: "av.VideoFrame") -> None:
+    """Replace a constant palette by gray levels: AVI files of gray levels may lack a palette."""
     plane: Any = picture.planes[1]
     palette = np.frombuffer(plane, np.uint8).reshape(-1, 4)
     if not np.ptp(palette, axis=0).any():
@@ -98,35 +82,30 @@ def _mend_palette(picture: "av.VideoFrame") -> None:
 def _as_gray(picture: "av.VideoFrame") -> "av.VideoFrame":
     bits = max(picture.format.components[0].bits, 8)
     if not picture.format.is_rgb and len(picture.format.components) > 2:
-        # From YUV to YUV luma stays as it is; on the way to gray FFmpeg may stretch its range.
+        # from YUV to YUV luma keeps the levels; a conversion to gray may stretch the range
         return picture.reformat(format=f"yuv444p{bits}le" if bits > 8 else "yuv444p")
-    # The same range on both sides, "JPEG" being the full one, keeps the levels where they are.
+    # the same range on both sides, full range, keeps the levels
     return picture.reformat(format=_GRAY.get(bits, "gray16le"), src_color_range="JPEG", dst_color_range="JPEG")
 
 
 def _colour(picture: "av.VideoFrame", channel: str) -> tuple[Pixels, int]:
-    held = max(picture.format.components[0].bits, 8)
-    bits = min(b for b in _GRAY if b >= held)
+    bits = min(held for held in _GRAY if held >= picture.format.components[0].bits)
     colours = picture.reformat(format="gbrp" if bits == 8 else f"gbrp{bits}le")
-    return _plane(colours, _GBR[channel], bits)[: picture.height, : picture.width].copy(), bits
+    plane = ("green", "blue", "red").index(channel)
+    return _plane(colours, plane, bits)[: picture.height, : picture.width].copy(), bits
 
 
 def _plane(picture: "av.VideoFrame", index: int, bits: int) -> Pixels:
-    plane: Any = picture.planes[index]  # its lines are padded: go by line_size, not by width
+    plane: Any = picture.planes[index]  # lines are padded to line_size
     if bits == 8:
         return np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
     return np.frombuffer(plane, np.uint16).reshape(-1, plane.line_size // 2)
 
 
 @functools.lru_cache
-def _squeeze() -> Pixels:
-    levels = np.rint(_BLACK + np.arange(256) * _SPAN / 255)
-    return levels.astype(np.uint8)
-
-
-@functools.lru_cache
 def _expansion(bits: int) -> Pixels:
+    """Return the full-range level of each limited-range level."""
     unit = 1 << (bits - 8)
-    levels = (np.arange(1 << bits) - _BLACK * unit) * ((1 << bits) - 1) / (_SPAN * unit)
+    levels = (np.arange(1 << bits) - 16 * unit) * ((1 << bits) - 1) / (219 * unit)
     levels = np.clip(np.rint(levels), 0, (1 << bits) - 1)
     return levels.astype(np.uint8) if bits == 8 else levels.astype(np.uint16)

@@ -1,140 +1,55 @@
 """Common interface for reading films, and frames read ahead in a thread."""
 
-import queue
-import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from types import TracebackType
 from typing import ClassVar, Self
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.base.frames import LATEST_S, Frame, Pixels
+from heliograph.base.frames import LATEST_S, Frame
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ
 
+Frames = Generator[Frame, None, None]
+
 CHANNELS = ("luma", "red", "green", "blue")
-"""What is taken of a colour for a gray level."""
+"""Choices of a gray level for a colour."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """How a film is to be read."""
+    """Options for reading a film."""
 
-    # Frames per second that the camera took, 1e-6 to 1e6; None believes the file
+    # Frames per second of the camera, 1e-6 to 1e6; None for the rate of the file
     rate_hz: float | None = None
-    # Whether to stretch limited-range video (black at 16, white at 235) to the full scale
+    # True to stretch limited-range video (black at 16, white at 235) to full scale
     expand_range: bool = False
-    # One of `CHANNELS`; of gray films all of them are the gray levels
+    # One of `CHANNELS`; gray films ignore it
     channel: str = "luma"
 
     def __post_init__(self) -> None:
-        if self.rate_hz is not None and not _is_rate(self.rate_hz):
-            raise MediaError(
-                f"a camera takes {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames/s, not {shown(self.rate_hz)}; give the rate "
-                "it was set to"
-            )
+        rate_hz = self.rate_hz
+        if rate_hz is not None and not (isinstance(rate_hz, Real) and SLOWEST_HZ <= rate_hz <= FASTEST_HZ):
+            raise MediaError(f"a camera takes {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames/s, not {shown(rate_hz)}")
         if self.channel not in CHANNELS:
             raise MediaError(f"there is no channel {shown(self.channel)}: choose one of {', '.join(CHANNELS)}")
 
 
-def _is_rate(value: object) -> bool:
-    return isinstance(value, Real) and bool(value <= FASTEST_HZ) and not value < SLOWEST_HZ
-
-
-FRAMES_AHEAD = 8
-"""Frames that wait for their use at most; bounds memory. Chosen, as for films that are written: a receiver that stops
-for 50 ms, looking for an array, then goes on with frames of FFV1 that were decoded meanwhile."""
-
-
-def read_ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
-    """Yield frames in their order while the next ones are read.
-
-    The thread begins with the first frame that is asked for. It ends with the frames, or where no more are asked for:
-    by an error, by Ctrl-C, or when the iterator is closed. It is then waited for, so that the film's file is closed.
-    """
-    waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(FRAMES_AHEAD)
-    wanted = threading.Event()
-    wanted.set()
-    thread = threading.Thread(target=_read, args=(frames, waiting, wanted), name="film-reader", daemon=True)
-    thread.start()
-    ended = False
-    try:
-        while True:
-            got = waiting.get()
-            if not isinstance(got, Frame):
-                ended = True
-                if got is not None:
-                    raise got
-                return
-            yield got
-    finally:
-        wanted.clear()
-        while not ended:  # the thread may wait for room
-            ended = not isinstance(waiting.get(), Frame)
-        thread.join()
-
-
-def _read(
-    frames: Iterator[Frame], waiting: "queue.Queue[Frame | BaseException | None]", wanted: threading.Event
-) -> None:  # fmt: skip
-    """Put frames in the queue while they are wanted, and last of all the error that ended them, or None."""
-    end: BaseException | None = None
-    try:
-        for frame in frames:
-            waiting.put(frame)
-            if not wanted.is_set():
-                break
-        close = getattr(frames, "close", None)
-        if close is not None:
-            close()
-    except BaseException as error:  # raised in the thread that asks for the frames, which waits for an end
-        end = error
-    waiting.put(end)
-
-
-MOST_PIXELS = 1 << 27
-"""Most pixels of a frame: twice those of the largest camera of the settings. A damaged film may claim more."""
-
-
-def checked_size(path: Path, width: int, height: int) -> None:
-    """Check the size of a film's frames."""
-    if not 0 < width * height <= MOST_PIXELS:
-        raise MediaError(f"{path} has frames of {width}x{height} pixels: it is no film, or damaged; copy it again")
-
-
-def checked_time(path: Path, time_s: float, count: int) -> float:
-    """Return the time of a frame if it is one."""
-    if not abs(time_s) <= LATEST_S:
-        raise MediaError(
-            f"{path} has a frame at {time_s:g} s after {count} whole frames: times are in seconds, at most "
-            f"{LATEST_S:g}; correct them, or cut the film there"
-        )
-    return time_s
-
-
-def check_levels(path: Path, pixels: Pixels, bits: int, count: int) -> None:
-    """Check that gray levels have no more bits than the file says."""
-    if bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
-        raise MediaError(
-            f"{path} has a gray level of {int(pixels.max())} after {count} whole frames, and its header says {bits} "
-            "bits: correct the header, or save the recording again"
-        )
-
-
 class FilmReader(ABC):
-    """A film opened for reading: iterate it for its frames, one at a time; each iteration starts at the first frame.
+    """A film opened for reading: iterate it for the frames; each iteration starts at the first frame.
 
     Memory does not grow with the film. Pixels are read-only. Use it as a context manager, or call `close`.
     """
 
+    # True if frames are decoded, which takes longer than a change of threads
     _decodes: ClassVar[bool] = False
-    """Whether its frames are decoded, which takes longer than to hand them from thread to thread."""
-
+    # False if a decoder limits the levels
     _checks_levels: bool = True
-    """False if a decoder keeps the levels within their bits."""
 
     path: Path
     width: int
@@ -148,25 +63,24 @@ class FilmReader(ABC):
     def __init__(self, path: Path, rate_hz: float | None = None) -> None:
         self.path, self._true_hz = path, rate_hz
         self.read_s = 0.0
-        self._running: Iterator[Frame] | None = None
+        self._running: Frames | None = None
         self._closed = False
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second of the camera: as it was said where the film was opened, or else as the file says."""
+        """Frames per second of the camera: the rate given to `open_film`, or the rate of the file."""
         return self._true_hz or self.claimed_hz
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames in order of time."""
         if self._closed:
             raise MediaError(f"{self.path} is closed: iterate it inside its 'with' block")
-        frames = self._checked()
-        self._running = self._clocked(read_ahead(frames) if self._decodes else frames)
+        self._running = self._clocked()
         return self._running
 
-    def _clocked(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """The frames, the time that they take counted."""
-        try:
+    def _clocked(self) -> Frames:
+        """Yield the frames and count the reading time."""
+        with closing(read_ahead(self._checked()) if self._decodes else self._checked()) as frames:
             while True:
                 start = time.perf_counter()
                 frame = next(frames, None)
@@ -174,42 +88,105 @@ class FilmReader(ABC):
                 if frame is None:
                     return
                 yield frame
-        finally:
-            _stop(frames)
 
-    def _checked(self) -> Iterator[Frame]:
-        """Frames whose levels fit into the film's bits."""
-        frames = self._frames()
-        try:
+    def _checked(self) -> Frames:
+        """Yield read-only frames, and refuse a level above the film's bits."""
+        with closing(self._frames()) as frames:
             for count, frame in enumerate(frames):
-                if self._checks_levels:
-                    check_levels(self.path, frame.pixels, frame.bits, count)
-                # receivers copy pixels that may change
-                frame.pixels.setflags(write=False)
+                pixels, bits = frame.pixels, frame.bits
+                if self._checks_levels and bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
+                    level = f"a gray level of {int(pixels.max())} after {count} whole frames"
+                    raise MediaError(f"{self.path} has {level}, and its header says {bits} bits: correct the header")
+                pixels.setflags(write=False)  # receivers copy writable pixels
                 yield frame
-        finally:
-            _stop(frames)
 
     @abstractmethod
-    def _frames(self) -> Iterator[Frame]: ...
+    def _frames(self) -> Frames: ...
 
     def close(self) -> None:
         """Close the film; may be called twice."""
         self._closed = True
-        _stop(self._running)
+        if self._running is not None:
+            self._running.close()
         self._running = None
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
-def _stop(frames: Iterator[Frame] | None) -> None:
-    """Close a generator of frames: it holds the file open until then."""
-    stop = getattr(frames, "close", None)
-    if stop is not None:
-        stop()
+def read_ahead(frames: Frames, queued: int = 8) -> Frames:
+    """Yield frames in order while a thread reads the next ones.
+
+    The thread starts with the first request. At the last frame, at an error, at Ctrl-C or when the iterator is closed,
+    the thread closes `frames`, and so the film's file, and ends.
+    """
+    with ThreadPoolExecutor(1, "film-reader") as thread:
+        pending = deque(thread.submit(next, frames, None) for _ in range(queued + 1))
+        try:
+            while (frame := pending.popleft().result()) is not None:
+                pending.append(thread.submit(next, frames, None))
+                yield frame
+        finally:
+            for future in pending:
+                future.cancel()
+            thread.submit(frames.close).result()
+
+
+def checked_size(path: Path, width: int, height: int) -> None:
+    """Refuse an impossible size; the limit of 2^27 pixels is twice the largest camera of the settings."""
+    if not 0 < width * height <= 1 << 27:
+        raise MediaError(f"{path} has frames of {width}x{height} pixels: it is no film, or damaged; copy it again")
+
+
+def checked_time(path: Path, time_s: float, count: int) -> float:
+    """Return the time of a frame, or refuse it."""
+    if not abs(time_s) <= LATEST_S:
+        raise MediaError(f"{path} has a frame at {time_s:g} s after {count} whole frames: times are in seconds")
+    return time_s
+
+
+def camera_rate(path: Path, given_hz: float | None, stated_hz: float | None = None) -> float:
+    """Return the rate of a file, or the given rate."""
+    rate = stated_hz or given_hz
+    if not rate:
+        cure = "by --fps (rate_hz; on page Watch Frames/s)"
+        raise MediaError(f"{path} has no clock: say how many frames a second the camera took, {cure}")
+    return rate
+
+
+@contextmanager
+def clear_read_errors(path: Path | str) -> Iterator[None]:
+    """Turn an OSError into a MediaError."""
+    try:
+        yield
+    except MediaError:
+        raise
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def truncated(path: Path, count: int) -> MediaError:
+    """Return the error for a truncated file."""
+    return MediaError(f"{path} ends in the middle, after {count} whole frames: copy it again")
+
+
+def expected_frames(path: Path, claimed: int, frame_bytes: int) -> int:
+    """Return the number of claimed frames, limited by the size of the file."""
+    return min(claimed, path.stat().st_size // frame_bytes)
+
+
+def read_blocks(path: Path, places: Iterable[int], size: int) -> Iterator[bytearray]:
+    """Yield the bytes of each frame of a file, writable because kernels are compiled for writable arrays."""
+    with clear_read_errors(path), path.open("rb") as file:
+        length = path.stat().st_size
+        for count, place in enumerate(places):
+            if place + size > length:  # checked before the allocation
+                raise truncated(path, count)
+            file.seek(place)
+            block = bytearray(size)
+            if file.readinto(block) < size:
+                raise truncated(path, count)
+            yield block

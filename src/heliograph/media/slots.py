@@ -1,117 +1,45 @@
 """LED patterns on or off by slot, in the files of LED drivers: .bits, .hub75, .shift, .csv and C headers."""
 
 import os
+import re
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.files import whole_file
-from heliograph.media import c_header, slot_table
 from heliograph.signal import pwm
-
-RGB = 0b111
-"""An LED that is on is white on a panel of three colours: R, G and B. Who wants one colour masks the others out."""
-
-LOWER = 3
-"""Place of R2 in a byte of a row scan: R1, G1, B1, R2, G2, B2 are bits 0 to 5."""
 
 Slot = NDArray[np.uint8]
 """(n, n) LEDs of a slot, 1 on and 0 off, row by row as the camera sees them."""
 
+SIGNATURES = {".bits": b"HGBITS1\n", ".hub75": b"HGHUBS1\n", ".shift": b"HGSHFT1\n"}
+"""First 8 bytes of a binary file by suffix; the last digit is the version of the layout."""
 
-@dataclass(frozen=True)
-class Layout:
-    """How the LEDs of a slot lie in the bytes of a file."""
-
-    # First 8 bytes of such a file; the last but one is the layout's version
-    signature: bytes
-    # Bytes of a slot by the LEDs of a side
-    size: Callable[[int], int]
-    # Bytes of a slot
-    pack: Callable[[Slot], bytes]
-    # The slot of such bytes and the LEDs of a side; a ValueError where no slot has them
-    unpack: Callable[[bytes, int], Slot]
-
-
-def _plane_size(side: int) -> int:
-    return side * side // 8
-
-
-def _plane(slot: Slot) -> bytes:
-    return np.packbits(slot).tobytes()
-
-
-def _from_plane(data: bytes, side: int) -> Slot:
-    return np.unpackbits(np.frombuffer(data, np.uint8)).reshape(side, side)
-
-
-def _chain(slot: Slot) -> bytes:
-    # what is shifted in first ends at the far end of the chain
-    return np.packbits(slot.ravel()[::-1]).tobytes()
-
-
-def _from_chain(data: bytes, side: int) -> Slot:
-    return np.unpackbits(np.frombuffer(data, np.uint8))[::-1].reshape(side, side).copy()
-
-
-def _scan_size(side: int) -> int:
-    return side // 2 * (1 + side)
-
-
-def _scan(slot: Slot) -> bytes:
-    half = len(slot) // 2
-    out = np.empty((half, 1 + len(slot)), np.uint8)
-    out[:, 0] = np.arange(half)
-    out[:, 1:] = RGB * slot[:half] | RGB * slot[half:] << LOWER
-    return out.tobytes()
-
-
-def _from_scan(data: bytes, side: int) -> Slot:
-    rows = np.frombuffer(data, np.uint8).reshape(side // 2, 1 + side)
-    if (rows[:, 0] != np.arange(side // 2)).any():
-        raise ValueError("its rows do not come in the order of their addresses")
-    lit = np.concatenate([rows[:, 1:] & RGB, rows[:, 1:] >> LOWER])
-    if not np.isin(lit, (0, RGB)).all():
-        raise ValueError("R, G and B of an LED differ")
-    return lit // RGB
-
-
-LAYOUTS = {
-    ".bits": Layout(b"HGBITS1\n", _plane_size, _plane, _from_plane),
-    ".hub75": Layout(b"HGHUBS1\n", _scan_size, _scan, _from_scan),
-    ".shift": Layout(b"HGSHFT1\n", _plane_size, _chain, _from_chain),
-}
-"""Layouts of binary files by suffix. A C header has the bytes of ".bits"."""
-
-
-C_HEADER = ".h"
-SUFFIXES = (*LAYOUTS, C_HEADER)
-"""Suffixes of the files that drivers take."""
-
-READ = (*SUFFIXES, slot_table.SUFFIX)
-"""Suffixes of the files that are read: a table of text, too."""
+SUFFIXES = (*SIGNATURES, ".h")
+"""Suffixes of files for drivers. A C header holds the bytes of ".bits" as an array."""
 
 HEAD = struct.Struct("<8sHHIQII")
-"""Start of a binary file."""
+"""Start of a binary file: signature, the values of `SlotForm`, bytes of a slot, zeros."""
 
-SIDES = range(4, 65, 4)
-"""LEDs of a side, those of ``signal.side``."""
+_MACROS = ("SIDE", "SLOTS_PER_PATTERN", "SLOT_NS", "SLOTS", "BYTES_PER_SLOT")
+_C_ARRAY = b"static const uint8_t heliograph_slots[HELIOGRAPH_SLOTS * HELIOGRAPH_BYTES_PER_SLOT] = {\n"
+_C_END = b"};\n\n#endif\n"
 
-ROUNDING = 1e-4
-"""Largest share of a slot's period by which whole ns may change it: the tolerance of section 3 of the air interface."""
-
-BLOCK = 1 << 16
-"""Bytes read at a time, or one slot where it is longer."""
+_RGB = 0b111  # R1, G1 and B1 of a row scan; R2, G2 and B2 are the next three bits
+_AGAIN = "write it again by 'heliograph transmit'"
 
 
 @dataclass(frozen=True, slots=True)
 class SlotForm:
-    """What a file says of its slots.
+    """Form of the slots of a file.
 
     Attributes
     ----------
@@ -148,63 +76,32 @@ class SlotForm:
         Raises
         ------
         MediaError
-            The period is too far from a whole number of ns.
+            The period is too far from a multiple of 1 ns.
         """
         slot_ns = round(slot_s * 1e9)
-        if abs(slot_ns - slot_s * 1e9) > ROUNDING * slot_s * 1e9:
-            raise MediaError(
-                f"a slot of {slot_s * 1e9:.7g} ns is no whole number of ns, in which drivers are told of it: change "
-                f"signal.pattern_period_s, {slots_per_pattern} slots"
-            )
+        # 1e-4 is the tolerance of section 3 of the air interface
+        if abs(slot_ns - slot_s * 1e9) > 1e-4 * slot_s * 1e9:
+            raise MediaError(f"a slot of {slot_s * 1e9:.7g} ns is no whole number of ns: set signal.pattern_period_s")
         return cls(side, slots_per_pattern, slot_ns, count)
 
 
-def file_size(path: Path, form: SlotForm) -> int:
-    """Return the length of a file of slots in bytes."""
-    kind = path.suffix.lower()
-    size = _layout(kind).size(form.side)
-    if kind == C_HEADER:
-        return len(c_header.head(_values(form, size))) + form.count * c_header.row_size(size) + len(c_header.END)
-    return HEAD.size + form.count * size
-
-
-def write_slots(path: Path, slots: Iterable[NDArray[np.uint8]], form: SlotForm) -> None:
-    """Write a file of slots, whole or not at all."""
-    kind = path.suffix.lower()
-    layout = _layout(kind)
-    size, written = layout.size(form.side), 0
-    with whole_file(path) as partial, partial.open("wb") as file:
-        text = kind == C_HEADER
-        file.write(c_header.head(_values(form, size)).encode() if text else _head(layout, form))
-        for slot in slots:
-            if slot.shape != (form.side, form.side):
-                raise MediaError(f"{path} takes slots of shape ({form.side}, {form.side}), not {slot.shape}")
-            data = layout.pack(slot)
-            file.write(c_header.row(data).encode() if text else data)
-            written += 1
-        if written != form.count:
-            raise MediaError(f"{path} takes {form.count} slots, not {written}")
-        if text:
-            file.write(c_header.END.encode())
-
-
 class SlotFile:
-    """LED patterns in a file that a driver takes; made by `open_slots`.
+    """LED patterns in a file for a driver; made by `open_slots`.
 
-    Iterating gives each slot as (n, n) uint8, 1 for an LED that is on, as often as it is done. A table of levels has
-    one slot a pattern, with levels of 0 to 4.
+    Iterating gives each slot as (n, n) uint8, 1 for an LED that is on; each iteration starts at the first slot. A
+    table of levels has one slot a pattern, with levels of 0 to 4.
 
     Parameters
     ----------
     path
-        The file, whose suffix tells its kind.
+        The file; the suffix gives the kind.
     form
-        What it says of its slots.
+        Form of the slots.
 
     Attributes
     ----------
     path
-        The file that is read.
+        The file.
     form
         LEDs of a side, slots of a pattern, period of a slot in ns, number of slots.
     """
@@ -214,142 +111,231 @@ class SlotFile:
         self.form = form
 
     def __iter__(self) -> Iterator[Slot]:
-        """Yield the slots in the order of time; a MediaError where the file is cut or damaged, after the whole ones."""
-        if self.path.suffix.lower() == slot_table.SUFFIX:
-            yield from self._lines()
-            return
-        layout, count, number = _layout(self.path.suffix.lower()), self.form.count, 0
-        try:
-            for data in self._slots(layout):
-                if number == count:
-                    raise _longer(self.path, count)
-                yield layout.unpack(data, self.form.side)
-                number += 1
-            size = self.path.stat().st_size
-        except OSError as error:
-            raise error if isinstance(error, MediaError) else _unreadable(self.path, error) from None
-        except ValueError as error:  # MediaError is none
-            raise MediaError(f"slot {number} of {self.path} is damaged: {error}; {_AGAIN}") from None
-        if number < count:
-            raise MediaError(f"{self.path} ends after {number} of its {count} slots; {_AGAIN}")
-        if size > file_size(self.path, self.form):
-            raise _longer(self.path, count)
+        """Yield the slots in order of time; raise a MediaError after the last good slot of a damaged file."""
+        kind, form, number = self.path.suffix.lower(), self.form, 0
+        with _clear_errors(self.path), self.path.open("rb") as file:
+            if kind == ".csv":
+                yield from _read_rows(self.path, file, form)
+                return
+            size = _slot_bytes(kind, form.side)
+            try:
+                for data in _read_c_rows(file, size) if kind == ".h" else _read_blocks(file, size):
+                    if number == form.count:
+                        raise MediaError(f"{self.path} has more than its {form.count} slots; {_AGAIN}")
+                    yield _unpack(kind, data, form.side)
+                    number += 1
+            except ValueError as error:
+                raise MediaError(f"slot {number} of {self.path} is damaged: {error}; {_AGAIN}") from None
+            if number < form.count:
+                raise MediaError(f"{self.path} ends after {number} of {form.count} slots; {_AGAIN}")
+            if os.fstat(file.fileno()).st_size > file_size(self.path, form):
+                raise MediaError(f"{self.path} has more than its {form.count} slots; {_AGAIN}")
 
     def levels(self) -> Iterator[NDArray[np.uint8]]:
         """Yield the patterns: (n, n) uint8, the slots of each in which an LED is on."""
-        total, held = np.zeros((self.form.side, self.form.side), np.uint8), 0
-        for slot in self:
-            total, held = total + slot, held + 1
-            if held == self.form.slots_per_pattern:
-                yield total
-                total, held = np.zeros_like(total), 0
-
-    def _lines(self) -> Iterator[Slot]:
-        form = self.form
-        try:
-            yield from slot_table.rows(self.path, form.side, form.slots_per_pattern > 1, form.slot_ns * 1e-9)
-        except OSError as error:
-            raise error if isinstance(error, MediaError) else _unreadable(self.path, error) from None
-
-    def _slots(self, layout: Layout) -> Iterator[bytes]:
-        size = layout.size(self.form.side)
-        if self.path.suffix.lower() == C_HEADER:
-            yield from c_header.rows(self.path, size)
-            return
-        with self.path.open("rb") as file:
-            file.seek(HEAD.size)
-            while block := file.read(max(1, BLOCK // size) * size):
-                # the last slot of a file that is cut is left out
-                yield from (block[start : start + size] for start in range(0, len(block) // size * size, size))
+        slots = iter(self)
+        while len(group := list(islice(slots, self.form.slots_per_pattern))) == self.form.slots_per_pattern:
+            yield np.sum(group, axis=0, dtype=np.uint8)
 
 
 def open_slots(path: str | os.PathLike[str]) -> SlotFile:
-    """Open LED patterns that `heliograph transmit` wrote for a driver: .bits, .hub75, .shift, a C header, or .csv.
+    """Open LED patterns of `heliograph transmit` for a driver: .bits, .hub75, .shift, a C header, or .csv.
 
     Parameters
     ----------
     path
-        The file; its suffix tells its kind.
+        The file; the suffix gives the kind.
 
     Raises
     ------
     MediaError
-        There is no such file, it is of another kind or damaged. A file that is cut is told of while iterating, after
-        the slots that are whole.
+        The file is missing, of another kind or damaged. Iterating reports a truncated file after the last good slot.
     """
     if not isinstance(path, (str, os.PathLike)):
         raise MediaError(f"the path of slots is text or a pathlib.Path, not {shown(path)}")
     file = Path(path)
-    if file.suffix.lower() not in READ:
-        raise MediaError(f"slots are in files that end in one of {', '.join(READ)}, not {shown(file.suffix.lower())}")
-    try:
+    kind = _checked_kind(file, (*SUFFIXES, ".csv"))
+    with _clear_errors(file):
         if not file.is_file():
             raise MediaError(f"there is no file {file}: check the name")
-        if file.suffix.lower() == slot_table.SUFFIX:
-            return SlotFile(file, _read_table(file))
-        layout = _layout(file.suffix.lower())
-        form, size = _read_c(file) if file.suffix.lower() == C_HEADER else _read_head(file, layout)
-    except OSError as error:
-        raise error if isinstance(error, MediaError) else _unreadable(file, error) from None
-    if form.side not in SIDES or min(form.slots_per_pattern, form.slot_ns) < 1 or size != layout.size(form.side):
+        try:
+            if kind == ".csv":
+                return SlotFile(file, _read_table_form(file))
+            *values, size = _read_c_head(file)[0] if kind == ".h" else _read_head(file, kind)
+        except (ValueError, KeyError, struct.error):
+            raise MediaError(f"{file} is no {kind} file of LED patterns; see 'heliograph transmit'") from None
+    form = SlotForm(*values)
+    if not _is_side(form.side) or min(form.slots_per_pattern, form.slot_ns) < 1 or size != _slot_bytes(kind, form.side):
         raise MediaError(f"{file} is damaged: no slots are {form.side} LEDs a side in {size} bytes; {_AGAIN}")
     return SlotFile(file, form)
 
 
-_AGAIN = "write it again by 'heliograph transmit'"
+def write_slots(path: Path, slots: Iterable[NDArray[np.uint8]], form: SlotForm) -> None:
+    """Write a file of slots completely or not at all."""
+    kind, written = _checked_kind(path, SUFFIXES), 0
+    with whole_file(path) as partial, partial.open("wb") as file:
+        file.write(_head(kind, form))
+        for slot in slots:
+            if slot.shape != (form.side, form.side):
+                raise MediaError(f"{path} takes slots of shape ({form.side}, {form.side}), not {slot.shape}")
+            data = _pack(kind, slot)
+            file.write(_c_row(data) if kind == ".h" else data)
+            written += 1
+        if written != form.count:
+            raise MediaError(f"{path} takes {form.count} slots, not {written}")
+        if kind == ".h":
+            file.write(_C_END)
 
 
-def _layout(suffix: str) -> Layout:
-    """The layout of a kind of files; a C header has that of ".bits"."""
-    if suffix not in SUFFIXES:
-        raise MediaError(f"slots are in files that end in one of {', '.join(SUFFIXES)}, not {shown(suffix)}")
-    return LAYOUTS[".bits" if suffix == C_HEADER else suffix]
+def file_size(path: Path, form: SlotForm) -> int:
+    """Return the length of a file of slots in bytes."""
+    kind = _checked_kind(path, SUFFIXES)
+    size = _slot_bytes(kind, form.side)
+    size, end = (len(_c_row(bytes(size))), len(_C_END)) if kind == ".h" else (size, 0)
+    return len(_head(kind, form)) + form.count * size + end
 
 
-def _values(form: SlotForm, size: int) -> tuple[int, ...]:
-    return form.side, form.slots_per_pattern, form.slot_ns, form.count, size
+def _checked_kind(path: Path, suffixes: tuple[str, ...]) -> str:
+    kind = path.suffix.lower()
+    if kind not in suffixes:
+        raise MediaError(f"slots are in files that end in one of {', '.join(suffixes)}, not {shown(kind)}")
+    return kind
 
 
-def _head(layout: Layout, form: SlotForm) -> bytes:
-    return HEAD.pack(layout.signature, *_values(form, layout.size(form.side)), 0)
+def _is_side(side: int) -> bool:
+    return side in range(4, 65, 4)
 
 
-def _read_head(path: Path, layout: Layout) -> tuple[SlotForm, int]:
+@contextmanager
+def _clear_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except MediaError:
+        raise
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror or error}") from None
+
+
+def _slot_bytes(kind: str, side: int) -> int:
+    return side // 2 * (1 + side) if kind == ".hub75" else side * side // 8
+
+
+def _pack(kind: str, slot: Slot) -> bytes:
+    if kind == ".hub75":  # a row scan: the address of the row, then a byte for each column of both halves
+        half = len(slot) // 2
+        lit = _RGB * slot[:half] | _RGB * slot[half:] << 3
+        return np.insert(lit, 0, np.arange(half), axis=1).tobytes()
+    # the first bit in a chain of registers ends at the far end
+    return np.packbits(slot.ravel()[::-1] if kind == ".shift" else slot).tobytes()
+
+
+def _unpack(kind: str, data: bytes, side: int) -> Slot:
+    held = np.frombuffer(data, np.uint8)
+    if kind == ".hub75":
+        rows = held.reshape(side // 2, 1 + side)
+        if (rows[:, 0] != np.arange(side // 2)).any():
+            raise ValueError("its rows do not come in the order of addresses")
+        lit = np.concatenate([rows[:, 1:] & _RGB, rows[:, 1:] >> 3])
+        if not np.isin(lit, (0, _RGB)).all():
+            raise ValueError("R, G and B of an LED differ")
+        return lit // _RGB
+    slot = np.unpackbits(held)
+    return (slot[::-1].copy() if kind == ".shift" else slot).reshape(side, side)
+
+
+def _head(kind: str, form: SlotForm) -> bytes:
+    values = (form.side, form.slots_per_pattern, form.slot_ns, form.count, _slot_bytes(kind, form.side))
+    if kind != ".h":
+        return HEAD.pack(SIGNATURES[kind], *values, 0)
+    macros = "".join(f"#define HELIOGRAPH_{name} {value}u\n" for name, value in zip(_MACROS, values, strict=True))
+    text = (
+        "/* LED patterns, written by heliograph transmit: LEDs on (1) or off (0) in each slot, slot after slot,\n"
+        "   row by row from the upper left, most significant bit first. A slot lasts HELIOGRAPH_SLOT_NS. */\n"
+        f"#ifndef HELIOGRAPH_SLOTS_H\n#define HELIOGRAPH_SLOTS_H\n\n#include <stdint.h>\n\n{macros}\n"
+    )
+    return text.encode() + _C_ARRAY
+
+
+def _read_head(path: Path, kind: str) -> tuple[int, ...]:
     with path.open("rb") as file:
-        data = file.read(HEAD.size)
-    if not data.startswith(layout.signature):
-        raise _foreign(path)
-    if len(data) < HEAD.size:
-        raise MediaError(f"{path} ends within its first {HEAD.size} bytes; {_AGAIN}")
-    _, side, per_pattern, slot_ns, count, size, _ = HEAD.unpack(data)
-    return SlotForm(side, per_pattern, slot_ns, count), size
+        signature, *values, _ = HEAD.unpack(file.read(HEAD.size))
+    if signature != SIGNATURES[kind]:
+        raise ValueError
+    return tuple(values)
 
 
-def _read_c(path: Path) -> tuple[SlotForm, int]:
-    try:
-        *values, size = c_header.read_head(path)
-    except (ValueError, KeyError):
-        raise _foreign(path) from None
-    return SlotForm(*values), size
+def _read_blocks(file: BinaryIO, size: int) -> Iterator[bytes]:
+    """Yield the bytes of each complete slot."""
+    file.seek(HEAD.size)
+    while block := file.read(max(1, (1 << 14) // size) * size):
+        yield from (block[start : start + size] for start in range(0, len(block) // size * size, size))
 
 
-def _read_table(path: Path) -> SlotForm:
-    try:
-        side, slots, period_s, count = slot_table.read_head(path)
-        if side not in SIDES:
+def _c_row(data: bytes) -> bytes:
+    return b"  " + b"".join(b"0x%02x," % byte for byte in data) + b"\n"
+
+
+def _read_c_head(path: Path) -> tuple[tuple[int, ...], int]:
+    """Return the values of the macros and the place of the array."""
+    with path.open("rb") as file:
+        head, array, _ = file.read(1 << 13).partition(_C_ARRAY)
+    if not array:
+        raise ValueError
+    values = dict(re.findall(rb"#define HELIOGRAPH_([A-Z_]+) (\d{1,19})u\s", head))
+    return tuple(int(values[name.encode()]) for name in _MACROS), len(head) + len(array)
+
+
+def _read_c_rows(file: BinaryIO, size: int) -> Iterator[bytes]:
+    """Yield the bytes of each slot up to the end of the array."""
+    file.seek(_read_c_head(Path(file.name))[1])
+    length = len(_c_row(bytes(size)))
+    while re.fullmatch(rb"  (?:0x[0-9a-f]{2},)+\n", line := file.read(length)):
+        yield bytes.fromhex(line.decode().replace("0x", "").replace(",", ""))
+    if line + file.read(len(_C_END)) not in (_C_END, _C_END + b"\n"):  # a longer file is reported after the slots
+        raise ValueError("its line is cut")
+
+
+def write_table(path: Path, patterns: Iterable[NDArray[np.uint8]], side: int, period_s: float, slots: bool) -> None:
+    """Write a table in text: a line for each slot, or for each pattern where the values are levels."""
+    with path.open("w", encoding="ascii") as file:
+        file.write(_column_names(side, slots) + "\n")
+        for index, pattern in enumerate(patterns):
+            file.write(f"{index * period_s:.9g}," + ",".join(map(str, pattern.ravel().tolist())) + "\n")
+
+
+def _column_names(side: int, slots: bool) -> str:
+    time = "slot_s" if slots else "time_s"
+    return ",".join((time, *(f"led_{u}_{v}" for u in range(side) for v in range(side))))
+
+
+def _lines(file: BinaryIO) -> Iterator[str]:
+    """Yield lines of at most 128 KiB; the first line of 64 x 64 LEDs takes 46 kB."""
+    return (line.decode("ascii", "replace").replace("\r\n", "\n") for line in iter(lambda: file.readline(1 << 17), b""))
+
+
+def _read_table_form(path: Path) -> SlotForm:
+    with path.open("rb") as file:
+        lines = _lines(file)
+        names = next(lines, "")
+        side, slots = round(names.count(",") ** 0.5), names.startswith("slot_s")
+        start_s, next_s = (float(line.partition(",")[0]) for line in islice(lines, 2))
+        if not _is_side(side) or names != _column_names(side, slots) + "\n" or not 0 == start_s < next_s < np.inf:
             raise ValueError
-    except ValueError:
-        raise _foreign(path) from None
-    return SlotForm.of(side, pwm.SLOTS if slots else 1, period_s, count)
+        return SlotForm.of(side, pwm.SLOTS if slots else 1, next_s, 2 + sum(1 for _ in lines))
 
 
-def _longer(path: Path, count: int) -> MediaError:
-    return MediaError(f"{path} has more than its {count} slots; {_AGAIN}")
-
-
-def _foreign(path: Path) -> MediaError:
-    return MediaError(f"{path} is no {path.suffix} file of LED patterns; 'heliograph transmit' writes those")
-
-
-def _unreadable(path: Path, error: OSError) -> MediaError:
-    return MediaError(f"cannot read {path}: {error.strerror or error}")
+def _read_rows(path: Path, file: BinaryIO, form: SlotForm) -> Iterator[Slot]:
+    """Yield the LEDs of each line of a table."""
+    highest = 1 if form.slots_per_pattern > 1 else pwm.SLOTS
+    for count, line in enumerate(islice(_lines(file), 1, None)):
+        time_s, _, values = line.partition(",")
+        try:
+            leds = np.array(values.split(","), np.int64)
+            late = abs(float(time_s) / (form.slot_ns * 1e-9) - count)
+        except ValueError:
+            leds, late = np.empty(0, np.int64), np.inf
+        if not line.endswith("\n") or leds.size != form.side**2 or not 0 <= leds.min() <= leds.max() <= highest:
+            raise MediaError(f"line {count + 2} of {path} is cut or damaged; {_AGAIN}")
+        if not late <= 0.01 + 1e-8 * count:  # times have nine digits
+            raise MediaError(f"line {count + 2} of {path} is late or early; {_AGAIN}")
+        yield leds.reshape(form.side, form.side).astype(np.uint8)

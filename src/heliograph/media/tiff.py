@@ -1,4 +1,4 @@
-"""TIFF stacks by tifffile, one frame in memory at a time."""
+"""TIFF stacks by tifffile, read frame by frame."""
 
 import json
 import logging
@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -19,161 +18,115 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
-from heliograph.media import images as pictures
-from heliograph.media.numbered import NumberedReader, camera_rate
-from heliograph.media.reader import Reading, checked_size
+from heliograph.media import images
+from heliograph.media.reader import Reading, camera_rate, checked_size
+from heliograph.media.stamps import TimedReader
 
 if TYPE_CHECKING:
     from tifffile import TiffPage
 
+SUFFIXES = (".tif", ".tiff")
+"""Suffixes of stacks."""
 
-_IMAGEJ = re.compile(r"^(images|channels|slices|frames)=(\d{1,9})\s*$", re.MULTILINE)
-"""Lengths in ImageJ's description: pictures in all, and the axes."""
+SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""First bytes of a TIFF file in either byte order, and of BigTIFF (TIFF 6.0, section 2)."""
 
-_OME_PIXELS = re.compile(r"<(?:\w+:)?Pixels\b[^>]*>")
-"""Element of OME-XML that has the lengths of a series."""
+# values of PhotometricInterpretation
+_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR, _MOSAIC = 0, 1, 2, 3, 6, 32803
+_SAMPLES = {_WHITE_IS_ZERO: 1, _BLACK_IS_ZERO: 1, _RGB: 3, _PALETTE: 1, _YCBCR: 3, _MOSAIC: 1}
+"""Samples of a pixel for gray or colour; further samples may be opacity."""
 
-_OME = re.compile(r"\b(SizeZ|SizeT|SizeC|SignificantBits)\s*=\s*[\"'](\d{1,9})[\"']")
-"""Lengths of the axes and bits of a level in it."""
+_SPLIT = "save one channel, in ImageJ by Image > Color > Split Channels"
 
-_SHAPE = re.compile(r"shape=\(([\d, ]+)\)")
-"""Shape in the description by old releases of tifffile."""
-
-_CHANNELS = ("channels", "SizeC", "C")
-"""Names of the axis of channels."""
-
-_MAX_CHANNELS = 7
-"""Most channels that ImageJ shows. tifffile writes any stack of pictures as ImageJ's channels if no axes are given."""
+# the errors below report problems of tifffile
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 
 @dataclass(frozen=True, slots=True)
 class Description:
     """Description of a stack."""
 
-    # Lengths above 1 of the axes beside rows and columns, under the description's own names
+    # Lengths above 1 of the axes besides rows and columns, under the names of the description
     axes: Mapping[str, int] = field(default_factory=dict)
     # Number of pictures; 1 if the description states none
     frames: int = 1
-    # True if the program writes stacks as one page with all pictures as its data
+    # True if the program writes stacks as a page with all pictures as data
     in_one_page: bool = True
     # Bits of a gray level; None if the description states none
     bits: int | None = None
 
-    @property
-    def has_channels(self) -> bool:
-        """True if several pictures belong to one time."""
-        return any(name in self.axes and (len(self.axes) > 1 or self.axes[name] <= _MAX_CHANNELS) for name in _CHANNELS)
-
 
 def read_description(page: "TiffPage") -> Description:
-    """Return the axes and bits that a page's description states."""
+    """Return the axes and bits stated by a page's description, of ImageJ, OME-XML or tifffile."""
     text = page.description
     if text.startswith("ImageJ="):
-        said = {name: int(length) for name, length in _IMAGEJ.findall(text)}
-        return Description(_long(said, but="images"), max(1, said.get("images", 1)))
-    if (pixels := _OME_PIXELS.search(text)) is not None:
-        said = {name: int(length) for name, length in _OME.findall(pixels[0])}
-        bits = said.pop("SignificantBits", None)
-        said["SizeC"] = said.get("SizeC", 1) // max(1, page.samplesperpixel)
-        return Description(_long(said), math.prod(said.values()), in_one_page=False, bits=bits)
-    return _shaped(page, text)
-
-
-def _long(lengths: Mapping[str, int], but: str = "") -> dict[str, int]:
-    return {name: length for name, length in lengths.items() if length > 1 and name != but}
-
-
-def _shaped(page: "TiffPage", text: str) -> Description:
-    """Description by tifffile: the shape of the whole array, and the letters of its axes."""
+        lengths = re.findall(r"^(images|channels|slices|frames)=(\d{1,9})\s*$", text, re.MULTILINE)
+        axes = {name: int(length) for name, length in lengths}
+        return Description(_long(axes, but="images"), max(1, axes.get("images", 1)))
+    if (pixels := re.search(r"<(?:\w+:)?Pixels\b[^>]*>", text)) is not None:
+        lengths = re.findall(r"\b(SizeZ|SizeT|SizeC|SignificantBits)\s*=\s*[\"'](\d{1,9})[\"']", pixels[0])
+        axes = {name: int(length) for name, length in lengths}
+        bits = axes.pop("SignificantBits", None)
+        axes["SizeC"] = axes.get("SizeC", 1) // max(1, page.samplesperpixel)
+        return Description(_long(axes), math.prod(axes.values()), in_one_page=False, bits=bits)
     try:
         if text.startswith("{"):
-            said = json.loads(text)
-            shape, letters = [int(length) for length in said["shape"]], str(said.get("axes", ""))
+            stated = json.loads(text)
+            shape, letters = [int(length) for length in stated["shape"]], str(stated.get("axes", ""))
         else:
-            found = _SHAPE.match(text)
+            found = re.match(r"shape=\(([\d, ]+)\)", text)
             shape, letters = [int(length) for length in (found[1] if found else "").split(",") if length.strip()], ""
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return Description()
     outer, inner = shape[: -len(page.shape)], shape[-len(page.shape) :]
     if not outer or inner != list(page.shape) or min(outer) < 1:
         return Description()
-    names = (
-        list(letters[: len(outer)])
-        if len(letters) == len(shape)
-        else [f"axis {number}" for number in range(len(outer))]
-    )
-    return Description(_long(dict(zip(names, outer, strict=True))), math.prod(outer))
+    names = letters if len(letters) == len(shape) else [f"axis {number}" for number in range(len(outer))]
+    return Description(_long(dict(zip(names, outer, strict=False))), math.prod(outer))
 
 
-ERRORS = (
-    ValueError, ArithmeticError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError, MemoryError,
-    ImportError, struct.error, zlib.error, lzma.LZMAError,
-)  # fmt: skip
-"""Errors of tifffile on damaged files, apart from its own and from OSError."""
-
-_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR, _MOSAIC = 0, 1, 2, 3, 6, 32803
-"""Meanings of a pixel's samples (PhotometricInterpretation)."""
-
-_SAMPLES = {_WHITE_IS_ZERO: 1, _BLACK_IS_ZERO: 1, _RGB: 3, _PALETTE: 1, _YCBCR: 3, _MOSAIC: 1}
-"""Samples of a pixel that are its gray level or colour; further ones may be its opacity."""
-
-_OPACITY = (1, 2)
-"""Values of ExtraSamples for opacity."""
-
-_PLAIN = 1
-"""Value of Compression for none."""
-
-_MEANING, _ORIENTATION = 262, 274
-"""Tags of the meaning of the samples, and of the turn and mirroring of the page."""
+def _long(lengths: Mapping[str, int], but: str = "") -> dict[str, int]:
+    return {name: length for name, length in lengths.items() if length > 1 and name != but}
 
 
-def check_kind(path: Path, page: "TiffPage") -> None:
-    """Refuse a page whose samples are neither gray nor red, green and blue."""
+def _check_kind(path: Path, page: "TiffPage") -> None:
+    """Refuse a page with other samples than gray or red, green and blue."""
     wanted = _SAMPLES.get(_meaning(page))
     if wanted is None or page.samplesperpixel < wanted:
         kind = getattr(page.photometric, "name", page.photometric)
         raise MediaError(f"{path} has pixels of kind {kind}: save gray or RGB of 8 or 16 bits")
-    if page.imagedepth > 1 and not is_plain(page):
-        raise MediaError(
-            f"{path} has {page.imagedepth} pictures in one page (ImageDepth) that is compressed or tiled: save a page "
-            "for each frame"
-        )
-    if page.samplesperpixel > wanted == 1 and not all(extra in _OPACITY for extra in page.extrasamples or (0,)):
-        raise MediaError(
-            f"{path} has several channels ({page.samplesperpixel} samples a pixel): save one channel as a stack of its "
-            "own, in ImageJ by Image > Color > Split Channels"
-        )
+    if page.imagedepth > 1 and not _is_plain(page):
+        raise MediaError(f"{path} has {page.imagedepth} pictures in one page that is compressed or tiled: save pages")
+    # values 1 and 2 of ExtraSamples are opacity
+    if page.samplesperpixel > wanted == 1 and not all(extra in (1, 2) for extra in page.extrasamples or (0,)):
+        raise MediaError(f"{path} has several channels ({page.samplesperpixel} samples a pixel): {_SPLIT}")
 
 
-def is_plain(page: "TiffPage") -> bool:
-    """Return True if the levels lie in the file without compression, one row after the other."""
-    return page.compression == _PLAIN and not page.is_tiled and _in_one_piece(page)
+def _is_plain(page: "TiffPage") -> bool:
+    """True if the levels lie in the file uncompressed, row after row."""
+    places, sizes = page.dataoffsets, page.databytecounts
+    in_one_piece = all(place + size == end for place, size, end in zip(places, sizes, places[1:], strict=False))
+    return page.compression == 1 and not page.is_tiled and in_one_piece
 
 
-def plane_bytes(page: "TiffPage") -> int:
-    """Return the bytes of one frame of a page without compression."""
+def _plane_bytes(page: "TiffPage") -> int:
+    """Return the bytes of a frame of an uncompressed page."""
     rows, row, bits = page.shaped[0] * page.shaped[2], page.shaped[3] * page.shaped[4], page.bitspersample
     words = 2 * rows * row
     # some programs write levels of 9 to 15 bits as words of 16 and state the bits of the level
     return words if 8 < bits < 16 and sum(page.databytecounts) == words else rows * -(-row * bits // 8)
 
 
-def end(page: "TiffPage", plane: int) -> int:
+def _end(page: "TiffPage", plane: int) -> int:
     """Return the place behind the last byte of a frame."""
     if not page.dataoffsets or not all(page.dataoffsets) or not all(page.databytecounts):
         raise ValueError("a strip or tile is missing")
-    if is_plain(page):
-        return int(page.dataoffsets[0]) + plane_bytes(page) * (plane + 1)
+    if _is_plain(page):
+        return int(page.dataoffsets[0]) + _plane_bytes(page) * (plane + 1)
     return int(max(place + size for place, size in zip(page.dataoffsets, page.databytecounts, strict=True)))
 
 
-def read_levels(path: Path, page: "TiffPage", plane: int, channel: str) -> Pixels:
-    """Return the gray levels of a frame, upright as the page says. Returns (rows, columns) uint8 or uint16."""
-    picture = pictures.checked_form(path, _colours(page, _stored(page, plane)))
-    return _upright(pictures.to_gray(picture, channel), int(page.tags.valueof(_ORIENTATION, default=1)))
-
-
-def depth(page: "TiffPage", levels: Pixels, stated: int | None) -> int:
+def _bits(page: "TiffPage", levels: Pixels, stated: int | None) -> int:
     """Return the bits of a gray level, 8 to 16."""
     least, most = BITS[levels.dtype]
     bits = page.bitspersample if page.bitspersample < most else stated or most
@@ -181,19 +134,14 @@ def depth(page: "TiffPage", levels: Pixels, stated: int | None) -> int:
 
 
 def _meaning(page: "TiffPage") -> int:
-    """Meaning of the samples; without a statement they are gray, or red, green and blue."""
-    if _MEANING in page.tags:
+    """Return the meaning of the samples: gray, or red, green and blue, if the page states none."""
+    if "PhotometricInterpretation" in page.tags:
         return int(page.photometric)
     return _RGB if page.samplesperpixel > 1 else _BLACK_IS_ZERO
 
 
-def _in_one_piece(page: "TiffPage") -> bool:
-    places, sizes = page.dataoffsets, page.databytecounts
-    return all(place + size == following for place, size, following in zip(places, sizes, places[1:], strict=False))
-
-
 def _colours(page: "TiffPage", stored: NDArray[Any]) -> NDArray[Any]:
-    """Gray levels (rows, columns), or blue, green and red (rows, columns, 3)."""
+    """Return gray levels (rows, columns), or blue, green and red (rows, columns, 3)."""
     meaning, full_scale = _meaning(page), (1 << page.bitspersample) - 1
     samples = np.moveaxis(stored, 0, -1)[..., 0, :] if stored.shape[0] > 1 else stored[0]
     if meaning == _PALETTE:
@@ -206,31 +154,19 @@ def _colours(page: "TiffPage", stored: NDArray[Any]) -> NDArray[Any]:
 
 
 def _stored(page: "TiffPage", plane: int) -> NDArray[Any]:
-    """Numbers of a frame as they lie in the file, (planar samples, rows, columns, samples)."""
-    if page.compression == _PLAIN and not page.is_tiled and page.bitspersample > 1 and page.fillorder == 1:
-        return _uncompressed(page, plane)
-    stored = page.asarray(squeeze=False, maxworkers=1)[:, 0]
-    return stored.view(np.uint8) if stored.dtype == np.bool_ else stored.astype(stored.dtype.newbyteorder("="))
-
-
-def _uncompressed(page: "TiffPage", plane: int) -> NDArray[Any]:
-    file, size, bits = page.parent.filehandle, plane_bytes(page), page.bitspersample
-    shape = (page.shaped[0], *page.shaped[2:])
+    """Return the numbers of a frame as stored, (planar samples, rows, columns, samples)."""
+    bits = page.bitspersample
+    if not _is_plain(page) or bits == 1 or page.fillorder != 1:
+        stored = page.asarray(squeeze=False, maxworkers=1)[:, 0]
+        return stored.view(np.uint8) if stored.dtype == np.bool_ else stored.astype(stored.dtype.newbyteorder("="))
+    size, shape = _plane_bytes(page), (page.shaped[0], *page.shaped[2:])
     if page.dtype is None:
         raise ValueError(f"numbers of {bits} bits and kind {page.sampleformat}")
-    if is_plain(page):
-        data = bytearray(size)  # which may be written, so that no loop is compiled again
-        file.seek(page.dataoffsets[0] + plane * size)
-        held = file.readinto(data)
-    else:
-        data = bytearray()
-        for place, length in zip(page.dataoffsets, page.databytecounts, strict=True):
-            file.seek(place)
-            data += file.read(min(length, size - len(data)))
-        held = len(data)
-    if held < size:
-        raise ValueError(f"its strips hold {held} bytes, and its pixels take {size}")
-    if bits % 8 and size < 2 * int(np.prod(shape)):
+    page.parent.filehandle.seek(page.dataoffsets[0] + plane * size)
+    data = bytearray(size)  # writable, as kernels are compiled for writable arrays
+    if page.parent.filehandle.readinto(data) < size:
+        raise ValueError(f"its pixels take {size} bytes")
+    if bits % 8 and size < 2 * math.prod(shape):
         from imagecodecs import packints_decode
 
         return packints_decode(bytes(data), page.dtype, bits, runlen=shape[2] * shape[3]).reshape(shape)
@@ -239,41 +175,24 @@ def _uncompressed(page: "TiffPage", plane: int) -> NDArray[Any]:
 
 
 def _upright(levels: Pixels, orientation: int) -> Pixels:
-    """Levels turned and mirrored by the tag Orientation (TIFF 6.0, section 8)."""
+    """Turn and mirror levels by the tag Orientation (TIFF 6.0, section 8)."""
     turned: Pixels = levels.T if orientation in (5, 6, 7, 8) else levels
     turned = turned[:, ::-1] if orientation in (2, 3, 6, 7) else turned
     turned = turned[::-1] if orientation in (3, 4, 7, 8) else turned
     return turned.copy() if turned is not levels else levels
 
 
-SUFFIXES = (".tif", ".tiff")
-"""Suffixes of stacks."""
-
-SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-"""First bytes of a TIFF file in either byte order, and of BigTIFF (TIFF 6.0, section 2)."""
-
-_REDUCED = 1
-"""Bit of NewSubfileType by which a page is a smaller copy of another one (TIFF 6.0, section 8)."""
-
-# Python prints warnings of a logger without any handler to standard error
-logging.getLogger("tifffile").addHandler(logging.NullHandler())
-
-
-class _PagesEndError(Exception):
-    """The pages of a file end here, for the reason given."""
-
-
 def is_stack(path: Path) -> bool:
-    """Return True if a TIFF file has more than one frame, and so is a film of its own; False if it is damaged."""
+    """True if a TIFF file has more than one frame, and so is a film; False if damaged."""
     try:
         with _Stack(path) as stack:
             return stack.has_several()
-    except (MediaError, _PagesEndError):
+    except MediaError:
         return False
 
 
-class TiffReader(NumberedReader):
-    """A TIFF stack; see `FilmReader`. It has no clock, so the rate is needed."""
+class TiffReader(TimedReader):
+    """A TIFF stack; see `FilmReader`. Stacks have no clock, so the rate is needed."""
 
     _decodes = True
     faster = ("HDF5",)
@@ -281,7 +200,7 @@ class TiffReader(NumberedReader):
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading.rate_hz)
         self._channel = reading.channel
-        self.claimed_hz = camera_rate(path, reading.rate_hz)
+        self._number_frames(camera_rate(path, reading.rate_hz))
         with _Stack(path) as stack:
             stack.check_axes()
             first, self.bits = stack.first_levels(self._channel)
@@ -289,205 +208,180 @@ class TiffReader(NumberedReader):
         self.height, self.width = first.shape
         self.metadata = {}
 
-    def _pictures(self) -> Iterator[tuple[int, Pixels]]:
+    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         count = 0
         with _Stack(self.path) as stack:
-            try:
-                for page, plane in stack.frames():
-                    pixels, bits = stack.levels(page, plane, count, self._channel)
-                    if pixels.shape != (self.height, self.width) or bits != self.bits:
-                        rows, columns = pixels.shape
-                        raise MediaError(
-                            f"{self.path} has a page of {columns}x{rows} pixels of {bits} bits after {count} of "
-                            f"{self.width}x{self.height} of {self.bits}: save it without that page"
-                        )
-                    yield count, pixels
-                    count += 1
-            except _PagesEndError as error:
-                raise _cut(self.path, error, count) from None
+            for page, plane in stack.frames():
+                pixels, bits = stack.levels(page, plane, count, self._channel)
+                if pixels.shape != (self.height, self.width) or bits != self.bits:
+                    got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {bits} bits"
+                    form = f"{self.width}x{self.height} of {self.bits}"
+                    raise MediaError(f"{self.path} has a page of {got} after {count} of {form}: remove it")
+                yield count / self.claimed_hz, pixels, bits
+                count += 1
+            stack.check_end(count)
 
 
-def single_picture(path: Path, channel: str) -> tuple[Pixels, int]:
-    """Return the gray levels of a TIFF file that is one picture, and their bits."""
+def read_picture(path: Path, channel: str) -> tuple[Pixels, int]:
+    """Return the gray levels of a TIFF file of a single picture, and the bits."""
     with _Stack(path) as stack:
-        try:
-            several = stack.has_several()
-        except _PagesEndError as error:
-            raise _cut(path, error, 0) from None
-        if several:
-            raise MediaError(
-                f"{path} has several pages, not one picture: give a stack by its own name, not by its folder"
-            )
+        if stack.has_several():
+            raise MediaError(f"{path} has several pages, not one picture: give the file's name")
+        stack.check_end(0)
         return stack.first_levels(channel)
 
 
-def _cut(path: Path, error: _PagesEndError, count: int) -> MediaError:
-    return MediaError(f"{path} {error} after {count} whole frames: copy it again")
-
-
 class _Stack:
-    """A TIFF file that is open."""
+    """An open TIFF file."""
 
     def __init__(self, path: Path) -> None:
         import tifffile
 
         self._path = path
-        self._errors = (*ERRORS, tifffile.TiffFileError)
+        self._errors = (
+            ValueError, ArithmeticError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError,
+            MemoryError, ImportError, struct.error, zlib.error, lzma.LZMAError, tifffile.TiffFileError,
+        )  # fmt: skip
         try:
-            self._tif = tifffile.TiffFile(path, is_ome=False)  # whose series may lie in other files
+            self._tif = tifffile.TiffFile(path, is_ome=False)  # series of OME may lie in other files
         except OSError as error:
             raise MediaError(f"cannot read {path}: {error.strerror or brief(error)}") from None
         except self._errors as error:
-            raise MediaError(
-                f"{path} cannot be read as TIFF ({brief(error)}): give a TIFF stack, or copy it again if it is one"
-            ) from None
+            raise MediaError(f"{path} cannot be read as TIFF ({brief(error)}): copy it again") from None
         self._file = self._tif.filehandle
         self._description: Description | None = None
+        self._ending = ""  # reason for an irregular end of the pages
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._tif.close()
 
     def frames(self) -> Iterator[tuple["TiffPage", int]]:
-        """Yield each frame as its page and its number in the page's data, without reduced copies of other pages."""
-        pages, ending = self._pages(), None
+        """Yield each frame as a page and the number in the page's data; skip reduced copies of other pages."""
+        pages = self._pages()
         page = next(pages, None)
         while page is not None:
-            following = None
-            try:
-                following = next(pages, None)
-            except _PagesEndError as error:
-                ending = error
-            yield from ((page, plane) for plane in range(self._frames_of(page, following, whole=ending is None)))
+            following = next(pages, None)
+            yield from ((page, plane) for plane in range(self._frames_of(page, following)))
             page = following
-        if ending is not None:
-            raise ending
 
     def has_several(self) -> bool:
-        """Return True if there is more than one frame."""
+        """True if the file has more than one frame."""
         return len(list(islice(self.frames(), 2))) > 1
 
+    def check_end(self, count: int) -> None:
+        """Raise an error if the pages end irregularly behind `count` frames."""
+        if self._ending:
+            raise MediaError(f"{self._path} {self._ending} after {count} whole frames: copy it again")
+
     def count(self) -> int | None:
-        """Return how many frames there are, reduced copies included; None if the file is damaged."""
-        try:
-            directories = sum(1 for _ in self._directories())
-            return directories if directories > 1 else sum(1 for _ in self.frames())
-        except _PagesEndError:
-            return None
+        """Return the number of frames and reduced copies; None if the file is damaged."""
+        directories = sum(1 for _ in self._directories())
+        count = directories if directories > 1 else sum(1 for _ in self.frames())
+        return None if self._ending else count
 
     def check_axes(self) -> None:
-        """Refuse a stack that has several channels, or two axes of frames, by its description."""
-        axes: Mapping[str, int] = self._stated().axes
+        """Refuse a stack of several channels, or two axes of frames, by the description."""
+        axes = self._stated().axes
         text = ", ".join(f"{name}={length}" for name, length in axes.items())
-        if self._stated().has_channels:
-            raise MediaError(
-                f"{self._path} has several channels ({text} in its description): save one channel as a stack of its "
-                "own, in ImageJ by Image > Color > Split Channels"
-            )
+        # tifffile by default writes any stack as channels of ImageJ, which shows 7 at most
+        if any(name in axes and (len(axes) > 1 or axes[name] <= 7) for name in ("channels", "SizeC", "C")):
+            raise MediaError(f"{self._path} has several channels ({text} in its description): {_SPLIT}")
         if len(axes) > 1:
-            raise MediaError(
-                f"{self._path} has several axes of pictures ({text} in its description), and a film has one: save a "
-                "stack along the axis of time, in ImageJ by Image > Hyperstacks > Reduce Dimensionality"
-            )
+            cure = "save one axis, in ImageJ by Image > Hyperstacks > Reduce Dimensionality"
+            raise MediaError(f"{self._path} has several axes of pictures ({text} in its description): {cure}")
 
     def first_levels(self, channel: str) -> tuple[Pixels, int]:
-        """Gray levels of the first frame, and their bits."""
-        try:
-            first = next(self.frames(), None)
-            if first is None:
-                if not len(self._tif.pages):
-                    raise MediaError(f"{self._path} holds no pages: save it again")
-                raise MediaError(
-                    f"{self._path} holds small copies alone; pictures in sub-directories, as in cameras' raw files, "
-                    "are not read: save them as TIFF"
-                )
+        """Return the gray levels of the first frame, and the bits."""
+        first = next(self.frames(), None)
+        if first is not None:
             return self.levels(*first, 0, channel)
-        except _PagesEndError as error:
-            raise _cut(self._path, error, 0) from None
+        self.check_end(0)
+        if not len(self._tif.pages):
+            raise MediaError(f"{self._path} holds no pages: save it again")
+        text = "pictures in sub-directories, as in cameras' raw files, are not read: save TIFF"
+        raise MediaError(f"{self._path} holds only small copies; {text}")
 
     def levels(self, page: "TiffPage", plane: int, count: int, channel: str) -> tuple[Pixels, int]:
-        """Gray levels of a frame, and their bits; `count` whole frames came before."""
+        """Return the gray levels of a frame behind `count` others, upright, and the bits."""
         try:
             checked_size(self._path, page.imagewidth, page.imagelength)
-            check_kind(self._path, page)
-            if end(page, plane) > self._file.size:
-                raise _PagesEndError("ends in the middle,")
-            pixels = read_levels(self._path, page, plane, channel)
-            return pixels, depth(page, pixels, self._stated().bits)
+            _check_kind(self._path, page)
+            if _end(page, plane) > self._file.size:
+                raise MediaError(f"{self._path} ends in the middle, after {count} whole frames: copy it again")
+            picture = images.checked_form(self._path, _colours(page, _stored(page, plane)))
+            orientation = int(page.tags.valueof("Orientation", default=1))
+            pixels = _upright(images.to_gray(picture, channel), orientation)
+            return pixels, _bits(page, pixels, self._stated().bits)
         except MediaError:
             raise
         except (OSError, *self._errors) as error:
-            raise MediaError(
-                f"{self._path} has a page after {count} whole frames that cannot be decoded ({brief(error)}): it is "
-                "damaged, or of a kind that is not read; copy it again, or save gray or RGB of 8 or 16 bits"
-            ) from None
+            text = f"a page after {count} whole frames that cannot be decoded ({brief(error)})"
+            raise MediaError(f"{self._path} has {text}: copy it again, or save gray or RGB of 8 or 16 bits") from None
 
     def _stated(self) -> Description:
-        """The description of the first page."""
+        """Return the description of the first page."""
         if self._description is None:
-            try:
-                page = next(self._pages(), None)
-            except _PagesEndError:
-                page = None
+            page = next(self._pages(), None)
             self._description = Description() if page is None else read_description(page)
         return self._description
 
     def _directories(self) -> Iterator[int]:
-        """Yield the place of each page's directory."""
-        form = self._tif.tiff
-        self._file.seek(8 if self._tif.is_bigtiff else 4)
-        place, seen = self._number(form.offsetformat, form.offsetsize), set[int]()
-        while place:
-            if place in seen:
-                raise _PagesEndError("is damaged")
-            if place >= self._file.size:
-                raise _PagesEndError("ends in the middle,")
-            seen.add(place)
-            yield place
-            self._file.seek(place)
-            tags = self._number(form.tagnoformat, form.tagnosize)
-            self._file.seek(min(place + form.tagnosize + tags * form.tagsize, self._file.size))
+        """Yield the place of each page's directory; tifffile hides the reason for the end of the chain."""
+        form, places = self._tif.tiff, set[int]()
+        self._ending = ""
+        try:
+            self._file.seek(8 if self._tif.is_bigtiff else 4)
             place = self._number(form.offsetformat, form.offsetsize)
+            while place:
+                if place in places:
+                    self._ending = "is damaged"
+                    return
+                places.add(place)
+                self._file.seek(min(place, self._file.size))
+                tags = self._number(form.tagnoformat, form.tagnosize)
+                yield place
+                self._file.seek(min(place + form.tagnosize + tags * form.tagsize, self._file.size))
+                place = self._number(form.offsetformat, form.offsetsize)
+        except struct.error:
+            self._ending = "ends in the middle,"
 
     def _number(self, form: str, size: int) -> int:
-        data = self._file.read(size)
-        if len(data) < size:
-            raise _PagesEndError("ends in the middle,")
-        return int(struct.unpack(form, data)[0])
+        return int(struct.unpack(form, self._file.read(size))[0])
 
     def _pages(self) -> Iterator["TiffPage"]:
-        """Yield the pages but for reduced copies of others."""
+        """Yield the pages except for reduced copies of others."""
         import tifffile
 
         for number, place in enumerate(self._directories()):
             self._file.seek(place)
             try:
                 page = tifffile.TiffPage(self._tif, index=number)
-                reduced = int(page.subfiletype) & _REDUCED
+                is_reduced = int(page.subfiletype) & 1  # TIFF 6.0, section 8
             except (OSError, *self._errors):
-                raise _PagesEndError("is damaged") from None
-            if not reduced:
+                self._ending = "is damaged"
+                return
+            if not is_reduced:
                 yield page
 
-    def _frames_of(self, page: "TiffPage", following: "TiffPage | None", *, whole: bool) -> int:
-        """Frames that follow one another in a page's data; `whole` is True if the chain of pages ends as it should."""
+    def _frames_of(self, page: "TiffPage", following: "TiffPage | None") -> int:
+        """Return the number of frames in a page's data."""
+        complete = not self._ending
         try:
             stated = read_description(page)
-            frames = stated.frames if stated.in_one_page or not whole else 1
+            frames = stated.frames if stated.in_one_page or not complete else 1
             frames = max(frames, page.imagedepth)
-            if frames == 1 and page.index == 0 and following is None and whole:
-                series = self._tif.series[0]  # of other programs' forms, such as MetaMorph's
+            if frames == 1 and page.index == 0 and following is None and complete:
+                series = self._tif.series[0]  # forms of other programs, such as MetaMorph
                 if series.dataoffset == page.dataoffsets[0] and not series.size % page.size:
                     frames = series.size // page.size
-            if frames == 1 or not is_plain(page):
+            if frames == 1 or not _is_plain(page):
                 return 1
-            start, size = page.dataoffsets[0], plane_bytes(page)
+            start, size = page.dataoffsets[0], _plane_bytes(page)
             if following is None:
-                # a picture that was taken out of a stack may keep the stack's description
+                # a picture cut out of a stack may keep the description of the stack
                 return frames if self._file.size >= start + 2 * size or page.imagedepth > 1 else 1
             others = range(start + size, start + frames * size)
             return 1 if following.offset in others or following.dataoffsets[0] in others else frames

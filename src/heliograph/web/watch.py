@@ -6,7 +6,7 @@ from fastapi import APIRouter, Depends, WebSocket
 
 from heliograph.base.files import shown_name
 from heliograph.link.settings import PRESETS
-from heliograph.media.live.listing import cameras_there
+from heliograph.media.live.camera import list_cameras
 from heliograph.media.live.reader import is_camera
 from heliograph.media.live.settings import camera_settings
 from heliograph.receive.registry import RECEIVERS
@@ -31,7 +31,7 @@ async def sources(shared: Ours) -> dict[str, Any]:
 async def cameras(shared: Ours) -> dict[str, Any]:
     """The live cameras of this machine, and what is missing to see others."""
     asked = camera_settings(shared.camera)
-    found, lacking = await in_thread(lambda: cameras_there(asked))
+    found, lacking = await in_thread(lambda: list_cameras(asked))
     shared.cameras[:] = [one["name"] for one in found]
     return {"cameras": found, "lacking": lacking}
 

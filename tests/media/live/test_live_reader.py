@@ -15,8 +15,8 @@ from played_camera import PlayedCamera, find
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.media import create_film, open_film
-from heliograph.media.live import grabber
 from heliograph.media.live.camera import CameraForm, CameraKind, Picture, register_camera
+from heliograph.media.live.grabber import CameraTiming
 from heliograph.media.live.reader import LiveReader, live_of
 from heliograph.media.live.settings import CameraSettings, camera_settings
 
@@ -28,8 +28,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(PlayedCamera, "opened", 0)
     monkeypatch.setattr(PlayedCamera, "unplugged", 0)
     monkeypatch.setattr(PlayedCamera, "pulled", None)
-    monkeypatch.setattr(grabber, "WAITS_S", (0.02, 0.03))
-    # `--load` in this process may have registered another copy of the class
+    # `--load` of a command in this process may have registered another copy of its class
     register_camera("played", PlayedCamera, find)
     yield
     assert not [thread for thread in threading.enumerate() if thread.name == "camera"]
@@ -48,6 +47,7 @@ def film(tmp_path: Path) -> Path:
 def live(film: Path, **asked: Any) -> LiveReader:
     reader = open_film(f"camera:played:{film}", camera=asked)
     assert isinstance(reader, LiveReader)
+    reader.timing = CameraTiming(retry_s=(0.02, 0.03))
     return reader
 
 
@@ -232,19 +232,20 @@ def test_a_camera_that_cannot_be_closed_is_told() -> None:
     assert said == ["camera:odd:clinging could not be closed: RuntimeError: no"]
 
 
-def test_silence_of_a_camera_that_runs_freely_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grabber, "SILENT_S", 0.2)
-    with open_film("camera:odd:silent") as reader, pytest.raises(MediaError, match="is set, but sends no frames: see"):
-        list(reader)
+def test_silence_of_a_camera_that_runs_freely_is_an_error() -> None:
+    with open_film("camera:odd:silent") as reader:
+        assert isinstance(reader, LiveReader)
+        reader.timing = CameraTiming(silent_s=0.2)
+        with pytest.raises(MediaError, match="is set, but sends no frames: check"):
+            list(reader)
 
 
-def test_silence_of_a_trigger_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grabber, "SILENT_S", 0.2)
+def test_silence_of_a_trigger_is_said_once() -> None:
     said: list[str] = []
     asked = {"trigger": "Line1", "duration_s": 0.8}
     with open_film("camera:odd:silent", rate_hz=50, camera=asked) as reader:
         assert isinstance(reader, LiveReader)
-        reader.say = said.append
+        reader.say, reader.timing = said.append, CameraTiming(silent_s=0.2)
         assert list(reader) == []
     assert said == ["camera:odd:silent: no pulse of Line1 for 0.2 s; still waiting"]
 

@@ -4,18 +4,18 @@ import itertools
 
 import pytest
 
-from heliograph.media.live.numbering import LARGEST_SHORT, Numbering, Place
+from heliograph.media.live.numbering import LARGEST_SHORT, Numbering
 
 MS = 1_000_000
 """Nanoseconds per millisecond."""
 
 
 def placed(numbering: Numbering, *frames: tuple[int | None, int | None, int]) -> list[tuple[int, float] | None]:
-    """Place frames given as number, timestamp in ms and arrival in ms."""
-    found: list[Place | None] = [
+    """Places of frames given as their number, and their stamp and arrival in ms."""
+    found = [
         numbering.place(number, None if stamp is None else stamp * MS, host * MS) for number, stamp, host in frames
     ]
-    return [None if place is None else (place.index, round(place.time_s, 6)) for place in found]
+    return [None if place is None else (place[0], round(place[1], 6)) for place in found]
 
 
 def test_numbers_and_stamps_run_on() -> None:
@@ -94,7 +94,7 @@ def test_the_frame_period_is_that_of_the_stamps_not_of_the_cameras_word() -> Non
     numbering = Numbering(1000, even=True)
     # at a requested 1000 frames/s the camera delivers 487, with no frame missing
     places = [numbering.place(k, 2_053_000 * k, 2_053_000 * k) for k in range(60)]
-    assert [place and place.index for place in places] == list(range(60))
+    assert [place and place[0] for place in places] == list(range(60))
     assert numbering.period_s == pytest.approx(0.002053)
     assert numbering.skipped == 0
 
@@ -107,7 +107,7 @@ def test_the_frame_period_is_found_where_most_gaps_hold_frames_that_were_not_tak
     assert numbering.period_s == pytest.approx(0.01)
     known = places[40:]
     assert known[0] is not None
-    assert [place and place.index - known[0].index for place in known] == [(s - stamps[40]) // 10 for s in stamps[40:]]
+    assert [place and place[0] - known[0][0] for place in known] == [(s - stamps[40]) // 10 for s in stamps[40:]]
 
 
 @pytest.mark.parametrize("to", [0, 3_600_000])

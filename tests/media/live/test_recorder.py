@@ -8,7 +8,6 @@ import pytest
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import FilmReader, create_film, open_film
-from heliograph.media.live import recorder as room
 from heliograph.media.live.recorder import Recorder
 
 
@@ -65,9 +64,8 @@ def test_failures_soon_after_another_are_in_the_next_film(tmp_path: Path, source
     assert kept(tmp_path / "kept.h5") == list(range(51, 72))
 
 
-def test_memory_is_bounded(tmp_path: Path, source: FilmReader, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(room, "MOST_KEPT", 30 * 64)
-    recorder = Recorder(tmp_path / "kept.h5", 10, source, {"note": "x"})
+def test_memory_is_bounded(tmp_path: Path, source: FilmReader) -> None:
+    recorder = Recorder(tmp_path / "kept.h5", 10, source, {"note": "x"}, max_bytes=30 * 64)
     assert recorder.seconds == pytest.approx(0.3)
     for number in range(200):
         recorder.saw(frame(number))

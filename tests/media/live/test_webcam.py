@@ -94,16 +94,15 @@ def test_what_ffmpeg_is_told() -> None:
     assert options == {"video_size": "640x480", "framerate": "60", "input_format": "gray"}
 
 
-def test_devices_are_listed_with_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(webcam, "DEVICES", tmp_path)
+def test_devices_are_listed_with_their_names(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match="Linux knows of none"):
-        webcam.find(CameraSettings())
+        webcam.find(CameraSettings(), tmp_path)
     for number, index, name in ((10, 0, "Second"), (2, 0, "First"), (3, 1, "First, without pictures")):
         folder = tmp_path / f"video{number}"
         folder.mkdir()
         (folder / "name").write_text(f"{name}\n")
         (folder / "index").write_text(f"{index}\n")
-    assert [(one.address, one.text) for one in webcam.find(CameraSettings())] == [
+    assert [(one.address, one.text) for one in webcam.find(CameraSettings(), tmp_path)] == [
         ("/dev/video2", "First"), ("/dev/video10", "Second")
     ]  # fmt: skip
 
@@ -111,4 +110,4 @@ def test_devices_are_listed_with_their_names(tmp_path: Path, monkeypatch: pytest
 def test_a_stamp_is_the_drivers() -> None:
     picture = av.VideoFrame.from_ndarray(np.zeros((4, 4), np.uint8), "gray")
     picture.pts, picture.time_base = 1_234_567, Fraction(1, 1_000_000)
-    assert Webcam("")._picture(picture).stamp_ns == 1_234_567_000
+    assert Webcam("")._convert(picture).stamp_ns == 1_234_567_000

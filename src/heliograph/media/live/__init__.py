@@ -1,1 +1,1 @@
-"""Live cameras as films: industrial ones by Aravis or GenICam producers, webcams, and cameras of one's own by name."""
+"""Live cameras as films: industrial cameras by Aravis or GenICam producers, webcams, and user-defined cameras."""

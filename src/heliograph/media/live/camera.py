@@ -1,24 +1,24 @@
-"""What a live camera is: a class that connects, hands out pictures as they come, and lets go."""
+"""Protocol of a live camera, the kinds of cameras by name, and the list of present cameras."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.frames import Pixels
 from heliograph.base.registry import Registry
 from heliograph.media.live.settings import CameraSettings
 
 PREFIX = "camera:"
-"""How the name of a live camera begins where a film is named."""
+"""First characters of the name of a live camera."""
 
 
 class CameraLostError(MediaError):
-    """The camera does not answer any more: its cable was pulled, or it was switched off."""
+    """The camera has stopped answering: the cable was pulled, or the power is off."""
 
 
 class CameraCrashError(MediaError):
-    """An unexpected exception ended the camera's own code; it is the cause of this error."""
+    """An unexpected exception in the code of the camera, the cause of this error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +28,12 @@ class Picture:
     Attributes
     ----------
     pixels
-        (rows, columns) gray levels; None of one that arrived in part. They are copied before the next call of
-        `Camera.frames`: a camera may then fill the array again.
+        (rows, columns) gray levels; None if the picture is incomplete. The reader copies the pixels before the
+        next call of `Camera.frames`: a camera may reuse the array.
     number
-        Its number by the camera, one more than that of the picture before; None where the camera gives none.
+        Frame number of the camera, incremented for each picture; None if the camera gives none.
     stamp_ns
-        Start of its exposure by the camera's own clock in ns; None where it has no clock.
+        Start of the exposure by the camera's clock in ns; None if the camera has no clock.
     """
 
     pixels: Pixels | None
@@ -43,24 +43,24 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class CameraForm:
-    """Form of a camera's pictures, as it says once it is set.
+    """Form of a camera's pictures with the settings applied.
 
     Attributes
     ----------
     width
-        Columns of its pictures in pixels.
+        Columns of a picture in pixels.
     height
-        Rows of its pictures in pixels.
+        Rows of a picture in pixels.
     bits
         Bits of a gray level, 8 to 16.
     rate_hz
-        Pictures a second, above 0; None where the camera does not say.
+        Pictures a second, above 0; None if the camera does not state it.
     model
-        Who made it and what it is called, for the user.
+        Maker and model, for the user.
     settings
-        Its settings as read back, by the names of `CameraSettings`.
+        Settings as read back, by the names of `CameraSettings`.
     departures
-        What it made of settings where that is not what was asked for, a text for each.
+        A text for each setting with another value than the requested.
     """
 
     width: int
@@ -73,97 +73,89 @@ class CameraForm:
 
 
 class Camera(Protocol):
-    """A camera of some kind, before it is opened. All its methods are called by one thread at a time."""
+    """A camera of some kind, before it is opened. The methods are called from a single thread at a time."""
 
     def open(self, settings: CameraSettings) -> CameraForm:
-        """Connect, set the camera, and read back what it made of it. It takes no pictures yet.
+        """Connect, apply and read back the settings; start no acquisition yet.
 
         Parameters
         ----------
         settings
-            What the user asked for. None of a setting leaves the camera as it is.
+            Requested settings. None leaves a setting unchanged.
 
         Raises
         ------
         MediaError
-            There is no such camera, or it cannot be set so.
+            The camera is missing, or refuses a setting.
         """
 
     def frames(self, wait_s: float) -> Sequence[Picture] | None:
-        """Return the pictures that came since the last call; the first call starts the camera.
+        """Return the pictures since the last call; the first call starts the acquisition.
 
         Parameters
         ----------
         wait_s
-            Longest time in s to wait where none has come; then there is nothing to return.
+            Longest time in s to wait for a picture; then return an empty sequence.
 
         Returns
         -------
-        The pictures in their order, or None after the last one of a camera that ends.
+        The pictures in order, or None after the last picture.
 
         Raises
         ------
         CameraLostError
-            The camera does not answer any more; it is closed, and another one is made and opened.
+            The camera has stopped answering. The reader closes this camera, then makes and opens another.
         """
 
     def close(self) -> None:
-        """Stop the camera and let go of it, whatever its state; it may have been lost. Never raises."""
+        """Stop and release the camera in any state, even after it was lost. Never raises."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A camera that is there."""
+    """A present camera."""
 
-    # What its kind knows it by, such as a serial number; empty where the kind has one camera alone
+    # Address within the kind, such as a serial number; empty if the kind has a single camera
     address: str
-    # Who made it and how it is connected, for the user
+    # Maker and connection, for the user
     text: str
 
 
 class CameraKind(NamedTuple):
     """Cameras of a kind."""
 
-    # Makes a camera of its address; the empty address is that of the first one
+    # Makes a camera from an address; the empty address selects the first camera
     make: Callable[[str], Camera]
-    # Lists what is there; a MediaError says why there is nothing, and what to do. None where it cannot be told
+    # Lists present cameras; a MediaError gives the reason for an empty list and the cure. None if it cannot be known
     find: Callable[[CameraSettings], list[Found]] | None = None
 
 
-CAMERAS: Registry[CameraKind] = Registry(
-    "camera",
-    "heliograph.cameras",
-    {
-        "aravis": "heliograph.media.live.aravis:KIND",
-        "genicam": "heliograph.media.live.genicam:KIND",
-        "webcam": "heliograph.media.live.webcam:KIND",
-    },
-)
-"""Kinds of cameras by the word after ``camera:``; a `CameraKind`."""
+_BUILT_IN = {name: f"heliograph.media.live.{name}:KIND" for name in ("aravis", "genicam", "webcam")}
+CAMERAS: Registry[CameraKind] = Registry("camera", "heliograph.cameras", _BUILT_IN)
+"""Kinds of cameras by the word after ``camera:``."""
 
 
 def register_camera(
     name: str, make: Callable[[str], Camera], find: Callable[[CameraSettings], list[Found]] | None = None
 ) -> None:
-    """Register a kind of camera of one's own.
+    """Register a user-defined kind of camera.
 
-    It is then read wherever a film is: ``camera:NAME`` or ``camera:NAME:ADDRESS``. Packages offer cameras without a
-    call, by an entry point of the group "heliograph.cameras" that names a `CameraKind`.
+    Commands and functions then accept ``camera:NAME`` or ``camera:NAME:ADDRESS`` as a film. An entry point of the group
+    "heliograph.cameras" with a `CameraKind` registers cameras of a package automatically.
 
     Parameters
     ----------
     name
-        Its name: letters, digits, "-", "_" and ".".
+        Name of the kind: letters, digits, "-", "_" and ".".
     make
-        Makes a `Camera` of its address, a text that is empty where none is given; a class with such a constructor will
-        do.
+        Makes a `Camera` from an address, a possibly empty text; a class with such a constructor is enough.
     find
-        Lists the cameras that are there for ``heliograph cameras``; it takes the `CameraSettings` of the command.
+        Lists present cameras for ``heliograph cameras``, given the `CameraSettings` of the command.
 
     Raises
     ------
     SettingsError
-        The name is that of a kind of the package, or is no name; or `make` is no function.
+        The package has a kind of this name, the name is invalid, or `make` is no function.
     """
     CAMERAS.register(name, CameraKind(make, find), make)
 
@@ -172,5 +164,25 @@ def camera_kind(name: str) -> tuple[CameraKind, str]:
     """Return the kind and the address of a camera's name."""
     kind, _, address = name.removeprefix(PREFIX).partition(":")
     if not kind:
-        raise MediaError(f"a camera is {PREFIX}KIND or {PREFIX}KIND:ADDRESS; 'heliograph cameras' lists what is there")
+        raise MediaError(f"a camera is {PREFIX}KIND or {PREFIX}KIND:ADDRESS; see 'heliograph cameras'")
     return CAMERAS[kind], address
+
+
+def list_cameras(settings: CameraSettings) -> tuple[list[dict[str, str]], dict[str, str]]:
+    """Return the name and text of each present camera, and the reason for each kind that has no cameras."""
+    found: list[dict[str, str]] = []
+    lacking: dict[str, str] = {}
+    for kind in CAMERAS.names():
+        find = CAMERAS[kind].find
+        try:
+            cameras = find(settings) if find else []
+        except HeliographError as error:
+            lacking[kind] = str(error)
+            continue
+        if not cameras:
+            built_in = CAMERAS.is_built_in(kind)
+            lacking[kind] = "no camera answers" if built_in else "cannot be listed; give the address"
+        for camera in cameras:
+            name = f"{PREFIX}{kind}:{camera.address}".rstrip(":")
+            found.append({"name": name, "text": camera.text})
+    return found, lacking

@@ -1,4 +1,4 @@
-"""The thread that takes a camera's pictures, numbers them, and looks for the camera again where it was lost."""
+"""Thread for the pictures of a camera, with numbers, times and reconnection."""
 
 import threading
 import time
@@ -12,13 +12,12 @@ from heliograph.media.live.camera import Camera, CameraCrashError, CameraForm, C
 from heliograph.media.live.numbering import Numbering
 from heliograph.media.live.settings import CameraSettings
 
-DRAINED = 0.5
-"""Fraction of a full queue that must be taken before frames are queued again. Chosen: frames are then dropped in one
-run, and come in one: what is between can hold whole packets, every second frame cannot."""
-
 
 class FrameQueue:
-    """Frames that wait for the receiver. Where it is full, new frames are dropped until half of it is taken."""
+    """Queue of frames before the receiver. A full queue drops new frames until half of the queue is free.
+
+    Lost frames then form long runs, and so do received frames, which can hold complete packets.
+    """
 
     def __init__(self, most: int):
         self.dropped = 0
@@ -30,7 +29,7 @@ class FrameQueue:
         """Queue a frame, or drop it."""
         with self._changed:
             waiting = len(self._frames)
-            self._full = waiting >= self._most or (self._full and waiting > DRAINED * self._most)
+            self._full = waiting >= self._most or (self._full and waiting > self._most / 2)
             if self._full:
                 self.dropped += 1
                 return
@@ -38,14 +37,14 @@ class FrameQueue:
             self._changed.notify()
 
     def end(self) -> None:
-        """Say that no frame comes any more."""
+        """Mark the end of the frames."""
         with self._changed:
             self._ended = True
             self._changed.notify()
 
     @property
     def over(self) -> bool:
-        """Whether all frames are taken and none comes any more."""
+        """True after the last frame."""
         with self._changed:
             return self._ended and not self._frames
 
@@ -53,52 +52,51 @@ class FrameQueue:
         return len(self._frames)
 
     def get(self, wait_s: float) -> Frame | None:
-        """Take the oldest frame; None where none comes in time."""
+        """Take the oldest frame; None if none comes in time."""
         with self._changed:
             if not self._frames and not self._ended:
                 self._changed.wait(wait_s)
             return self._frames.popleft() if self._frames else None
 
 
-WAIT_S = 0.1
-"""Longest wait for a picture at a time: within it a reader notices that it is to end. Chosen."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraTiming:
+    """Times of waiting for a camera, in s."""
 
-SILENT_S = 5.0
-"""Time without a picture from which on a camera that runs freely counts as lost. Chosen: longer than the longest usual
-exposure, and than a switch takes to find its way."""
-
-WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0)
-"""Times between the tries to reach a lost camera; the last one holds for all after it. Chosen: the first six take a
-minute, in which a camera that was plugged in again has started."""
-
-CLOSING_S = 5.0
-"""Time that a camera gets to end. Chosen; its thread ends with the program in any case."""
+    # Longest single wait for a picture, and so for the reaction to a stop
+    picture_s: float = 0.1
+    # Silence after which a freely running camera counts as lost; longer than usual exposures
+    silent_s: float = 5.0
+    # Pauses before the attempts to reach a lost camera; the last value repeats. Six take a minute, a camera's start
+    retry_s: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0)
+    # Time for the camera to end
+    closing_s: float = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class CameraCounts:
-    """What became of a camera's frames so far.
+    """Counts of a camera's frames so far.
 
     Attributes
     ----------
     frames
-        Frames that came whole.
+        Complete frames.
     lost
-        Frames that the camera numbered and of which nothing came.
+        Frames missing in the camera's numbers.
     incomplete
-        Frames of which a part came; they are left out.
+        Partly received frames; they are left out.
     skipped
-        Frame periods for which the camera has no frame, by its stamps.
+        Frame periods missing in the camera's stamps.
     dropped
-        Frames that came whole and found no place before the receiver.
+        Complete frames dropped by the full queue of the receiver.
     waiting
-        Frames that came whole and still wait for the receiver; they are left out where it is stopped.
+        Complete frames in the queue; they are left out if the receiver stops.
     jumps
-        Times the camera's clock was set or began anew.
+        Number of resets of the camera's clock.
     reconnections
-        Times the camera was lost and came back.
+        Number of successful reconnections.
     host_clock
-        Whether times are the host's, as the camera has no stamps.
+        True if times come from the host's clock, as the camera has no stamps.
     rate_hz
         Frames per second by the stamps of the last frames.
     """
@@ -116,22 +114,16 @@ class CameraCounts:
 
 
 class Grabber:
-    """Takes a camera's pictures into a queue, in a thread of its own, until it is stopped or the camera ends."""
+    """Queues the pictures of a camera in a thread until it is stopped or the camera ends."""
 
     def __init__(
-        self,
-        name: str,
-        make: Callable[[], Camera],
-        camera: Camera,
-        form: CameraForm,
-        settings: CameraSettings,
-        rate_hz: float,
-        queue: FrameQueue,
-    ):
+        self, name: str, make: Callable[[], Camera], camera: Camera, form: CameraForm, settings: CameraSettings,
+        rate_hz: float, queue: FrameQueue, timing: CameraTiming,
+    ):  # fmt: skip
         self.error: MediaError | None = None
         self.news: deque[str] = deque()
         self._name, self._make, self._camera, self._form = name, make, camera, form
-        self._settings, self._queue = settings, queue
+        self._settings, self._queue, self._timing = settings, queue, timing
         self._numbering = Numbering(rate_hz, even=not settings.triggered)
         self._frames = self._reconnections = self._tries = 0
         self._stopping = threading.Event()
@@ -140,53 +132,45 @@ class Grabber:
         self._thread = threading.Thread(target=self._work, name="camera", daemon=True)
 
     def start(self) -> None:
-        """Begin to take pictures."""
+        """Start the thread."""
         self._heard_s = time.monotonic()
         self._end_s = self._heard_s + (self._settings.duration_s or float("inf"))
         self._thread.start()
 
     def stop(self) -> None:
-        """Take no more pictures, and let go of the camera; waits for that at most `CLOSING_S`."""
+        """Stop the thread and release the camera."""
         self._stopping.set()
-        self._thread.join(CLOSING_S)
+        self._thread.join(self._timing.closing_s)
         if self._thread.is_alive():
-            self.news.append(f"{self._name} did not stop within {CLOSING_S:g} s; it is left as it is")
+            self.news.append(f"{self._name} did not stop within {self._timing.closing_s:g} s; it is left as it is")
 
     @property
     def counts(self) -> CameraCounts:
-        """What became of the frames so far."""
-        kept = self._numbering
+        """Counts of the frames so far."""
+        numbering = self._numbering
         return CameraCounts(
-            frames=self._frames,
-            lost=kept.lost,
-            incomplete=kept.incomplete,
-            skipped=kept.skipped,
-            dropped=self._queue.dropped,
-            waiting=len(self._queue),
-            jumps=kept.jumps,
-            reconnections=self._reconnections,
-            host_clock=kept.host_clock,
-            rate_hz=1 / kept.period_s,
-        )
+            self._frames, numbering.lost, numbering.incomplete, numbering.skipped, self._queue.dropped,
+            len(self._queue), numbering.jumps, self._reconnections, numbering.host_clock, 1 / numbering.period_s,
+        )  # fmt: skip
 
     def _work(self) -> None:
         try:
             self._run()
         except HeliographError as error:
             self.error = error if isinstance(error, MediaError) else MediaError(str(error))
-        except BaseException as error:  # whatever goes wrong within somebody else's camera
+        except BaseException as error:  # cameras may be user code
             self.error = CameraCrashError(f"{self._name} ended by {type(error).__name__}: {brief(error)}")
             self.error.__cause__ = error
         finally:
             try:
-                self._let_go()
-            finally:  # the receiver waits for it
+                self._release()
+            finally:  # the receiver waits for the end
                 self._queue.end()
 
     def _run(self) -> None:
         while not self._over:
             try:
-                pictures = self._camera.frames(min(WAIT_S, max(0.0, self._end_s - time.monotonic())))
+                pictures = self._camera.frames(min(self._timing.picture_s, max(0.0, self._end_s - time.monotonic())))
                 if pictures is None:
                     return
                 for picture in pictures:
@@ -196,43 +180,41 @@ class Grabber:
                     place = self._numbering.place(picture.number, picture.stamp_ns, time.monotonic_ns())
                     if place is not None:
                         self._frames += 1
-                        frame = Frame(place.index, place.time_s, picture.pixels, self._form.bits)
+                        frame = Frame(*place, picture.pixels, self._form.bits)
                         self._queue.put(frame.copied())
-                self._listen(bool(pictures))
+                self._check_silence(bool(pictures))
             except CameraLostError as error:
-                self._look_again(error)
+                self._reconnect(error)
 
     @property
     def _over(self) -> bool:
         return self._stopping.is_set() or time.monotonic() >= self._end_s
 
-    def _listen(self, heard: bool) -> None:
-        """Notice where nothing comes any more."""
-        now_s = time.monotonic()
+    def _check_silence(self, heard: bool) -> None:
+        """Report a silent camera."""
+        now_s, silent_s = time.monotonic(), self._timing.silent_s
         if heard:
             self._heard_s, self._tries, self._quiet = now_s, 0, False
-        if now_s - self._heard_s < max(SILENT_S, 5 * self._numbering.period_s) or self._quiet:
+        if now_s - self._heard_s < max(silent_s, 5 * self._numbering.period_s) or self._quiet:
             return
         if self._settings.triggered:
             self._quiet = True
-            self.news.append(f"{self._name}: no pulse of {self._settings.trigger} for {SILENT_S:g} s; still waiting")
+            self.news.append(f"{self._name}: no pulse of {self._settings.trigger} for {silent_s:g} s; still waiting")
         elif not self._frames and not self._numbering.incomplete:
-            raise MediaError(
-                f"{self._name} is set, but sends no frames: see that its trigger is off, that no firewall keeps its "
-                "packets back, and that nobody else uses it"
-            )
+            cure = "check its trigger, the firewall, and other programs with the camera"
+            raise MediaError(f"{self._name} is set, but sends no frames: {cure}")
         else:
-            raise CameraLostError(f"no frame came for {SILENT_S:g} s")
+            raise CameraLostError(f"no frame came for {silent_s:g} s")
 
-    def _look_again(self, error: MediaError) -> None:
-        """Open a camera that was lost once more, or give up."""
-        self._let_go()
+    def _reconnect(self, error: MediaError) -> None:
+        """Open a lost camera again, or give up."""
+        self._release()
         lost_s, why = time.monotonic(), str(error)
         while True:
             self._tries += 1
             if self._tries > self._settings.reconnect:
                 raise MediaError(f"{self._name} is lost after {self._frames} frames ({why}): check cable and power")
-            wait_s = WAITS_S[min(self._tries, len(WAITS_S)) - 1]
+            wait_s = self._timing.retry_s[min(self._tries, len(self._timing.retry_s)) - 1]
             of = f"try {self._tries} of {self._settings.reconnect}"
             self.news.append(f"{self._name} is lost after {self._frames} frames ({why}); {of} in {wait_s:g} s")
             self._stopping.wait(min(wait_s, max(0.0, self._end_s - time.monotonic())))
@@ -243,20 +225,18 @@ class Grabber:
                 form = self._camera.open(self._settings)
                 break
             except HeliographError as failed:
-                self._let_go()
+                self._release()
                 why = str(failed)
-        if (form.width, form.height, form.bits) != (self._form.width, self._form.height, self._form.bits):
-            raise MediaError(
-                f"{self._name} came back with {form.width}x{form.height} pixels of {form.bits} bits in place of "
-                f"{self._form.width}x{self._form.height} of {self._form.bits}: begin anew"
-            )
+        before, now = (f"{each.width}x{each.height} pixels of {each.bits} bits" for each in (self._form, form))
+        if now != before:
+            raise MediaError(f"{self._name} came back with {now} in place of {before}: start again")
         self._reconnections += 1
         self._numbering.restart()
         self._heard_s = time.monotonic()
         self.news.append(f"{self._name} is back after {self._heard_s - lost_s:.1f} s")
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         try:
             self._camera.close()
-        except BaseException as error:  # somebody else's camera, which is not needed any more
+        except BaseException as error:  # the camera is not needed any more
             self.news.append(f"{self._name} could not be closed: {type(error).__name__}: {brief(error)}")

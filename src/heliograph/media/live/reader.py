@@ -1,52 +1,47 @@
 """Live camera as a film: frames as they come."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import HeliographError, MediaError, brief
-from heliograph.base.frames import Frame
 from heliograph.media.live.camera import PREFIX, Camera, CameraCrashError, CameraForm, camera_kind
-from heliograph.media.live.grabber import WAIT_S, CameraCounts, FrameQueue, Grabber
+from heliograph.media.live.grabber import CameraCounts, CameraTiming, FrameQueue, Grabber
 from heliograph.media.live.settings import CameraSettings
-from heliograph.media.reader import FilmReader, Reading, checked_size
+from heliograph.media.reader import FilmReader, Frames, Reading, checked_size
 from heliograph.media.record import FASTEST_HZ
-
-FEWEST_QUEUED = 8
-"""Frames that the queue holds at least. Chosen; a slow camera's come one by one."""
-
-MOST_QUEUED = 1 << 29
-"""Most bytes of frames in the queue. Chosen: half a second of 2048 x 1024 pixels at 500 frames/s."""
 
 
 class LiveReader(FilmReader):
-    """A live camera; see `FilmReader`. Frames are those from now on, until it is stopped or the camera ends.
+    """A live camera; see `FilmReader`. The film ends with the camera, or by `stop`.
 
-    Times are by the camera's own clock, from 0 at the first frame; numbers count its frames, with a gap for each that
-    is missing. Each iteration begins with the next frame of the camera. It has no `frame_count`.
+    Times are by the camera's clock, from 0 at the first frame; numbers count the camera's frames, with a gap for
+    each missing frame. Each iteration starts with the next frame of the camera. `frame_count` is None.
 
     Parameters
     ----------
     name
-        The camera's name, ``camera:KIND`` or ``camera:KIND:ADDRESS``.
+        Name of the camera, ``camera:KIND`` or ``camera:KIND:ADDRESS``.
     reading
-        Its rate is that of the camera's exposures where the camera does not know it; times are not changed by it.
+        The rate replaces a missing rate of the camera; times do not depend on the rate.
     settings
-        What the camera is asked for.
+        Requested settings.
 
     Attributes
     ----------
     form
-        Form of its pictures, and what it made of the settings.
+        Form of the pictures, and the actual settings.
     say
-        Called with a line of text where the camera is lost or comes back; set it to hear of that.
+        Called with a line of text when the camera is lost or comes back.
+    timing
+        Times of waiting for the camera, to be set before iterating.
 
     Raises
     ------
     HeliographError
-        There is no such camera, it cannot be set so, or its rate is not known.
+        The camera is missing, refuses a setting, or has an unknown rate.
     """
 
     def __init__(self, name: str, reading: Reading, settings: CameraSettings) -> None:
@@ -60,7 +55,8 @@ class LiveReader(FilmReader):
         self._camera: Camera | None = None
         self._grabber: Grabber | None = None
         self._stopping = False
-        self.say: Callable[[str], None] = _hush
+        self.say: Callable[[str], None] = lambda _: None
+        self.timing = CameraTiming()
         self.form = self._open()
         self.width, self.height, self.bits = self.form.width, self.form.height, self.form.bits
         self.frame_count = None
@@ -75,17 +71,17 @@ class LiveReader(FilmReader):
 
     @property
     def counts(self) -> CameraCounts | None:
-        """What became of the frames so far; None before the first iteration."""
+        """Counts of the frames so far; None before the first iteration."""
         return self._grabber.counts if self._grabber else None
 
     def stop(self) -> None:
-        """End the iteration before its next frame; may be called by a signal's handler or from another thread."""
+        """End the iteration before the next frame; a signal handler or another thread may call this."""
         self._stopping = True
 
     def close(self) -> None:
-        """Let go of the camera; may be called twice."""
+        """Release the camera; may be called twice."""
         super().close()
-        self._let_go()
+        self._release()
 
     def _open(self) -> CameraForm:
         """Make and open the camera."""
@@ -93,49 +89,49 @@ class LiveReader(FilmReader):
             self._camera = self._make()
             return self._camera.open(self._settings)
         except HeliographError:
-            self._let_go()
+            self._release()
             raise
-        except Exception as error:  # whatever goes wrong within somebody else's camera
-            self._let_go()
+        except Exception as error:  # cameras may be user code
+            self._release()
             reason = f"{type(error).__name__}: {brief(error)}"
             raise CameraCrashError(f"{self._name} cannot be opened: {reason}") from error
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         if self._camera is not None:
             self._camera.close()
             self._camera = None
 
-    def _frames(self) -> Iterator[Frame]:
+    def _frames(self) -> Frames:
         if self._camera is None:
             self._open()
         camera, self._camera, self._stopping = self._camera, None, False
         assert camera is not None
         size = self.width * self.height * (1 if self.bits == 8 else 2)
-        most = min(max(FEWEST_QUEUED, round(self._settings.queue_s * self.claimed_hz)), max(1, MOST_QUEUED // size))
-        queue = FrameQueue(most)
+        # 512 MB are half a second of 2048 x 1024 pixels at 500 frames/s
+        queue = FrameQueue(min(max(8, round(self._settings.queue_s * self.claimed_hz)), max(1, (1 << 29) // size)))
         grabber = self._grabber = Grabber(
-            self._name, self._make, camera, self.form, self._settings, self.claimed_hz, queue
+            self._name, self._make, camera, self.form, self._settings, self.claimed_hz, queue, self.timing
         )
         grabber.start()
         try:
             while not (self._stopping or queue.over):
-                frame = queue.get(WAIT_S)
-                self._tell(grabber)
+                frame = queue.get(self.timing.picture_s)
+                self._report(grabber)
                 if frame is not None:
                     yield frame
         finally:
             grabber.stop()
-            self._tell(grabber)
+            self._report(grabber)
         if grabber.error is not None:
             raise grabber.error
 
-    def _tell(self, grabber: Grabber) -> None:
+    def _report(self, grabber: Grabber) -> None:
         while grabber.news:
             self.say(grabber.news.popleft())
 
 
 def is_camera(path: Any) -> bool:
-    """Return True if a film's name is that of a live camera, and no file has that name."""
+    """True if the name of a film denotes a live camera, and no file has this name."""
     return str(path).startswith(PREFIX) and not os.path.lexists(path)
 
 
@@ -147,21 +143,17 @@ def film_path(text: str | os.PathLike[str]) -> Path:
 
 
 def live_of(film: FilmReader) -> LiveReader | None:
-    """Return the live camera behind a film, which may be seen through a crop; None of a recording."""
-    behind = getattr(film, "film", film)
-    return behind if isinstance(behind, LiveReader) else None
+    """Return the live camera behind a film or a crop; None for a recording."""
+    source = getattr(film, "film", film)
+    return source if isinstance(source, LiveReader) else None
 
 
-def _rate(name: str, said_hz: float | None, settings: CameraSettings, form: CameraForm) -> float:
-    """Frames a second, as the user or else the camera says."""
-    rate_hz = said_hz or (None if settings.triggered else form.rate_hz)
+def _rate(name: str, given_hz: float | None, settings: CameraSettings, form: CameraForm) -> float:
+    """Return the user's rate, or the camera's."""
+    rate_hz = given_hz or (None if settings.triggered else form.rate_hz)
     if rate_hz is None:
-        why = "its trigger sets its rate" if settings.triggered else "it does not say its rate"
-        raise MediaError(f"{name}: {why}; give it by --fps (rate_hz of open_film)")
+        reason = "its trigger sets its rate" if settings.triggered else "it does not say its rate"
+        raise MediaError(f"{name}: {reason}; give it by --fps (rate_hz of open_film)")
     if not 0 < rate_hz <= FASTEST_HZ:
         raise MediaError(f"{name} says that it takes {rate_hz:g} frames/s; give its rate by --fps (rate_hz)")
     return rate_hz
-
-
-def _hush(_text: str, /) -> None:
-    """Say nothing."""

@@ -1,9 +1,10 @@
-"""The last seconds of a live camera, kept where something failed."""
+"""Record the last seconds of a live camera after a failure."""
 
-import threading
 from collections import deque
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
@@ -12,19 +13,17 @@ from heliograph.media.hdf5 import SUFFIXES
 from heliograph.media.reader import FilmReader
 from heliograph.media.record import FASTEST_HZ
 
-MOST_KEPT = 1 << 30
-"""Most bytes of frames that are kept. Chosen: ten seconds of 256 x 400 pixels at 1000 frames/s. Where a disk is slow,
-up to three times as many are held: those being written, those that wait for that, and the last ones."""
-
 
 class Recorder:
-    """Keeps the last frames, and writes them to a film where something failed; the newest film replaces the one before.
+    """Keeps the last frames; a failure writes a film, which replaces the previous film.
 
-    Films do not overlap: what fails within the time of a film after it was begun is in the next one. They are written
-    in a thread, and appear whole or not at all.
+    Films do not overlap: a failure within the time of a new film is in the next film. A thread writes the films
+    completely or not at all. Memory holds up to three times `max_bytes` of frames if the disk is slow.
     """
 
-    def __init__(self, path: Path, seconds: float, source: FilmReader, metadata: Mapping[str, str]):
+    def __init__(
+        self, path: Path, seconds: float, source: FilmReader, metadata: Mapping[str, str], max_bytes: int = 1 << 30
+    ):
         if path.suffix.lower() not in SUFFIXES:
             raise MediaError(f"{path}: a camera is recorded as HDF5, so its name ends in one of {', '.join(SUFFIXES)}")
         if not path.parent.is_dir() or path.is_dir():
@@ -32,62 +31,51 @@ class Recorder:
         self.written = 0
         self.path, self._source, self._metadata = path, source, {**source.metadata, **metadata}
         size = source.width * source.height * (1 if source.bits == 8 else 2)
-        self._most = max(2, MOST_KEPT // size)
-        self.seconds = min(seconds, self._most / source.rate_hz)
-        self._frames: deque[Frame] = deque(maxlen=self._most)
+        most = max(2, max_bytes // size)
+        self.seconds = min(seconds, most / source.rate_hz)
+        self._frames: deque[Frame] = deque(maxlen=most)
         self._waiting: list[Frame] = []
         self._failed = False
         self._covered_s = float("-inf")
-        self._thread: threading.Thread | None = None
-        self._error: BaseException | None = None
+        self._executor = ThreadPoolExecutor(1, "recorder")
+        self._running: Future[None] | None = None
 
     def saw(self, frame: Frame) -> None:
-        """Keep a frame, and begin a film where something failed."""
+        """Keep a frame, and start a film after a failure."""
         while self._frames and self._frames[0].time_s < frame.time_s - self.seconds:
             self._frames.popleft()
         self._frames.append(frame)
         if self._failed and frame.time_s >= self._covered_s + self.seconds:
             self._covered_s, self._failed, self._waiting = frame.time_s, False, [*self._frames]
-        if self._waiting and not (self._thread is not None and self._thread.is_alive()):
+        if self._waiting and (self._running is None or self._running.done()):
             self._finish()
-            self._thread = threading.Thread(target=self._write, args=(self._waiting,), name="recorder")
+            self._running = self._executor.submit(self._write, self._waiting)
             self._waiting = []
-            self._thread.start()
 
     def failed(self) -> None:
-        """Take note that something failed in the frames so far."""
+        """Note a failure in the frames so far."""
         self._failed = True
 
     def close(self) -> None:
-        """Write what is still to be written."""
+        """Write the remaining film."""
         self._finish()
+        self._executor.shutdown()
         left = [*self._frames] if self._failed else self._waiting
         self._failed, self._waiting = False, []
         if left:
             self._write(left)
-            self._finish()
 
     def _finish(self) -> None:
-        """Wait for the film that is being written, and raise its error."""
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-        if self._error is not None:
-            error, self._error = self._error, None
-            raise error
+        """Wait for the running film, and raise any error."""
+        running, self._running = self._running, None
+        if running is not None:
+            running.result()
 
     def _write(self, frames: list[Frame]) -> None:
-        try:
-            with create_film(
-                self.path,
-                width=self._source.width,
-                height=self._source.height,
-                rate_hz=min(self._source.rate_hz, FASTEST_HZ),
-                bits=self._source.bits,
-                metadata=self._metadata,
-            ) as film:
-                for frame in frames:
-                    film.write(frame)
-            self.written = len(frames)
-        except BaseException as error:  # raised by `saw` or `close`, in the receiver's thread
-            self._error = error
+        source = self._source
+        form: dict[str, Any] = {"width": source.width, "height": source.height, "bits": source.bits}
+        rate_hz = min(source.rate_hz, FASTEST_HZ)
+        with create_film(self.path, rate_hz=rate_hz, metadata=self._metadata, **form) as film:
+            for frame in frames:
+                film.write(frame)
+        self.written = len(frames)

@@ -1,4 +1,4 @@
-"""Settings of a live camera from ``--camera key=value``, and the report of requested and actual values."""
+"""Settings of a live camera from ``--camera key=value``, and the comparison of requested and actual values."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,57 +11,49 @@ from heliograph.base.config import CONFIG, clear_errors, from_mapping
 from heliograph.base.errors import MediaError, SettingsError, brief, shown
 from heliograph.base.toml_text import parse_assignment
 
-OFF = "off"
-"""The trigger's name where the camera runs freely."""
 
-
-def _as_region(value: Any) -> Any:
+def _split_region(value: Any) -> Any:
     """Return the numbers of a text such as "0,0,128,64"."""
     return tuple(part.strip() for part in value.split(",")) if isinstance(value, str) else value
 
 
 Whole = Annotated[int, Field(ge=0, le=1 << 16)]
-"""Pixels of a sensor along a side."""
-
-Region = Annotated[tuple[Whole, Whole, Whole, Whole], BeforeValidator(_as_region)]
-"""Column, row, columns and rows of a part of a sensor."""
-
+Region = Annotated[tuple[Whole, Whole, Whole, Whole], BeforeValidator(_split_region)]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
-"""A name, or what a user calls a value."""
 
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class CameraSettings:
-    """What a live camera is asked for. What is left out stays as the camera has it.
+    """Requested settings of a live camera; None leaves a setting unchanged.
 
     Attributes
     ----------
     exposure_us
-        Exposure time in us, above 0. One of a pattern period sees all of its light. Automatic exposure is switched off.
+        Exposure time in us, above 0. A full pattern period collects all light. Automatic exposure is switched off.
     gain
-        Gain as the camera counts it, mostly in dB. Automatic gain is switched off.
+        Gain in units of the camera, mostly dB. Automatic gain is switched off.
     rate_hz
         Frames per second, above 0.
     region
-        X,Y,WIDTH,HEIGHT of the part of the sensor that is read, in pixels.
+        X,Y,WIDTH,HEIGHT of the active part of the sensor, in pixels.
     pixel_format
-        Pixels as they are sent, such as Mono8, Mono12p or BayerRG8.
+        Format of transmitted pixels, such as Mono8, Mono12p or BayerRG8.
     trigger
-        Name of the line whose pulses start the exposures, such as Line1; "off" lets the camera run freely.
+        Name of the line with pulses for the exposures, such as Line1; "off" lets the camera run freely.
     producer
         File of a GenICam producer (.cti), for cameras of the kind "genicam".
     duration_s
-        Time in s after which the film ends, above 0; left out, it ends when it is stopped.
+        Time in s after which the film ends, above 0; None for an endless film.
     queue_s
-        Time in s for which frames wait for the receiver at most, 0.01 to 60, within half a GB. Frames that find no
-        place are dropped. Until an array is found a frame takes several times as long as later.
+        Longest time in s for which frames wait for the receiver, 0.01 to 60, within half a GB. A full queue drops
+        frames. Until the receiver finds an array, a frame takes several times as long as later.
     reconnect
-        Tries to reach a camera that was lost, 0 to 100.
+        Attempts to reach a lost camera, 0 to 100.
     channel
-        What is taken of a colour for a gray level: luma, red, green or blue; as --channel.
+        Gray level of a colour: luma, red, green or blue; as --channel.
     features
-        Features of the camera itself, by their own names: text by name. They begin with a capital letter.
+        Features of the camera: text by name. Names begin with a capital letter.
     """
 
     exposure_us: Annotated[float, Field(gt=0, le=1e9)] | None = None
@@ -87,8 +79,8 @@ class CameraSettings:
 
     @property
     def triggered(self) -> bool:
-        """Whether something else than the camera's own clock starts its exposures."""
-        return self.trigger not in (None, OFF)
+        """True if pulses start the exposures."""
+        return self.trigger not in (None, "off")
 
 
 def camera_settings(given: Mapping[str, Any] | Iterable[str] = ()) -> CameraSettings:
@@ -110,7 +102,7 @@ def camera_settings(given: Mapping[str, Any] | Iterable[str] = ()) -> CameraSett
 
 
 def _pairs(given: Mapping[str, Any] | Iterable[str]) -> Iterable[tuple[str, Any, str]]:
-    """Names with their values, and these as text."""
+    """Yield each name with the value, and the value as text."""
     if isinstance(given, Mapping):
         for name, value in given.items():
             if not isinstance(name, str):
@@ -125,45 +117,39 @@ def _pairs(given: Mapping[str, Any] | Iterable[str]) -> Iterable[tuple[str, Any,
         yield name, value, text.partition("=")[2].strip().strip("\"'")
 
 
-ROUNDED = 1e-4
-"""Relative difference of numbers up to which they are the same: a camera may hold them in single precision, or in whole
-lines. Chosen."""
-
 Value = str | float | Sequence[int]
 """A setting's value: text, a number, or a region."""
 
 
-class Asked:
-    """Settings of a camera, as asked for and as read back."""
-
-    def __init__(self) -> None:
-        self.settings: dict[str, object] = {}
-        self.departures: list[str] = []
-
-    @contextmanager
-    def setting(self, name: str, value: Value, known: Callable[[], Sequence[str]] | None = None) -> Iterator[None]:
-        """Turn a camera's error, raised in the block that sets it, into one that names the setting."""
-        try:
-            yield
-        except MediaError as error:
-            values = f"; it knows {', '.join(known())}" if known else ""
-            raise SettingsError(f"the camera does not take {name}={_written(value)}: {error}{values}") from None
-
-    def got(self, name: str, asked: Value | None, value: Value) -> None:
-        """Keep a value as read back, and note where it is another one than was asked for."""
-        self.settings[name] = _written(value)
-        if asked is not None and not _same(asked, value):
-            self.departures.append(f"{name} is {_written(value)}, asked for {_written(asked)}")
-
-
-def _same(asked: Value, value: Value) -> bool:
-    if asked == value:
-        return True
-    one, other = _written(asked), _written(value)
+@contextmanager
+def setting_errors(name: str, value: Value, known: Callable[[], Sequence[str]] | None = None) -> Iterator[None]:
+    """Add the setting to a camera's error in the block."""
     try:
-        return abs(float(one) - float(other)) <= ROUNDED * abs(float(one))
+        yield
+    except MediaError as error:
+        values = f"; it knows {', '.join(known())}" if known else ""
+        raise SettingsError(f"the camera does not take {name}={_written(value)}: {error}{values}") from None
+
+
+def compare_settings(
+    requested: CameraSettings, actual: Mapping[str, Value]
+) -> tuple[dict[str, object], tuple[str, ...]]:
+    """Return the actual values as text, and a text for each difference from a requested value."""
+    departures = []
+    for name, value in actual.items():
+        wanted = requested.features.get(name) if name[:1].isupper() else getattr(requested, name)
+        if wanted is not None and not _is_same(wanted, value):
+            departures.append(f"{name} is {_written(value)}, asked for {_written(wanted)}")
+    return {name: _written(value) for name, value in actual.items()}, tuple(departures)
+
+
+def _is_same(requested: Value, actual: Value) -> bool:
+    """True if texts are equal, or numbers are; cameras may round to single precision or to lines."""
+    first, second = _written(requested), _written(actual)
+    try:
+        return requested == actual or abs(float(first) - float(second)) <= 1e-4 * abs(float(first))
     except ValueError:  # no numbers
-        return one.lower() == other.lower()
+        return first.lower() == second.lower()
 
 
 def _written(value: Value) -> str:
