@@ -1,6 +1,6 @@
 """What `heliograph budget` rests on, and how far off it is.
 
-python -m benchmarks.budget needs     information that the code needs, by rate: NEEDED of heliograph.link.information
+python -m benchmarks.budget needs     REQUIRED_INFORMATION of heliograph.link.budget, by code rate
 python -m benchmarks.budget points    predicted and measured: codewords lost at points of distance, receiver, mode, blur
 """
 
@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brentq
 
-from heliograph.link.budget import budget
-from heliograph.link.information import binary_information
+from heliograph.link.budget import binary_information, budget
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import run_block
 from heliograph.measure.counts import pooled
