@@ -191,9 +191,9 @@ class Budgets:
         for receiver, form in formats:
             kind: Kind = "linear" if receiver == "soft" else "sampled"
             for layer, rate in zip(LAYERS, form.rates(settings.signal.rate), strict=True):
-                ranges = (estimator.range_m(k, form.mode, layer, rate, found[receiver]) for k in (kind, "bound"))
+                reach, bound = (estimator.range_m(k, form.mode, layer, rate, found[receiver]) for k in (kind, "bound"))
                 here = estimator.information(kind, form.mode, layer, at_m)
-                yield LayerReach(receiver, form.mode, layer, rate, *ranges, here, required_information(rate))
+                yield LayerReach(receiver, form.mode, layer, rate, reach, bound, here, required_information(rate))
 
 
 def budget(settings: LinkSettings, light: LightSettings | None = None) -> Budget:
@@ -444,7 +444,8 @@ def symbol_images(channel: ChannelSettings, signal: SignalSettings, distance_m: 
 
 def required_information(rate: float) -> float:
     """Return the information in bit per coded bit that a code requires."""
-    return float(np.interp(rate, *zip(*REQUIRED_INFORMATION, strict=True)))
+    rates, information = zip(*REQUIRED_INFORMATION, strict=True)
+    return float(np.interp(rate, rates, information))
 
 
 class RangeEstimator:

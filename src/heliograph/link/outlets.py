@@ -62,8 +62,9 @@ class Datagrams:
     """UDP sink, a datagram for each row; a listener is optional."""
 
     def __init__(self, host: str, port: int):
-        family, kind, protocol, _, self._to = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         self._socket = socket.socket(family, kind, protocol)
+        self._to = address
         self.address = f"udp://{host}:{port}"
 
     def send(self, row: Mapping[str, Any]) -> None:

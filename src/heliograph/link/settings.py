@@ -72,11 +72,7 @@ def _phone(fps: int, patterns: int, height: int = 720) -> dict[str, Any]:
     """Return settings for a screen as transmitter and a handheld phone as receiver."""
     width = 16 * height // 9
     return {
-        "signal": {
-            "pattern_period_s": 1 / patterns,
-            "data_pairs": SHORT_PAIRS,
-            "light": "steady",
-        },
+        "signal": {"pattern_period_s": 1 / patterns, "data_pairs": SHORT_PAIRS, "light": "steady"},
         "transmit": {"formats": [{"mode": "short", "high": 1 / 2, "middle": 1 / 2, "low": 1 / 2}]},
         "channel": {
             "distance_m": 1.0,

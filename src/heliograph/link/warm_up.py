@@ -9,13 +9,13 @@ import numpy as np
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.codec import encode
-from heliograph.receive import ReceiveSettings, make_receiver
+from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.signal.settings import SignalSettings
 
 
 def warm_up(signal: SignalSettings, settings: ReceiveSettings, bits: int) -> bool:
     """Decode a synthetic packet; return True on success."""
-    receiver, packets = make_receiver(signal, settings), []
+    receiver, packets = make_receiver(signal, settings), list[Packet]()
     with suppress(HeliographError):  # the live frames raise the same errors
         for frame in _frames(signal, bits):
             packets += receiver.push(frame)

@@ -96,10 +96,7 @@ class LayerCounts:
     def received(self) -> "LayerCounts":
         """The same without the codewords that were missed."""
         return replace(
-            self,
-            codewords=self.codewords - self.missed,
-            codeword_errors=self.codeword_errors - self.missed,
-            missed=0,
+            self, codewords=self.codewords - self.missed, codeword_errors=self.codeword_errors - self.missed, missed=0
         )
 
 
