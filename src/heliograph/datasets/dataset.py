@@ -12,7 +12,7 @@ from heliograph.base.errors import MediaError
 from heliograph.base.files import clear_write_errors, room_for, shown_name, write_whole
 from heliograph.datasets.film import write_planned
 from heliograph.datasets.plan import CUTOUT_SIDES, SPLITS, DatasetPlan, PlannedFilm, planned
-from heliograph.sweeps.plan import laid_over
+from heliograph.sweeps.plan import merge_changes
 
 READ = """import h5py, pathlib
 
@@ -202,7 +202,7 @@ def write_dataset(
     MediaError
         The folder holds another data set, there is no room, or a file cannot be read or written.
     """
-    plan = planned(vary, preset, laid_over(set), films, splits, packets, seed, [Path(one) for one in backgrounds],
+    plan = planned(vary, preset, merge_changes(set), films, splits, packets, seed, [Path(one) for one in backgrounds],
                    Path(imu) if imu is not None else None)  # fmt: skip
     write(plan, Path(folder))
     return plan
