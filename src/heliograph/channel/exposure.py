@@ -220,11 +220,6 @@ class Shown:
         rows = _moments(begins, ends, (self.start_s + self.end_s) / 2)
         return _central(self._light(rows, phases), self.end_s - self.start_s)
 
-    def fraction(self) -> Floats:
-        """Return the lit fraction of the exposure of each LED, (n, n), 0 to 1."""
-        begins, ends, _, phases = np.array(self.pieces).T
-        return np.asarray(self._light((ends - begins)[None], phases)[0] / (self.end_s - self.start_s))
-
     def _light(self, rows: Floats, phases: Floats) -> Floats:
         """Return the sums of moments of pieces, (m, k), over the lit pieces of each LED, (m, n, n)."""
         # LEDs of equal level are lit at equal times: five sums per pattern suffice

@@ -52,8 +52,8 @@ def render(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> tuple
         elif scene.settings.camera.row_time_s:
             _add_by_rows(scene, array, view, k, (start, end), canvas)
         elif exposed is not None:
-            _add_exposed(scene, array, view, k, exposed, canvas)
-    return tuple(truth_of(view, k, exposed) for view, exposed in zip(block.views, shown, strict=True))
+            _add_leds(scene, array, view, k, exposed, canvas)
+    return tuple(view.truth(k, exposed) for view, exposed in zip(block.views, shown, strict=True))
 
 
 def lay_panels(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> None:
@@ -97,43 +97,25 @@ def _draw_obstacle(scene: FilmScene, array: int, view: ArrayView, k: int, canvas
     _draw_panel(panel, 0, place.hidden_level, canvas)
 
 
-def _add_exposed(scene: FilmScene, array: int, view: ArrayView, k: int, shown: Shown, canvas: Canvas) -> None:
-    """Add the LEDs of an array for a global shutter."""
-    if view.motion_px[k] <= SMEAR_PX:
-        _add_moments(scene, array, view, k, shown.moments(), (shown.start_s + shown.end_s) / 2, canvas)
-    else:
-        _add_pieces(scene, array, view, k, shown.lit(), (shown.start_s, shown.end_s), canvas)
-
-
-def _add_moments(
-    scene: FilmScene,
-    array: int,
-    view: ArrayView,
-    k: int,
-    moments: tuple[Floats, Floats, Floats],
-    middle_s: float,
-    canvas: Canvas,
-) -> None:
-    """Add the LEDs of an array by temporal moments of the light."""
-    fraction, late, spread = moments
-    moments = (level_of(scene.settings, array, middle_s) * fraction, late, spread)
-    add_array(scene.settings, view.homography[k], view.drift[k], view.eye[k], moments, canvas)
-
-
 def level_of(settings: ChannelSettings, array: int, time_s: float) -> float:
     """Return the light of an array with all LEDs on, in full scales, automatic exposure excluded."""
     return settings.emitter.all_on * settings.arrays[array].brightness * array_gain(settings, time_s)
 
 
-def _add_pieces(
-    scene: FilmScene, array: int, view: ArrayView, k: int, lit: Lit, exposure: tuple[float, float], canvas: Canvas
+def _add_leds(
+    scene: FilmScene, array: int, view: ArrayView, k: int, shown: Shown, canvas: Canvas, lit: Lit | None = None
 ) -> None:
-    """Add the LEDs of an array, (6): r = c integral of y(t) f(t) dt."""
-    start, end = exposure
-    settings, middle_s = scene.settings, (start + end) / 2
-    level = level_of(settings, array, middle_s)
+    """Add the LEDs of an array with the light `lit`, by default all light of the exposure.
+
+    Equation (6): r = c integral of y(t) f(t) dt.
+    """
+    start, end = shown.start_s, shown.end_s
+    settings = scene.settings
+    level = level_of(settings, array, (start + end) / 2)
     if view.motion_px[k] <= SMEAR_PX:
-        _add_moments(scene, array, view, k, lit.moments(start, end), middle_s, canvas)
+        fraction, late, spread = lit.moments(start, end) if lit else shown.moments()
+        moments = (level * fraction, late, spread)
+        add_array(settings, view.homography[k], view.drift[k], view.eye[k], moments, canvas)
         return
     if view.motion_px[k] > MAX_MOTION_PX:
         raise SettingsError(
@@ -142,7 +124,7 @@ def _add_pieces(
             f"channel.arrays.{array}.vx_m_s, vy_m_s or vz_m_s, channel.speed_m_s, channel.camera.exposure_s or "
             "focal_m, or end the film before by channel.duration_s"
         )
-    lit = lit.split((end - start) * SMEAR_PX / float(view.motion_px[k]))
+    lit = (lit or shown.lit()).split((end - start) * SMEAR_PX / float(view.motion_px[k]))
     times = (lit.start_s + lit.end_s) / 2
     maps, eyes = scene.maps(array, times, scene.drive.pose(times))
     for on, length, plane, eye in zip(lit.on, lit.end_s - lit.start_s, maps, eyes, strict=True):
@@ -168,9 +150,8 @@ def _add_by_rows(
         shown = lighting.shown(exposure[0] + float(t), exposure[1] + float(t))
         if shown is not None:
             lit = shown.lit()
-            part = replace(lit, on=lit.on * (late == t))
             moved = replace(view, homography=view.homography + float(t) * view.drift)
-            _add_pieces(scene, array, moved, k, part, (exposure[0] + float(t), exposure[1] + float(t)), canvas)
+            _add_leds(scene, array, moved, k, shown, canvas, replace(lit, on=lit.on * (late == t)))
 
 
 def _add_screen(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: float, canvas: Canvas) -> None:
@@ -221,10 +202,3 @@ def add_array(
         change = drift if spot.shift is None else spot.shift @ drift
         moments = (spot.fraction * light, late, spread)
         add_leds(canvas.light, canvas.corner, spot.homography, change, eye, moments, spot.optics)
-
-
-def truth_of(view: ArrayView, k: int, shown: Shown | None) -> ArrayTruth:
-    """Return the truth of an array in a frame."""
-    x, y, pitch, roll, distance, visible = view.truths[k]
-    patterns = shown.patterns if shown else ()
-    return ArrayTruth(x, y, pitch, roll, view.homography[k], distance, visible, patterns)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.channel.background import STILL
 from heliograph.channel.optics import REACH_SIGMA, Spot, add_images, draw_images, spots
-from heliograph.channel.render import Canvas, lay_panels, level_of, truth_of
+from heliograph.channel.render import Canvas, lay_panels, level_of
 from heliograph.channel.scene import centre_scale, project
 from heliograph.channel.settings import ChannelSettings
 from heliograph.channel.truth import ArrayTruth
@@ -56,9 +56,9 @@ class StillLight:
         np.copyto(canvas.light, self._base)
         for array, (exposed, images) in enumerate(zip(shown, self._images, strict=True)):
             if exposed is not None and images is not None:
-                levels = (level_of(self.scene.settings, array, middle) * exposed.fraction()).astype(np.float32)
+                levels = (level_of(self.scene.settings, array, middle) * exposed.moments()[0]).astype(np.float32)
                 add_images(canvas.light, canvas.corner, levels, images.light, images.corners)
-        return tuple(truth_of(view, k, exposed) for view, exposed in zip(block.views, shown, strict=True))
+        return tuple(view.truth(k, exposed) for view, exposed in zip(block.views, shown, strict=True))
 
     def _images_of(self, array: int, view: ArrayView, canvas: Canvas) -> LedImages | None:
         if not (view.ahead[0] and canvas.meets(view.panel.box[0])):

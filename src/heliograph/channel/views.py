@@ -2,18 +2,18 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.channel.background import Painter
-from heliograph.channel.exposure import Lighting
+from heliograph.channel.exposure import Lighting, Shown
 from heliograph.channel.motion import Motion
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
 from heliograph.channel.settings import MIN_DISTANCE_M, CameraSettings, ChannelSettings
 from heliograph.channel.transfer import MAX_JITTER
+from heliograph.channel.truth import ArrayTruth
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,12 @@ class ArrayView:
     # (b,) direction of the LED rows in the image, as in `ArrayTruth`
     roll_rad: Floats
 
-    @cached_property
-    def truths(self) -> list[tuple[float, float, float, float, float, bool]]:
-        """Centre (x, y) in px, pitch, roll, distance and visibility of each frame, as in `ArrayTruth`."""
-        depth = self.homography[:, 2, 2]
-        centre = self.homography[:, :2, 2] / depth[:, None]
-        parts = (*centre.T, self.pitch_px, self.roll_rad, depth, self.ahead & self.inside)
-        return list(zip(*(part.tolist() for part in parts), strict=True))
+    def truth(self, k: int, shown: Shown | None) -> ArrayTruth:
+        """Return the truth of a frame."""
+        plane = self.homography[k]
+        x, y = (plane[:2, 2] / plane[2, 2]).tolist()
+        shape = (float(self.pitch_px[k]), float(self.roll_rad[k]), plane, float(plane[2, 2]))
+        return ArrayTruth(x, y, *shape, bool(self.ahead[k] and self.inside[k]), shown.patterns if shown else ())
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from heliograph.base.files import whole_file
 from heliograph.base.frames import Frame, Pixels
 from heliograph.channel import Truth
 from heliograph.datasets.plan import PlannedFilm
-from heliograph.link.simulate import Recordings, load_footage, load_imu, simulate, transmitters
+from heliograph.link.simulate import Recordings, simulate, transmitters
 from heliograph.link.truth import SIGNAL_TAG
 from heliograph.measure.bench import dithered, random_messages
 from heliograph.media.hdf5 import PatientFile
-from heliograph.sweeps.points import Recorded
+from heliograph.sweeps.points import load_recording
 
 CORNERS = 0.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 """Corners of the LED area in units of the side: upper left, upper right, lower right, lower left of the array."""
@@ -33,10 +33,7 @@ def write_planned(path: Path, film: PlannedFilm, progress: Callable[[int], None]
     """Simulate a film and write the file atomically."""
     settings = dithered(film.settings, film.seed)
     messages = random_messages(settings, film.seed)
-    recordings = Recordings(
-        footage=_load(film.point.recordings.get("footage"), load_footage),
-        imu=_load(film.point.recordings.get("imu"), load_imu),
-    )
+    recordings = Recordings(**{kind: load_recording(kind, file) for kind, file in film.point.recordings.items()})
     with whole_file(path) as partial, _open(partial, path) as file:
         first, last = [10**9] * len(messages), [NONE] * len(messages)
         side_m = settings.signal.side * settings.channel.emitter.pitch_m
@@ -120,15 +117,6 @@ def cut_out(pixels: Pixels, x: float, y: float, size: int) -> tuple[Pixels, tupl
     part = pixels[i : max(top + size, 0), j : max(left + size, 0)]
     out[i - top : i - top + part.shape[0], j - left : j - left + part.shape[1]] = part
     return out, (left, top)
-
-
-def _load(recorded: Recorded | None, load: Callable[[Path], Any]) -> Any:
-    if recorded is None:
-        return None
-    path = Path(recorded.path)
-    if Recorded.of(path).digest != recorded.digest:
-        raise MediaError(f"the recording {path} has changed during the generation of the data set: restore the file")
-    return load(path)
 
 
 @contextlib.contextmanager

@@ -1,6 +1,6 @@
 """Link bench in memory: packets through channel and receiver with error counts.
 
-The channel renders only windows around the arrays; the pixels are equal to those of full frames, noise included.
+The channel renders only windows around the arrays; the pixels are equal to the pixels of full frames, noise included.
 """
 
 import math

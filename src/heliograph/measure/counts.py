@@ -115,7 +115,7 @@ class BlockCounts:
     bins: Mapping[float, Layers] = field(default_factory=dict)
     # Payload of decoded codewords in bits by layer
     payload_bits: Mapping[str, int] = field(default_factory=lambda: dict.fromkeys(LAYERS, 0))
-    # Complete packets in the film, and those with a detected header or decoded data
+    # Complete packets in the film, and packets with a detected header or decoded data
     packets: int = 0
     detected: int = 0
     # Accepted codewords that were not sent

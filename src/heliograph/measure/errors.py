@@ -100,7 +100,7 @@ class ErrorCounter:
         return {key * BIN_M: pooled(bins[key]) for key in sorted(bins)}
 
     def detected(self) -> tuple[int, int]:
-        """Return the number of counted packets, and of those with a detected header or decoded data."""
+        """Return the number of counted packets, and of packets with a detected header or decoded data."""
         found = [bool(sent.counts) or sent.found for _, _, sent in self._counted()]
         return len(found), sum(found)
 

@@ -177,7 +177,7 @@ def file_words(row: Row) -> str:
 
 
 def _doubt(row: Row) -> str:
-    """Return a note for an uncertain identity, else an empty text."""
+    """Return a note for an uncertain identity, or an empty text."""
     return "; identity uncertain: no codeword decoded yet" if row.get("uncertain") else ""
 
 

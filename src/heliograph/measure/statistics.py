@@ -50,8 +50,8 @@ class Clustered(Count):
     clusters: int = 0
     # Sum of squared errors per cluster
     squares: int = 0
-    # Bound for zero errors: 3 / trials if true, for independent errors such as raw bits; else 3 / clusters, for errors
-    # of complete clusters such as turbo codewords
+    # Bound for zero errors: true for 3 / trials, for independent errors such as raw bits; false for 3 / clusters, for
+    # errors of complete clusters such as turbo codewords
     scattered: bool = False
 
     def add(self, trials: int, errors: int) -> None:

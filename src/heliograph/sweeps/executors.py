@@ -30,7 +30,7 @@ def enough_workers(count: int) -> int:
 
 
 def fewer_workers(count: int | None) -> str:
-    """Return a warning if `enough_workers` reduces the number of workers, else an empty text."""
+    """Return a warning if `enough_workers` reduces the number of workers, or an empty text."""
     if count is None or count <= enough_workers(count):
         return ""
     available = f"{cores()} cores" if cores() > 1 else "one core"
@@ -38,7 +38,7 @@ def fewer_workers(count: int | None) -> str:
 
 
 def open_workers(count: int | None = None, scheduler: str | None = None) -> "Workers":
-    """Return workers for a number of processes, by default one per core, or for a Dask scheduler."""
+    """Return workers for a number of processes, by default for all cores, or for a Dask scheduler."""
     if scheduler is not None:
         if count is not None:
             raise HeliographError("a scheduler has its own workers: give --workers or --scheduler, not both")
@@ -68,12 +68,12 @@ def each(
                 future.result()
                 done(number / len(items))
         except BrokenProcessPool:
-            raise HeliographError("a worker process was lost; there may be too little memory: take fewer") from None
+            raise HeliographError("a worker process was lost; the memory may be too small: take fewer") from None
         return [future.result() for future in futures]
 
 
 class Workers:
-    """Jobs in this process, one after the other; the base class of other workers."""
+    """Sequential jobs in this process; the base class of other workers."""
 
     @property
     def slots(self) -> int:
@@ -142,7 +142,7 @@ class Cluster(Workers):
         except ImportError:
             raise HeliographError("a Dask scheduler needs Dask: pip install 'dask[distributed]'") from None
         if not re.fullmatch(r"\w+://.+:\d+", address):
-            raise HeliographError(f"'{address}' is no address of a scheduler; write one such as tcp://127.0.0.1:8786")
+            raise HeliographError(f"'{address}' is no address of a scheduler, such as tcp://127.0.0.1:8786")
         try:
             self._client = Client(address, timeout=10.0, set_as_default=False)  # type: ignore[no-untyped-call]  # dask has no types
         except (OSError, ValueError, TypeError) as error:  # a timeout is an OSError

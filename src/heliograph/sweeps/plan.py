@@ -163,7 +163,7 @@ def _range(first: str, last: str, step: str, text: str) -> Iterator[int | float]
 
 
 def not_looked_for(points: Sequence[Point]) -> str:
-    """Return a warning about points with arrays outside the size range of the receiver, else an empty text."""
+    """Return a warning about points with arrays outside the size range of the receiver, or an empty text."""
     excluded = [(point, text) for point in points if (text := _size_conflict(point.settings))]
     if not excluded:
         return ""
@@ -176,7 +176,7 @@ def not_looked_for(points: Sequence[Point]) -> str:
 
 
 def _size_conflict(settings: LinkSettings) -> str:
-    """Return the image side of an array outside the size range of the receiver, else an empty text."""
+    """Return the image side of an array outside the size range of the receiver, or an empty text."""
     receive, channel = settings.receive, settings.channel
     if not RECEIVERS.is_built_in(receive.receiver):
         return ""

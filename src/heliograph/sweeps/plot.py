@@ -44,7 +44,7 @@ def plot_rates(
         "ber" after the decoder, "raw_ber" by the first equalisation, "final_raw_ber" by the last equalisation, or "fer"
         of codewords.
     along
-        Key on the horizontal axis; by default, the first key with more than one number, or the first key.
+        Key on the horizontal axis; by default, the first key with several numbers, or the first key.
     axes
         Axes for the plot; by default, of a new figure, ``plot_rates(...).figure``.
 
@@ -61,7 +61,7 @@ def plot_rates(
     if not isinstance(data, getattr(sys.modules.get("xarray"), "Dataset", ())):
         raise HeliographError(f"plot_rates draws the xarray.Dataset of heliograph.sweep, not {shown(data)}")
     if rate not in RATES:
-        raise HeliographError(f"there is no rate '{rate}'; there are {', '.join(RATES)}")
+        raise HeliographError(f"unknown rate '{rate}'; there are {', '.join(RATES)}")
     keys = [str(key) for key in data[rate].dims if key != "layer"]
     key = _along(data, keys) if along is None else along
     if key not in keys:

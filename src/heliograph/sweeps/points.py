@@ -90,7 +90,7 @@ def _code_digest() -> str:
 
 def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
     """Compute a block; return counts as plain values, computing time in s and version."""
-    recordings = {name: _load(name, Recorded(**recorded)) for name, recorded in work["recordings"].items()}
+    recordings = {name: load_recording(name, Recorded(**recorded)) for name, recorded in work["recordings"].items()}
     settings = from_mapping(LinkSettings, work["settings"])
     began = time.perf_counter()
     counts = run_block(settings, work["seed"], Recordings(**recordings))
@@ -98,13 +98,11 @@ def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def _load(kind: str, recorded: Recorded) -> Any:
-    """Load a recording and verify the content; a machine of a cluster may have another file."""
+def load_recording(kind: str, recorded: Recorded) -> Any:
+    """Load a recording, "footage" or "imu", and verify the content."""
     path = Path(recorded.path)
     if Recorded.of(path).digest != recorded.digest:
-        raise MediaError(
-            f"the recording {path} is not the one the sweep was planned with; give all workers the same file"
-        )
+        raise MediaError(f"the recording {path} has changed since planning; restore it, on all workers")
     return load_footage(path) if kind == "footage" else load_imu(path)
 
 

@@ -52,7 +52,7 @@ def _submit(jobs: Jobs, tallies: Sequence[PointTally], store: Store, workers: Wo
     """Submit blocks until all slots are busy; return True if jobs are pending."""
     slots = workers.slots
     while len(jobs) < slots:
-        # of the first incomplete points, the one with the fewest jobs
+        # of the first incomplete points, that with the fewest jobs
         pending = [tally for tally in tallies if not tally.done][:slots]
         if not pending:
             break

@@ -31,7 +31,7 @@ CREATE TABLE IF NOT EXISTS blocks (
 
 
 class Store:
-    """File of results; in memory if there is no folder."""
+    """File of results; in memory by default."""
 
     def __init__(self, folder: Path | None = None):
         self.path = folder / NAME if folder else None
@@ -100,12 +100,9 @@ class Store:
     def _parse(self, point: Point, block: Any, counts: Any, seconds: Any) -> tuple[BlockCounts, float]:
         """Return the values of a row; raise MediaError for invalid values."""
         try:
-            if not isinstance(block, int):
-                raise ValueError("invalid block number")
-            if not isinstance(seconds, (int, float)) or not 0 <= seconds < MAX_NUMBER:
-                raise ValueError("invalid computing time")
-            if not isinstance(counts, str):
-                raise ValueError("the counts are no text")
+            valid = isinstance(block, int) and isinstance(counts, str) and isinstance(seconds, (int, float))
+            if not valid or not 0 <= seconds < MAX_NUMBER:
+                raise ValueError("invalid block number, counts or computing time")
             return BlockCounts.from_plain(json.loads(counts)), float(seconds)
         except (ValueError, RecursionError) as error:
             reason = "the counts are no JSON" if isinstance(error, (json.JSONDecodeError, RecursionError)) else error

@@ -89,7 +89,7 @@ class PointTally:
 
     @property
     def net_bits_per_second(self) -> float | None:
-        """Payload of decoded codewords per film time; None if there are no films."""
+        """Payload of decoded codewords per film time; None for zero films."""
         total = self.total
         return sum(total.payload_bits.values()) / total.film_s if total.film_s else None
 
