@@ -234,7 +234,7 @@ def _media_errors(path: Path) -> Iterator[None]:
         raise _broken(path, brief(error)) from None
     except zipfile.BadZipFile:
         if path.suffix.lower() not in (".npz", ""):
-            raise MediaError(f"{path} is no truth file: truth files end in .truth.npz, next to the film") from None
+            raise MediaError(f"{path} is no truth file: those end in .truth.npz, next to the film") from None
         raise _broken(path, "incomplete archive") from None
     except Exception as error:  # a damaged archive raises many kinds
         # only the reasons of the operating system help the user
