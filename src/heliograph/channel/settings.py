@@ -168,7 +168,7 @@ class CameraSettings:
     Attributes
     ----------
     fps
-        Frame rate in frames/s, 0.1 to 1e6. The receiver "plain" needs a frame per pattern, "soft" at least a frame.
+        Frame rate in frames/s, 0.1 to 1e6. The receiver "plain" needs one frame per pattern, "soft" at least one.
     exposure_s
         Exposure time tau of equation (4) in s, at least 1e-9 and at most 1 / ``fps`` and T_b. A shorter exposure covers
         fewer slots of a pattern and has less motion blur; ``emitter.all_on`` assumes lens and gain for this exposure.

@@ -146,7 +146,7 @@ def _cutout_px(settings: LinkSettings) -> int:
 
 
 def _counts(films: int, splits: Any) -> dict[str, int]:
-    """Return the number of films by split, as close as possible to the shares, at least a film for a share."""
+    """Return the number of films by split, as close as possible to the shares, at least one for a positive share."""
     shares = list(splits) if isinstance(splits, (list, tuple)) else []
     valid = all(type(share) is int and 0 <= share <= SEEDS for share in shares)
     if len(shares) != len(SPLITS) or not valid or not sum(shares):

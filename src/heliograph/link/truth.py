@@ -199,11 +199,11 @@ def open_truth(path: Path) -> TruthFile:
         return TruthFile(path, settings, messages, int(about["seed"]), str(about.get("film_id", "")))
 
 
-def _read(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Read a member of an archive of limited size."""
+def _read(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
+    """Read an archive member of limited size."""
     size = archive.getinfo(name).file_size
-    if size > most:
-        raise HeliographError(f"{name} has {size} bytes, more than {most}")
+    if size > max_bytes:
+        raise HeliographError(f"{name} has {size} bytes, more than {max_bytes}")
     return archive.read(name)
 
 

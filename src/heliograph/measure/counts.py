@@ -187,9 +187,7 @@ class BlockCounts:
         if self.detected > self.packets:
             raise ValueError("more packets are detected than were sent")
         for c in layers:
-            parts = (c.bit_errors, c.raw_errors, c.final_raw_errors, c.codeword_errors, c.missed, c.packets)
-            wholes = (c.bits, c.raw_bits, c.final_raw_bits, c.codewords, c.codeword_errors, c.bits)
-            squares = (c.bit_squares, c.raw_squares, c.final_raw_squares)
-            limits = (c.bit_errors**2, c.raw_errors**2, c.final_raw_errors**2)
-            if any(part > limit for part, limit in zip(parts + squares, wholes + limits, strict=True)):
+            kinds = (c.decoded, c.raw, c.final_raw)
+            errors_fit = all(k.errors <= k.trials and k.squares <= k.errors**2 for k in kinds)
+            if not errors_fit or not c.missed <= c.codeword_errors <= c.codewords or c.packets > c.bits:
                 raise ValueError("more errors than trials")

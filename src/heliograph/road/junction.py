@@ -131,7 +131,7 @@ class Junction:
     groups
         Signal groups with distinct numbers.
     lanes
-        Lanes with distinct numbers; a map needs at least a lane.
+        Lanes with distinct numbers; a map needs at least one lane.
     """
 
     id: Annotated[int, Field(ge=0, le=65535)]

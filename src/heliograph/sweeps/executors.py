@@ -38,10 +38,10 @@ def fewer_workers(count: int | None) -> str:
 
 
 def open_workers(count: int | None = None, scheduler: str | None = None) -> "Workers":
-    """Return workers for a number of processes, by default for all cores, or for a Dask scheduler."""
+    """Return workers for a number of processes, by default one per core, or for a Dask scheduler."""
     if scheduler is not None:
         if count is not None:
-            raise HeliographError("a scheduler has its own workers: give --workers or --scheduler, not both")
+            raise HeliographError("a scheduler provides the workers: give --workers or --scheduler, not both")
         return Cluster(scheduler)
     if count is None:
         count = cores()

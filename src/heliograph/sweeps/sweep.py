@@ -51,7 +51,7 @@ def sweep(
     seed
         Random seed; results are independent of the workers.
     workers
-        Number of processes; 1 for this process, None for all cores. In a script, several processes need a call under
+        Number of processes; 1 for this process, None for one per core. In a script, several processes need a call under
         ``if __name__ == "__main__":``.
     scheduler
         Address of a Dask scheduler in place of `workers` (then None).

@@ -237,7 +237,7 @@ def _check_messages(messages: Any) -> None:
 def _check_updates(name: str, data: Updates) -> None:
     times = [time_s for time_s, _ in data.contents]
     if not times or times != sorted(times) or not all(isinstance(content, bytes) for _, content in data.contents):
-        raise SettingsError(f"updates of the {name} layer are times in s, in order, each with bytes, at least an entry")
+        raise SettingsError(f"updates of the {name} layer are times in s, in order, each with bytes, at least one")
 
 
 def _files(messages: Sequence[Content]) -> list[SentFile]:
