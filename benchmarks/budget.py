@@ -1,6 +1,6 @@
 """Check the assumptions and accuracy of `heliograph budget`.
 
-python -m benchmarks.budget needs     mutual information required by code rate: NEEDED in heliograph.link.information
+python -m benchmarks.budget needs     mutual information required by code rate: heliograph.link.budget.REQUIRED_INFORMATION
 python -m benchmarks.budget points    predicted and measured codeword loss by distance, receiver, mode and blur
 """
 
@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brentq
 
-from heliograph.link.budget import budget
-from heliograph.link.information import binary_information
+from heliograph.link.budget import binary_information, budget
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import run_block
 from heliograph.measure.counts import pooled

@@ -156,7 +156,7 @@ def test_a_hand_sways() -> None:
     ("camera", "emitter", "said"),
     [
         ({"row_time_s": 1e-3}, {}, "row_time_s times height is at most 1 / fps"),
-        ({}, {"shape": "disc", "response_s": 0.01}, "are of a screen"),
+        ({}, {"shape": "disc", "response_s": 0.01}, "apply to a screen"),
     ],
 )
 def test_what_no_camera_or_display_does_is_refused(camera: dict[str, Any], emitter: dict[str, Any], said: str) -> None:

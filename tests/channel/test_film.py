@@ -229,7 +229,7 @@ def test_settings_are_refused_in_one_line(change: dict[str, object], message: st
 
 
 def test_misuse_is_refused_in_one_line() -> None:
-    with pytest.raises(SettingsError, match=r"one stream of patterns an array: 1, not 2"):
+    with pytest.raises(SettingsError, match=r"a pattern stream per array: 1, not 2"):
         shoot(still(), patterns(), patterns())
     with pytest.raises(SettingsError, match=r"exposure is at most T_b = 0.0005 s"):
         film(still(), [patterns()], np.random.default_rng(0), pattern_period_s=5e-4)
@@ -241,7 +241,7 @@ def test_misuse_is_refused_in_one_line() -> None:
         shoot(still(), slot_order=(0, 1, 2, 2))
     with pytest.raises(SettingsError, match=r"at least 0, not -1"):
         shoot(still(), roi_margin_px=-1)
-    with pytest.raises(ValueError, match=r"show no pattern"):
+    with pytest.raises(ValueError, match=r"has no patterns"):
         shoot(still(), iter(()))
     with pytest.raises(ValueError, match=r"levels of array 0 are 0 to 4, not 5"):
         shoot(still(), constant(5))

@@ -14,7 +14,7 @@ from made_recordings import write_pictures, write_tiff
 
 from heliograph.cli.options import FilmOptions
 from heliograph.cli.receive_many import FilmWork, films_of, is_many
-from heliograph.sweeps.executors import Here
+from heliograph.sweeps.executors import Workers
 
 pytestmark = pytest.mark.slow
 
@@ -133,7 +133,7 @@ def test_films_are_received_on_a_cluster(
     assert not Path("../out").exists()
 
 
-class Elsewhere(Here):
+class Elsewhere(Workers):
     """Worker on another machine, with equal paths but a separate disk."""
 
     def __init__(self, disk: Path):

@@ -182,7 +182,7 @@ def test_no_footage_is_in_two_splits(tmp_path: Path) -> None:
     assert [len(by) for by in used.values()] == [2, 1, 1]
     assert len(set.union(*used.values())) == 4
     write(plan, tmp_path / "set")
-    assert "is in one split alone" in (tmp_path / "set" / "DATASHEET.md").read_text()
+    assert "is in a single split" in (tmp_path / "set" / "DATASHEET.md").read_text()
     with pytest.raises(SettingsError, match="3 splits need a footage each, not 2"):
         plan_of(backgrounds=clips[:2])
     with pytest.raises(SettingsError, match="the same footage twice"):

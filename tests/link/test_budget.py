@@ -7,7 +7,7 @@ import pytest
 
 import heliograph
 from heliograph.base.errors import SettingsError
-from heliograph.link.budget import Budgets, found_m
+from heliograph.link.budget import Budgets, detection_range_m
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
@@ -74,11 +74,11 @@ def test_distances_of_one_link_have_one_range() -> None:
     ("light", "channel", "says"),
     [
         ({"candela": 20.0}, {}, "the array saturates, 18 full scales with every LED on: close the lens to f/52"),
-        ({"candela": 0.01}, {}, "too dim to be looked for, 0.009 of full scale"),
+        ({"candela": 0.01}, {}, "too dim to be detected, 0.009 of full scale"),
         ({}, {"camera": {"fps": 500.0}}, "500 frames/s are fewer than the 1000 patterns a second"),
-        ({}, {"camera": {"exposure_s": 4e-4}}, "an exposure of 0.4 ms sees a part of each pattern of 1 ms"),
+        ({}, {"camera": {"exposure_s": 4e-4}}, "an exposure of 0.4 ms covers a part of each pattern of 1 ms"),
         ({"f_number": 32.0}, {}, "a lens of f/32 blurs by 0.7 px at 50 m, more than channel.camera.blur_px=0.5"),
-        ({}, {"distance_m": 5.0}, "at 5 m the array is not in the picture: +875, -583 px from its middle"),
+        ({}, {"distance_m": 5.0}, "at 5 m the array is not in the picture: +875, -583 px from the centre"),
     ],
 )
 @pytest.mark.slow
@@ -115,7 +115,7 @@ def test_an_array_is_found_up_to_the_stated_distance(receiver: str, share: float
     """Detector and budget share a distance limit."""
     small_camera = {"camera": {"width": 64, "height": 64}, "arrays": [{"x_m": 0.0, "y_m": 0.0}], "duration_s": 0.03}
     link = load_settings("static", {"channel": small_camera, "receive": {"receiver": receiver}})
-    distance_m = share * found_m(link, receiver)
+    distance_m = share * detection_range_m(link, receiver)
     link, events = replace(link, channel=replace(link.channel, distance_m=distance_m)), list[Event]()
     receive = make_receiver(link.signal, link.receive, events.append)
     for frame, _ in simulate(link, default_messages(link), 1):

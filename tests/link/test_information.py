@@ -11,16 +11,16 @@ from properties import examples
 
 from heliograph.base.arrays import Floats
 from heliograph.channel.settings import CameraSettings, ChannelSettings, Placement
-from heliograph.link.information import (
-    LOOKS_PX,
-    NEEDED,
-    Looks,
-    Reach,
+from heliograph.link.budget import (
+    GRID_SHIFTS_PX,
+    REQUIRED_INFORMATION,
+    RangeEstimator,
+    SymbolImages,
     array_images,
     binary_information,
-    looks_at,
-    needed,
     noise_share,
+    required_information,
+    symbol_images,
     symbol_layers,
     symbol_levels,
 )
@@ -41,7 +41,7 @@ From an independent program with one Gaussian for disc and blur, a small random 
 @pytest.mark.slow
 def test_information_is_that_of_a_program_written_apart() -> None:
     settings = load_settings("static")
-    reach = Reach(settings, settings.channel.emitter.all_on)
+    reach = RangeEstimator(settings, settings.channel.emitter.all_on)
     for distance_m, (linear, bound) in ORACLE.items():
         for layer, one, most in zip(LAYERS, linear, bound, strict=True):
             assert reach.information("linear", "paired", layer, distance_m) == pytest.approx(one, abs=0.02)
@@ -71,7 +71,7 @@ def plain_images(channel: ChannelSettings, side: int, distance_m: float, shift_p
 @pytest.mark.parametrize("distance_m", [40.0, 100.0])
 def test_images_are_the_integrals_over_pixels(distance_m: float) -> None:
     channel = ChannelSettings(arrays=(Placement(x_m=0, y_m=0),))
-    for shift in LOOKS_PX[:2]:
+    for shift in GRID_SHIFTS_PX[:2]:
         found = array_images(channel, 8, distance_m, shift)
         meant = plain_images(channel, 8, distance_m, shift)
         rows, columns = found.leds.shape[:2]
@@ -120,7 +120,7 @@ def test_noise_is_that_of_the_sensor() -> None:
 @pytest.mark.slow
 def test_no_estimate_has_more_than_the_bound(distance_m: float, blur_px: float, snr: float, modulation: Any) -> None:
     channel = ChannelSettings(camera=CameraSettings(blur_px=blur_px))
-    looks: Looks = looks_at(channel, SignalSettings(side=4, modulation=modulation), distance_m)
+    looks: SymbolImages = symbol_images(channel, SignalSettings(side=4, modulation=modulation), distance_m)
     for layer in range(3):
         sampled, linear, bound = (looks.information(kind, layer, snr) for kind in ("sampled", "linear", "bound"))
         assert -1e-9 <= linear <= bound + 1e-9 <= 1 + 2e-9
@@ -130,26 +130,27 @@ def test_no_estimate_has_more_than_the_bound(distance_m: float, blur_px: float, 
 
 @pytest.mark.slow
 def test_a_range_ends_where_the_code_no_longer_gets_enough() -> None:
-    reach = Reach(load_settings("static", {"signal": {"side": 8}}), 0.8)
+    reach = RangeEstimator(load_settings("static", {"signal": {"side": 8}}), 0.8)
     cases: list[tuple[Mode, float]] = [("paired", 1 / 3), ("single", 2 / 3)]
     for mode, rate in cases:
         far = [reach.range_m("linear", mode, layer, rate, 400.0) for layer in LAYERS]
         assert far == sorted(far, reverse=True)
         for layer, at_m in zip(LAYERS, far, strict=True):
             inside, beyond = (reach.information("linear", mode, layer, at_m * k) for k in (0.95, 1.05))
-            assert inside > needed(rate) > beyond
+            assert inside > required_information(rate) > beyond
     assert reach.range_m("linear", "paired", "high", 1 / 3, 40.0) == 40.0
     assert reach.range_m("linear", "paired", "high", 1 / 3, 5.0) == 5.0
 
 
 def test_light_without_contrast_reaches_nowhere() -> None:
-    assert (
-        Reach(load_settings("static", {"signal": {"side": 4}}), 1e-4).range_m("linear", "paired", "low", 0.5, 99) == 0
-    )
+    estimator = RangeEstimator(load_settings("static", {"signal": {"side": 4}}), 1e-4)
+    assert estimator.range_m("linear", "paired", "low", 0.5, 99) == 0
 
 
 def test_what_a_code_needs_rises_with_its_rate() -> None:
-    assert needed(1 / 3) == NEEDED[0][1]
-    assert needed(0.45) == pytest.approx((NEEDED[1][1] + NEEDED[2][1]) / 2)
-    assert all(rate < information <= 1 for rate, information in NEEDED[:-1])
-    assert [needed(rate) for rate, _ in NEEDED] == sorted(information for _, information in NEEDED)
+    assert required_information(1 / 3) == REQUIRED_INFORMATION[0][1]
+    assert required_information(0.45) == pytest.approx((REQUIRED_INFORMATION[1][1] + REQUIRED_INFORMATION[2][1]) / 2)
+    assert all(rate < information <= 1 for rate, information in REQUIRED_INFORMATION[:-1])
+    assert [required_information(rate) for rate, _ in REQUIRED_INFORMATION] == sorted(
+        information for _, information in REQUIRED_INFORMATION
+    )

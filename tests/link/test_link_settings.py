@@ -113,7 +113,7 @@ def test_a_preset_handed_out_may_be_changed_without_harm() -> None:
 
 @pytest.mark.parametrize("identities", ["[]", "[1, 2]"])
 def test_identities_and_arrays_must_match(identities: str) -> None:
-    with pytest.raises(SettingsError, match="one identity an array"):
+    with pytest.raises(SettingsError, match="an identity for each array"):
         load_settings(assignments=[f"transmit.identities={identities}"])
 
 

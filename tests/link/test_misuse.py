@@ -81,7 +81,7 @@ def test_the_unit_of_luminances_does_not_count() -> None:
     ("changes", "says"),
     [
         ({"settings": "static"}, "load_settings"),
-        ({"messages": []}, "one for each of the 1 in transmit.identities, not 0"),
+        ({"messages": []}, "one entry for each of the 1 in transmit.identities, not 0"),
         ({"messages": GOOD * 2}, "not 2"),
         ({"messages": {"high": [b"a"]}}, "not a dict"),
         ({"messages": [{"high": ["a"]}]}, "bytes, not str"),

@@ -50,7 +50,7 @@ def test_nobody_need_listen() -> None:
 
 def _attended(outlet: outlets.WebSocket, clients: int) -> None:
     """Wait for the server to register its clients, shortly after they connect."""
-    wait_until(lambda: len(outlet._waiting) >= clients)
+    wait_until(lambda: len(outlet._queues) >= clients)
 
 
 def test_all_clients_get_all_rows_and_the_last_ones() -> None:
@@ -89,14 +89,14 @@ def test_what_waits_is_sent_before_the_end(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_slow_client_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outlets, "MOST_WAITING", 5)
+    monkeypatch.setattr(outlets, "MAX_QUEUED", 5)
     outlet = open_outlet("ws://127.0.0.1:0")
     assert isinstance(outlet, outlets.WebSocket)
     with connect(outlet.address, max_queue=1, close_timeout=0.1):
         _attended(outlet, 1)
         for _ in range(200):  # 40 MB, unread by the client
             outlet.send({**ROW, "data": "A" * 200_000})
-        assert not outlet._waiting
+        assert not outlet._queues
     outlet.close()
 
 
@@ -115,9 +115,9 @@ def test_pages_of_other_machines_do_not_listen() -> None:
         ("tcp://127.0.0.1:5000", SettingsError, "udp://HOST:PORT or ws"),
         ("udp://127.0.0.1", SettingsError, "udp://HOST:PORT or ws"),
         ("udp://127.0.0.1:70000", SettingsError, "udp://HOST:PORT or ws"),
-        ("udp://127.0.0.1:0", SettingsError, "port 0, at which nobody listens"),
+        ("udp://127.0.0.1:0", SettingsError, "port 0, which has no listener"),
         ("nonsense", SettingsError, "udp://HOST:PORT or ws"),
-        ("ws://0.0.0.0:5000", SettingsError, "this machine alone"),
+        ("ws://0.0.0.0:5000", SettingsError, "only for this machine"),
         ("udp://no.such.host.invalid:5000", MediaError, "cannot send to udp://no.such"),
     ],
 )

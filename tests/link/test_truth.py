@@ -19,7 +19,7 @@ from heliograph.base.errors import MediaError
 from heliograph.channel import NoiseModel, Truth
 from heliograph.link.settings import PRESETS, LinkSettings, load_settings
 from heliograph.link.simulate import Messages, default_messages, simulate
-from heliograph.link.truth import MOST_HEADER, TruthWriter, open_truth, truth_path
+from heliograph.link.truth import TruthWriter, open_truth, truth_path
 
 SETTINGS = small("channel.duration_s=0.03")
 MESSAGES: list[Messages] = [{"high": [b"one", b"two\x00"], "low": [bytes(range(256)) * 5]}]
@@ -112,7 +112,7 @@ def test_the_settings_survive_the_file(name: str, path: Path) -> None:
 
 
 def test_rows_come_as_a_stream(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("heliograph.link.truth.CHUNK", 4)
+    monkeypatch.setattr("heliograph.link.truth.BLOCK_ROWS", 4)
     write(path)
     assert [int(row["index"]) for row in islice(open_truth(path).rows(), 3)] == [0, 1, 2]
     assert [int(row["index"]) for row in open_truth(path).rows()] == list(range(30))
@@ -229,15 +229,15 @@ def test_rows_of_either_version_are_read(path: Path) -> None:
         rewritten(path, frames_npy=rows_of(path, version))
         assert [int(row["index"]) for row in open_truth(path).rows()] == list(range(30))
     rewritten(path, frames_npy=rows_of(path, (3, 0)))
-    assert "its rows are in version 3.0 of .npy" in complaint(path)
+    assert "damaged" in complaint(path)
 
 
 def test_a_header_takes_no_memory_for_what_it_claims(path: Path) -> None:
     write(path)
-    for version, claims in ((b"\x02\0", 1 << 31), (b"\x02\0", MOST_HEADER + 1)):
+    for version, claims in ((b"\x02\0", 1 << 31), (b"\x02\0", (1 << 16) + 1)):
         rewritten(path, frames_npy=b"\x93NUMPY" + version + claims.to_bytes(4, "little") + bytes(1 << 24))
         text, peak = run_alone(complain_and_trace, path)
-        assert f"the header of its rows has {claims} bytes, more than 65536" in text
+        assert "damaged" in text
         assert peak < 1e6
 
 

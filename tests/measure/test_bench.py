@@ -13,9 +13,9 @@ from heliograph.link.truth import open_truth, truth_path
 from heliograph.measure.bench import (
     block_settings,
     dithered,
+    is_static,
     random_messages,
     run_block,
-    stands_still,
     window_margin_px,
 )
 from heliograph.measure.reception import Reception, receive_film
@@ -111,10 +111,10 @@ def test_a_packet_cut_off_by_the_films_end_is_not_counted() -> None:
 
 def test_static_blocks_have_a_packet_and_drives_their_length() -> None:
     static, drive = link("static"), link("paper", "channel.duration_s=0.5")
-    assert stands_still(static)
-    assert not stands_still(drive)
+    assert is_static(static)
+    assert not is_static(drive)
     for changed in ("vx_m_s=1", "vy_m_s=1", "vz_m_s=1", "off_s=[[0.02,0.03]]"):
-        assert not stands_still(link("static", f"channel.arrays.0.{changed}"))
+        assert not is_static(link("static", f"channel.arrays.0.{changed}"))
     assert frames_of(block_settings(static)) == 20
     assert frames_of(block_settings(static, 3)) == 3 * 20
     assert frames_of(block_settings(drive)) == 500

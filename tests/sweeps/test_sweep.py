@@ -26,7 +26,7 @@ from heliograph.sweeps import points as points_module
 from heliograph.sweeps import runner as bar
 from heliograph.sweeps.executors import Result, Work
 from heliograph.sweeps.plan import grid, parse_vary, plan, varied
-from heliograph.sweeps.plan import laid_over as laid
+from heliograph.sweeps.plan import merge_changes as laid
 from heliograph.sweeps.points import Point, run_job
 from heliograph.sweeps.store import NAME, Store
 from heliograph.sweeps.tally import PointTally, StopRule
@@ -325,7 +325,7 @@ def test_another_programs_database_is_left_alone(tmp_path: Path) -> None:
         Store(tmp_path)
 
 
-class Fragile:
+class Fragile(executors.Workers):
     """Workers that die with the first submitted blocks."""
 
     slots = 2
@@ -392,8 +392,8 @@ def test_a_recording_that_is_not_the_one_planned_with_is_refused(tmp_path: Path)
     assert run_job(work)["counts"]["frames"] == 100
     other = imu_point(path, 0.1)
     assert run_job(other.job(0))["counts"]["frames"] == 100, "same path, other content: not taken from the cache"
-    points_module._load.cache_clear()  # as in another worker
-    with pytest.raises(MediaError, match="not the one the sweep was planned with") as caught:
+    points_module.load_recording.cache_clear()  # another worker
+    with pytest.raises(MediaError, match="has changed since planning") as caught:
         run_job(work)
     assert "\n" not in str(caught.value)
     path.unlink()
@@ -538,8 +538,10 @@ def test_workers_that_are_not_there_leave_no_folder(tmp_path: Path) -> None:
 def test_arrays_that_nobody_looks_for_are_named() -> None:
     grid_of = {"signal.side": [8, 16, 32], "channel.distance_m": [70, 2]}
     text = reach.not_looked_for(plan(grid_of))
-    assert text.startswith("2 of 6 points have an array that is not looked for (signal.side=8, channel.distance_m=70: ")
-    assert "signal.side=32, channel.distance_m=2: 933 px a side, looked for are 8 to 512 px" in text
+    assert text.startswith(
+        "2 of 6 points have an array outside the detection range (signal.side=8, channel.distance_m=70: "
+    )
+    assert "signal.side=32, channel.distance_m=2: 933 px a side, the receiver detects 8 to 512 px" in text
     assert reach.not_looked_for(plan({"receiver": ["soft"]}, "static", laid(["signal.side=8"]))) == ""
     drive = plan({"channel.stop_m": [30, 65]}, "paper", laid(["signal.side=8", "channel.distance_m=70"]))
     assert [bool(reach.not_looked_for([point])) for point in drive] == [False, True]

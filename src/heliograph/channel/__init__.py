@@ -1,8 +1,7 @@
-"""Equations (1) to (6) made physical: LED patterns -> camera frames, and the truth kept apart.
+"""Physical channel, equations (1) to (6) of Nagura et al. 2010: LED patterns -> camera frames and separate truth.
 
 exposure (PWM slots within the shutter) -> scene and motion (pinhole, vehicle) -> background -> optics (panel, disc,
-lobe, blur, pixels) -> sensor (EMVA 1288) -> transfer (lost and repeated frames). Equations are those of Nagura et al.
-2010.
+lobe, blur, pixels) -> sensor (EMVA 1288) -> transfer (lost and repeated frames).
 """
 
 from heliograph.channel.background import Footage

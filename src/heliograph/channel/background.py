@@ -1,8 +1,8 @@
-"""Background of the arrays: flat, a drawn street or recorded footage, moved with the camera's shake."""
+"""Backgrounds: flat, a drawn street or recorded footage, subject to camera shake."""
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,11 @@ from heliograph.channel.settings import CameraSettings, ChannelSettings
 
 @dataclass(frozen=True)
 class Footage:
-    """Gray frames that can be read from the start any number of times."""
+    """Gray frames for repeated reading."""
 
-    # Returns a new iterator over (rows, columns) uint8 frames, all of one size; gray levels are taken as linear light
+    # Returns a new iterator over (rows, columns) uint8 frames of equal size; gray levels are linear light
     frames: Callable[[], Iterator[NDArray[np.uint8]]]
-    # Frames a second, above 0
+    # Frames per second, above 0
     rate_hz: float
 
     def __post_init__(self) -> None:
@@ -31,11 +31,7 @@ class Footage:
 
 
 def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
-    """Draw a street at dusk: sky, road, buildings with windows, round and rectangular lamps.
-
-    Numbers, sizes and gray levels of all of them are chosen by eye; a change would change every film with this
-    background.
-    """
+    """Draw a street at dusk: sky, road, buildings with windows, round and rectangular lamps."""
     import cv2
 
     height, width = size
@@ -48,7 +44,6 @@ def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
     for _ in range(rng.integers(12, 24)):
         x, y = int(rng.integers(width)), int(rng.integers(height // 6, height * 5 // 6))
         w, h, shade = int(rng.integers(2, 20)), int(rng.integers(2, 16)), int(rng.integers(160, 256))
-        # Probability of a drawn lamp to be round. Chosen by eye
         if rng.random() < 0.5:
             cv2.circle(scene, (x, y), max(w // 2, 1), shade, -1, cv2.LINE_AA)
         else:
@@ -63,32 +58,30 @@ def _draw_building(scene: Gray, left: int, horizon: int, rng: np.random.Generato
     shade = int(rng.integers(20, 90))
     cv2.rectangle(scene, (left, horizon - tall), (left + width, horizon), shade, -1)
     for x, y in itertools.product(range(left + 5, left + width - 6, 12), range(horizon - tall + 6, horizon - 8, 16)):
-        # Probability of a drawn window to be lit. Chosen by eye, as are the sizes and gray levels of the whole drawing
         lit = int(rng.integers(120, 220)) if rng.random() < 0.3 else shade + 15
         cv2.rectangle(scene, (x, y), (x + 5, y + 8), lit, -1)
 
 
 NEAR_M, FAR_M = 12.0, 320.0
-"""Distances between which the street is drawn."""
+"""Distance range of the drawn street."""
 
 KERB_M, WALL_M = 4.6, 8.0
-"""Distances from the middle of the road to the kerb and to the houses."""
+"""Distances from the centre of the road to the kerb and to the houses."""
 
 FINER = 3
-"""The street is drawn so many times finer than it is shown, for smooth edges."""
+"""Supersampling of the drawing for smooth edges."""
 
 Points = list[tuple[float, float, float]]
-"""Corners in m: to the right, up from the road, ahead."""
+"""Corners in m: right, up from the road, ahead."""
 
 
 class _Canvas:
-    """A picture in whose perspective polygons are filled with a gray level."""
+    """Image for drawing gray polygons in perspective."""
 
     def __init__(self, size: tuple[int, int]):
-        self.height, self.width = (FINER * one for one in size)
+        self.height, self.width = (FINER * edge for edge in size)
         self.pixels = np.zeros((self.height, self.width), np.uint8)
-        # focal length in widths of the picture: that of the reference camera
-        self._focal = 2.85 * self.width
+        self._focal = 2.85 * self.width  # as in the reference camera
 
     @property
     def horizon(self) -> int:
@@ -97,31 +90,31 @@ class _Canvas:
     def fill(self, points: Points, level: float) -> None:
         import cv2
 
-        cv2.fillConvexPoly(self.pixels, self.placed(points), float(np.clip(level, 0, 255)), cv2.LINE_AA)
+        cv2.fillConvexPoly(self.pixels, self.project(points), float(np.clip(level, 0, 255)), cv2.LINE_AA)
 
     def disc(self, at: tuple[float, float, float], radius_m: float, level: float) -> None:
         import cv2
 
-        (x, y), radius = self.placed([at])[0], max(1, round(radius_m * self._focal / at[2]))
+        (x, y), radius = self.project([at])[0], max(1, round(radius_m * self._focal / at[2]))
         cv2.circle(self.pixels, (int(x), int(y)), radius, float(level), -1, cv2.LINE_AA)
 
-    def placed(self, points: Points) -> NDArray[np.int32]:
-        """Pixels of points, kept within what the filling takes."""
+    def project(self, points: Points) -> NDArray[np.int32]:
+        """Return pixel positions within the range of OpenCV."""
         corners = np.array(points, float)
         scale = self._focal / corners[:, 2]
-        # height of the camera above the road
-        places = np.stack([self.width / 2 + corners[:, 0] * scale, self.horizon - (corners[:, 1] - 1.3) * scale], 1)
-        return np.clip(places, -30_000, 30_000).round().astype(np.int32)
+        height_m = 1.3  # of the camera
+        x, y = self.width / 2 + corners[:, 0] * scale, self.horizon - (corners[:, 1] - height_m) * scale
+        return np.clip(np.stack([x, y], 1), -30_000, 30_000).round().astype(np.int32)
 
 
 def draw_street(size: tuple[int, int], rng: np.random.Generator, night: bool = False) -> Gray:
-    """Draw a straight street: sky, houses, trees, lamps, parked cars, markings. Returns (height, width) uint8."""
+    """Draw a straight street as (height, width) uint8: sky, houses, trees, lamps, parked cars, markings."""
     import cv2
 
     canvas, light = _Canvas(size), 0.16 if night else 1.0
     _draw_sky(canvas, night)
     _draw_ground(canvas, light)
-    sides = [(side, list(_along(rng, 14.0, 30.0))) for side in (-1, 1)]
+    sides = [(side, list(_lots(rng, 14.0, 30.0))) for side in (-1, 1)]
     for side, lots in sides:
         for far, near in reversed(lots):
             _draw_house(canvas, side, near, far, rng, light, night)
@@ -139,11 +132,11 @@ def draw_street(size: tuple[int, int], rng: np.random.Generator, night: bool = F
     return np.asarray(cv2.resize(drawn, (size[1], size[0]), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _along(rng: np.random.Generator, least_m: float, most_m: float) -> Iterator[tuple[float, float]]:
-    """Far and near end of lots along the street, from near to far."""
+def _lots(rng: np.random.Generator, min_m: float, max_m: float) -> Iterator[tuple[float, float]]:
+    """Yield the far and near end of lots along the street, from near to far."""
     near = NEAR_M
     while near < FAR_M:
-        far = near + float(rng.uniform(least_m, most_m))
+        far = near + float(rng.uniform(min_m, max_m))
         yield min(far, FAR_M), near
         near = far
 
@@ -170,7 +163,7 @@ def _draw_ground(canvas: _Canvas, light: float) -> None:
 def _draw_house(
     canvas: _Canvas, side: int, near: float, far: float, rng: np.random.Generator, light: float, night: bool
 ) -> None:
-    """A front along the street, and the gable that looks towards the camera, with rows of windows."""
+    """Draw a front along the street with rows of windows, and the gable towards the camera."""
     x, floors = side * (WALL_M + float(rng.uniform(0, 0.8))), int(rng.integers(2, 6))
     top, shade = 3.1 * floors + 1.0, float(rng.uniform(70, 175))
     haze = 0.35 * near / FAR_M
@@ -195,7 +188,7 @@ def _draw_tree(canvas: _Canvas, side: int, at: float, rng: np.random.Generator, 
 
 
 def _draw_car(canvas: _Canvas, side: int, at: float, rng: np.random.Generator, light: float, night: bool) -> None:
-    """A parked car from behind."""
+    """Draw a parked car from behind."""
     middle, shade = side * (KERB_M - 1.15), float(rng.choice([40, 90, 140, 205])) * light
     left, right = middle - 0.85, middle + 0.85
     canvas.fill([(left, 0.05, at), (right, 0.05, at), (right, 0.2, at), (left, 0.2, at)], 15 * light)
@@ -217,26 +210,17 @@ def _draw_lamp(canvas: _Canvas, side: int, at: float, light: float, night: bool)
 
 
 SHAKE_MARGIN_PX = 64
-"""Background kept beyond each side of the frame for the shake; further out its edge pixels are repeated. Chosen: in the
-reference link the image moves by up to 19 px on a road of class B, 77 px on class D, and with the recorded trace by up
-to 69 px. At half the value 2.3 % of that trace's frames show repeated pixels, at this value 0.4 %, at twice none."""
+"""Extra background on each side of the frame for shake; the edge pixels repeat further out. The image of the reference
+link moves by up to 19 px on a road of class B, 77 px on class D, and 69 px with the recorded trace."""
 
-MOST_FRAMES = 400
-"""Frames of footage held in memory; a longer clip is played backward from there. Chosen: 295 MB at 1024 x 512 pixels,
-in proportion to the value."""
+MAX_FRAMES = 400
+"""Maximum number of footage frames in memory, 295 MB at 1024 x 512 pixels; a longer clip reverses there."""
 
 SCENE_DEPTH_M = 300.0
-"""Distance of a drawn scene, which expands by depth / (depth - distance driven). Chosen as that of buildings at the end
-of a street: a drive of 55 m expands it by 22 %; 58 % at half the value, 10 % at twice."""
+"""Distance of a drawn scene, which expands by depth / (depth - travelled distance)."""
 
 STILL = ("flat", "synthetic", "street", "street-night")
-"""Kinds of background that change with the camera's pose alone; others may change with time."""
-
-_FAR_EDGE_PX = 1.001
-"""Distance of the last place read from the far edge: its right and lower neighbours are within the image."""
-
-_WHITE = 255
-"""Gray level of white in images of 8 bits."""
+"""Kinds of background that depend only on the camera pose; others may depend on time."""
 
 
 @compiled(error_model="numpy")
@@ -248,9 +232,9 @@ def warp(
     weight: float,
     affine: NDArray[np.float64],
 ) -> None:
-    """Write a bilinearly interpolated mixture of two images into a window of the light."""
+    """Write a bilinear interpolation between two images into a window of the light."""
     height, width = light.shape
-    last_x, last_y = first.shape[1] - _FAR_EDGE_PX, first.shape[0] - _FAR_EDGE_PX
+    last_x, last_y = first.shape[1] - 1.001, first.shape[0] - 1.001  # the right and lower neighbours exist
     w = np.float32(weight)
     scale = np.float32(affine[2, 2])
     guess = width
@@ -263,7 +247,7 @@ def warp(
         while j < width:
             x0 = int(min(max(ax * (j + corner[0]) + bx, 0.0), last_x))
             y0 = int(min(max(ay * (j + corner[0]) + by, 0.0), last_y))
-            # a run of pixels whose places in the images, rounded down, are neighbours too: true if it is of the last
+            # a run of pixels with adjacent source pixels
             run = min(width - j, 2 * guess)
             while run > 1:
                 e = j + run - 1 + corner[0]
@@ -293,95 +277,70 @@ def warp(
 def image_motion(
     pose: CameraPose, index: tuple[int, ...], camera: CameraSettings, size: tuple[int, int], depth_m: float
 ) -> NDArray[np.float64]:
-    """Return the map from sensor pixels to pixels of an image of the far scene.
-
-    It is the rotation K R K^-1 to first order about the optical axis, and the expansion depth / (depth - distance
-    driven).
-    """
+    """Return the map from sensor pixels to scene pixels: K R K^-1 to first order, and the expansion."""
     pitch, yaw, roll, driven = (a[index] for a in (pose.pitch_rad, pose.yaw_rad, pose.roll_rad, pose.travelled_m))
-    # Least scale from sensor to scene, reached 15 m before a scene 300 m away, where the expansion would be infinite.
-    # Chosen; the reference drive ends at 0.82
-    zoom = max(1 - driven / depth_m, 0.05)
+    zoom = max(1 - driven / depth_m, 0.05)  # bounds the expansion near the scene
     turn = zoom * np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
-    middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
+    centre = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
     shift = camera.focal_px * np.array([yaw, -pitch])
     affine = np.eye(3)
     affine[:2, :2] = turn
-    affine[:2, 2] = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2]) + shift - turn @ middle
+    affine[:2, 2] = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2]) + shift - turn @ centre
     return affine
 
 
-@dataclass
 class Clip:
-    """Footage at the background's size, read as far as it is needed, played forward and then backward."""
+    """Footage at the background size, read on demand, played forward and then backward."""
 
-    # Frames and their rate
-    footage: Footage
-    # (height, width) of the background in pixels
-    size: tuple[int, int]
-    # Frames read so far, at most `MOST_FRAMES`
-    held: list[Gray] = field(default_factory=list)
-    # Iterator over the frames, once reading has begun
-    source: Iterator[Gray] | None = None
-    # Whether all frames are read, or as many as are held
-    ended: bool = False
-
-    def _read_to(self, number: int) -> None:
-        if self.source is None:
-            self.source = iter(self.footage.frames())
-        while len(self.held) <= number and not self.ended:
-            frame = next(self.source, None) if len(self.held) < MOST_FRAMES else None
-            if frame is None:
-                self.ended = True
-            else:
-                self.held.append(cover_size(frame, self.size))
-        if not self.held:
-            raise SettingsError("the footage has no frames")
+    def __init__(self, footage: Footage, size: tuple[int, int]):
+        self._rate_hz = footage.rate_hz
+        self._source = (cover_size(frame, size) for frame in itertools.islice(footage.frames(), MAX_FRAMES))
+        self._frames: list[Gray] = []
 
     def at(self, time_s: float) -> tuple[Gray, Gray, float]:
-        """Return the frames before and after a time, and the weight of the second, 0 to 1."""
-        place = max(time_s, 0.0) * self.footage.rate_hz
-        whole = int(place)
-        self._read_to(whole + 1)
-        return self._mirrored(whole), self._mirrored(whole + 1), place - whole
+        """Return the frames before and after a time, and the weight of the second frame, 0 to 1."""
+        place = max(time_s, 0.0) * self._rate_hz
+        number = int(place)
+        self._frames += itertools.islice(self._source, max(0, number + 2 - len(self._frames)))
+        if not self._frames:
+            raise SettingsError("the footage has no frames")
+        return self._mirrored(number), self._mirrored(number + 1), place - number
 
     def _mirrored(self, number: int) -> Gray:
-        if number < len(self.held):
-            return self.held[number]
-        period = max(2 * (len(self.held) - 1), 1)
+        period = max(2 * (len(self._frames) - 1), 1)
         number %= period
-        return self.held[min(number, period - number) if len(self.held) > 1 else 0]
+        return self._frames[min(number, period - number)]
 
 
 def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
-    """Scale a gray frame until it covers a size, and cut out its middle."""
+    """Scale a gray frame to cover a size, and crop the centre."""
     import cv2
 
     if frame.ndim != 2 or frame.dtype != np.uint8 or min(frame.shape) < 2:
         raise SettingsError(f"footage is gray uint8 frames (rows, columns), not {frame.shape} {frame.dtype}")
     scale = max(size[0] / frame.shape[0], size[1] / frame.shape[1])
-    height, width = (max(wish, round(have * scale)) for wish, have in zip(size, frame.shape, strict=True))
+    height, width = (max(wanted, round(edge * scale)) for wanted, edge in zip(size, frame.shape, strict=True))
     scaled = cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
     top, left = (height - size[0]) // 2, (width - size[1]) // 2
     return np.ascontiguousarray(scaled[top : top + size[0], left : left + size[1]])
 
 
 Painter = Callable[[NDArray[np.float32], tuple[int, int], float, CameraPose, tuple[int, ...]], None]
-"""Writes the background into a window of the light: (light, corner, time in s, poses, index of one pose)."""
+"""Writes the background into a window of the light: (light, corner, time in s, poses, index of the pose)."""
 
 
 @dataclass(frozen=True)
 class Scenery:
-    """What a background is made for.
+    """Input for constructing a background.
 
     Attributes
     ----------
     settings
-        The channel; settings of a part of one's own are in ``settings.custom``.
+        Channel settings; ``settings.custom`` has the settings of registered parts.
     footage
-        Recorded frames; None where there are none.
+        Recorded frames, if any.
     rng
-        Source of randomness, the same for the same seed.
+        Random generator for the scene.
     """
 
     settings: ChannelSettings
@@ -390,62 +349,53 @@ class Scenery:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Rows and columns of the sensor and a margin for shake."""
+        """Rows and columns of the sensor with a margin for shake."""
         camera = self.settings.camera
         return camera.height + 2 * SHAKE_MARGIN_PX, camera.width + 2 * SHAKE_MARGIN_PX
 
 
 def flat_background(scenery: Scenery) -> Painter:
-    """Return the painter of an even background."""
+    """Return the painter of a uniform background."""
     level = scenery.settings.background.level
     return lambda light, *_: light.fill(level)
 
 
 def drawn_background(scenery: Scenery) -> Painter:
-    """Return the painter of a drawn street, which moves with the camera."""
-    scene, settings = draw_scene(scenery.size, scenery.rng), scenery.settings
-    gain = settings.background.gain / _WHITE
-    return _painter(lambda _: (scene, scene, 0.0), gain, settings.camera, scenery.size, SCENE_DEPTH_M)
+    """Return the painter of a drawn street at dusk."""
+    return _still_painter(scenery, draw_scene(scenery.size, scenery.rng))
 
 
 def street_background(scenery: Scenery) -> Painter:
-    """Return the painter of a street by day, in perspective, which moves with the camera."""
-    return _street(scenery, night=False)
+    """Return the painter of a street in perspective by day."""
+    return _still_painter(scenery, draw_street(scenery.size, scenery.rng))
 
 
 def night_background(scenery: Scenery) -> Painter:
-    """Return the painter of a street by night, in perspective, which moves with the camera."""
-    return _street(scenery, night=True)
-
-
-def _street(scenery: Scenery, night: bool) -> Painter:
-    scene, settings = draw_street(scenery.size, scenery.rng, night), scenery.settings
-    gain = settings.background.gain / _WHITE
-    return _painter(lambda _: (scene, scene, 0.0), gain, settings.camera, scenery.size, SCENE_DEPTH_M)
+    """Return the painter of a street in perspective by night."""
+    return _still_painter(scenery, draw_street(scenery.size, scenery.rng, night=True))
 
 
 def footage_background(scenery: Scenery) -> Painter:
-    """Return the painter of recorded frames, which move with the camera's shake."""
+    """Return the painter of recorded frames."""
     if scenery.footage is None:
         raise SettingsError("background.kind = footage needs recorded frames")
-    clip, settings = Clip(scenery.footage, scenery.size), scenery.settings
-    gain = settings.background.gain / _WHITE
-    return _painter(clip.at, gain, settings.camera, scenery.size, np.inf)  # footage holds its own expansion
+    # footage contains the expansion of the drive
+    return _painter(scenery, Clip(scenery.footage, scenery.size).at, np.inf)
 
 
 def background(settings: ChannelSettings, footage: Footage | None, rng: np.random.Generator) -> Painter:
-    """Return the painter of a film's background."""
+    """Return the painter of the background of a film."""
     painter: Painter = BACKGROUNDS[settings.background.kind](Scenery(settings, footage, rng))
     return painter
 
 
-def _painter(
-    images: Callable[[float], tuple[Gray, Gray, float]],
-    gain: float,
-    camera: CameraSettings,
-    size: tuple[int, int],
-    depth_m: float,
-) -> Painter:
+def _still_painter(scenery: Scenery, scene: Gray) -> Painter:
+    return _painter(scenery, lambda _: (scene, scene, 0.0), SCENE_DEPTH_M)
+
+
+def _painter(scenery: Scenery, images: Callable[[float], tuple[Gray, Gray, float]], depth_m: float) -> Painter:
+    camera, size, gain = scenery.settings.camera, scenery.size, scenery.settings.background.gain / 255
+
     def paint(
         light: NDArray[np.float32], corner: tuple[int, int], time_s: float, pose: CameraPose, index: tuple[int, ...]
     ) -> None:

@@ -1,4 +1,4 @@
-"""The whole channel: LED patterns in, camera frames and their truth out."""
+"""Channel simulation: LED patterns to camera frames and truth."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,24 +11,19 @@ from heliograph.base.frames import Frame
 from heliograph.channel.background import Footage
 from heliograph.channel.exposure import Faults, Lighting, PatternFeed
 from heliograph.channel.motion import ImuTrace, Motion, film_duration, motion
-from heliograph.channel.settings import EXPOSURE_SLACK, ChannelSettings, Placement
+from heliograph.channel.settings import EXPOSURE_SLACK, ChannelSettings
 from heliograph.channel.transfer import Transfer
 from heliograph.channel.truth import NoiseModel, Truth
 
 Patterns = Iterable[NDArray[np.uint8]]
-"""An array's patterns in the order of time, each (n, n) uint8 levels 0 to 4."""
-
-BLOCK_FRAMES = 64
-"""Frames whose poses are computed together. Chosen: a window of the reference link takes 310 us of CPU time per frame,
-as at half the value; 285 us at twice."""
+"""Patterns of an array in temporal order, each (n, n) uint8 levels 0 to 4."""
 
 
 def frame_count(settings: ChannelSettings) -> int:
-    """Return the number of frames whose exposure ends within the film; dropped frames count."""
+    """Return the number of complete exposures in the film, dropped frames included."""
     camera = settings.camera
     room = film_duration(settings) - camera.start_s - camera.exposure_s
-    # frame periods by which a film may be too short for its last frame: far above rounding errors, far below a slot
-    return max(0, math.floor(room / camera.frame_period_s + 1e-6) + 1)
+    return max(0, math.floor(room / camera.frame_period_s + 1e-6) + 1)  # 1e-6: rounding
 
 
 def film(
@@ -43,43 +38,26 @@ def film(
     imu: ImuTrace | None = None,
     roi_margin_px: int | None = None,
 ) -> Iterator[tuple[Frame, Truth]]:
-    """Film arrays from a moving vehicle."""
+    """Simulate a film of arrays from a moving vehicle."""
     _check(settings, lights, pattern_period_s, slot_order, roi_margin_px)
     if settings.background.kind == "footage" and footage is None:
         raise SettingsError("background.kind = footage needs recorded frames: pass footage, or choose another kind")
     seeds = [int(s) for s in rng.integers(0, 2**63, 3)]
-    arrays = [
-        _lighting(
-            place,
-            PatternFeed(patterns, f"array {k}"),
-            pattern_period_s,
-            tuple(slot_order),
-            np.random.default_rng([seeds[1], k]),
-            steady,
-        )
-        for k, (place, patterns) in enumerate(zip(settings.arrays, lights, strict=True))
-    ]
+    arrays = []
+    for k, (place, patterns) in enumerate(zip(settings.arrays, lights, strict=True)):
+        feed = PatternFeed(patterns, f"array {k}")
+        period_s = pattern_period_s * (1 + place.clock_ppm * 1e-6)
+        faults = Faults.of(place, feed.side, np.random.default_rng([seeds[1], k]))
+        arrays.append(Lighting(feed, place.start_s, period_s, tuple(slot_order), faults, steady))
     drive = motion(settings, imu, np.random.default_rng(seeds[0]))
     return _shoot(settings, arrays, drive, footage, seeds[1], seeds[2], roi_margin_px)
-
-
-def _lighting(
-    place: Placement,
-    feed: PatternFeed,
-    period_s: float,
-    order: tuple[int, ...],
-    rng: np.random.Generator,
-    steady: bool,
-) -> Lighting:
-    period_s *= 1 + place.clock_ppm * 1e-6
-    return Lighting(feed, place.start_s, period_s, order, Faults.of(place, feed.side, rng), steady)
 
 
 def _check(
     settings: ChannelSettings, lights: Sequence[Patterns], period_s: float, order: Sequence[int], roi: int | None
 ) -> None:
     if len(lights) != len(settings.arrays):
-        raise SettingsError(f"there is one stream of patterns an array: {len(settings.arrays)}, not {len(lights)}")
+        raise SettingsError(f"expected a pattern stream per array: {len(settings.arrays)}, not {len(lights)}")
     if settings.camera.exposure_s > period_s * (1 + EXPOSURE_SLACK):
         raise SettingsError(f"the exposure is at most T_b = {period_s:g} s, not {settings.camera.exposure_s:g} s")
     if sorted(order) != [0, 1, 2, 3]:
@@ -97,7 +75,7 @@ def _shoot(
     noise_seed: int,
     roi: int | None,
 ) -> Iterator[tuple[Frame, Truth]]:
-    # the kernels are imported with the first frame: Numba takes half a second
+    # Numba takes half a second to import
     from heliograph.channel.background import background
     from heliograph.channel.render import Canvas, render
     from heliograph.channel.sensor import developed
@@ -109,18 +87,18 @@ def _shoot(
     paint = background(settings, footage, np.random.default_rng(scene_seed))
     scene = FilmScene(settings, arrays, drive, paint, noise_seed)
     total = frame_count(settings)
-    whole = np.empty((camera.height, camera.width), np.float32)
+    full = np.empty((camera.height, camera.width), np.float32)
     transfer, still = Transfer(camera, noise_seed), StillLight(scene)
-    for first in range(0, total, BLOCK_FRAMES):
-        block = frame_block(scene, np.arange(first, min(first + BLOCK_FRAMES, total)))
+    for first in range(0, total, 64):  # poses are computed in blocks
+        block = frame_block(scene, np.arange(first, min(first + 64, total)))
         parts = windows(block, camera, roi)
-        rests = still.take(block, parts)
+        static = still.take(block, parts)
         for k in range(len(block.index)):
             index = int(block.index[k])
             x, y, last_x, last_y = map(int, parts[k])
-            light = whole if roi is None else np.empty((last_y - y + 1, last_x - x + 1), np.float32)
+            light = full if roi is None else np.empty((last_y - y + 1, last_x - x + 1), np.float32)
             canvas = Canvas(light, (x, y))
-            truths = still.render(block, k, canvas) if rests else render(scene, block, k, canvas)
+            truths = still.render(block, k, canvas) if static else render(scene, block, k, canvas)
             time_s = float(block.times_s[k, 1])
             if camera.gain_swing or camera.white_balance_swing:
                 light *= np.float32(camera.gain(time_s) * surroundings_gain(settings, time_s))

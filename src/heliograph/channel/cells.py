@@ -1,7 +1,7 @@
-"""Light of a screen's cells on the pixels: squares that fill their pitch, seen row by row at the rows' own times.
+"""Image of the cells of a screen: squares without gaps, exposed row by row.
 
-The light of pattern k at time t is X_k (S(t - t_k) - S(t - t_(k+1))), S(t) = 1 - exp(-t / tau) the step response of the
-display. A row of pixels sees the mean of it over its own exposure, while the backlight is on.
+The light of pattern k at time t is X_k (S(t - t_k) - S(t - t_(k+1))) with the step response S(t) = 1 - exp(-t / tau) of
+the display. A pixel row integrates the light over the exposure of the row, while the backlight is on.
 """
 
 from dataclasses import dataclass
@@ -18,43 +18,41 @@ from heliograph.channel.settings import EmitterSettings
 from heliograph.signal.pwm import SLOTS
 
 SAMPLES = 3
-"""Samples of a pixel's side: an edge of a cell is right to a ninth of its height, and blurred by the lens after that.
-At half the value, 2, the error of an edge is twice as large; at twice a frame takes four times as long."""
+"""Samples along a pixel side: the error of a cell edge is at most a ninth, before blur."""
 
 
 @dataclass(frozen=True)
 class CellLight:
-    """The light of all cells as each row of pixels sees it."""
+    """Light of all cells during the exposure of each pixel row."""
 
-    # (rows, n, n) light of each cell in parts of the brightest
+    # (rows, n, n) relative light of each cell
     cells: Floats
-    # Numbers of the patterns shown, in the order of time
+    # Numbers of the visible patterns in temporal order
     patterns: tuple[int, ...]
 
 
 def cell_light(lighting: Lighting, emitter: EmitterSettings, starts_s: Floats, exposure_s: float) -> CellLight:
-    """Return the light of all cells as rows of pixels see it."""
+    """Return the light of all cells during the exposure of each pixel row."""
     n, period = lighting.feed.side, lighting.period_s
     scan = emitter.scan_s * np.arange(n) / n if emitter.scan_s else np.zeros(1)
-    # time constants after which a response has ended: 3e-4 of a step is left
-    reach = 8.0 * emitter.response_s + scan[-1]
+    reach = 8.0 * emitter.response_s + scan[-1]  # 3e-4 of a step is left
     first = int(np.floor((starts_s.min() - reach - lighting.start_s) / period))
     last = int(np.floor((starts_s.max() + exposure_s - lighting.start_s) / period))
     numbers = [k for k in range(first, last + 1) if lighting.feed.at(k) is not None]
     if not numbers:
         return CellLight(np.zeros((len(starts_s), n, n)), ())
     begins = lighting.start_s + np.array(numbers) * period
-    shown = np.stack([_shown(lighting, k, t + period / 2) for k, t in zip(numbers, begins, strict=True)])
-    # the display's rows take a pattern later and later
+    shown = np.stack([_displayed(lighting, k, t + period / 2) for k, t in zip(numbers, begins, strict=True)])
+    # the rows of the display change in turn
     since = starts_s[:, None, None] - begins - scan[:, None]
     weights = _weights(since, period, emitter, exposure_s, starts_s[:, None, None])
     cells = np.einsum("ruk,kuv->ruv", np.broadcast_to(weights, (len(starts_s), n, len(numbers))), shown, optimize=True)
-    seen = [k for k, w in zip(numbers, weights.max((0, 1)), strict=True) if w > 0]
-    return CellLight(cells, tuple(seen))
+    visible = [k for k, w in zip(numbers, weights.max((0, 1)), strict=True) if w > 0]
+    return CellLight(cells, tuple(visible))
 
 
-def _shown(lighting: Lighting, number: int, middle_s: float) -> Floats:
-    """Light of a pattern's cells, of an array that is off at its middle none, (n, n)."""
+def _displayed(lighting: Lighting, number: int, middle_s: float) -> Floats:
+    """Return the light of the cells for a pattern, (n, n); dark if the array is off at mid-pattern."""
     pattern = lighting.feed.at(number)
     off = any(begin <= middle_s < end for begin, end in lighting.faults.off_s)
     if pattern is None or off:
@@ -63,7 +61,7 @@ def _shown(lighting: Lighting, number: int, middle_s: float) -> Floats:
 
 
 def _weights(since: Floats, period_s: float, emitter: EmitterSettings, exposure_s: float, starts_s: Floats) -> Floats:
-    """Mean light of each pattern in an exposure that begins some time after the pattern, (rows, scan, patterns)."""
+    """Return the mean light of each pattern in an exposure a time after the pattern, (rows, scan, patterns)."""
     total = np.zeros(since.shape)
     for low, high in _lit_parts(starts_s, emitter, exposure_s):
         for sign, late in ((1, 0.0), (-1, period_s)):
@@ -73,7 +71,7 @@ def _weights(since: Floats, period_s: float, emitter: EmitterSettings, exposure_
 
 
 def _lit_parts(starts_s: Floats, emitter: EmitterSettings, exposure_s: float) -> list[tuple[Floats, Floats]]:
-    """Parts of exposures, from their starts, for which the backlight is on."""
+    """Return the intervals of an exposure with the backlight on, relative to the start."""
     if not emitter.backlight_hz:
         return [(np.zeros_like(starts_s), np.full_like(starts_s, exposure_s))]
     cycle = 1 / emitter.backlight_hz
@@ -86,7 +84,7 @@ def _lit_parts(starts_s: Floats, emitter: EmitterSettings, exposure_s: float) ->
 
 
 def _response(t: Floats, tau: float) -> Floats:
-    """Integral of the step response from 0 to t: t - tau (1 - exp(-t / tau))."""
+    """Return the integral of the step response from 0 to t: t - tau (1 - exp(-t / tau))."""
     t = np.maximum(t, 0)
     return t + tau * np.expm1(-t / tau) if tau else t
 
@@ -100,13 +98,13 @@ def add_screen(
     pitch_m: float,
     psf: PointSpread,
 ) -> None:
-    """Add the light of a screen's cells to a window of the image, in place."""
-    # standard deviations of the blur by which cells reach beyond their edge: 6e-5 of the light is lost at an edge
+    """Add the light of the cells to a window of the image, in place."""
+    # 4 sigma: 6e-5 of the light is lost at an edge
     margin = int(np.ceil(4.0 * float(psf.sigma_px.max() + np.abs(psf.shift_px).max()))) + 1
     sharp = np.zeros((box[3] - box[1] + 1 + 2 * margin, box[2] - box[0] + 1 + 2 * margin), np.float32)
     fill_cells(sharp, margin, (box[0], box[1]), inverses, cells, pitch_m)
     left, top = box[0] - margin - corner[0], box[1] - margin - corner[1]
-    rows, columns = (max(0, -one) for one in (top, left))
+    rows, columns = (max(0, -edge) for edge in (top, left))
     height = min(sharp.shape[0], light.shape[0] - top) - rows
     width = min(sharp.shape[1], light.shape[1] - left) - columns
     if height <= 0 or width <= 0:
@@ -124,7 +122,7 @@ def add_screen(
 def fill_cells(
     out: NDArray[np.float32], margin: int, corner: tuple[int, int], inverses: Floats, cells: Floats, pitch: float
 ) -> None:
-    """Write the mean light of the cells over each pixel of a box."""
+    """Write the mean light of the cells in each pixel of a box."""
     n = cells.shape[1]
     for i in range(cells.shape[0]):
         y = corner[1] + i

@@ -1,4 +1,4 @@
-"""Half-car model on a road of ISO 8608 roughness: vertical motion and pitch of the car."""
+"""Half-car model on a rough road (ISO 8608): heave and pitch of the car."""
 
 from dataclasses import dataclass
 
@@ -8,47 +8,38 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.base.arrays import Floats
 
 ROUGHNESS_M3 = {"A": 16e-6, "B": 64e-6, "C": 256e-6, "D": 1024e-6}
-"""Displacement density G_d(n0) in m^3 by road class: the geometric means of ISO 8608."""
-
-REFERENCE_PER_M = 0.1
-"""Reference spatial frequency n0 in cycle/m (ISO 8608)."""
-
-BAND_PER_M = (0.01, 4.0)
-"""Spatial frequencies of a synthetic road in cycle/m. Chosen: waves of 100 m, 0.08 Hz at 30 km/h and far below the
-body's modes, down to 0.25 m, the length of a tyre's footprint, over which a tyre averages."""
+"""Displacement density G_d(n0) in m^3 by road class: geometric means of ISO 8608."""
 
 STEP_M = 0.0125
-"""Distance between samples: a twentieth of the shortest wave, of which straight lines cut off 1.2 % at most; 4.9 % at
-twice the value."""
+"""Distance between samples, a twentieth of the shortest wave: linear interpolation loses at most 1.2 %."""
 
 
 @dataclass(frozen=True)
 class RoadProfile:
-    """Height of a road, periodic."""
+    """Periodic road height."""
 
     # (samples,) float64 heights in m, upward, every `STEP_M`
     height_m: NDArray[np.float64]
 
     def at(self, distance_m: ArrayLike) -> NDArray[np.float64]:
-        """Return the height in m along the road, by straight lines between the samples."""
+        """Return the interpolated height in m along the road."""
         place = np.asarray(distance_m) / STEP_M
         return np.interp(place, np.arange(self.height_m.size), self.height_m, period=self.height_m.size)
 
 
 def roughness(road_class: str, per_m: ArrayLike) -> NDArray[np.float64]:
     """Return the displacement power spectral density of a road (ISO 8608)."""
-    # ISO 8608: G_d(n) = G_d(n0) (n / n0)^-2
-    return ROUGHNESS_M3[road_class] * (np.asarray(per_m) / REFERENCE_PER_M) ** -2.0
+    # ISO 8608: G_d(n) = G_d(n0) (n / n0)^-2, n0 = 0.1 cycle/m
+    return ROUGHNESS_M3[road_class] * (np.asarray(per_m) / 0.1) ** -2.0
 
 
 def road_profile(road_class: str, length_m: float, rng: np.random.Generator) -> RoadProfile:
-    """Draw a random road: a sum of sine waves of random phase with the spectrum of ISO 8608."""
-    # least length of a profile in m: 2^14 samples, twice the longest wave, so that the lines of its spectrum are at
-    # most 0.005 cycle/m apart
-    # excess over a power of two that counts as a rounding error
+    """Draw a random road: sine waves of random phase with the spectrum of ISO 8608."""
+    # a power of two of at least 2^14 samples, twice the longest wave; 1e-9: rounding
     samples = 1 << int(np.ceil(np.log2(max(length_m, 204.8) / STEP_M - 1e-9)))
     per_m = np.fft.rfftfreq(samples, STEP_M)
-    band = (per_m >= BAND_PER_M[0]) & (per_m <= BAND_PER_M[1])
+    # from 100 m, far below the modes of the body, to 0.25 m, the length of the tyre contact
+    band = (per_m >= 0.01) & (per_m <= 4.0)
     # a wave of amplitude A has the power A^2 / 2 = G_d(n) dn
     amplitude = np.sqrt(2 * roughness(road_class, per_m[band]) * per_m[1])
     spectrum = np.zeros(per_m.size, complex)
@@ -58,15 +49,15 @@ def road_profile(road_class: str, length_m: float, rng: np.random.Generator) -> 
 
 @dataclass(frozen=True)
 class HalfCar:
-    """A passenger car in side view: body with heave and pitch, two axles on springs, two tyres.
+    """Passenger car in side view: body with heave and pitch, two axles on springs, two tyres.
 
-    Masses, springs and dampers are sums over both sides. The defaults are chosen as common textbook values: the body's
-    modes lie at 1.01 and 1.27 Hz, wheel hop at 10.4 and 10.9 Hz.
+    Masses, springs and dampers are sums over both sides. With the defaults, the body modes are at 1.01 and 1.27 Hz,
+    and wheel hop at 10.4 and 10.9 Hz.
     """
 
     # Mass of the body in kg
     body_kg: float = 1380.0
-    # Its moment of inertia about the pitch axis in kg m^2
+    # Moment of inertia about the pitch axis in kg m^2
     inertia_kg_m2: float = 2440.0
     # Front axle before the centre of mass in m
     front_m: float = 1.25
@@ -93,7 +84,7 @@ class HalfCar:
         return mass, damping, stiffness, tyres
 
     def ride(self, road_m: Floats, step_s: float) -> Floats:
-        """Return the car's displacements on a road, from rest at the first heights."""
+        """Return the displacements of the car on a road, from rest at the first heights."""
         advance, enter = _discretise(self.matrices(), step_s)
         drive = road_m @ enter.T
         state = np.zeros((len(road_m) + 1, 8))
@@ -108,7 +99,7 @@ class HalfCar:
 
 
 def _discretise(matrices: tuple[Floats, ...], step_s: float) -> tuple[Floats, Floats]:
-    """Return A and B of x[k+1] = A x[k] + B r[k], x = (q, q'), exact for a road height that holds over the step."""
+    """Return A and B of x[k+1] = A x[k] + B r[k], x = (q, q'), exact for a constant road height over the step."""
     from scipy.linalg import expm
 
     mass, damping, stiffness, tyres = matrices

@@ -1,4 +1,4 @@
-"""Light of LEDs and panel on the pixels: disc, lobe, Gaussian blur, integral over each pixel."""
+"""Images of LEDs and panel: disc, lobe, Gaussian blur, integral over each pixel."""
 
 import math
 from collections.abc import Callable
@@ -14,110 +14,83 @@ from heliograph.channel.parts import POINT_SPREADS
 from heliograph.channel.psf import PointSpread
 from heliograph.channel.settings import CameraSettings, ChannelSettings
 
-_STEPS_PER_OCTAVE = 8
-"""Steps of the resolution for which cubatures are made, rounded up, so that few are made and kept. Chosen: from 10 to
-80 m there are 24; the rounding makes a cubature finer than needed by at most 9 %, by 19 % at half the value."""
-
-
-def shape_of(settings: ChannelSettings) -> tuple[float, float, float]:
-    """Return pitch in m, radius in m and Lambertian order of a channel's LEDs."""
-    emitter = settings.emitter
-    return emitter.pitch_m, emitter.diameter_m / 2, emitter.lobe_order
+LedOptics = tuple[tuple[float, float, float], tuple[float, float], Floats, float, Floats]
+"""Pitch in m, radius in m and Lambertian order; focal length and blur in px; cubature points and remaining variance of
+the disc (`disc_cubature`); `normal_table`."""
 
 
 class Spot(NamedTuple):
-    """A Gaussian of the point-spread function, for LEDs at a pose.
+    """Gaussian of the point-spread function for LEDs at a pose."""
 
-    Attributes
-    ----------
-    fraction
-        Part of the light that it has.
-    homography
-        (3, 3) map onto the sensor, moved by the Gaussian's shift.
-    shift
-        (3, 3) that shift; None for none.
-    lens, points, rest
-        Lens and cubature of the disc, as for `optics.add_leds`.
-    """
-
+    # Share of the light
     fraction: float
+    # (3, 3) map onto the sensor, shift included
     homography: Floats
+    # (3, 3) shift; None for no shift
     shift: Floats | None
-    lens: tuple[float, float]
-    points: Floats
-    rest: float
+    # Optics of the LEDs for `add_leds`
+    optics: LedOptics
 
 
-def spots(settings: ChannelSettings, one: Floats) -> list[Spot]:
-    """Return the Gaussians of the point-spread function for an array's LEDs at a pose."""
-    camera, parts = settings.camera, list[Spot]()
+def spots(settings: ChannelSettings, plane: Floats) -> list[Spot]:
+    """Return the Gaussians of the point-spread function for LEDs at a pose."""
+    camera, emitter, parts = settings.camera, settings.emitter, list[Spot]()
+    shape = (emitter.pitch_m, emitter.diameter_m / 2, emitter.lobe_order)
     for fraction, shift, sigma in _gaussians(POINT_SPREADS[camera.psf], camera):
-        resolution = settings.emitter.diameter_m / 2 * camera.focal_px / one[2, 2] / sigma
-        steps = math.ceil(_STEPS_PER_OCTAVE * math.log2(resolution))
-        cubature = disc_cubature(2.0 ** (steps / _STEPS_PER_OCTAVE))
-        parts.append(Spot(fraction, one if shift is None else shift @ one, shift, (camera.focal_px, sigma), *cubature))
+        resolution = emitter.diameter_m / 2 * camera.focal_px / plane[2, 2] / sigma
+        # rounding limits the number of cubatures
+        cubature = disc_cubature(2.0 ** (math.ceil(8 * math.log2(resolution)) / 8))
+        optics = (shape, (camera.focal_px, sigma), *cubature, normal_table())
+        parts.append(Spot(fraction, plane if shift is None else shift @ plane, shift, optics))
     return parts
 
 
-@lru_cache(maxsize=16)  # one of a film is asked for in each frame
+@lru_cache(maxsize=16)
 def _gaussians(
     make: Callable[[CameraSettings], PointSpread], camera: CameraSettings
 ) -> tuple[tuple[float, Floats | None, float], ...]:
-    """Light, shift and width in px of the Gaussians of a point-spread function; None for no shift."""
+    """Return share of light, shift and width in px of the Gaussians; None for no shift."""
     psf, parts = make(camera), []
     for fraction, (dx, dy), sigma in zip(psf.fraction.tolist(), psf.shift_px, psf.sigma_px.tolist(), strict=True):
-        # the Gaussian's place beside the point moves the image: (x + dx, y + dy, 1) Z
+        # (x + dx, y + dy, 1) Z
         shift = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]])
         parts.append((fraction, shift if dx or dy else None, sigma))
     return tuple(parts)
 
 
 REACH_SIGMA = 5.0
-"""An LED's image is cut this many standard deviations from its centre; 2 Phi(-5) = 6e-7 of the light is lost along an
-axis. At half the value 1.2 % would be lost; at twice an image has up to four times the pixels."""
-
-LEAST_COVARIANCE = 1e-3
-"""Correlation of an LED's Gaussian below which it counts as upright: an error of 4e-4 of its peak at most, in
-proportion to the value."""
+"""Radius of an LED image in standard deviations; 2 Phi(-5) = 6e-7 of the light is lost along an axis."""
 
 PER_SIGMA = 512
-"""Samples of the normal distribution function Phi by standard deviation: straight lines between them are right to
-max |Phi''| / (8 512^2) = 1.2e-7; 4.6e-7 at half the value."""
+"""Samples of the normal distribution function Phi per standard deviation; the interpolation error is 1.2e-7."""
 
 LIMIT_SIGMA = 6
-"""Standard deviations to which Phi is tabulated: beyond, it is 0 or 1 to 1e-9."""
+"""Range of the table of Phi in standard deviations; outside, Phi is 0 or 1 to 1e-9."""
 
 
 @cache
 def normal_table() -> Floats:
-    """Return Phi(z) at z = -`LIMIT_SIGMA` ... `LIMIT_SIGMA` in steps of 1 / `PER_SIGMA`, and one sample beyond."""
+    """Return Phi(z) at z = -`LIMIT_SIGMA` ... `LIMIT_SIGMA` in steps of 1 / `PER_SIGMA`, plus a sample."""
     z = np.arange(-LIMIT_SIGMA * PER_SIGMA, LIMIT_SIGMA * PER_SIGMA + 2) / PER_SIGMA
     return np.array([0.5 * math.erfc(-v / math.sqrt(2)) for v in z])
 
 
 @cache
 def disc_cubature(resolution: float) -> tuple[Floats, float]:
-    """Return equal Gaussians whose sum stands for a uniform disc.
+    """Return positions of equal Gaussians that approximate a uniform disc, and the remaining variance.
 
-    The largest error of a pixel, relative to an LED's brightest pixel, is 0.03 % up to a resolution of 0.4, 0.05 % up
-    to 0.65, 0.2 % up to 1.6, 0.5 % up to 4. The reference lens at 60, 25 and 10 m has the resolutions 0.24, 0.58 and
-    1.46.
+    The resolution is disc radius over blur. The largest pixel error relative to the peak is 0.03 % up to a resolution
+    of 0.4, 0.05 % up to 0.65, 0.2 % up to 1.6, 0.5 % up to 4.
     """
     # the disc has kappa_4 = -R^4 / 16; a ring of radius q has -3 q^4 / 8: equal at q = R / 6^(1/4);
     # a square of corners (+-q, +-q) has -2 q^4: equal at q = R / 32^(1/4) along the axes
-    # largest resolution, radius of a disc by the blur, at which one Gaussian stands for the disc: right to 0.03 % (see
-    # `disc_cubature`, as for the next three)
     if resolution <= 0.4:
         points = np.zeros((1, 2))
-    # largest resolution at which four Gaussians stand for the disc: right to 0.05 %
-    elif resolution <= 0.65:  # four Gaussians at the corners of a square
+    elif resolution <= 0.65:
         points = _ring(2**0.5 / 32**0.25, 4)
-    # largest resolution at which six Gaussians stand for the disc: right to 0.2 %
     elif resolution <= 1.6:
         points = _ring(6**-0.25, 6)
     else:
-        # largest width of a ring of Gaussians beyond, in standard deviations of the blur: right to 0.5 % up to a
-        # resolution of 4
         rings = math.ceil(resolution / 0.8)
         points = np.vstack([_ring(*_sectors(k, rings)) for k in range(rings)])
     return points, 0.25 - float((points**2).sum(1).mean()) / 2
@@ -129,7 +102,7 @@ def _ring(radius: float, count: int) -> Floats:
 
 
 def _sectors(k: int, rings: int) -> tuple[float, int]:
-    """Return the radius of the sectors' centroids in annulus k, and their number 3 (2 k + 1): all have one area."""
+    """Return the centroid radius and the number 3 (2 k + 1) of the sectors of equal area in annulus k."""
     count = 3 * (2 * k + 1)
     inner, outer = k / rings, (k + 1) / rings
     return 2 / 3 * (outer**3 - inner**3) / (outer**2 - inner**2) * float(np.sinc(1 / count)), count
@@ -137,7 +110,7 @@ def _sectors(k: int, rings: int) -> tuple[float, int]:
 
 @compiled(error_model="numpy", inline="always")
 def _phi(z: float, table: Floats) -> float:
-    """Return Phi(z) by straight lines between the samples of the table."""
+    """Interpolate Phi(z) in the table."""
     place = (z + LIMIT_SIGMA) * PER_SIGMA
     if place <= 0.0:
         return 0.0
@@ -149,7 +122,7 @@ def _phi(z: float, table: Floats) -> float:
 
 @compiled(error_model="numpy", inline="always")
 def _fractions(out: Floats, first: int, last: int, centre: float, sigma: float, table: Floats) -> None:
-    """Write the fraction of a 1-D Gaussian on each of the pixels first..last."""
+    """Write the integral of a 1-D Gaussian over each of the pixels first..last."""
     # integral over a pixel = Phi((i + 1/2 - x) / sigma) - Phi((i - 1/2 - x) / sigma)
     low = _phi((first - 0.5 - centre) / sigma, table)
     for i in range(first, last + 1):
@@ -160,7 +133,7 @@ def _fractions(out: Floats, first: int, last: int, centre: float, sigma: float, 
 
 @compiled(error_model="numpy", inline="always")
 def _span(centre: float, sigma: float, start: int, size: int) -> tuple[int, int]:
-    """Return the first and the last pixel that a Gaussian reaches within a window."""
+    """Return the first and the last pixel of a Gaussian within a window."""
     first = math.ceil(centre - REACH_SIGMA * sigma - 0.5)
     last = math.floor(centre + REACH_SIGMA * sigma + 0.5)
     return max(start, first), min(start + size - 1, last)
@@ -176,7 +149,7 @@ def _deposit(
     scratch: Floats,
     table: Floats,
 ) -> None:
-    """Add a Gaussian of a flux, integrated over each pixel."""
+    """Add a Gaussian, integrated over each pixel."""
     left, right = _span(centre[0], sigma[0], corner[0], light.shape[1])
     top, low = _span(centre[1], sigma[1], corner[1], light.shape[0])
     if left > right or top > low:
@@ -194,9 +167,9 @@ def _deposit(
 def _image(
     h: Floats, drift: Floats, late: float, a: float, b: float
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return image (x, y), depth z and Jacobian (dx/da, dx/db, dy/da, dy/db) of a point of the array's plane.
+    """Return image (x, y), depth z and Jacobian (dx/da, dx/db, dy/da, dy/db) of a point in the array plane.
 
-    (6) along the motion: the homography is that of the centroid of the LED's lit time, h + late drift.
+    Equation (6): the homography h + late drift is that of the temporal centroid of the light.
     """
     ha, hb, hc = h[0, 0] + late * drift[0, 0], h[0, 1] + late * drift[0, 1], h[0, 2] + late * drift[0, 2]
     ka, kb, kc = h[1, 0] + late * drift[1, 0], h[1, 1] + late * drift[1, 1], h[1, 2] + late * drift[1, 2]
@@ -208,7 +181,7 @@ def _image(
 
 @compiled(error_model="numpy", inline="always")
 def _velocity(drift: Floats, a: float, b: float, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return the velocity of the image of a point of the array's plane in px/s."""
+    """Return the image velocity of a point in the array plane in px/s."""
     vz = drift[2, 0] * a + drift[2, 1] * b + drift[2, 2]
     vx = drift[0, 0] * a + drift[0, 1] * b + drift[0, 2] - x * vz
     vy = drift[1, 0] * a + drift[1, 1] * b + drift[1, 2] - y * vz
@@ -223,24 +196,18 @@ def add_leds(
     drift: Floats,
     eye: Floats,
     moments: tuple[Floats, Floats, Floats],
-    emitter: tuple[float, float, float],
-    lens: tuple[float, float],
-    points: Floats,
-    rest: float,
-    table: Floats,
+    optics: LedOptics,
 ) -> None:
-    """Add the light of an array's LEDs to a window of the image, in place."""
+    """Add the light of the LEDs of an array to a window of the image, in place."""
     level, late, spread = moments
-    n = level.shape[0]
+    n, pitch = level.shape[0], optics[0][0]
     scratch = np.empty((2, max(light.shape) + 1))
     for u in range(n):
         for v in range(n):
             if level[u, v] != 0.0:
-                a, b = (v - (n - 1) / 2) * emitter[0], (u - (n - 1) / 2) * emitter[0]
+                a, b = (v - (n - 1) / 2) * pitch, (u - (n - 1) / 2) * pitch
                 lit = (level[u, v], late[u, v], spread[u, v])
-                _add_led(
-                    light, corner, (a, b), homography, drift, eye, lit, emitter, lens, points, rest, scratch, table
-                )
+                _add_led(light, corner, (a, b), homography, drift, eye, lit, optics, scratch)
 
 
 @compiled(error_model="numpy")
@@ -252,29 +219,27 @@ def _add_led(
     drift: Floats,
     eye: Floats,
     lit: tuple[float, float, float],
-    emitter: tuple[float, float, float],
-    lens: tuple[float, float],
-    points: Floats,
-    rest: float,
+    optics: LedOptics,
     scratch: Floats,
-    table: Floats,
 ) -> None:
-    """Add the light of one LED at a place (a, b) of the array's plane, `lit` as the moments of `add_leds`."""
-    (a, b), (level, late, spread), (pitch, radius, order), (focal, blur) = place, lit, emitter, lens
+    """Add the light of an LED at (a, b) in the array plane with the moments `lit`."""
+    (a, b), (level, late, spread) = place, lit
+    (pitch, radius, order), (focal, blur), points, rest, table = optics
     x, y, z, xa, xb, ya, yb = _image(homography, drift, late, a, b)
     vx, vy = _velocity(drift, a, b, x, y, z)
-    # Lambertian lobe: I ~ cos^m of the angle between the array's normal and the direction of the camera
+    # Lambertian lobe: I ~ cos^m of the angle between array normal and camera direction
     away = math.sqrt((eye[0] - a) ** 2 + (eye[1] - b) ** 2 + eye[2] ** 2)
     lobe = (-eye[2] / away) ** order
-    # h_uv of (3): flux = level (f p / (Z pixel))^2, so that an unresolved array has its surface brightness
+    # h_uv of (3): flux = level (f p / (Z pixel))^2, an unresolved array has the surface brightness
     flux = level * lobe * (focal * pitch / z) ** 2 / len(points)
-    # blur * disc * smear of the motion: variances add
+    # convolution of blur, disc and motion blur: variances add
     disc = rest * radius**2
     xx = blur**2 + disc * (xa**2 + xb**2) + vx**2 * spread
     yy = blur**2 + disc * (ya**2 + yb**2) + vy**2 * spread
     xy = disc * (xa * ya + xb * yb) + vx * vy * spread
-    # a covariance worth counting: two halves at +-dx along a diagonal have +-dx^2, and dx^2 more variance
-    halves = 2 if abs(xy) > LEAST_COVARIANCE * math.sqrt(xx * yy) else 1
+    # two halves at +-dx along a diagonal have the covariance +-dx^2 and dx^2 more variance; below a correlation of
+    # 1e-3 the error is at most 4e-4 of the peak
+    halves = 2 if abs(xy) > 1e-3 * math.sqrt(xx * yy) else 1
     dx = math.sqrt(abs(xy)) if halves == 2 else 0.0
     dy = dx if xy > 0 else -dx
     sigma = (math.sqrt(xx - dx**2), math.sqrt(yy - dx**2))
@@ -287,26 +252,18 @@ def _add_led(
 
 @compiled(error_model="numpy")
 def draw_images(
-    images: NDArray[np.float32],
-    corners: NDArray[np.int64],
-    homography: Floats,
-    eye: Floats,
-    emitter: tuple[float, float, float],
-    lens: tuple[float, float],
-    points: Floats,
-    rest: float,
-    table: Floats,
+    images: NDArray[np.float32], corners: NDArray[np.int64], homography: Floats, eye: Floats, optics: LedOptics
 ) -> None:
-    """Add the light of each LED of an array at rest to an image of its own, in place."""
-    n, still = images.shape[0], np.zeros((3, 3))
+    """Add the light of each LED of a static array to a separate image, in place."""
+    n, pitch, still = images.shape[0], optics[0][0], np.zeros((3, 3))
     scratch = np.empty((2, images.shape[2] + 1))
     for u in range(n):
         for v in range(n):
-            a, b = (v - (n - 1) / 2) * emitter[0], (u - (n - 1) / 2) * emitter[0]
+            a, b = (v - (n - 1) / 2) * pitch, (u - (n - 1) / 2) * pitch
             corner = (corners[u, v, 0], corners[u, v, 1])
             lit = (1.0, 0.0, 0.0)
-            one = images[u, v]
-            _add_led(one, corner, (a, b), homography, still, eye, lit, emitter, lens, points, rest, scratch, table)
+            image = images[u, v]
+            _add_led(image, corner, (a, b), homography, still, eye, lit, optics, scratch)
 
 
 @compiled(error_model="numpy")
@@ -317,9 +274,8 @@ def add_images(
     images: NDArray[np.float32],
     corners: NDArray[np.int64],
 ) -> None:
-    """Add the light of LEDs to a window of the image by their own images, in place."""
+    """Add precomputed LED images to a window of the image, in place."""
     height, width = light.shape
-    # images are cut to what is lit: they may be higher than wide
     rows, cols = images.shape[2], images.shape[3]
     for u in range(level.shape[0]):
         for v in range(level.shape[1]):
@@ -329,7 +285,7 @@ def add_images(
             x, y = corners[u, v, 0] - corner[0], corners[u, v, 1] - corner[1]
             first, last = max(0, -x), min(cols, width - x)
             for i in range(max(0, -y), min(rows, height - y)):
-                # by parts of rows, whose numbers begin at 0: several pixels at once
+                # row slices allow vectorisation
                 row, image = light[y + i, x + first : x + last], images[u, v, i, first:last]
                 for j in range(len(row)):
                     row[j] += value * image[j]
@@ -345,14 +301,14 @@ def cover(
     level: float,
     table: Floats,
 ) -> None:
-    """Lay an opaque square panel over a window of the image, in place."""
+    """Cover a window of the image with an opaque square panel, in place."""
     height, width = light.shape
     for y in range(max(box[1], corner[1]), min(box[3], corner[1] + height - 1) + 1):
         for x in range(max(box[0], corner[0]), min(box[2], corner[0] + width - 1) + 1):
             w = inverse[2, 0] * x + inverse[2, 1] * y + inverse[2, 2]
             a = (inverse[0, 0] * x + inverse[0, 1] * y + inverse[0, 2]) / w
             b = (inverse[1, 0] * x + inverse[1, 1] * y + inverse[1, 2]) / w
-            # an edge blurred by a Gaussian is Phi(distance / sigma); the square is the product of two strips
+            # a blurred edge is Phi(distance / sigma); the square is the product of two strips
             strip_a = _phi(half[0] - a, table) - _phi(-half[0] - a, table)
             strip_b = _phi(half[1] - b, table) - _phi(-half[1] - b, table)
             old = light[y - corner[1], x - corner[0]]

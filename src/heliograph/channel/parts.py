@@ -1,8 +1,7 @@
-"""Parts of the channel by name: motions of the camera, backgrounds, point-spread functions.
+"""Registries of camera motions, backgrounds and point-spread functions.
 
-Each kind has parts of its own in the package. A program adds others with `register_motion`, `register_background` and
-`register_point_spread`; installed packages offer them by entry points of the groups "heliograph.motions",
-"heliograph.backgrounds" and "heliograph.point_spreads".
+Programs extend them with `register_motion`, `register_background` and `register_point_spread`, installed packages with
+entry points of the groups "heliograph.motions", "heliograph.backgrounds" and "heliograph.point_spreads".
 """
 
 from collections.abc import Callable
@@ -10,7 +9,9 @@ from typing import Any
 
 from heliograph.base.registry import Registry
 
-MOTIONS: Registry[Callable[..., Any]] = Registry(
+Maker = Callable[..., Any]
+
+MOTIONS: Registry[Maker] = Registry(
     "motion",
     "heliograph.motions",
     {
@@ -20,9 +21,9 @@ MOTIONS: Registry[Callable[..., Any]] = Registry(
         "hand": "heliograph.channel.motion:hand_motion",
     },
 )
-"""Motions by the name of the setting ``channel.shake``; each takes a `motion.Drive` and returns a `motion.Shake`."""
+"""Motions by ``channel.shake``; each takes a `motion.Drive` and returns a `motion.Shake`."""
 
-BACKGROUNDS: Registry[Callable[..., Any]] = Registry(
+BACKGROUNDS: Registry[Maker] = Registry(
     "background",
     "heliograph.backgrounds",
     {
@@ -33,28 +34,23 @@ BACKGROUNDS: Registry[Callable[..., Any]] = Registry(
         "footage": "heliograph.channel.background:footage_background",
     },
 )
-"""Backgrounds by the name of the setting ``channel.background.kind``; each takes a `background.Scenery` and returns a
-`background.Painter`."""
+"""Backgrounds by ``channel.background.kind``; each takes a `background.Scenery` and returns a `background.Painter`."""
 
-POINT_SPREADS: Registry[Callable[..., Any]] = Registry(
+POINT_SPREADS: Registry[Maker] = Registry(
     "point-spread function",
     "heliograph.point_spreads",
-    {
-        "gaussian": "heliograph.channel.psf:gaussian_spread",
-        "halo": "heliograph.channel.psf:halo_spread",
-    },
+    {"gaussian": "heliograph.channel.psf:gaussian_spread", "halo": "heliograph.channel.psf:halo_spread"},
 )
-"""Point-spread functions by the name of the setting ``channel.camera.psf``; each takes the `CameraSettings` and returns
-a `psf.PointSpread`."""
+"""Point-spread functions by ``channel.camera.psf``; each takes `CameraSettings` and returns a `psf.PointSpread`."""
 
 
-def register_motion(name: str, make: Callable[..., Any]) -> None:
+def register_motion(name: str, make: Maker) -> None:
     """Register a motion of the camera.
 
     Parameters
     ----------
     name
-        What ``channel.shake`` calls it.
+        Value of ``channel.shake``.
     make
         Takes a `heliograph.channel.motion.Drive`; returns a function of times (...) in s that gives (..., 4) heave in m
         and pitch, yaw and roll in rad, or None for no motion.
@@ -62,42 +58,42 @@ def register_motion(name: str, make: Callable[..., Any]) -> None:
     Raises
     ------
     SettingsError
-        The name is that of a part of the package, or is no name; or `make` is no function.
+        The name is invalid or belongs to a built-in part, or `make` is no function.
     """
     MOTIONS.register(name, make, make)
 
 
-def register_background(name: str, make: Callable[..., Any]) -> None:
+def register_background(name: str, make: Maker) -> None:
     """Register a background.
 
     Parameters
     ----------
     name
-        What ``channel.background.kind`` calls it.
+        Value of ``channel.background.kind``.
     make
         Takes a `heliograph.channel.background.Scenery`; returns a `heliograph.channel.background.Painter`.
 
     Raises
     ------
     SettingsError
-        The name is that of a part of the package, or is no name; or `make` is no function.
+        The name is invalid or belongs to a built-in part, or `make` is no function.
     """
     BACKGROUNDS.register(name, make, make)
 
 
-def register_point_spread(name: str, make: Callable[..., Any]) -> None:
+def register_point_spread(name: str, make: Maker) -> None:
     """Register a point-spread function.
 
     Parameters
     ----------
     name
-        What ``channel.camera.psf`` calls it.
+        Value of ``channel.camera.psf``.
     make
-        Takes the `CameraSettings`; returns a `heliograph.channel.psf.PointSpread`.
+        Takes `CameraSettings`; returns a `heliograph.channel.psf.PointSpread`.
 
     Raises
     ------
     SettingsError
-        The name is that of a part of the package, or is no name; or `make` is no function.
+        The name is invalid or belongs to a built-in part, or `make` is no function.
     """
     POINT_SPREADS.register(name, make, make)

@@ -1,7 +1,6 @@
-"""Point-spread functions: the image of a point of light, as a sum of Gaussians.
+"""Point-spread functions as sums of Gaussians, which integrate exactly over pixels.
 
-A sum of Gaussians is integrated over pixels as exactly as one is, so a window of a frame has the same pixels as the
-whole. The panel's edges keep the Gaussian of ``camera.blur_px``.
+The panel edges have the Gaussian blur of ``camera.blur_px``.
 """
 
 from dataclasses import dataclass
@@ -12,27 +11,24 @@ from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.channel.settings import CameraSettings
 
-HALO_LIGHT, HALO_WIDTH = 0.05, 6.0
-"""Light of the halo, and its width by the lens's own blur. Chosen, to see what veiling glare does."""
-
 
 @dataclass(frozen=True)
 class PointSpread:
-    """A sum of Gaussians.
+    """Sum of Gaussians.
 
     Attributes
     ----------
     fraction
-        (k,) light of each, in sum about 1.
+        (k,) share of the light, sum about 1.
     shift_px
-        (k, 2) place (x, y) of each beside the point, in px.
+        (k, 2) offset (x, y) in px.
     sigma_px
-        (k,) standard deviation of each in px, above 0.
+        (k,) standard deviation in px, above 0.
 
     Raises
     ------
     SettingsError
-        Shapes do not fit, or a width is not above 0.
+        Shapes are inconsistent, or a width is not above 0.
     """
 
     fraction: Floats
@@ -52,11 +48,11 @@ class PointSpread:
 
 
 def gaussian_spread(camera: CameraSettings) -> PointSpread:
-    """Point-spread function of the reference link: one Gaussian."""
+    """Return the point-spread function of the reference link: a Gaussian."""
     return PointSpread(np.ones(1), np.zeros((1, 2)), np.array([camera.blur_px]))
 
 
 def halo_spread(camera: CameraSettings) -> PointSpread:
-    """Point-spread function of a lens behind a dirty windscreen: the lens's Gaussian, and a wide and weak one."""
-    fraction = np.array([1 - HALO_LIGHT, HALO_LIGHT])
-    return PointSpread(fraction, np.zeros((2, 2)), camera.blur_px * np.array([1.0, HALO_WIDTH]))
+    """Return a point-spread function with veiling glare: 5 % of the light in a Gaussian of 6 times the width."""
+    fraction = np.array([1 - 0.05, 0.05])
+    return PointSpread(fraction, np.zeros((2, 2)), camera.blur_px * np.array([1.0, 6.0]))

@@ -1,6 +1,6 @@
-"""Pinhole geometry: pose of the camera and placement of an array -> homography.
+"""Pinhole geometry: camera pose and array placement to homography.
 
-Axes are right, down, forward, in the world as in the camera. The world's origin is the camera at rest at time 0.
+The axes of world and camera are right, down, forward. The world origin is the camera at rest at time 0.
 """
 
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from heliograph.base.arrays import Floats
 from heliograph.channel.settings import CameraSettings, Placement
 
 TINY_M = 1e-9
-"""Depth in m that replaces smaller ones in divisions; arrays nearer than 0.3 m are not rendered in any case."""
+"""Minimum depth in m for divisions."""
 
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Position and direction of the camera at any number of times; all arrays have one shape."""
+    """Position and orientation of the camera at a number of times; all fields have equal shapes."""
 
-    # Distance driven along the road since time 0, in m
+    # Distance along the road since time 0 in m
     travelled_m: Floats
     # Height above rest in m
     heave_m: Floats
@@ -46,11 +46,11 @@ def rotation(pitch_rad: ArrayLike, yaw_rad: ArrayLike, roll_rad: ArrayLike) -> F
 def homography(
     pose: CameraPose, times_s: Floats, placement: Placement, distance_m: float, camera: CameraSettings
 ) -> tuple[Floats, Floats]:
-    """Return the map of an array's plane onto the sensor, and the camera's position relative to the array."""
+    """Return the homography of an array plane, and the camera position relative to the array."""
     tilt = rotation(*np.radians((placement.pitch_deg, placement.yaw_deg, placement.roll_deg)))
     turn = rotation(pose.pitch_rad, pose.yaw_rad, pose.roll_rad)
     gap = _gap(pose, times_s, placement, distance_m)
-    # X_camera = R^T (P + R_a (a, b, 0)^T - C); pixel = K X_camera; a, b metres right and down in the array's plane
+    # X_camera = R^T (P + R_a (a, b, 0)^T - C); pixel = K X_camera; a, b in m right and down in the plane
     columns = np.concatenate([np.broadcast_to(tilt[:, :2], (*gap.shape[:-1], 3, 2)), gap[..., None]], -1)
     lens = np.array(
         [[camera.focal_px, 0, (camera.width - 1) / 2], [0, camera.focal_px, (camera.height - 1) / 2], [0, 0, 1]]
@@ -59,16 +59,16 @@ def homography(
 
 
 def _gap(pose: CameraPose, times_s: Floats, placement: Placement, distance_m: float) -> Floats:
-    """Return the vector from the camera to the array's centre in the world's axes, (..., 3) in m."""
+    """Return the vector from camera to array centre in world axes, (..., 3) in m."""
     x = placement.x_m + placement.vx_m_s * times_s
     y = placement.y_m + placement.vy_m_s * times_s + pose.heave_m
     z = distance_m + placement.z_offset_m + placement.vz_m_s * times_s - pose.travelled_m
-    z = np.where(np.abs(z) < TINY_M, TINY_M, z)  # the camera in the array's plane
+    z = np.where(np.abs(z) < TINY_M, TINY_M, z)  # camera in the plane of the array
     return np.stack(np.broadcast_arrays(x, y, z), -1)
 
 
 def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:
-    """Return images and depths of points of an array's plane."""
+    """Return images and depths of points in the array plane."""
     ones = np.ones((len(points_m), 1))
     image = np.hstack([points_m, ones]) @ np.swapaxes(homographies, -1, -2)
     depth = np.where(np.abs(image[..., 2]) < TINY_M, TINY_M, image[..., 2])
@@ -76,12 +76,12 @@ def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:
 
 
 def centre_scale(homographies: Floats) -> Floats:
-    """Return the Jacobian of maps at the array's centre, (..., 2, 2) in px/m."""
+    """Return the Jacobian of homographies at the array centre, (..., 2, 2) in px/m."""
     depth = homographies[..., 2, 2, None, None]
     centre = homographies[..., :2, 2:] / depth
     return (homographies[..., :2, :2] - centre * homographies[..., 2:, :2]) / depth
 
 
 def square(half_m: float) -> Floats:
-    """Return the corners of a square about the array's centre, (4, 2) in m right and down of it."""
+    """Return the corners of a square around the array centre, (4, 2) in m right and down."""
     return half_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

@@ -1,7 +1,6 @@
 """EMVA 1288 sensor: light -> electrons with shot and dark noise -> gray levels.
 
-Noise is a function of (seed, frame, row, column on the sensor) alone: a window has the noise of the whole
-frame, in whatever order frames and windows are made.
+Noise is a function of seed, frame, row and column: a window has the same noise as the full frame.
 """
 
 import math
@@ -16,37 +15,17 @@ from heliograph.base.frames import Pixels
 from heliograph.channel.settings import SensorSettings
 
 SKEW_LIMIT = 0.2236
-"""Skewness 1 / sqrt(20) of a Poisson variable of mean 20. Below it a normal variable with the right mean, variance
-and skewness stands for the sum of shot and dark noise (the excess kurtosis left out is at most 0.05); above it the
-Poisson variable is drawn exactly, at several times the cost."""
-
-_LEAST_NORMAL_DARK_E = np.float32(1.8)
-"""Dark noise in electrons from which the skewness mu / (mu + sigma^2)^1.5 stays below `SKEW_LIMIT` at any light: it is
-at most 0.385 / sigma, reached at mu = 2 sigma^2, so from 1.72 on."""
-
-_MOST_POISSON_E = 64
-"""Electrons above which no Poisson variable is drawn. The skewness is below 1 / sqrt(mu), so from 20 on the first test
-decides; this one is cheaper and comes before it."""
-
-_TINY = np.float32(1e-20)
-"""Variance in squared electrons that replaces smaller ones in a division: where there is neither light nor dark
-noise."""
+"""Skewness of a Poisson variable of mean 20. Below, a normal variable with corrected skewness represents shot and dark
+noise (excess kurtosis at most 0.05); above, the Poisson variable is drawn exactly."""
 
 _GOLDEN_64 = np.uint64(0x9E3779B97F4A7C15)
-"""2^64 over the golden ratio: steps of it fill the range evenly (Weyl sequence of splitmix64)."""
+"""2^64 over the golden ratio: step of the Weyl sequence of splitmix64."""
 
 _GOLDEN_32 = np.uint32(0x9E3779B9)
-"""2^32 over the golden ratio, likewise."""
+"""2^32 over the golden ratio."""
 
 _POISSON_STEP = np.uint64(0xD1B54A32D192ED03)
-"""2^64 over the root 1.2207 of x^4 = x + 1: another such step, so that a pixel's Poisson variable does not share
-bits with its normal one."""
-
-_TWO_PI = np.float32(2 * math.pi)
-"""2 pi in single precision."""
-
-_LN2 = np.float32(math.log(2))
-"""ln 2 in single precision."""
+"""2^64 over the root 1.2207 of x^4 = x + 1: an independent step for Poisson variables."""
 
 
 @compiled(error_model="numpy", inline="always")
@@ -69,14 +48,14 @@ def _mix32(x: np.uint32) -> np.uint32:
 
 @compiled(error_model="numpy", inline="always")
 def _row_key(seed: np.uint64, frame: int, row: int) -> np.uint64:
-    """Return 64 random bits for one row of one frame."""
+    """Return 64 random bits for a row of a frame."""
     key = _mix64(seed + _GOLDEN_64 * np.uint64(frame + 1))
     return _mix64(key + _GOLDEN_64 * np.uint64(row + 1))
 
 
 @compiled(error_model="numpy", inline="always")
 def _normal(key: np.uint64, column: int) -> np.float32:
-    """Return a standard normal variable for a row's key and a column, by Box and Muller; right to 6.6 sigma."""
+    """Return a standard normal variable (Box-Muller) for a row key and a column, up to 6.6 sigma."""
     step = np.uint32(np.uint32(column) * _GOLDEN_32)
     first = _mix32(np.uint32(step + np.uint32(key)))
     second = _mix32(np.uint32(step + np.uint32(key >> np.uint64(32))))
@@ -89,11 +68,11 @@ def _normal(key: np.uint64, column: int) -> np.float32:
     t = (mantissa - np.float32(1)) / (mantissa + np.float32(1))
     q = t * t
     series = np.float32(2) + q * (np.float32(2 / 3) + q * (np.float32(2 / 5) + q * np.float32(2 / 7)))
-    log = exponent * _LN2 + t * series
+    log = exponent * np.float32(math.log(2)) + t * series
     radius = np.sqrt(max(np.float32(-2) * log, np.float32(0)))
     # cos(2 pi w) = sin(2 pi (1/4 - |w|)), w = second / 2^32 in -1/2..1/2, by the series of the sine
     w = np.float32(np.int32(second)) * np.float32(2.0**-32)
-    x = _TWO_PI * (np.float32(0.25) - abs(w))
+    x = np.float32(2 * math.pi) * (np.float32(0.25) - abs(w))
     y = x * x
     sine = np.float32(-1 / 5040) + y * (np.float32(1 / 362880) - y * np.float32(1 / 39916800))
     sine = x * (np.float32(1) + y * (np.float32(-1 / 6) + y * (np.float32(1 / 120) + y * sine)))
@@ -102,14 +81,12 @@ def _normal(key: np.uint64, column: int) -> np.float32:
 
 @compiled(error_model="numpy")
 def _poisson(mean: float, key: np.uint64, column: int) -> int:
-    """Return a Poisson variable for a row's key and a column, by inversion; for means up to some tens."""
+    """Return a Poisson variable of small mean for a row key and a column, by inversion."""
     bits = _mix64(key ^ (_POISSON_STEP * np.uint64(column + 1)))
-    # 53 bits to a uniform variable in (0, 1)
-    left = (float(bits >> np.uint64(11)) + 0.5) * 2.0**-53
+    remainder = (float(bits >> np.uint64(11)) + 0.5) * 2.0**-53  # uniform in (0, 1)
     probability, count = math.exp(-mean), 0
-    # bound on the steps of `_poisson`; a mean of `_MOST_POISSON_E` reaches it with a probability below 1e-300
-    while left > probability and count < 1000:
-        left -= probability
+    while remainder > probability and count < 1000:
+        remainder -= probability
         count += 1
         probability *= mean / count
     return count
@@ -124,7 +101,7 @@ def fill_levels(
     frame: int,
     scales: tuple[float, float, float, float, float],
 ) -> None:
-    """Do the work of `read_out`."""
+    """Write the gray levels of `read_out`."""
     well, dark, gain = np.float32(scales[0]), np.float32(scales[1]), np.float32(scales[2])
     offset, top = np.float32(scales[3]), np.float32(scales[4])
     height, width = light.shape
@@ -134,34 +111,29 @@ def fill_levels(
         key = _row_key(seed, frame, i + corner[1])
         row, source = out[i], light[i]
         for j in range(width):
-            # Light above this many full scales is cut. Chosen: it saturates in any case, and its electrons still fit
-            # float32
-            mu = min(max(source[j], zero), np.float32(64.0)) * well
+            mu = min(max(source[j], zero), np.float32(64.0)) * well  # more light overflows float32
             total = mu + variance
             # sigma_e^2 = sigma_d^2 + mu_e; third cumulant mu_e by the Cornish-Fisher term (z^2 - 1) skew / 6
             z = _normal(key, j + corner[0])
             sigma = np.sqrt(total)
-            skew = mu / max(total, _TINY)
+            skew = mu / max(total, np.float32(1e-20))
             electrons = mu + sigma * z + skew * sixth * (z * z - np.float32(1))
-            # y = K electrons, rounded and cut: 1/12 DN^2 of quantisation noise
+            # y = K electrons, rounded and clipped: 1/12 DN^2 of quantisation noise
             y = min(max(gain * electrons + offset + half, zero), top)
             row[j] = np.int32(y)
-        if dark < _LEAST_NORMAL_DARK_E:
+        # the skewness mu / (mu + sigma^2)^1.5 is at most 0.385 / sigma, below SKEW_LIMIT above 1.72
+        if dark < np.float32(1.8):
             for j in range(width):
                 mu = max(source[j], zero) * well
-                if zero < mu < _MOST_POISSON_E and mu > np.float32(SKEW_LIMIT) * (mu + variance) ** np.float32(1.5):
+                if zero < mu < 64 and mu > np.float32(SKEW_LIMIT) * (mu + variance) ** np.float32(1.5):
                     electrons = np.float32(_poisson(mu, key, j + corner[0])) + dark * _normal(key, j + corner[0])
                     row[j] = np.int32(min(max(gain * electrons + offset + half, zero), top))
 
 
 def read_out(
-    light: NDArray[np.float32],
-    sensor: SensorSettings,
-    seed: int,
-    frame: int,
-    corner: tuple[int, int] = (0, 0),
+    light: NDArray[np.float32], sensor: SensorSettings, seed: int, frame: int, corner: tuple[int, int] = (0, 0)
 ) -> Pixels:
-    """Return the gray levels of a frame or of a window of it.
+    """Return the gray levels of a frame or a window.
 
     EMVA 1288: mean mu_y = K mu_e + offset, variance sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2.
     """
@@ -174,18 +146,13 @@ def read_out(
     return out
 
 
-DEVELOPED_BITS = 12
-"""Bits of the levels that are developed by a gamma: those of a phone's sensor, 10 to 12; at 8 the dark ones would have
-steps of 20 levels."""
-
-
 def developed(
     light: NDArray[np.float32], sensor: SensorSettings, seed: int, frame: int, corner: tuple[int, int] = (0, 0)
 ) -> Pixels:
-    """Return the gray levels of a frame as a film has them: those of `read_out`, developed by the sensor's gamma."""
+    """Return the gray levels of a frame after gamma correction."""
     if sensor.gamma == 1:
         return read_out(light, sensor, seed, frame, corner)
-    fine = replace(sensor, bits=DEVELOPED_BITS, offset_dn=sensor.offset_dn * (1 << DEVELOPED_BITS - sensor.bits))
+    fine = replace(sensor, bits=12, offset_dn=sensor.offset_dn * (1 << 12 - sensor.bits))  # as in phone sensors
     levels = np.arange(fine.full_scale + 1) / fine.full_scale
     # gray level = full scale light^(1 / gamma)
     table = np.rint(sensor.full_scale * levels ** (1 / sensor.gamma))

@@ -12,41 +12,48 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG, Fraction, clear_errors
-from heliograph.channel.devices import (
-    EXPOSURE_SLACK,
-    CameraSettings,
-    Colour,
-    EmitterSettings,
-    LengthM,
-    LightLevel,
-    Ppm,
-    SensorSettings,
-    SpeedMS,
-    TiltDeg,
-    TimeS,
-)
+from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM, clear_errors
 from heliograph.channel.parts import BACKGROUNDS, MOTIONS, POINT_SPREADS
 
-__all__ = [
-    "EXPOSURE_SLACK",
-    "MOST_MOTION_PX",
-    "NEAREST_M",
-    "BackgroundSettings",
-    "CameraSettings",
-    "ChannelSettings",
-    "EmitterSettings",
-    "Placement",
-    "SensorSettings",
-]
 
-MOST_MOTION_PX = 1e3
-"""Most motion of an array in the image within one exposure in px. Chosen: twice the largest array that a receiver
-looks for by default. Each quarter of a pixel is drawn on its own, which takes up to 0.13 GB at this value."""
+def _lit(colour: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(colour):
+        raise ValueError("a colour has red, green or blue above 0, not (0, 0, 0)")
+    return colour
 
-NEAREST_M = 0.3
-"""An array whose panel is nearer than this to the camera's plane is not rendered. Chosen: its image is then far larger
-than the sensor, 3500 px wide in the reference link; the value only keeps depths above 0."""
+
+LightLevel = Annotated[float, Field(ge=0, le=4)]
+"""Light in full scales, up to four times saturation."""
+
+Colour = Annotated[tuple[LightLevel, LightLevel, LightLevel], AfterValidator(_lit)]
+"""Red, green and blue of a light; (1, 1, 1) is neutral for the camera."""
+
+Probability = Annotated[float, Field(ge=0, lt=1)]
+"""Probability of a frame fault."""
+
+Ppm = Annotated[float, Field(ge=-1e4, le=1e4)]
+"""Relative error of a clock period in millionths, at most 1 %."""
+
+LengthM = Annotated[float, Field(ge=-1e4, le=1e4)]
+"""Position in the scene in m, at most 10 km."""
+
+SpeedMS = Annotated[float, Field(ge=-1000, le=1000)]
+"""Velocity in m/s."""
+
+TimeS = Annotated[float, Field(ge=-60, le=3600)]
+"""Start of a clock in s; patterns before the film are computed too, hence at most a minute."""
+
+TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
+"""Tilt of an array in degrees, below an edge-on view at 90."""
+
+EXPOSURE_SLACK = 1e-9
+"""Relative excess of the exposure over the frame period or T_b that is a rounding error."""
+
+MAX_MOTION_PX = 1e3
+"""Maximum motion of an array in the image during an exposure in px; limits the memory of a frame to 0.13 GB."""
+
+MIN_DISTANCE_M = 0.3
+"""Minimum distance of a rendered panel; the image is much larger than the sensor there."""
 
 
 @clear_errors
@@ -57,49 +64,44 @@ class Placement:
     Attributes
     ----------
     x_m
-        Position of the array's centre at time 0 in m, right of the optical axis if positive, left if negative; at most
-        10 km.
+        Position of the array centre at time 0 in m, positive to the right of the optical axis; at most 10 km.
     y_m
-        Position of the array's centre at time 0 in m, below the optical axis if positive, above if negative; at most
-        10 km.
+        Position of the array centre at time 0 in m, positive below the optical axis; at most 10 km.
     z_offset_m
-        Distance of the array's centre beyond ``channel.distance_m`` at time 0 in m; negative for nearer, but not behind
-        the camera unless it comes from there.
+        Distance of the array centre beyond ``channel.distance_m`` at time 0 in m. An array behind the camera must have
+        a positive ``vz_m_s``.
     yaw_deg
-        Tilt about the downward axis in degrees, above -90 and below 90. Away from 0 the image is narrower, and dimmer
-        as the LEDs shine to the side.
+        Tilt about the downward axis in degrees, above -90 and below 90. Tilt narrows and dims the image.
     pitch_deg
-        Tilt about the rightward axis in degrees, above -90 and below 90. Away from 0 the image is lower and dimmer.
+        Tilt about the rightward axis in degrees, above -90 and below 90. Tilt flattens and dims the image.
     roll_deg
-        Rotation about the forward axis in degrees, -180 to 180; positive is clockwise as the camera sees it.
+        Rotation about the forward axis in degrees, -180 to 180; positive is clockwise in the image.
     vx_m_s
-        Own velocity of the array to the right in m/s, -1000 to 1000; negative to the left.
+        Velocity of the array to the right in m/s, -1000 to 1000; negative to the left.
     vy_m_s
-        Own velocity of the array downward in m/s, -1000 to 1000; negative upward.
+        Velocity of the array downward in m/s, -1000 to 1000; negative upward.
     vz_m_s
-        Own velocity of the array away from the camera in m/s, -1000 to 1000; negative towards it.
+        Velocity of the array away from the camera in m/s, -1000 to 1000; negative for approach.
     brightness
-        Factor on the light of all its LEDs, 0 to 100; a larger value is brighter, 0 is dark.
+        Relative light of all LEDs, 0 to 100.
     dead
-        Fraction of its LEDs that never shine, 0 to 1, at random places; a larger value loses more data.
+        Fraction of LEDs that are always off, 0 to 1, at random positions.
     stuck
-        Fraction of its LEDs that shine all the time, 0 to 1, at random places; at most 1 together with ``dead``.
+        Fraction of LEDs that are always on, 0 to 1, at random positions; at most 1 together with ``dead``.
     spread
-        Standard deviation of its LEDs' light about 1, 0 to 1, normal, drawn once and at least 0: LEDs differ by that
-        much, as 0.2 by 20 %. A larger value disturbs the layers of few LEDs, the low one first.
+        Relative standard deviation of the LED light, 0 to 1, normal and constant in time, such as 0.2 for 20 %. The
+        low layer is the most sensitive.
     hidden
-        Part of the array that an obstacle right before the panel hides: left, top, right and lower edge, each 0 to 1 in
-        sides of the array from its upper left corner, such as (0, 0, 0.5, 0.5); empty for none.
+        Rectangle of the array behind an obstacle: left, top, right and bottom edge as fractions of the side, from the
+        upper left corner, such as (0, 0, 0.5, 0.5); empty for no obstacle.
     hidden_level
-        Light of that obstacle in full scales, 0 to 4.
+        Light of the obstacle in full scales, 0 to 4.
     off_s
-        Times (from, to) in s for which the array is dark, stuck LEDs too; its clock runs on.
+        Intervals (from, to) in s with all LEDs off, stuck LEDs included; the clock continues.
     clock_ppm
-        Error of its clock in millionths, -10000 to 10000: its pattern period is longer by this than the nominal one,
-        shorter if negative.
+        Error of the array clock in millionths, -10000 to 10000; positive for a longer pattern period.
     start_s
-        Time in s at which its pattern 0 starts, -60 to 3600; it is dark before. At most 1e6 patterns come before the
-        first frame.
+        Start of pattern 0 in s, -60 to 3600; the array is dark before. At most 1e6 patterns precede the first frame.
     """
 
     x_m: LengthM = 1.5
@@ -137,20 +139,19 @@ class Placement:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class BackgroundSettings:
-    """The background of the arrays.
+    """Background of the arrays.
 
     Attributes
     ----------
     kind
-        "flat", "street" or "street-night" (a street in perspective), "synthetic" (sky, buildings and many lamps, which
-        disturb) or "footage" (recorded frames); others may be registered.
+        "flat", "street" or "street-night" (a street in perspective), "synthetic" (sky, buildings and many lamps as
+        clutter) or "footage" (recorded frames); programs may register others.
     level
-        Light of a flat background in full scales, 0 to 4. A larger value adds shot noise beside the panel.
+        Light of a flat background in full scales, 0 to 4. A larger value adds shot noise around the panel.
     gain
-        Light of white in a drawn or recorded background in full scales, 0 to 4. A larger value makes the background
-        more disturbing.
+        Light of white in a drawn or recorded background in full scales, 0 to 4. A larger value increases the clutter.
     colour
-        Red, green and blue of the light of background and panels, as ``emitter.colour``.
+        Red, green and blue of background and panels, see ``emitter.colour``.
     """
 
     kind: Annotated[str, AfterValidator(BACKGROUNDS.check)] = "flat"
@@ -161,46 +162,258 @@ class BackgroundSettings:
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
+class CameraSettings:
+    """Pinhole camera with a global or rolling shutter.
+
+    Attributes
+    ----------
+    fps
+        Frame rate in frames/s, 0.1 to 1e6. The receiver "plain" needs one frame per pattern, "soft" at least one.
+    exposure_s
+        Exposure time tau of equation (4) in s, at least 1e-9 and at most 1 / ``fps`` and T_b. A shorter exposure covers
+        fewer slots of a pattern and has less motion blur; ``emitter.all_on`` assumes lens and gain for this exposure.
+        An array moves by at most 1000 px in the image during an exposure.
+    start_s
+        Time of the first exposure in s, -60 to 3600. A fraction of T_b makes camera and array asynchronous.
+    width
+        Columns of the sensor in pixels, 16 to 8192.
+    height
+        Rows of the sensor in pixels, 16 to 8192.
+    focal_m
+        Focal length in m, 1e-4 to 10, and at most 1e6 pixels. A longer lens magnifies the array and the shake.
+    pixel_m
+        Pixel size in m, 1e-7 to 1e-3. Smaller pixels resolve the array better.
+    blur_px
+        Standard deviation of the Gaussian optical blur in pixels, 0.05 to 20, in addition to pixel area and emitter
+        disc. More blur mixes neighbouring LEDs and affects the low layer first.
+    psf
+        Point-spread function of the lens: "gaussian", or "halo" (plus a wide and weak Gaussian); programs may register
+        others.
+    clock_ppm
+        Error of the camera clock in millionths, -10000 to 10000; positive for a frame period longer than 1 / ``fps``.
+    dropped
+        Probability of a lost frame, at least 0 and below 1.
+    gaps
+        True if a lost frame leaves a gap in frame numbers and times; false for a camera that numbers delivered frames.
+    repeated
+        Probability of a copy of the previous frame in place of a frame, at least 0; below 1 together with ``dropped``.
+    jitter_s
+        Rms error of the time stamps in s, 0 to 10, limited to 0.45 frame periods; the exposures are uniform.
+    uneven_s
+        Rms variation of the exposure times in s, 0 to 10, limited to 0.45 frame periods: a variable frame rate with
+        correct time stamps.
+    row_time_s
+        Delay between the exposures of successive rows in s, 0 for a global shutter; all rows take at most 1 / ``fps``.
+    gain_swing
+        Amplitude of the sinusoidal gain of automatic exposure about 1, 0 to 0.9.
+    gain_period_s
+        Period of automatic exposure in s, 0.1 to 1000.
+    white_balance_swing
+        Amplitude of the sinusoidal red gain of automatic white balance about 1, 0 to 0.9; blue varies in opposite
+        phase. The brightness of gray frames varies with the colour of the light, see ``emitter.colour`` and
+        ``background.colour``.
+    white_balance_period_s
+        Period of automatic white balance in s, 0.1 to 1000.
+    """
+
+    fps: Annotated[float, Field(ge=0.1, le=1e6)] = 1000.0
+    exposure_s: Annotated[float, Field(ge=1e-9, le=10)] = 1e-3
+    start_s: TimeS = 0.0
+    width: Annotated[int, Field(ge=16, le=8192)] = 1024
+    height: Annotated[int, Field(ge=16, le=8192)] = 512
+    focal_m: FocalM = 0.035
+    pixel_m: PixelM = 12e-6
+    blur_px: Annotated[float, Field(ge=0.05, le=20)] = 0.5
+    psf: Annotated[str, AfterValidator(POINT_SPREADS.check)] = "gaussian"
+    clock_ppm: Ppm = 0.0
+    dropped: Probability = 0.0
+    gaps: bool = True
+    repeated: Probability = 0.0
+    jitter_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    uneven_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    row_time_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    gain_swing: Annotated[float, Field(ge=0, le=0.9)] = 0.0
+    gain_period_s: Annotated[float, Field(ge=0.1, le=1000)] = 3.0
+    white_balance_swing: Annotated[float, Field(ge=0, le=0.9)] = 0.0
+    white_balance_period_s: Annotated[float, Field(ge=0.1, le=1000)] = 5.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "CameraSettings":
+        if self.exposure_s * self.fps > 1 + EXPOSURE_SLACK:
+            raise ValueError(f"exposure_s is at most 1 / fps = {1 / self.fps:g} s, not {self.exposure_s:g} s")
+        if self.row_time_s * self.height * self.fps > 1 + EXPOSURE_SLACK:
+            raise ValueError(
+                f"row_time_s times height is at most 1 / fps = {1 / self.fps:g} s, not "
+                f"{self.row_time_s * self.height:g} s"
+            )
+        if self.focal_px > 1e6:
+            raise ValueError(f"focal_m is at most 1e+06 pixels of pixel_m, not {self.focal_px:g}")
+        if self.dropped + self.repeated >= 1:
+            raise ValueError(f"dropped and repeated are below 1 together, not {self.dropped + self.repeated:g}")
+        return self
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length in pixels, ``focal_m`` / ``pixel_m``."""
+        return self.focal_m / self.pixel_m
+
+    def gain(self, time_s: float) -> float:
+        """Return the gain of automatic exposure at a time.
+
+        Parameters
+        ----------
+        time_s
+            True time in s.
+        """
+        return 1 + self.gain_swing * math.sin(2 * math.pi * time_s / self.gain_period_s)
+
+    @property
+    def frame_period_s(self) -> float:
+        """True frame period in s, clock error included."""
+        return (1 + self.clock_ppm * 1e-6) / self.fps
+
+
+@clear_errors
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class EmitterSettings:
+    """LEDs and panel.
+
+    Attributes
+    ----------
+    pitch_m
+        LED pitch in m, 1e-4 to 10. A larger pitch enlarges the image of the array.
+    diameter_m
+        Diameter of a round emitter in m, at least 1e-5 and at most ``pitch_m``. A small emitter concentrates light.
+    half_angle_deg
+        Half-intensity angle off axis in degrees, at least 0.1 and below 90. A smaller angle dims oblique views.
+    all_on
+        On-axis light of an unresolved array with all LEDs on for an exposure, in full scales, 0 to 4. Lens and gain
+        compensate for the exposure time. A larger value improves the signal-to-noise ratio up to saturation.
+    panel_level
+        Ambient light reflected by the dark panel, in full scales, 0 to 4.
+    panel_margin_m
+        Margin of the panel in m beyond half a pitch from the outer LEDs, 0 to 100.
+    colour
+        Red, green and blue of the LED light, 0 to 4 each; (1, 1, 1) is neutral. Effective only with
+        ``camera.white_balance_swing``: ``all_on`` is the light in a gray frame.
+    shape
+        "disc", a round LED of ``diameter_m``, or "cell", a square of a screen that fills ``pitch_m`` and has no lobe.
+        The next four settings apply to "cell" only.
+    response_s
+        Time constant of the step response of a cell in s, 0 to 1. A slow display mixes successive patterns.
+    backlight_hz
+        Frequency of a pulsed backlight in Hz, up to 1e5; 0 for constant light. A rolling shutter shows bands at low
+        frequencies.
+    backlight_duty
+        Duty cycle of the backlight, 0.01 to 1, at constant mean light.
+    scan_s
+        Delay in s, 0 to 1, of a new pattern from the top row of cells to the bottom row.
+    """
+
+    pitch_m: PitchM = 0.02
+    diameter_m: Annotated[float, Field(ge=1e-5, le=10)] = 0.005
+    half_angle_deg: Annotated[float, Field(ge=0.1, lt=90)] = 22.6
+    all_on: LightLevel = 0.8
+    panel_level: LightLevel = 0.02
+    panel_margin_m: Annotated[float, Field(ge=0, le=100)] = 0.02
+    colour: Colour = (1.0, 1.0, 1.0)
+    shape: Literal["disc", "cell"] = "disc"
+    response_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    backlight_hz: Annotated[float, Field(ge=0, le=1e5)] = 0.0
+    backlight_duty: Annotated[float, Field(ge=0.01, le=1)] = 1.0
+    scan_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "EmitterSettings":
+        if self.diameter_m > self.pitch_m:
+            raise ValueError(f"diameter_m is at most pitch_m = {self.pitch_m:g}, not {self.diameter_m:g}")
+        if self.shape == "disc" and (self.response_s or self.backlight_hz or self.scan_s):
+            raise ValueError(
+                'response_s, backlight_hz and scan_s apply to a screen: set shape to "cell", or set all three to 0'
+            )
+        return self
+
+    @property
+    def lobe_order(self) -> float:
+        """Lambertian order m = -ln 2 / ln cos(half angle) for an intensity of cos^m(a) at angle a."""
+        return -math.log(2) / math.log(math.cos(math.radians(self.half_angle_deg)))
+
+
+@clear_errors
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class SensorSettings:
+    """Image sensor according to EMVA 1288.
+
+    Attributes
+    ----------
+    full_well_e
+        Electrons at full scale, 10 to 1e7. A larger value reduces shot noise.
+    dark_noise_e
+        Rms dark noise in electrons, 0 to 1e5. A larger value hides dim and distant arrays.
+    bits
+        Bits of a gray level, 8 to 12.
+    offset_dn
+        Black level in gray levels, 0 to 4095; at 0, dark noise is clipped, as in the reference link.
+    gamma
+        Exponent of light by gray level, 0.2 to 5: 1 for a linear camera, about 2.2 for a phone. A larger exponent
+        brightens dark levels.
+    """
+
+    full_well_e: Annotated[float, Field(ge=10, le=1e7)] = 15000.0
+    dark_noise_e: Annotated[float, Field(ge=0, le=1e5)] = 40.0
+    bits: Annotated[int, Field(ge=8, le=12)] = 8
+    offset_dn: Annotated[float, Field(ge=0, le=4095)] = 0.0
+    gamma: Annotated[float, Field(ge=0.2, le=5)] = 1.0
+
+    @property
+    def full_scale(self) -> int:
+        """Largest gray level, 2^bits - 1."""
+        return (1 << self.bits) - 1
+
+    @property
+    def gain_dn_per_e(self) -> float:
+        """System gain K in gray levels per electron."""
+        return self.full_scale / self.full_well_e
+
+
+@clear_errors
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
 class ChannelSettings:
-    """Everything between the LED patterns and the camera frames; the defaults are the reference link.
+    """Channel from LED patterns to camera frames; the defaults are the reference link.
 
     Attributes
     ----------
     distance_m
-        Distance in m from the camera at time 0 to the plane of arrays with ``z_offset_m`` = 0, 0.1 to 10,000. A
-        larger one gives the arrays fewer pixels.
+        Distance in m from the camera at time 0 to the plane of arrays with ``z_offset_m`` = 0, 0.1 to 10,000.
     stop_m
-        Distance in m to that plane at which the film ends, above 0 and below ``distance_m``; without effect where
-        ``duration_s`` is set or the vehicle stands.
+        Distance in m to the plane at the end of the film, above 0 and below ``distance_m``. Unused if ``duration_s`` is
+        set or the vehicle is at rest.
     speed_m_s
-        Speed of the vehicle in m/s, 0 to 60; 0 for a vehicle at rest. A larger one shakes the camera more and shortens
-        the drive.
+        Speed of the vehicle in m/s, 0 to 60; 0 for a vehicle at rest. A higher speed increases the shake.
     duration_s
-        Length of the film in s, above 0 and at most an hour; left out: until ``stop_m`` is reached, or 1 s where
-        the vehicle stands.
+        Length of the film in s, above 0 and at most an hour; by default, the drive to ``stop_m``, or 1 s for a
+        vehicle at rest.
     speed_profile
-        Points (time in s, speed in m/s, 0 to 60) at rising times, joined by straight lines, in place of
-        ``speed_m_s``; empty for none.
+        Points (time in s, speed in m/s, 0 to 60) at rising times for linear interpolation, in place of ``speed_m_s``.
     shake
         Motion of the camera: "none", "road" (half-car model on a random road), "imu" (a recorded trace) or "hand" (a
-        camera held in a hand); others may be registered.
+        handheld camera); programs may register others.
     hand_deg
-        Rms angle in degrees, 0 to 10, by which a hand turns the camera slowly, for ``shake`` = "hand"; its tremor is a
-        tenth of it. A larger one moves the image further.
+        Rms angle of slow hand motion in degrees, 0 to 10, for ``shake`` = "hand"; the tremor is a tenth.
     road_class
-        Class of the road by ISO 8608, "A" (smooth) to "D" (rough): each has twice the amplitude of the one before.
+        Road class of ISO 8608, "A" (smooth) to "D" (rough); the amplitude doubles with each class.
     imu_start_s
-        Time of the trace in s that is time 0 of the film, 0 to 1e6.
+        Time in the trace in s at the start of the film, 0 to 1e6.
     arrays
         Arrays in the scene.
     camera
-        The camera, its lens and its clock.
+        Camera, lens and clock.
     emitter
-        LEDs and panel, the same for all arrays.
+        LEDs and panel, equal for all arrays.
     sensor
-        Noise and levels of the image sensor.
+        Noise and gray levels of the image sensor.
     background
-        What is seen behind the arrays.
+        Background of the arrays.
     custom
         Settings of registered motions, backgrounds and point-spread functions, by name.
     """
@@ -236,15 +449,15 @@ class ChannelSettings:
             ahead_m = self.distance_m + place.z_offset_m
             if ahead_m <= 0 and place.vz_m_s <= 0:
                 raise ValueError(
-                    f"array {k} lies {-ahead_m:g} m behind the camera for the whole film; raise "
+                    f"array {k} lies {-ahead_m:g} m behind the camera during the film; raise "
                     f"channel.arrays.{k}.z_offset_m above -{self.distance_m:g}"
                 )
-            # what comes nearer later, and the shake of the camera, are known to the renderer alone
+            # the renderer checks later motion and shake
             motion_px = math.hypot(place.vx_m_s, place.vy_m_s) * self.camera.exposure_s * self.camera.focal_px
-            motion_px /= max(ahead_m, NEAREST_M)
-            if ahead_m > 0 and motion_px > MOST_MOTION_PX:
+            motion_px /= max(ahead_m, MIN_DISTANCE_M)
+            if ahead_m > 0 and motion_px > MAX_MOTION_PX:
                 raise ValueError(
-                    f"array {k} moves {motion_px:g} px in the image within an exposure, at most {MOST_MOTION_PX:g}; "
+                    f"array {k} moves {motion_px:g} px in the image within an exposure, at most {MAX_MOTION_PX:g}; "
                     f"lower channel.arrays.{k}.vx_m_s or vy_m_s, channel.camera.exposure_s or focal_m, or raise "
                     "channel.distance_m"
                 )
@@ -252,11 +465,11 @@ class ChannelSettings:
         if self.custom and all(registry.is_built_in(name) for registry, name in parts):
             keys = ", ".join(f"channel.custom.{key}" for key in self.custom)
             raise ValueError(
-                f"{keys} has no effect, as shake, background.kind and camera.psf are the package's; leave it out"
+                f"{keys} has no effect: shake, background.kind and camera.psf are built in; remove the setting"
             )
         return self
 
     @property
     def moves(self) -> bool:
-        """Whether the vehicle ever drives: a speed is above 0."""
+        """True if a speed of the vehicle is above 0."""
         return any(speed > 0 for _, speed in self.speed_profile) if self.speed_profile else self.speed_m_s > 0

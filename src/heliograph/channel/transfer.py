@@ -1,4 +1,4 @@
-"""Transfer of frames from the camera to the receiver: some are lost, some repeated, and their times are inexact."""
+"""Frame transfer from camera to receiver with lost and repeated frames and time stamp errors."""
 
 from dataclasses import replace
 
@@ -7,14 +7,14 @@ import numpy as np
 from heliograph.base.frames import Frame
 from heliograph.channel.settings import CameraSettings
 
-LARGEST_JITTER = 0.45
-"""Largest error of a time in frame periods: below 1/2, so that the times of successive frames rise, by 0.1 at least."""
+MAX_JITTER = 0.45
+"""Largest time error in frame periods; below 1/2, so that frame times rise."""
 
 
 class Transfer:
-    """Deliver frames: a frame's accident depends on the seed and its number alone.
+    """Frame transfer; faults depend on the seed and the frame number only.
 
-    Without gaps frames are numbered, and timed, as they are delivered.
+    With ``gaps`` off, delivered frames have consecutive numbers and times.
     """
 
     def __init__(self, camera: CameraSettings, seed: int):
@@ -23,7 +23,7 @@ class Transfer:
         self._lost = 0
 
     def __call__(self, frame: Frame) -> Frame | None:
-        """Take the next frame and return it as delivered; None where it is dropped."""
+        """Return the delivered frame; None for a dropped frame."""
         camera = self._camera
         if not (camera.dropped or camera.repeated or camera.jitter_s):
             return frame
@@ -32,9 +32,8 @@ class Transfer:
         if draw < camera.dropped:
             self._lost += not camera.gaps
             return None
-        largest = LARGEST_JITTER / camera.fps
-        time_s = frame.time_s - self._lost / camera.fps + float(np.clip(late, -largest, largest))
-        shown = self._last if self._last is not None and draw < camera.dropped + camera.repeated else frame
-        # a repeated window keeps its place on the sensor
-        self._last = replace(shown, index=frame.index - self._lost, time_s=time_s)
+        limit = MAX_JITTER / camera.fps
+        time_s = frame.time_s - self._lost / camera.fps + float(np.clip(late, -limit, limit))
+        source = self._last if self._last is not None and draw < camera.dropped + camera.repeated else frame
+        self._last = replace(source, index=frame.index - self._lost, time_s=time_s)
         return self._last

@@ -1,4 +1,4 @@
-"""The truth of a film. The receiver must not see it; the error counter compares with it."""
+"""Truth of a film for error counts; inaccessible to the receiver."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,12 @@ from heliograph.channel.settings import SensorSettings
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Noise of a pixel by EMVA 1288."""
+    """Pixel noise according to EMVA 1288."""
 
-    # Settings of the sensor, of which full well, dark noise and bits are used
     sensor: SensorSettings
 
     def sigma(self, level: ArrayLike) -> NDArray[np.float64]:
-        """Return the rms noise in full scales, with clipping left out."""
+        """Return the rms noise in full scales, clipping ignored."""
         s = self.sensor
         # EMVA 1288: sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2
         electrons = np.asarray(level, float) * s.full_well_e
@@ -25,35 +24,34 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class ArrayTruth:
-    """One array in one frame, at the middle of the exposure."""
+    """Truth of an array in a frame, at mid-exposure."""
 
-    # Image of its centre on the sensor in px, rightward
+    # Image of the centre in px, rightward
     x: float
-    # Image of its centre on the sensor in px, downward
+    # Image of the centre in px, downward
     y: float
-    # Distance between LEDs in the image in px: the root of the area of a square of the LEDs' grid
+    # LED pitch in the image in px: square root of the area of a grid cell
     pitch_px: float
     # Direction of the LED rows in the image in rad, clockwise (from x towards y)
     roll_rad: float
-    # (3, 3) float64: (right, down, 1) from the array's centre in m -> (x, y, 1) Z in px, Z the depth in m
+    # (3, 3) float64: (right, down, 1) from the array centre in m -> (x, y, 1) Z in px, Z the depth in m
     homography: NDArray[np.float64]
-    # Depth of its centre along the optical axis in m
+    # Depth of the centre along the optical axis in m
     distance_m: float
-    # Whether it lies ahead of the camera and faces it, with all LEDs on the sensor
+    # True if the array faces the camera, with all LEDs on the sensor
     visible: bool
-    # Numbers of the patterns shown within the exposure, in the order of time; empty where it shows none
+    # Numbers of the patterns during the exposure in temporal order
     patterns: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The truth of one frame."""
+    """Truth of a frame."""
 
-    # Number of the frame, from 0; dropped frames count
+    # Frame number from 0, dropped frames included
     index: int
-    # True start of the exposure in s (the frame itself has the time of the camera's clock)
+    # True start of the exposure in s; the frame has the time of the camera clock
     time_s: float
-    # The truth of each array, in the order of ``channel.arrays``
+    # Truth of each array, in the order of ``channel.arrays``
     arrays: tuple[ArrayTruth, ...]
-    # Noise of the sensor at any light
     noise: NoiseModel

@@ -1,1 +1,1 @@
-"""Data sets of simulated films with their truth and cut-outs, for those who train detectors and decoders."""
+"""Training data: simulated films with truth, cut-outs, splits and a datasheet."""

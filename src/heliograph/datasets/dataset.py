@@ -1,4 +1,4 @@
-"""Write a data set with its datasheet into a folder; an interrupted run resumes."""
+"""Writer of a data set with a datasheet; an interrupted run resumes."""
 
 import csv
 import io
@@ -12,7 +12,7 @@ from heliograph.base.errors import MediaError
 from heliograph.base.files import clear_write_errors, room_for, shown_name, write_whole
 from heliograph.datasets.film import write_planned
 from heliograph.datasets.plan import CUTOUT_SIDES, SPLITS, DatasetPlan, PlannedFilm, planned
-from heliograph.sweeps.plan import laid_over
+from heliograph.sweeps.plan import merge_changes
 
 READ = """import h5py, pathlib
 
@@ -20,99 +20,98 @@ for path in sorted(pathlib.Path("train").glob("*.h5")):
     with h5py.File(path) as film:
         for k, frame in enumerate(film["frames"]):
             corners = film["truth/corners"][k]  # (arrays, 4, 2) px, x and y
-            cutout = film["cutouts/pixels"][k, 0]  # about the first array
-            first, last = film["truth/patterns"][k, 0]  # patterns that the frame shows of it
+            cutout = film["cutouts/pixels"][k, 0]  # around the first array
+            first, last = film["truth/patterns"][k, 0]  # visible patterns of the array
             sent = film["sent/0/levels"][first - film["sent/0"].attrs["first_pattern"]]  # (n, n), 0 to 4
 """
-"""How a data set is read, with h5py alone."""
+"""Example code for reading a data set with h5py."""
 
 LAYOUT = (
     ("frames", "frame, row, column", "gray levels"),
-    ("times_s", "frame", "start of each exposure by the camera's clock, s"),
-    ("truth/index, time_s", "frame", "number of the frame, dropped ones counted; true start of its exposure, s"),
+    ("times_s", "frame", "start of each exposure by the camera clock, s"),
+    ("truth/index, time_s", "frame", "frame number, dropped frames included; true start of the exposure, s"),
     ("truth/corners", "frame, array, 4, 2",
-     "x and y in px of the LED area's corners at the middle of the exposure: upper left, upper right, lower right, "
-     "lower left as the array counts; an integer is a pixel's centre"),
-    ("truth/homography", "frame, array, 3, 3", "metres on the array, right and down from its centre, to px"),
-    ("truth/distance_m", "frame, array", "depth of its centre, m"),
-    ("truth/visible", "frame, array", "whether all of it is in the frame and faces the camera"),
-    ("truth/patterns", "frame, array, 2", "first and last pattern shown within the exposure; -1 for none"),
-    ("cutouts/pixels", "frame, array, row, column", "pixels about the true place; 0 beyond the frame"),
-    ("cutouts/origin", "frame, array, 2", "x and y of a cut-out's first pixel in the frame"),
+     "x and y in px of the corners of the LED area at mid-exposure: upper left, upper right, lower right, lower left "
+     "of the array; integers are pixel centres"),
+    ("truth/homography", "frame, array, 3, 3", "m in the array plane, right and down from the centre, to px"),
+    ("truth/distance_m", "frame, array", "depth of the centre, m"),
+    ("truth/visible", "frame, array", "true if the array faces the camera, with all LEDs in the frame"),
+    ("truth/patterns", "frame, array, 2", "first and last pattern during the exposure; -1 if dark"),
+    ("cutouts/pixels", "frame, array, row, column", "pixels around the true position; 0 outside the frame"),
+    ("cutouts/origin", "frame, array, 2", "x and y of the first pixel of a cut-out in the frame"),
     ("sent/K/levels", "pattern, LED row, LED column",
-     "what array K sent, 0 to 4; its attributes identity and first_pattern name the array and the first row's pattern"),
+     "levels of array K, 0 to 4; attributes: identity, and first_pattern, the pattern of the first row"),
     ("sent/K/messages/LAYER", "byte", "the message of a layer: high, middle, low"),
 )  # fmt: skip
-"""Data sets of a file, their axes and what they hold."""
-
+"""Data sets of a file: name, axes, content."""
 
 TEMPLATE = """# Datasheet
 
-Simulated films of LED arrays that send data to a camera, with the truth of each frame and cut-outs, to train and to
-judge detectors and decoders.
+Simulated films of LED arrays for training and testing detectors and decoders, with the truth of each frame and
+cut-outs.
 
-## What it has
+## Content
 
 {splits}
 
 {films} films, {frames:,} frames, {megabytes:,.1f} MB of pixels. `films.csv` lists the films.
 
-## What varies
+## Varied settings
 
 {points}
 
-Each file has all of its settings as JSON in the attribute `settings`, and what varies in `varied`.
+The attribute `settings` of a file has all settings as JSON, `varied` the varied settings.
 
 ## Splits
 
-Film N has the seed {first_seed} + N. Its messages, noise, road, place and drawn scene come of its seed. So no two
-films, and no two splits, share any of these. Backgrounds:
+Film N has the seed {first_seed} + N, which determines messages, noise, road, position and drawn scene. Films and splits
+share no seed. Backgrounds:
 
 {scenes}
 
 {recordings}
 
-## How it was made
+## Generation
 
-By `heliograph dataset` of heliograph {version} with the seed {seed}. The same command, version and recordings make the
-same films, level for level.
+By `heliograph dataset` of heliograph {version} with the seed {seed}. The same command, version and recordings give
+equal films.
 
-## A file
+## File format
 
-HDF5, one film a file. What reads films of heliograph reads it: `heliograph receive train/000000.h5`.
+HDF5, a film per file. Heliograph reads the files like other films: `heliograph receive train/000000.h5`.
 
 {layout}
 
-A cut-out has {sides:g} sides of the array where its image is largest. Gray levels go from 0 to 2^bits - 1. `bits`,
-`rate_hz`, `seed` and `split` are attributes.
+A cut-out has {sides:g} times the side of the largest image of the array. Gray levels range from 0 to 2^bits - 1.
+`bits`, `rate_hz`, `seed` and `split` are attributes.
 
 ```python
 {read}```
 
-## What it is not
+## Limitations
 
-- Not filmed. Nothing is learned from it of what the simulator leaves out, such as rolling shutters, rain or colour.
-- Cut-outs lie about the true place, which no receiver knows. Move them by a pixel or two in training.
-- Films of one row differ by seed alone, not by all that differs on roads. Vary what matters to you.
+- The films are simulated. Effects outside the simulator are absent.
+- Cut-outs are centred on the true position, unknown to a receiver. Shift cut-outs by a pixel or two in training.
+- Films of a row differ by seed only. Vary further settings for the diversity of real roads.
 """
-"""The datasheet, but for what is known of the data set."""
+"""Template of the datasheet."""
 
 SCENES = {
-    "flat": "an even gray, the same in all films",
-    "footage": "recorded footage, of which each file is in one split alone",
+    "flat": "uniform gray, equal in all films",
+    "footage": "recorded footage; each file is in a single split",
 }
-"""Backgrounds by kind; any other is drawn anew for each film."""
+"""Backgrounds by kind; other kinds are drawn for each film."""
 
 
 def datasheet(plan: DatasetPlan, sources: Sequence[str]) -> str:
-    """The datasheet."""
+    """Return the datasheet."""
     by_split = {name: [film for film in plan.films if film.split == name] for name in SPLITS}
     splits = [(name, len(by), sum(film.frames for film in by), _seeds(by)) for name, by in by_split.items() if by]
-    kinds = sorted({one.settings.channel.background.kind for one in plan.points})
-    each = ", ".join(map(str, plan.about["splits"].values()))
-    points = [(one.text if one.choice else "one kind", each) for one in plan.points]
+    kinds = sorted({point.settings.channel.background.kind for point in plan.points})
+    counts = ", ".join(map(str, plan.about["splits"].values()))
+    points = [(point.text if point.choice else "all films", counts) for point in plan.points]
     named = f"Recordings: {', '.join(sources)}." if sources else "No recordings were used."
-    shared = " The motion of the car is that of one recording in all splits." if plan.about["imu"] else ""
+    shared = " All splits use the same recorded car motion." if plan.about["imu"] else ""
     return TEMPLATE.format(
         splits=_table(("split", "films", "frames", "seeds"), splits),
         films=len(plan.films),
@@ -120,18 +119,18 @@ def datasheet(plan: DatasetPlan, sources: Sequence[str]) -> str:
         megabytes=plan.bytes / 1e6,
         points=_table(("films of", "in train, validation, test"), points),
         first_seed=plan.films[0].seed,
-        scenes="\n".join(f"- {kind}: {SCENES.get(kind, 'drawn anew for each film')}" for kind in kinds),
+        scenes="\n".join(f"- {kind}: {SCENES.get(kind, 'drawn for each film')}" for kind in kinds),
         recordings=named + shared,
         version=__version__,
         seed=plan.about["seed"],
-        layout=_table(("data set", "axes", "holds"), LAYOUT),
+        layout=_table(("data set", "axes", "content"), LAYOUT),
         sides=CUTOUT_SIDES,
         read=READ,
     )
 
 
 def film_table(plan: DatasetPlan) -> str:
-    """A line for each film, as CSV: number, file, split, seed, frames, and what varies."""
+    """Return the list of films as CSV: number, file, split, seed, frames and varied values."""
     out = io.StringIO()
     keys = list(plan.points[0].choice)
     rows = csv.writer(out, lineterminator="\n")
@@ -151,7 +150,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 PLAN, TABLE, SHEET = "dataset.json", "films.csv", "DATASHEET.md"
-"""Files beside the films: all that they follow from, their list, and what the data set is."""
+"""Files of the data set: plan, list of films, datasheet."""
 
 
 def write_dataset(
@@ -166,56 +165,56 @@ def write_dataset(
     backgrounds: Sequence[str | Path] = (),
     imu: str | Path | None = None,
 ) -> DatasetPlan:
-    """Write films with their truth and cut-outs as HDF5, with splits and a datasheet.
+    """Write films with truth and cut-outs as HDF5, with splits and a datasheet.
 
-    Films that the folder has already of the same data set are kept: what was stopped goes on.
+    An interrupted run resumes: existing films of the same data set are kept.
 
     Parameters
     ----------
     folder
-        Where it goes; made if it does not exist.
+        Output folder; created if missing.
     vary
-        Values by dotted key, such as ``{"channel.distance_m": [20, 40]}``: every combination gets films.
+        Values by dotted key, such as ``{"channel.distance_m": [20, 40]}``, for films of every combination.
     preset, set
-        What does not vary: a preset, and values by dotted key or texts such as "channel.camera.width=320".
+        Fixed settings: a preset, and values by dotted key or texts such as "channel.camera.width=320".
     films
-        Films of each combination.
+        Number of films per combination.
     splits
         Shares of train, validation and test.
     packets
-        Length of a film in packets; None: one where nothing moves, else the whole drive.
+        Length of a film in packets; by default, a packet for a static scene, and the full drive for a moving scene.
     seed
-        Of all that is random, 0 to 2^40 - 1; film N has the seed 10^6 seed + N.
+        Random seed, 0 to 2^40 - 1; film N has the seed 10^6 seed + N.
     backgrounds
-        Footage for backgrounds; each file serves one split alone.
+        Footage for backgrounds; each file is used in a single split.
     imu
-        Recorded motion of a car; None where there is none.
+        Recorded motion of a car, if any.
 
     Returns
     -------
-    What it consists of.
+    Plan of the data set.
 
     Raises
     ------
     SettingsError
-        An argument is none of these.
+        An argument is invalid.
     MediaError
-        The folder holds another data set, there is no room, or a file cannot be read or written.
+        The folder has another data set, the disk is full, or a file cannot be read or written.
     """
-    plan = planned(vary, preset, laid_over(set), films, splits, packets, seed, [Path(one) for one in backgrounds],
-                   Path(imu) if imu is not None else None)  # fmt: skip
+    scenes, motion = [Path(name) for name in backgrounds], None if imu is None else Path(imu)
+    plan = planned(vary, preset, merge_changes(set), films, splits, packets, seed, scenes, motion)
     write(plan, Path(folder))
     return plan
 
 
 def done(plan: DatasetPlan, folder: Path) -> list[int]:
-    """Numbers of the films that a folder has already."""
+    """Return the numbers of the existing films in a folder."""
     try:
         known = _read_plan(folder / PLAN)
-        strange = known is None and folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+        foreign = known is None and folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
     except OSError as error:
         raise MediaError(f"cannot read {folder}: {error.strerror or error}") from None
-    if strange:
+    if foreign:
         raise MediaError(f"{folder} is not empty, and holds no data set: choose a new folder")
     if known is not None and known != _plain(plan):
         before = known if isinstance(known, dict) else {}
@@ -227,10 +226,10 @@ def done(plan: DatasetPlan, folder: Path) -> list[int]:
 
 
 def write(plan: DatasetPlan, folder: Path, progress: Callable[[float], None] = lambda _: None) -> None:
-    """Write the films that are missing, then the table and the datasheet."""
+    """Write the missing films, then the table and the datasheet."""
     kept = frozenset(done(plan, folder))
-    there = next(one for one in (folder, *folder.absolute().parents) if one.is_dir())
-    room_for(there / folder.name, sum(film.bytes for film in plan.films if film.number not in kept))
+    parent = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
+    room_for(parent / folder.name, sum(film.bytes for film in plan.films if film.number not in kept))
     with clear_write_errors(folder):
         for split in {film.split for film in plan.films}:
             (folder / split).mkdir(parents=True, exist_ok=True)
@@ -239,29 +238,29 @@ def write(plan: DatasetPlan, folder: Path, progress: Callable[[float], None] = l
     for film in plan.films:
         if film.number in kept:
             continue
-        write_planned(folder / film.name, film, _part_of(film, count, progress))
+        write_planned(folder / film.name, film, _film_progress(film, count, progress))
         count += 1
         progress(count)
-    sources = sorted({shown_name(one.path) for film in plan.films for one in film.point.recordings.values()})
+    sources = sorted({shown_name(r.path) for film in plan.films for r in film.point.recordings.values()})
     write_whole(folder / TABLE, film_table(plan).encode())
     write_whole(folder / SHEET, datasheet(plan, sources).encode())
 
 
-def _part_of(film: PlannedFilm, before: int, progress: Callable[[float], None]) -> Callable[[int], None]:
-    """Progress of a film's frames as that of all films, of which so many were done before."""
+def _film_progress(film: PlannedFilm, before: int, progress: Callable[[float], None]) -> Callable[[int], None]:
+    """Convert the frames of a film to the progress of all films."""
     return lambda frames: progress(before + min(frames / max(film.frames, 1), 1.0))
 
 
 def _plain(plan: DatasetPlan) -> Any:
-    """What a plan follows from, as it is once it was JSON."""
+    """Return the inputs of a plan after a round trip through JSON."""
     return json.loads(json.dumps(plan.about))
 
 
 def _read_plan(path: Path) -> Any:
-    """The plan of a folder; None where it has none, and something else where it is none."""
+    """Return the plan of a folder; None if the file is missing, {} if invalid."""
     try:
-        # most bytes of a plan that is read: 10 000 combinations of values take 60 MB
-        return json.loads(path.read_bytes()) if path.stat().st_size <= (1 << 26) else {}
+        # 10 000 combinations take 60 MB
+        return json.loads(path.read_bytes()) if path.stat().st_size <= 1 << 26 else {}
     except (FileNotFoundError, NotADirectoryError):
         return None
     except ValueError:

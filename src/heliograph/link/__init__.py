@@ -1,1 +1,1 @@
-"""The whole link: transmitters, channel and receiver composed, and films with their truth."""
+"""Link: transmitters, channel and receiver composed, and films with truth."""

@@ -1,64 +1,88 @@
-"""The budget of a link before it is built: light, electrons, blur, and how far each layer should be read."""
+"""Link budget before construction: light, electrons, blur, and the range of each layer.
+
+Ranges follow from the mutual information of the symbols in r = A d + n. A has the symbol images as the channel renders
+them, d = +-1, and n is white Gaussian noise. Pose, blur and brightness are known, and the scene is static. A pattern
+and the inverse count as a single observation at half the noise power.
+
+======== ==================================================================================================
+linear   Linear MMSE with higher layers known, the layer and lower layers unknown. A lower bound for receivers
+         that cancel decoded layers.
+bound    Matched filter with all other symbols known. An upper bound for every receiver.
+sampled  Luminance at the LED positions, as in the receiver "plain". Other symbols act as noise.
+======== ==================================================================================================
+"""
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from functools import cache
+from typing import Any, Literal
 
+import numpy as np
+
+from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError, shown
-from heliograph.link.information import Kind, Reach, array_images, needed, noise_share
+from heliograph.channel.render import Canvas, add_array
+from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
+from heliograph.channel.settings import ChannelSettings
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings
 from heliograph.receive.detect.alternation import size_limits
 from heliograph.receive.settings import SMALLEST_SIDE_PX
+from heliograph.signal import haar
 from heliograph.signal.formats import AGREED, Format, Mode
 from heliograph.signal.packet import PacketFormat
-from heliograph.signal.settings import LAYERS
+from heliograph.signal.pwm import SLOTS
+from heliograph.signal.settings import LAYERS, SignalSettings
 
-PLAIN, SOFT = "plain", "soft"
-"""The receivers whose reach is known."""
+Kind = Literal["linear", "bound", "sampled"]
 
-MOST_LIGHT = 1.0
-"""Light of the array with every LED on, in full scales, above which no ranges are given: its brightest levels would be
-one and the same."""
+REQUIRED_INFORMATION = (
+    (1 / 3, 0.408), (2 / 5, 0.476), (1 / 2, 0.583), (3 / 5, 0.690), (2 / 3, 0.753), (3 / 4, 0.824), (5 / 6, 0.892),
+    (9 / 10, 0.946), (1.0, 1.0),
+)  # fmt: skip
+"""Code rate, and information in bit per coded bit for 1 % wrong codewords of 3072 bits: ``benchmarks.budget needs``,
+log-MAP, 8 iterations. Codewords of 6144 bits need 0.01 less."""
 
-SEEN_LEDS, RESOLVED_PX = 6, 32.0
-"""LEDs of a side by which an array's brightness is judged, and pitch in px above which it is judged at that pitch.
-Chosen: an LED is then 16 standard deviations of the reference link's blur from the next."""
+MAX_SIDE = 16
+"""Largest side of a simulated array in LEDs; larger arrays are represented by a section. Cost grows as side^6."""
 
-ROUNDING = 1e-3
-"""Share of a period by which exposures and frames may differ from patterns without a note."""
+GRID_SHIFTS_PX = tuple(((0.5 + 0.7548777 * k) % 1 - 0.5, (0.5 + 0.5698403 * k) % 1 - 0.5) for k in range(5))
+"""Positions on the pixel grid for averaging: a low-discrepancy sequence with steps 1/g and 1/g^2, g^3 = g + 1."""
+
+MAX_LIGHT = 1.0
+"""Maximum light in full scales with all LEDs on; above, bright levels saturate and no ranges are given."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """An array as the camera sees it at a distance.
+    """Image of an array at a distance.
 
     Attributes
     ----------
     distance_m
-        Distance to the array's plane in m.
+        Distance to the array plane in m.
     pitch_px
-        Pixels from one LED to the next.
+        LED pitch in px.
     side_px
-        Pixels of a side of the array.
+        Side of the array in px.
     electrons_led
-        Electrons that a frame gets of an LED that is on for the whole exposure.
+        Electrons per frame from an LED that is on for the full exposure.
     electrons_px
-        Electrons of a pixel with every LED on, where the array is not resolved.
+        Electrons per pixel with all LEDs on, for an unresolved array.
     light
         The same in full scales.
     peak
-        Light of the brightest pixel with every LED on, in full scales; it saturates above 1.
+        Light of the brightest pixel with all LEDs on, in full scales; a value above 1 saturates.
     noise
-        Standard deviation of a pixel's noise at the array's mean light, in full scales.
+        Standard deviation of the pixel noise at the mean light of the array, in full scales.
     blur_px
-        Standard deviation of an LED's image in px: lens, emitter and the pixel's own box.
+        Standard deviation of an LED image in px: lens, emitter and pixel area.
     blur_pitches
-        The same in pitches; the low layer fades from about 0.6 on.
+        The same in pitches; the low layer fades above about 0.6.
     lens_px
-        Blur in px that no lens of this f-number goes below: diffraction, and the focus at infinity.
+        Minimum blur in px at this f-number: diffraction, and defocus for a focus at infinity.
     """
 
     distance_m: float
@@ -76,27 +100,27 @@ class Spot:
 
 @dataclass(frozen=True, slots=True)
 class LayerReach:
-    """How far a layer should be read, by a camera at rest.
+    """Range of a layer for a static camera.
 
     Attributes
     ----------
     receiver
-        Name of the receiver, "plain" or "soft".
+        Receiver name, "plain" or "soft".
     mode
-        Whether inverses follow the patterns, "paired", or not, "single".
+        "paired" (patterns with inverses) or "single".
     layer
         Priority of the layer, "high", "middle" or "low".
     rate
         Code rate in information bits per sent bit.
     range_m
-        Distance in m up to which the code gets the information it needs: of "soft" by linear estimates and the layers
-        above known, of "plain" from the luminances at the LEDs' places.
+        Distance in m up to which the code gets the required information: for "soft" by linear estimation with known
+        higher layers, for "plain" from luminances at the LED positions.
     most_m
-        Distance in m up to which any receiver could read it, all other symbols known.
+        Upper bound of the range in m for every receiver, with all other symbols known.
     here
-        Information in bit per coded bit at the settings' distance, as for `range_m`.
+        Information in bit per coded bit at the distance in the settings, as for `range_m`.
     needed
-        What the code needs of it.
+        Information in bit per coded bit that the code requires.
     """
 
     receiver: str
@@ -111,20 +135,20 @@ class LayerReach:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """What a link has, before it is built.
+    """Link budget.
 
     Attributes
     ----------
     spot
-        The array as the camera sees it at the settings' distance.
+        Image of the array at the distance in the settings.
     candela
-        Luminous intensity of an LED on its axis in cd that goes with this light.
+        On-axis luminous intensity of an LED in cd for this light.
     found_m
-        Distances in m up to which the receivers find the array, by their names.
+        Detection range in m by receiver.
     layers
-        Reach of each layer by receiver and mode; empty where the array saturates.
+        Range of each layer by receiver and mode; empty if the array saturates.
     notes
-        What keeps the link from this budget, or the budget from holding; a line each.
+        Limitations of the link or the budget, a line each.
     """
 
     spot: Spot
@@ -134,62 +158,59 @@ class Budget:
     notes: tuple[str, ...]
 
     def plain(self) -> dict[str, Any]:
-        """All of it by name, for JSON."""
+        """Return the budget as plain values for JSON."""
         return asdict(self)
 
 
 class Budgets:
-    """Makes budgets; what is computed for one distance or mode is kept for the others of the same link."""
+    """Budgets of related links; range estimates are cached."""
 
     def __init__(self, light: LightSettings):
         self.light = light
-        self._reaches: dict[LinkSettings, Reach] = {}
+        self._estimators: dict[LinkSettings, RangeEstimator] = {}
 
     def of(self, settings: LinkSettings) -> Budget:
         """Return the budget of a link."""
-        channel, light, read = settings.channel, self.light, _read(settings)
+        channel, light, formats = settings.channel, self.light, _received_formats(settings)
         all_on = light.all_on(channel)
         spot = _spot(settings, light, all_on)
-        found = {name: found_m(settings, name) for name in (PLAIN, SOFT)}
+        found = {name: detection_range_m(settings, name) for name in ("plain", "soft")}
         layers: tuple[LayerReach, ...] = ()
-        if 0 < spot.light <= MOST_LIGHT:
-            layers = tuple(self._layers(settings, read, all_on, found))
+        if 0 < spot.light <= MAX_LIGHT:
+            layers = tuple(self._layers(settings, formats, all_on, found))
         return Budget(spot, light.candela_of(channel), found, layers, tuple(_notes(settings, light, spot)))
 
     def _layers(
-        self, settings: LinkSettings, read: list[tuple[str, Format]], all_on: float, found: dict[str, float]
-    ) -> list[LayerReach]:
-        # the same link at any distance, whatever moves
-        same = replace(settings, channel=replace(settings.channel, distance_m=1e4, speed_m_s=0.0, speed_profile=()))
-        if same not in self._reaches:
-            self._reaches[same] = Reach(settings, all_on)
-        reach, at_m = self._reaches[same], settings.channel.distance_m + settings.channel.arrays[0].z_offset_m
-        out = []
-        for receiver, form in read:
-            rates = dict(zip(LAYERS, form.rates(settings.signal.rate), strict=True))
-            kind: Kind = "linear" if receiver == SOFT else "sampled"
-            for layer, rate in rates.items():
-                far, most = (reach.range_m(one, form.mode, layer, rate, found[receiver]) for one in (kind, "bound"))
-                here = reach.information(kind, form.mode, layer, at_m)
-                out.append(LayerReach(receiver, form.mode, layer, rate, far, most, here, needed(rate)))
-        return out
+        self, settings: LinkSettings, formats: list[tuple[str, Format]], all_on: float, found: dict[str, float]
+    ) -> Iterator[LayerReach]:
+        # cache key: the link at a fixed distance and speed
+        key = replace(settings, channel=replace(settings.channel, distance_m=1e4, speed_m_s=0.0, speed_profile=()))
+        if key not in self._estimators:
+            self._estimators[key] = RangeEstimator(settings, all_on)
+        estimator, at_m = self._estimators[key], settings.channel.distance_m + settings.channel.arrays[0].z_offset_m
+        for receiver, form in formats:
+            kind: Kind = "linear" if receiver == "soft" else "sampled"
+            for layer, rate in zip(LAYERS, form.rates(settings.signal.rate), strict=True):
+                reach, bound = (estimator.range_m(k, form.mode, layer, rate, found[receiver]) for k in (kind, "bound"))
+                here = estimator.information(kind, form.mode, layer, at_m)
+                yield LayerReach(receiver, form.mode, layer, rate, reach, bound, here, required_information(rate))
 
 
 def budget(settings: LinkSettings, light: LightSettings | None = None) -> Budget:
-    """Return what a link has, before it is built: electrons, pixels, blur, and how far each layer should be read.
+    """Return the budget of a link: electrons, pixels, blur, and the range of each layer.
 
     Parameters
     ----------
     settings
-        The link. The camera is taken to be at rest, in step, and to see whole patterns; vehicle and shake, and all
-        arrays but the first, are left aside.
+        Link settings. The model assumes a static camera that is synchronous and exposes full patterns; vehicle, shake
+        and further arrays are ignored.
     light
-        Intensity of the LEDs, f-number and efficiency; the defaults leave the light to ``channel.emitter.all_on``.
+        LED intensity, f-number and efficiency; by default, the light is ``channel.emitter.all_on``.
 
     Raises
     ------
     SettingsError
-        The settings are no `LinkSettings`, or the light no `LightSettings`.
+        The settings are no `LinkSettings`, or the light is no `LightSettings`.
     """
     if not isinstance(settings, LinkSettings):
         raise SettingsError(f"a budget is of heliograph.load_settings(...), not {shown(settings)}")
@@ -198,25 +219,26 @@ def budget(settings: LinkSettings, light: LightSettings | None = None) -> Budget
     return Budgets(light or LightSettings()).of(settings)
 
 
-def _read(settings: LinkSettings) -> list[tuple[str, Format]]:
-    """What the receivers read: the formats sent, or both modes where none is named; an error where none can be sent."""
-    named = list(settings.transmit.formats)
-    for one in named or [AGREED]:
-        PacketFormat(settings.signal, one).layers  # noqa: B018 - a packet may be too small for a codeword
-    if not named:
-        named, single = [AGREED], Format(mode="single")
-        with contextlib.suppress(SettingsError):  # this signal has no single mode
-            if PacketFormat(settings.signal, single).layers:
-                named.append(single)
-    plain = [] if settings.transmit.formats else [(PLAIN, AGREED)]
-    return plain + [(SOFT, one) for one in named]
+def _received_formats(settings: LinkSettings) -> list[tuple[str, Format]]:
+    """Return receiver and format pairs: the formats in the settings, by default both modes; check the packet sizes."""
+    formats = list(settings.transmit.formats)
+    for form in formats or [AGREED]:
+        PacketFormat(settings.signal, form).layers  # noqa: B018 - raises if a packet has no room for a codeword
+    if formats:
+        return [("soft", form) for form in formats]
+    out = [("plain", AGREED), ("soft", AGREED)]
+    single = Format(mode="single")
+    with contextlib.suppress(SettingsError):  # the signal has no single mode
+        if PacketFormat(settings.signal, single).layers:
+            out.append(("soft", single))
+    return out
 
 
-def found_m(settings: LinkSettings, receiver: str) -> float:
-    """Largest distance at which a receiver finds the array."""
+def detection_range_m(settings: LinkSettings, receiver: str) -> float:
+    """Return the largest distance at which a receiver detects the array."""
     detect = settings.receive.detect
-    least, _ = size_limits(detect.min_side_px or SMALLEST_SIDE_PX[receiver], detect.max_side_px)
-    return settings.signal.side * settings.channel.emitter.pitch_m * settings.channel.camera.focal_px / least
+    min_side_px, _ = size_limits(detect.min_side_px or SMALLEST_SIDE_PX[receiver], detect.max_side_px)
+    return settings.signal.side * settings.channel.emitter.pitch_m * settings.channel.camera.focal_px / min_side_px
 
 
 def _spot(settings: LinkSettings, light: LightSettings, all_on: float) -> Spot:
@@ -226,21 +248,21 @@ def _spot(settings: LinkSettings, light: LightSettings, all_on: float) -> Spot:
     if distance_m <= 0:
         raise SettingsError(f"the array is {-distance_m:g} m behind the camera; raise channel.arrays.0.z_offset_m")
     pitch_px = emitter.pitch_m * camera.focal_px / distance_m
-    # nearer, LEDs stand apart, and look no brighter
-    near = array_images(channel, SEEN_LEDS, distance_m * max(1.0, pitch_px / RESOLVED_PX), (0.0, 0.0))
+    # 6 LEDs give the brightness; above a pitch of 32 px, LEDs are separate and the brightness is constant
+    image = array_images(channel, 6, distance_m * max(1.0, pitch_px / 32.0), (0.0, 0.0))
     all_on *= place.brightness
     disc_px = emitter.diameter_m / 4 * pitch_px / emitter.pitch_m
     blur_px = math.sqrt(camera.blur_px**2 + disc_px**2 + 1 / 12)
-    electrons_px = all_on * near.light * channel.sensor.full_well_e
+    electrons_px = all_on * image.light * channel.sensor.full_well_e
     return Spot(
         distance_m=distance_m,
         pitch_px=pitch_px,
         side_px=settings.signal.side * pitch_px,
         electrons_led=electrons_px * pitch_px**2,
         electrons_px=electrons_px,
-        light=all_on * near.light,
-        peak=all_on * near.peak,
-        noise=noise_share(channel, all_on * near.light),
+        light=all_on * image.light,
+        peak=all_on * image.peak,
+        noise=noise_share(channel, all_on * image.light),
         blur_px=blur_px,
         blur_pitches=blur_px / pitch_px,
         lens_px=light.lens_blur_px(channel, distance_m),
@@ -248,33 +270,225 @@ def _spot(settings: LinkSettings, light: LightSettings, all_on: float) -> Spot:
 
 
 def _notes(settings: LinkSettings, light: LightSettings, spot: Spot) -> Iterator[str]:
-    """What keeps the link from its budget, or the budget from holding."""
+    """Yield limitations of the link and the budget."""
     camera, period_s = settings.channel.camera, settings.signal.pattern_period_s
-    if spot.light > MOST_LIGHT:
-        # light that is advised where it is too much: that of the reference link
-        stop = light.f_number * math.sqrt(spot.light / 0.8)
+    rounding = 1e-3  # relative difference of times that is ignored
+    if spot.light > MAX_LIGHT:
+        stop = light.f_number * math.sqrt(spot.light / 0.8)  # light of the reference link
         yield (
             f"the array saturates, {spot.light:.3g} full scales with every LED on: close the lens to f/{stop:.2g}, or "
             "expose for a shorter time; no ranges are given"
         )
     elif spot.light < settings.receive.detect.min_contrast:
         yield (
-            f"the array is too dim to be looked for, {spot.light:.2g} of full scale with every LED on: open the lens, "
+            f"the array is too dim to be detected, {spot.light:.2g} of full scale with every LED on: open the lens, "
             "or lower receive.detect.min_contrast"
         )
-    if camera.fps * period_s < 1 - ROUNDING:
-        yield f"{camera.fps:g} frames/s are fewer than the {1 / period_s:g} patterns a second: some are never seen"
-    if camera.exposure_s < period_s * (1 - ROUNDING):
+    if camera.fps * period_s < 1 - rounding:
+        yield f"{camera.fps:g} frames/s are fewer than the {1 / period_s:g} patterns a second: some are missed"
+    if camera.exposure_s < period_s * (1 - rounding):
         yield (
-            f"an exposure of {camera.exposure_s * 1e3:g} ms sees a part of each pattern of {period_s * 1e3:g} ms; the "
-            "ranges hold for whole ones"
+            f"an exposure of {camera.exposure_s * 1e3:g} ms covers a part of each pattern of {period_s * 1e3:g} ms; "
+            "the ranges assume full patterns"
         )
     if spot.lens_px > camera.blur_px:
         yield (
             f"a lens of f/{light.f_number:g} blurs by {spot.lens_px:.2g} px at {spot.distance_m:g} m, more than "
-            f"channel.camera.blur_px={camera.blur_px:g}: raise that"
+            f"channel.camera.blur_px={camera.blur_px:g}: raise channel.camera.blur_px"
         )
     place = settings.channel.arrays[0]
-    x, y = (camera.focal_px * across / spot.distance_m for across in (place.x_m, place.y_m))
+    x, y = (camera.focal_px * offset_m / spot.distance_m for offset_m in (place.x_m, place.y_m))
     if abs(x) > camera.width / 2 or abs(y) > camera.height / 2:
-        yield f"at {spot.distance_m:g} m the array is not in the picture: {x:+.0f}, {y:+.0f} px from its middle"
+        yield f"at {spot.distance_m:g} m the array is not in the picture: {x:+.0f}, {y:+.0f} px from the centre"
+
+
+def noise_share(channel: ChannelSettings, all_on: float) -> float:
+    """Return the standard deviation of the pixel noise at the mean light of the array, in full scales."""
+    sensor = channel.sensor
+    mean_e = sensor.full_well_e * (all_on / 2 + channel.emitter.panel_level)
+    # EMVA 1288: sigma^2 = sigma_d^2 + mu_e, and 1/12 DN^2 of quantisation
+    return math.sqrt((sensor.dark_noise_e**2 + mean_e) / sensor.full_well_e**2 + 1 / 12 / sensor.full_scale**2)
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayImages:
+    """Images of the LEDs of an array of at most MAX_SIDE x MAX_SIDE LEDs."""
+
+    # (rows, columns, n, n) pixel light of single LEDs; an unresolved array with all LEDs on has light 1 on axis
+    leds: Floats
+    # (n * n, 2) LED positions (x, y) in px of the image
+    points: Floats
+    # LED pitch in px: square root of the area per LED
+    pitch_px: float
+    # Light with all LEDs on, relative to the on-axis value; below 1 for an oblique view
+    light: float
+
+    @property
+    def peak(self) -> float:
+        """Light of the brightest pixel with all LEDs on; above 1 for resolved LEDs."""
+        return float(self.leds.sum((2, 3)).max())
+
+
+def array_images(channel: ChannelSettings, side: int, distance_m: float, shift_px: tuple[float, float]) -> ArrayImages:
+    """Render each LED of the first array for a static camera."""
+    still = np.zeros(())
+    count, place = min(side, MAX_SIDE), channel.arrays[0]
+    plane, eye = homography(CameraPose(*5 * [still]), still, place, distance_m - place.z_offset_m, channel.camera)
+    centre = plane[:2, 2] / plane[2, 2]
+    dx, dy = shift_px - (centre - np.round(centre))
+    plane = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]]) @ plane
+    pitch_m = channel.emitter.pitch_m
+    pitch_px = pitch_m * math.sqrt(abs(np.linalg.det(centre_scale(plane))))
+    corners = project(plane, square(count * pitch_m / 2))[0]
+    margin = 2 + 4 * channel.camera.blur_px  # beyond it lies less than 1e-4 of the light of an LED
+    low, high = np.floor(corners.min(0) - margin), np.ceil(corners.max(0) + margin)
+    width, height = (high - low).astype(int) + 1
+    corner = (int(low[0]), int(low[1]))
+    images = np.empty((height, width, count, count))
+    still_leds, drift = np.zeros((count, count)), np.zeros((3, 3))
+    for u, v in np.ndindex(count, count):
+        lit, light = np.zeros((count, count)), np.zeros((height, width), np.float32)
+        lit[u, v] = 1.0
+        add_array(channel, plane, drift, eye, (lit, still_leds, still_leds), Canvas(light, corner))
+        images[:, :, u, v] = light
+    steps = (np.arange(count) - (count - 1) / 2) * pitch_m
+    grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    points = project(plane, grid)[0] - low
+    return ArrayImages(images, points, pitch_px, float(images.sum()) / (count * pitch_px) ** 2)
+
+
+@cache
+def symbol_levels(side: int, modulation: str) -> Floats:
+    """Return the luminance change of each LED, 0 to 1, by each symbol, (side, side, side * side)."""
+    units = np.eye(side * side).reshape(-1, side, side)
+    levels = haar.inverse_transform(units) / SLOTS if modulation == "haar" else 0.5 * units
+    return np.moveaxis(levels, 0, -1)
+
+
+@cache
+def symbol_layers(side: int) -> Floats:
+    """Return the layer of each symbol, (side * side,): 0 high, 1 middle, 2 low (section 5 of the air interface)."""
+    half = np.arange(side) >= side // 2
+    return (half[:, None].astype(np.float64) + half[None, :]).ravel()
+
+
+@dataclass(frozen=True, slots=True)
+class SymbolImages:
+    """Symbol images at a distance, for unit light and unit noise."""
+
+    # (symbols, symbols) inner products of the symbol images at each position on the pixel grid
+    gram: tuple[Floats, ...]
+    # At each position, (symbols, symbols) response of each sampled symbol to each sent symbol, and (symbols,) standard
+    # deviation of sampled symbols in unit noise
+    sampled: tuple[tuple[Floats, Floats], ...]
+    # (symbols,) layer of each symbol
+    layer: Floats
+
+    def information(self, kind: Kind, layer: int, snr: float) -> float:
+        """Return the mean information of the symbols of a layer in bit per coded bit."""
+        ratios = [self._snr(kind, position, layer, snr) for position in range(len(self.gram))]
+        return float(binary_information(np.concatenate(ratios)).mean())
+
+    def _snr(self, kind: Kind, position: int, layer: int, snr: float) -> Floats:
+        """Return mean squared over variance of each symbol of a layer."""
+        of_layer = self.layer == layer
+        if kind == "bound":
+            return np.asarray(np.diag(self.gram[position])[of_layer] * snr**2)
+        if kind == "sampled":
+            responses, noise = (part[of_layer] for part in self.sampled[position])
+            wanted = responses[np.arange(len(responses)), np.flatnonzero(of_layer)]
+            interference = (responses**2).sum(1) - wanted**2
+            return np.asarray(wanted**2 / (interference + (noise / snr) ** 2))
+        unknown = self.layer >= layer
+        gram = self.gram[position][np.ix_(unknown, unknown)] * snr**2
+        error = np.diag(np.linalg.inv(np.eye(len(gram)) + gram))[of_layer[unknown]]
+        return np.asarray((1 - error) / error)
+
+
+def binary_information(ratio: Floats) -> Floats:
+    """Return the mutual information in bit of a +-1 symbol observed in Gaussian noise."""
+    z = np.linspace(-6, 6, 97)
+    weight = np.exp(-z * z / 2)
+    llr = 2 * ratio[:, None] + 2 * np.sqrt(ratio[:, None]) * z
+    # I = 1 - E log2(1 + exp(-L)), L normal with mean 2 ratio and variance 4 ratio
+    return np.asarray(1 - np.logaddexp(0, -llr) @ weight / weight.sum() / math.log(2))
+
+
+def symbol_images(channel: ChannelSettings, signal: SignalSettings, distance_m: float) -> SymbolImages:
+    """Render the symbols of the first array at a distance."""
+    from heliograph.receive.decode.kernels import sample_cubic  # Numba is slow to import
+
+    side, n_noise = min(signal.side, MAX_SIDE), 64
+    levels, layer = symbol_levels(side, signal.modulation), symbol_layers(side)
+    grams, sampled = [], []
+    rng = np.random.default_rng(0)
+    for shift in GRID_SHIFTS_PX:
+        images = array_images(channel, side, distance_m, shift)
+        height, width = images.leds.shape[:2]
+        symbols = images.leds.reshape(height, width, -1) @ levels.reshape(side * side, -1)
+        flat = symbols.reshape(height * width, -1)
+        grams.append(flat.T @ flat)
+
+        noise = rng.standard_normal((n_noise, height, width))
+        samples = np.empty((side * side + n_noise, side * side))
+        for image, out in zip([*np.moveaxis(symbols, 2, 0), *noise], samples, strict=True):
+            sample_cubic(np.ascontiguousarray(image), images.points, out)
+        if signal.modulation == "haar":
+            samples = haar.decode(samples.reshape(-1, side, side)).reshape(samples.shape)
+        responses, noise = samples[: side * side].T, samples[side * side :]
+        # symbols of a layer have nearly equal noise
+        rms = np.array([math.sqrt((noise[:, layer == k] ** 2).mean()) for k in layer])
+        sampled.append((responses, rms))
+    return SymbolImages(tuple(grams), tuple(sampled), layer)
+
+
+def required_information(rate: float) -> float:
+    """Return the information in bit per coded bit that a code requires."""
+    rates, information = zip(*REQUIRED_INFORMATION, strict=True)
+    return float(np.interp(rate, rates, information))
+
+
+class RangeEstimator:
+    """Information by distance and layer ranges of a link, with cached renderings."""
+
+    def __init__(self, settings: LinkSettings, all_on: float):
+        channel = settings.channel
+        light = all_on * channel.arrays[0].brightness
+        snr = light / noise_share(channel, light)
+        # a pitch of 4 px separates the LEDs; nearer arrays have at least the same information
+        self._nearest_m = channel.camera.focal_px * channel.emitter.pitch_m / 4.0
+        images = cache(lambda distance_m: symbol_images(channel, settings.signal, distance_m))
+
+        @cache
+        def information(kind: Kind, mode: Mode, layer: str, distance_m: float) -> float:
+            gain = 1.0 if mode == "single" else math.sqrt(2)
+            return images(distance_m).information(kind, LAYERS.index(layer), snr * gain)
+
+        self._information = information
+
+    def information(self, kind: Kind, mode: Mode, layer: str, distance_m: float) -> float:
+        """Return the information in bit per coded bit."""
+        return self._information(kind, mode, layer, max(distance_m, self._nearest_m))
+
+    def range_m(self, kind: Kind, mode: Mode, layer: str, rate: float, max_m: float) -> float:
+        """Return the range of a layer in m, at most `max_m`; 0 for an unreadable layer."""
+        required = required_information(rate)
+        # common distances for all layers and modes share the renderings
+        step = 1.08
+        steps = max(0, math.ceil(math.log(max_m / self._nearest_m) / math.log(step)))
+        grid = [min(self._nearest_m * step**k, max_m) for k in range(steps + 1)]
+        return _crossing(lambda distance_m: self.information(kind, mode, layer, distance_m) - required, grid)
+
+
+def _crossing(margin: Callable[[float], float], grid: list[float]) -> float:
+    """Interpolate the zero of a falling function on a grid; the last point if positive, 0 if all are negative."""
+    if margin(grid[-1]) >= 0:
+        return grid[-1]
+    if margin(grid[0]) < 0:
+        return 0.0
+    low, high = 0, len(grid) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if margin(grid[middle]) >= 0 else (low, middle)
+    above, below = margin(grid[low]), margin(grid[high])
+    return grid[low] + (grid[high] - grid[low]) * above / (above - below)

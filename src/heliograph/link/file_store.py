@@ -1,10 +1,10 @@
-"""Files from the air on the disk: whole ones under names that are safe, and the symbols of those that are not whole."""
+"""Received files on disk: complete files under safe names, and symbols of incomplete files."""
 
 import contextlib
 import io
 import re
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
@@ -13,91 +13,87 @@ from heliograph.base.errors import MediaError
 from heliograph.base.files import clear_write_errors, read_bounded, write_whole
 from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress, WholeFile
 
-LONGEST = 80
-"""Most characters of a file's name on the disk. Chosen."""
+PART_NAME = ".part-{key}-*.npz"
+"""Names of symbol files."""
 
-PARTS = ".part-{key}-*.npz"
-"""Names of the files that hold symbols."""
-
-MOST_PARTS = 1000
-"""Most such files that are read. Chosen."""
-
-_NO_SUCH_FILE = (OSError, ValueError, LookupError, TypeError, EOFError, NotImplementedError)
-"""All that reading a damaged archive raises; the last one where it claims a compression that Python does not have."""
-
-RESERVED = {"con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("com", "lpt") for n in range(10))}
-"""Names that are no files under Windows, whatever their suffix."""
+MAX_FILES = 1000
+"""Maximum number of symbol files, and of files of the same name."""
 
 
 def safe_name(name: str) -> str:
-    """Return a file's name from the air as one that can do no harm: no folder, no mark, not hidden, not reserved."""
-    last = PureWindowsPath(name.replace("\0", "")).name  # takes both kinds of slash for one
+    """Return a received file name as a portable, visible name of at most 80 characters, free of folders."""
+    last = PureWindowsPath(name.replace("\0", "")).name  # accepts both kinds of slash
     text = re.sub(r"[^\w.-]+", "_", last, flags=re.ASCII).strip("._")
     stem, dot, suffix = text.rpartition(".")
-    text = f"{stem[: LONGEST - 12]}.{suffix[:11]}" if dot and stem else text[:LONGEST]
-    return f"file-{text}" if text.split(".")[0].lower() in RESERVED else text or "file"
+    text = f"{stem[:68]}.{suffix[:11]}" if dot and stem else text[:80]
+    # device names of Windows
+    reserved = re.fullmatch(r"con|prn|aux|nul|(com|lpt)\d", text.split(".")[0], re.IGNORECASE)
+    return f"file-{text}" if reserved else text or "file"
 
 
 class FileStore:
-    """A folder that gets files from the air."""
+    """Folder for received files."""
 
     def __init__(self, folder: Path):
         self.folder = folder
         self.written: list[Path] = []
 
     def begin(self, files: FileGatherer) -> Iterator[FileProgress]:
-        """Give a gatherer the symbols of earlier passages; yield what is there of each file."""
+        """Load the symbols of earlier passages into a gatherer; yield the progress of each file."""
         for _, key, symbols in self._parts("*"):
             progress = files.take(key, symbols)
             if progress is not None:
                 yield progress
 
     def keep(self, whole: WholeFile, key: FileKey) -> Path:
-        """Write a whole file, and remove its symbols; return where it is."""
+        """Write a complete file, remove the symbols and return the path."""
         path = self._free(safe_name(whole.name), whole.data)
-        with clear_write_errors(self.folder):
-            self.folder.mkdir(parents=True, exist_ok=True)
+        self._create()
         if not path.exists():
             write_whole(path, whole.data)
         self.written.append(path)
-        for part, _, _ in self._parts(str(key)):
-            with contextlib.suppress(OSError):
-                part.unlink()
+        _remove(part for part, _, _ in self._parts(str(key)))
         return path
 
     def finish(self, files: FileGatherer) -> None:
-        """Keep the symbols of files that are not whole for the next passage."""
+        """Save the symbols of incomplete files for the next passage."""
         for progress in files.unfinished():
             key, symbols = progress.key, files.symbols_of(progress.key)
             if not symbols:
                 continue
             old = [part for part, other, _ in self._parts(str(key)) if other == key]
-            with clear_write_errors(self.folder):
-                self.folder.mkdir(parents=True, exist_ok=True)
-            name = PARTS.format(key=key).replace("*", uuid.uuid4().hex[:8])
+            self._create()
+            name = PART_NAME.format(key=key).replace("*", uuid.uuid4().hex[:8])
             write_whole(self.folder / name, _packed(key, symbols))
-            for part in old:
-                with contextlib.suppress(OSError):
-                    part.unlink()
+            _remove(old)
+
+    def _create(self) -> None:
+        with clear_write_errors(self.folder):
+            self.folder.mkdir(parents=True, exist_ok=True)
 
     def _free(self, name: str, data: bytes) -> Path:
-        """A path of that name that is free, or holds the same; else of the name with a number."""
+        """Return the first unused path for a name, or the path of an identical file; later candidates have a number."""
         stem, suffix = Path(name).stem, Path(name).suffix
-        for number in range(1, MOST_PARTS):
+        for number in range(1, MAX_FILES):
             path = self.folder / (name if number == 1 else f"{stem}-{number}{suffix}")
             if not path.exists() and not path.is_symlink():
                 return path
             with contextlib.suppress(OSError):
                 if path.stat().st_size == len(data) and read_bounded(path, len(data)) == data:
                     return path
-        raise MediaError(f"{self.folder} has {MOST_PARTS} files of the name {name}: move some away")
+        raise MediaError(f"{self.folder} has {MAX_FILES} files of the name {name}: move some away")
 
     def _parts(self, key: str) -> Iterator[tuple[Path, FileKey, Mapping[int, bytes]]]:
-        """Symbols that an earlier passage left; what is no such file is passed over."""
-        for path in sorted(self.folder.glob(PARTS.format(key=key)))[:MOST_PARTS]:
-            with contextlib.suppress(*_NO_SUCH_FILE):
-                # most bytes of such a file: a file's symbols are 17 MB at most
-                yield path, *_unpacked(read_bounded(path, (1 << 26)))
+        """Yield the symbols of earlier passages; skip invalid files."""
+        for path in sorted(self.folder.glob(PART_NAME.format(key=key)))[:MAX_FILES]:
+            with contextlib.suppress(Exception):  # a damaged archive raises many kinds
+                yield path, *_unpacked(read_bounded(path, 1 << 26))  # symbols of a file take at most 17 MB
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    for path in paths:
+        with contextlib.suppress(OSError):
+            path.unlink()
 
 
 def _packed(key: FileKey, symbols: Mapping[int, bytes]) -> bytes:
@@ -109,14 +105,9 @@ def _packed(key: FileKey, symbols: Mapping[int, bytes]) -> bytes:
 
 
 def _unpacked(data: bytes) -> tuple[FileKey, Mapping[int, bytes]]:
-    import zipfile
-
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as held:
-            key = FileKey(*(int(one) for one in held["key"]))
-            numbers, rows = held["numbers"], held["symbols"]
-    except zipfile.BadZipFile:
-        raise ValueError("no archive") from None
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        key = FileKey(*map(int, archive["key"]))
+        numbers, rows = archive["numbers"], archive["symbols"]
     if rows.dtype != np.uint8 or rows.shape != (len(numbers), key.size):
-        raise ValueError("no symbols")
+        raise ValueError("the rows are no symbols")
     return key, {int(n): row.tobytes() for n, row in zip(numbers, rows, strict=True)}

@@ -1,4 +1,4 @@
-"""Films of simulated drives, and packets of films: the link with files at its ends."""
+"""Simulated films, and packets of films."""
 
 import contextlib
 import math
@@ -22,15 +22,15 @@ from heliograph.signal.block import AnyBlock, FileBlock, FileNotice, SymbolBlock
 from heliograph.signal.settings import SignalSettings
 
 FrameProgress = Callable[[int], None]
-"""Called with the number of frames done."""
+"""Callback with the number of completed frames."""
 
 
 class FrameSource(Protocol):
-    """Frames in the order of time: a film opened for reading, or frames as they are rendered."""
+    """Frames in temporal order: an open film, or rendered frames."""
 
     @property
     def path(self) -> Path | str:
-        """Names the film in messages."""
+        """Film name for messages."""
 
     def __iter__(self) -> Iterator[Frame]: ...
 
@@ -48,9 +48,9 @@ def write_film(
     progress: FrameProgress = silent,
     **codec: Any,
 ) -> int:
-    """Simulate a drive into a film and its truth file."""
+    """Simulate a drive; write the film and the truth file."""
     camera, film_id = settings.channel.camera, uuid.uuid4().hex
-    if path.suffix.lower() in HDF5_SUFFIXES:  # its size is known beforehand
+    if path.suffix.lower() in HDF5_SUFFIXES:  # uncompressed: the size is known
         depth = 1 if settings.channel.sensor.bits == 8 else 2
         room_for(path, frames_of(settings) * camera.width * camera.height * depth)
     film = create_film(
@@ -64,7 +64,7 @@ def write_film(
     )
     interrupted: KeyboardInterrupt | None = None
     with contextlib.ExitStack() as undo:
-        undo.callback(film.abort)  # does nothing once the film is finished
+        undo.callback(film.abort)  # no effect on a finished film
         truth = TruthWriter(truth_path(path), settings, messages, seed, film_id)
         undo.callback(truth.abort)
         try:
@@ -85,22 +85,19 @@ def write_film(
 
 
 def frames_of(settings: LinkSettings) -> int:
-    """Frames a simulation will have; dropped ones count."""
+    """Return the number of frames of a simulation, dropped frames included."""
     return frame_count(settings.channel)
 
 
 def sent_s(settings: LinkSettings) -> float:
-    """How long an array sends at most until the last frame of a simulation, in s."""
+    """Return the longest transmission of an array until the last frame, in s."""
     channel = settings.channel
     first = min((array.start_s for array in channel.arrays), default=0.0)
     return channel.camera.start_s - first + frames_of(settings) * channel.camera.frame_period_s
 
 
 def read_packets(film: FrameSource, signal: SignalSettings, receiver: Receiver) -> Iterator[Packet]:
-    """Packets of a film, each as soon as it is read.
-
-    What the receiver hands out without a header and without a right codeword is left out, see `is_packet`.
-    """
+    """Yield the packets of a film as soon as they are decoded; drop results that are no packet (`is_packet`)."""
     frames = 0
     broken: MediaError | None = None
     try:
@@ -113,21 +110,18 @@ def read_packets(film: FrameSource, signal: SignalSettings, receiver: Receiver) 
     if broken is not None:
         raise broken
     if frames < signal.packet_patterns:
-        seen = counted(frames, "frame")
+        length = counted(frames, "frame")
         remedy = "record longer" if frames > 1 else "give a film, a stack, or the folder of all its pictures"
-        raise MediaError(f"{film.path} has {seen}; a packet takes {signal.packet_patterns}: {remedy}")
+        raise MediaError(f"{film.path} has {length}; a packet takes {signal.packet_patterns}: {remedy}")
 
 
 def is_packet(packet: Packet) -> bool:
-    """Whether a receiver's result is a packet: it has a header or a right codeword.
-
-    Anything else is neither counted nor logged; if it was sent, it is missed.
-    """
+    """True if a receiver result has a header or a correct codeword; other results are neither counted nor logged."""
     return packet.status not in ("no_header", "no_array")
 
 
 def packet_row(packet: Packet, confirmed: Container[int] = ()) -> Mapping[str, Any]:
-    """A packet as plain values, for the packet log."""
+    """Return a packet as plain values for the packet log."""
     uncertain = not packet.has_codeword and packet.identity not in confirmed
     return {
         "id": packet.identity,
@@ -162,12 +156,11 @@ def packet_row(packet: Packet, confirmed: Container[int] = ()) -> Mapping[str, A
 
 
 def _place(block: AnyBlock) -> dict[str, Any]:
-    """What a block is part of: a message, or a file."""
+    """Return the message or file of a block."""
     if isinstance(block, FileBlock):
         return {"file": f"{block.check:08x}", "symbol": block.number}
     if isinstance(block, FileNotice):
         return {"file": f"{block.check:08x}"}
     if isinstance(block, SymbolBlock):
-        # the name of the file begins so
-        return {"file": f"{block.tag:02x}", "symbol": block.number}
+        return {"file": f"{block.tag:02x}", "symbol": block.number}  # prefix of the check value
     return {"stream": block.stream, "sequence": block.sequence}

@@ -1,4 +1,4 @@
-"""The whole link's settings: one tree, named presets, TOML and key=value text laid over them."""
+"""Link settings: a tree with named presets, TOML and key=value overrides."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -16,26 +16,25 @@ from heliograph.signal.formats import SHORT_PAIRS
 from heliograph.signal.settings import SignalSettings
 from heliograph.transmit import TransmitSettings
 
-MOST_UNSEEN = 1_000_000
-"""Most patterns that an array shows before the first frame, or between two. All are computed, as a packet depends on
-those before: 15 s at this value for 16 x 16 LEDs. Chosen: 1000 s of the reference link."""
+MAX_UNSEEN = 1_000_000
+"""Maximum number of patterns before the first frame or between frames; all are computed."""
 
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class LinkSettings:
-    """Everything that can be set; the defaults are the reference link.
+    """Settings of the link; the defaults are the reference link.
 
     Attributes
     ----------
     signal
-        What both ends agree on.
+        Signal settings of transmitter and receiver.
     transmit
-        Who transmits: the identity of each array.
+        Transmitters: identity of each array and packet formats.
     channel
         Scene, vehicle and camera of the simulation.
     receive
-        The receiver. It gets nothing of `channel`.
+        The receiver, independent of `channel`.
     """
 
     signal: SignalSettings = SignalSettings()
@@ -48,7 +47,7 @@ class LinkSettings:
         arrays, identities = len(self.channel.arrays), self.transmit.identities
         if len(identities) != arrays:
             raise ValueError(
-                f"transmit.identities must name one identity an array: {arrays} in channel.arrays, "
+                f"transmit.identities must name an identity for each array: {arrays} in channel.arrays, "
                 f"{len(identities)} identities {list(identities)}"
             )
         if len(set(identities)) != arrays:
@@ -56,28 +55,24 @@ class LinkSettings:
         camera, period_s = self.channel.camera, self.signal.pattern_period_s
         for k, place in enumerate(self.channel.arrays):
             unseen = (camera.start_s - place.start_s) / period_s
-            if unseen > MOST_UNSEEN:
+            if unseen > MAX_UNSEEN:
                 raise ValueError(
-                    f"array {k} shows {unseen:.4g} patterns before the first frame, at most {MOST_UNSEEN:g}; raise "
+                    f"array {k} shows {unseen:.4g} patterns before the first frame, at most {MAX_UNSEEN:g}; raise "
                     f"channel.arrays.{k}.start_s or signal.pattern_period_s, or lower channel.camera.start_s"
                 )
-        if camera.frame_period_s / period_s > MOST_UNSEEN:
+        if camera.frame_period_s / period_s > MAX_UNSEEN:
             raise ValueError(
                 f"an array shows {camera.frame_period_s / period_s:.4g} patterns from frame to frame, at most "
-                f"{MOST_UNSEEN:g}; raise channel.camera.fps or signal.pattern_period_s"
+                f"{MAX_UNSEEN:g}; raise channel.camera.fps or signal.pattern_period_s"
             )
         return self
 
 
 def _phone(fps: int, patterns: int, height: int = 720) -> dict[str, Any]:
-    """A screen as transmitter, a phone that is held in a hand as receiver."""
+    """Return settings for a screen as transmitter and a handheld phone as receiver."""
     width = 16 * height // 9
     return {
-        "signal": {
-            "pattern_period_s": 1 / patterns,
-            "data_pairs": SHORT_PAIRS,
-            "light": "steady",
-        },
+        "signal": {"pattern_period_s": 1 / patterns, "data_pairs": SHORT_PAIRS, "light": "steady"},
         "transmit": {"formats": [{"mode": "short", "high": 1 / 2, "middle": 1 / 2, "low": 1 / 2}]},
         "channel": {
             "distance_m": 1.0,
@@ -143,7 +138,7 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "phone-240": ("The same at 60 patterns/s and 240 frames/s", _phone(240, 60)),
     "phone-slow": ("The same at 2 patterns/s, for slow displays and remote desktops", _phone(30, 2)),
     "crossing": (
-        "A camera on a side road looks across it and passes an array, turned by 20 degrees, 25 m away at 25 km/h",
+        "A camera passes an array, turned by 20 degrees, 25 m away at 25 km/h",
         {
             "channel": {
                 "distance_m": 25.0,
@@ -155,11 +150,11 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
         },
     ),
 }
-"""Presets by name: a line about each, and what it changes of the reference link."""
+"""Presets by name: description, and changes to the reference link."""
 
 
 def preset(name: str) -> dict[str, Any]:
-    """What a preset changes of the defaults."""
+    """Return the changes of a preset to the defaults."""
     if name not in PRESETS:
         close = get_close_matches(name, PRESETS, 1)
         hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(PRESETS)}"
@@ -170,21 +165,21 @@ def preset(name: str) -> dict[str, Any]:
 def load_settings(
     name: str = "paper", over: Mapping[str, Any] | None = None, assignments: Iterable[str] = ()
 ) -> LinkSettings:
-    """Settings of a preset, changed by a mapping (of a TOML file) and then by ``key=value`` texts.
+    """Load a preset and apply a mapping (from TOML) and then ``key=value`` texts.
 
     Parameters
     ----------
     name
         Name of the preset, one of `PRESETS`.
     over
-        Nested mapping laid over it.
+        Nested mapping of changes.
     assignments
         Texts such as ``"channel.distance_m=60"`` or ``"channel.arrays.0.x_m=2"``.
 
     Raises
     ------
     SettingsError
-        A preset or key is unknown, a value wrong or out of range; or the arguments are no name, mapping and texts.
+        A preset or key is unknown, a value is wrong or out of range, or an argument has the wrong type.
     """
     if not isinstance(name, str):
         raise SettingsError(f"a preset is one of {', '.join(PRESETS)}, not {shown(name)}")

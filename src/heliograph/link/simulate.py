@@ -18,11 +18,11 @@ from heliograph.media import open_film
 from heliograph.transmit import Content, Transmitter
 
 IMU_COLUMNS = ("t_s", "gyro_fwd_rad_s", "gyro_right", "gyro_down", "speed_m_s")
-"""Columns of a motion file, by name in its first line: time, rates about forward, right and down axis, car speed."""
+"""Columns of a motion file: time, rates about the forward, right and down axes, car speed."""
 
 
 def load_footage(path: Path) -> Footage:
-    """Footage from any video file; it is read again from the start whenever the channel needs it."""
+    """Load footage from a video file; each pass reads the file from the start."""
     with open_film(path, expand_range=True) as film:
         rate = film.rate_hz
         next(iter(film))
@@ -36,7 +36,7 @@ def load_footage(path: Path) -> Footage:
 
 
 def load_imu(path: Path) -> ImuTrace:
-    """Motion of a car from a CSV file."""
+    """Load vehicle motion from a CSV file."""
     table = _table(path)
     lacking = [name for name in IMU_COLUMNS if name not in (table.dtype.names or ())]
     if lacking:
@@ -48,41 +48,40 @@ def load_imu(path: Path) -> ImuTrace:
 
 
 def _table(path: Path) -> Any:
-    """A CSV file's columns by name, NaN where there is no number."""
+    """Read the columns of a CSV file by name; invalid numbers are NaN."""
     try:
-        # most bytes of a motion file: an hour at 1000 samples a second takes 220 MB
-        text = read_bounded(path, (1 << 28)).decode()
+        text = read_bounded(path, 1 << 28).decode()  # an hour at 1000 samples/s takes 220 MB
     except OSError as error:
         raise MediaError(f"cannot read the motion file {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise MediaError(f"the motion file {path} is no text; give a CSV file") from None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a file without rows: its length is checked
+            warnings.simplefilter("ignore")  # an empty table; the length is checked later
             return np.genfromtxt(text.splitlines(), delimiter=",", names=True, dtype=np.float64)
-    except IndexError:  # NumPy's, where all lines are blank or comments
+    except IndexError:  # all lines are blank or comments
         raise MediaError(f"the motion file {path} is empty; a motion file has {', '.join(IMU_COLUMNS)}") from None
     except ValueError as error:
-        reason = str(error).splitlines()[:2][-1].strip()  # the second line names the row that is short
+        reason = str(error).splitlines()[:2][-1].strip()  # the second line names the incomplete row
         raise MediaError(f"cannot read the motion file {path}: {reason}") from None
 
 
 Messages = Mapping[str, Sequence[Content]]
-"""Messages by layer: bytes, `Updates` that change, a `SentFile`."""
+"""Messages by layer: bytes, `Updates` or a `SentFile`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recordings:
-    """Real recordings a simulation may use."""
+    """Recordings for a simulation."""
 
-    # Background, for channel.background.kind = "footage"; None where there is none
+    # Background for channel.background.kind = "footage"
     footage: Footage | None = None
-    # Motion of a car, for channel.shake = "imu"; None where there is none
+    # Vehicle motion for channel.shake = "imu"
     imu: ImuTrace | None = None
 
 
 def default_messages(settings: LinkSettings) -> list[Messages]:
-    """A text by layer for each array, which names the array and the layer."""
+    """Return a text for each array and layer."""
     rules = {
         "high": "Signal ahead: red for 12 s. Prepare to stop.",
         "middle": "Junction 7: right lane closed, detour by Harbour Road, 4 minutes of delay.",
@@ -95,18 +94,18 @@ def default_messages(settings: LinkSettings) -> list[Messages]:
 
 
 def transmitters(settings: LinkSettings, messages: Sequence[Messages]) -> list[Transmitter]:
-    """A transmitter for each array."""
+    """Return a transmitter for each array."""
     identities = settings.transmit.identities
     if isinstance(messages, Mapping) or not isinstance(messages, Sequence) or len(messages) != len(identities):
         raise SettingsError(
-            f"messages are a list of what each array sends, one for each of the {len(identities)} in "
-            f"transmit.identities, not {_counted(messages)}"
+            f"messages are a list, one entry for each of the {len(identities)} in transmit.identities, "
+            f"not {_size_or_type(messages)}"
         )
     signal, formats = settings.signal, settings.transmit.formats
     return [Transmitter(signal, who, content, formats) for who, content in zip(identities, messages, strict=True)]
 
 
-def _counted(messages: object) -> str:
+def _size_or_type(messages: object) -> str:
     return f"{len(messages)}" if isinstance(messages, (list, tuple)) else f"a {type(messages).__name__}"
 
 
@@ -117,20 +116,20 @@ def simulate(
     recordings: Recordings | None = None,
     roi_margin_px: int | None = None,
 ) -> Iterator[tuple[Frame, Truth]]:
-    """Film of a drive past the arrays.
+    """Simulate a film of a drive past the arrays.
 
     Parameters
     ----------
     settings
-        The link; its `receive` part is not looked at.
+        Link settings; `receive` is ignored.
     messages
-        What each array sends, in the order of the arrays.
+        Messages of each array, in the order of the arrays.
     seed
-        Of road, scene and noise, at least 0.
+        Seed of road, scene and noise, at least 0.
     recordings
-        Real background and motion; None where there are none.
+        Recorded background and motion.
     roi_margin_px
-        None for whole frames; else only the arrays' surroundings, this many px wider than they.
+        Margin in px around the arrays to render; None for full frames.
 
     Raises
     ------
@@ -154,7 +153,7 @@ def simulate(
 
 def _check(settings: object, seed: object, recordings: object, roi_margin_px: object) -> None:
     if not isinstance(settings, LinkSettings):
-        raise SettingsError(f"settings are those of load_settings(...), not {shown(settings)}")
+        raise SettingsError(f"settings are the result of load_settings(...), not {shown(settings)}")
     if not (_is_whole(seed) and seed >= 0):
         raise SettingsError(f"a seed is a whole number, at least 0, not {shown(seed)}")
     if not isinstance(recordings, Recordings | None):

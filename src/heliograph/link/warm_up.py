@@ -1,4 +1,4 @@
-"""A receiver's loops loaded before frames come that do not wait."""
+"""Warm-up of a receiver: compiled functions load before live frames arrive."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -9,37 +9,29 @@ import numpy as np
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.codec import encode
-from heliograph.receive import ReceiveSettings, make_receiver
+from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.signal.settings import SignalSettings
-
-PITCH, MARGIN = 3, 16
-"""Pixels between LEDs, and beside the array. Chosen: an array of 48 px, as near ones have."""
-
-DARK, BRIGHT = 0.1, 0.6
-"""Levels of an LED that is off and on, as fractions of full scale. Chosen."""
 
 
 def warm_up(signal: SignalSettings, settings: ReceiveSettings, bits: int) -> bool:
-    """Receive a packet of drawn frames, so that all that a receiver loads or compiles is there."""
-    receiver, read = make_receiver(signal, settings), False
-    with suppress(HeliographError):  # what is wrong is said of the real frames
+    """Decode a synthetic packet; return True on success."""
+    receiver, packets = make_receiver(signal, settings), list[Packet]()
+    with suppress(HeliographError):  # the live frames raise the same errors
         for frame in _frames(signal, bits):
-            read |= any(packet.status == "ok" for packet in receiver.push(frame))
-        read |= any(packet.status == "ok" for packet in receiver.finish())
-    return read
+            packets += receiver.push(frame)
+        packets += receiver.finish()
+    return any(packet.status == "ok" for packet in packets)
 
 
-def _frames(signal: SignalSettings, bits: int) -> Iterator[Frame]:
-    """A packet as a camera in step sees it: squares for LEDs, and noise."""
-    # most pairs of data in that packet: those of the reference link, which take half a second once all is loaded
+def _frames(signal: SignalSettings, bits: int, pitch: int = 3, margin: int = 16) -> Iterator[Frame]:
+    """Yield a packet of synchronous frames: squares for LEDs, and noise."""
+    dark, bright, sigma = 0.1, 0.6, 0.006  # in full scales
+    # at most 48 data pairs, as in the reference link: decoding takes half a second
     signal = replace(signal, data_pairs=min(signal.data_pairs, 48))
     random, full = np.random.default_rng(0), (1 << bits) - 1
-    margins = (MARGIN, MARGIN)
     for index, levels in enumerate(encode({}, 0, signal)):
-        lit = np.kron(DARK + (BRIGHT - DARK) * levels / 4, np.ones((PITCH, PITCH)))
-        seen = np.pad(lit, (margins, margins), constant_values=DARK)
-        # standard deviation of the pixels, as a fraction of full scale: 1.5 levels of 8 bits, that of the reference
-        # link
-        noisy = np.clip(full * (seen + random.normal(0, 0.006, seen.shape)), 0, full)
+        lit = np.kron(dark + (bright - dark) * levels / 4, np.ones((pitch, pitch)))
+        image = np.pad(lit, margin, constant_values=dark)
+        noisy = np.clip(full * (image + random.normal(0, sigma, image.shape)), 0, full)
         pixels = noisy.astype(np.uint8) if bits == 8 else noisy.astype(np.uint16)
         yield Frame(index, index * signal.pattern_period_s, pixels, bits)

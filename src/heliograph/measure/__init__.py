@@ -1,1 +1,1 @@
-"""What arrived of what was sent: counts, error rates with their intervals, and a bench that needs no films."""
+"""Measurement: error counts and rates with intervals, and a link bench that needs no files."""

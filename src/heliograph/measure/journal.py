@@ -1,4 +1,4 @@
-"""What happens in a reception as it happens, in rows of plain values: arrays found and lost, packets, messages."""
+"""Journal of a reception as rows of plain values: arrays found and lost, packets, messages."""
 
 from base64 import b64encode
 from collections import defaultdict, deque
@@ -9,6 +9,7 @@ import numpy as np
 
 from heliograph.base.frames import Frame
 from heliograph.link.film import packet_row
+from heliograph.measure.reception import file_counts
 from heliograph.receive import Packet
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, LostEvent, MissedStartEvent
@@ -19,60 +20,56 @@ from heliograph.signal.fountain.files import FileProgress
 from heliograph.signal.message import Message
 
 Row = Mapping[str, Any]
-"""What happened, as plain values; its `event` is "found", "missed_start", "packet", "message", "lights", "file" or
-"lost"."""
-
-FEWEST_PACKETS = 3
-"""Fewest packets that tell a speed. Chosen."""
+"""Plain values; `event` is "found", "missed_start", "packet", "message", "lights", "file" or "lost"."""
 
 
 class Journal:
-    """Tells what happens in a reception, in the order in which it happens."""
+    """Reporter of the events of a reception in temporal order."""
 
-    def __init__(self, calibration: CalibrationSettings, tell: Callable[[Row], None]):
-        self._calibration, self._tell = calibration, tell
-        self._ways: dict[int, deque[tuple[float, float]]] = {}
+    def __init__(self, calibration: CalibrationSettings, report: Callable[[Row], None]):
+        self._calibration, self._report = calibration, report
+        self._paths: dict[int, deque[tuple[float, float]]] = {}
         self._orientations: dict[int, str] = {}
         self._confirmed: set[int] = set()
         self._lights: dict[int, Countdown] = defaultdict(Countdown)
 
     def observe(self, event: object) -> None:
-        """Take an event of the receiver; arrays found and lost are told."""
+        """Report arrays found and lost from an event of the receiver."""
         if isinstance(event, DetectEvent):
             self._orientations[event.detection.identity] = str(event.detection.orientation)
-            self._tell(self._found(event.detection, event.frames))
+            self._report(self._found(event.detection, event.frames))
         elif isinstance(event, MissedStartEvent):
-            self._tell({"event": "missed_start", "id": event.identity, "time_s": round(event.time_s, 6)})
+            self._report({"event": "missed_start", "id": event.identity, "time_s": round(event.time_s, 6)})
         elif isinstance(event, LostEvent):
-            way = self._ways.pop(event.identity, None)
-            last = {"distance_m": round(way[-1][1], 3)} if way else {}
+            path = self._paths.pop(event.identity, ())
+            last = {"distance_m": round(path[-1][1], 3)} if path else {}
             row = {"event": "lost", **self._named(event.identity), "time_s": round(event.time_s, 6), **last}
-            seen_as = self._orientations.get(event.identity, "upright")
-            self._tell({**row, "orientation": seen_as, "approach_m_s": approach(way or ())})
+            orientation = self._orientations.get(event.identity, "upright")
+            self._report({**row, "orientation": orientation, "approach_m_s": approach(path)})
 
     def read(self, packet: Packet, messages: Sequence[Message], files: Sequence[FileProgress] = ()) -> None:
-        """Tell a packet, the messages that it completes, and how far files have come with it."""
-        # Most packets over which a speed is averaged: 0.8 s of the reference link. Chosen
-        way = self._ways.setdefault(packet.identity, deque(maxlen=8))
-        way.append((packet.start_time_s, packet.distance_m))
+        """Report a packet, the completed messages and the progress of files."""
+        # 8 packets, 0.8 s of the reference link, give the speed
+        path = self._paths.setdefault(packet.identity, deque(maxlen=8))
+        path.append((packet.start_time_s, packet.distance_m))
         self._orientations[packet.identity] = str(packet.orientation)
         if packet.has_codeword:
             self._confirmed.add(packet.identity)
-        row: dict[str, Any] = {"event": "packet", **packet_row(packet, self._confirmed), "approach_m_s": approach(way)}
+        row: dict[str, Any] = {"event": "packet", **packet_row(packet, self._confirmed), "approach_m_s": approach(path)}
         if packet.status != "ok":
             row["explanation"] = packet.explain()
-        self._tell(row)
+        self._report(row)
         for message in messages:
-            said = message_row(message)
-            self._tell(said)
-            if "road" in said:
-                self._lights[packet.identity].take(said["road"], packet.start_time_s)
+            message_values = message_row(message)
+            self._report(message_values)
+            if "road" in message_values:
+                self._lights[packet.identity].take(message_values["road"], packet.start_time_s)
         lights = self._lights[packet.identity].at(packet.start_time_s)
         if lights:
             when = round(packet.start_time_s, 6)
-            self._tell({"event": "lights", "id": packet.identity, "time_s": when, "junctions": lights})
+            self._report({"event": "lights", "id": packet.identity, "time_s": when, "junctions": lights})
         for progress in files:
-            self._tell(file_row(progress, packet.identity))
+            self._report(file_row(progress, packet.identity))
 
     def _found(self, detection: Detection, frames: Sequence[Frame]) -> Row:
         return {
@@ -89,22 +86,22 @@ class Journal:
         }
 
     def _named(self, identity: int) -> Row:
-        """The identity of an array, marked as uncertain until a codeword of the array is decoded."""
+        """Return the identity, marked as uncertain until a codeword is decoded."""
         return {"id": identity} | ({} if identity in self._confirmed else {"uncertain": True})
 
 
-def approach(way: Sequence[tuple[float, float]]) -> float | None:
-    """Speed at which an array comes nearer, in m/s; None of fewer than `FEWEST_PACKETS` places."""
-    if len(way) < FEWEST_PACKETS:
+def approach(path: Sequence[tuple[float, float]]) -> float | None:
+    """Return the approach speed in m/s from times and distances; None for fewer than 3 packets."""
+    if len(path) < 3:
         return None
-    times_s, distances_m = np.array(way).T
+    times_s, distances_m = np.array(path).T
     times_s = times_s - times_s.mean()
     power = float(times_s @ times_s)
     return round(-float(times_s @ distances_m) / power, 2) if power else None
 
 
 def message_row(message: Message) -> Row:
-    """A message as plain values: its bytes in Base64, as text where they are UTF-8, what it says of the road."""
+    """Return a message as plain values: Base64 data, and the road message or UTF-8 text, if valid."""
     row = {
         "event": "message",
         "id": message.identity,
@@ -123,31 +120,28 @@ def message_row(message: Message) -> Row:
 
 
 def file_row(progress: FileProgress, identity: int) -> Row:
-    """What is there of a file, as plain values; its content in Base64 where it is whole."""
-    key, whole = progress.key, progress.whole
-    row: dict[str, Any] = {
-        "event": "file", "id": identity, "file": str(key), "bytes": key.length, "symbols": progress.had,
-        "needed": key.count, "whole": whole is not None,
-    }  # fmt: skip
+    """Return the progress of a file as plain values, with Base64 data if complete."""
+    row: dict[str, Any] = {"event": "file", "id": identity, **file_counts(progress)}
     if progress.reason:
         row["reason"] = progress.reason
-    if whole is not None:
-        row |= {"name": whole.name, "bytes": len(whole.data), "data": b64encode(whole.data).decode("ascii")}
+    if (file := progress.whole) is not None:
+        row |= {"name": file.name, "bytes": len(file.data), "data": b64encode(file.data).decode("ascii")}
     return row
 
 
 def sentence(row: Row) -> str:
-    """A row in words, for people."""
+    """Return a row as a sentence."""
     array = f"array {row['id']}"
     if row["event"] == "message":
-        said = f"; {road_words(row['road'])}" if "road" in row else ""
-        return f"{array}: message {row['stream']} of the {row['layer']} layer is whole, {row['bytes']} bytes{said}"
+        road = f"; {road_words(row['road'])}" if "road" in row else ""
+        return f"{array}: message {row['stream']} of the {row['layer']} layer is whole, {row['bytes']} bytes{road}"
     if row["event"] == "file":
         return f"{array}: {file_words(row)}"
     when = f"{row['time_s']:.3f} s: {array}"
     if row["event"] == "lights":
         return f"{when} tells of " + "; ".join(
-            f"junction {one['id']}: {', '.join(map(group_words, one['groups']))}" for one in row["junctions"]
+            f"junction {junction['id']}: {', '.join(map(group_words, junction['groups']))}"
+            for junction in row["junctions"]
         )
     if row["event"] == "found":
         drift = float(np.hypot(*row["drift_px_s"]))
@@ -169,13 +163,13 @@ def sentence(row: Row) -> str:
 
 
 def missed_words(row: Row) -> str:
-    """Say that the packet before the first header of an array is lost."""
+    """Return a sentence about a lost packet before the first header of an array."""
     first = f"before the first header found, at {row['time_s']:.3f} s"
     return f"array {row['id']}: a packet began {first}; that packet is lost"
 
 
 def file_words(row: Row) -> str:
-    """How far a file has come, in words."""
+    """Return the progress of a file in words."""
     if row["whole"]:
         return f"file {row['file']} is whole: {row['name']!r}, {row['bytes']} bytes"
     part = f"file {row['file']}: {row['symbols']} of {row['needed']} symbols, {row['bytes']} bytes in all"
@@ -183,12 +177,12 @@ def file_words(row: Row) -> str:
 
 
 def _doubt(row: Row) -> str:
-    """Note that the identity is uncertain; empty once a codeword is decoded."""
+    """Return a note for an uncertain identity, or an empty text."""
     return "; identity uncertain: no codeword decoded yet" if row.get("uncertain") else ""
 
 
 def _moves(row: Row) -> str:
-    """How fast an array comes nearer, in words; nothing where too few packets tell."""
+    """Return the approach speed in words; an empty text if unknown."""
     speed = row["approach_m_s"]
     if speed is None:
         return ""

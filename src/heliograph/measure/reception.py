@@ -1,4 +1,4 @@
-"""A film received and counted: codewords by array and layer, messages, errors where the truth is known."""
+"""Reception of a film: codewords by array and layer, messages, and errors if the truth is known."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -23,28 +23,27 @@ from heliograph.signal.settings import LAYERS, SignalSettings
 
 
 class TruthSource(Protocol):
-    """The truth of a film: a truth file, or that of frames as they are rendered."""
+    """Truth of a film: a truth file or a live simulation."""
 
     @property
     def settings(self) -> LinkSettings:
-        """The link as simulated."""
+        """Settings of the simulated link."""
 
     @property
     def messages(self) -> Sequence[Messages]:
-        """What each array sent, in the order of the arrays."""
+        """Messages of each array, in the order of the arrays."""
 
     def frames(self) -> Iterator[FrameTruth]:
-        """Yield the truth of each frame, in the order of time."""
+        """Yield the truth of each frame in temporal order."""
 
 
 @dataclass(slots=True)
 class LayerTally:
     """Codewords of a layer."""
 
-    # ok, failed: numbers of codewords read and not read
     ok: int = 0
     failed: int = 0
-    # Payload of the read ones in bytes; repeats count
+    # Payload of decoded codewords in bytes, repetitions included
     bytes: int = 0
 
 
@@ -52,19 +51,15 @@ class LayerTally:
 class ArrayTally:
     """Packets of an array."""
 
-    # first_frame, last_frame: numbers of the frame in which its first packet begins and of that in which its newest
-    # ends
+    # First frame of the first packet; `last_frame`: last frame of the latest packet
     first_frame: int
-    # first_distance_m, last_distance_m: distance of the array at its first and at its newest packet in m, as the
-    # receiver finds it
+    # Estimated distance at the first and the latest packet in m
     first_distance_m: float
     last_frame: int = 0
     last_distance_m: float = 0.0
-    # Number of packets counted so far
     packets: int = 0
-    # Codewords read and not read, by layer
     layers: dict[str, LayerTally] = field(default_factory=lambda: {name: LayerTally() for name in LAYERS})
-    # True if any packet so far has a decoded codeword; the array's identity is uncertain otherwise
+    # True if a packet has a decoded codeword; otherwise the identity is uncertain
     confirmed: bool = False
 
     def add(self, packet: Packet) -> None:
@@ -81,7 +76,7 @@ class ArrayTally:
 
 
 class Reception:
-    """Gathers packets to messages and counts."""
+    """Collector of messages and counts."""
 
     def __init__(self, truth: TruthSource | None = None, files: FileGatherer | None = None):
         self.arrays: dict[int, ArrayTally] = {}
@@ -97,7 +92,7 @@ class Reception:
         self.file_rows: dict[FileKey, dict[str, Any]] = {}
 
     def saw(self, index: int) -> None:
-        """Take the number of a frame; the truth moves on with it."""
+        """Count a frame and advance the truth."""
         self.frames += 1
         if self._truths is None or self.errors is None:
             return
@@ -110,11 +105,11 @@ class Reception:
         """Count a detection."""
         self.detections += 1
         if self.errors is not None:
-            for one in detection.hypotheses:
-                self.errors.found(one.identity, one.start_time_s)
+            for hypothesis in detection.hypotheses:
+                self.errors.found(hypothesis.identity, hypothesis.start_time_s)
 
     def add(self, packet: Packet) -> Iterator[Message]:
-        """Count a packet and yield the messages it completes."""
+        """Count a packet and yield the completed messages."""
         self.progress = ()
         if not is_packet(packet):
             return
@@ -124,30 +119,27 @@ class Reception:
         self.arrays.setdefault(packet.identity, new).add(packet)
         for words in packet.layers.values():
             yield from _completed(self._reassembler, words)
-        self.progress = tuple(self._gathered(packet))
+        self.progress = tuple(self._update_files(packet))
 
-    def _gathered(self, packet: Packet) -> Iterator[FileProgress]:
-        """What is there of each file of which a packet has new symbols."""
+    def _update_files(self, packet: Packet) -> Iterator[FileProgress]:
+        """Yield the progress of each file with new symbols in a packet."""
         blocks = (word.block for words in packet.layers.values() for word in words)
-        found = [self.files.add(block) for block in blocks if block is not None and not isinstance(block, Block)]
-        for one in {one.key: one for one in found if one is not None}.values():
-            self.file_rows[one.key] = {
-                "file": str(one.key), "bytes": one.key.length, "symbols": one.had, "needed": one.key.count,
-                "whole": one.whole is not None,
-            }  # fmt: skip
-            yield one
+        updates = [self.files.add(block) for block in blocks if block is not None and not isinstance(block, Block)]
+        for progress in {update.key: update for update in updates if update is not None}.values():
+            self.file_rows[progress.key] = file_counts(progress)
+            yield progress
 
     @property
     def confirmed(self) -> set[int]:
-        """Identities of the arrays of which a codeword is decoded."""
+        """Identities of arrays with a decoded codeword."""
         return {identity for identity, tally in self.arrays.items() if tally.confirmed}
 
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
-        """Messages that lack segments: (identity, layer, stream, bytes received, bytes in all)."""
+        """Return incomplete messages: (identity, layer, stream, received bytes, total bytes)."""
         return self._reassembler.unfinished()
 
     def report(self, seconds: float) -> dict[str, Any]:
-        """All counts as plain values, for JSON."""
+        """Return all counts as plain values for JSON."""
         tallies = sorted(self.arrays.items())
         out: dict[str, Any] = {
             "frames": self.frames,
@@ -179,9 +171,9 @@ def receive_film(
     observe: AnyObserver | None = None,
     progress: FrameProgress = silent,
 ) -> Iterator[tuple[Packet, list[Message]]]:
-    """Packets of a film, each with the messages it completes, as soon as they are read; all are counted."""
+    """Receive a film; yield each packet with the completed messages, and count both."""
 
-    def counted(event: Any) -> None:
+    def count_event(event: Any) -> None:
         if isinstance(event, DetectEvent):
             reception.found(event.detection)
         elif isinstance(event, MissedStartEvent):
@@ -191,14 +183,14 @@ def receive_film(
         if observe is not None:
             observe(event)
 
-    receiver = make_receiver(signal, settings.receive, counted)
-    for packet in read_packets(_Counted(film, reception, progress), signal, receiver):
+    receiver = make_receiver(signal, settings.receive, count_event)
+    for packet in read_packets(_CountedFilm(film, reception, progress), signal, receiver):
         yield packet, list(reception.add(packet))
 
 
 @dataclass(frozen=True, slots=True)
-class _Counted:
-    """A film whose frames are counted as they are taken."""
+class _CountedFilm:
+    """Film that counts the frames."""
 
     film: FrameSource
     reception: Reception
@@ -220,6 +212,13 @@ def _completed(reassembler: Reassembler, words: Iterable[Codeword]) -> Iterator[
         message = reassembler.add(word.block, payload_bytes(word.bits.size)) if word.block else None
         if message is not None:
             yield message
+
+
+def file_counts(progress: FileProgress) -> dict[str, Any]:
+    """Return the progress of a file as plain values."""
+    key, complete = progress.key, progress.whole is not None
+    counts = {"bytes": key.length, "symbols": progress.had, "needed": key.count}
+    return {"file": str(key), **counts, "whole": complete}
 
 
 def _plain(identity: int, tally: ArrayTally) -> dict[str, Any]:

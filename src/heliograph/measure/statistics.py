@@ -1,4 +1,4 @@
-"""Counted errors and their confidence intervals."""
+"""Error counts and confidence intervals."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -8,36 +8,35 @@ from typing import Self
 class Count:
     """Errors among trials."""
 
-    # trials, errors: number of trials counted so far, and how many of them failed
     trials: int = 0
     errors: int = 0
 
     def add(self, trials: int, errors: int) -> None:
-        """Count more."""
+        """Add trials and errors."""
         self.trials += int(trials)
         self.errors += int(errors)
 
     def include(self, other: Self) -> None:
-        """Count another's trials and errors as well."""
+        """Add another count."""
         self.trials += other.trials
         self.errors += other.errors
 
     @property
     def rate(self) -> float:
-        """Errors by trial; NaN without trials."""
+        """Errors per trial; NaN for zero trials."""
         return self.errors / self.trials if self.trials else float("nan")
 
     @property
     def bound(self) -> float:
-        """Upper bound of the rate at 95 % where no error was counted: 3 / n, at most 1."""
+        """Upper bound of the rate at 95 % for zero errors: 3 / n, at most 1."""
         return 3 / max(self.trials, 3)
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Clopper-Pearson interval of the rate."""
+        """Return the Clopper-Pearson interval of the rate."""
         return clopper_pearson(self.errors, self.trials, confidence)
 
     def text(self) -> str:
-        """The rate as text: '1.2e-03', or an upper bound, 3 / n at 95 %, where no error was counted."""
+        """Return the rate as text, '1.2e-03', or the upper bound for zero errors."""
         if not self.trials:
             return "no data"
         return f"{self.rate:.1e}" if self.errors else f"< {self.bound:.1e}"
@@ -45,55 +44,50 @@ class Count:
 
 @dataclass(slots=True)
 class Clustered(Count):
-    """Errors among trials that may fail together, as the bits of a packet do."""
+    """Errors among trials with correlated failures, such as the bits of a packet."""
 
-    # Packets, or other units that fail together; of about equal numbers of trials
+    # Number of correlated groups of about equal size, such as packets
     clusters: int = 0
-    # Sum of the squares of the clusters' errors
+    # Sum of squared errors per cluster
     squares: int = 0
-    # The bound of the rate where no error was met, as the data then do not show whether errors come together. True: as
-    # if they came singly, 3 / trials, as the raw errors of single LEDs do. False: as if a cluster failed as a whole, 3
-    # / clusters, as a turbo decoder's codewords do
+    # Bound for zero errors: true for 3 / trials, for independent errors such as raw bits; false for 3 / clusters, for
+    # errors of complete clusters such as turbo codewords
     scattered: bool = False
 
     def add(self, trials: int, errors: int) -> None:
-        """Count a cluster; one without trials is none."""
-        self.trials += int(trials)
-        self.errors += int(errors)
+        """Add a cluster; ignore clusters of zero trials."""
+        Count.add(self, trials, errors)
         self.clusters += trials > 0
         self.squares += int(errors) ** 2
 
     def include(self, other: Self) -> None:
-        """Count another's clusters as well."""
-        self.trials += other.trials
-        self.errors += other.errors
+        """Add the clusters of another count."""
+        Count.include(self, other)
         self.clusters += other.clusters
         self.squares += other.squares
 
     @property
     def bound(self) -> float:
-        """Upper bound of the rate at 95 % where no error was counted: 3 / n, at most 1, n as `scattered` says."""
+        """Upper bound of the rate at 95 % for zero errors: 3 / n, at most 1, with n by `scattered`."""
         return 3 / max(self.trials if self.scattered else self.clusters, 3)
 
     @property
     def design_effect(self) -> float:
-        """Variance of the clusters' errors over that of independent trials (Kish 1965).
+        """Variance of the cluster errors relative to independent trials (Kish 1965).
 
-        From 1, independent, to the trials of a cluster, all alike; the latter where it cannot be estimated, for one
-        cluster or without errors.
+        The range is from 1 for independent trials to the cluster size, the default for a single cluster or zero errors.
         """
         clusters, rate = max(self.clusters, 1), self.rate
         size = self.trials / clusters
         if clusters == 1 or self.errors in (0, self.trials):
             return max(size, 1.0)
-        seen = (self.squares - self.errors**2 / clusters) / (clusters - 1)
-        return min(max(seen / (size * rate * (1 - rate)), 1.0), size)
+        variance = (self.squares - self.errors**2 / clusters) / (clusters - 1)
+        return min(max(variance / (size * rate * (1 - rate)), 1.0), size)
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Clopper-Pearson interval of the rate at the effective number of trials (Korn and Graubard 1998).
+        """Return the Clopper-Pearson interval at the effective number of trials (Korn and Graubard 1998).
 
-        That is trials / `design_effect`, and less for few clusters, from which the design effect is hardly known; never
-        less than the clusters.
+        The effective number is trials / `design_effect`, reduced for few clusters, and at least the number of clusters.
         """
         if self.scattered and not self.errors:
             return clopper_pearson(0, self.trials, confidence)
@@ -106,15 +100,15 @@ class Clustered(Count):
         from scipy.special import stdtrit
 
         clusters = float(max(self.clusters, 1))
-        known = self.trials / self.design_effect
+        effective = self.trials / self.design_effect
         if clusters > 1:
             tail = (1 - confidence) / 2
-            known *= float((stdtrit(self.trials - 1, tail) / stdtrit(clusters - 1, tail)) ** 2)
-        return max(known, clusters)
+            effective *= float((stdtrit(self.trials - 1, tail) / stdtrit(clusters - 1, tail)) ** 2)
+        return max(effective, clusters)
 
 
 def clopper_pearson(errors: float, trials: float, confidence: float = 0.95) -> tuple[float, float]:
-    """Exact confidence interval of a binomial rate (Clopper and Pearson 1934)."""
+    """Return the exact confidence interval of a binomial rate (Clopper and Pearson 1934)."""
     if not 0 <= errors <= trials:
         raise ValueError(f"errors must be 0 to {trials} (the trials), not {errors}")
     if trials == 0:

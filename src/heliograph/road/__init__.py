@@ -1,1 +1,1 @@
-"""Messages of the road: a traffic light's phases as a SPATEM, its junction as a MAPEM, as plain values and back."""
+"""Road messages: traffic light phases as SPATEM and junctions as MAPEM, to and from plain values."""

@@ -1,4 +1,4 @@
-"""SPATEM and MAPEM in UPER by `pycrate` (extra `its`): encode a junction, decode messages to plain values."""
+"""SPATEM and MAPEM in UPER by `pycrate` (extra `its`): encode junctions, decode messages to plain values."""
 
 import math
 import threading
@@ -11,32 +11,31 @@ from heliograph.base.errors import SettingsError
 from heliograph.road.junction import GroupSettings, Junction, LaneSettings, Phase
 
 SPATEM, MAPEM = 4, 5
-"""Numbers of the messages in their header (ETSI TS 102 894-2)."""
+"""Message numbers in the header (ETSI TS 102 894-2)."""
 
 NAMES = {SPATEM: "SPATEM", MAPEM: "MAPEM"}
 
-MOST_BYTES = 8192
-"""Most bytes of a message that is read. Chosen: a MAPEM of 100 lanes has about 3000."""
+MAX_BYTES = 8192
+"""Maximum size of a message in bytes; a MAPEM of 100 lanes has about 3000."""
 
 _LOCK = threading.Lock()
-"""The package keeps the value that it last coded in its types: one thread at a time."""
+"""Lock for the types of pycrate, which store the latest value."""
 
 
 class UnreadableError(ValueError):
-    """A message cannot be read; the text says why, in a line."""
+    """A message is invalid."""
 
 
 def kind_of(data: bytes) -> str | None:
-    """Return "SPATEM" or "MAPEM" by a message's header; None of another one."""
-    # versions that are read: the messages of both are alike
-    # bytes of the header: version, message, station
+    """Return "SPATEM" or "MAPEM" by the header of a message, else None."""
+    # header: version, message, station
     if len(data) <= 6 or data[0] not in (1, 2):
         return None
     return NAMES.get(data[1])
 
 
 def is_there() -> bool:
-    """Whether the package `pycrate` is installed."""
+    """Return True if `pycrate` is installed."""
     try:
         _type(SPATEM)
     except SettingsError:
@@ -46,7 +45,6 @@ def is_there() -> bool:
 
 def packed(message: int, station: int, content: Mapping[str, Any]) -> bytes:
     """Return a message as UPER."""
-    # version of the header that is written
     header = {"protocolVersion": 1, "messageID": message, "stationID": station}
     with _LOCK:
         kind = _type(message)
@@ -55,25 +53,25 @@ def packed(message: int, station: int, content: Mapping[str, Any]) -> bytes:
 
 
 def unpacked(data: bytes) -> tuple[str, int, dict[str, Any]]:
-    """Return a message's kind, the number of its station, and what it says, as the package has it."""
+    """Return kind, station number and content of a message."""
     kind = kind_of(data)
     if kind is None:
-        raise UnreadableError("it is no SPATEM or MAPEM")
-    if len(data) > MOST_BYTES:
-        raise UnreadableError(f"this {kind} has {len(data)} bytes, more than {MOST_BYTES}")
+        raise UnreadableError("the message is no SPATEM or MAPEM")
+    if len(data) > MAX_BYTES:
+        raise UnreadableError(f"this {kind} has {len(data)} bytes, more than {MAX_BYTES}")
     with _LOCK:
         try:
             coded = _type(data[1])
             coded.from_uper(data)
             value: dict[str, Any] = coded.get_val()
             coded.set_val(value)
-            same = bytes(coded.to_uper()) == data
+            canonical = bytes(coded.to_uper()) == data
         except SettingsError as error:
             raise UnreadableError(str(error)) from None
-        except Exception:  # the package raises what its parts raise: IndexError, KeyError, its own
-            raise UnreadableError(f"this {kind} is damaged: it is not as ISO TS 19091 has it") from None
-    if not same:
-        raise UnreadableError(f"this {kind} is damaged: there is one way to write what it says, and it is another")
+        except Exception:  # pycrate raises many kinds
+            raise UnreadableError(f"this {kind} is damaged: the data violate ISO TS 19091") from None
+    if not canonical:
+        raise UnreadableError(f"this {kind} is damaged: the encoding is not canonical")
     return kind, int(value["header"]["stationID"]), value["spat" if kind == "SPATEM" else "map"]
 
 
@@ -82,7 +80,7 @@ def _type(message: int) -> Any:
     try:
         from pycrate_asn1dir import ITS_IS
     except ImportError:
-        raise SettingsError("messages of the road need the package pycrate: pip install 'heliograph[its]'") from None
+        raise SettingsError("road messages need the package pycrate: pip install 'heliograph[its]'") from None
     return ITS_IS.SPATEM_PDU_Descriptions.SPATEM if message == SPATEM else ITS_IS.MAPEM_PDU_Descriptions.MAPEM
 
 
@@ -95,11 +93,11 @@ STATES: dict[Phase, str] = {
     "flashing": "caution-Conflicting-Traffic",
     "dark": "dark",
 }
-"""What a light shows, by the name that the standard has for it."""
+"""State of a light in the standard by phase."""
 
 
 def spatem(junction: Junction, time_s: float) -> bytes:
-    """Return what the lights show, with the time of the message, as UPER."""
+    """Return the SPATEM of a junction at a time as UPER."""
     now = junction.begins + timedelta(seconds=time_s)
     minute = now.replace(second=0, microsecond=0)
     state = {
@@ -114,7 +112,7 @@ def spatem(junction: Junction, time_s: float) -> bytes:
 
 
 def mapem(junction: Junction) -> bytes:
-    """Return the junction's lanes as UPER."""
+    """Return the MAPEM of a junction as UPER."""
     if not junction.lanes:
         raise SettingsError(f"junction {junction.id} has no lanes: a map needs [[lanes]] with lane and points_m")
     geometry = {
@@ -129,15 +127,14 @@ def mapem(junction: Junction) -> bytes:
 
 
 def updates(junction: Junction, duration_s: float) -> tuple[tuple[float, bytes], ...]:
-    """Return the SPATEMs of a transmission, each with the time in s from which on it is sent."""
+    """Return the SPATEMs of a transmission, each with the start time in s."""
     count = max(1, math.ceil(duration_s / junction.update_s))
     return tuple((k * junction.update_s, spatem(junction, k * junction.update_s)) for k in range(count))
 
 
 def _movement(junction: Junction, group: GroupSettings, time_s: float) -> dict[str, Any]:
     events: list[dict[str, Any]] = []
-    # phases that a SPATEM tells of each group: that of now and the next
-    for phase, end_s in group.following(time_s, 2):
+    for phase, end_s in group.following(time_s, 2):  # the present and the next phase
         timing: dict[str, int] = {"minEndTime": _mark(junction, end_s), "maxEndTime": _mark(junction, end_s)}
         if events:
             timing["startTime"] = events[-1]["timing"]["minEndTime"]
@@ -146,7 +143,7 @@ def _movement(junction: Junction, group: GroupSettings, time_s: float) -> dict[s
 
 
 def _mark(junction: Junction, time_s: float) -> int:
-    """Tenths of a second in the hour of UTC."""
+    """Return the time within the hour (UTC) in tenths of a second."""
     when = junction.begins + timedelta(seconds=time_s)
     return round((when.minute * 60 + when.second + when.microsecond * 1e-6) * 10) % 36000
 
@@ -157,7 +154,7 @@ def _encode_lane(lane: LaneSettings) -> dict[str, Any]:
         "laneAttributes": {
             "directionalUse": (0b10 if lane.towards else 0b01, 2),
             "sharedWith": (0, 10),
-            "laneType": (lane.kind, (0, 16 if lane.kind not in ("vehicle",) else 8)),
+            "laneType": (lane.kind, (0, 8 if lane.kind == "vehicle" else 16)),
         },
         "nodeList": ("nodes", _nodes(lane)),
     }
@@ -168,36 +165,22 @@ def _encode_lane(lane: LaneSettings) -> dict[str, Any]:
 
 
 def _nodes(lane: LaneSettings) -> Sequence[dict[str, Any]]:
-    """Steps from point to point in whole cm, which do not add up their rounding."""
-    nodes, at = [], (0, 0)
+    """Return the steps between points in cm, free of accumulated rounding."""
+    bits = {"node-XY1": 9, "node-XY2": 10, "node-XY3": 11, "node-XY4": 12, "node-XY5": 13, "node-XY6": 15}
+    nodes, last = [], (0, 0)
     for point in lane.points_m:
-        place = (round(point[0] * 100), round(point[1] * 100))
-        step = (place[0] - at[0], place[1] - at[1])
-        # kinds of a step from point to point, and the bits of its size in cm
-        kind = next(
-            (
-                name
-                for name, bits in (
-                    ("node-XY1", 9),
-                    ("node-XY2", 10),
-                    ("node-XY3", 11),
-                    ("node-XY4", 12),
-                    ("node-XY5", 13),
-                    ("node-XY6", 15),
-                )
-                if all(-(1 << bits) <= s < 1 << bits for s in step)
-            ),
-            None,
-        )
+        position = (round(point[0] * 100), round(point[1] * 100))
+        step = (position[0] - last[0], position[1] - last[1])
+        kind = next((name for name, n in bits.items() if all(-(1 << n) <= s < 1 << n for s in step)), None)
         if kind is None:
             raise SettingsError(f"lane {lane.lane}: points lie at most 327 m apart; add points between")
         nodes.append({"delta": (kind, {"x": step[0], "y": step[1]})})
-        at = place
+        last = position
     return nodes
 
 
 Values = Mapping[str, Any]
-"""What a message says: numbers, texts, lists and mappings by text, as JSON has them."""
+"""Content of a message as JSON values."""
 
 PHASES = {
     "stop-And-Remain": "red",
@@ -211,13 +194,13 @@ PHASES = {
     "dark": "dark",
     "unavailable": "unknown",
 }
-"""What a light shows by the standard's name."""
+"""Phase by state of a light in the standard."""
 
 HOUR_S = 3600.0
 
 
 def road_values(data: bytes) -> Values | None:
-    """Return what a message of the road says; None of any other message."""
+    """Return a road message as plain values; None for other messages."""
     kind = kind_of(data)
     if kind is None:
         return None
@@ -225,36 +208,40 @@ def road_values(data: bytes) -> Values | None:
         _, station, content = unpacked(data)
     except UnreadableError as error:
         return {"kind": kind, "junctions": [], "reason": str(error)}
-    of = _lights if kind == "SPATEM" else _map
-    return {"kind": kind, "station": station, "junctions": [of(one) for one in content.get("intersections", ())]}
+    parse = _lights if kind == "SPATEM" else _map
+    return {
+        "kind": kind,
+        "station": station,
+        "junctions": [parse(junction) for junction in content.get("intersections", ())],
+    }
 
 
 def left_s(end_s: float, now_s: float) -> float:
-    """Return the seconds from now to an end, both in s of the hour; an end of up to half an hour ago is below 0."""
+    """Return the time to an end, both in s of the hour; negative up to half an hour after the end."""
     return (end_s - now_s + HOUR_S / 2) % HOUR_S - HOUR_S / 2
 
 
 def road_words(values: Values) -> str:
-    """Return what a message of the road says in a line."""
+    """Return a road message as a line of text."""
     if "reason" in values:
         return str(values["reason"])
     parts = [
-        f"junction {one['id']}: {', '.join(map(group_words, one['groups']))}"
+        f"junction {junction['id']}: {', '.join(map(group_words, junction['groups']))}"
         if values["kind"] == "SPATEM"
-        else f"junction {one['id']}{_named(one)}: {len(one['lanes'])} lanes"
-        for one in values["junctions"]
+        else f"junction {junction['id']}{_name_suffix(junction)}: {len(junction['lanes'])} lanes"
+        for junction in values["junctions"]
     ]
     return f"{values['kind']} of " + "; ".join(parts or ["no junction"])
 
 
 def group_words(group: Values) -> str:
-    """Return what the lights of a group show, and for how long."""
+    """Return the phase of a signal group and the remaining time as text."""
     left = group["left_s"]
     return f"group {group['group']} {group['phase']}" + ("" if left is None else f", {max(left, 0.0):.1f} s left")
 
 
-def _named(junction: Values) -> str:
-    # from the air: nothing of it reaches a terminal as it is
+def _name_suffix(junction: Values) -> str:
+    # received text: remove control characters
     name = "".join(c for c in junction["name"] or "" if c.isprintable())
     return f" ({name})" if name else ""
 
@@ -265,29 +252,29 @@ def _lights(state: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "id": state["id"]["id"],
         "stamp_s": stamp_s,
-        "groups": [_group(one, stamp_s) for one in state.get("states", ())],
+        "groups": [_group(movement, stamp_s) for movement in state.get("states", ())],
     }
 
 
 def _group(movement: Mapping[str, Any], stamp_s: float | None) -> dict[str, Any]:
-    events = [
+    events: list[dict[str, Any]] = [
         {"phase": PHASES.get(event["eventState"], "unknown"), "end_s": _end(event.get("timing", {}))}
         for event in movement["state-time-speed"]
     ]
-    end_s = _end(movement["state-time-speed"][0].get("timing", {}))
+    end_s = events[0]["end_s"]
     left = None if end_s is None or stamp_s is None else round(left_s(end_s, stamp_s), 1)
     return {"group": movement["signalGroup"], **events[0], "left_s": left, "then": events[1:]}
 
 
 def _end(timing: Mapping[str, Any]) -> float | None:
     mark = timing.get("minEndTime")
-    # times in a message count tenths of a second in the hour; this one stands for none
+    # tenths of a second in the hour; 36001 means unknown
     return None if mark is None or mark >= 36001 else mark / 10
 
 
 def _map(geometry: Mapping[str, Any]) -> dict[str, Any]:
     place, width = geometry["refPoint"], geometry.get("laneWidth")
-    # latitude and longitude that stand for none
+    # these values mean unknown
     known = (place["lat"], place["long"]) != (900000001, 1800000001)
     return {
         "id": geometry["id"]["id"],
@@ -295,7 +282,7 @@ def _map(geometry: Mapping[str, Any]) -> dict[str, Any]:
         "latitude": place["lat"] / 1e7 if known else None,
         "longitude": place["long"] / 1e7 if known else None,
         "lane_width_m": None if width is None else width / 100,
-        "lanes": [_lane(one) for one in geometry["laneSet"]],
+        "lanes": [_lane(lane) for lane in geometry["laneSet"]],
     }
 
 
@@ -309,15 +296,15 @@ def _lane(lane: Mapping[str, Any]) -> dict[str, Any]:
         "kind": attributes["laneType"][0],
         "towards": bool(use & 2),
         "away": bool(use & 1),
-        # a lane may be said to be like another one, moved: it has no points of its own
+        # a lane that is a shifted copy of another lane has no points
         "points_m": list(_points(nodes)) if kind == "nodes" else [],
-        "groups": sorted({one["signalGroup"] for one in links if "signalGroup" in one}),
-        "to": [one["connectingLane"]["lane"] for one in links],
+        "groups": sorted({link["signalGroup"] for link in links if "signalGroup" in link}),
+        "to": [link["connectingLane"]["lane"] for link in links],
     }
 
 
 def _points(nodes: Sequence[Mapping[str, Any]]) -> Iterator[tuple[float, float]]:
-    """East and north in m, of steps in cm; a place by latitude and longitude ends them."""
+    """Yield east and north in m from steps in cm, up to a node in latitude and longitude."""
     x = y = 0
     for node in nodes:
         step = node["delta"][1]

@@ -1,4 +1,4 @@
-"""The seconds that a light has left, counted down between messages, by the camera's clock."""
+"""Countdown of traffic light phases between messages by the camera clock."""
 
 from typing import Any
 
@@ -6,10 +6,10 @@ from heliograph.road.codec import HOUR_S, Values, left_s
 
 
 class Countdown:
-    """Lights of the junctions that an array tells of.
+    """Lights of the junctions in the messages of an array.
 
-    A SPATEM says when it was made, and is sent for a while. So the clock of its sender is behind that of the camera by
-    the least difference that was seen between a packet's time and its message's stamp.
+    The sender repeats a SPATEM. The clock offset between camera and sender is the smallest difference between packet
+    time and message stamp.
     """
 
     def __init__(self) -> None:
@@ -17,7 +17,7 @@ class Countdown:
         self._ahead_s: dict[int, float] = {}
 
     def take(self, values: Values, time_s: float) -> None:
-        """Take a SPATEM; anything else is passed over."""
+        """Add a SPATEM; ignore other messages."""
         if values["kind"] != "SPATEM":
             return
         for junction in values["junctions"]:
@@ -25,23 +25,22 @@ class Countdown:
                 continue
             number, ahead = junction["id"], (time_s - junction["stamp_s"]) % HOUR_S
             known = self._ahead_s.get(number, ahead)
-            # around the hour, too, the least is the one that comes first
+            # the smaller difference, also around the hour
             self._ahead_s[number] = ahead if left_s(ahead, known) < 0 else known
             self._lights[number] = (time_s, junction)
 
     def at(self, time_s: float) -> list[dict[str, Any]]:
-        """Return what the lights show at a time: junctions with `id` and `groups` of `group`, `phase` and `left_s`."""
+        """Return the lights at a time: junctions with `id` and `groups` of `group`, `phase` and `left_s`."""
         out = []
-        for number, (seen_s, junction) in self._lights.items():
-            # Seconds without a message after which a light is not counted down any more. Chosen
-            if time_s - seen_s <= 10.0:
+        for number, (updated_s, junction) in self._lights.items():
+            if time_s - updated_s <= 10.0:  # older messages expire
                 now_s = (time_s - self._ahead_s[number]) % HOUR_S
                 out.append({"id": number, "groups": [_now(group, now_s) for group in junction["groups"]]})
         return out
 
 
 def _now(group: Values, now_s: float) -> dict[str, Any]:
-    """The phase that is on: that of the message, or one that has followed it."""
+    """Return the present phase: the phase of the message or a later phase."""
     for event in (group, *group["then"]):
         if event["end_s"] is None:
             return {"group": group["group"], "phase": event["phase"], "left_s": None}

@@ -1,4 +1,4 @@
-"""A junction with its lanes and the plan of its lights, as settings; what it shows at a time."""
+"""Settings of a junction: lanes, and signal plan of the lights."""
 
 from collections.abc import Iterator
 from dataclasses import field
@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 from heliograph.base.config import CONFIG, clear_errors
 
 Phase = Literal["red", "red-yellow", "green", "green-free", "yellow", "flashing", "dark"]
-"""What a light shows; "green-free" is a green on which no other movement may cross."""
+"""Phase of a light; "green-free" is a protected green."""
 
 LaneKind = Literal["vehicle", "crosswalk", "bikeLane", "sidewalk", "trackedVehicle"]
 Text = Annotated[str, Field(min_length=1, max_length=63, pattern=r"^[ -~]*$")]
@@ -30,9 +30,9 @@ class PhaseSettings:
     Attributes
     ----------
     phase
-        What it shows: "red", "red-yellow", "green", "green-free", "yellow", "flashing" or "dark".
+        Phase: "red", "red-yellow", "green", "green-free", "yellow", "flashing" or "dark".
     seconds
-        How long it lasts in s, up to half an hour.
+        Duration in s, up to half an hour.
     """
 
     phase: Phase
@@ -42,16 +42,16 @@ class PhaseSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class GroupSettings:
-    """Lights that show the same: a signal group.
+    """Signal group: lights with equal phases.
 
     Attributes
     ----------
     group
-        Number of the group, 1 to 254, by which lanes name it.
+        Number of the group, 1 to 254.
     phases
-        Its phases in turn, again and again.
+        Cyclic sequence of phases.
     offset_s
-        Seconds of its cycle that are over when the transmission begins.
+        Position in the cycle at the start of the transmission in s.
     """
 
     group: Group
@@ -59,18 +59,18 @@ class GroupSettings:
     offset_s: Annotated[float, Field(ge=0, le=86400)] = 0.0
 
     def following(self, time_s: float, count: int) -> Iterator[tuple[Phase, float]]:
-        """Yield the phase at a time and those that follow, each with its end in s from the start of the transmission.
+        """Yield the phases from a time on, each with the end in s from the start of the transmission.
 
         Parameters
         ----------
         time_s
             Time from the start of the transmission in s.
         count
-            How many phases are asked for.
+            Number of phases.
         """
         ends = list(accumulate(phase.seconds for phase in self.phases))
-        turns, over = divmod(self.offset_s + time_s + 1e-6, ends[-1])
-        first = next((i for i, end in enumerate(ends) if over < end), len(ends) - 1)
+        turns, elapsed = divmod(self.offset_s + time_s + 1e-6, ends[-1])
+        first = next((i for i, end in enumerate(ends) if elapsed < end), len(ends) - 1)
         for number in range(first, first + count):
             more, place = divmod(number, len(ends))
             yield self.phases[place].phase, (turns + more) * ends[-1] + ends[place] - self.offset_s
@@ -86,15 +86,15 @@ class LaneSettings:
     lane
         Number of the lane, 1 to 254.
     points_m
-        Its middle line from the stop line outwards: east and north of the junction's middle in m, two points or more.
+        Centre line from the stop line outwards: east and north of the junction centre in m, at least two points.
     kind
         "vehicle", "crosswalk", "bikeLane", "sidewalk" or "trackedVehicle".
     towards
-        Whether it leads to the junction; else it leads away.
+        True for a lane towards the junction, false for a lane away from the junction.
     group
-        Signal group that lets it go; left out: none.
+        Signal group of the lane, if any.
     to
-        Numbers of the lanes that it leads to.
+        Numbers of the connected lanes.
     """
 
     lane: Lane
@@ -108,30 +108,30 @@ class LaneSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Junction:
-    """A junction: where it is, its lanes, and the plan of its lights.
+    """Junction with position, lanes and signal plan.
 
     Attributes
     ----------
     id
         Number of the junction, 0 to 65535.
     name
-        Its name, up to 63 characters of ASCII.
+        Name, up to 63 ASCII characters.
     station
         Number of the sending station, 0 to 4294967295.
     latitude
-        Latitude of its middle in degrees, north is above 0.
+        Latitude of the centre in degrees, positive to the north.
     longitude
-        Longitude of its middle in degrees, east is above 0.
+        Longitude of the centre in degrees, positive to the east.
     lane_width_m
-        Width of its lanes in m.
+        Lane width in m.
     begins
-        Date and time in UTC at which the transmission begins.
+        Start of the transmission in UTC.
     update_s
-        Seconds from one message about the lights to the next.
+        Interval between SPATEMs in s.
     groups
-        Its signal groups, each with a number of its own.
+        Signal groups with distinct numbers.
     lanes
-        Its lanes, each with a number of its own; a map needs at least one.
+        Lanes with distinct numbers; a map needs at least one lane.
     """
 
     id: Annotated[int, Field(ge=0, le=65535)]
@@ -147,22 +147,22 @@ class Junction:
 
     @model_validator(mode="after")
     def _consistent(self) -> "Junction":
-        groups, lanes = [one.group for one in self.groups], [one.lane for one in self.lanes]
-        for what, numbers in (("groups", groups), ("lanes", lanes)):
+        groups, lanes = [group.group for group in self.groups], [lane.lane for lane in self.lanes]
+        for kind, numbers in (("groups", groups), ("lanes", lanes)):
             if len(set(numbers)) != len(numbers):
-                raise ValueError(f"{what} have different numbers, not {numbers}")
+                raise ValueError(f"{kind} have different numbers, not {numbers}")
         for lane in self.lanes:
             if lane.group is not None and lane.group not in groups:
-                raise ValueError(f"lane {lane.lane} names the group {lane.group}, which is none of {groups}")
+                raise ValueError(f"lane {lane.lane} names the unknown group {lane.group}; the groups are {groups}")
             if unknown := [to for to in lane.to if to not in lanes]:
-                raise ValueError(f"lane {lane.lane} leads to the lane {unknown[0]}, which is none of {lanes}")
+                raise ValueError(f"lane {lane.lane} leads to the unknown lane {unknown[0]}; the lanes are {lanes}")
             if lane.group is not None and not lane.to:
-                raise ValueError(f"lane {lane.lane} has a group, so it needs 'to', the lanes that it leads to")
+                raise ValueError(f"lane {lane.lane} has a group and needs 'to', the connected lanes")
         return self
 
 
 def example() -> dict[str, Any]:
-    """A junction of two streets as a mapping of settings, of which a `Junction` can be made."""
+    """Return the settings of a junction of two streets as a mapping for `Junction`."""
     red_first = [("red", 12.0), ("red-yellow", 2.0), ("green", 18.0), ("yellow", 3.0)]
     green_first = [("green", 9.0), ("yellow", 3.0), ("red", 21.0), ("red-yellow", 2.0)]
 
@@ -170,7 +170,7 @@ def example() -> dict[str, Any]:
         return {"group": number, "phases": [{"phase": name, "seconds": s} for name, s in phases]}
 
     def arm(number: int, east: float, north: float, group: int, ahead: int) -> list[dict[str, Any]]:
-        """Lane 2 k + 1 in, 2 k + 2 out, to the right of the middle line as one comes."""
+        """Return lane 2 k + 1 in and lane 2 k + 2 out, for right-hand traffic."""
         side = (-1.7 * north, 1.7 * east)
         near, far = 10.0, 60.0
 

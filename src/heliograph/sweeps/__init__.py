@@ -1,1 +1,1 @@
-"""Error rates over a grid of settings: resumable, on one machine or a cluster."""
+"""Sweeps: error rates over a grid of settings, resumable, on a machine or a cluster."""

@@ -1,16 +1,15 @@
-"""Who computes blocks: this process, worker processes of this machine, or a Dask cluster.
+"""Executors for blocks: this process, worker processes, or a Dask cluster.
 
-All have the interface of `concurrent.futures`. Nothing heavy is imported here: a worker imports this module first,
-and sets its thread limits before NumPy is there.
+A worker imports this module first and limits the threads before NumPy loads: heavy imports are inside functions.
 """
 
 import contextlib
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, as_completed
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.registry import register_again, registered
@@ -20,86 +19,69 @@ Work = TypeVar("Work")
 Result = TypeVar("Result")
 
 
-class Workers(Protocol):
-    """Computes jobs."""
-
-    @property
-    def slots(self) -> int:
-        """Jobs worked on at a time."""
-
-    def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Hand a job in."""
-
-    def restart(self) -> None:
-        """Begin again after workers were lost; what was handed in is lost."""
-
-    def close(self) -> None:
-        """Stop at once; what is not finished is lost."""
+def cores() -> int:
+    """Return the number of available cores."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def enough_workers(count: int) -> int:
-    """Worker processes to start where some are asked for: no more than the cores can feed."""
-    # most worker processes for each core: more begin late, as they share the cores, and compute no faster
+    """Limit a number of worker processes to two per core."""
     return min(count, 2 * cores())
 
 
 def fewer_workers(count: int | None) -> str:
-    """A line that says how many workers start in place of those asked for; empty where all of them do."""
+    """Return a warning if `enough_workers` reduces the number of workers, or an empty text."""
     if count is None or count <= enough_workers(count):
         return ""
-    there = f"{cores()} cores" if cores() > 1 else "one core"
-    return f"{count} workers are more than {there} can feed: {enough_workers(count)} are started"
+    available = f"{cores()} cores" if cores() > 1 else "one core"
+    return f"{count} workers are more than {available} can feed: {enough_workers(count)} are started"
 
 
-def open_workers(count: int | None = None, scheduler: str | None = None) -> Workers:
-    """Workers as asked for, but no more than `enough_workers`."""
+def open_workers(count: int | None = None, scheduler: str | None = None) -> "Workers":
+    """Return workers for a number of processes, by default one per core, or for a Dask scheduler."""
     if scheduler is not None:
         if count is not None:
-            raise HeliographError("a scheduler has its own workers: give --workers or --scheduler, not both")
+            raise HeliographError("a scheduler provides the workers: give --workers or --scheduler, not both")
         return Cluster(scheduler)
     if count is None:
         count = cores()
     if count < 1:
         raise HeliographError(f"a sweep takes at least 1 worker, not {count}")
-    return Here() if count == 1 else Pool(enough_workers(count))
+    return Workers() if count == 1 else Pool(enough_workers(count))
 
 
 def each(
     count: int, job: Callable[[Work], Result], works: Iterable[Work], done: Callable[[float], None] = lambda _: None
 ) -> list[Result]:
-    """Results of a job for each of some works, in their order."""
-    todo = list(works)
-    crew = min(enough_workers(count), len(todo))
-    if crew <= 1:
-        return list(_reported((job(work) for work in todo), len(todo), done))
-    with contextlib.closing(Pool(crew)) as pool:
-        futures = [pool.submit(job, work) for work in todo]
+    """Apply a job to each work item in at most `count` processes; return the results in order."""
+    items, results = list(works), list[Result]()
+    count = min(enough_workers(count), len(items))
+    if count <= 1:
+        for item in items:
+            results.append(job(item))
+            done(len(results) / len(items))
+        return results
+    with contextlib.closing(Pool(count)) as pool:
+        futures = [pool.submit(job, item) for item in items]
         try:
-            for _ in _reported((future.result() for future in as_completed(futures)), len(todo), done):
-                pass
+            for number, future in enumerate(as_completed(futures), 1):
+                future.result()
+                done(number / len(items))
         except BrokenProcessPool:
-            raise HeliographError("a worker process was lost; there may be too little memory: take fewer") from None
+            raise HeliographError("a worker process was lost; the memory may be too small: take fewer") from None
         return [future.result() for future in futures]
 
 
-def _reported(results: Iterator[Result], count: int, done: Callable[[float], None]) -> Iterator[Result]:
-    for number, result in enumerate(results, 1):
-        done(number / count)
-        yield result
+class Workers:
+    """Sequential jobs in this process; the base class of other workers."""
 
-
-def cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-class Here:
-    """Computes in this process, one job after the other."""
-
-    slots = 1
+    @property
+    def slots(self) -> int:
+        """Number of concurrent jobs."""
+        return 1
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Do a job."""
+        """Submit a job."""
         future: Future[Result] = Future()
         try:
             future.set_result(job(work))
@@ -108,21 +90,26 @@ class Here:
         return future
 
     def restart(self) -> None:
-        """Nothing is ever lost."""
+        """Replace lost workers; submitted jobs are lost."""
 
     def close(self) -> None:
-        """Nothing to stop."""
+        """Stop immediately; running jobs are lost."""
 
 
-class Pool:
-    """Worker processes, each a new interpreter (never forked: threads and locks of this process stay here)."""
+class Pool(Workers):
+    """Spawned worker processes."""
 
     def __init__(self, count: int):
-        self.slots = count
-        self._executor = self._start()
+        self._count = count
+        self._executor = worker_processes(count)
+
+    @property
+    def slots(self) -> int:
+        """Number of processes."""
+        return self._count
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Hand a job in; the first one starts the processes."""
+        """Submit a job; the first job starts the processes."""
         try:
             with worker_environment():
                 return self._executor.submit(job, work)
@@ -132,12 +119,12 @@ class Pool:
             return future
 
     def restart(self) -> None:
-        """Replace the pool: one lost process breaks it."""
+        """Replace the pool: a lost process breaks the executor."""
         self.close()
-        self._executor = self._start()
+        self._executor = worker_processes(self._count)
 
     def close(self) -> None:
-        """End the processes, whatever they do."""
+        """Terminate the processes."""
         processes = list((getattr(self._executor, "_processes", None) or {}).values())
         self._executor.shutdown(wait=False, cancel_futures=True)
         for process in processes:
@@ -145,12 +132,9 @@ class Pool:
         for process in processes:
             process.join()
 
-    def _start(self) -> Executor:
-        return worker_processes(self.slots)
 
-
-class Cluster:
-    """Workers of a Dask scheduler; it repeats by itself what a lost worker had."""
+class Cluster(Workers):
+    """Workers of a Dask scheduler, which repeats the jobs of lost workers."""
 
     def __init__(self, address: str):
         try:
@@ -158,9 +142,8 @@ class Cluster:
         except ImportError:
             raise HeliographError("a Dask scheduler needs Dask: pip install 'dask[distributed]'") from None
         if not re.fullmatch(r"\w+://.+:\d+", address):
-            raise HeliographError(f"'{address}' is no address of a scheduler; write one such as tcp://127.0.0.1:8786")
+            raise HeliographError(f"'{address}' is no address of a scheduler, such as tcp://127.0.0.1:8786")
         try:
-            # how long to wait for a scheduler
             self._client = Client(address, timeout=10.0, set_as_default=False)  # type: ignore[no-untyped-call]  # dask has no types
         except (OSError, ValueError, TypeError) as error:  # a timeout is an OSError
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -172,27 +155,24 @@ class Cluster:
 
     @property
     def slots(self) -> int:
-        """Threads of all workers there are now; one job waits if there are none."""
+        """Number of threads of the current workers, at least 1."""
         try:
             return max(1, sum(self._client.nthreads().values()))  # type: ignore[no-untyped-call]  # dask has no types
         except OSError as error:
             raise HeliographError(f"the connection to the Dask scheduler was lost ({error})") from None
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Hand a job in."""
-        return self._executor.submit(_limited, self._parts, job, work)
-
-    def restart(self) -> None:
-        """Begin again with the workers there are."""
+        """Submit a job."""
+        return self._executor.submit(_run_limited, self._parts, job, work)
 
     def close(self) -> None:
-        """Drop what is not finished and leave; the cluster stays."""
+        """Cancel the jobs and disconnect; the cluster continues."""
         self._executor.shutdown(wait=False)
         self._client.close()  # type: ignore[no-untyped-call]  # dask has no types
 
 
-def _limited(parts: tuple[str, ...], job: Callable[[Work], Result], work: Work) -> Result:
-    """Do a job in a worker that others set up."""
+def _run_limited(parts: tuple[str, ...], job: Callable[[Work], Result], work: Work) -> Result:
+    """Run a job in an external worker process."""
     limit_threads()
     register_again(parts)
     return job(work)

@@ -1,4 +1,4 @@
-"""Points of a sweep from fixed and varied settings, checked before the computation."""
+"""Points of a sweep from fixed and varied settings, validated before the computation."""
 
 import itertools
 import math
@@ -21,58 +21,55 @@ from heliograph.sweeps.points import Point, Recorded
 SHORT = {"receiver": "receive.receiver"}
 """Short names of keys."""
 
-MOST = 10_000
-"""Most values of a key, and most points of a grid: more is a slip of the pen."""
+MAX_VALUES = 10_000
+"""Maximum number of values of a key, and of points in a grid."""
 
-MOST_DIGITS = 30
-"""Most digits of a range's number before the point, and zeros after it: no setting has more."""
-
-# each digit has one place in it: a long row of digits with two places would be tried in quadratic time
+# unambiguous in each digit, for linear matching time
 _NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})(?:\s*:\s*({_NUMBER}))?\s*")
 
 
 def parse_vary(text: str) -> tuple[str, list[Any]]:
-    """Turn ``key=value,value,...`` into key and values."""
+    """Parse ``key=value,value,...`` into key and values."""
     key, sign, values = text.partition("=")
     if not sign or not key.strip() or not values.strip():
         raise SettingsError(f"'{brief(text)}' varies nothing; write key=value,value or key=first:last:step")
-    return key.strip(), _few(key.strip(), (value for part in _parts(values) for value in _values(part, text)))
+    parsed = (value for part in _split(values) for value in _parse_values(part, text))
+    return key.strip(), _limited(key.strip(), parsed)
 
 
 def grid(vary: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
-    """All combinations of the values of each key, the last key fastest; one empty one where nothing varies."""
-    plain = listed(vary)
-    if math.prod(map(len, plain.values())) > MOST:
-        raise SettingsError(f"a sweep has at most {MOST} points; take a larger step or fewer keys")
-    return [dict(zip(plain, values, strict=True)) for values in itertools.product(*plain.values())]
+    """Return all combinations of the values, the last key fastest; an empty combination for an empty grid."""
+    lists = value_lists(vary)
+    if math.prod(map(len, lists.values())) > MAX_VALUES:
+        raise SettingsError(f"a sweep has at most {MAX_VALUES} points; take a larger step or fewer keys")
+    return [dict(zip(lists, values, strict=True)) for values in itertools.product(*lists.values())]
 
 
-def listed(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
-    """Values of each key as a list, those of NumPy as Python's, which settings and JSON accept."""
+def value_lists(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
+    """Return the values of each key as a list of plain Python values."""
     if not isinstance(vary, Mapping):
         raise SettingsError(f'a sweep varies lists, such as {{"channel.distance_m": [40, 60]}}, not {shown(vary)}')
     for key in vary:
         _check_key(key)
-    doubled = [short for short, key in SHORT.items() if short in vary and key in vary]
-    if doubled:
-        raise SettingsError(f"'{doubled[0]}' is short for '{SHORT[doubled[0]]}', which varies as well")
+    for short, key in SHORT.items():
+        if short in vary and key in vary:
+            raise SettingsError(f"'{short}' is short for '{key}', which varies as well")
     return {key: _plain(key, values) for key, values in vary.items()}
 
 
 def varied(preset: str, over: Mapping[str, Any], choice: Mapping[str, Any]) -> LinkSettings:
-    """Settings of a point."""
-    name = choice.get("preset", preset)
+    """Return the settings of a point."""
     for key, value in choice.items():
         if key != "preset":
             over = merge(over, nested(SHORT.get(key, key), value))
-    return load_settings(str(name), over)
+    return load_settings(str(choice.get("preset", preset)), over)
 
 
 def nested(key: str, value: Any) -> Any:
-    """A value under a dotted key as nested mappings."""
+    """Return a value under a dotted key as nested mappings."""
     _check_key(key)
-    parse_assignment(f"{key}=0")  # names what is wrong with a key
+    parse_assignment(f"{key}=0")  # reports invalid keys
     for part in reversed(key.split(".")):
         value = {part.strip(): value}
     return value
@@ -88,32 +85,31 @@ def _plain(key: str, values: Any) -> list[Any]:
         values = values.tolist()
     if isinstance(values, (str, bytes, Mapping)) or not isinstance(values, Iterable):
         raise SettingsError(f"'{brief(key)}' varies over a list of values, not {brief(values)}")
-    plain = [value.tolist() if hasattr(value, "tolist") else value for value in _few(key, values)]
+    plain = [value.tolist() if hasattr(value, "tolist") else value for value in _limited(key, values)]
     if not plain:
         raise SettingsError(f"'{brief(key)}' varies over a list of values, not an empty one")
-    met = set()
+    known = set()
     for value in plain:
-        known = _hashable(value)
-        if known in met:
+        if (item := _hashable(value)) in known:
             raise SettingsError(f"'{brief(key)}' has the value {brief(repr(value))} twice")
-        met.add(known)
+        known.add(item)
     return plain
 
 
-def _few(key: str, values: Iterable[Any]) -> list[Any]:
-    """List values, of which no more are made than there may be."""
-    few = list(itertools.islice(values, MOST + 1))
-    if len(few) > MOST:
-        raise SettingsError(f"'{brief(key)}' has more than {MOST} values; take a larger step or fewer values")
-    return few
+def _limited(key: str, values: Iterable[Any]) -> list[Any]:
+    """Return at most MAX_VALUES values as a list."""
+    out = list(itertools.islice(values, MAX_VALUES + 1))
+    if len(out) > MAX_VALUES:
+        raise SettingsError(f"'{brief(key)}' has more than {MAX_VALUES} values; take a larger step or fewer values")
+    return out
 
 
 def _hashable(value: Any) -> Any:
-    """Return something to be kept in a set, equal for equal values such as 1 and 1.0."""
+    """Return a hashable substitute, equal for equal values such as 1 and 1.0."""
     if isinstance(value, (list, tuple)):
         return tuple(map(_hashable, value))
     if isinstance(value, Mapping):
-        return frozenset((key, _hashable(one)) for key, one in value.items())
+        return frozenset((key, _hashable(item)) for key, item in value.items())
     try:
         hash(value)
     except TypeError:
@@ -121,8 +117,8 @@ def _hashable(value: Any) -> Any:
     return value
 
 
-def _parts(text: str) -> Iterator[str]:
-    """Cut at commas that stand in no bracket and no quotes."""
+def _split(text: str) -> Iterator[str]:
+    """Split at commas outside brackets and quotes."""
     depth, quote, start, escaped = 0, "", 0, False
     for i, letter in enumerate(text):
         if escaped:
@@ -141,9 +137,8 @@ def _parts(text: str) -> Iterator[str]:
     yield text[start:]
 
 
-def _values(part: str, text: str) -> Iterator[Any]:
-    found = _RANGE.fullmatch(part)
-    if found:
+def _parse_values(part: str, text: str) -> Iterator[Any]:
+    if found := _RANGE.fullmatch(part):
         first, last, step = found.groups()
         yield from _range(first, last, step or "0", text)
     elif part.strip():
@@ -153,56 +148,48 @@ def _values(part: str, text: str) -> Iterator[Any]:
 
 
 def _range(first: str, last: str, step: str, text: str) -> Iterator[int | float]:
-    """Yield the values from first to last by a step; last is one of them if a step reaches it exactly."""
-    # decimals, so that 0.1:0.3:0.1 hits its end
+    """Yield the values from first to last; last is included if a step reaches the value exactly."""
+    # decimals represent 0.1:0.3:0.1 exactly
     a, b, h = map(Decimal, (first, last, step))
-    if any(x and abs(x.adjusted()) > MOST_DIGITS for x in (a, b, h)):
-        raise SettingsError(f"'{brief(text)}': the numbers of a range have at most {MOST_DIGITS} digits")
+    if any(x and abs(x.adjusted()) > 30 for x in (a, b, h)):
+        raise SettingsError(f"'{brief(text)}': the numbers of a range have at most 30 digits")
     if not h or (b - a) / h < 0:
         raise SettingsError(f"'{brief(text)}': a range is first:last:step, and the step leads from first to last")
-    if (b - a) / h >= MOST:
-        raise SettingsError(f"'{brief(text)}' has more than {MOST} values; take a larger step")
+    if (b - a) / h >= MAX_VALUES:
+        raise SettingsError(f"'{brief(text)}' has more than {MAX_VALUES} values; take a larger step")
     for i in range(int((b - a) / h) + 1):
         value = a + i * h
         yield int(value) if all(x == x.to_integral_value() for x in (a, h)) else float(value)
 
 
-NAMED = 3
-"""Points that a warning names; the others are counted."""
-
-
 def not_looked_for(points: Sequence[Point]) -> str:
-    """A line about the points whose arrays no receiver looks for; empty where there are none."""
-    found = [(point, text) for point in points if (text := _outside(point.settings))]
-    if not found:
+    """Return a warning about points with arrays outside the size range of the receiver, or an empty text."""
+    excluded = [(point, text) for point in points if (text := _size_conflict(point.settings))]
+    if not excluded:
         return ""
-    named = "; ".join(f"{point.text}: {text}" for point, text in found[:NAMED])
-    more = f"; and {len(found) - NAMED} more" if len(found) > NAMED else ""
+    named = "; ".join(f"{point.text}: {text}" for point, text in excluded[:3])
+    more = f"; and {len(excluded) - 3} more" if len(excluded) > 3 else ""
     return (
-        f"{len(found)} of {len(points)} points have an array that is not looked for ({named}{more}); change "
+        f"{len(excluded)} of {len(points)} points have an array outside the detection range ({named}{more}); change "
         "receive.detect.min_side_px or max_side_px, or the distance"
     )
 
 
-def sides_px(settings: LinkSettings) -> list[tuple[float, float]]:
-    """Smallest and largest side of the arrays' images in px, over the way from the first distance to the last."""
-    channel = settings.channel
-    length = settings.signal.side * channel.emitter.pitch_m * channel.camera.focal_px
-    ways = (channel.distance_m, channel.stop_m) if channel.moves else (channel.distance_m,)
-    places = [[way + array.z_offset_m for way in ways] for array in channel.arrays if not array.vz_m_s]
-    return [(length / max(way), length / min(way)) for way in places if min(way) > 0]
-
-
-def _outside(settings: LinkSettings) -> str:
-    """The array that the receiver never looks for, and what it looks for; empty where there is none."""
-    receive = settings.receive
+def _size_conflict(settings: LinkSettings) -> str:
+    """Return the image side of an array outside the size range of the receiver, or an empty text."""
+    receive, channel = settings.receive, settings.channel
     if not RECEIVERS.is_built_in(receive.receiver):
-        return ""  # it may look for what it likes
+        return ""
     smallest, largest = receive.smallest_side_px, receive.detect.max_side_px
     lowest, highest = size_limits(smallest, largest)
-    for least, most in sides_px(settings):
-        if most < lowest or least > highest:
-            return f"{most:.3g} px a side, looked for are {smallest:g} to {largest:g} px"
+    side = settings.signal.side * channel.emitter.pitch_m * channel.camera.focal_px  # px at 1 m
+    ends = (channel.distance_m, channel.stop_m) if channel.moves else (channel.distance_m,)
+    for array in channel.arrays:
+        distances = [end + array.z_offset_m for end in ends]
+        if array.vz_m_s or min(distances) <= 0:
+            continue
+        if side / min(distances) < lowest or side / max(distances) > highest:
+            return f"{side / min(distances):.3g} px a side, the receiver detects {smallest:g} to {largest:g} px"
     return ""
 
 
@@ -214,56 +201,47 @@ def plan(
     background: Path | None = None,
     imu: Path | None = None,
 ) -> list[Point]:
-    """Points of a sweep, all of them checked."""
+    """Return the validated points of a sweep."""
     if not isinstance(seed, Integral) or not 0 <= seed < 2**63:
         raise SettingsError(f"the seed is a whole number from 0 to 2^63 - 1, not {shown(seed)}")
-    recordings = _recordings(background, imu)
-    use: dict[str, Any] = {"channel": {"background": {"kind": "footage"}}} if background else {}
-    use = merge(use, {"channel": {"shake": "imu"}} if imu else {})
-    tree = merge(use, over or {})
-    return [_point(choice, _settings(choice, preset, tree), int(seed), recordings) for choice in grid(vary)]
+    recordings, tree = {}, dict[str, Any]()
+    if background is not None:
+        load_footage(background)
+        recordings["footage"] = Recorded.of(background)
+        tree = merge(tree, {"channel": {"background": {"kind": "footage"}}})
+    if imu is not None:
+        load_imu(imu)
+        recordings["imu"] = Recorded.of(imu)
+        tree = merge(tree, {"channel": {"shake": "imu"}})
+    tree = merge(tree, over or {})
+    points = []
+    for choice in grid(vary):
+        try:
+            settings = varied(preset, tree, choice)
+        except SettingsError as error:
+            position = ", ".join(f"{key}={value}" for key, value in choice.items())
+            raise SettingsError(f"{error} (at {position})" if position else str(error)) from None
+        channel = settings.channel
+        if channel.background.kind == "footage" and "footage" not in recordings:
+            raise SettingsError("channel.background.kind=footage needs a recording: give it by --background VIDEO")
+        if channel.shake == "imu" and "imu" not in recordings:
+            raise SettingsError("channel.shake=imu needs a recording: give it by --imu CSV")
+        transmitters(settings, [{} for _ in settings.transmit.identities])  # checks the packet size
+        points.append(Point(choice, settings, int(seed), recordings))
+    return points
 
 
-def laid_over(changes: Mapping[str, Any] | Sequence[str]) -> Mapping[str, Any]:
-    """Changes of settings as one nested mapping."""
+def merge_changes(changes: Mapping[str, Any] | Sequence[str]) -> Mapping[str, Any]:
+    """Return changes of settings, by key or as texts, as a nested mapping."""
     if isinstance(changes, str):
         changes = [changes]
     if isinstance(changes, Mapping):
         parts = [nested(key, value) for key, value in changes.items()]
-    elif not isinstance(changes, Iterable):
-        raise SettingsError(f'changes are values by key, such as {{"signal.side": 8}}, not {shown(changes)}')
-    else:
+    elif isinstance(changes, Iterable):
         parts = [parse_assignment(text) for text in changes]
+    else:
+        raise SettingsError(f'changes are values by key, such as {{"signal.side": 8}}, not {shown(changes)}')
     tree: Any = {}
     for part in parts:
         tree = merge(tree, part)
     return tree
-
-
-def _settings(choice: Mapping[str, Any], preset: str, over: Mapping[str, Any]) -> LinkSettings:
-    """Settings of a point; an error names the point where it is one of several."""
-    try:
-        return varied(preset, over, choice)
-    except SettingsError as error:
-        where = ", ".join(f"{key}={value}" for key, value in choice.items())
-        raise SettingsError(f"{error} (at {where})" if where else str(error)) from None
-
-
-def _point(choice: Mapping[str, Any], settings: LinkSettings, seed: int, recordings: Mapping[str, Recorded]) -> Point:
-    channel = settings.channel
-    if channel.background.kind == "footage" and "footage" not in recordings:
-        raise SettingsError("channel.background.kind=footage needs a recording: give it by --background VIDEO")
-    if channel.shake == "imu" and "imu" not in recordings:
-        raise SettingsError("channel.shake=imu needs a recording: give it by --imu CSV")
-    transmitters(settings, [{} for _ in settings.transmit.identities])  # a packet may be too small for a codeword
-    return Point(choice, settings, seed, recordings)
-
-
-def _recordings(background: Path | None, imu: Path | None) -> dict[str, Recorded]:
-    """Recordings with their digests, once it is known that they can be read."""
-    found = {}
-    for name, path, load in (("footage", background, load_footage), ("imu", imu, load_imu)):
-        if path is not None:
-            load(path)
-            found[name] = Recorded.of(path)
-    return found

@@ -1,4 +1,4 @@
-"""Error rates of a Dataset as a picture: points with intervals, bounds where no error was met."""
+"""Plots of error rates: points with intervals, and upper bounds for zero errors."""
 
 import sys
 from typing import TYPE_CHECKING, Any
@@ -22,32 +22,31 @@ RATES = {
 MARKS = "osD^vP*X"
 
 ARROW = r"$\downarrow$"
-"""Mark of an upper bound."""
+"""Marker of an upper bound."""
 
-BOUND, MISSED = "no error met: the rate is below (95 %)", "no packet found"
-"""Ids of bounds and of missed arrays in axes, and what a legend says of them."""
+BOUND, MISSED = "no error: upper bound of the rate (95 %)", "no packet found"
+"""Legend texts, and ids in axes, of upper bounds and missed arrays."""
 
 
 def plot_rates(
     data: "xarray.Dataset", rate: str = "fer", along: str | None = None, axes: "Axes | None" = None
 ) -> "Axes":
-    """Draw an error rate of a sweep over one of its keys, a line for each layer and each choice of the other keys.
+    """Plot an error rate of a sweep over a key, a line for each layer and combination of the other keys.
 
-    Lines join measured rates, each with its 95 % interval. An open mark with an arrow down is an upper bound: no error
-    was met. A cross at the lower edge marks a choice at which no packet was found, so that its rate says nothing of a
-    link. The legend explains arrows and crosses.
+    Measured rates have 95 % intervals. An open marker with an arrow is an upper bound for zero errors. A cross at the
+    lower edge marks a point with no received packet. The legend explains arrows and crosses.
 
     Parameters
     ----------
     data
-        Dataset of `sweep`, or a part of it.
+        Dataset of `sweep`, or a selection.
     rate
-        "ber" after the decoder, "raw_ber" before it by the first equalisation, "final_raw_ber" by the last one, or
-        "fer" of codewords.
+        "ber" after the decoder, "raw_ber" by the first equalisation, "final_raw_ber" by the last equalisation, or "fer"
+        of codewords.
     along
-        Key on the horizontal axis; None: the first that has numbers and more than one value, else the first.
+        Key on the horizontal axis; by default, the first key with several numbers, or the first key.
     axes
-        Where to draw; None: in a figure of its own, which is ``plot_rates(...).figure``.
+        Axes for the plot; by default, of a new figure, ``plot_rates(...).figure``.
 
     Returns
     -------
@@ -56,13 +55,13 @@ def plot_rates(
     Raises
     ------
     HeliographError
-        There is no such rate or key, or nothing varies; or it is no Dataset.
+        The rate or key is unknown, no key varies, or the data are no Dataset.
     """
-    # who has a Dataset has loaded xarray, which need not be installed
+    # a Dataset implies that xarray is loaded
     if not isinstance(data, getattr(sys.modules.get("xarray"), "Dataset", ())):
         raise HeliographError(f"plot_rates draws the xarray.Dataset of heliograph.sweep, not {shown(data)}")
     if rate not in RATES:
-        raise HeliographError(f"there is no rate '{rate}'; there are {', '.join(RATES)}")
+        raise HeliographError(f"unknown rate '{rate}'; there are {', '.join(RATES)}")
     keys = [str(key) for key in data[rate].dims if key != "layer"]
     key = _along(data, keys) if along is None else along
     if key not in keys:
@@ -88,7 +87,7 @@ def plot_rates(
 
 
 def legend_entries(axes: "Axes") -> tuple[list[Any], list[str]]:
-    """Return what a legend shows of axes with error rates: all labels, and what arrows and crosses mean."""
+    """Return handles and labels of a legend: all lines, and the meaning of arrows and crosses."""
     from matplotlib.lines import Line2D
 
     handles, labels = axes.get_legend_handles_labels()
@@ -102,26 +101,27 @@ def legend_entries(axes: "Axes") -> tuple[list[Any], list[str]]:
 
 def _along(data: "xarray.Dataset", keys: list[str]) -> str:
     if not keys:
-        raise HeliographError("nothing varies in this Dataset: there is no axis to draw along")
+        raise HeliographError("nothing varies in this Dataset: the plot needs an axis")
     several = [key for key in keys if data.sizes[key] > 1 and np.issubdtype(data[key].dtype, np.number)]
     return (several or keys)[0]
 
 
 def _line(axes: "Axes", part: Any, rate: str, key: str, label: str, style: tuple[int, int]) -> None:
-    """Draw measured rates with intervals and a line, bounds with arrows, and crosses where nothing was found."""
+    """Plot measured rates with intervals, bounds with arrows, and missed points with crosses."""
     layer, number = style
     x, y = part[key].values, part[rate].values
     low, high = part[f"{rate}_low"].values, part[f"{rate}_high"].values
     bound, found = part[f"{rate}_is_bound"].values.astype(bool), part["detected"].values > 0
     counted = ~np.isnan(y) & found
-    look: dict[str, Any] = {"color": f"C{layer}", "marker": MARKS[number % len(MARKS)]}
-    seen = counted & ~bound
-    axes.plot(x[seen], y[seen], lw=1, label=label, **look)
-    axes.errorbar(x[seen], y[seen], [y[seen] - low[seen], high[seen] - y[seen]], fmt="none", ecolor=f"C{layer}", lw=1)
+    style_of_line: dict[str, Any] = {"color": f"C{layer}", "marker": MARKS[number % len(MARKS)]}
+    measured = counted & ~bound
+    axes.plot(x[measured], y[measured], lw=1, label=label, **style_of_line)
+    errors = [(y - low)[measured], (high - y)[measured]]
+    axes.errorbar(x[measured], y[measured], errors, fmt="none", ecolor=f"C{layer}", lw=1)
     bounds = counted & bound
     if bounds.any():
         reach = [high[bounds] * 0.5, np.zeros(bounds.sum())]
-        axes.plot(x[bounds], high[bounds], ls="none", mfc="none", gid=BOUND, **look)
+        axes.plot(x[bounds], high[bounds], ls="none", mfc="none", gid=BOUND, **style_of_line)
         axes.errorbar(x[bounds], high[bounds], reach, fmt="none", ecolor=f"C{layer}", uplims=True, lw=1)
     if (~found).any():
         edge = np.full((~found).sum(), 0.02)

@@ -1,4 +1,4 @@
-"""Points of a sweep: what identifies them, and the work of their blocks."""
+"""Points of a sweep: identity, seeds, and the computation of blocks."""
 
 import hashlib
 import json
@@ -23,16 +23,16 @@ from heliograph.measure.bench import run_block
 
 @dataclass(frozen=True)
 class Recorded:
-    """A recording by its path and by a digest of its content, which distinguishes it from others of its name."""
+    """Recording, identified by path and content."""
 
-    # Absolute name of the file
+    # Absolute path
     path: str
-    # First 32 hexadecimal digits of the SHA-256 of its content
+    # First 32 hexadecimal digits of the SHA-256 of the content
     digest: str
 
     @classmethod
     def of(cls, path: Path) -> "Recorded":
-        """Return the recording in a file, as it is now."""
+        """Return the recording in a file."""
         try:
             with path.open("rb") as file:
                 return cls(str(path.resolve()), hashlib.file_digest(file, "sha256").hexdigest()[:32])
@@ -42,42 +42,41 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Point:
-    """One point of a sweep."""
+    """Point of a sweep."""
 
-    # What varies, by key as it was given
+    # Varied values by key
     choice: Mapping[str, Any]
-    # The whole link at this point
     settings: LinkSettings
-    # Seed of the sweep, 0 to 2^63 - 1, the same at all points
+    # Seed of the sweep, 0 to 2^63 - 1
     seed: int
-    # Recordings by kind, "footage" and "imu"; empty where there are none
+    # Recordings by kind, "footage" and "imu"
     recordings: Mapping[str, Recorded] = field(default_factory=dict)
 
     @property
     def key(self) -> str:
-        """Key of the point's blocks in a store: a digest of all that they depend on."""
-        about = [to_mapping(self.settings), self.seed, build(), registry.digest()]
-        return _digest([*about, {name: one.digest for name, one in sorted(self.recordings.items())}])
+        """Key of the blocks in a store: a digest of all inputs."""
+        recordings = {name: recorded.digest for name, recorded in sorted(self.recordings.items())}
+        return _digest([to_mapping(self.settings), self.seed, build(), registry.digest(), recordings])
 
     def block_seed(self, block: int) -> int:
-        """Seed of a block. It does not depend on the receiver: all receivers get the same films."""
+        """Return the seed of a block, equal for all receivers."""
         scene = {k: v for k, v in to_mapping(self.settings).items() if k != "receive"}
         sequence = np.random.SeedSequence([self.seed, int(_digest(scene), 16)], spawn_key=(block,))
         return int(sequence.generate_state(1, np.uint64)[0])
 
     def job(self, block: int) -> dict[str, Any]:
-        """A block's work as plain values, for a worker anywhere."""
-        recordings = {name: asdict(one) for name, one in self.recordings.items()}
+        """Return the input of `run_job` for a block as plain values."""
+        recordings = {name: asdict(recorded) for name, recorded in self.recordings.items()}
         return {"settings": to_mapping(self.settings), "seed": self.block_seed(block), "recordings": recordings}
 
     @property
     def text(self) -> str:
-        """The varied keys and their values, as a line."""
+        """Varied keys and values on a line."""
         return ", ".join(f"{key}={value}" for key, value in self.choice.items()) or "the point"
 
 
 def build() -> str:
-    """Version and a digest of the package's code: results depend on it as they do on settings and seed."""
+    """Return version and code digest of the package, on which results depend."""
     return f"{__version__}+{_code_digest()}"
 
 
@@ -90,8 +89,8 @@ def _code_digest() -> str:
 
 
 def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
-    """Compute a block: its counts as plain values, its computing time in s, and the version that did it."""
-    recordings = {name: _load(name, Recorded(**one)) for name, one in work["recordings"].items()}
+    """Compute a block; return counts as plain values, computing time in s and version."""
+    recordings = {name: load_recording(name, Recorded(**recorded)) for name, recorded in work["recordings"].items()}
     settings = from_mapping(LinkSettings, work["settings"])
     began = time.perf_counter()
     counts = run_block(settings, work["seed"], Recordings(**recordings))
@@ -99,13 +98,11 @@ def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def _load(kind: str, recorded: Recorded) -> Any:
-    """A recording, if its content is that the results are kept under; machines of a cluster may have others."""
+def load_recording(kind: str, recorded: Recorded) -> Any:
+    """Load a recording, "footage" or "imu", and verify the content."""
     path = Path(recorded.path)
     if Recorded.of(path).digest != recorded.digest:
-        raise MediaError(
-            f"the recording {path} is not the one the sweep was planned with; give all workers the same file"
-        )
+        raise MediaError(f"the recording {path} has changed since planning; restore it, on all workers")
     return load_footage(path) if kind == "footage" else load_imu(path)
 
 

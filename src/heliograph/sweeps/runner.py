@@ -1,8 +1,8 @@
-"""Blocks of a sweep computed by any number of workers, resumable, with progress on a terminal."""
+"""Execution of the blocks of a sweep by workers, resumable, with a progress bar."""
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from typing import Any
 
@@ -14,6 +14,7 @@ from heliograph.sweeps.store import Store
 from heliograph.sweeps.tally import PointTally
 
 PointProgress = Callable[[Sequence[PointTally]], None]
+Jobs = dict[Future[dict[str, Any]], tuple[PointTally, int]]
 
 
 def silent(tallies: Sequence[PointTally], /) -> None:
@@ -21,80 +22,62 @@ def silent(tallies: Sequence[PointTally], /) -> None:
 
 
 def recall_all(tallies: Sequence[PointTally], store: Store) -> None:
-    """Count what the store holds of each point, and keep the points' settings in it."""
+    """Add the stored blocks of each point, and store the settings of the points."""
     for tally in tallies:
         store.note(tally.point)
         _recall(tally, store)
 
 
 def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress: PointProgress = silent) -> None:
-    """Count until all points have enough; the tallies hold the results so far at any time."""
+    """Compute blocks until all points are complete; the tallies always have the results so far."""
     progress(tallies)
-    flying: dict[Future[dict[str, Any]], tuple[PointTally, int]] = {}
+    jobs: Jobs = {}
     losses = 0
-    while _fill(flying, tallies, store, workers):
-        ended, _ = wait(flying, return_when=FIRST_COMPLETED)
-        lost = [_take(future, *flying.pop(future), store) for future in ended]
+    while _submit(jobs, tallies, store, workers):
+        finished, _ = wait(jobs, return_when=FIRST_COMPLETED)
+        lost = [not _collect(future, *jobs.pop(future), store) for future in finished]
         losses = losses + 1 if all(lost) else 0
-        # times in a row that workers may be lost without a block done in between
         if losses >= 4:
             raise HeliographError(
                 f"worker processes died {losses} times in a row; is memory short? Take fewer workers, and in a script "
                 "call sweep() under 'if __name__ == \"__main__\":'"
             )
         if any(lost):
-            flying.clear()  # all are lost with the pool; whatever was done is in the store or done again
+            jobs.clear()  # the other jobs of the pool are lost as well
             workers.restart()
         progress(tallies)
 
 
-def _fill(
-    flying: dict[Future[dict[str, Any]], tuple[PointTally, int]],
-    tallies: Sequence[PointTally],
-    store: Store,
-    workers: Workers,
-) -> bool:
-    """Hand in blocks until all workers have one; whether any is under way."""
+def _submit(jobs: Jobs, tallies: Sequence[PointTally], store: Store, workers: Workers) -> bool:
+    """Submit blocks until all slots are busy; return True if jobs are pending."""
     slots = workers.slots
-    while len(flying) < slots:
-        chosen = _next(flying, tallies, slots)
-        if chosen is None:
+    while len(jobs) < slots:
+        # of the first incomplete points, that with the fewest jobs
+        pending = [tally for tally in tallies if not tally.done][:slots]
+        if not pending:
             break
-        tally, block = chosen
-        if _recall(tally, store):  # another sweep on this store may be ahead
+        busy = {id(tally): {block for other, block in jobs.values() if other is tally} for tally in pending}
+        tally = min(pending, key=lambda t: len(busy[id(t)]))
+        if _recall(tally, store):  # from a concurrent sweep on this store
             continue
-        flying[workers.submit(run_job, tally.point.job(block))] = tally, block
-    return bool(flying)
+        block = tally.blocks
+        while tally.has(block) or block in busy[id(tally)]:
+            block += 1
+        jobs[workers.submit(run_job, tally.point.job(block))] = tally, block
+    return bool(jobs)
 
 
-def _next(
-    flying: Mapping[Future[dict[str, Any]], tuple[PointTally, int]], tallies: Sequence[PointTally], slots: int
-) -> tuple[PointTally, int] | None:
-    """The next block: of the first points that lack some, the one with fewest under way."""
-    ahead: dict[int, list[int]] = {}
-    for tally, block in flying.values():
-        ahead.setdefault(id(tally), []).append(block)
-    open_ones = [tally for tally in tallies if not tally.done][:slots]
-    if not open_ones:
-        return None
-    tally = min(open_ones, key=lambda t: len(ahead.get(id(t), ())))
-    block = tally.blocks
-    while tally.has(block) or block in ahead.get(id(tally), ()):
-        block += 1
-    return tally, block
-
-
-def _take(future: Future[dict[str, Any]], tally: PointTally, block: int, store: Store) -> bool:
-    """Count and keep a block; whether it was lost with its worker."""
+def _collect(future: Future[dict[str, Any]], tally: PointTally, block: int, store: Store) -> bool:
+    """Count and store a block; return False if the worker died."""
     try:
         result = future.result()
     except BrokenExecutor:
-        return True
+        return False
     except CancelledError:
         raise HeliographError("the connection to the Dask scheduler was lost; the results so far are kept") from None
     except HeliographError as error:
         raise HeliographError(f"{tally.point.text}: {error}") from None
-    except Exception as error:  # of a worker anywhere: no memory, no heliograph, killed once too often
+    except Exception as error:  # any failure of a worker
         reason = " ".join(str(error).split())[:200]
         raise HeliographError(f"{tally.point.text}: a worker failed with {type(error).__name__}: {reason}") from error
     if result["version"] != build():
@@ -102,29 +85,25 @@ def _take(future: Future[dict[str, Any]], tally: PointTally, block: int, store: 
     counts = BlockCounts.from_plain(result["counts"])
     store.add(tally.point, block, counts, result["seconds"])
     tally.add(block, counts, result["seconds"])
-    return False
+    return True
 
 
 def _recall(tally: PointTally, store: Store) -> bool:
-    """Count what the store holds; whether there was anything new."""
+    """Add the stored blocks of a point; return True if any is new."""
     new = {block: row for block, row in store.blocks(tally.point, tally.blocks).items() if not tally.has(block)}
     for block, (counts, seconds) in new.items():
         tally.add(block, counts, seconds)
     return bool(new)
 
 
-SCALE = 1000
-"""Parts of a point in the progress bar."""
-
-
 def on_a_terminal() -> bool:
-    """Whether somebody sees what is written to standard error."""
+    """Return True if standard error is a terminal."""
     return sys.stderr is not None and sys.stderr.isatty()
 
 
 @contextlib.contextmanager
 def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
-    """A bar on standard error, with the points done and the time left."""
+    """Show a progress bar on standard error with the completed points and the remaining time."""
     if not (on_a_terminal() if shown is None else shown):
         yield silent
         return
@@ -132,15 +111,13 @@ def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    # a block may take longer than Rich's half a minute, without which it has no speed
     screen = Console(stderr=True, force_terminal=True)
-    # time in s over which the speed is averaged that the time left is estimated from
-    period = 3600.0
-    with Progress(*columns, console=screen, transient=True, speed_estimate_period=period) as progress:
-        task = progress.add_task("sweeping", total=SCALE * points)
+    # the default period of 30 s is too short for long blocks
+    with Progress(*columns, console=screen, transient=True, speed_estimate_period=3600.0) as progress:
+        task = progress.add_task("sweeping", total=1000 * points)
 
         def show(tallies: Sequence[PointTally]) -> None:
             done = f"{sum(t.done for t in tallies)} of {points} points"
-            progress.update(task, description=done, completed=round(SCALE * sum(t.fraction for t in tallies)))
+            progress.update(task, description=done, completed=round(1000 * sum(t.fraction for t in tallies)))
 
         yield show

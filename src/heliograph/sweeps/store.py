@@ -1,7 +1,6 @@
-"""Results of sweeps in one SQLite file: a row per block, so that nothing done is lost or done again.
+"""Results of sweeps in a SQLite file, a row and a transaction per block.
 
-Rows are keyed by all that a block depends on (see `Point.key`). A transaction a block: whatever is killed, and when,
-the file holds whole blocks. Several sweeps may write to one file at a time.
+`Point.key` identifies the inputs of a block. Concurrent sweeps may share a file.
 """
 
 import contextlib
@@ -13,13 +12,13 @@ from typing import Any
 
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import MediaError
-from heliograph.measure.counts import MOST_NUMBER, BlockCounts
+from heliograph.measure.counts import MAX_NUMBER, BlockCounts
 from heliograph.sweeps.points import Point, build
 
 NAME = "results.sqlite"
 
 FORMAT = 1
-"""Number of the tables' form, in the file's user_version."""
+"""Version of the tables, the user_version of the file."""
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS points (
@@ -30,25 +29,19 @@ CREATE TABLE IF NOT EXISTS blocks (
     computed INTEGER NOT NULL DEFAULT 1, PRIMARY KEY (key, block)) WITHOUT ROWID;
 """
 
-_ADD = """
-INSERT INTO blocks (key, block, counts, seconds) VALUES (?, ?, ?, ?)
-ON CONFLICT (key, block) DO UPDATE SET computed = computed + 1
-"""
-
 
 class Store:
-    """The file of results."""
+    """File of results; in memory by default."""
 
     def __init__(self, folder: Path | None = None):
         self.path = folder / NAME if folder else None
-        with self._clear():
+        with self._media_errors():
             if folder:
                 folder.mkdir(parents=True, exist_ok=True)
-            # how long to wait for another sweep's transaction
             self._db = sqlite3.connect(self.path or ":memory:", timeout=60.0, isolation_level=None)
             try:
                 self._open()
-            except BaseException:  # Ctrl-C too must not leave the file open
+            except BaseException:  # includes Ctrl-C
                 self._db.close()
                 raise
 
@@ -75,7 +68,7 @@ class Store:
         self._db.close()
 
     def note(self, point: Point) -> None:
-        """Keep the settings of a point."""
+        """Store the settings of a point."""
         about = (
             point.key,
             build(),
@@ -84,37 +77,38 @@ class Store:
             json.dumps(to_mapping(point.settings)),
             json.dumps({name: [one.path, one.digest] for name, one in point.recordings.items()}),
         )
-        with self._clear(), self._transaction():
+        with self._media_errors(), self._transaction():
             self._db.execute("INSERT OR IGNORE INTO points VALUES (?, ?, ?, ?, ?, ?)", about)
 
     def add(self, point: Point, block: int, counts: BlockCounts, seconds: float) -> None:
-        """Keep a block; where another sweep was faster, its row stays."""
+        """Store a block; an existing row of another sweep is kept."""
         row = (point.key, block, json.dumps(counts.to_plain()), seconds)
-        with self._clear(), self._transaction():
-            self._db.execute(_ADD, row)
+        with self._media_errors(), self._transaction():
+            self._db.execute(
+                "INSERT INTO blocks (key, block, counts, seconds) VALUES (?, ?, ?, ?) "
+                "ON CONFLICT (key, block) DO UPDATE SET computed = computed + 1",
+                row,
+            )
 
     def blocks(self, point: Point, first: int = 0) -> Mapping[int, tuple[BlockCounts, float]]:
-        """Counts and computing time in s of a point's blocks, by number."""
-        question = "SELECT block, counts, seconds FROM blocks WHERE key = ? AND block >= ? ORDER BY block"
-        with self._clear():
-            rows = self._db.execute(question, (point.key, first)).fetchall()
-        return {block: self._counted(point, block, counts, seconds) for block, counts, seconds in rows}
+        """Return counts and computing time in s of the blocks of a point by number."""
+        query = "SELECT block, counts, seconds FROM blocks WHERE key = ? AND block >= ? ORDER BY block"
+        with self._media_errors():
+            rows = self._db.execute(query, (point.key, first)).fetchall()
+        return {block: self._parse(point, block, counts, seconds) for block, counts, seconds in rows}
 
-    def _counted(self, point: Point, block: Any, counts: Any, seconds: Any) -> tuple[BlockCounts, float]:
-        """A row's values; a MediaError where they were altered or damaged."""
+    def _parse(self, point: Point, block: Any, counts: Any, seconds: Any) -> tuple[BlockCounts, float]:
+        """Return the values of a row; raise MediaError for invalid values."""
         try:
-            if not isinstance(block, int):
-                raise ValueError("its number is no whole number")
-            if not isinstance(seconds, (int, float)) or not 0 <= seconds < MOST_NUMBER:
-                raise ValueError("its computing time is no number from 0")
-            if not isinstance(counts, str):
-                raise ValueError("its counts are no text")
+            valid = isinstance(block, int) and isinstance(counts, str) and isinstance(seconds, (int, float))
+            if not valid or not 0 <= seconds < MAX_NUMBER:
+                raise ValueError("invalid block number, counts or computing time")
             return BlockCounts.from_plain(json.loads(counts)), float(seconds)
         except (ValueError, RecursionError) as error:
-            reason = "its counts are no JSON" if isinstance(error, (json.JSONDecodeError, RecursionError)) else error
+            reason = "the counts are no JSON" if isinstance(error, (json.JSONDecodeError, RecursionError)) else error
             raise MediaError(
                 f"{self.path or 'the store'} is damaged in block {str(block)[:20]} of {point.text}: {reason}; move the "
-                "file away to count anew, or choose another folder"
+                "file away to restart, or choose another folder"
             ) from None
 
     @contextlib.contextmanager
@@ -122,14 +116,14 @@ class Store:
         self._db.execute("BEGIN IMMEDIATE")
         try:
             yield
-        except BaseException:  # Ctrl-C too must not leave half a block
+        except BaseException:  # includes Ctrl-C
             self._db.execute("ROLLBACK")
             raise
         self._db.execute("COMMIT")
 
     @contextlib.contextmanager
-    def _clear(self) -> Iterator[None]:
-        """Turn errors of SQLite and of the system into one line."""
+    def _media_errors(self) -> Iterator[None]:
+        """Convert errors of SQLite and the system."""
         try:
             yield
         except (sqlite3.Error, OSError, ValueError, TypeError, KeyError) as error:

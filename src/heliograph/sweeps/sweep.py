@@ -1,4 +1,4 @@
-"""Sweeps: error rates over a grid of settings, as a function and as files."""
+"""Sweeps: error rates over a grid of settings, as a Dataset and as files."""
 
 import contextlib
 import csv
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.files import write_whole
 from heliograph.sweeps.executors import fewer_workers, open_workers
-from heliograph.sweeps.plan import laid_over, listed, not_looked_for, plan
+from heliograph.sweeps.plan import merge_changes, not_looked_for, plan, value_lists
 from heliograph.sweeps.runner import PointProgress, bar, recall_all, run, silent
 from heliograph.sweeps.store import Store
 from heliograph.sweeps.tally import PointTally, StopRule
@@ -38,54 +38,56 @@ def sweep(
     imu: Path | str | None = None,
     progress: bool | None = None,
 ) -> "xarray.Dataset":
-    """Error rates over a grid of settings as an xarray Dataset.
+    """Measure error rates over a grid of settings as an xarray Dataset.
 
     Parameters
     ----------
     vary
         Values by dotted key, such as ``{"channel.distance_m": [40, 60, 80], "receiver": ["plain"]}``.
     preset
-        Preset to start from.
+        Name of the preset.
     set
-        What else to change: values by dotted key, or texts such as ``"signal.data_pairs=16"``.
+        Further changes: values by dotted key, or texts such as ``"signal.data_pairs=16"``.
     seed
-        Of all that is random; the result depends on it, not on the workers.
+        Random seed; results are independent of the workers.
     workers
-        Processes; 1 computes in this one, None takes one per core. In a script, more than one need a call under
+        Number of processes; 1 for this process, None for one per core. In a script, several processes need a call under
         ``if __name__ == "__main__":``.
     scheduler
         Address of a Dask scheduler in place of `workers` (then None).
     output
-        Folder of the store that makes the sweep resumable; None keeps nothing.
+        Folder of the store for resuming the sweep; None for no store.
     min_errors, max_codewords, max_seconds
-        When a point has enough: wrong codewords, codewords and computing time in s, as of `StopRule`.
+        Limits of a point: wrong codewords, codewords and computing time in s, see `StopRule`.
     background, imu
-        Files of footage and of motion for the channel; None where there are none.
+        Files of footage and motion for the channel, if any.
     progress
-        Whether a bar shows how far it is; None: on a terminal only.
+        True for a progress bar; None for a bar on a terminal only.
 
     Returns
     -------
-    Dataset with a dimension for each varied key and "layer"; units and provenance in its attributes. `plot_rates` draws
-    it.
+    Dataset with a dimension for each varied key and "layer", and attributes for units and provenance; see `plot_rates`.
 
     Raises
     ------
     HeliographError
-        A setting is wrong, or xarray is not installed.
+        A setting is invalid, or xarray is not installed.
 
     Warns
     -----
     UserWarning
-        Points have arrays too small or too large to be looked for, or fewer workers start than were asked for.
+        Points have arrays outside the detection range, or the cores cannot feed the number of workers.
     """
     from heliograph.sweeps.dataset import need_xarray, to_dataset
 
     need_xarray()
-    _check(workers, scheduler)
+    if not isinstance(workers, Integral | None):
+        raise HeliographError(f"workers are a whole number, or None for one a core, not {shown(workers)}")
+    if not isinstance(scheduler, str | None):
+        raise HeliographError(f"a scheduler is an address, such as 'tcp://127.0.0.1:8786', not {shown(scheduler)}")
     rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
-    grid = listed(vary)
-    points = plan(grid, preset, laid_over(set), seed, _path(background), _path(imu))
+    grid = value_lists(vary)
+    points = plan(grid, preset, merge_changes(set), seed, _path(background), _path(imu))
     tallies = [PointTally(point, rule) for point in points]
     for text in filter(None, (not_looked_for(points), fewer_workers(workers))):
         warnings.warn(text, stacklevel=2)
@@ -101,8 +103,8 @@ def count(
     scheduler: str | None = None,
     progress: PointProgress = silent,
 ) -> None:
-    """Open store and workers, `run`, and write the results so far however it ends."""
-    # workers that are not there leave no folder behind
+    """Open store and workers, `run`, and write the results, also after an interruption."""
+    # if the workers fail to open, no folder is created
     with contextlib.closing(open_workers(workers, scheduler)) as crew, Store(output) as store:
         recall_all(tallies, store)
         try:
@@ -113,7 +115,7 @@ def count(
 
 
 def write_results(folder: Path, tallies: Sequence[PointTally]) -> None:
-    """Write points.json and points.csv, each whole or not at all."""
+    """Write points.json and points.csv atomically."""
     reports = [tally.report() for tally in tallies]
     write_whole(folder / "points.json", (json.dumps(reports, indent=1) + "\n").encode())
     rows = [
@@ -134,19 +136,12 @@ def write_results(folder: Path, tallies: Sequence[PointTally]) -> None:
 
 
 def _flat(layer: Mapping[str, Any]) -> dict[str, Any]:
-    """A layer's report with intervals as two columns each."""
+    """Return the report of a layer with two columns per interval."""
     flat = {name: value for name, value in layer.items() if not name.endswith("_ci")}
     for name in [name for name in layer if name not in flat]:
         rate = name.removesuffix("_ci")
         flat[f"{rate}_low"], flat[f"{rate}_high"] = layer[name]
     return flat
-
-
-def _check(workers: object, scheduler: object) -> None:
-    if not isinstance(workers, Integral | None):
-        raise HeliographError(f"workers are a whole number, or None for one a core, not {shown(workers)}")
-    if not isinstance(scheduler, str | None):
-        raise HeliographError(f"a scheduler is an address, such as 'tcp://127.0.0.1:8786', not {shown(scheduler)}")
 
 
 def _path(path: Path | str | None) -> Path | None:

@@ -1,4 +1,4 @@
-"""Counts of a point, and the rule that ends it."""
+"""Counts of a point, and the stop rule."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -8,7 +8,7 @@ import numpy as np
 
 from heliograph import __version__
 from heliograph.base.errors import SettingsError, shown
-from heliograph.measure.bench import stands_still
+from heliograph.measure.bench import is_static
 from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.sweeps.points import Point
 
@@ -17,13 +17,13 @@ _NUMBER = (int, float, np.integer, np.floating)
 
 @dataclass(frozen=True, kw_only=True)
 class StopRule:
-    """When a point has been counted for long enough."""
+    """Rule for the completion of a point."""
 
-    # A layer has enough with so many wrong codewords,
+    # Wrong codewords that complete a layer
     min_errors: int = 50
-    # Or with so many codewords; blocks are counted whole. A point has enough when all its layers have
+    # Codewords that complete a layer; a point is complete with all layers
     max_codewords: int = 1000
-    # Computing time of a point in s, of all workers together, after which no block is begun; None: no limit
+    # Limit of the total computing time of a point in s
     max_seconds: float | None = None
 
     def __post_init__(self) -> None:
@@ -38,7 +38,7 @@ class StopRule:
 
 
 class PointTally:
-    """Blocks of a point, counted in their order whatever the order in which they come."""
+    """Sum of the blocks of a point in block order, independent of the order of arrival."""
 
     def __init__(self, point: Point, rule: StopRule):
         self.point, self.rule = point, rule
@@ -48,7 +48,7 @@ class PointTally:
         self._waiting: dict[int, tuple[BlockCounts, float]] = {}
 
     def add(self, block: int, counts: BlockCounts, seconds: float) -> None:
-        """Take a block; it is counted once all before it are, unless the point has enough by then."""
+        """Add a block, and count consecutive blocks until the point is complete."""
         if block >= self.blocks:
             self._waiting[block] = counts, seconds
         while not self.done and self.blocks in self._waiting:
@@ -58,30 +58,30 @@ class PointTally:
             self.blocks += 1
 
     def has(self, block: int) -> bool:
-        """Whether a block was taken."""
+        """Return True if a block was added."""
         return block < self.blocks or block in self._waiting
 
     @property
     def done(self) -> bool:
-        """Whether the point has enough."""
+        """True if the point is complete."""
         return self.ending is not None
 
     @property
     def ending(self) -> str | None:
-        """Why the point has enough: "errors", "codewords", "seconds" or "empty"; None if it has not."""
+        """Reason for completion: "errors", "codewords", "seconds" or "empty"; None if incomplete."""
         layers, rule = self.total.layers.values(), self.rule
         if all(layer.codeword_errors >= rule.min_errors for layer in layers):
             return "errors"
         if all(self._layer_fraction(layer) >= 1 for layer in layers) or self.blocks >= rule.max_codewords:
             return "codewords"
-        # blocks without any codeword after which a point is given up: its films hold no whole packet
+        # the films contain no complete packet
         if self.blocks >= 3 and not self.total.codewords:
             return "empty"
         return "seconds" if rule.max_seconds is not None and self.seconds >= rule.max_seconds else None
 
     @property
     def fraction(self) -> float:
-        """Fraction of the point that is done, 0 to 1."""
+        """Completed fraction of the point, 0 to 1."""
         if self.done:
             return 1.0
         counted = min(map(self._layer_fraction, self.total.layers.values()))
@@ -89,12 +89,12 @@ class PointTally:
 
     @property
     def net_bits_per_second(self) -> float | None:
-        """Payload of the codewords read by time of film; None without films."""
+        """Payload of decoded codewords per film time; None for zero films."""
         total = self.total
         return sum(total.payload_bits.values()) / total.film_s if total.film_s else None
 
     def report(self) -> dict[str, Any]:
-        """The point as plain values, for JSON."""
+        """Return the point as plain values for JSON."""
         total = self.total
         out: dict[str, Any] = {
             "settings": dict(self.point.choice),
@@ -111,7 +111,7 @@ class PointTally:
             "seed": self.point.seed,
             "version": __version__,
         }
-        if not stands_still(self.point.settings):
+        if not is_static(self.point.settings):
             bins = sorted(total.bins.items())
             out["distances"] = [
                 {"from_m": start, "layers": {n: layer_report(c) for n, c in layers.items()}} for start, layers in bins
@@ -124,13 +124,12 @@ class PointTally:
 
 
 def layer_report(counts: LayerCounts) -> dict[str, Any]:
-    """Counts of a layer with their rates and 95 % intervals; None where nothing was counted.
+    """Return counts, rates and 95 % intervals of a layer; rates are None for zero trials.
 
-    Intervals are Clopper-Pearson's, of the bit error rate at the effective number of bits, since bits of a packet fail
-    together (see `Clustered`). "ber" is the bit error rate after the turbo decoder. "raw_ber" is the rate before the
-    decoder, by the first equalisation; "final_raw_ber" is that by the last equalisation, when codewords decoded by then
-    no longer disturb. "ber_is_bound" and so on mark where no error was met: the rate 0 then means no more than that it
-    is below the interval's upper end. "packets_read" are the packets whose bits are counted.
+    Intervals are Clopper-Pearson intervals, for bits at the effective number of bits (see `Clustered`). "ber" is the
+    bit error rate after the turbo decoder, "raw_ber" the rate by the first equalisation, and "final_raw_ber" the rate
+    by the last equalisation, after cancellation of decoded codewords. "ber_is_bound" etc. mark zero errors with an
+    upper bound. "packets_read" is the number of packets with counted bits.
     """
     out: dict[str, Any] = {"packets_read" if name == "packets" else name: n for name, n in asdict(counts).items()}
     rates = {"ber": counts.decoded, "raw_ber": counts.raw, "final_raw_ber": counts.final_raw, "fer": counts.words}

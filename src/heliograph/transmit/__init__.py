@@ -1,4 +1,4 @@
-"""The transmitter: messages -> timed LED patterns."""
+"""Transmitter: messages to timed LED patterns."""
 
 from heliograph.transmit.transmitter import Content, TimedPattern, TransmitSettings, Transmitter
 

@@ -1,4 +1,4 @@
-"""The transmitter: messages by layer -> an endless sequence of timed LED patterns (section 12 of the air interface)."""
+"""Transmitter: messages by layer to an infinite sequence of timed LED patterns (section 12 of the air interface)."""
 
 import operator
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,22 +25,21 @@ from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import LAYERS, SignalSettings, check_signal
 
 Content = bytes | Updates | SentFile
-"""What a layer may send."""
+"""Content of a layer."""
 
 
 @clear_errors
 @checked(frozen=True, kw_only=True, config=CONFIG)
 class TransmitSettings:
-    """Settings of the transmitters: identities of the arrays and formats of their packets.
+    """Settings of the transmitters: array identities and packet formats.
 
     Attributes
     ----------
     identities
-        Identity of each array, 0 to 29, in the order of ``channel.arrays``; all different. The value has no effect on
-        range or rate.
+        Distinct identities of the arrays, 0 to 29, in the order of ``channel.arrays``; no effect on range or rate.
     formats
-        Formats of the packets, mode and code rates, used in turn and signalled in the packets' headers; empty for
-        paired packets at the rates of ``signal.rate``. Signalled formats need the receiver "soft".
+        Packet formats, mode and code rates, in cyclic order and signalled in the headers; by default, paired packets at
+        the rates of ``signal.rate``. Signalled formats need the receiver "soft".
     """
 
     identities: tuple[Annotated[int, Field(ge=0, lt=IDENTITIES)], ...] = (0,)
@@ -49,35 +48,35 @@ class TransmitSettings:
 
 @dataclass(frozen=True, slots=True)
 class TimedPattern:
-    """A pattern and the time at which it is shown."""
+    """Pattern with the display time."""
 
     # Number of the pattern, from 0 at the start of the transmission
     index: int
-    # Start in s from the start of the transmission; the pattern is shown for T_b
+    # Start in s from the start of the transmission; the duration is T_b
     time_s: float
     # Part of the packet, "header" or "data"
     part: Literal["header", "data"]
-    # Whether it is the inverse of the pattern before
+    # True for the inverse of the previous pattern
     inverted: bool
     # (n, n) uint8 levels 0 to 4
     levels: NDArray[np.uint8]
 
 
 class Transmitter:
-    """The endless light of one array.
+    """Infinite pattern sequence of an array.
 
     Parameters
     ----------
     settings
-        Settings of the signal, as both ends have agreed on them.
+        Signal settings, shared with the receiver.
     identity
         Number of the array, 0 to 29.
     messages
-        Messages by layer ("high", "middle", "low"), at most 256 a layer, repeated as a carousel; a layer without any
-        sends idle blocks. A message is bytes, or `Updates` that change while they are sent. A `SentFile` is sent by
-        symbols, of which any that are enough give it back; a layer with messages too sends both in turns.
+        Messages by layer ("high", "middle", "low"), at most 256 per layer, repeated as a carousel; an empty layer
+        sends idle blocks. A message is bytes, or `Updates` with changing content. A `SentFile` is sent as fountain
+        code symbols; a layer with messages and files alternates between both.
     formats
-        Formats of the packets, used in turn; empty for data pairs at the agreed rates.
+        Packet formats in cyclic order; by default, data pairs at the agreed rates.
 
     Attributes
     ----------
@@ -89,8 +88,8 @@ class Transmitter:
     Raises
     ------
     SettingsError
-        The settings are no `SignalSettings`, a layer or the identity is unknown, the messages of a layer are no bytes,
-        too many or too long, or a format does not go with the signal's settings.
+        The settings are no `SignalSettings`, a layer or the identity is unknown, messages are no bytes, too many or too
+        long, or a format is incompatible with the signal settings.
     """
 
     def __init__(
@@ -103,14 +102,14 @@ class Transmitter:
         check_signal(settings)
         _check_messages(messages)
         _check_formats(formats)
-        self.formats = tuple(PacketFormat(settings, one) for one in formats or (AGREED,))
+        self.formats = tuple(PacketFormat(settings, form) for form in formats or (AGREED,))
         try:
             self.identity = identity_of(operator.index(identity)).number
         except (TypeError, ValueError):
             raise SettingsError(
                 f"an identity is a whole number, 0 to {IDENTITIES - 1}, not {shown(identity)}"
             ) from None
-        # each size of blocks has a carousel of its own (section 8)
+        # a carousel for each block size (section 8)
         self._carousels = {
             (name, layer.payload_bytes): self._carousel(name, messages.get(name, ()), layer.payload_bytes)
             for form in self.formats
@@ -120,9 +119,7 @@ class Transmitter:
         self._mixed = {name for name in self._files if len(_files(messages[name])) < len(messages[name])}
 
     def _carousel(self, name: str, messages: Sequence[Content], room: int) -> Carousel:
-        contents = [
-            one if isinstance(one, Updates) else bytes(one) for one in messages if not isinstance(one, SentFile)
-        ]
+        contents = [m if isinstance(m, Updates) else bytes(m) for m in messages if not isinstance(m, SentFile)]
         try:
             return Carousel(self.identity, name, contents, room)
         except ValueError as error:
@@ -152,7 +149,7 @@ class Transmitter:
         return self.formats[packet % len(self.formats)]
 
     def blocks(self, packet: int) -> dict[str, list[AnyBlock]]:
-        """Return the blocks in a packet by layer, one per codeword.
+        """Return the blocks in a packet by layer, a block per codeword.
 
         Parameters
         ----------
@@ -165,46 +162,45 @@ class Transmitter:
         }
 
     def _block(self, packet: int, name: str, layer: LayerFormat, codeword: int) -> AnyBlock:
-        """A layer's block; of messages and files each has every second one."""
+        """Return a block of a layer; messages and files alternate."""
         number = self._sent_before(packet, name, layer.payload_bytes) + codeword
         mixed = name in self._mixed
         if name in self._files and (not mixed or number % 2):
             return self._file_block(packet, name, layer, codeword)
-        # a content that is to begin with a packet must not fall behind it by rounding
-        time_s = packet * self.format.settings.packet_s + 1e-7
+        time_s = packet * self.format.settings.packet_s + 1e-7  # 1e-7: rounding
         return self._carousels[name, layer.payload_bytes].block(number // 2 if mixed else number, time_s)
 
     def _file_block(self, packet: int, name: str, layer: LayerFormat, codeword: int) -> AnyFileBlock:
         turns = 2 if name in self._mixed else 1
         rooms = {form.layers[name].code.k: form.layers[name].payload_bytes for form in self.formats}
-        # blocks of other sizes went before, each size in its own turns
+        # previous blocks of other sizes
         number = sum(self._sent_before(packet, name, size) // turns for k, size in rooms.items() if k != layer.code.k)
         number += (self._sent_before(packet, name, layer.payload_bytes) + codeword) // turns
         return self._files[name].block(number, layer.code.k)
 
     def _sent_before(self, packet: int, name: str, size: int) -> int:
-        """Count the codewords of a layer sent before packet number `packet` whose blocks have `size` bytes."""
+        """Return the number of codewords of a layer with blocks of `size` bytes before a packet."""
         layers = [form.layers[name] for form in self.formats]
         counts = [layer.codewords if layer.payload_bytes == size else 0 for layer in layers]
-        cycles, place = divmod(packet, len(counts))
-        return cycles * sum(counts) + sum(counts[:place])
+        cycles, index = divmod(packet, len(counts))
+        return cycles * sum(counts) + sum(counts[:index])
 
     def packets(self) -> Iterator[NDArray[np.uint8]]:
-        """Yield packets without end, each (patterns, n, n) uint8 levels 0 to 4 in the order of time."""
+        """Yield an infinite sequence of packets, each (patterns, n, n) uint8 levels 0 to 4 in temporal order."""
         ahead = 0
         for number in count():
             packet = self.format_of(number).patterns(self.identity, self.blocks(number), ahead)
-            # a symbol of D11 changes 4 LEDs by half a level: the sum of levels by 2
+            # a D11 symbol changes 4 LEDs by half a level
             ahead += (int(packet.sum(dtype=np.int64)) - packet.size * SLOTS // 2) // 2
             yield packet
 
     def levels(self) -> Iterator[NDArray[np.uint8]]:
-        """Yield patterns without end, each (n, n) uint8 levels 0 to 4."""
+        """Yield an infinite sequence of patterns, each (n, n) uint8 levels 0 to 4."""
         for packet in self.packets():
             yield from packet
 
     def patterns(self) -> Iterator[TimedPattern]:
-        """Yield patterns without end, with their times and parts."""
+        """Yield an infinite sequence of patterns with times and parts."""
         settings = self.format.settings
         for index, levels in enumerate(self.levels()):
             place = index % settings.packet_patterns
@@ -215,7 +211,7 @@ class Transmitter:
 
 
 def _check_formats(formats: object) -> None:
-    if not isinstance(formats, Sequence) or not all(isinstance(one, Format) for one in formats):
+    if not isinstance(formats, Sequence) or not all(isinstance(form, Format) for form in formats):
         raise SettingsError(f"formats are a list of heliograph.signal.formats.Format, not {shown(formats)}")
 
 
@@ -240,9 +236,9 @@ def _check_messages(messages: Any) -> None:
 
 def _check_updates(name: str, data: Updates) -> None:
     times = [time_s for time_s, _ in data.contents]
-    if not times or times != sorted(times) or not all(isinstance(one, bytes) for _, one in data.contents):
+    if not times or times != sorted(times) or not all(isinstance(content, bytes) for _, content in data.contents):
         raise SettingsError(f"updates of the {name} layer are times in s, in order, each with bytes, at least one")
 
 
 def _files(messages: Sequence[Content]) -> list[SentFile]:
-    return [one for one in messages if isinstance(one, SentFile)]
+    return [message for message in messages if isinstance(message, SentFile)]
