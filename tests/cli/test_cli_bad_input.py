@@ -197,6 +197,7 @@ def test_it_is_the_same_from_a_shell(line: str, said: str, stock: Path, tmp_path
     assert names(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_a_cut_film_gives_its_results_and_then_the_error(stock: Path, tmp_path: Path, call: Call) -> None:
     run = call("receive", stock / "cut.mkv", "--output", "out", "--truth", stock / "a.mkv.truth.npz")
     assert "ends in the middle, after 1" in failed(run)

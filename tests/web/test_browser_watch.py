@@ -36,6 +36,12 @@ def address(film: Path) -> Iterator[str]:
         yield url
 
 
+@pytest.fixture(scope="module")
+def found() -> Iterator[Any]:
+    with browsers.browser() as launched:
+        yield launched
+
+
 def to_the_end(page: Any) -> None:
     page.wait_for_selector("#named option", state="attached")
     page.click("#open")
@@ -44,8 +50,8 @@ def to_the_end(page: Any) -> None:
 
 
 @pytest.mark.parametrize("looks", [DESK, PHONE], ids=["desk", "phone"])
-def test_all_that_was_received_is_shown_and_named(address: str, looks: dict[str, Any]) -> None:
-    with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **looks) as page:
+def test_all_that_was_received_is_shown_and_named(found: Any, address: str, looks: dict[str, Any]) -> None:
+    with browsers.quiet_page(found, f"{address}watch", **looks) as page:
         to_the_end(page)
         assert page.inner_text("#arrays tbody").startswith("array 0")
         assert page.locator("#packets li").count() == 12
@@ -60,17 +66,19 @@ def test_all_that_was_received_is_shown_and_named(address: str, looks: dict[str,
         assert not axe.Axe().run(page).response["violations"]
 
 
-def test_lights_that_were_told_of_are_drawn(address: str) -> None:
+def test_lights_that_were_told_of_are_drawn(found: Any, address: str) -> None:
     pytest.importorskip("pycrate_asn1dir", reason="the extra its is not installed")
-    with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **DESK) as page:
+    with browsers.quiet_page(found, f"{address}watch", **DESK) as page:
         to_the_end(page)
         assert "Junction 7, Harbour Road" in page.inner_text("#lights")
         assert page.locator("#lights svg .lamp.red").count() >= 1
         assert page.locator("#lights svg .way.green").count() >= 1
 
 
-def test_it_is_stepped_through_and_looked_back_on_by_keyboard(address: str, film: Path, tmp_path: Path) -> None:
-    with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **DESK) as page:
+def test_it_is_stepped_through_and_looked_back_on_by_keyboard(
+    found: Any, address: str, film: Path, tmp_path: Path
+) -> None:
+    with browsers.quiet_page(found, f"{address}watch", **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.select_option("#speed", "0.1")
         page.focus("#open")
@@ -98,7 +106,7 @@ def test_it_is_stepped_through_and_looked_back_on_by_keyboard(address: str, film
         assert sum(1 for _ in kept) > 50
 
 
-def test_counts_from_before_a_pause_do_not_undo_it(address: str) -> None:
+def test_counts_from_before_a_pause_do_not_undo_it(found: Any, address: str) -> None:
     to_page: list[Any] = []
     counts: list[str] = []
 
@@ -111,7 +119,7 @@ def test_counts_from_before_a_pause_do_not_undo_it(address: str) -> None:
         to_page.append(socket)
         socket.connect_to_server().on_message(heard)
 
-    with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **DESK) as page:
+    with browsers.quiet_page(found, f"{address}watch", **DESK) as page:
         page.route_web_socket("**/api/watch*", passed_on)
         page.wait_for_selector("#named option", state="attached")
         page.select_option("#speed", "0.1")
@@ -125,8 +133,8 @@ def test_counts_from_before_a_pause_do_not_undo_it(address: str) -> None:
         page.get_by_text("The end: 1250 frames, 12 packets").wait_for()
 
 
-def test_a_film_that_is_dropped_is_decoded(address: str, film: Path, tmp_path: Path) -> None:
-    with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **DESK) as page:
+def test_a_film_that_is_dropped_is_decoded(found: Any, address: str, film: Path, tmp_path: Path) -> None:
+    with browsers.quiet_page(found, f"{address}watch", **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.check("input[value=film]")
         page.set_input_files("#film", film)
