@@ -1,6 +1,6 @@
 """Check the assumptions and accuracy of `heliograph budget`.
 
-python -m benchmarks.budget needs     mutual information required by code rate: heliograph.link.budget.REQUIRED_INFORMATION
+python -m benchmarks.budget needs     REQUIRED_INFORMATION of heliograph.link.budget, by code rate
 python -m benchmarks.budget points    predicted and measured codeword loss by distance, receiver, mode and blur
 """
 

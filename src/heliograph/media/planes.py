@@ -59,7 +59,8 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma")
     bits = picture.format.components[0].bits
     pixels = _plane(picture, 0, bits)[: picture.height, : picture.width]
     if expand_range and limited:
-        return _expansion(bits)[pixels], bits
+        # a damaged film may hold levels above full scale
+        return _expansion(bits)[np.minimum(pixels, (1 << bits) - 1)], bits
     return pixels.copy(), bits
 
 
