@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,8 +33,6 @@ class Footage:
 
 def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
     """Draw a street at dusk: sky, road, buildings with windows, round and rectangular lamps."""
-    import cv2
-
     height, width = size
     horizon = height // 2
     sky = np.linspace(110, 60, horizon)
@@ -52,8 +51,6 @@ def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
 
 
 def _draw_building(scene: Gray, left: int, horizon: int, rng: np.random.Generator) -> None:
-    import cv2
-
     width, tall = int(rng.integers(30, 120)), int(rng.integers(horizon // 4, horizon))
     shade = int(rng.integers(20, 90))
     cv2.rectangle(scene, (left, horizon - tall), (left + width, horizon), shade, -1)
@@ -88,13 +85,9 @@ class _Canvas:
         return self.height // 2
 
     def fill(self, points: Points, level: float) -> None:
-        import cv2
-
         cv2.fillConvexPoly(self.pixels, self.project(points), float(np.clip(level, 0, 255)), cv2.LINE_AA)
 
     def disc(self, at: tuple[float, float, float], radius_m: float, level: float) -> None:
-        import cv2
-
         (x, y), radius = self.project([at])[0], max(1, round(radius_m * self._focal / at[2]))
         cv2.circle(self.pixels, (int(x), int(y)), radius, float(level), -1, cv2.LINE_AA)
 
@@ -109,8 +102,6 @@ class _Canvas:
 
 def draw_street(size: tuple[int, int], rng: np.random.Generator, night: bool = False) -> Gray:
     """Draw a straight street as (height, width) uint8: sky, houses, trees, lamps, parked cars, markings."""
-    import cv2
-
     canvas, light = _Canvas(size), 0.16 if night else 1.0
     _draw_sky(canvas, night)
     _draw_ground(canvas, light)
@@ -314,8 +305,6 @@ class Clip:
 
 def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
     """Scale a gray frame to cover a size, and crop the centre."""
-    import cv2
-
     if frame.ndim != 2 or frame.dtype != np.uint8 or min(frame.shape) < 2:
         raise SettingsError(f"footage is gray uint8 frames (rows, columns), not {frame.shape} {frame.dtype}")
     scale = max(size[0] / frame.shape[0], size[1] / frame.shape[1])

@@ -8,12 +8,17 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
-from heliograph.channel.background import Footage
+from heliograph.channel.background import Footage, background
 from heliograph.channel.exposure import Faults, Lighting, PatternFeed
 from heliograph.channel.motion import ImuTrace, Motion, film_duration, motion
+from heliograph.channel.render import Canvas, render
+from heliograph.channel.sensor import developed
 from heliograph.channel.settings import EXPOSURE_SLACK, ChannelSettings
+from heliograph.channel.still import StillLight
 from heliograph.channel.transfer import Transfer
 from heliograph.channel.truth import NoiseModel, Truth
+from heliograph.channel.views import FilmScene, frame_block, windows
+from heliograph.channel.white_balance import surroundings_gain
 
 Patterns = Iterable[NDArray[np.uint8]]
 """Patterns of an array in temporal order, each (n, n) uint8 levels 0 to 4."""
@@ -76,12 +81,6 @@ def _shoot(
     roi: int | None,
 ) -> Iterator[tuple[Frame, Truth]]:
     # Numba takes half a second to import
-    from heliograph.channel.background import background
-    from heliograph.channel.render import Canvas, render
-    from heliograph.channel.sensor import developed
-    from heliograph.channel.still import StillLight
-    from heliograph.channel.views import FilmScene, frame_block, windows
-    from heliograph.channel.white_balance import surroundings_gain
 
     camera, noise = settings.camera, NoiseModel(settings.sensor)
     paint = background(settings, footage, np.random.default_rng(scene_seed))

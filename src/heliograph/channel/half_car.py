@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
 
 from heliograph.base.arrays import Floats
 
@@ -100,8 +101,6 @@ class HalfCar:
 
 def _discretise(matrices: tuple[Floats, ...], step_s: float) -> tuple[Floats, Floats]:
     """Return A and B of x[k+1] = A x[k] + B r[k], x = (q, q'), exact for a constant road height over the step."""
-    from scipy.linalg import expm
-
     mass, damping, stiffness, tyres = matrices
     system = np.zeros((10, 10))
     system[:4, 4:8] = np.eye(4)

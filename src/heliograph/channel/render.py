@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
+from heliograph.channel.cells import SAMPLES, add_screen, cell_light
 from heliograph.channel.exposure import Lit, Shown
 from heliograph.channel.optics import add_leds, cover, normal_table, spots
 from heliograph.channel.parts import POINT_SPREADS
@@ -156,8 +157,6 @@ def _add_by_rows(
 
 def _add_screen(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: float, canvas: Canvas) -> None:
     """Add the cells of a screen row by row."""
-    from heliograph.channel.cells import SAMPLES, add_screen, cell_light
-
     settings, lighting = scene.settings, scene.lightings[array]
     camera, emitter = settings.camera, settings.emitter
     size = np.array([camera.width, camera.height]) - 1

@@ -7,6 +7,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from heliograph.base.arrays import Floats
@@ -122,8 +123,6 @@ def cut_out(pixels: Pixels, x: float, y: float, size: int) -> tuple[Pixels, tupl
 @contextlib.contextmanager
 def _open(partial: Path, target: Path) -> Iterator[Any]:
     """Create an HDF5 file; convert errors."""
-    import h5py
-
     disk = None
     try:
         disk = PatientFile(partial)

@@ -28,6 +28,7 @@ from heliograph.channel.scene import CameraPose, centre_scale, homography, proje
 from heliograph.channel.settings import ChannelSettings
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings
+from heliograph.receive.decode.kernels import sample_cubic
 from heliograph.receive.detect.alternation import size_limits
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.signal import haar
@@ -416,8 +417,6 @@ def binary_information(ratio: Floats) -> Floats:
 
 def symbol_images(channel: ChannelSettings, signal: SignalSettings, distance_m: float) -> SymbolImages:
     """Render the symbols of the first array at a distance."""
-    from heliograph.receive.decode.kernels import sample_cubic  # Numba is slow to import
-
     side, n_noise = min(signal.side, MAX_SIDE), 64
     levels, layer = symbol_levels(side, signal.modulation), symbol_layers(side)
     grams, sampled = [], []

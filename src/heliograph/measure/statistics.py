@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Self
 
+from scipy.special import betaincinv, stdtrit
+
 
 @dataclass(slots=True)
 class Count:
@@ -97,8 +99,6 @@ class Clustered(Count):
         return clopper_pearson(self.rate * effective, effective, confidence)
 
     def _effective_trials(self, confidence: float) -> float:
-        from scipy.special import stdtrit
-
         clusters = float(max(self.clusters, 1))
         effective = self.trials / self.design_effect
         if clusters > 1:
@@ -113,7 +113,6 @@ def clopper_pearson(errors: float, trials: float, confidence: float = 0.95) -> t
         raise ValueError(f"errors must be 0 to {trials} (the trials), not {errors}")
     if trials == 0:
         return 0.0, 1.0
-    from scipy.special import betaincinv
 
     tail = (1 - confidence) / (1 if errors in (0, trials) else 2)
     # lower: B(tail; k, n - k + 1); upper: B(1 - tail; k + 1, n - k)

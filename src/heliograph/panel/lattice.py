@@ -9,6 +9,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError
+from heliograph.panel import kernels
 from heliograph.panel.place import Levels, corner_jacobian, grid, grow, homographies, is_possible, pitches, transform
 
 PIXEL_VARIANCE_PX2 = 1 / 12
@@ -99,8 +100,6 @@ class Lattice:
 
     def project(self, images: Levels) -> Floats:
         """Return the inner products of images with the images of LEDs and derivatives; see `kernels.project`."""
-        from heliograph.panel import kernels  # Numba is slow to import
-
         out = np.empty((len(images), len(self.points), 4))
         for image, products in zip(images, out, strict=True):
             kernels.project(image, self.points, self.sigma, REACH * self.sigma, products)
@@ -108,8 +107,6 @@ class Lattice:
 
     def render(self, amounts: Floats) -> Levels:
         """Render LEDs within the mask, (rows, columns); see `kernels.render`."""
-        from heliograph.panel import kernels
-
         out = np.zeros(self.mask.shape, np.float32)
         kernels.render(amounts, self.points, self.sigma, REACH * self.sigma, out)
         return np.asarray(out * self.mask)

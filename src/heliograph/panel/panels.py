@@ -9,6 +9,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.threads import in_one_thread, one_thread
+from heliograph.panel import kernels
 from heliograph.panel.lattice import FIT, Fit, Lattice, Shape, fit
 from heliograph.panel.place import (
     COLOURS,
@@ -273,8 +274,6 @@ def _unblur(images: Levels, corners: Floats, blur: float, shape: Shape) -> Float
 
 def _average(images: Levels, corners: Floats, shape: Shape) -> Floats:
     """Average pixels at LEDs with Gaussian weights."""
-    from heliograph.panel import kernels  # Numba is slow to import
-
     points = Place(corners).leds(shape.rows, shape.columns).reshape(-1, 2)
     # for 1.4 to 4 standard deviations of blur per pitch, 0.1 and 0.2 gave the same bit errors, 0.3 up to ten times as
     # many; below 0.6 px a Gaussian falls between pixels

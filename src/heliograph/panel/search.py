@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError
+from heliograph.panel import kernels
 from heliograph.panel.lattice import REACH, Shape, mask_of, plane
 from heliograph.panel.phase import TUNING, GridView, refine
 from heliograph.panel.place import UNIT, Levels, area, corner_jacobian, grid, grow, homographies, pitches, transform
@@ -139,8 +140,6 @@ def _fit_area(image: Levels, corners: Floats, width: float) -> Floats:
 
 def _render_area(corners: Floats, sigma: float, size: tuple[int, ...]) -> tuple[Levels, Levels]:
     """Render a uniform area and the derivatives by the corners, (8, rows, columns)."""
-    from heliograph.panel import kernels  # Numba is slow to import
-
     longest = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).max()
     # points 0.9 sigma apart stand for an area with a ripple of 1e-5
     count = int(np.ceil(longest / (0.9 * sigma)))

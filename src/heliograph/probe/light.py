@@ -17,6 +17,7 @@ import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
+from heliograph.probe import kernels
 from heliograph.probe.regions import Region, subsample
 from heliograph.receive.sync.combine import COVARIANCE
 from heliograph.signal.pwm import SLOTS
@@ -166,8 +167,6 @@ def _piece_table(slot_order: tuple[int, ...]) -> tuple[Floats, Floats]:
 
 def _expected(durations: Floats, frames: int, slot_order: Sequence[int]) -> Floats:
     """Compute expected correlations, (durations, phases and exposures, frames and lags)."""
-    from heliograph.probe import kernels  # Numba is slow to import
-
     phases = 2 * np.arange(TUNING.n_phases) / TUNING.n_phases
     out = np.empty((len(durations), len(phases), len(TUNING.exposures), frames, len(TUNING.lags)))
     kernels.expected_correlations(

@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from typing import Any
 
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
 from heliograph.base.errors import HeliographError
 from heliograph.measure.counts import BlockCounts
 from heliograph.sweeps.executors import Workers
@@ -107,8 +110,6 @@ def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
     if not (on_a_terminal() if shown is None else shown):
         yield silent
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     screen = Console(stderr=True, force_terminal=True)

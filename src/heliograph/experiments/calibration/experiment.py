@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.special import chdtri
 
 from heliograph.base.arrays import Floats
 from heliograph.experiments import plots
@@ -118,8 +119,6 @@ def by_distance(distances: Mapping[str, Floats]) -> list[DistanceErrors]:
 
 def rms_m(errors_m: Floats) -> tuple[float, float, float]:
     """Rms of errors in m with 95 % interval."""
-    from scipy.special import chdtri
-
     total, n = float((errors_m**2).sum()), len(errors_m)
     # sum of squares / sigma^2 is chi-square of n
     return (total / n) ** 0.5, (total / chdtri(n, 0.025)) ** 0.5, (total / chdtri(n, 0.975)) ** 0.5

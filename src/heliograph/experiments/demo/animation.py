@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -144,8 +145,6 @@ def drawn(moment: Moment) -> Rgb:
 
 def animated(moments: Sequence[Moment]) -> bytes:
     """Animated WebP of moments in an endless loop; empty for no moments."""
-    import av
-
     if not moments:
         return b""
     out, rate_hz = io.BytesIO(), 10

@@ -7,6 +7,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +15,7 @@ from heliograph.base.arrays import Gray
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.channel import Footage, ImuTrace, Placement, film
+from heliograph.channel.background import cover_size, draw_scene
 from heliograph.channel.settings import ChannelSettings
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import load_footage
@@ -46,8 +48,6 @@ Backdrop = Callable[[np.random.Generator], Moment]
 
 def drawn_backdrop(rng: np.random.Generator) -> Moment:
     """Drawn street with a moving camera."""
-    from heliograph.channel.background import draw_scene
-
     street = draw_scene(SIZE, rng)
     return Moment(Footage(lambda: iter([street, street]), RATE_HZ / FRAMES), 0.0)
 
@@ -71,8 +71,6 @@ class Lamp:
 
 def lamp_backdrop(rng: np.random.Generator) -> Moment:
     """Drawn street with lamps that move, flicker, blink and turn."""
-    import cv2
-
     street = next(iter(drawn_backdrop(rng).footage.frames()))
     makers = (_mains, _moving, _beacon, _pulsed, _sign)
     lamps = [makers[int(rng.integers(len(makers)))](rng) for _ in range(8)]
@@ -88,8 +86,6 @@ def lamp_backdrop(rng: np.random.Generator) -> Moment:
 
 def _draw(image: Gray, lamp: Lamp, time_s: float) -> None:
     """Draw the mean light of a lamp over an exposure, at the position in the middle."""
-    import cv2
-
     light = np.asarray(lamp.light(time_s + (np.arange(8) + 0.5) / 8 / RATE_HZ).mean(-1))
     if lamp.picture is not None:
         size = max(1, round(2 * lamp.half[1] / lamp.picture.shape[0]))
@@ -198,8 +194,6 @@ class ClipBackdrop:
 @lru_cache(maxsize=8)
 def _clip_pairs(path: Path, reach: int, *_version: int) -> tuple[float, list[tuple[Gray, Gray]]]:
     """Frame rate of a version of a clip, and up to 32 pairs of successive frames; a pair takes 1.5 MB."""
-    from heliograph.channel.background import cover_size
-
     source = load_footage(path)
     step = max(2, -(-reach // 32))
     held: dict[int, Gray] = {}

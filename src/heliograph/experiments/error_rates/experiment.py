@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.stats import fisher_exact
 
 from heliograph.experiments import plots
 from heliograph.experiments.error_rates.comparison import MARGIN, RISK, Comparison, ComparisonVerdict, compare
@@ -183,8 +184,6 @@ def alike(comparisons: Sequence[Comparison], driving: Count, static: Count) -> F
 
 def _compare_loss(driving: Count, static: Count) -> ComparisonVerdict:
     """Compare the losses by Fisher's exact test, and bound the difference of the fractions by 0.05."""
-    from scipy.stats import fisher_exact
-
     if not driving.trials or not static.trials:
         return "open"
     table = [[one.errors, one.trials - one.errors] for one in (driving, static)]

@@ -10,6 +10,8 @@ from fractions import Fraction
 from itertools import islice
 from pathlib import Path
 
+import av
+import cv2
 import numpy as np
 
 from heliograph.base.errors import MediaError
@@ -119,8 +121,6 @@ def empty(scene: RealScene, max_frames: int | None = None, *, native: bool = Fal
 
 def native_frames(clip: Path, settings: LinkSettings) -> Iterator[Frame]:
     """Frames of a clip, a frame per pattern period, resized to the camera."""
-    import cv2
-
     size = settings.channel.camera.width, settings.channel.camera.height
     for index, pixels in enumerate(load_footage(clip).frames()):
         small = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -129,8 +129,6 @@ def native_frames(clip: Path, settings: LinkSettings) -> Iterator[Frame]:
 
 def encode_again(source: Path, target: Path) -> None:
     """Transcode a film like other programs (libx264, yuv420p), with no metadata."""
-    import av
-
     if source.resolve() == target.resolve():
         raise MediaError(f"{target} is the film itself; write the new one to another file")
     with open_film(source) as film, av.open(str(target), "w") as out:

@@ -19,6 +19,7 @@ from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link
 from heliograph.experiments.report import Context, ExperimentResult, Finding, description, verdict_of
 from heliograph.receive import Pose
+from heliograph.receive.decode import kernels
 from heliograph.signal import haar
 
 NEAR_M, FAR_M = 10.0, 70.0
@@ -78,8 +79,6 @@ def static_frame(distance_m: float, levels: NDArray[np.uint8], seed: int) -> tup
 
 def luminance_at(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Luminance in gray levels at (..., 2) points on the sensor, by cubic interpolation."""
-    from heliograph.receive.decode import kernels  # Numba is slow to import
-
     flat = np.ascontiguousarray((points - np.array(frame.origin)).reshape(-1, 2))
     out = np.empty(len(flat))
     kernels.sample_cubic(frame.pixels.astype(np.float64), flat, out)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.receive.decode import kernels
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.geometry.footprint import footprints, image_of, to_grid
 from heliograph.receive.geometry.pose import Pose
@@ -85,8 +86,6 @@ def luminances(frame: AnyFrame, pose: Pose, side: int) -> NDArray[np.float64]:
 
 def at_leds(pixels: NDArray[Any], corner: tuple[int, int], pose: Pose, side: int) -> NDArray[np.float64]:
     """Value of an image at each LED's position, by cubic interpolation."""
-    from heliograph.receive.decode import kernels  # Numba is slow to import
-
     out = np.empty((side, side))
     kernels.cubic_at_leds(pixels, pose.x - corner[0], pose.y - corner[1], pose.axes, out)
     return out

@@ -12,6 +12,7 @@ from itertools import product
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame, Pixels
@@ -205,8 +206,6 @@ class Sample:
 @lru_cache(maxsize=64)
 def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     """Return B, the derivative of B by the place, and the weights of the least squares, for a blur in cells."""
-    from scipy.special import ndtr
-
     cells = side + 2 * RIM_CELLS
     at = (np.arange(cells * S) + 0.5) / S
     edge = np.arange(cells + 1.0)

@@ -22,6 +22,7 @@ import numpy as np
 
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.frames import Frame
+from heliograph.receive.geometry.footprint import images_of
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import HALF_LIT, cut_out, window_around
 from heliograph.receive.sync.combine import dimmed_light, slot_light
@@ -81,8 +82,6 @@ def _project(frame: Frame, pose: Pose, lit: Floats) -> tuple[Floats, Floats, flo
 
     Returns the Gram matrix (3, 3), the inner products (3,) and the fraction of clipped array pixels.
     """
-    from heliograph.receive.geometry.footprint import images_of  # Numba is slow to import
-
     # five times the blur of the reference link
     window = window_around(pose, len(lit), 3.0)
     x0, y0, width, height = window
