@@ -27,7 +27,7 @@ def run_serve(
     from heliograph.media.live.settings import camera_settings
 
     if (certificate is None) != (key is None):
-        raise SettingsError("HTTPS takes both --certificate and --key")
+        raise SettingsError("HTTPS requires both --certificate and --key")
     for film in films:
         if not (is_camera(film) or is_pattern(film) or film.exists()):
             raise MediaError(f"there is no file {film}: check the name")
@@ -39,15 +39,15 @@ def run_serve(
     try:
         from heliograph.web.app import create_app
         from heliograph.web.limits import Limits
-        from heliograph.web.serve import Address, opened, run
+        from heliograph.web.serve import Address, open_port, run
     except ImportError as error:
         raise MediaError(f"the pages take the extra 'web' ({error.name}): pip install 'heliograph[web]'") from None
     address, limits = Address(*place, certificate, key), Limits()
-    door = address.door()
-    with opened(address) as waiting:
-        url = address.url(waiting.getsockname()[1], door.token)
-        app = create_app(settings, [str(film) for film in films], door, limits, camera or ())
-        say_where(url, own=address.is_own, secure=address.is_secure)
+    access = address.access()
+    with open_port(address) as waiting:
+        url = address.url(waiting.getsockname()[1], access.token)
+        app = create_app(settings, [str(film) for film in films], access, limits, camera or ())
+        show_address(url, is_loopback=address.is_loopback, is_secure=address.is_secure)
         if browse:
             webbrowser.open(url)
         with contextlib.suppress(KeyboardInterrupt):  # the end that it was told to wait for
@@ -55,17 +55,17 @@ def run_serve(
     console.say("ended")
 
 
-def say_where(url: str, own: bool, secure: bool) -> None:
+def show_address(url: str, is_loopback: bool, is_secure: bool) -> None:
     """Say what to open: on this machine alone, or on others, which get a QR code to film."""
     console.say(f"Heliograph is at {url}  (Ctrl-C ends it)")
-    if own:
+    if is_loopback:
         return
     if sys.stdout.isatty():
         import segno
 
         segno.make(url, error="l").terminal(compact=True)
     console.complain("whoever has this address may use this server: keep it to yourself")
-    if not secure:
+    if not is_secure:
         console.complain(
             "without --certificate and --key browsers keep their own camera from these pages; films are taken"
         )
