@@ -146,7 +146,9 @@ class TestLive:
             "50",
         )
         assert run.stderr.splitlines()[0] == f"heliograph: {NAME}: exposure_us is 100, asked for 100.7"
-        assert "gave no frame: see that its trigger is off or has pulses" in run.stderr.splitlines()[1]
+        assert (
+            "gave no frame: check exposure and trigger, which must be off or have pulses" in run.stderr.splitlines()[1]
+        )
 
     @pytest.mark.parametrize(("name", "bits"), [("Mono16", 16), ("BayerRG8", 8), ("RGB8", 8)])
     def test_other_pixels(self, name: str, bits: int) -> None:

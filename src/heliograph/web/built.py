@@ -29,5 +29,5 @@ async def page(name: str) -> Response:
     """Return a page or a file of a page."""
     name = f"{name or 'index'}.html" if (name or "index") in PAGES else name
     if name not in built():
-        raise HTTPException(404, "there is no such page")
+        raise HTTPException(404, "page not found")
     return Response(built()[name], media_type=_types.guess_type(name)[0] or "application/octet-stream")

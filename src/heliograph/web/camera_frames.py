@@ -1,4 +1,4 @@
-"""Frames without a film: an iterable, or messages from the camera of a browser."""
+"""Frame sources in place of films: iterables, and messages from a browser camera."""
 
 import struct
 import threading
@@ -17,7 +17,7 @@ HEAD = struct.Struct("<dIHH")
 """Head of a message: time in s, frame number including skipped frames, columns, rows. Pixels follow."""
 
 MIN_SIDE, MAX_SIDE = 32, 2048
-"""Range of columns and rows; the size of a message limits their product."""
+"""Range of columns and rows; the message size limits the product."""
 
 MAX_WAITING = 96
 """Waiting frames: three seconds. Regular pages have fewer frames in flight."""
@@ -81,7 +81,7 @@ class CameraFrames:
     def end(self, seconds: float = 8.0) -> None:
         """Close the queue; the receiver may take waiting frames for some seconds.
 
-        Tracking three seconds of frames takes one second; a search without result takes 0.1 s a frame and more.
+        Tracking three seconds of frames takes one second; a failing search takes 0.1 s a frame and more.
         """
         with self._changed:
             deadline_s = time.monotonic() + seconds

@@ -40,7 +40,7 @@ def release_memory() -> None:
 
 
 class CrashError(Exception):
-    """Unexpected exception of a worker thread; the exception is its cause."""
+    """Unexpected exception of a worker thread; the cause is the exception."""
 
 
 def is_crash(error: BaseException) -> bool:
@@ -49,7 +49,7 @@ def is_crash(error: BaseException) -> bool:
 
 
 def report(error: BaseException) -> str:
-    """Return an error as one line for a page; log an unexpected error with its traceback."""
+    """Return an error as one line for a page; log the traceback of an unexpected error."""
     cause = error.__cause__ if isinstance(error, CrashError) and error.__cause__ is not None else error
     line = str(cause) if isinstance(cause, HeliographError) else _line_of(cause)
     if is_crash(cause):
@@ -72,7 +72,7 @@ def _line_of(error: BaseException) -> str:
 
 
 async def in_thread(work: Callable[[], T]) -> T:
-    """Run a function in a worker thread, and return its result.
+    """Run a function in a worker thread, and return the result.
 
     Unexpected exceptions become a `CrashError`: `KeyboardInterrupt` and `SystemExit` of a worker thread would end the
     event loop.

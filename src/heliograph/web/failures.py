@@ -82,7 +82,7 @@ class FailureRecorder:
                     self._write(frame)
 
     def save(self) -> Path | None:
-        """Finish the film of failed packets, or else of the last frames; None if there are no frames."""
+        """Finish the film of failed packets, by default of the last frames; None if the buffer is empty."""
         with self._lock:
             if self._film is None:
                 for frame in self._frames:
@@ -143,7 +143,7 @@ class Bundles:
         self._lock = threading.Lock()
 
     def add(self, path: Path) -> str:
-        """Add a film and return its key; the oldest films are deleted."""
+        """Add a film and return the key; the oldest films are deleted."""
         key = secrets.token_hex(16)
         with self._lock:
             self._paths[key] = path
@@ -153,7 +153,7 @@ class Bundles:
         return key
 
     def save(self, recorder: FailureRecorder) -> dict[str, Any] | None:
-        """Add the film of a recorder and return its key and size; None if there are no frames."""
+        """Add the film of a recorder and return key and size; None if the recorder has no frames."""
         path = recorder.save()
         if path is None:
             return None

@@ -19,7 +19,7 @@ router = APIRouter(prefix="/api")
 
 @router.put("/films", status_code=201)
 async def upload(request: Request, shared: SharedState, kind: str = "") -> dict[str, Any]:
-    """Store a film, the body of a request; `kind` is the suffix of its name."""
+    """Store a film, the body of a request; `kind` is the suffix of the name."""
     shared.uploads.check(request.headers.get("content-length", ""))
     try:
         return {"film": await shared.uploads.take(request.stream(), kind[:8])}

@@ -14,13 +14,13 @@ class Limits:
 
     # Bytes of an uploaded film: two minutes of high-quality phone video are about 1 GB
     film_bytes: int = 2048 * MB
-    # Stored uploads; a new film replaces the oldest film without a reader
+    # Stored uploads; a new film replaces the oldest film that has no reader
     films: int = 8
     # Bytes of any other request
     body_bytes: int = MB
     # Bytes of a WebSocket message to the server: a raw picture of 2 megapixels
     message_bytes: int = 2 * MB
-    # Time in s without a byte in the middle of a request
+    # Longest pause in s in the middle of a request
     idle_s: float = 20.0
     # Time in s of an upload
     upload_s: float = 1800.0

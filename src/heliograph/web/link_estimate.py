@@ -22,7 +22,7 @@ TRIAL_SIDES = (16, 8, 32, 24, 12, 20, 28)
 """Sides in the order of trials; page *Transmit* offers 16 first."""
 
 DEFAULT_RATE_HZ = 10.0
-"""Pattern rate without an estimate, the default of page *Transmit*."""
+"""Default pattern rate, as in page *Transmit*."""
 
 
 class LinkRequest(BaseModel):
@@ -37,7 +37,7 @@ class LinkRequest(BaseModel):
 
     @property
     def default_link(self) -> LinkSettings:
-        """Settings without an estimate."""
+        """Default settings."""
         return screen_settings(self.side or TRIAL_SIDES[0], self.rate_hz or DEFAULT_RATE_HZ)
 
 
@@ -67,7 +67,7 @@ def estimate_link(
 def _estimate_side(
     frames: list[Frame], rate_hz: float, tell: Tell, rejected: AbstractSet[int], is_late: Callable[[], bool]
 ) -> int | None:
-    """Estimate the side from the lines between cells, or else by trial receptions."""
+    """Estimate the side from the lines between cells, or by trial receptions."""
     side = cells_of_a_side(frames)
     if side is not None and side not in rejected:
         return side

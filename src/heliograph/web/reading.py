@@ -24,7 +24,7 @@ WINDOW_S, WINDOW_BYTES = 7.0, 160 << 20
 """Frames for the estimate of a link: two packets of 3 s and a pause; 170 frames of 1280 x 720 pixels."""
 
 PATIENCE_S = 12.0
-"""Time in s without a codeword before a diagnosis and a new estimate: three packets."""
+"""Waiting time in s for a codeword before a diagnosis and a new estimate: three packets."""
 
 PROBE_FRAMES = 128
 """Frames of a diagnosis: some seconds of computing."""
@@ -62,10 +62,10 @@ class PageReader:
         self._reception = Reception()
 
     def read_upload(self, path: Path) -> None:
-        """Read a film; without a codeword, retry with another side and at full resolution."""
+        """Read a film; retry with another side and at full resolution if no codeword is decoded."""
         rejected_sides = set[int]()
         for binning, is_retry in product(_binnings(path), (False, True)):
-            # headers of all sizes look alike: without a detection, another side is useless
+            # headers of all sizes look alike: another side needs a detection
             if is_retry and (self._request.side is not None or not self._reception.arrays):
                 continue
             with open_film(path, expand_range=True, binning=binning) as film:
@@ -86,7 +86,7 @@ class PageReader:
         self._finish()
 
     def read_camera(self, camera: CameraFrames) -> None:
-        """Read a camera; without a codeword for `PATIENCE_S`, estimate the link again."""
+        """Read a camera; estimate the link again if no codeword is decoded for `PATIENCE_S`."""
         rejected_sides = set[int]()
         self._recorder.restart(self._request.default_link.signal)
         frames = self._recorded(self._acknowledged(camera))
@@ -109,7 +109,7 @@ class PageReader:
     def _attempted(
         self, attempt: _Attempt, window: list[Frame], frames: Iterator[Frame], camera: CameraFrames
     ) -> Iterator[Frame]:
-        """Yield frames until `PATIENCE_S` passes without a codeword, or until the deadline of the camera."""
+        """Yield frames until no codeword is decoded for `PATIENCE_S`, or until the deadline of the camera."""
         codewords, start_s, timer = 0, None, Timer()
         for count, frame in enumerate(chain(window, frames), 1):
             decoded = self._codewords()
@@ -127,7 +127,7 @@ class PageReader:
                 return
 
     def _wait_for_light(self, frames: Iterator[Frame]) -> list[Frame]:
-        """Return the first frames that show a light, or else the last frames of the camera."""
+        """Return the first frames that show a light, or the last frames of the camera."""
         window, next_s, explain_s = list[Frame](), 0.0, 0.0
         for frame in frames:
             if not window:

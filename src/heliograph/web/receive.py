@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import functools
 from collections.abc import Awaitable, Callable
 from typing import Annotated, Any, Literal
 
@@ -12,16 +13,16 @@ from starlette.websockets import WebSocketDisconnect
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.web.camera_frames import CameraFrames, MessageError
 from heliograph.web.crashes import closing, in_thread, taking_place
-from heliograph.web.failures import FailureRecorder
+from heliograph.web.failures import Bundles, FailureRecorder
 from heliograph.web.files import save_bundle
 from heliograph.web.link_estimate import LinkRequest
 from heliograph.web.reading import PageReader
 from heliograph.web.row_queue import GoneError, RowQueue
 from heliograph.web.security import PROTOCOL
-from heliograph.web.shared import Shared, SharedState, named_as
+from heliograph.web.shared import SharedState, named_as
 
 Handle = Callable[[bytes | str], Awaitable[dict[str, Any] | None]]
-"""Handles a message of a page, and returns the answer if there is one."""
+"""Handles a message of a page, and returns an optional answer."""
 
 router = APIRouter(prefix="/api/receive")
 
@@ -48,8 +49,14 @@ async def receive(socket: WebSocket, shared: SharedState) -> None:
             # 256 MB: 40 s of 480 x 480 pixels at 30 frames/s
             recorder = FailureRecorder(shared.uploads.folder(), max_bytes=256 << 20)
             reader = PageReader(request, rows.put, recorder, shared.bundles)
-            run = _receive_film if request.kind == "film" else _receive_camera
-            await run(socket, shared, request, rows, recorder, reader)
+            if request.kind == "film":
+                with shared.uploads.reading(request.film) as path, named_as(path, "the film"):
+                    await _run(socket, rows, recorder, lambda: reader.read_upload(path), _reject)
+                shared.uploads.drop(request.film)
+            else:
+                camera = CameraFrames()
+                handle = functools.partial(_handle_camera, camera, recorder, shared.bundles)
+                await _run(socket, rows, recorder, lambda: reader.read_camera(camera), handle, lambda: camera.end(0.0))
         await socket.close()
 
 
@@ -68,59 +75,29 @@ async def _receive_request(socket: WebSocket) -> ReceiveRequest:
         raise MessageError("invalid request") from None
 
 
-async def _receive_film(
-    socket: WebSocket,
-    shared: Shared,
-    request: ReceiveRequest,
-    rows: RowQueue,
-    recorder: FailureRecorder,
-    reader: PageReader,
-) -> None:
-    async def handle(_message: bytes | str) -> None:
-        raise MessageError("a page sends no messages during the reception of a film")
-
-    with shared.uploads.reading(request.film) as path:
-
-        def work() -> None:
-            with contextlib.closing(recorder), named_as(path, "the film"):
-                reader.read_upload(path)
-
-        await _run(socket, rows, work, handle)
-    shared.uploads.drop(request.film)
+async def _reject(_message: bytes | str) -> None:
+    raise MessageError("a page sends no messages during the reception of a film")
 
 
-async def _receive_camera(
-    socket: WebSocket,
-    shared: Shared,
-    _request: ReceiveRequest,
-    rows: RowQueue,
-    recorder: FailureRecorder,
-    reader: PageReader,
-) -> None:
-    camera = CameraFrames()
-
-    async def handle(message: bytes | str) -> dict[str, Any] | None:
-        if isinstance(message, bytes):
-            camera.put(message)
-        elif message == "end":
-            camera.end()
-        elif message == "save":
-            return await _save(recorder, shared)
-        else:
-            raise MessageError("a page sends frames, 'save' and 'end'")
-        return None
-
-    def work() -> None:
-        with contextlib.closing(recorder):
-            reader.read_camera(camera)
-
-    await _run(socket, rows, work, handle, lambda: camera.end(0.0))
+async def _handle_camera(
+    camera: CameraFrames, recorder: FailureRecorder, bundles: Bundles, message: bytes | str
+) -> dict[str, Any] | None:
+    """Queue a frame, end the camera, or save the failed packets."""
+    if isinstance(message, bytes):
+        camera.put(message)
+    elif message == "end":
+        camera.end()
+    elif message == "save":
+        return await _save(recorder, bundles)
+    else:
+        raise MessageError("a page sends frames, 'save' and 'end'")
+    return None
 
 
-async def _save(recorder: FailureRecorder, shared: Shared) -> dict[str, Any]:
+async def _save(recorder: FailureRecorder, bundles: Bundles) -> dict[str, Any]:
     """Save the failed packets so far, and return the answer to the page."""
     try:
-        bundle = await save_bundle(recorder, shared.bundles)
+        bundle = await save_bundle(recorder, bundles)
         if bundle is None:
             raise MediaError("the camera has sent no frames: start the camera")
     except HeliographError as error:
@@ -129,14 +106,23 @@ async def _save(recorder: FailureRecorder, shared: Shared) -> dict[str, Any]:
 
 
 async def _run(
-    socket: WebSocket, rows: RowQueue, work: Callable[[], None], handle: Handle, stop: Callable[[], None] = lambda: None
+    socket: WebSocket,
+    rows: RowQueue,
+    recorder: FailureRecorder,
+    work: Callable[[], None],
+    handle: Handle,
+    stop: Callable[[], None] = lambda: None,
 ) -> None:
-    """Run a worker, send its rows to the page, and handle messages of the page; `stop` unblocks the worker."""
+    """Run a worker, send rows to the page, and handle messages of the page; `stop` unblocks the worker."""
+
+    def work_and_discard() -> None:
+        with contextlib.closing(recorder):
+            work()
 
     async def run_worker() -> None:
         try:
             with contextlib.suppress(GoneError):
-                await in_thread(work)
+                await in_thread(work_and_discard)
         finally:
             await rows.end()
 
@@ -151,7 +137,7 @@ async def _run(
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-    await worker  # occupies the film and the place of the reception until its end
+    await worker  # occupies the film and a place until the end
     for task in done:
         task.result()
 

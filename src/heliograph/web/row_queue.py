@@ -17,7 +17,7 @@ class GoneError(Exception):
 
 
 class RowQueue:
-    """Queue of rows from a worker to a page; a slow page blocks only its own worker."""
+    """Queue of rows from a worker to a page; a slow page blocks no other worker."""
 
     def __init__(self, socket: WebSocket):
         self._socket, self._loop = socket, asyncio.get_running_loop()
@@ -40,7 +40,7 @@ class RowQueue:
         await self._rows.put(row)
 
     def cancel(self) -> None:
-        """End the worker at its next row."""
+        """End the worker at the next row."""
         self._is_cancelled = True
         while not self._rows.empty():  # wakes a blocked worker
             self._rows.get_nowait()

@@ -104,7 +104,7 @@ class Sending:
 def sending_of(data: bytes, name: str | None, side: int, rate_hz: float) -> Sending:
     """Return the transmission of a text, or of a file with a name."""
     if not data and name is None:
-        raise MediaError("there is no text to send: write a text, or choose a file")
+        raise MediaError("the text is empty: write a text, or choose a file")
     if len(data) > MAX_BYTES:
         raise MediaError(f"a screen sends at most {MAX_BYTES >> 10} kB, not {len(data) / 1024:.0f} kB: make it smaller")
     settings = screen_settings(side, rate_hz)
@@ -126,7 +126,7 @@ class Sendings:
         self._lock = threading.Lock()
 
     def add(self, sending: Sending) -> str:
-        """Add a transmission and return its key."""
+        """Add a transmission and return the key."""
         name = secrets.token_hex(8)
         with self._lock:
             self._sendings[name] = sending

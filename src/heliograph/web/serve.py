@@ -123,7 +123,7 @@ def server_config(app: FastAPI, address: Address, limits: Limits) -> uvicorn.Con
 
 
 def _local_address() -> str:
-    """Return the address of this machine in the local network, without sending a packet."""
+    """Return the address of this machine in the local network; no packet is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # documentation address (RFC 5737)

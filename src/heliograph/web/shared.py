@@ -43,7 +43,7 @@ class Places:
     def take(self) -> Iterator[None]:
         """Occupy a place during the block; raise a BusyError if all places are occupied."""
         if self.taken >= self._count:
-            raise BusyError(f"{self._count} {self._name} run already: end one of them, or try again later")
+            raise BusyError(f"{self._count} {self._name} run already: end a session, or try again later")
         self.taken += 1
         try:
             yield
@@ -57,12 +57,12 @@ class Shared:
 
     # Initial settings of the pages
     settings: LinkSettings
-    # Films and cameras of the command line; pages request them by number
+    # Films and cameras of the command line; identified by number
     films: tuple[str, ...]
     limits: Limits
     # Settings of live cameras, such as "exposure_us=500"
     camera: tuple[str, ...] = ()
-    # Live cameras of the last search; pages request them by number
+    # Live cameras of the last search; identified by number
     cameras: list[str] = field(default_factory=list)
     bundles: Bundles = field(default_factory=Bundles)
     sendings: Sendings = field(default_factory=Sendings)

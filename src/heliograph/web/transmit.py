@@ -30,7 +30,7 @@ async def begin(
     side: Annotated[int, Query(ge=8, le=32, multiple_of=4)] = 16,
     name: Annotated[str | None, Query(max_length=400)] = None,
 ) -> dict[str, Any]:
-    """Store a text or file, the body of a request; return its key and the properties of the transmission."""
+    """Store a text or file, the body of a request; return the key and properties of the transmission."""
     data = bytearray()
     try:
         async for part in request.stream():

@@ -43,12 +43,12 @@ class Uploads:
         self._running = 0
 
     def check(self, length: str) -> None:
-        """Reject a film by the Content-Length of its request."""
+        """Reject a film by the Content-Length of the request."""
         if length.isascii() and length.isdecimal() and int(length[:MAX_LENGTH_DIGITS]) > self._limits.film_bytes:
             raise self._too_large()
 
     async def take(self, parts: AsyncIterator[bytes], kind: str) -> str:
-        """Store a film and return its key."""
+        """Store a film and return the key."""
         if self._running >= self._limits.uploads:
             raise MediaError(f"{self._limits.uploads} films are being uploaded: try again after they end")
         name = secrets.token_hex(16)
@@ -79,7 +79,7 @@ class Uploads:
             film.readers -= 1
 
     def drop(self, name: str) -> None:
-        """Remove a film without readers; ignore unknown names."""
+        """Remove an unused film; ignore unknown names."""
         film = self._films.get(name)
         if film is not None and not film.readers:
             del self._films[name]

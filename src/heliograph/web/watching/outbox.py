@@ -1,4 +1,4 @@
-"""Rows and scenes on their way from a reception to a page."""
+"""Queue of rows and scenes from a reception to a page."""
 
 import asyncio
 import contextlib
@@ -24,7 +24,7 @@ class Outbox:
         self._bytes, self.is_full, self.filled, self.has_crashed = 0, False, asyncio.Event(), False
 
     def tell(self, row: Row) -> None:
-        """Append a row; rows above 1 MB lose their content."""
+        """Append a row; rows above 1 MB lose the content."""
         text = json.dumps(row)
         if len(text) > (1 << 20):
             text = json.dumps({k: v for k, v in row.items() if k not in ("data", "text")} | {"too_long": True})

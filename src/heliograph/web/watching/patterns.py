@@ -53,8 +53,8 @@ def equalised_by(
 ) -> tuple[dict[str, Floats], Floats]:
     """Return soft values by layer and luminances (pairs, n, n) of an equaliser.
 
-    The equaliser treats codewords decoded per LED as known and returns zero LLRs; their soft values are those of the
-    LEDs, and their luminances those of the decoded bits.
+    The equaliser treats codewords decoded per LED as known and returns zero LLRs. For known codewords, use the soft
+    values of the LEDs, and the luminances of the decoded bits.
     """
     soft, bits = dict[str, Floats](), dict[str, Floats]()
     for name, coded in _encoded(form, words).items():

@@ -36,7 +36,7 @@ STAGES: dict[type, str] = {
     DecodeEvent: "decode",
     LostEvent: "follow",
 }
-"""Stages by the event at their end."""
+"""Stages by final event."""
 
 
 class Stopwatch:
@@ -72,7 +72,7 @@ class Run:
         self._thread.start()
 
     def abandon(self) -> None:
-        """Stop before the next frame and discard unsaved frames, without waiting."""
+        """Stop before the next frame and discard unsaved frames; do not wait."""
         self._stop_frames()
         with self._lock:
             self._is_abandoned = True
@@ -183,7 +183,7 @@ class Run:
     def _frames(
         self, source: Source, observer: SceneObserver, reception: Reception, recorder: FailureRecorder
     ) -> Iterator[Frame]:
-        """Yield frames after the gate; show each frame after its reception."""
+        """Yield frames after the gate; show each frame after the reception."""
         frames = iter(source.frames)
         self._stopwatch.mark("show")
         for frame in frames:

@@ -22,7 +22,7 @@ MAX_COLUMNS = 960
 """Columns of a transmitted picture."""
 
 CUT_SIDE, CUT_RATIO = 72, 1.3
-"""Side of a transmitted cut-out in pixels, and ratio of its width to the width of the array."""
+"""Side of a transmitted cut-out in pixels, and ratio of cut-out width to array width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ class SceneObserver:
             return row
         pairs = np.flatnonzero(is_valid)
         pair = int(pairs[len(pairs) // 2])
-        # without a known gain the 98th percentile stands for x' = 2
+        # if the gain is unknown, the 98th percentile stands for x' = 2
         is_calibrated = event.luminances is not None or equalised is not None
         high = 2.0 if is_calibrated else float(np.percentile(np.abs(luminances[pair]), 98)) or 1.0
         row |= {"pair": pair + 1, "pairs": len(is_valid), "equalised": grey(luminances[pair], -high, high)}

@@ -21,7 +21,7 @@ ROWS_IN_FLIGHT = 1 << 20
 """Bytes of rows that the page has not acknowledged; bounds the buffers between server and page."""
 
 SCENES_IN_FLIGHT = 2
-"""Scenes that the page has not acknowledged: one is drawn while another arrives."""
+"""Scenes that the page has not acknowledged: the page draws a scene while another arrives."""
 
 
 class Command(BaseModel):
@@ -130,13 +130,13 @@ class Session:
         recorder = self._run.recorder if self._run is not None else None
         bundle = await save_bundle(recorder, self._shared.bundles)
         if bundle is None:
-            self._outbox.tell({"event": "refused", "reason": "there are no frames to save yet"})
+            self._outbox.tell({"event": "refused", "reason": "the reception has no frames yet"})
             return
         self._bundles.append(bundle["bundle"])
         self._outbox.tell({"event": "saved", **bundle})
 
     async def _send(self) -> tuple[int, str]:
-        """Send rows and scenes as the page acknowledges them; return the close code and reason."""
+        """Send rows and scenes, limited by acknowledgements; return the close code and reason."""
         outbox = self._outbox
         while not outbox.is_full:
             await outbox.filled.wait()
