@@ -37,7 +37,7 @@ def test_what_a_film_is_made_of_is_looked_at_again(name: str, tmp_path: Path) ->
     write_pictures(tmp_path / "shots", levels)
     (tmp_path / "m.mraw").write_bytes(bytes(192))
     (tmp_path / "m.cih").write_text("#Camera Information Header")
-    work = FilmWork(str(tmp_path / name), ReceiveOptions(FilmOptions(), SettingsOptions("static")))
+    work = FilmWork(name, tmp_path / name, ReceiveOptions(FilmOptions(), SettingsOptions("static")))
     before = work.made_of()
     assert before
     assert work.made_of() == before

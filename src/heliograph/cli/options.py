@@ -6,7 +6,7 @@ import inspect
 import math
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
@@ -394,6 +394,14 @@ class ReceiveOptions:
     def is_quiet(self) -> bool:
         """True if standard output is JSON only."""
         return self.as_json or self.events.follow
+
+    def relative_to(self, folder: Path) -> "ReceiveOptions":
+        """Return the options with paths relative to a folder."""
+        file, output, files = (
+            None if path is None else folder / path
+            for path in (self.settings.settings_file, self.results.output, self.results.files)
+        )
+        return replace(self, settings=replace(self.settings, settings_file=file), results=OutputOptions(output, files))
 
 
 @dataclass(frozen=True, slots=True)

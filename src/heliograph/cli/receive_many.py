@@ -19,7 +19,7 @@ from heliograph.base.words import counted
 from heliograph.cli import console
 from heliograph.cli.files import FileOutput, join
 from heliograph.cli.live import EventOutput, FilmMonitor
-from heliograph.cli.options import EventOptions, ReceiveOptions, SettingsOptions, WorkerOptions
+from heliograph.cli.options import EventOptions, ReceiveOptions, WorkerOptions
 from heliograph.cli.receive import (
     PARTIAL_LOG,
     ResultFolder,
@@ -54,42 +54,25 @@ Row = dict[str, Any]
 class FilmWork:
     """Film to receive in a worker process."""
 
+    # Name in the results
     film: str
+    path: Path
     options: ReceiveOptions
-    # Working directory of relative paths; None for the directory of the worker
-    base: Path | None = None
-
-    @property
-    def path(self) -> Path:
-        """Path of the film."""
-        return self._absolute(Path(self.film))
-
-    @property
-    def settings(self) -> SettingsOptions:
-        """Settings of the reception."""
-        options = self.options.settings
-        file = None if options.settings_file is None else self._absolute(options.settings_file)
-        return SettingsOptions(options.preset, file, options.assignments)
 
     @property
     def folder(self) -> Path | None:
         """Folder of the results."""
         output = self.options.results.output
-        return None if output is None else self._absolute(output) / Path(self.film).name
+        return None if output is None else output / self.path.name
 
     @property
     def files_folder(self) -> Path | None:
         """Folder of received files."""
-        if self.options.results.files is not None:
-            return self._absolute(self.options.results.files)
-        return None if self.folder is None else self.folder / "files"
-
-    def _absolute(self, path: Path) -> Path:
-        return path if self.base is None else self.base / path
+        return self.options.results.files or (None if self.folder is None else self.folder / "files")
 
     def made_of(self) -> Row:
         """Return the origin of the results: equal origins have equal results."""
-        options = self.settings
+        options = self.options.settings
         with contextlib.suppress(OSError):
             stats = [file.stat() for file in _files_of(self.path)]
             file = options.settings_file
@@ -133,8 +116,9 @@ def run_many(paths: Sequence[Path], options: ReceiveOptions, crew_options: Worke
     if cameras := [path for path in paths if is_camera(path)]:
         raise MediaError(f"{cameras[0]} is a live camera: receive it separately, without --workers and --scheduler")
     films, warnings = films_of(paths)
-    base = Path.cwd() if crew_options.scheduler is not None else None
-    works = [FilmWork(str(film), options, base) for film in films]
+    # other machines have other working directories
+    base = Path.cwd() if crew_options.scheduler is not None else Path()
+    works = [FilmWork(str(film), base / film, options.relative_to(base)) for film in films]
     _check_names(works)
     for text in filter(None, (*warnings, fewer_workers(crew_options.workers))):
         console.complain(text)
@@ -181,12 +165,13 @@ def receive_one(work: FilmWork) -> Row:
     """Receive a film; errors become part of the row."""
     cv2.setNumThreads(1)
     try:
-        settings, base = work.settings.load(), work.settings.load_preset()
+        options = work.options.settings
+        settings, base = options.load(), options.load_preset()
         reception, start_s, made_of = Reception(), time.perf_counter(), work.made_of()
         files = FileOutput(work.files_folder, is_quiet=True)
         files.begin(reception.files)
         with open_film(work.path, **work.options.film.keywords()) as source:
-            signal, departure = signal_of(source, base.signal, work.settings.signal_changes())
+            signal, departure = signal_of(source, base.signal, options.signal_changes())
             with ResultFolder(work.folder) as folder, EventOutput(EventOptions()) as events:
                 monitor = FilmMonitor(source, is_quiet=True)
                 ending = receive_packets(monitor, signal, settings, reception, folder, events, files)
@@ -315,7 +300,7 @@ def _row_of(future: Future[Row], work: FilmWork) -> Row:
     except Exception as error:  # such as a worker with another version of Heliograph
         text = _one_line(str(error)) or type(error).__name__
         return {"film": work.film, "error": f"its worker failed with {type(error).__name__}: {text}"}
-    if work.base is not None and row.get("error", "").startswith("there is no file") and work.path.exists():
+    if row.get("error", "").startswith("there is no file") and work.path.exists():  # on this machine
         row["error"] = f"the worker has no file {work.path}: all machines need this folder under the same name"
     return row
 
