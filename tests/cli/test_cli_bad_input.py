@@ -148,7 +148,7 @@ BAD = {
     "budget --set signal.data_pairs=1": "raise signal.data_pairs",
     # messages
     f"simulate a.mkv {S} --high {{}}/missing": "cannot read",
-    f"simulate a.mkv {S} --low {{}}/empty": "nothing to send",
+    f"simulate a.mkv {S} --low {{}}/empty": "no message to send",
     f"simulate a.mkv {S} --middle {{}}/long": "send less",
     "transmit a.npy --high {}/long": "send less",
 }

@@ -154,7 +154,7 @@ def test_error_rates_come_with_their_counts(film: Path, tmp_path: Path, call: Ca
         "<", "3.7e-04", "of", "8192", "0/8",
         "<", "7.3e-04", "of", "4096", "0/4",
     ]  # fmt: skip
-    assert "packets that were not sent: 0\ncodewords taken for right that were not sent: 0" in out
+    assert "packets that were not sent: 0\naccepted codewords that were not sent: 0" in out
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".mp4"])
@@ -227,7 +227,7 @@ def test_a_converted_film_is_read_like_its_source(film: Path, tmp_path: Path, ca
     truth = ("--truth", f"{film}.truth.npz", "--json")
     ours, theirs = (json.loads(succeeded(call("receive", path, *truth))) for path in ("b.h5", film))
     assert ours["errors"] == theirs["errors"]
-    assert succeeded(call("convert", "b.h5", "c.avi")).startswith("c.avi: 400 frames; its gray levels are not quite")
+    assert succeeded(call("convert", "b.h5", "c.avi")).startswith("c.avi: 400 frames; gray levels differ slightly")
     assert "is read and would be written" in failed(call("convert", "b.h5", "b.h5"))
 
 
@@ -241,7 +241,7 @@ def test_budget_says_what_a_link_has(preset: str, call: Call) -> None:
     assert [row[:3] for row in rows if row[:1] == ["soft"]] == [
         ["soft", mode, layer] for mode in ("paired", "single") for layer in ("high", "middle", "low")
     ]
-    assert "flicker, paired: the array's light is even over 2 ms (500 Hz), an LED's over 2 ms (500 Hz)" in text
+    assert "flicker, paired: the light of the array is even over 2 ms (500 Hz), of an LED over 2 ms (500 Hz)" in text
     points = json.loads(succeeded(call("budget", *small, "--candela", "0.5", "--json")))
     assert [point["settings"] for point in points] == [{"channel.distance_m": 20}, {"channel.distance_m": 60}]
     assert points[0]["candela"] == 0.5
@@ -262,7 +262,7 @@ def test_a_note_that_distances_share_is_said_once(call: Call) -> None:
     notes = [line for line in succeeded(call("budget", *aside, "--candela", "9")).splitlines() if "not in the" in line]
     assert len(notes) == 1
     assert notes[0].startswith("note: at 20 m the array is not in the picture")
-    assert notes[0].endswith("(and alike at 2 more)")
+    assert notes[0].endswith("(similar at 2 more)")
 
 
 def test_presets_are_listed_and_printed(tmp_path: Path, call: Call) -> None:
@@ -279,7 +279,7 @@ def test_demo_shows_what_arrived(tmp_path: Path, call: Call) -> None:
     out = succeeded(call("demo", "--output", "d", *lasting(0.1)))
     assert out.splitlines()[0] == "d/drive.mp4: a film of 100 frames, about 1 MB"
     assert "array 0: 1 packet; codewords read: high 1/1" in out
-    assert out.splitlines()[-1] == "look at d/report.html"
+    assert out.splitlines()[-1] == "open d/report.html"
     assert {"report.html", "drive.mp4", "drive.mp4.truth.npz", "array-0-high-0.txt"} <= set(names(tmp_path / "d"))
 
 
@@ -334,7 +334,7 @@ def test_help_and_no_arguments(call: Call) -> None:
     assert "simulate" in succeeded(call("--help"))
     told = " ".join(succeeded(call("receive", "--help")).split())
     assert "--truth" in told
-    assert "wins over the preset. --settings and --set win over the note" in told
+    assert "overrides the preset. --settings and --set override the note" in told
     run = call()
     assert run.returncode == 2
     assert "Usage: heliograph" in run.stderr
@@ -432,7 +432,7 @@ def test_an_array_outside_the_picture_is_told_on_a_terminal(
     two = ("--set", "transmit.identities=[3,4]", "--set", "channel.arrays=[{x_m=0,y_m=0},{x_m=30,y_m=0}]")
     run = call("simulate", "a.h5", *lasting(0.02), *two)
     assert run.returncode == 0
-    assert "array 1 is never whole in the picture" in run.stderr
+    assert "array 1 is never completely in the picture" in run.stderr
     assert "array 0 is" not in run.stderr
 
 

@@ -31,7 +31,7 @@ def test_the_size_is_said_before_and_what_is_there_is_kept(call: Call, tmp_path:
     assert made == [said.strip(), "a/DATASHEET.md: seed 0; 2 train, 2 validation, 2 test"]
     assert names(tmp_path / "a") == ["DATASHEET.md", "dataset.json", "films.csv", *FILMS]
     again = succeeded(call("dataset", "a", *SMALL, *SPLIT)).splitlines()
-    assert again[0] == f"{said.strip()}, of which 6 films are there"
+    assert again[0] == f"{said.strip()}, of which 6 films exist"
     assert "differs in seed" in failed(call("dataset", "a", *SMALL, *SPLIT, "--seed", "1"))
 
 
@@ -72,8 +72,8 @@ def test_after_ctrl_c_the_same_command_goes_on(tmp_path: Path, call: Call) -> No
     run = interrupted("dataset", "a", *longer, cwd=tmp_path, when=grown(tmp_path / "a", "validation/*.h5"))
     assert run.returncode == 130
     assert run.stderr.startswith("heliograph: interrupted after ")
-    assert run.stderr.endswith("of 6 films; the same command goes on\n")
+    assert run.stderr.endswith("of 6 films; the same command continues\n")
     there = names(tmp_path / "a")
     assert "DATASHEET.md" not in there
-    assert f"of which {len(there) - 1} films are there" in succeeded(call("dataset", "a", *longer))
+    assert f"of which {len(there) - 1} films exist" in succeeded(call("dataset", "a", *longer))
     assert names(tmp_path / "a") == ["DATASHEET.md", "dataset.json", "films.csv", *FILMS]

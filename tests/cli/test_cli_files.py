@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cli_runs import Run, called, lasting, succeeded
 
-from heliograph.cli.files import Files, join
+from heliograph.cli.files import FileOutput, join
 from heliograph.link.file_store import FileStore, safe_name
 from heliograph.link.truth import open_truth, truth_path
 from heliograph.signal.fountain.cauchy import CauchyEncoder
@@ -41,7 +41,7 @@ def test_a_file_is_joined_of_two_films(tmp_path: Path, call: Call) -> None:
     said = succeeded(call("receive", "0.h5", "--preset", "static", "--files", "got"))
     assert re.search(r"^file [0-9a-f]{8}: 3 of 14 symbols \(21 %\)$", said, re.M)
     lacking = re.search(
-        r"^file [0-9a-f]{8}: 9 of 14 symbols \(64 %\), 5 missing: film longer, about 0\.2 s, or take another film",
+        r"^file [0-9a-f]{8}: 9 of 14 symbols \(64 %\), 5 missing: film longer, about 0\.2 s, or use another film",
         said,
         re.M,
     )
@@ -63,17 +63,17 @@ def test_a_file_is_joined_of_two_films(tmp_path: Path, call: Call) -> None:
 def test_the_last_word_on_a_file_says_what_is_missing_and_what_helps(tmp_path: Path, folder: str | None) -> None:
     data = b"\x01a" + bytes(range(200))
     encoder, key, gatherer = CauchyEncoder(data, 8), FileKey(0, len(data), 8, 0), FileGatherer()
-    files = Files(tmp_path / folder if folder else None, aloud=True)
+    files = FileOutput(tmp_path / folder if folder else None, is_quiet=False)
     files.begin(gatherer)
-    assert list(files.lacking(gatherer, 2.0)) == []
+    assert list(files.incomplete_lines(gatherer, 2.0)) == []
     gatherer.take(key, {n: encoder.symbol(n) for n in range(20)})
-    (line,) = files.lacking(gatherer, 2.0)
-    assert line.startswith("file 00000000: 20 of 26 symbols (76 %), 6 missing: film longer, about 0.6 s, or take ")
-    assert line.endswith("another film with the same --files DIR" if folder else "keeps them for another film")
+    (line,) = files.incomplete_lines(gatherer, 2.0)
+    assert line.startswith("file 00000000: 20 of 26 symbols (76 %), 6 missing: film longer, about 0.6 s, or use ")
+    assert line.endswith("another film with the same --files DIR" if folder else "keeps symbols for another film")
     files.finish(gatherer)
     if folder:
         again = FileGatherer()
-        Files(tmp_path / folder, aloud=False).begin(again)
+        FileOutput(tmp_path / folder, is_quiet=True).begin(again)
         whole, lacking = join(tmp_path / folder)
         assert whole == []
         assert lacking == [line.replace(", about 0.6 s", "")]

@@ -12,7 +12,7 @@ import pytest
 from cli_runs import Run, called, failed, grown, heliograph, interrupted, lasting, names, succeeded, within
 from made_recordings import write_pictures, write_tiff
 
-from heliograph.cli.options import FilmOptions
+from heliograph.cli.options import FilmOptions, ReceiveOptions, SettingsOptions
 from heliograph.cli.receive_many import FilmWork, films_of, is_many
 from heliograph.sweeps.executors import Workers
 
@@ -37,7 +37,7 @@ def test_what_a_film_is_made_of_is_looked_at_again(name: str, tmp_path: Path) ->
     write_pictures(tmp_path / "shots", levels)
     (tmp_path / "m.mraw").write_bytes(bytes(192))
     (tmp_path / "m.cih").write_text("#Camera Information Header")
-    work = FilmWork(str(tmp_path / name), FilmOptions(None, None, 1, 0, "luma"), "static", None, (), None)
+    work = FilmWork(name, tmp_path / name, ReceiveOptions(FilmOptions(), SettingsOptions("static")))
     before = work.made_of()
     assert before
     assert work.made_of() == before
@@ -89,8 +89,8 @@ def test_stacks_and_folders_of_pictures_are_films_of_a_folder(tmp_path: Path) ->
     write_pictures(tmp_path, levels[:1], "loose%d.png")
     films, (left_out,) = films_of([tmp_path])
     assert films == [*stacks, shots]
-    assert "1 picture and 1 folder beside the films left out" in left_out
-    # single-page files are frames of the same film
+    assert "ignoring 1 picture and 1 folder in this folder of films" in left_out
+    # single pages are the frames of one film
     pages = write_pictures(tmp_path / "pages", levels, "page%d.tif")
     assert films_of([pages]) == ([pages], [])
 
@@ -168,7 +168,10 @@ def test_results_that_do_not_arrive_are_missed(
         assert len(row["arrays"]) == 1  # type: ignore[arg-type]
     else:
         assert "1 of 1 films could not be read" in failed(run)
-        assert row["error"] == f"the worker has no file {client / 'a.h5'}: all machines need its folder, under one name"
+        assert (
+            row["error"]
+            == f"the worker has no file {client / 'a.h5'}: all machines need this folder under the same name"
+        )
     assert not (client / "out").exists()
 
 
@@ -177,7 +180,7 @@ def test_ctrl_c_keeps_the_films_that_are_done(film: Path, tmp_path: Path) -> Non
     succeeded(within(tmp_path, "simulate", "long.h5", *lasting(2), "--high", "red light"))
     line = ("receive", "a.h5", "long.h5", "--workers", "1", "--receiver", "plain", "--output", "out")
     run = interrupted(*line, cwd=tmp_path, when=grown(tmp_path, "out/long.h5/.*partial*"))
-    assert "interrupted after 1 of 2 films; the same command goes on" in failed(run, 130)
+    assert "interrupted after 1 of 2 films; the same command continues" in failed(run, 130)
     assert list(rows(run)) == ["a.h5"]
     assert names(tmp_path / "out" / "a.h5") == RESULTS
     assert not list((tmp_path / "out").glob("*/.*partial*"))
@@ -190,9 +193,9 @@ def test_ctrl_c_keeps_the_films_that_are_done(film: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("a.h5", "b.h5", "--follow"), "take one film"),
-        (("a.h5", "camera:genicam"), "camera:genicam is a live camera: receive it by itself"),
-        (("camera:genicam", "--workers", "1"), "is a live camera: receive it by itself"),
+        (("a.h5", "b.h5", "--follow"), "accept a single film"),
+        (("a.h5", "camera:genicam"), "camera:genicam is a live camera: receive it separately"),
+        (("camera:genicam", "--workers", "1"), "is a live camera: receive it separately"),
         (("a.h5", "b/a.h5", "--output", "out"), "several films have the name a.h5"),
         (("a.h5", "b.h5", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "not both"),
         (("a.h5", "b.h5", "--set", "receive.receiver=nobody"), "nobody"),

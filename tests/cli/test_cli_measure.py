@@ -75,7 +75,7 @@ def test_drives_and_empty_clips(call: Call, data: Path) -> None:
              "--set", "channel.camera.height=270")
     ).splitlines()  # fmt: skip
     assert empty[0].startswith("day-motorway.mp4: 0/20 (< 1.5e-01) detections")
-    assert empty[1].startswith("in all, a frame: 0/20 ")
+    assert empty[1].startswith("all clips, per frame: 0/20 ")
 
 
 def test_a_film_encoded_again(call: Call, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,9 +92,9 @@ def test_a_film_encoded_again(call: Call, capfd: pytest.CaptureFixture[str], mon
     ("arguments", "message"),
     [
         ("scenes nowhere", "there is no scene nowhere; there are upright"),
-        ("scenes upright --at near", "'near' is no list of numbers; write them with commas"),
+        ("scenes upright --at near", "'near' is no list of numbers; separate numbers by commas"),
         ("scenes upright --receiver sift --at 50", "receive.receiver"),
-        ("repeated-packets --layer top", "there is no layer 'top'; there are high, middle, low"),
+        ("repeated-packets --layer top", "unknown layer 'top'; choose from high, middle, low"),
         ("known-channel --brightness 1,,2", "'1,,2' is no list of numbers"),
         ("drives none.mp4 --imu none.csv", "none.mp4"),
         ("lossy none.mp4 out.mp4", "there is no truth file none.mp4.truth.npz"),

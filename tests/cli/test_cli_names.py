@@ -10,7 +10,7 @@ import pytest
 from cli_runs import called, failed, heliograph, within
 
 from heliograph.base.frames import Frame
-from heliograph.cli import console, options
+from heliograph.cli import console, messages
 from heliograph.experiments.report import Report
 from heliograph.experiments.reproduce import recordings_in
 from heliograph.media import create_film
@@ -76,10 +76,10 @@ def test_a_name_in_a_command_that_is_shown_is_that_of_the_file(name: str) -> Non
 
 
 def test_text_and_file_names_that_are_not_utf_8_are_sent(tmp_path: Path) -> None:
-    assert options.message_of("high", os.fsdecode(b"caf\xe9")) == b"caf\xe9"
+    assert messages.message_of("high", os.fsdecode(b"caf\xe9")) == b"caf\xe9"
     path = tmp_path / os.fsdecode(b"caf\xe9" + b"n" * 251)
     path.write_bytes(b"x")
-    assert options.file_of(path, "cauchy").name == "caf_" + "n" * 251
+    assert messages.file_of(path, "cauchy").name == "caf_" + "n" * 251
 
 
 def test_a_report_takes_any_text(tmp_path: Path) -> None:

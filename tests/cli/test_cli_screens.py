@@ -32,8 +32,8 @@ def test_a_film_without_a_screen_is_told_so_early_and_at_the_end(tmp_path: Path)
         for k in range(170):
             film.write(Frame(k, k / 30, rng.integers(90, 110, (48, 64), np.uint8)))
     run = within(tmp_path, "receive", "empty.h5", "--preset", "phone")
-    assert "no screen is visible, or none that can be read, in the first 5.0 s" in failed(run, 3)
-    assert "no array found: no screen is visible, or none that can be read" in run.stdout
+    assert "no readable screen is visible, in the first 5.0 s" in failed(run, 3)
+    assert "no array found: no readable screen is visible" in run.stdout
 
 
 def test_help_names_the_receiver_for_screens(tmp_path: Path) -> None:

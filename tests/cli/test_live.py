@@ -59,7 +59,7 @@ def test_what_a_camera_sees_is_received_as_from_its_film(call: Call, film: Path,
     says = succeeded(run)
     assert says.startswith(f"array 0, high, message 0: {len(HIGH)} bytes, '{HIGH.decode()}'\n")
     assert "array 0: 3 packets" in says
-    assert "camera: 320 frames, 1000.0 a second by the camera's clock\n" in says
+    assert "camera: 320 frames, 1000.0 per second by the camera's clock\n" in says
     assert (tmp_path / "out" / "array-0-high-0.bin").read_bytes() == HIGH
     succeeded(call("receive", film, "--preset", "static", "--output", "film"))
     assert (tmp_path / "out" / "packets.jsonl").read_text() == (tmp_path / "film" / "packets.jsonl").read_text()
@@ -128,7 +128,7 @@ def dark(tmp_path: Path) -> Path:
 def test_where_no_array_is_seen_it_says_what_tells_why(call: Call, dark: Path) -> None:
     run = received(call, dark)
     assert run.returncode == 3
-    assert f"'heliograph probe camera:played:{dark}' tells what the camera shows" in run.stdout
+    assert f"'heliograph probe camera:played:{dark}' describes the frames" in run.stdout
 
 
 def test_the_last_seconds_are_kept_where_no_array_is_ever_found(call: Call, dark: Path) -> None:
@@ -137,13 +137,13 @@ def test_the_last_seconds_are_kept_where_no_array_is_ever_found(call: Call, dark
     with open_film("kept.h5") as kept:
         assert [frame.index for frame in kept] == list(range(19, 120))
     assert run.stdout.endswith("the last 101 frames are kept in kept.h5\n")
-    assert "'heliograph probe kept.h5' tells what the camera shows" in run.stdout
+    assert "'heliograph probe kept.h5' describes the frames" in run.stdout
     assert call("probe", "kept.h5").returncode == 3
 
 
 def test_nothing_is_recorded_where_all_was_read(call: Call, film: Path, tmp_path: Path) -> None:
     says = succeeded(received(call, film, "--record", "kept.h5", "--record-s", "0.1"))
-    assert "what failed" not in says
+    assert "failures" not in says
     assert names(tmp_path) == []
 
 
@@ -188,7 +188,7 @@ def test_a_cameras_film_can_be_converted(call: Call, film: Path, tmp_path: Path)
     lost = ("--camera", "Lost=40")
     says = succeeded(call("convert", f"camera:played:{film}", "taken.h5", "--crop", "0,0,80,60", *lost))
     assert says == (
-        "taken.h5: 319 frames\ncamera: 319 frames, 1000.0 a second by the camera's clock; 1 lost on the way\n"
+        "taken.h5: 319 frames\ncamera: 319 frames, 1000.0 per second by the camera's clock; 1 lost in transfer\n"
     )
     with open_film(tmp_path / "taken.h5") as taken:
         assert [frame.index for frame in taken] == [k for k in range(320) if k != 40]

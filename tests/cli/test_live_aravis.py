@@ -135,7 +135,9 @@ class TestLive:
         asked = ("--camera", "exposure_us=100.7", "--camera", "trigger=Line0")
         run = received(tmp_path, 0.2, "--receiver", "plain", "--fps", "50", *asked)
         assert run.stderr.splitlines()[0] == f"heliograph: {NAME}: exposure_us is 100, asked for 100.7"
-        assert "gave no frame: see that its trigger is off or has pulses" in run.stderr.splitlines()[1]
+        assert (
+            "gave no frame: check exposure and trigger, which must be off or have pulses" in run.stderr.splitlines()[1]
+        )
 
     @pytest.mark.parametrize(("name", "bits"), [("Mono16", 16), ("BayerRG8", 8), ("RGB8", 8)])
     def test_other_pixels(self, name: str, bits: int) -> None:

@@ -15,7 +15,7 @@ SLOW = {"reading_seconds": 9.0, "seconds": 10.0, "frames": 100}
 
 
 def said(source: Any, report: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> str:
-    receive._show_reading(source, report)
+    receive._show_reading_time(source, report)
     shown = capsys.readouterr()
     assert shown.out == ""
     return shown.err
@@ -31,7 +31,7 @@ def test_a_slow_film_names_the_faster_kinds(
     assert said(film(("HDF5",)), SLOW, capsys) == "", "no terminal"
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     assert said(film(("HDF5", "lossless H.264")), SLOW, capsys) == (
-        "9.0 s of these were spent waiting for the film: HDF5 and lossless H.264 are read faster, see 'heliograph "
+        "reading the film took 9.0 s: HDF5 and lossless H.264 are read faster, see 'heliograph "
         "convert take/a.mkv take/a.h5'\n"
     )
     assert "HDF5 is read faster" in said(film(("HDF5",)), SLOW, capsys)

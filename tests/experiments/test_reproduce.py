@@ -50,7 +50,7 @@ def test_report_pictures_and_data(tmp_path: Path) -> None:
     assert all(f["claim"] in unescape(page) for f in findings)
     assert not list(tmp_path.glob(".*"))
     again = CliRunner().invoke(app, ["reproduce", "fig5", "table1", "--quick", "--output", str(tmp_path)])
-    assert "2 of 2 experiments were done before" in again.output
+    assert "2 of 2 experiments are complete in" in again.output
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == page
 
 

@@ -15,9 +15,9 @@ from parser_fuzz import mutated
 
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
-from heliograph.web.failures import MOST
+from heliograph.web.failures import MAX_BUNDLES
 from heliograph.web.limits import Limits
-from heliograph.web.security import LOOPBACK, Door
+from heliograph.web.security import LOOPBACK, Access
 from heliograph.web.sending import Sendings, sending_of
 
 LIMITS = Limits(film_bytes=1 << 16, films=4, body_bytes=2048, idle_s=0.05, upload_s=1.0)
@@ -82,7 +82,7 @@ DRIVES = 0.002
 
 def served() -> FastAPI:
     """Return an application with a token and a missing film."""
-    return create_app(films=["missing.mkv"], door=Door(LOOPBACK, token=TOKEN), limits=LIMITS)
+    return create_app(films=["missing.mkv"], access=Access(LOOPBACK, token=TOKEN), limits=LIMITS)
 
 
 async def answer(
@@ -225,7 +225,7 @@ async def fuzz_screen(app: FastAPI, cases: int, rng: random.Random) -> Counter[s
     """Count outcomes of requests and conversations on pages *Transmit* and *Receive*."""
     found: Counter[str] = Counter()
     headers = [HEADERS[0], HEADERS[4]]
-    name = app.state.sendings.add(sending_of(b"a text", None, 8, 60.0))
+    name = app.state.shared.sendings.add(sending_of(b"a text", None, 8, 60.0))
     case: Awaitable[int | list[str]]
     while found.total() < cases:
         if rng.random() < 0.3:
@@ -277,7 +277,7 @@ async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
     """Run cases with requests, messages and damaged films; fail on leftovers from aborted cases."""
     app, films = served(), round(cases * FILM_PART)
     part = (cases - films) // 3
-    app.state.sendings = Sendings()
+    app.state.shared.sendings = Sendings()
     async with app.router.lifespan_context(app):
         found = {
             "requests": await fuzz_requests(app, part, random.Random(f"requests {seed}")),
@@ -288,7 +288,7 @@ async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
         shared = app.state.shared
         kept = {film.path for film in shared.uploads._films.values()} | set(shared.bundles._known.values())
         left = [path for path in shared.uploads.folder().iterdir() if path.is_file() and path not in kept]
-        many = len(kept) > LIMITS.films + MOST
+        many = len(kept) > LIMITS.films + MAX_BUNDLES
         if left or many or shared.sessions.taken:
             found["left over"] = Counter({f"{len(left)} files, {app.state.shared.sessions.taken} sessions": 1})
     return found

@@ -19,7 +19,7 @@ from heliograph.base.frames import Frame
 from heliograph.media import create_film
 from heliograph.web.app import create_app
 from heliograph.web.limits import Limits
-from heliograph.web.serve import Address, configured, opened
+from heliograph.web.serve import Address, open_port, server_config
 
 pytestmark = [pytest.mark.slow, needs_chromium]
 
@@ -43,8 +43,8 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def address(film: Path) -> Iterator[str]:
     """Serve the pages from a thread in this process, so that tests can inject faults."""
     place, limits = Address(port=0), Limits()
-    server = uvicorn.Server(configured(create_app(films=[str(film)], limits=limits), place, limits))
-    with opened(place) as waiting:
+    server = uvicorn.Server(server_config(create_app(films=[str(film)], limits=limits), place, limits))
+    with open_port(place) as waiting:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [waiting]})
         thread.start()
         try:
@@ -74,7 +74,7 @@ def test_page_watch_shows_a_crash_of_its_reception(address: str, monkeypatch: py
 
 
 def test_page_receive_shows_a_crash_of_its_reception(address: str, film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("heliograph.web.receive.read_upload", broken)
+    monkeypatch.setattr("heliograph.web.receive.PageReader.read_upload", broken)
     with browser() as found, quiet_page(found, f"{address}receive") as page:
         page.set_input_files("#film", film)
         expect_notice(page)

@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 
 from heliograph.base.frames import Frame
 from heliograph.web.app import create_app
-from heliograph.web.failures import Failures, Saver
+from heliograph.web.failures import FailureRecorder
 
 OWN = "http://127.0.0.1:8000"
 WHITE, DARK = 0.75, 40
@@ -77,14 +77,15 @@ def test_probe_and_pages_see_the_same_part_at_full_scale(
     told = json.loads(called("probe", path, "--json", "--preset", "phone", capfd=capfd, monkeypatch=monkeypatch).stdout)
     assert told["levels"]["at_full_scale"] == pytest.approx(WHITE, abs=0.01)
     seen: dict[str, list[Frame]] = {"receive": [], "watch": []}
-    monkeypatch.setattr(Saver, "saw", lambda _saver, frame: seen["receive"].append(frame))
-    monkeypatch.setattr(Failures, "saw", lambda _failures, frame: seen["watch"].append(frame))
+    page = "receive"
+    monkeypatch.setattr(FailureRecorder, "add_frame", lambda _recorder, frame: seen[page].append(frame))
     with TestClient(create_app(films=[str(path)]), base_url=OWN) as client:
         kept = client.put(f"/api/films?kind={path.suffix[1:]}", content=path.read_bytes()).json()["film"]
         with client.websocket_connect("ws://127.0.0.1:8000/api/receive", ["heliograph"]) as socket:
             socket.send_json({"kind": "film", "film": kept, "side": 16, "rate_hz": 10})
             while socket.receive()["type"] != "websocket.close":
                 pass
+        page = "watch"
         with client.websocket_connect("ws://127.0.0.1:8000/api/watch") as socket:
             socket.send_json({"do": "open", "source": {"kind": "named", "preset": "phone"}})
             event = ""

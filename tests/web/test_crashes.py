@@ -116,7 +116,7 @@ def test_receive_reports_any_exception_of_its_worker_and_closes(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setattr("heliograph.web.receive.read_upload", raises(error))
+    monkeypatch.setattr("heliograph.web.receive.PageReader.read_upload", raises(error))
     rows, code = received(client, film)
     assert [row["event"] for row in rows] == ["error"]
     assert is_one_clear_line(rows[0]["error"], error)
@@ -153,13 +153,13 @@ def test_transmit_answers_any_exception_of_its_worker_in_a_line(
     "place",
     [
         "heliograph.web.reading.open_film",
-        "heliograph.web.reading.link_shown",
+        "heliograph.web.reading.estimate_link",
         "heliograph.web.reading.receive_film",
         "heliograph.web.reading.probe_film",
         "heliograph.measure.reception.make_receiver",
-        "heliograph.web.failures.Saver.saw",
-        "heliograph.web.failures.Saver.close",
-        "heliograph.web.looking.screen_settings",
+        "heliograph.web.failures.FailureRecorder.add_frame",
+        "heliograph.web.failures.FailureRecorder.close",
+        "heliograph.web.link_estimate.screen_settings",
     ],
 )
 def test_receive_reports_a_crash_wherever_it_is(
@@ -173,7 +173,9 @@ def test_receive_reports_a_crash_wherever_it_is(
     assert code == INTERNAL
 
 
-@pytest.mark.parametrize("place", ["heliograph.web.receive.read_camera", "heliograph.web.receive.CameraFrames.put"])
+@pytest.mark.parametrize(
+    "place", ["heliograph.web.receive.PageReader.read_camera", "heliograph.web.receive.CameraFrames.put"]
+)
 def test_receive_reports_a_crash_while_it_reads_a_camera(
     client: TestClient, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,7 +190,7 @@ def test_receive_reports_a_crash_while_it_reads_a_camera(
 
 
 def test_receive_reports_a_crash_while_it_saves(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("heliograph.web.failures.Saver.save", raises(ValueError("broken")))
+    monkeypatch.setattr("heliograph.web.failures.FailureRecorder.save", raises(ValueError("broken")))
     with client.websocket_connect(RECEIVE, ["heliograph"]) as socket:
         socket.send_json({"kind": "camera"})
         socket.send_text("save")
@@ -201,10 +203,10 @@ def test_receive_reports_a_crash_while_it_saves(client: TestClient, monkeypatch:
     ("place", "number", "then"),
     [
         ("heliograph.web.watching.run.opened", 0, ""),
-        ("heliograph.web.watching.run.Failures.saw", 0, ""),
-        ("heliograph.web.watching.run.Seen.scene", 0, ""),
+        ("heliograph.web.watching.run.FailureRecorder.add_frame", 0, ""),
+        ("heliograph.web.watching.run.SceneObserver.scene", 0, ""),
         ("heliograph.web.watching.scene.Scene.encoded", 0, ""),
-        ("heliograph.web.watching.run.Run.save", 0, "save"),
+        ("heliograph.web.watching.session.save_bundle", 0, "save"),
         ("heliograph.web.watching.run.Run.halt", 0, "stop"),
         ("heliograph.media.hdf5.Hdf5Reader._frames", 0, ""),
         ("played_camera.PlayedCamera.open", 1, ""),
@@ -221,7 +223,7 @@ def test_watch_reports_a_crash_wherever_it_is(
 ) -> None:
     error = ValueError("broken")
     monkeypatch.setattr(place, raises(error))
-    monkeypatch.setattr("heliograph.link.warm_up.warm_up", lambda *_: None)
+    monkeypatch.setattr("heliograph.web.watching.run.warm_up", lambda *_: None)
     rows, code = watched(client, number, then)
     # the short film may end without a packet before the command arrives
     failed = [row["reason"] for row in rows if row["event"] == "failed" and "record longer" not in row["reason"]]
@@ -238,7 +240,7 @@ def test_the_end_of_a_cameras_thread_ends_its_reception(
     client: TestClient, error: BaseException, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(played_camera.PlayedCamera, "frames", raises(error))
-    monkeypatch.setattr("heliograph.link.warm_up.warm_up", lambda *_: None)
+    monkeypatch.setattr("heliograph.web.watching.run.warm_up", lambda *_: None)
     rows, code = watched(client, 1)
     assert type(error).__name__ in rows[-1]["reason"]
     assert code == INTERNAL

@@ -22,7 +22,7 @@ from heliograph.receive import Packet
 from heliograph.receive.screen.receiver import ScreenReceiver
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.app import create_app
-from heliograph.web.camera_frames import HEAD, MOST_WAITING, CameraFrames, MessageError
+from heliograph.web.camera_frames import HEAD, MAX_WAITING, CameraFrames, MessageError
 from heliograph.web.sending import screen_settings, sending_of
 
 OWN = "http://127.0.0.1:8000"
@@ -85,7 +85,7 @@ def test_a_camera_is_read_as_it_films(client: TestClient, monkeypatch: pytest.Mo
         socket.send_text(json.dumps({"kind": "camera"}))
         sent = taken = 0
         while not rows or rows[-1]["event"] != "end":
-            while sent < len(frames) and sent - taken < MOST_WAITING:
+            while sent < len(frames) and sent - taken < MAX_WAITING:
                 socket.send_bytes(frames[sent])
                 sent += 1
                 if sent == len(frames):
@@ -112,7 +112,7 @@ def test_where_nothing_is_read_it_is_said_why_and_the_frames_are_saved(client: T
     with client.websocket_connect(SOCKET, ["heliograph"]) as socket:
         socket.send_text(json.dumps({"kind": "camera", "side": 20}))
         socket.send_text("save")
-        assert socket.receive_json() == {"event": "refused", "error": "no frames were taken yet: start the camera"}
+        assert socket.receive_json() == {"event": "refused", "error": "the camera has sent no frames: start the camera"}
         for k in range(300):
             socket.send_bytes(message(k / 20, noise.integers(90, 110, (64, 64), np.uint8), k))
             while (row := socket.receive_json())["event"] != "took":
@@ -235,7 +235,7 @@ def test_frames_that_are_none_let_a_page_go(client: TestClient, bad: bytes | str
 def test_frames_come_in_order_and_of_one_size() -> None:
     camera = CameraFrames()
     camera.put(message(1.0, np.zeros((64, 64), np.uint8)))
-    with pytest.raises(MessageError, match="order"):
+    with pytest.raises(MessageError, match="increase"):
         camera.put(message(1.0, np.zeros((64, 64), np.uint8)))
     with pytest.raises(MessageError, match="same size"):
         camera.put(message(2.0, np.zeros((64, 32), np.uint8)))
@@ -243,11 +243,11 @@ def test_frames_come_in_order_and_of_one_size() -> None:
 
 def test_frames_that_find_no_place_are_dropped_and_counted() -> None:
     camera = CameraFrames()
-    for k in range(MOST_WAITING + 5):
+    for k in range(MAX_WAITING + 5):
         camera.put(message(float(k), np.zeros((64, 64), np.uint8), k))
     camera.end()
     assert camera.dropped == 5
-    assert [frame.index for frame in camera] == list(range(MOST_WAITING))
+    assert [frame.index for frame in camera] == list(range(MAX_WAITING))
 
 
 def test_a_film_of_what_failed_that_is_not_there_is_said_so(client: TestClient) -> None:

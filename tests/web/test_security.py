@@ -5,7 +5,7 @@ from fastapi.testclient import TestClient
 
 from heliograph.web.app import create_app
 from heliograph.web.limits import Limits
-from heliograph.web.security import LOOPBACK, Door
+from heliograph.web.security import LOOPBACK, Access
 
 OWN = "http://127.0.0.1:8000"
 SMALL = Limits(film_bytes=1000, films=2, body_bytes=100)
@@ -19,8 +19,8 @@ def client() -> Iterator[TestClient]:
 
 @pytest.fixture
 def guarded() -> Iterator[TestClient]:
-    door = Door(LOOPBACK, addresses=True, token="right")
-    with TestClient(create_app(door=door, limits=SMALL), base_url="http://192.168.1.5:8000") as made:
+    access = Access(LOOPBACK, addresses=True, token="right")
+    with TestClient(create_app(access=access, limits=SMALL), base_url="http://192.168.1.5:8000") as made:
         yield made
 
 

@@ -14,18 +14,18 @@ from cli_runs import COMMAND, called
 from waiting import HANG_S, wait_until
 
 from heliograph.base.errors import SettingsError
-from heliograph.cli.serve import say_where
+from heliograph.cli.serve import show_address
 from heliograph.web.app import create_app
 from heliograph.web.limits import Limits
-from heliograph.web.serve import Address, configured, opened
+from heliograph.web.serve import Address, open_port, server_config
 
 
 @contextlib.contextmanager
 def serving(limits: Limits) -> Iterator[int]:
     """Run a server in a thread; yield the port."""
     address = Address(port=0)
-    server = uvicorn.Server(configured(create_app(limits=limits), address, limits))
-    with opened(address) as waiting:
+    server = uvicorn.Server(server_config(create_app(limits=limits), address, limits))
+    with open_port(address) as waiting:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [waiting]})
         thread.start()
         try:
@@ -39,40 +39,40 @@ def serving(limits: Limits) -> Iterator[int]:
 def test_this_machine_alone_needs_no_token() -> None:
     for host in ("127.0.0.1", "localhost", "::1"):
         address = Address(host)
-        assert address.is_own
-        assert address.door().token is None
-        assert not address.door().addresses
+        assert address.is_loopback
+        assert address.access().token is None
+        assert not address.access().addresses
     assert Address("::1").url(8000, None) == "http://[::1]:8000/"
 
 
 def test_others_need_a_token_that_is_new_each_time() -> None:
     address = Address("0.0.0.0")
-    door = address.door()
-    assert not address.is_own
-    assert door.token is not None
-    assert len(door.token) >= 20
-    assert address.door().token != door.token
-    assert door.knows("192.168.7.5:8000")
-    assert door.knows(f"{socket.gethostname()}:8000")
-    assert not door.knows("evil.example:8000")
-    assert address.url(8000, door.token).endswith(f":8000/#token={door.token}")
-    assert "0.0.0.0" not in address.url(8000, door.token)
+    access = address.access()
+    assert not address.is_loopback
+    assert access.token is not None
+    assert len(access.token) >= 20
+    assert address.access().token != access.token
+    assert access.accepts_host("192.168.7.5:8000")
+    assert access.accepts_host(f"{socket.gethostname()}:8000")
+    assert not access.accepts_host("evil.example:8000")
+    assert address.url(8000, access.token).endswith(f":8000/#token={access.token}")
+    assert "0.0.0.0" not in address.url(8000, access.token)
     assert Address("0.0.0.0", certificate=Path("a"), key=Path("b")).url(1, None).startswith("https://")
 
 
 def test_a_port_that_is_taken_is_told_in_a_line() -> None:
-    with opened(Address(port=0)) as taken:
+    with open_port(Address(port=0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(
-            SettingsError, match=rf"cannot wait at 127\.0\.0\.1, port {port}: .*; choose another"
+            SettingsError, match=rf"cannot listen at 127\.0\.0\.1, port {port}: .*; choose another"
         ) as error:
-            opened(Address(port=port))
+            open_port(Address(port=port))
     assert "\n" not in str(error.value)
 
 
 def test_a_host_of_another_machine_is_told_in_a_line() -> None:
-    with pytest.raises(SettingsError, match=r"cannot wait at 192\.0\.2\.1"):
-        opened(Address("192.0.2.1", 0))
+    with pytest.raises(SettingsError, match=r"cannot listen at 192\.0\.2\.1"):
+        open_port(Address("192.0.2.1", 0))
 
 
 @pytest.mark.slow
@@ -91,8 +91,8 @@ def test_the_command_serves_until_ctrl_c() -> None:
     ("arguments", "said"),
     [
         (["missing.mkv"], "there is no file missing.mkv"),
-        (["--certificate", "a.pem"], "HTTPS takes both"),
-        (["--port", "0", "--certificate", "a.pem", "--key", "b.pem"], "a.pem and its key cannot be used"),
+        (["--certificate", "a.pem"], "HTTPS requires both"),
+        (["--port", "0", "--certificate", "a.pem", "--key", "b.pem"], "cannot use the certificate a.pem and its key"),
         (["--port", "0", "--set", "signal.side=7"], "signal.side"),
     ],
 )
@@ -127,7 +127,7 @@ def test_clients_that_ask_for_nothing_take_nobodys_place() -> None:
 
 
 def test_an_address_for_others_is_said_with_a_warning(capsys: pytest.CaptureFixture[str]) -> None:
-    say_where("http://192.168.1.5:8000/#token=abc", own=False, secure=False)
+    show_address("http://192.168.1.5:8000/#token=abc", is_loopback=False, is_secure=False)
     said = capsys.readouterr()
     assert "http://192.168.1.5:8000/#token=abc" in said.out
     assert "keep it to yourself" in said.err

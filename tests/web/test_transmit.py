@@ -12,9 +12,9 @@ from heliograph.media import open_film
 from heliograph.probe.screens import SIDES
 from heliograph.signal.fountain.files import FileGatherer
 from heliograph.signal.settings import LAYERS, RateSettings
-from heliograph.web import sending, transmit
+from heliograph.web import sending
 from heliograph.web.app import create_app
-from heliograph.web.sending import MOST_KEPT, MOST_SENT, screen_settings, sending_of
+from heliograph.web.sending import MAX_BYTES, MAX_SENDINGS, screen_settings, sending_of
 
 OWN = "http://127.0.0.1:8000"
 
@@ -68,7 +68,7 @@ def test_a_long_text_goes_as_a_file() -> None:
     ("query", "content", "status"),
     [
         ("", b"", 400),
-        ("", b"x" * (MOST_SENT + 1), 400),
+        ("", b"x" * (MAX_BYTES + 1), 400),
         ("?side=10", b"x", 422),
         ("?side=64", b"x", 422),
         ("?rate_hz=0", b"x", 422),
@@ -88,7 +88,7 @@ def test_packets_are_asked_for_by_a_name_that_is_known(client: TestClient) -> No
     name = client.post("/api/transmit", content=b"x").json()["sending"]
     assert client.get(f"/api/transmit/{name}/packets?first=-1").status_code == 422
     assert client.get(f"/api/transmit/{name}/packets?count=99").status_code == 422
-    for _ in range(MOST_KEPT):
+    for _ in range(MAX_SENDINGS):
         client.post("/api/transmit", content=b"x")
     assert client.get(f"/api/transmit/{name}/packets").status_code == 400
 
@@ -113,7 +113,8 @@ def test_a_film_is_bounded(client: TestClient) -> None:
     name = client.post("/api/transmit?rate_hz=240", content=b"x").json()["sending"]
     assert client.get(f"/api/transmit/{name}/film?seconds=600").status_code == 400
     assert client.get(f"/api/transmit/{name}/film?seconds=1e9").status_code == 422
-    with transmit._films.take(), transmit._films.take():
+    films = client.app.state.shared.pattern_films  # type: ignore[attr-defined]
+    with films.take(), films.take():
         assert client.get(f"/api/transmit/{name}/film?seconds=1").status_code == 503
 
 

@@ -20,9 +20,9 @@ from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.media import create_film, open_film
 from heliograph.web.app import create_app
-from heliograph.web.failures import MOST, Bundles
+from heliograph.web.failures import MAX_BUNDLES, Bundles
 from heliograph.web.limits import Limits
-from heliograph.web.security import Door
+from heliograph.web.security import Access
 
 OWN = "http://127.0.0.1:8000"
 SOCKET = "ws://127.0.0.1:8000/api/watch"
@@ -247,11 +247,11 @@ def test_a_drive_that_was_ended_is_saved_and_read_by_the_command(
 
 
 def test_films_of_what_failed_are_kept_up_to_a_number(tmp_path: Path) -> None:
-    kept, paths = Bundles(), [tmp_path / f"{k}.h5" for k in range(MOST + 2)]
+    kept, paths = Bundles(), [tmp_path / f"{k}.h5" for k in range(MAX_BUNDLES + 2)]
     for path in paths:
         path.touch()
     names = [kept.add(path) for path in paths]
-    assert [path.exists() for path in paths] == [False] * 2 + [True] * MOST
+    assert [path.exists() for path in paths] == [False] * 2 + [True] * MAX_BUNDLES
     assert [kept.of(name) for name in names[:3]] == [None, None, paths[2]]
     kept.drop(names[2])
     kept.drop("../../etc")
@@ -319,7 +319,7 @@ def test_a_page_that_draws_nothing_gets_two_scenes_and_every_row(client: TestCli
 @pytest.mark.slow
 def test_a_page_that_hears_nothing_is_let_go(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("heliograph.web.watching.session.ROWS_IN_FLIGHT", 1000)
-    monkeypatch.setattr("heliograph.web.watching.session.MOST_WAITING", 5000)
+    monkeypatch.setattr("heliograph.web.watching.outbox.MAX_WAITING", 5000)
     with client.websocket_connect(SOCKET) as socket:
         socket.send_json({"do": "open", "source": {"kind": "named", "number": 0}})
         texts, code = until_closed(socket)
@@ -378,7 +378,7 @@ def test_sockets_of_other_sites_are_refused(client: TestClient, headers: dict[st
 
 @pytest.mark.parametrize(("offered", "let_in"), [("token.right", True), ("token.wrong", False), ("right", False)])
 def test_a_socket_takes_the_token(offered: str, let_in: bool) -> None:
-    with TestClient(create_app(door=Door(token="right")), base_url=OWN) as client:
+    with TestClient(create_app(access=Access(token="right")), base_url=OWN) as client:
         if let_in:
             with client.websocket_connect(SOCKET, ["heliograph", offered]) as socket:
                 assert socket.accepted_subprotocol == "heliograph"

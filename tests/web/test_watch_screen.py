@@ -9,7 +9,7 @@ import pytest
 import heliograph
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.web.watching.scene import Scene, Seen
+from heliograph.web.watching.scene import Scene, SceneObserver
 
 SMALL = (
     "channel.camera.width=480",
@@ -25,13 +25,13 @@ SMALL = (
 @pytest.mark.slow
 def test_a_screen_is_drawn_with_its_box_cut_outs_and_light() -> None:
     settings = load_settings("phone-60", None, SMALL)
-    seen = Seen(settings.signal, settings.receive.calibration)
+    seen = SceneObserver(settings.signal, settings.receive.calibration)
     receiver = heliograph.make_receiver(settings.signal, settings.receive, seen)
     scenes, light = list[Scene](), list[dict[str, Any]]()
     for frame, _ in simulate(settings, default_messages(settings), 3):
         for packet in receiver.push(frame):
             assert packet.status == "ok"
-        light += seen.packets()
+        light += seen.packet_rows()
         scenes.append(seen.scene(frame))
     drawn = [one for one in scenes if one.boxes]
     assert len(drawn) > 20

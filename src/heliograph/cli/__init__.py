@@ -1,1 +1,1 @@
-"""The command: a thin face over `link`, `measure`, `sweeps` and `experiments`."""
+"""Command line interface of `link`, `measure`, `sweeps` and `experiments`."""

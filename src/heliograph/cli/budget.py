@@ -1,4 +1,4 @@
-"""heliograph budget."""
+"""Link budgets over a grid of settings."""
 
 import math
 import re
@@ -6,70 +6,65 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import islice
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from heliograph.base.config import merge
-from heliograph.cli import console, options
-
-if TYPE_CHECKING:
-    from heliograph.experiments.flicker.metrics import Flicker
-    from heliograph.link.budget import Budget, Spot
-    from heliograph.link.settings import LinkSettings
+from heliograph.base.errors import SettingsError
+from heliograph.cli import console
+from heliograph.cli.options import SettingsOptions, parse_vary_options
+from heliograph.experiments.flicker import metrics
+from heliograph.experiments.flicker.metrics import Flicker
+from heliograph.link.budget import Budget, Budgets, Spot
+from heliograph.link.photometry import LightSettings
+from heliograph.link.settings import LinkSettings
+from heliograph.link.simulate import transmitters
+from heliograph.measure.bench import lasting, random_messages
+from heliograph.signal import pwm
+from heliograph.signal.formats import MODES, Format
+from heliograph.sweeps.plan import grid, varied
 
 DISTANCE = "channel.distance_m"
 
-DISTANCES_M = (25, 40, 60, 80, 100, 125, 150, 200)
-"""Distances of the table where nothing else is asked for."""
-
-AT_REST = {"channel": {"speed_m_s": 0.0, "speed_profile": []}}
-"""What a budget is of, whatever the preset: then the end of a drive does not bound distances."""
-
-NUMBER = re.compile(r"[-+]?\d[\d.e+-]*")
-"""A number within a note."""
-
 
 def run_budget(
-    vary: list[str] | None,
-    preset: str,
-    file: Path | None,
-    assignments: list[str] | None,
-    light: Mapping[str, Any],
-    as_json: bool,
+    vary_options: list[str] | None, options: SettingsOptions, light: LightSettings, *, as_json: bool
 ) -> None:
-    """Print what a link has before it is built, over a grid of settings."""
-    from heliograph.link.budget import Budgets
-    from heliograph.link.photometry import LightSettings
-    from heliograph.sweeps.plan import grid, varied
-
-    made = Budgets(LightSettings(**light))
-    over, given = options.laid_over(file, assignments), options.varied(vary)
-    if not given and DISTANCE.partition(".")[2] not in over.get("channel", {}):
-        given = {DISTANCE: list(DISTANCES_M)}
-    choices = grid(given)
-    over = merge(over, AT_REST)
-    links = [varied(preset, over, choice) for choice in choices]
+    """Print the link budget of each point."""
+    overlay, vary = options.overlay(), parse_vary_options(vary_options)
+    if not vary and "distance_m" not in overlay.get("channel", {}):
+        vary = {DISTANCE: [25, 40, 60, 80, 100, 125, 150, 200]}
+    choices, budgets_of = grid(vary), Budgets(light)
+    # at rest, the end of a drive does not limit distances
+    overlay = merge(overlay, {"channel": {"speed_m_s": 0.0, "speed_profile": []}})
+    links = [varied(options.preset, overlay, choice) for choice in choices]
     budgets, flickers = [], []
     with console.progress("points", len(links)) as advance:
         for number, link in enumerate(links, 1):
-            budgets.append(made.of(link))
+            budgets.append(budgets_of.of(link))
             flickers.append(_flicker(replace(link, channel=links[0].channel)))
             advance(number)
     if as_json:
-        console.say_json(
-            [
-                {
-                    "settings": choice,
-                    **budget.plain(),
-                    "flicker": {mode: {**one.plain(), "led_period_s": led_s} for mode, (one, led_s) in flicker.items()},
-                }
-                for choice, budget, flicker in zip(choices, budgets, flickers, strict=True)
-            ]
-        )
+        console.say_json([
+            {
+                "settings": choice,
+                **budget.plain(),
+                "flicker": {
+                    mode: {**array.plain(), "led_period_s": led_s} for mode, (array, led_s) in flicker.items()
+                },
+            }
+            for choice, budget, flicker in zip(choices, budgets, flickers, strict=True)
+        ])  # fmt: skip
         return
-    _say_spots(choices, [budget.spot for budget in budgets])
-    _say_reach(choices, budgets)
-    _say_light(budgets, made)
+    _show_spots(choices, [budget.spot for budget in budgets])
+    _show_ranges(choices, budgets)
+    intensities = ", ".join(dict.fromkeys(f"{budget.candela:.3g} cd" for budget in budgets))
+    light = budgets_of.light
+    console.say_prose(
+        f"light: {intensities} an LED, f/{light.f_number:g}, {light.efficiency:g} electrons a photon, "
+        f"{light.wavelength_nm:g} nm"
+    )
     for text in dict.fromkeys(line for flicker in flickers for line in _flicker_lines(flicker)):
         console.say_prose(text)
     for text in _notes(budgets):
@@ -77,47 +72,40 @@ def run_budget(
 
 
 @cache
-def _flicker(link: "LinkSettings") -> "dict[str, tuple[Flicker, float]]":
-    """Flicker of the array's light in each mode that is sent, or could be, and the longest period of an LED alone."""
-    import numpy as np
-
-    from heliograph.base.errors import SettingsError
-    from heliograph.experiments.flicker import metrics
-    from heliograph.link.simulate import transmitters
-    from heliograph.measure.bench import lasting, random_messages
-    from heliograph.signal import pwm
-    from heliograph.signal.formats import MODES, Format
-
-    found: dict[str, tuple[Flicker, float]] = {}
-    # time of light whose flicker is measured, rounded up to whole packets; 1 Hz of bandwidth
+def _flicker(link: LinkSettings) -> dict[str, tuple[Flicker, float]]:
+    """Measure the flicker of the array, and the longest period of an LED, in each mode of the link."""
+    results: dict[str, tuple[Flicker, float]] = {}
+    # a second of light, for a bandwidth of 1 Hz
     packets = max(1, math.ceil(1.0 / link.signal.packet_s))
     formats = link.transmit.formats
-    # the short mode has the light of the paired one
+    # default formats: the paired mode, and the single mode as an alternative; the short mode has the light of the
+    # paired mode
     for mode in MODES if formats else ("paired", "single"):
-        named = tuple(one for one in formats if one.mode == mode) if formats else (Format(mode=mode),)
-        if formats and not named:
+        of_mode = tuple(form for form in formats if form.mode == mode)
+        if formats and not of_mode:
             continue
-        sent = () if mode == "paired" and not formats else named
-        one = replace(link, transmit=replace(link.transmit, formats=sent))
+        sent = of_mode if formats or mode == "paired" else (Format(mode=mode),)
+        changed = replace(link, transmit=replace(link.transmit, formats=sent))
         try:
-            sender = transmitters(one, random_messages(lasting(one, packets * link.signal.packet_s), 0))[0]
+            messages = random_messages(lasting(changed, packets * link.signal.packet_s), 0)
+            sender = transmitters(changed, messages)[0]
         except SettingsError:
             if formats or mode == "paired":
                 raise
-            continue  # this signal has no single mode
+            continue  # the signal does not support the single mode
         slots = np.concatenate(
             [pwm.lit_slots(levels, link.signal.slot_order) for levels in islice(sender.packets(), packets)]
         )
         slots, slot_s = slots.reshape(-1, *slots.shape[2:]), link.signal.pattern_period_s / pwm.SLOTS
-        # LEDs whose own flicker is measured, along the array's diagonal
-        alone = (slots[:, k, k] for k in range(min(16, link.signal.side)))
-        led_s = max(metrics.flickering_period(flux, slot_s) for flux in alone)
-        found[mode] = metrics.measure(slots.mean((1, 2)), slot_s), led_s
-    return found
+        # LEDs on the diagonal of the array
+        leds = (slots[:, k, k] for k in range(min(16, link.signal.side)))
+        led_s = max(metrics.flickering_period(flux, slot_s) for flux in leds)
+        results[mode] = metrics.measure(slots.mean((1, 2)), slot_s), led_s
+    return results
 
 
-def _say_spots(choices: Sequence[Mapping[str, Any]], spots: "Sequence[Spot]") -> None:
-    """A line for each point: the array as the camera sees it."""
+def _show_spots(choices: Sequence[Mapping[str, Any]], spots: Sequence[Spot]) -> None:
+    """Print a row for each point: the image of the array."""
     head = [*choices[0], "m", "px/LED", "px/side", "e-/LED", "e-/px", "light", "peak", "noise", "blur px", "blur/pitch"]
     rows = []
     for choice, spot in zip(choices, spots, strict=True):
@@ -127,15 +115,15 @@ def _say_spots(choices: Sequence[Mapping[str, Any]], spots: "Sequence[Spot]") ->
     console.say_table(head, rows)
 
 
-def _say_reach(choices: Sequence[Mapping[str, Any]], budgets: "Sequence[Budget]") -> None:
-    """A line for each layer of each receiver and mode; the distance makes no difference to it."""
+def _show_ranges(choices: Sequence[Mapping[str, Any]], budgets: Sequence[Budget]) -> None:
+    """Print a row for each layer of each receiver and mode; the distance has no influence on the range."""
     rows: dict[tuple[str, ...], None] = {}
     for choice, budget in zip(choices, budgets, strict=True):
-        others = [str(value) for key, value in choice.items() if key != DISTANCE]
+        values = [str(value) for key, value in choice.items() if key != DISTANCE]
         for layer in budget.layers:
-            found = budget.found_m[layer.receiver]
-            reach, most = (f"{m:.0f} m" + ("*" if m >= found else "") for m in (layer.range_m, layer.most_m))
-            rows[(*others, layer.receiver, layer.mode, layer.layer, f"{layer.rate:.3g}", reach, most)] = None
+            limit_m = budget.found_m[layer.receiver]
+            ranges = (f"{m:.0f} m" + ("*" if m >= limit_m else "") for m in (layer.range_m, layer.most_m))
+            rows[(*values, layer.receiver, layer.mode, layer.layer, f"{layer.rate:.3g}", *ranges)] = None
     if rows:
         keys = [key for key in choices[0] if key != DISTANCE]
         console.say("")
@@ -144,34 +132,26 @@ def _say_reach(choices: Sequence[Mapping[str, Any]], budgets: "Sequence[Budget]"
     console.say("")
 
 
-def _say_light(budgets: "Sequence[Budget]", made: Any) -> None:
-    light = made.light
-    lit = dict.fromkeys(f"{budget.candela:.3g} cd" for budget in budgets)
-    console.say_prose(
-        f"light: {', '.join(lit)} an LED, f/{light.f_number:g}, {light.efficiency:g} electrons a photon, "
-        f"{light.wavelength_nm:g} nm"
-    )
-
-
-def _notes(budgets: "Sequence[Budget]") -> list[str]:
-    """Notes of all points; of those that differ by numbers alone, as by the distance, the first."""
-    alike: dict[str, dict[str, None]] = {}
+def _notes(budgets: Sequence[Budget]) -> list[str]:
+    """Return the notes of all points; of notes with different numbers the first."""
+    groups: dict[str, dict[str, None]] = {}
     for note in (note for budget in budgets for note in budget.notes):
-        alike.setdefault(NUMBER.sub("", note), {})[note] = None
+        groups.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "", note), {})[note] = None
     return [
-        next(iter(notes)) + (f" (and alike at {len(notes) - 1} more)" if len(notes) > 1 else "")
-        for notes in alike.values()
+        next(iter(notes)) + (f" (similar at {len(notes) - 1} more)" if len(notes) > 1 else "")
+        for notes in groups.values()
     ]
 
 
-def _flicker_lines(flicker: "Mapping[str, tuple[Flicker, float]]") -> list[str]:
+def _flicker_lines(flicker: Mapping[str, tuple[Flicker, float]]) -> list[str]:
     return [
-        f"flicker, {mode}: the array's light is even over {_period(one.period_s)}, an LED's over {_period(led_s)} "
-        f"(IEEE 802.15.7: 5 ms or less); {one.slow_percent:.2f} % at most below 90 Hz, {one.limit_share:.2f} of IEEE "
-        f"1789's low-risk limit at {one.limit_hz:.0f} Hz; SVM {one.svm:.2f} (EU: 0.4)"
-        for mode, (one, led_s) in flicker.items()
+        f"flicker, {mode}: the light of the array is even over {_period_text(array.period_s)}, of an LED over "
+        f"{_period_text(led_s)} (IEEE 802.15.7: 5 ms or less); {array.slow_percent:.2f} % at most below 90 Hz, "
+        f"{array.limit_share:.2f} of IEEE 1789's low-risk limit at {array.limit_hz:.0f} Hz; SVM {array.svm:.2f} "
+        f"(EU: 0.4)"
+        for mode, (array, led_s) in flicker.items()
     ]
 
 
-def _period(period_s: float) -> str:
+def _period_text(period_s: float) -> str:
     return f"{period_s * 1e3:.3g} ms ({1 / period_s:.3g} Hz)" if period_s else "any time"

@@ -1,4 +1,4 @@
-"""What the command says and where: results to standard output, progress and errors to standard error."""
+"""Console output: results to standard output, progress and errors to standard error."""
 
 import contextlib
 import json
@@ -8,37 +8,34 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-from heliograph.base.errors import printable
+from heliograph.base.errors import HeliographError, printable
 
 INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
+"""Exit status after Ctrl-C."""
 
 NO_ARRAY = 3
-"""Exit status where all was read to its end, and no array was found."""
+"""Exit status of a complete reception that found no array."""
 
-LONGEST = 600
-"""Most characters of a message: some quote what was typed, or a file, which may be of any length."""
-
-BACKSLASH, QUOTE = "\\", "'"
+MAX_LENGTH = 600
+"""Characters of a message; arguments and files may be quoted at any length."""
 
 
 def say(text: str) -> None:
-    """Write a line of the result; a file name with a line break in it stays on that line."""
-    _write_line(printable(text))
+    """Print a line of the result; line breaks in file names are escaped."""
+    _print(printable(text))
 
 
 def say_lines(text: str) -> None:
-    """Write a text of several lines as the result."""
+    """Print lines of the result."""
     for line in text.splitlines():
         say(line)
 
 
 def say_prose(text: str) -> None:
-    """A line of text as a result; on a terminal it is broken between words, and the lines that follow are set in."""
+    """Print a line of the result; a terminal wraps the line with a hanging indent."""
     if sys.stdout.isatty():
-        # least characters of a line of prose on a terminal
         width = max(40, shutil.get_terminal_size().columns - 1)
         say_lines(textwrap.fill(printable(text), width, subsequent_indent=" " * 4, break_on_hyphens=False))
     else:
@@ -46,64 +43,93 @@ def say_prose(text: str) -> None:
 
 
 def say_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table of texts, flush right, as a result."""
+    """Print a right-aligned table."""
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     for cells in [head, *rows]:
         say("  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
 
 
+def say_json(value: Any) -> None:
+    r"""Print a JSON value in ASCII; bytes of a file name that are not UTF-8 become ``\udce9``."""
+    _print(json.dumps(value))
+
+
 def note(text: str) -> None:
-    """A line of advice beside the result, for who looks on: nothing is said where errors do not go to a terminal."""
+    """Print a hint to standard error if that is a terminal."""
     if sys.stderr.isatty():
         tell(text)
 
 
-def complain(text: str) -> None:
-    """A line about what went wrong; one line, and no longer than can be read, whatever the text quotes."""
-    line = printable(text)
-    if len(line) > LONGEST:
-        half = LONGEST // 2
-        line = f"{line[:half]} ... {line[-half:]}"  # what is wrong stands in front, the cure at the end
-    sys.stderr.write(f"heliograph: {line}\n")
-
-
 def tell(text: str) -> None:
-    """A line of what happens while it happens, as it was asked for."""
+    """Print a line about an event to standard error."""
     sys.stderr.write(printable(text) + "\n")
     sys.stderr.flush()
 
 
-def say_json(value: Any) -> None:
-    r"""Write one JSON value as the result, in ASCII: bytes of a file name that are not UTF-8 become ``\udce9``."""
-    _write_line(json.dumps(value))
+def complain(text: str) -> None:
+    """Print an error or warning on a single line of limited length."""
+    line = printable(text)
+    if len(line) > MAX_LENGTH:  # the problem stands at the beginning, the remedy at the end
+        line = f"{line[: MAX_LENGTH // 2]} ... {line[-MAX_LENGTH // 2 :]}"
+    sys.stderr.write(f"heliograph: {line}\n")
+
+
+def error_text(error: Exception) -> str:
+    """Return the message of an error for the user."""
+    if isinstance(error, MemoryError):
+        return "not enough memory; make the film shorter or the frames smaller"
+    if isinstance(error, OSError) and not isinstance(error, HeliographError):
+        return f"{error.filename or 'input or output'}: {error.strerror or error}"
+    return str(error)
+
+
+def exit_interrupted(text: str) -> NoReturn:
+    """Print the state after Ctrl-C and exit."""
+    complain(text)
+    sys.exit(INTERRUPTED)
 
 
 def argument(path: Path) -> str:
-    """Return a file name as a shell takes it, for a command that is shown."""
+    """Return a file name in the syntax of a shell."""
     text = f"./{path}" if str(path).startswith("-") else str(path)
     if text.isprintable():
         return shlex.quote(text)
-    return f"$'{printable(text.replace(BACKSLASH, 2 * BACKSLASH).replace(QUOTE, BACKSLASH + QUOTE))}'"
+    escaped = text.replace("\\", r"\\").replace("'", r"\'")
+    return f"$'{printable(escaped)}'"
 
 
-def _write_line(text: str) -> None:
+def _print(text: str) -> None:
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
+class Progress:
+    """Progress of a command."""
+
+    def __init__(self, show: Callable[[float], None] | None = None):
+        self.done, self._show = 0.0, show
+
+    def __call__(self, done: float) -> None:
+        """Set the number of completed steps, including fractions."""
+        self.done = done
+        if self._show is not None:
+            self._show(done)
+
+
 @contextlib.contextmanager
-def progress(title: str, total: int | None) -> Iterator[Callable[[float], None]]:
-    """A progress bar on a terminal, and nothing in a pipe; call it with the number done, parts included."""
+def progress(title: str, total: int | None) -> Iterator[Progress]:
+    """Show a progress bar if standard error is a terminal."""
     if not sys.stderr.isatty():
-        yield lambda _done: None
+        yield Progress()
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    # results that are said meanwhile stay on standard output, where that leads elsewhere
-    aside = sys.stdout.isatty()
-    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=aside) as bar:
+    # results stay on standard output if that is not the terminal
+    redirect = sys.stdout.isatty()
+    with Bar(*columns, console=Console(stderr=True), transient=True, redirect_stdout=redirect) as bar:
         task = bar.add_task(title, total=total)
-        # a film may hold more frames than it claims
-        yield lambda done: bar.update(task, completed=done, total=None if total is None else max(total, done))
+        # a film may have more frames than the header states
+        yield Progress(lambda done: bar.update(task, completed=done, total=None if total is None else max(total, done)))

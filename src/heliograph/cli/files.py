@@ -1,105 +1,85 @@
-"""Files from the air while a film is received: how far they have come, and where they are written."""
+"""Progress and storage of received files."""
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from heliograph.base.errors import MediaError
 from heliograph.cli import console
+from heliograph.link.file_store import FileStore, safe_name
+from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
 
-if TYPE_CHECKING:
-    from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
 
+class FileOutput:
+    """Progress of files during a reception, and storage of complete files."""
 
-class Files:
-    """Says how far files have come, and writes whole ones."""
+    def __init__(self, folder: Path | None, *, is_quiet: bool):
+        self.store = FileStore(folder) if folder is not None else None
+        self._is_quiet = is_quiet
+        self._next_share: dict[FileKey, float] = {}
+        self._initial_symbols: dict[FileKey, int] = {}
+        self._complaints: set[tuple[FileKey, str]] = set()
 
-    def __init__(self, folder: Path | None, aloud: bool):
-        from heliograph.link.file_store import FileStore
-
-        self.store: FileStore | None = FileStore(folder) if folder is not None else None
-        self._aloud = aloud
-        self._said: dict[FileKey, float] = {}
-        self._before: dict[FileKey, int] = {}
-        self._complained: set[tuple[FileKey, str]] = set()
-
-    def begin(self, files: "FileGatherer") -> None:
-        """Go on with what earlier passages left."""
+    def begin(self, files: FileGatherer) -> None:
+        """Continue with the symbols of earlier receptions."""
         for progress in self.store.begin(files) if self.store else ():
-            if self._aloud and progress.whole is None:
-                console.say(f"{_words(progress)}, from before")
-            self._before[progress.key] = progress.had
-            self.took(progress)
+            if progress.whole is None:
+                self._say(f"{_progress_text(progress)}, from earlier films")
+            self._initial_symbols[progress.key] = progress.had
+            self.update(progress)
 
-    def took(self, progress: "FileProgress") -> None:
-        """Say what is there of a file, and write it where it is whole."""
+    def update(self, progress: FileProgress) -> None:
+        """Print the progress of a file every 10 %, and store a complete file."""
         key = progress.key
-        if progress.reason and (key, progress.reason) not in self._complained:
-            self._complained.add((key, progress.reason))
+        if progress.reason and (key, progress.reason) not in self._complaints:
+            self._complaints.add((key, progress.reason))
             console.complain(f"file {key}: {progress.reason}")
-        part = progress.had / key.count
+        share = progress.had / key.count
         if progress.whole is not None:
-            self._whole(progress)
-        elif self._aloud and part >= self._said.get(key, 0.0):
-            # Fraction of a file after which its progress is said again. Chosen
-            self._said[key] = part + 0.1
-            console.say(_words(progress))
-
-    def finish(self, files: "FileGatherer") -> MediaError | None:
-        """Keep what is there of others for the next passage; a failure is returned: results are still to be shown."""
-        try:
+            size = len(progress.whole.data)
             if self.store:
-                self.store.finish(files)
-        except MediaError as error:
-            return error
-        return None
+                self._say(f"file {key} is complete: {self.store.keep(progress.whole, key)}, {size} bytes")
+            else:
+                name = safe_name(progress.whole.name)
+                self._say(f"file {key} is complete: {name}, {size} bytes; --files DIR writes it")
+        elif share >= self._next_share.get(key, 0.0):
+            self._next_share[key] = share + 0.1
+            self._say(_progress_text(progress))
 
-    def lacking(self, files: "FileGatherer", seconds: float) -> "Iterator[str]":
-        """Say of each file that is not whole what is there, what is missing, and what helps.
-
-        `seconds` is the length of the film.
-        """
-        for progress in files.unfinished():
-            new = progress.had - self._before.get(progress.key, 0)
-            yield lacking_words(progress, seconds / new if new > 0 else None, kept=self.store is not None)
-
-    def _whole(self, progress: "FileProgress") -> None:
-        from heliograph.link.file_store import safe_name
-
-        assert progress.whole is not None
-        name, size = safe_name(progress.whole.name), len(progress.whole.data)
+    def finish(self, files: FileGatherer) -> None:
+        """Store the symbols of incomplete files for later receptions."""
         if self.store:
-            path = self.store.keep(progress.whole, progress.key)
-            if self._aloud:
-                console.say(f"file {progress.key} is whole: {path}, {size} bytes")
-        elif self._aloud:
-            console.say(f"file {progress.key} is whole: {name}, {size} bytes; --files DIR writes it")
+            self.store.finish(files)
+
+    def incomplete_lines(self, files: FileGatherer, seconds: float) -> Iterator[str]:
+        """Yield a line for each incomplete file after a film of some seconds."""
+        for progress in files.unfinished():
+            new = progress.had - self._initial_symbols.get(progress.key, 0)
+            yield incomplete_text(progress, seconds / new if new > 0 else None, is_stored=self.store is not None)
+
+    def _say(self, text: str) -> None:
+        if not self._is_quiet:
+            console.say(text)
 
 
-def _words(progress: "FileProgress") -> str:
+def _progress_text(progress: FileProgress) -> str:
     key = progress.key
     return f"file {key}: {progress.had} of {key.count} symbols ({100 * progress.had // key.count} %)"
 
 
-def lacking_words(progress: "FileProgress", seconds_a_symbol: float | None, kept: bool) -> str:
-    """Say what is there of a file that is not whole, what is missing, and what helps."""
+def incomplete_text(progress: FileProgress, symbol_s: float | None, *, is_stored: bool) -> str:
+    """Return the progress of an incomplete file, the number of missing symbols, and the remedy."""
     missing = max(progress.key.count - progress.had, 1)
-    more = f", about {missing * seconds_a_symbol:.1f} s" if seconds_a_symbol is not None else ""
-    again = "another film with the same --files DIR" if kept else "--files DIR, which keeps them for another film"
-    return f"{_words(progress)}, {missing} missing: film longer{more}, or take {again}"
+    duration = f", about {missing * symbol_s:.1f} s" if symbol_s is not None else ""
+    remedy = (
+        "another film with the same --files DIR" if is_stored else "--files DIR, which keeps symbols for another film"
+    )
+    return f"{_progress_text(progress)}, {missing} missing: film longer{duration}, or use {remedy}"
 
 
 def join(folder: Path) -> tuple[list[Path], list[str]]:
-    """Put together what several films have left of files in a folder.
-
-    Return the files that are whole now, and a line for each that is not.
-    """
-    from heliograph.link.file_store import FileStore
-    from heliograph.signal.fountain.files import FileGatherer
-
+    """Join symbols of several films in a folder; return the complete files, and a line for each incomplete file."""
     store, files = FileStore(folder), FileGatherer()
     for progress in list(store.begin(files)):
         if progress.whole is not None:
             store.keep(progress.whole, progress.key)
     store.finish(files)
-    return store.written, [lacking_words(progress, None, kept=True) for progress in files.unfinished()]
+    return store.written, [incomplete_text(progress, None, is_stored=True) for progress in files.unfinished()]

@@ -1,9 +1,10 @@
-"""The command `heliograph`."""
+"""Entry point of the command `heliograph`."""
 
 import io
 import os
 import signal
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,10 +13,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.registry import load_parts
 from heliograph.cli import console, film_commands, light_commands, measure, options, study_commands
 
-app = typer.Typer(
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 for _command in (
     light_commands.simulate,
@@ -35,28 +33,31 @@ for _command in (
     app.command()(_command)
 app.add_typer(measure.app, name="measure")
 
-NAME = "heliograph"
-"""What the command is called, also as ``python -m heliograph``."""
-
 TyperError: type[Exception] = getattr(typer, "TyperException", typer.BadParameter.__mro__[2])
-"""What a wrong command line raises: before Typer 0.27, Click's exception at the root of `typer.BadParameter`."""
+"""Base class of usage errors; before Typer 0.27, the Click exception below `typer.BadParameter`."""
 
 Version = Annotated[
-    bool,
-    typer.Option("--version", help="Print the version and end.", is_eager=True, callback=options.say_version),
+    bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=options.print_version)
+]
+
+
+Load = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--load", metavar="FILE", help="Python file that registers custom parts, such as a receiver; may be repeated."
+    ),
 ]
 
 
 @app.callback(invoke_without_command=True)
-def main(context: typer.Context, load: options.Load = None, version: Version = False) -> None:  # noqa: ARG001 - it acts by itself
-    """Data sent by an LED array, received by a high-speed camera on a moving car."""
+def main(context: typer.Context, load: Load = None, version: Version = False) -> None:  # noqa: ARG001 - a callback
+    """Transmit data by an LED array, and receive it by a high-speed camera on a moving car."""
     for file in load or ():
         load_parts(file)
     options.help_unless_command(context)
 
 
-def _usage(error: Exception) -> None:
-    """Say what is wrong with the command line, in one line."""
+def _complain_about_usage(error: Exception) -> None:
     text = error.format_message() if hasattr(error, "format_message") else str(error)
     context = getattr(error, "ctx", None)
     if "No such option: --load" in text and context:
@@ -67,41 +68,33 @@ def _usage(error: Exception) -> None:
 
 
 def _check_streams() -> None:
-    """Let standard output take any text; end before any work if it is closed. Errors that nobody hears are left out."""
+    """Make standard output accept any text, and exit if it is closed; discard errors if standard error is closed."""
     if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - as long as the process
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - open until the process ends
     if sys.stdout is None:
-        console.complain("standard output is closed; give it somewhere to go, such as > /dev/null")
+        console.complain("standard output is closed; redirect it, such as > /dev/null")
         sys.exit(1)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a file name may lie outside the terminal's alphabet
+        sys.stdout.reconfigure(errors="backslashreplace")  # the encoding may lack characters of file names
 
 
 def run() -> None:
-    """Entry of the command: every error becomes one line and a non-zero status."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the receiver's matrices are too small to share among threads
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # told to end: as tidy as after Ctrl-C
+    """Run the command; an error becomes a line and a non-zero exit status."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices of the receiver are too small for threads
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends like Ctrl-C
     _check_streams()
+    status = 1
     try:
-        status = app(standalone_mode=False, prog_name=NAME)
-    except HeliographError as error:
-        console.complain(str(error))
-        sys.exit(1)
+        status = app(standalone_mode=False, prog_name="heliograph")
     except TyperError as error:
-        _usage(error)
-        sys.exit(2)
+        _complain_about_usage(error)
+        status = 2
     except (KeyboardInterrupt, typer.Abort):
-        console.complain("interrupted")
-        sys.exit(console.INTERRUPTED)
+        status = console.INTERRUPTED
     except BrokenPipeError:
         sys.stderr.close()
-        sys.exit(1)
-    except MemoryError:
-        console.complain("not enough memory; make the film shorter or its frames smaller")
-        sys.exit(1)
-    except OSError as error:
-        console.complain(f"{error.filename or 'input or output'}: {error.strerror or error}")
-        sys.exit(1)
-    if status == console.INTERRUPTED:  # typer's way to hand on Ctrl-C
+    except (HeliographError, MemoryError, OSError) as error:
+        console.complain(console.error_text(error))
+    if status == console.INTERRUPTED:  # also returned by Typer after Ctrl-C
         console.complain("interrupted")
     sys.exit(status)

@@ -1,4 +1,4 @@
-"""heliograph measure: measurements that take arguments, each a command of its own."""
+"""Commands of `heliograph measure`: measurements with arguments."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,18 +11,19 @@ from heliograph.cli import console, options
 
 if TYPE_CHECKING:
     from heliograph.experiments.report import Context
+    from heliograph.measure.statistics import Count
 
 app = typer.Typer(rich_markup_mode=None)
 
 Clips = Annotated[list[Path], typer.Argument(metavar="CLIP...", help="Recorded footage.")]
 ImuOption = Annotated[Path, typer.Option("--imu", metavar="CSV", help="Recorded car motion.")]
-First = Annotated[int, typer.Option(min=0, help="Seed of the first; the others follow.")]
+First = Annotated[int, typer.Option(min=0, help="Seed of the first trial; the others follow.")]
 LayerOption = Annotated[str, typer.Option(help="Layer to count: high, middle or low.")]
 
 
 @app.callback(invoke_without_command=True)
 def main(context: typer.Context) -> None:
-    """Measure one thing, and print the counts."""
+    """Run a measurement and print the counts."""
     options.help_unless_command(context)
 
 
@@ -35,7 +36,7 @@ def scenes(
     receiver: Annotated[str, typer.Option(help="Receiver to use.")] = "soft",
     workers: options.WorkersOption = None,
 ) -> None:
-    """Error rates in hard scenes: tilted, hidden, failed LEDs, night, sun, six arrays."""
+    """Measure error rates in hard scenes: tilted, occluded, failed LEDs, night, sun, six arrays."""
     from heliograph.experiments.error_rates.scenes import SCENES, counts_text, measure
 
     unknown = sorted({*(scene or ())} - {*SCENES})
@@ -52,11 +53,13 @@ def scenes(
 def acquisition(
     trials: Annotated[int, typer.Option(min=1, help="Trials.")] = 3000,
     first: First = 0,
-    within: Annotated[int, typer.Option(min=0, help="Most patterns before a header to switch on at.")] = 100,
+    within: Annotated[
+        int, typer.Option(min=0, help="Maximum number of patterns between switching on and the next header.")
+    ] = 100,
     assignments: options.Assignments = None,
     workers: options.WorkersOption = None,
 ) -> None:
-    """How surely and how soon an array is found after it is switched on."""
+    """Measure the probability and time of detection after an array is switched on."""
     from heliograph.experiments.detection.acquisition import AcquisitionTrial, measure, outcomes_text
 
     changes = tuple(assignments or ())
@@ -78,14 +81,12 @@ def repeated_packets(
     assignments: options.Assignments = None,
     workers: options.WorkersOption = None,
 ) -> None:
-    """Codewords wrong in the first, second, ... reception of a packet that is sent over and over."""
+    """Count wrong codewords in each reception of a repeated packet."""
     from heliograph.experiments.error_rates.repeated_packets import film_settings, measure
 
     settings = film_settings(distance, receptions, assignments or ())
     for number, count in enumerate(measure(settings, _layer(layer), receptions, films, _context(workers)), 1):
-        low, high = count.interval()
-        what = f"{count.errors} of {count.trials} wrong ({low:.2g} to {high:.2g})"
-        console.say(f"{distance:g} m, {layer}, reception {number}: {what}")
+        console.say(f"{distance:g} m, {layer}, reception {number}: {_count_text(count)}")
 
 
 @app.command()
@@ -96,7 +97,7 @@ def known_channel(
     packets: Annotated[int, typer.Option(min=1, help="Packets at each brightness.")] = 100,
     workers: options.WorkersOption = None,
 ) -> None:
-    """What the soft receiver loses by estimating pose, blur, gain and noise."""
+    """Measure the loss of the soft receiver from estimates of pose, blur, gain and noise."""
     from heliograph.experiments.calibration.known_receiver import measure, tasks
 
     todo = tasks(distance, _layer(layer), _numbers(brightness), packets)
@@ -104,10 +105,8 @@ def known_channel(
         context = _context(workers, lambda done: advance(done * len(todo)))
         counts = context.each("known channel", measure, todo)
     for task, count in zip(todo, counts, strict=True):
-        low, high = count.interval()
-        what = f"{count.errors} of {count.trials} wrong ({low:.2g} to {high:.2g})"
-        how = "known" if task.known else "blind"
-        console.say(f"{distance:g} m, {layer}, brightness {task.brightness:g}, {how}: {what}")
+        channel = "known" if task.known else "blind"
+        console.say(f"{distance:g} m, {layer}, brightness {task.brightness:g}, {channel}: {_count_text(count)}")
 
 
 @app.command()
@@ -118,10 +117,10 @@ def drives(
     assignments: options.Assignments = None,
     margin: Annotated[
         int | None,
-        typer.Option(metavar="PX", help="Film only the array and PX about it; else whole frames.", show_default=False),
+        typer.Option(metavar="PX", help="Film only the array with a margin of PX; default: complete frames."),
     ] = None,
 ) -> None:
-    """Codewords wrong in a drive over each clip, with the recorded shake."""
+    """Count wrong codewords in a drive over each clip, with the recorded shake."""
     from heliograph.experiments.error_rates.real_input import RealScene, drive, error_lines
 
     for clip in clips:
@@ -137,13 +136,15 @@ def empty(
     imu: ImuOption,
     seed: options.Seed = 3,
     assignments: options.Assignments = None,
-    native: Annotated[bool, typer.Option("--native", help="The clip's own frames, one per pattern period.")] = False,
+    native: Annotated[
+        bool, typer.Option("--native", help="Use the frames of the clip, a frame per pattern period.")
+    ] = False,
     seconds: Annotated[float, typer.Option(help="Length of each film, unless --native.")] = 6.7,
     frames: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="At most N frames of each clip.", show_default=False)
+        int | None, typer.Option(min=1, metavar="N", help="Maximum number of frames of each clip.")
     ] = None,
 ) -> None:
-    """False detections and packets in clips without any array."""
+    """Count false detections and packets in clips that show no array."""
     from heliograph.experiments.error_rates import real_input
 
     changes, total = (f"channel.duration_s={seconds}", *(assignments or ())), None
@@ -152,15 +153,15 @@ def empty(
         total = found if total is None else total + found
         console.say(f"{clip.name}: {found.text()}; {found.without_header} without header")
     if total is not None:
-        console.say(f"in all, a frame: {total.text()}")
+        console.say(f"all clips, per frame: {total.text()}")
 
 
 @app.command()
 def lossy(
-    film: Annotated[Path, typer.Argument(help="Simulated film, its truth beside it.")],
+    film: Annotated[Path, typer.Argument(help="Simulated film, with the truth in the same folder.")],
     out: Annotated[Path, typer.Argument(help="Film to write.")],
 ) -> None:
-    """Errors of a film after libx264 (preset medium, crf 18, yuv420p) encoded it again."""
+    """Count errors of a film after encoding by libx264 (preset medium, crf 18, yuv420p)."""
     from heliograph.experiments.error_rates.real_input import encode_again, error_lines, receive_again
     from heliograph.link.truth import open_truth, truth_path
 
@@ -176,10 +177,10 @@ def lossy(
 @app.command()
 def header_separation(
     distances: Annotated[
-        list[float] | None, typer.Argument(metavar="[M ...]", help="Distances in m; some by default.")
+        list[float] | None, typer.Argument(metavar="[M ...]", help="Distances in m; default: a selection.")
     ] = None,
 ) -> None:
-    """Distances between headers under the reference link's blur, as tables in Markdown."""
+    """Calculate distances between headers under the blur of the reference link, as tables in Markdown."""
     from heliograph.experiments.detection.header_separation import DISTANCES_M, separation, tables
 
     console.say_lines(
@@ -189,14 +190,14 @@ def header_separation(
 
 @app.command()
 def timing_loss() -> None:
-    """Loss of a camera out of step by rate, exposure and phase, as a table in Markdown."""
+    """Calculate the loss of an unsynchronised camera by rate, exposure and phase, as a table in Markdown."""
     from heliograph.experiments.patterns.timing_loss import measure, table
 
     console.say_lines(table(measure()).markdown())
 
 
 def _context(workers: int | None, progress: Callable[[float], None] = lambda _: None) -> "Context":
-    """Workers as asked for; `progress` gets the fraction done."""
+    """Return the context of an experiment; `progress` receives the completed fraction."""
     from heliograph.base.workers import limit_threads
     from heliograph.experiments.report import Context
     from heliograph.sweeps.executors import cores, fewer_workers
@@ -207,16 +208,21 @@ def _context(workers: int | None, progress: Callable[[float], None] = lambda _: 
     return Context(quick=False, workers=workers or cores(), progress=lambda _, done: progress(done))
 
 
+def _count_text(count: "Count") -> str:
+    low, high = count.interval()
+    return f"{count.errors} of {count.trials} wrong ({low:.2g} to {high:.2g})"
+
+
 def _numbers(text: str) -> list[float]:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
-        raise SettingsError(f"'{text}' is no list of numbers; write them with commas, such as 50,80") from None
+        raise SettingsError(f"'{text}' is no list of numbers; separate numbers by commas, such as 50,80") from None
 
 
 def _layer(name: str) -> str:
     from heliograph.signal.settings import LAYERS
 
     if name not in LAYERS:
-        raise SettingsError(f"there is no layer '{name}'; there are {', '.join(LAYERS)}")
+        raise SettingsError(f"unknown layer '{name}'; choose from {', '.join(LAYERS)}")
     return name

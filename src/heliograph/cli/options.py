@@ -1,14 +1,14 @@
-"""Options that several commands share, and how they become settings."""
+"""Options shared by several commands, in groups."""
 
 import contextlib
+import functools
+import inspect
 import math
-import os
-import re
 import sys
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -20,95 +20,220 @@ from heliograph.cli import console
 
 if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings
-    from heliograph.link.simulate import Messages
-    from heliograph.signal.fountain.files import SentFile
-
-STDIN, TEXT = "-", "text:"
-"""What is given for standard input, and what comes before a text that looks like the name of a file."""
-
-UNDECODED = re.compile("[\ud800-\udfff]")
-"""Bytes of a file name that are not UTF-8: the name goes over the air as text."""
-
-Load = Annotated[
-    list[Path] | None,
-    typer.Option("--load", metavar="FILE", show_default=False,
-                 help="Python file that registers parts of your own, such as a receiver; may be repeated."),
-]  # fmt: skip
 
 
-def begun_presets(begun: str) -> list[tuple[str, str]]:
-    """Presets with what each is for, for the shell to complete."""
+def with_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """Replace parameters of a command that are dataclasses: each field becomes an option."""
+    hints, groups, parameters = get_type_hints(command, include_extras=True), dict[str, Any](), []
+    for name, parameter in inspect.signature(command).parameters.items():
+        kind = hints[name]
+        if not (isinstance(kind, type) and is_dataclass(kind)):
+            parameters.append(parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=kind))
+            continue
+        groups[name] = kind
+        defaults = kind() if parameter.default is parameter.empty else parameter.default
+        parameters += [
+            inspect.Parameter(option, parameter.KEYWORD_ONLY, default=getattr(defaults, option), annotation=field_hint)
+            for option, field_hint in get_type_hints(kind, include_extras=True).items()
+        ]
+
+    @functools.wraps(command)
+    def expanded(**values: Any) -> None:
+        for name, kind in groups.items():
+            values[name] = kind(**{option: values.pop(option) for option in get_type_hints(kind)})
+        command(**values)
+
+    expanded.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return expanded
+
+
+def complete_preset(start: str) -> list[tuple[str, str]]:
+    """Return presets and descriptions for shell completion."""
     from heliograph.link.settings import PRESETS
 
-    return [(name, text) for name, (text, _) in PRESETS.items() if name.startswith(begun)]
+    return [(name, text) for name, (text, _) in PRESETS.items() if name.startswith(start)]
 
 
-def begun_receivers(begun: str) -> list[str]:
-    """Receivers for the shell to complete."""
+def complete_receiver(start: str) -> list[str]:
+    """Return receivers for shell completion."""
     from heliograph.receive.registry import RECEIVERS
 
-    return [name for name in RECEIVERS.names() if name.startswith(begun)]
+    return [name for name in RECEIVERS.names() if name.startswith(start)]
 
 
-Preset = Annotated[
-    str,
-    typer.Option(
-        "--preset", help="Preset to start from; 'heliograph presets' lists them.", autocompletion=begun_presets
-    ),
-]
-SettingsFile = Annotated[
-    Path | None, typer.Option("--settings", metavar="FILE", help="TOML file laid over the preset.", show_default=False)
-]
-Assignments = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated.", show_default=False),
-]
+def parse_film(text: str) -> Path:
+    """Return the path of a film, or the name of a live camera."""
+    from heliograph.media.live.reader import film_path
+
+    return film_path(text)
+
+
+def message_option(layer: str) -> Any:
+    """Return the option of the message of a layer."""
+    text = f"Message of {layer} priority: a file, - for standard input, or a text."
+    return typer.Option(f"--{layer}", metavar="FILE|-|TEXT", help=text)
+
+
+def vary_option(text: str) -> Any:
+    """Return the option of varied settings."""
+    return typer.Option("--vary", metavar="KEY=VALUES", help=f"Key and values: 1,2 or first:last:step. {text}")
+
+
+FILM_KINDS = (
+    "Video, .h5, .mraw, .cine, TIFF stack, .npy, folder of pictures, or their names such as img%04d.png. Or a live "
+    "camera, camera:KIND:ADDRESS."
+)
+
+Film = Annotated[Path, typer.Argument(metavar="FILM", parser=parse_film, help=FILM_KINDS)]
+Json = Annotated[bool, typer.Option("--json", help="Print only a JSON object.")]
+JsonList = Annotated[bool, typer.Option("--json", help="Print only a JSON list.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the road, the scene and the noise.")]
-Imu = Annotated[
-    Path | None,
-    typer.Option("--imu", metavar="CSV", help="Recorded motion of a car; sets channel.shake=imu.", show_default=False),
+Assignments = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting; may be repeated.")
 ]
-BackgroundOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--background",
-        metavar="VIDEO",
-        help="Recorded footage for the background; sets channel.background.kind=footage.",
-        show_default=False,
-    ),
+Imu = Annotated[Path | None, typer.Option("--imu", metavar="CSV", help="Recorded car motion; sets channel.shake=imu.")]
+WorkersOption = Annotated[
+    int | None, typer.Option("--workers", min=1, help="Worker processes; default: number of cores.")
 ]
-
-Scheduler = Annotated[
+Receiver = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS", help="Dask scheduler whose workers compute, in place of --workers.", show_default=False
+        help="Receiver: plain, soft, screen (for a phone's film of a screen) or a custom receiver; default: receiver "
+        "of the preset.",
+        autocompletion=complete_receiver,
     ),
 ]
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
-WorkersOption = Annotated[
-    int | None,
-    typer.Option("--workers", min=1, help="Worker processes; one for each core if left out.", show_default=False),
+CameraOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--camera",
+        metavar="KEY=VALUE",
+        help="Set a live camera: exposure_us, gain, rate_hz, region=X,Y,WIDTH,HEIGHT, pixel_format, trigger, producer, "
+        "queue_s, reconnect, or a feature by the camera's own name, such as BlackLevel; may be repeated.",
+    ),
+]
+Codec = Annotated[
+    str | None, typer.Option(help="Codec of the film: ffv1, h264, h265 or mjpeg; default: by the suffix.")
 ]
 
 
 @dataclass(frozen=True, slots=True)
-class FilmOptions:
-    """How a film is read: options of the command, as they were given."""
+class SettingsOptions:
+    """Selection of settings: `assignments` override the file, and the file overrides the preset."""
 
-    fps: float | None
-    crop: str | None
-    binning: int
-    rotate: int
-    channel: str
+    preset: Annotated[
+        str,
+        typer.Option(
+            "--preset", help="Preset to start from, see 'heliograph presets'.", autocompletion=complete_preset
+        ),
+    ] = "paper"
+    settings_file: Annotated[
+        Path | None, typer.Option("--settings", metavar="FILE", help="TOML file that changes settings of the preset.")
+    ] = None
+    assignments: Assignments = None
+
+    def load(self) -> "LinkSettings":
+        """Return the settings."""
+        from heliograph.link.settings import load_settings
+
+        return load_settings(self.preset, self._tree(), self.assignments or ())
+
+    def load_preset(self) -> "LinkSettings":
+        """Return the settings of the preset."""
+        from heliograph.link.settings import load_settings
+
+        return load_settings(self.preset)
+
+    def signal_changes(self) -> list[dict[str, Any]]:
+        """Return changes of the signal in order, after validation by `load`."""
+        changes = [self._tree(), *map(parse_assignment, self.assignments or ())]
+        return [change["signal"] for change in changes if change.get("signal")]
+
+    def overlay(self) -> Any:
+        """Return file and assignments as a nested mapping."""
+        from heliograph.base.config import merge
+
+        tree: Any = self._tree()
+        for change in map(parse_assignment, self.assignments or ()):
+            tree = merge(tree, change)
+        return tree
+
+    def changed(self, defaults: Iterable[str] = (), overrides: Iterable[str] = ()) -> "SettingsOptions":
+        """Return the options with assignments of lower and higher priority."""
+        return SettingsOptions(self.preset, self.settings_file, [*defaults, *(self.assignments or ()), *overrides])
+
+    def _tree(self) -> dict[str, Any]:
+        return read_toml(self.settings_file) if self.settings_file else {}
+
+
+@dataclass(frozen=True, slots=True)
+class SceneOptions:
+    """Random numbers and recordings of a simulation."""
+
+    seed: Seed = 0
+    background: Annotated[
+        Path | None,
+        typer.Option(
+            "--background",
+            metavar="VIDEO",
+            help="Recorded footage for the background; sets channel.background.kind=footage.",
+        ),
+    ] = None
+    imu: Imu = None
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerOptions:
+    """Processes or machines for the computation."""
+
+    workers: WorkersOption = None
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers compute, in place of --workers."),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class FilmOptions:
+    """Reading of a film."""
+
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            "--fps",
+            metavar="RATE",
+            help="Frames per second of the camera, if the film states another rate, as in slow motion, or has no "
+            "clock: a folder of pictures, TIFF, .npy.",
+        ),
+    ] = None
+    crop: Annotated[
+        str | None,
+        typer.Option(
+            "--crop",
+            metavar="X,Y,WIDTH,HEIGHT",
+            help="Region of the frames to read, in pixels; x and y count from 0 at the upper left.",
+        ),
+    ] = None
+    binning: Annotated[
+        int,
+        typer.Option("--bin", metavar="SIDE", help="Average squares of SIDE pixels, 1 to 16; 2 for a Bayer mosaic."),
+    ] = 1
+    rotate: Annotated[
+        int,
+        typer.Option("--rotate", metavar="DEGREES", help="Rotate the region clockwise: 0, 90, 180 or 270 degrees."),
+    ] = 0
+    channel: Annotated[str, typer.Option("--channel", help="Gray level of a colour: luma, red, green or blue.")] = (
+        "luma"
+    )
 
     @property
-    def partly(self) -> bool:
-        """Whether the frames are others than those of the film."""
+    def is_partial(self) -> bool:
+        """True for a part or rotation of the frames."""
         return self.crop is not None or self.binning != 1 or self.rotate != 0
 
     def keywords(self) -> dict[str, Any]:
-        """Return them as `open_film` takes them, black at 0; a MediaError if the crop is not four whole numbers."""
+        """Return the arguments of `open_film`; raise a MediaError for an invalid crop."""
         try:
             crop = tuple(map(int, self.crop.split(","))) if self.crop is not None else None
         except ValueError:
@@ -119,58 +244,203 @@ class FilmOptions:
         }  # fmt: skip
 
 
-def place_changes(corners: str | None, region: str | None) -> list[str]:
-    """Settings that say where an array is, by what was given to --corners and --region."""
-    out = []
-    for name, given, count, form in (
-        ("corners", corners, 8, "X,Y,X,Y,X,Y,X,Y in pixels"),
-        ("region", region, 4, "X,Y,WIDTH,HEIGHT in whole pixels"),
-    ):
-        if given is None:
-            continue
-        kind = int if name == "region" else float
-        try:
-            numbers = [kind(one) for one in given.split(",")]
-            whole = len(numbers) == count and all(map(math.isfinite, numbers))
-        except (ValueError, OverflowError):
-            whole = False
-        if not whole:
-            raise MediaError(f"--{name} takes {form}, not {shown(given)}")
-        out.append(f"receive.detect.{name}={numbers}")
-    return out
+@dataclass(frozen=True, slots=True)
+class DetectOptions:
+    """Receiver, and positions of arrays."""
+
+    receiver: Receiver = None
+    corners: Annotated[
+        str | None,
+        typer.Option(
+            "--corners",
+            metavar="X,Y,X,Y,X,Y,X,Y",
+            help="Position of an array that detection misses: the four corners of the LED area in turn, in pixels of "
+            "the frames after cropping and binning. Sets receive.detect.corners.",
+        ),
+    ] = None
+    region: Annotated[
+        str | None,
+        typer.Option(
+            "--region",
+            metavar="X,Y,WIDTH,HEIGHT",
+            help="Region of the frames to search for arrays, however faint; tracking continues outside. Sets "
+            "receive.detect.region.",
+        ),
+    ] = None
+
+    def assignments(self) -> list[str]:
+        """Return assignments of settings."""
+        changes = [] if self.receiver is None else [f"receive.receiver='{self.receiver}'"]
+        changes += _numbers("corners", self.corners, 8, float, "X,Y,X,Y,X,Y,X,Y in pixels")
+        return changes + _numbers("region", self.region, 4, int, "X,Y,WIDTH,HEIGHT in whole pixels")
 
 
-def message_option(layer: str) -> Any:
-    """An option that says what a layer sends."""
-    what = f"What is sent with {layer} priority: a file, - for standard input, or a text."
-    return typer.Option(f"--{layer}", metavar="FILE|-|TEXT", help=what, show_default=False)
+def _numbers(name: str, text: str | None, count: int, kind: type, form: str) -> list[str]:
+    """Return the assignment of the numbers of an option."""
+    if text is None:
+        return []
+    with contextlib.suppress(ValueError, OverflowError):
+        numbers = [kind(part) for part in text.split(",")]
+        if len(numbers) == count and all(map(math.isfinite, numbers)):
+            return [f"receive.detect.{name}={numbers}"]
+    raise MediaError(f"--{name} takes {form}, not {shown(text)}")
 
 
-def settings_from(preset: str, file: Path | None, assignments: list[str] | None) -> "LinkSettings":
-    """Settings of preset, TOML file and assignments, in this order."""
-    from heliograph.link.settings import load_settings
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """Settings of live cameras."""
 
-    return load_settings(preset, read_toml(file) if file else None, assignments or ())
+    camera: CameraOption = None
+    duration: Annotated[float | None, typer.Option(metavar="S", help="Duration of a live recording in seconds.")] = None
 
+    def keywords(self, film: Path) -> dict[str, Any]:
+        """Return the arguments of `open_film`; raise a MediaError for a recording."""
+        from heliograph.media.live.reader import is_camera
 
-def signal_changes(file: Path | None, assignments: list[str]) -> list[dict[str, Any]]:
-    """What TOML file and assignments say of the signal, in this order; to be asked for once they are checked."""
-    changes = [read_toml(file) if file else {}, *map(parse_assignment, assignments)]
-    return [change["signal"] for change in changes if change.get("signal")]
-
-
-def laid_over(file: Path | None, assignments: list[str] | None) -> Any:
-    """TOML file and assignments as one nested mapping, in this order."""
-    from heliograph.base.config import merge  # pydantic is slow to import, and no help needs it
-
-    tree: Any = read_toml(file) if file else {}
-    for change in map(parse_assignment, assignments or ()):
-        tree = merge(tree, change)
-    return tree
+        values = {name: getattr(self, name, None) for name in ("camera", "duration", "record")}
+        names = [f"--{name}" for name, value in values.items() if value not in (None, [])]
+        if names and not is_camera(film):
+            are = "is" if len(names) == 1 else "are"
+            raise MediaError(f"{' and '.join(names)} {are} for a live camera, such as camera:aravis, not {film}")
+        return {"camera": [*(self.camera or ()), *([] if self.duration is None else [f"duration_s={self.duration}"])]}
 
 
-def varied(texts: list[str] | None) -> dict[str, list[Any]]:
-    """Keys that vary with their values, by what was given as key=value,value or key=first:last:step."""
+@dataclass(frozen=True, slots=True)
+class RecordOptions(LiveOptions):
+    """Settings of live cameras, and recording of failures."""
+
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="HDF5 film of the last seconds of a live camera with a lost array or an unread packet, or without any "
+            "packet.",
+        ),
+    ] = None
+    record_s: Annotated[
+        float, typer.Option("--record-s", metavar="S", min=0.1, max=3600, help="Seconds that --record keeps.")
+    ] = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class AddressOptions:
+    """Address of a server."""
+
+    host: Annotated[
+        str, typer.Option("--host", help="Address of the server; 0.0.0.0 admits other machines with a token.")
+    ] = "127.0.0.1"
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port of the server; 0 for a free port.")] = 8000
+    certificate: Annotated[
+        Path | None,
+        typer.Option(
+            "--certificate",
+            metavar="PEM",
+            help="Certificate for HTTPS, required by browsers of other machines for camera access.",
+        ),
+    ] = None
+    key: Annotated[Path | None, typer.Option("--key", metavar="PEM", help="Key of the certificate.")] = None
+
+
+@dataclass(frozen=True, slots=True)
+class EventOptions:
+    """Output of events."""
+
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Print a JSON line for each array found or lost, each packet and message.")
+    ] = False
+    send: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--send",
+            metavar="ADDRESS",
+            help="Send the lines of --follow: udp://HOST:PORT, or ws://127.0.0.1:PORT for WebSocket clients; may be "
+            "repeated.",
+        ),
+    ] = None
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Describe these events on standard error.")] = False
+
+
+@dataclass(frozen=True, slots=True)
+class OutputOptions:
+    """Results of a reception."""
+
+    output: Annotated[
+        Path | None, typer.Option("--output", metavar="DIR", help="Folder for the messages and the packet log.")
+    ] = None
+    files: Annotated[
+        Path | None,
+        typer.Option(
+            "--files",
+            metavar="DIR",
+            help="Folder for received files; incomplete files continue with the next film. Default: the folder 'files' "
+            "in the folder of --output.",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiveOptions:
+    """Options of `receive`."""
+
+    film: FilmOptions
+    settings: SettingsOptions
+    results: OutputOptions = OutputOptions()
+    truth: Path | None = None
+    live: RecordOptions = RecordOptions()
+    events: EventOptions = EventOptions()
+    as_json: bool = False
+
+    @property
+    def is_quiet(self) -> bool:
+        """True if standard output is JSON only."""
+        return self.as_json or self.events.follow
+
+    def relative_to(self, folder: Path) -> "ReceiveOptions":
+        """Return the options with paths relative to a folder."""
+        file, output, files = (
+            None if path is None else folder / path
+            for path in (self.settings.settings_file, self.results.output, self.results.files)
+        )
+        return replace(self, settings=replace(self.settings, settings_file=file), results=OutputOptions(output, files))
+
+
+@dataclass(frozen=True, slots=True)
+class SentOptions:
+    """Messages and files to send; see `messages.message_of` for `high`, `middle` and `low`."""
+
+    high: Annotated[str | None, message_option("high")] = None
+    middle: Annotated[str | None, message_option("middle")] = None
+    low: Annotated[str | None, message_option("low")] = None
+    file: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--file",
+            metavar="PATH",
+            help="File for layers that have no message, sent as fountain-coded symbols: any sufficient number "
+            "restores the file; may be repeated.",
+        ),
+    ] = None
+    file_code: Annotated[
+        str,
+        typer.Option("--file-code", help="Code of --file: cauchy, for every receiver, or raptorq, for megabytes."),
+    ] = "cauchy"
+    junction: Annotated[
+        Path | None,
+        typer.Option(
+            "--junction",
+            metavar="TOML",
+            help="Junction: the high layer sends traffic lights as SPATEM, the middle layer lanes as MAPEM.",
+        ),
+    ] = None
+
+    @property
+    def inputs(self) -> tuple[str | Path | None, ...]:
+        """Possible names of input files."""
+        return (self.high, self.middle, self.low, *(self.file or ()), self.junction)
+
+
+def parse_vary_options(texts: list[str] | None) -> dict[str, list[Any]]:
+    """Return the values of varied settings by key."""
     from heliograph.sweeps.plan import parse_vary
 
     vary: dict[str, list[Any]] = {}
@@ -181,125 +451,11 @@ def varied(texts: list[str] | None) -> dict[str, list[Any]]:
     return vary
 
 
-@dataclass(frozen=True, slots=True)
-class Sent:
-    """What is sent: options of the command, as they were given."""
-
-    # high, middle, low: what each layer sends, as `message_of` takes it; None for nothing
-    high: str | None = None
-    middle: str | None = None
-    low: str | None = None
-    # Files that the layers send which have nothing else
-    files: tuple[Path, ...] = ()
-    # Code that makes their symbols
-    code: str = "cauchy"
-    # Junction of which the high and the middle layer tell
-    junction: Path | None = None
-
-    @property
-    def inputs(self) -> tuple[str | Path | None, ...]:
-        """What may be the names of files that are read."""
-        return (self.high, self.middle, self.low, *self.files, self.junction)
-
-
-def read_messages(settings: "LinkSettings", sent: Sent, seconds: float) -> "list[Messages]":
-    """What each array sends for some seconds: what is given, a text of our own where nothing is given at all."""
-    from heliograph.link.simulate import default_messages
-    from heliograph.signal.settings import LAYERS
-
-    high, middle, low = sent.high, sent.middle, sent.low
-    given = {layer: what for layer, what in (("high", high), ("middle", middle), ("low", low)) if what is not None}
-    files = [file_of(path, sent.code) for path in sent.files]
-    road = road_messages(sent, seconds) if sent.junction is not None else {}
-    if not given and not files and not road:
-        return default_messages(settings)
-    if files and len({*given, *road}) == len(LAYERS):
-        raise MediaError("--file is sent by layers that have no message: leave out --high, --middle or --low")
-    if list(given.values()).count(STDIN) > 1:
-        raise MediaError("standard input can be sent in one layer only: give - once")
-    content: Messages = {
-        layer: road[layer] if layer in road else [message_of(layer, given[layer])] if layer in given else files
-        for layer in LAYERS if layer in road or layer in given or files
-    }  # fmt: skip
-    return [content for _ in settings.transmit.identities]
-
-
-def road_messages(sent: Sent, seconds: float) -> "Messages":
-    """What the lights of a junction show, again and again in the high layer, and its map in the middle one."""
-    from heliograph.base.config import from_mapping
-    from heliograph.road.codec import mapem, updates
-    from heliograph.road.junction import Junction
-    from heliograph.signal.message import Updates
-
-    assert sent.junction is not None
-    if sent.high is not None or sent.middle is not None:
-        raise MediaError("--junction takes the high and the middle layer: leave out --high and --middle")
-    tree = read_toml(sent.junction)
-    try:
-        junction = from_mapping(Junction, tree)
-    except SettingsError as error:
-        raise SettingsError(f"{sent.junction}: {error}") from None
-    return {"high": [Updates(updates(junction, seconds))], "middle": [mapem(junction)]}
-
-
-def file_of(path: Path, code: str) -> "SentFile":
-    """A file to be sent by its symbols, under its own name."""
-    from heliograph.signal.block import MAX_MESSAGE
-    from heliograph.signal.fountain.codes import CODES
-    from heliograph.signal.fountain.files import SentFile
-
-    known = {name: name for name in CODES}
-    if code not in known:
-        raise MediaError(f"--file-code is one of {', '.join(known)}, not {shown(code)}")
-    try:
-        return SentFile(
-            UNDECODED.sub("_", path.name), read_bounded(path, MAX_MESSAGE, "send less, or cut it up"), known[code]
-        )
-    except OSError as error:
-        raise MediaError(f"cannot read {path}: {error.strerror}") from None
-
-
-def message_of(layer: str, given: str) -> bytes:
-    """The bytes to send by what was given: "-", "text:" and a text, the name of a file, or a text as it is."""
-    from heliograph.signal.block import MAX_MESSAGE
-
-    path, source = Path(given), given
-    if given == STDIN:
-        data, source = sys.stdin.buffer.read(MAX_MESSAGE + 1), "standard input"
-        if len(data) > MAX_MESSAGE:
-            raise MediaError(f"standard input has more than {MAX_MESSAGE} bytes: send less, or cut it up")
-    elif not given or given.startswith(TEXT) or not (_names_a_file(given) or _is_there(path)):
-        data, source = os.fsencode(given.removeprefix(TEXT)), f"the text of --{layer}"
-        if len(data) > MAX_MESSAGE:
-            raise MediaError(f"{source} has more than {MAX_MESSAGE} bytes: send less, or cut it up")
-    else:
-        try:
-            data = read_bounded(path, MAX_MESSAGE, "send less, or cut it up")
-        except OSError as error:
-            hint = f"; to send these words write --{layer} {TEXT}..." if not _is_there(path) else ""
-            raise MediaError(f"cannot read {path}: {error.strerror}{hint}") from None
-    if not data:
-        raise MediaError(f"{source} is empty: there is nothing to send")
-    return data
-
-
-def _names_a_file(given: str) -> bool:
-    """Whether something that is no file here looks like the name of one: a folder or a suffix, and no blank."""
-    return bool(re.fullmatch(r"\S*[/\\]\S*|\S+\.[A-Za-z][A-Za-z0-9]{0,4}", given))
-
-
-def _is_there(path: Path) -> bool:
-    with contextlib.suppress(OSError, ValueError):  # a text may be too long for a name, or hold a zero
-        return path.exists()
-    return False
-
-
 def read_toml(file: Path) -> dict[str, Any]:
-    """Settings of a TOML file; a SettingsError where it cannot be read or is wrong."""
+    """Return the settings of a TOML file; raise a SettingsError for an unreadable or invalid file."""
     try:
-        # some editors begin UTF-8 with a mark of the order of bytes
-        # most bytes of a file of settings: all that there are, with their meanings, take 12 kB
-        return parse_toml(read_bounded(file, (1 << 20)).decode("utf-8-sig"))
+        # all settings with comments have 12 kB; some editors write a byte order mark
+        return parse_toml(read_bounded(file, 1 << 20).decode("utf-8-sig"))
     except OSError as error:
         raise SettingsError(f"cannot read the settings {file}: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -308,28 +464,25 @@ def read_toml(file: Path) -> dict[str, Any]:
         raise SettingsError(f"{file}: {error}") from None
 
 
-def say_version(wanted: bool) -> None:
-    """Print the version and end, where that is asked for."""
-    if wanted:
+def print_version(requested: bool) -> None:
+    """Print the version and exit."""
+    if requested:
         console.say(f"heliograph {__version__}")
         raise typer.Exit
 
 
 def refuse_to_replace(output: Path, inputs: Iterable[Path | str | None]) -> None:
-    """Check that a file to be written is none of those that are read."""
-    for path in (one for one in inputs if one):
-        same = False
-        with contextlib.suppress(OSError, ValueError):  # one of them is not there, or is a text
-            same = output.samefile(path)
-        if same:
-            raise MediaError(f"{output} is read and would be written: give the output another name")
+    """Raise a MediaError if an output file is also an input file."""
+    is_same = False
+    for path in (name for name in inputs if name):
+        with contextlib.suppress(OSError, ValueError):  # missing files, and texts
+            is_same |= output.samefile(path)
+    if is_same:
+        raise MediaError(f"{output} is read and would be written: give the output another name")
 
 
 def help_unless_command(context: typer.Context) -> None:
-    """Write the help to standard error and end with status 2 where no command was given.
-
-    Click has this of its own, but called it a success until 8.2.
-    """
+    """Write the help to standard error and exit with status 2 if no command is given; Click before 8.2 exits with 0."""
     if context.invoked_subcommand is None:
         sys.stderr.write(context.get_help() + "\n")
         raise typer.Exit(2)

@@ -1,4 +1,4 @@
-"""heliograph receive."""
+"""Reception of a film or live camera."""
 
 import contextlib
 import json
@@ -6,292 +6,289 @@ import os
 import re
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
+
+import cv2
 
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.base.words import counted
-from heliograph.cli import console, options
-from heliograph.cli.files import Files
-from heliograph.cli.live import LiveOptions, News, Told, Watch, watched
-
-FILES = "files"
-"""Folder of whole files in that of all results, where none is named."""
+from heliograph.cli import console
+from heliograph.cli.files import FileOutput
+from heliograph.cli.live import EventOutput, FilmMonitor, monitored
+from heliograph.cli.options import ReceiveOptions
+from heliograph.link.film import FrameProgress, packet_row, silent
+from heliograph.link.settings import LinkSettings
+from heliograph.link.truth import check_truth, open_truth, signal_of
+from heliograph.measure.counts import LayerCounts
+from heliograph.measure.errors import BIN_M, ErrorCounter
+from heliograph.measure.journal import Journal, missed_words
+from heliograph.measure.reception import Reception, receive_film
+from heliograph.media import FilmReader, open_film
+from heliograph.media.live.reader import is_camera, live_of
+from heliograph.probe import Findings, probe_film
+from heliograph.probe.activity import MOST_FRAMES
+from heliograph.probe.words import as_mapping, in_short
+from heliograph.receive.registry import RECEIVERS
+from heliograph.signal.message import Message
+from heliograph.signal.settings import SignalSettings
 
 PARTIAL_LOG = ".packets.jsonl.partial"
-"""What the packet log is called until it is whole."""
-
-MESSAGE_NAME = re.compile(r"array-\d+-[a-z]+-\d+\.bin")
-"""What messages are called in the folder of results."""
-
-if TYPE_CHECKING:
-    from heliograph.link.film import FrameProgress
-    from heliograph.link.settings import LinkSettings
-    from heliograph.measure.counts import LayerCounts
-    from heliograph.measure.errors import ErrorCounter
-    from heliograph.measure.reception import Reception
-    from heliograph.media import FilmReader
-    from heliograph.probe import Findings
-    from heliograph.signal.message import Message
-    from heliograph.signal.settings import SignalSettings
+"""Name of an incomplete packet log."""
 
 
-def run_receive(
-    film: Path,
-    seen: options.FilmOptions,
-    output: Path | None,
-    truth: Path | None,
-    preset: str,
-    file: Path | None,
-    changes: list[str],
-    as_json: bool,
-    told: Told,
-    live: LiveOptions,
-    files: Path | None = None,
-) -> None:
-    """Read a film; whatever ends it, what was decoded before is kept and shown. Where nothing was, it is said why.
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """End of a reception."""
 
-    What the film notes of its signal wins over the preset; file and assignments win over the note.
-    """
-    import cv2
+    # Empty after the last frame
+    error: str = ""
+    is_interrupted: bool = False
+    # True if the receiver does not support the film
+    is_refused: bool = False
 
-    from heliograph.cli.probe import found_array, why_unread
-    from heliograph.link.truth import check_truth, open_truth, signal_of
-    from heliograph.measure.reception import Reception
-    from heliograph.media import open_film
-    from heliograph.media.live.reader import is_camera
 
-    settings = options.settings_from(preset, file, changes)
-    base, signal_changes = options.settings_from(preset, None, None), options.signal_changes(file, changes)
-    if truth and is_camera(film):
+INTERRUPTED = Ending("interrupted", is_interrupted=True)
+
+
+def run_receive(film: Path, options: ReceiveOptions) -> None:
+    """Receive a film or live camera; show the results so far after an early end, and diagnose a missing array."""
+    settings = options.settings.load()
+    base, changes = options.settings.load_preset(), options.settings.signal_changes()
+    if options.truth and is_camera(film):
         raise MediaError("a live camera has no truth: leave out --truth")
-    if truth and seen.partly:
-        raise MediaError("the truth is that of the whole film: leave out --crop, --bin and --rotate, or --truth")
-    known = open_truth(truth) if truth else None
-    reception = Reception(known)
-    kept = Files(files or (output / FILES if output else None), aloud=not as_json and not told.follow)
-    kept.begin(reception.files)
-    # its images are small: a second thread would only wait, and take a core
-    cv2.setNumThreads(1)
-    with open_film(film, **seen.keywords(), **live.keywords(film)) as source:
-        signal, departure = signal_of(source, base.signal, signal_changes)
-        if known is not None:
-            check_truth(source, known, signal)
+    if options.truth and options.film.is_partial:
+        raise MediaError("the truth describes complete frames: leave out --crop, --bin and --rotate, or --truth")
+    truth = open_truth(options.truth) if options.truth else None
+    reception, output = Reception(truth), options.results.output
+    files_folder = options.results.files or (output / "files" if output else None)
+    files = FileOutput(files_folder, is_quiet=options.is_quiet)
+    files.begin(reception.files)
+    cv2.setNumThreads(1)  # a second thread is not faster for small images
+    with open_film(film, **options.film.keywords(), **options.live.keywords(film)) as source:
+        signal, departure = signal_of(source, base.signal, changes)
+        if truth is not None:
+            check_truth(source, truth, signal)
         if departure:
             console.complain(departure)
-        aloud, reading = not as_json and not told.follow, _in_time(_on_all_cores(settings, source), source)
+        link = _adapted(settings, source)
         with (
-            Folder(output) as folder,
-            News(told) as news,
-            watched(source, live, signal, reading.receive, aloud) as watch,
+            ResultFolder(output) as folder,
+            EventOutput(options.events) as events,
+            monitored(source, options.live, signal, link.receive, is_quiet=options.is_quiet) as monitor,
         ):
-            began = time.perf_counter()
-            with console.progress("receiving", watch.frame_count) as advance:
-                ending = read_film(watch, signal, reading, reception, (folder, news, kept), advance)
-            report = {"film": str(film), **reception.report(time.perf_counter() - began)}
+            start_s = time.perf_counter()
+            with console.progress("receiving", monitor.frame_count) as advance:
+                ending = receive_packets(monitor, signal, link, reception, folder, events, files, advance)
+            report = {"film": str(film), **reception.report(time.perf_counter() - start_s)}
             report["reading_seconds"] = source.read_s
+            findings = None
             try:
-                # what a camera shows is gone
-                why = None if watch.is_live else why_unread(source, signal, settings, report, ending)
-            except KeyboardInterrupt as error:
-                why, ending = None, error
-            if why is not None and why.screen is not None and isinstance(ending, HeliographError):
-                # the receiver for arrays refused the rate of a screen's film
-                ending = HeliographError(f"{film} shows a screen: {why.screen.advice[0]}")
-            if ending is not None:
-                report["error"] = ended(ending)
-            ending = finish_folder(folder, report, watch) or kept.finish(reception.files) or ending
-            news.tell({"event": "end", **report})
-    if told.follow:
-        pass  # its last line has the report
-    elif as_json:
+                if not monitor.is_live and is_unexplained(report, ending):
+                    findings = probe_unread(source, signal, settings, report)
+            except KeyboardInterrupt:
+                ending = INTERRUPTED
+            if findings is not None and findings.screen is not None and ending.is_refused:
+                # the receiver for arrays refuses the frame rate of films of screens
+                ending = Ending(f"{film} shows a screen: {findings.screen.advice[0]}")
+            if ending.error:
+                report["error"] = ending.error
+            try:
+                report |= monitor.finish()
+                folder.finish(report)
+                files.finish(reception.files)
+            except MediaError as error:
+                ending = Ending(str(error))
+            events.tell({"event": "end", **report})
+    if options.as_json and not options.events.follow:
         console.say_json(report)
-    else:
-        _show(report, reception, folder, watch.unseen)
-        for line in kept.lacking(reception.files, reception.frames / source.rate_hz):
+    elif not options.events.follow:
+        _show(report, reception, folder, monitor.unseen)
+        for line in files.incomplete_lines(reception.files, reception.frames / source.rate_hz):
             console.say_prose(line)
-        _show_why(why, film)
-        if watch.is_live and not found_array(report):
-            seen_by = watch.recorded or film
-            command = f"heliograph probe {console.argument(seen_by)}"
-            console.say_prose(f"'{command}' tells what the camera shows, and why no array is read")
-        watch.show()
-        if not watch.is_live:
-            _show_reading(source, report)
-    if isinstance(ending, KeyboardInterrupt):
-        console.complain(f"interrupted after {counted(reception.frames, 'frame')}; the results so far are above")
-        sys.exit(console.INTERRUPTED)
-    if ending is not None:
-        raise ending
-    if not found_array(report):
-        sys.exit(console.NO_ARRAY)
+        _show_findings(findings, film)
+        if monitor.is_live and not report["arrays"]:
+            command = f"heliograph probe {console.argument(monitor.recorded or film)}"
+            console.say_prose(f"'{command}' describes the frames, and explains why no array is read")
+        monitor.show()
+        if not monitor.is_live:
+            _show_reading_time(source, report)
+    if ending.is_interrupted:
+        console.exit_interrupted(
+            f"interrupted after {counted(reception.frames, 'frame')}; the results so far are above"
+        )
+    if ending.error:
+        raise HeliographError(ending.error)
+    exit_without_array(report)
 
 
-def read_film(
-    watch: Watch,
-    signal: "SignalSettings",
-    settings: "LinkSettings",
-    reception: "Reception",
-    told: tuple["Folder", News, Files],
-    advance: "FrameProgress | None" = None,
-) -> BaseException | None:
-    """Read the film to its end, or until something ends it: that is returned."""
-    from heliograph.link.film import packet_row, silent
-    from heliograph.measure.journal import Journal
-    from heliograph.measure.reception import receive_film
-
-    folder, news, files = told
-    journal = Journal(settings.receive.calibration, news.tell)
+def receive_packets(
+    monitor: FilmMonitor,
+    signal: SignalSettings,
+    settings: LinkSettings,
+    reception: Reception,
+    folder: "ResultFolder",
+    events: EventOutput,
+    files: FileOutput,
+    advance: FrameProgress = silent,
+) -> Ending:
+    """Receive all packets."""
+    journal = Journal(settings.receive.calibration, events.tell)
 
     def observe(event: Any) -> None:
         journal.observe(event)
-        watch.observe(event)
+        monitor.observe(event)
 
     try:
-        for packet, messages in receive_film(watch, signal, settings, reception, observe, advance or silent):
+        for packet, messages in receive_film(monitor, signal, settings, reception, observe, advance):
             folder.log(packet_row(packet, reception.confirmed))
             journal.read(packet, messages, reception.progress)
-            watch.packet(packet)
+            monitor.add_packet(packet)
             for message in messages:
-                folder.message(message)
-                watch.message(message)
+                folder.write_message(message)
+                monitor.show_message(message)
             for progress in reception.progress:
-                files.took(progress)
-    except (HeliographError, OSError, MemoryError, KeyboardInterrupt) as error:
-        return error
-    return None
+                files.update(progress)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except (HeliographError, OSError, MemoryError) as error:
+        is_refused = isinstance(error, HeliographError) and not isinstance(error, MediaError)
+        return Ending(console.error_text(error), is_refused=is_refused)
+    return Ending()
 
 
-def _on_all_cores(settings: "LinkSettings", source: "FilmReader") -> "LinkSettings":
-    """Settings by which packets are decoded beside the frames that follow, where there is a core and reason for it."""
-    from heliograph.media.live.reader import live_of
-    from heliograph.receive.registry import RECEIVERS
-
-    receive = settings.receive
-    asked = receive.decode.in_background is not None or not RECEIVERS.is_built_in(receive.receiver)
-    # Frames of a film from which on another process decodes its packets. Chosen: it takes two seconds to begin
-    long = live_of(source) is not None or (source.frame_count or 0) >= 4000
-    if asked or not long or (os.cpu_count() or 1) < 2:
-        return settings
-    return replace(settings, receive=replace(receive, decode=replace(receive.decode, in_background=True)))
+def is_unexplained(report: dict[str, Any], ending: Ending) -> bool:
+    """Return True if a diagnosis must explain a missing array."""
+    return not report["arrays"] and (ending.is_refused or not ending.error)
 
 
-def _in_time(settings: "LinkSettings", source: "FilmReader") -> "LinkSettings":
-    """Settings by which a search has a bound where a live camera does not wait for it."""
-    from heliograph.media.live.reader import live_of
-
-    return settings if live_of(source) is None else replace(settings, receive=settings.receive.with_live_limits())
-
-
-def ended(ending: BaseException) -> str:
-    """What ended a film early, in a line."""
-    return "interrupted" if isinstance(ending, KeyboardInterrupt) else str(ending)
+def exit_without_array(*reports: dict[str, Any]) -> None:
+    """Exit with status 3 if no reception decoded a codeword of an array."""
+    if not any(report["arrays"] for report in reports):
+        sys.exit(console.NO_ARRAY)
 
 
-def finish_folder(folder: "Folder", report: dict[str, Any], watch: Watch) -> MediaError | None:
-    """Finish all files; a failure is returned, for the results are still to be shown."""
-    try:
-        report |= watch.finish()
-        folder.finish(report)
-    except MediaError as error:
-        return error
-    return None
+def probe_unread(
+    source: FilmReader,
+    signal: SignalSettings,
+    settings: LinkSettings,
+    report: dict[str, Any],
+    *,
+    is_quiet: bool = False,
+) -> Findings:
+    """Diagnose an unreadable film, and add the findings to the report; sample sections of a long film."""
+    most, every = 8 * MOST_FRAMES, 1
+    if source.frame_count is not None:
+        every, most = max(1, source.frame_count // most), source.frame_count
+    with contextlib.nullcontext(silent) if is_quiet else console.progress("asking why", most) as advance:
+        findings = probe_film(source, signal, settings.receive, advance, reading=False, every=every, most=most)
+    report["probe"] = as_mapping(findings)
+    if isinstance(findings.broken, KeyboardInterrupt):
+        raise findings.broken
+    return findings
 
 
-class Folder:
-    """The folder results go to, or nowhere: files appear whole, the packet log when all is read.
+def _adapted(settings: LinkSettings, source: FilmReader) -> LinkSettings:
+    """Limit the search time of live cameras, and decode in a second process for live cameras and long films."""
+    receive, is_live = settings.receive, live_of(source) is not None
+    if is_live:
+        receive = receive.with_live_limits()
+    # a second process takes two seconds to start
+    is_long = is_live or (source.frame_count or 0) >= 4000
+    is_default = receive.decode.in_background is None and RECEIVERS.is_built_in(receive.receiver)
+    if is_default and is_long and (os.cpu_count() or 1) >= 2:
+        receive = replace(receive, decode=replace(receive.decode, in_background=True))
+    return replace(settings, receive=receive)
 
-    It holds the results of one film: messages of an earlier one are removed when this one was received to its end.
-    """
+
+class ResultFolder:
+    """Folder of the results of a film, or no output for None; a complete reception removes older messages."""
 
     def __init__(self, path: Path | None):
         self.path = path
         self.messages: list[str] = []
         self._log: IO[str] | None = None
-        self._partial = (path or Path()) / PARTIAL_LOG
 
-    def __enter__(self) -> "Folder":
+    def __enter__(self) -> "ResultFolder":
         if self.path is not None:
             with clear_write_errors(self.path):
                 self.path.mkdir(parents=True, exist_ok=True)
-                self._log = self._partial.open("w", encoding="utf-8")
+                self._log = (self.path / PARTIAL_LOG).open("w", encoding="utf-8")
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._log is not None:
-            with contextlib.suppress(OSError):  # what is buffered may find no room
+        if self._log is not None and self.path is not None:
+            with contextlib.suppress(OSError):  # a full disk
                 self._log.close()
-            self._partial.unlink(missing_ok=True)
+            (self.path / PARTIAL_LOG).unlink(missing_ok=True)
 
     def log(self, row: Any) -> None:
-        """Append a line to the packet log."""
+        """Append a row to the packet log."""
         if self._log is not None and self.path is not None:
             with clear_write_errors(self.path / "packets.jsonl"):
                 self._log.write(json.dumps(row) + "\n")
 
-    def message(self, message: "Message") -> None:
-        """Write a message."""
+    def write_message(self, message: Message) -> None:
+        """Write a message to a file."""
         if self.path is not None:
             name = f"array-{message.identity}-{message.layer}-{message.stream}.bin"
             write_whole(self.path / name, message.data)
             self.messages.append(name)
 
     def finish(self, report: Any) -> None:
-        """Put the packet log in its place, and write the summary."""
-        if self._log is not None and self.path is not None:
-            with clear_write_errors(self.path / "packets.jsonl"):
-                self._log.close()
-                os.replace(self._partial, self.path / "packets.jsonl")
-            write_whole(self.path / "summary.json", json.dumps(report, indent=1).encode())
-            if "error" not in report:
-                self._forget_others(self.path)
-
-    def _forget_others(self, path: Path) -> None:
-        """Remove messages of another film."""
-        for old in path.glob("array-*-*-*.bin"):
-            if MESSAGE_NAME.fullmatch(old.name) and old.name not in self.messages:
+        """Complete the packet log, write the summary, and remove messages of an earlier film."""
+        if self._log is None or self.path is None:
+            return
+        with clear_write_errors(self.path / "packets.jsonl"):
+            self._log.close()
+            os.replace(self.path / PARTIAL_LOG, self.path / "packets.jsonl")
+        write_whole(self.path / "summary.json", json.dumps(report, indent=1).encode())
+        if "error" in report:
+            return
+        for old in self.path.glob("array-*-*-*.bin"):
+            if re.fullmatch(r"array-\d+-[a-z]+-\d+\.bin", old.name) and old.name not in self.messages:
                 with clear_write_errors(old):
                     old.unlink(missing_ok=True)
 
 
-def _show(report: dict[str, Any], reception: "Reception", folder: Folder, unseen: str) -> None:
-    from heliograph.measure.journal import missed_words
-
+def _show(report: dict[str, Any], reception: Reception, folder: ResultFolder, unseen: str) -> None:
+    """Print the results."""
+    detections = counted(report["detections"], "detection")
     console.say(
         f"{counted(report['frames'], 'frame')} in {report['seconds']:.1f} s "
-        f"({report['frames_per_second']:.0f} frames/s)"
-        + (f", {counted(report['detections'], 'detection')}" if report["arrays"] else "")
+        f"({report['frames_per_second']:.0f} frames/s)" + (f", {detections}" if report["arrays"] else "")
     )
     if report["dropped_candidates"] or report["dropped_blocks"]:
-        left = f"{counted(report['dropped_candidates'], 'candidate')} and {counted(report['dropped_blocks'], 'block')}"
+        skipped = (
+            f"{counted(report['dropped_candidates'], 'candidate')} and {counted(report['dropped_blocks'], 'block')}"
+        )
         console.say_prose(
-            f"more alternates in these frames than searching may cost: {left} were left out; say by --region where the "
-            f"array is, or raise receive.detect.cpu_share"
+            f"the search skipped {skipped} to limit the CPU time; set --region, or raise receive.detect.cpu_share"
         )
     if not report["arrays"]:
-        found = report["detections"]
-        cause = unseen or (f"{counted(found, 'detection')} without a decoded codeword" if found else "")
+        cause = unseen or (f"{detections} without a decoded codeword" if report["detections"] else "")
         console.say(f"no array found: {cause}" if cause else "no array found")
     for array in report["uncertain"]:
-        console.say(f"uncertain, no codeword decoded: {_array_line(array)}")
+        console.say(f"uncertain, no codeword decoded: {_array_text(array)}")
     for array in report["arrays"]:
-        console.say(_array_line(array))
-        for layer, t in array["layers"].items():
-            console.say(f"  {layer:6} {counted(t['ok'], 'codeword')} read, {t['failed']} not, {t['bytes']} bytes")
+        console.say(_array_text(array))
+        for layer, tally in array["layers"].items():
+            codewords = counted(tally["ok"], "codeword")
+            console.say(f"  {layer:6} {codewords} read, {tally['failed']} not, {tally['bytes']} bytes")
     for missed in report["missed_starts"]:
         console.say(missed_words(missed))
     for name in folder.messages:
         console.say(f"message {folder.path}/{name}")
-    for identity, layer, stream, had, size in reception.unfinished():
-        missing = f"{size - had} missing: film longer, or until the array repeats the message"
-        console.say(f"array {identity}, {layer}, message {stream}: {had} of {size} bytes, {missing}")
+    for identity, layer, stream, received, size in reception.unfinished():
+        missing = f"{size - received} missing: film longer, or until the array repeats the message"
+        console.say(f"array {identity}, {layer}, message {stream}: {received} of {size} bytes, {missing}")
     if reception.errors is not None:
         _show_errors(reception.errors)
 
 
-def _array_line(array: dict[str, Any]) -> str:
+def _array_text(array: dict[str, Any]) -> str:
     return (
         f"array {array['id']}: {counted(array['packets'], 'packet')}, "
         f"frames {array['first_frame']} to {array['last_frame']}, "
@@ -299,44 +296,39 @@ def _array_line(array: dict[str, Any]) -> str:
     )
 
 
-def _show_why(why: "Findings | None", film: Path) -> None:
-    """Say in short why nothing was read."""
-    if why is None:
+def _show_findings(findings: Findings | None, film: Path) -> None:
+    """Print why no array was read."""
+    if findings is None:
         return
-    from heliograph.probe.words import in_short
-
-    for line in in_short(why):
+    for line in in_short(findings):
         console.say_prose(line)
-    console.note(f"'heliograph probe {console.argument(film)} --output DIR' tells more, with pictures")
+    console.note(f"'heliograph probe {console.argument(film)} --output DIR' gives details, with pictures")
 
 
-def _show_reading(source: "FilmReader", report: dict[str, Any]) -> None:
-    """Say so once where the container is what takes the time."""
+def _show_reading_time(source: FilmReader, report: dict[str, Any]) -> None:
+    """Recommend a faster container if reading takes most of the time."""
     reading_s = report["reading_seconds"]
-    # Seconds of reading from which on a faster container is worth a word. Chosen
-    slow = reading_s > max(2.0, report["frames"] / source.rate_hz)
-    if slow and reading_s > 0.5 * report["seconds"] and source.faster:
-        is_are = "is" if len(source.faster) == 1 else "are"
+    is_slow = reading_s > max(2.0, report["frames"] / source.rate_hz) and reading_s > 0.5 * report["seconds"]
+    if is_slow and source.faster:
+        are = "is" if len(source.faster) == 1 else "are"
         faster = source.path.parent / f"{source.path.stem or 'film'}.h5"
         console.note(
-            f"{reading_s:.1f} s of these were spent waiting for the film: {' and '.join(source.faster)} {is_are} read "
-            f"faster, see 'heliograph convert {console.argument(source.path)} {console.argument(faster)}'"
+            f"reading the film took {reading_s:.1f} s: {' and '.join(source.faster)} {are} read faster, see "
+            f"'heliograph convert {console.argument(source.path)} {console.argument(faster)}'"
         )
 
 
-def _show_errors(errors: "ErrorCounter") -> None:
-    from heliograph.measure.errors import BIN_M
-
-    console.say("distance      bit error rate of so many bits, codewords wrong/sent: high, middle, low")
+def _show_errors(errors: ErrorCounter) -> None:
+    console.say("distance      bit error rate of bits, codewords wrong/sent: high, middle, low")
     for start, layers in errors.bins().items():
         cells = "   ".join(_cell(counts) for counts in layers.values())
         console.say(f"{start:5.0f}-{start + BIN_M:<4.0f} m  {cells}")
     console.say(f"packets that were not sent: {errors.false_packets}")
     if errors.uncertain_packets:
         console.say(f"packets of uncertain identity, no codeword decoded: {errors.uncertain_packets}")
-    console.say(f"codewords taken for right that were not sent: {errors.false_codewords}")
+    console.say(f"accepted codewords that were not sent: {errors.false_codewords}")
 
 
-def _cell(counts: "LayerCounts") -> str:
+def _cell(counts: LayerCounts) -> str:
     bits, words = counts.decoded_bits, counts.words
     return f"{bits.text():>9} of {bits.trials:<7d} {words.errors:3d}/{words.trials:<3d}"

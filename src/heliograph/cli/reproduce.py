@@ -1,51 +1,48 @@
-"""heliograph reproduce."""
+"""Reproduction of the paper's experiments."""
 
-import sys
 from pathlib import Path
 
 from heliograph.base.files import clear_write_errors
 from heliograph.cli import console
+from heliograph.experiments.report import Context
+from heliograph.experiments.reproduce import chosen, done_before, recordings_in, reproduce
+from heliograph.sweeps.executors import cores, fewer_workers
 
 
 def run_reproduce(
-    figures: list[str], quick: bool, output: Path, data: Path | None, seed: int, workers: int | None
+    figures: list[str], output: Path, data: Path | None, seed: int, workers: int | None, *, quick: bool
 ) -> None:
-    """Run the paper's experiments and write their report."""
-    from heliograph.experiments.report import Context
-    from heliograph.experiments.reproduce import chosen, done_before, recordings_in, reproduce
-    from heliograph.sweeps.executors import cores, fewer_workers
-
+    """Run experiments, and print and report the findings."""
     keys = chosen(figures)
-    known = {"quick": quick, "seed": seed, "workers": workers or cores(), **recordings_in(data)}
+    fields = {"quick": quick, "seed": seed, "workers": workers or cores(), **recordings_in(data)}
     with clear_write_errors(output):
         output.mkdir(parents=True, exist_ok=True)
     if fewer := fewer_workers(workers):
         console.complain(fewer)
-    before = done_before(keys, Context(**known), output)
-    if before:
+    earlier = done_before(keys, Context(**fields), output)
+    if earlier:
         console.complain(
-            f"{len(before)} of {len(keys)} experiments were done before and are taken from {output}; "
-            "choose another --output to run them again"
+            f"{len(earlier)} of {len(keys)} experiments are complete in {output} and are not repeated; "
+            "choose another --output to repeat experiments"
         )
     try:
         with console.progress("reproducing", len(keys)) as advance:
-            done = 0
+            position = 0
 
             def begin(key: str, _: object) -> None:
-                nonlocal done
-                done = keys.index(key)
-                advance(done)
+                nonlocal position
+                position = keys.index(key)
+                advance(position)
 
-            context = Context(**known, progress=lambda _, part: advance(done + part))
-            results = reproduce(keys, context, output, begin, before)
+            context = Context(**fields, progress=lambda _, part: advance(position + part))
+            results = reproduce(keys, context, output, begin, earlier)
     except KeyboardInterrupt:
-        console.complain(
-            f"interrupted; {output} holds the experiments done so far, and the same command goes on from there"
+        console.exit_interrupted(
+            f"interrupted; {output} holds the complete experiments, and the same command continues"
         )
-        sys.exit(console.INTERRUPTED)
     for result in results:
         for finding in result.findings:
             console.say_prose(f"{result.key:8} {finding.verdict:8} {finding.claim} Measured: {finding.ours}")
     if quick:
         console.say("a quick run: the intervals are wide")
-    console.say(f"look at {output / 'report.html'}")
+    console.say(f"open {output / 'report.html'}")

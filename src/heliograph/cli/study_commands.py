@@ -1,78 +1,71 @@
-"""The commands that count, estimate and compare, with their options."""
+"""Commands for error counts, budgets, data sets and experiments, with options."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from heliograph.base.workers import THREAD_LIMITS
 from heliograph.cli import console, options
 
+SweepVary = Annotated[
+    list[str] | None, options.vary_option("Repeat it for a grid. 'receiver' and 'preset' are keys as well.")
+]
+BudgetVary = Annotated[
+    list[str] | None, options.vary_option("Repeat it for a grid. Default: distances from 25 m to 200 m.")
+]
+DatasetVary = Annotated[
+    list[str] | None, options.vary_option("Such as distances, scenes, faults. Each combination gets films.")
+]
 
+
+STATIC = options.SettingsOptions("static")
+
+
+@options.with_groups
 def sweep(
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--vary",
-            metavar="KEY=VALUES",
-            show_default=False,
-            help="Key and its values: 1,2 or first:last:step. Repeat it for a grid. 'receiver' and 'preset' serve too.",
-        ),
-    ] = None,
-    preset: options.Preset = "static",
-    settings: options.SettingsFile = None,
-    assignments: options.Assignments = None,
-    seed: options.Seed = 0,
+    *,
+    vary: SweepVary = None,
+    settings: options.SettingsOptions = STATIC,
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output",
-            metavar="DIR",
-            help="Folder for the results. A sweep that was stopped continues from it.",
-            show_default=False,
+            "--output", metavar="DIR", help="Folder for the results. A stopped sweep continues from this folder."
         ),
     ] = None,
-    min_errors: Annotated[
-        int, typer.Option(min=1, help="A point ends once each layer has so many wrong codewords.")
-    ] = 50,
-    max_codewords: Annotated[int, typer.Option(min=1, help="Most codewords of a layer at a point.")] = 1000,
+    min_errors: Annotated[int, typer.Option(min=1, help="Wrong codewords of each layer that complete a point.")] = 50,
+    max_codewords: Annotated[
+        int, typer.Option(min=1, help="Maximum number of codewords of a layer at a point.")
+    ] = 1000,
     max_seconds: Annotated[
-        float | None,
-        typer.Option(help="Most computing time of a point in s, summed over the workers.", show_default=False),
+        float | None, typer.Option(help="Maximum computing time of a point in s, summed over the workers.")
     ] = None,
-    workers: options.WorkersOption = None,
-    scheduler: options.Scheduler = None,
-    background: options.BackgroundOption = None,
-    imu: options.Imu = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list and nothing else.")] = False,
+    crew: options.WorkerOptions,
+    scene: options.SceneOptions,
+    as_json: options.JsonList = False,
 ) -> None:
     """Count errors over a grid of settings, without films."""
+    os.environ.update(THREAD_LIMITS)  # before the import of NumPy
     from heliograph.cli.sweep import run_sweep
+    from heliograph.sweeps.plan import plan
+    from heliograph.sweeps.tally import StopRule
 
-    limits = {"min_errors": min_errors, "max_codewords": max_codewords, "max_seconds": max_seconds}
-    run_sweep(vary, preset, settings, assignments, seed, output, limits, (workers, scheduler), (background, imu),
-              as_json)  # fmt: skip
+    overlay = settings.overlay()
+    points = plan(options.parse_vary_options(vary), settings.preset, overlay, scene.seed, scene.background, scene.imu)
+    stop_rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
+    run_sweep(points, stop_rule, output, crew, as_json=as_json)
 
 
+@options.with_groups
 def budget(
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--vary",
-            metavar="KEY=VALUES",
-            show_default=False,
-            help="Key and its values: 1,2 or first:last:step. Repeat it for a grid. Distances from 25 m to 200 m if "
-            "left out.",
-        ),
-    ] = None,
-    preset: options.Preset = "static",
-    settings: options.SettingsFile = None,
-    assignments: options.Assignments = None,
+    *,
+    vary: BudgetVary = None,
+    settings: options.SettingsOptions = STATIC,
     candela: Annotated[
         float | None,
         typer.Option(
-            metavar="CD",
-            show_default=False,
-            help="Luminous intensity of an LED on its axis; if left out, what channel.emitter.all_on stands for.",
+            metavar="CD", help="Luminous intensity of an LED on its axis; default: value of channel.emitter.all_on."
         ),
     ] = None,
     f_number: Annotated[float, typer.Option("--f-number", help="Focal length over the lens's opening.")] = 11.0,
@@ -80,29 +73,24 @@ def budget(
         float, typer.Option(help="Electrons a photon: transmission of the lens times quantum efficiency.")
     ] = 0.4,
     wavelength_nm: Annotated[float, typer.Option("--wavelength", metavar="NM", help="Wavelength of the LEDs.")] = 625.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list and nothing else.")] = False,
+    as_json: options.JsonList = False,
 ) -> None:
-    """Say what a link has before it is built: light, electrons, pixels, blur, range of each layer, flicker.
+    """Calculate the budget of a planned link: light, electrons, pixels, blur, range of each layer, flicker.
 
-    Geometry, lens, sensor and LEDs are settings of 'channel'; --set and --vary change them.
+    Geometry, lens, sensor and LEDs are settings of 'channel'; see --set and --vary.
     """
     from heliograph.cli.budget import run_budget
+    from heliograph.link.photometry import LightSettings
 
-    light = {"candela": candela, "f_number": f_number, "efficiency": efficiency, "wavelength_nm": wavelength_nm}
-    run_budget(vary, preset, settings, assignments, light, as_json)
+    light = LightSettings(candela=candela, f_number=f_number, efficiency=efficiency, wavelength_nm=wavelength_nm)
+    run_budget(vary, settings, light, as_json=as_json)
 
 
+@options.with_groups
 def dataset(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the data set; a new one.")],
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--vary",
-            metavar="KEY=VALUES",
-            show_default=False,
-            help="Key and its values, 1,2 or first:last:step: distances, scenes, faults. Each combination gets films.",
-        ),
-    ] = None,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the data set.")],
+    *,
+    vary: DatasetVary = None,
     films: Annotated[int, typer.Option("--films", min=1, help="Films of each combination.")] = 10,
     splits: Annotated[
         str, typer.Option("--splits", metavar="SHARES", help="Shares of train, validation and test.")
@@ -110,43 +98,38 @@ def dataset(
     packets: Annotated[
         int | None,
         typer.Option(
-            min=1,
-            show_default=False,
-            help="Length of a film in packets; left out, one where nothing moves, else the whole drive.",
+            min=1, help="Length of a film in packets; default: a packet at rest, the complete drive in motion."
         ),
     ] = None,
-    preset: options.Preset = "static",
-    settings: options.SettingsFile = None,
-    assignments: options.Assignments = None,
+    settings: options.SettingsOptions = STATIC,
     seed: options.Seed = 0,
     background: Annotated[
         list[Path] | None,
         typer.Option(
             "--background",
             metavar="VIDEO",
-            show_default=False,
-            help="Recorded footage for the background; repeat it: each serves one split alone.",
+            help="Recorded footage for the background; may be repeated: each video serves a single split.",
         ),
     ] = None,
     imu: options.Imu = None,
-    size: Annotated[bool, typer.Option("--size", help="Say how large it will be, and write nothing.")] = False,
+    size: Annotated[bool, typer.Option("--size", help="Print the size and write no data.")] = False,
 ) -> None:
     """Write films with truth and cut-outs, split for training detectors and decoders.
 
-    The size is said first. What was stopped goes on by the same command. DATASHEET.md in DIR says what it has.
+    The size is printed first. The same command continues a stopped run. DATASHEET.md in DIR describes the data set.
     """
-    from heliograph.cli.dataset import run_dataset
+    from heliograph.cli.dataset import parse_shares, run_dataset
+    from heliograph.datasets.plan import planned
 
-    run_dataset(folder, vary, preset, settings, assignments, (films, packets), splits, seed, (background or [], imu),
-                size)  # fmt: skip
+    overlay, values, shares = settings.overlay(), options.parse_vary_options(vary), parse_shares(splits)
+    plan = planned(values, settings.preset, overlay, films, shares, packets, seed, background or [], imu)
+    run_dataset(folder, plan, seed, size_only=size)
 
 
 def reproduce(
     figures: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[NAME ...]", help="Experiments, such as fig13 or scenes; all of the paper's if left out."
-        ),
+        typer.Argument(metavar="[NAME ...]", help="Experiments, such as fig13 or scenes; default: all of the paper's."),
     ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer trials: two minutes on two cores in place of ten.")
@@ -159,32 +142,29 @@ def reproduce(
         typer.Option(
             "--data",
             metavar="DIR",
-            show_default=False,
-            help="Folder of recordings, driving/*.mp4 and motion/car-imu.csv; else the background is drawn and the "
-            "road simulated.",
+            help="Folder of recordings, driving/*.mp4 and motion/car-imu.csv; default: a drawn background and a "
+            "simulated road.",
         ),
     ] = None,
     seed: options.Seed = 0,
     workers: options.WorkersOption = None,
 ) -> None:
-    """Run the paper's experiments, and compare its claims with what was measured."""
+    """Run the paper's experiments, and compare claims with the measurements."""
     from heliograph.cli.reproduce import run_reproduce
 
-    run_reproduce(figures or [], quick, output, data, seed, workers)
+    run_reproduce(figures or [], output, data, seed, workers, quick=quick)
 
 
 def presets(
     name: Annotated[
         str | None,
         typer.Argument(
-            help="Preset to print as TOML, with the meaning of each setting.",
-            show_default=False,
-            autocompletion=options.begun_presets,
+            help="Preset to print as TOML, with the meaning of each setting.", autocompletion=options.complete_preset
         ),
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """List the presets, or print one with all its settings."""
+    """List the presets, or print all settings of a preset."""
     from heliograph.base.config import to_mapping
     from heliograph.base.toml_text import to_toml
     from heliograph.cli.describe import comment

@@ -1,92 +1,68 @@
-"""heliograph sweep."""
+"""Error rates over a grid of settings."""
 
 import logging
-import os
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import HeliographError
-from heliograph.cli import console, options
-
-if TYPE_CHECKING:
-    from heliograph.measure.statistics import Count
-    from heliograph.sweeps.tally import PointTally
+from heliograph.cli import console
+from heliograph.cli.options import WorkerOptions
+from heliograph.measure.statistics import Count
+from heliograph.sweeps.executors import fewer_workers
+from heliograph.sweeps.plan import not_looked_for
+from heliograph.sweeps.points import Point
+from heliograph.sweeps.runner import bar
+from heliograph.sweeps.sweep import count
+from heliograph.sweeps.tally import PointTally, StopRule
 
 
 def run_sweep(
-    vary: list[str] | None,
-    preset: str,
-    file: Path | None,
-    assignments: list[str] | None,
-    seed: int,
-    output: Path | None,
-    limits: dict[str, Any],
-    crew: tuple[int | None, str | None],
-    recordings: tuple[Path | None, Path | None],
-    as_json: bool,
+    points: list[Point], stop_rule: StopRule, output: Path | None, crew: WorkerOptions, *, as_json: bool
 ) -> None:
-    """Count errors over a grid of settings; whatever ends it, what was counted before is kept and shown."""
-    from heliograph.base.workers import THREAD_LIMITS
-    from heliograph.sweeps.executors import fewer_workers
-
-    os.environ.update(THREAD_LIMITS)  # NumPy is not imported yet
-    from heliograph.sweeps.plan import not_looked_for, plan
-    from heliograph.sweeps.tally import PointTally, StopRule
-
-    points = plan(options.varied(vary), preset, options.laid_over(file, assignments), seed, *recordings)
-    tallies = [PointTally(point, StopRule(**limits)) for point in points]
-    for text in filter(None, (not_looked_for(points), fewer_workers(crew[0]))):
+    """Count errors at each point; show the counts so far after an early end."""
+    tallies = [PointTally(point, stop_rule) for point in points]
+    for text in filter(None, (not_looked_for(points), fewer_workers(crew.workers))):
         console.complain(text)
-    logging.disable(logging.CRITICAL)  # what is lost of a cluster is said in one line
-    ending = _run(tallies, output, crew)
-    if isinstance(ending, Exception) and not any(tally.blocks for tally in tallies):
-        raise ending
-    console.say_json([tally.report() for tally in tallies]) if as_json else _show(tallies)
-    if isinstance(ending, KeyboardInterrupt):
-        kept = f"; {output} holds the results so far" if output else ""
-        console.complain(f"interrupted with {sum(t.done for t in tallies)} of {len(tallies)} points complete{kept}")
-        sys.exit(console.INTERRUPTED)
-    if ending is not None:
-        raise ending
+    logging.disable(logging.CRITICAL)  # hides the messages of lost clusters; an error follows
 
-
-def _run(
-    tallies: "Sequence[PointTally]", output: Path | None, crew: tuple[int | None, str | None]
-) -> BaseException | None:
-    """Count to the end, or until something ends it: that is returned."""
-    from heliograph.sweeps.runner import bar
-    from heliograph.sweeps.sweep import count
+    def show() -> None:
+        console.say_json([tally.report() for tally in tallies]) if as_json else _show(tallies)
 
     try:
         with bar(len(tallies)) as progress:
-            count(tallies, output, *crew, progress)
-    except (HeliographError, OSError, MemoryError, KeyboardInterrupt) as error:
-        return error
-    return None
+            count(tallies, output, crew.workers, crew.scheduler, progress)
+    except KeyboardInterrupt:
+        show()
+        kept = f"; {output} holds the results so far" if output else ""
+        complete = sum(tally.done for tally in tallies)
+        console.exit_interrupted(f"interrupted with {complete} of {len(tallies)} points complete{kept}")
+    except (HeliographError, OSError, MemoryError):
+        if any(tally.blocks for tally in tallies):
+            show()
+        raise
+    show()
 
 
-def _show(tallies: "Sequence[PointTally]") -> None:
-    """A line per point and layer: codewords wrong, error rates with intervals or bounds, packets found."""
+def _show(tallies: Sequence[PointTally]) -> None:
+    """Print a row for each point and layer: wrong codewords, error rates with intervals or bounds, found packets."""
     rows = [row for tally in tallies for row in _rows(tally)]
     head = [*tallies[0].point.choice, "layer", "wrong", "of", "FER (95 %)", "BER (95 %)", "found", "net bit/s"]
     console.say_table(head, rows)
 
 
-def _rows(tally: "PointTally") -> "Iterator[list[str]]":
-    """Packets found and net rate, which are of all layers, stand beside the first."""
+def _rows(tally: PointTally) -> Iterator[list[str]]:
+    """Yield a row for each layer; the first row also has the packets and the net rate of all layers."""
     net = tally.net_bits_per_second
     rate = "no data" if net is None else f"{net:.0f}"
     found = f"{tally.total.detected}/{tally.total.packets}"
     for name, layer in tally.total.layers.items():
-        counts = [str(layer.codeword_errors), str(layer.codewords), _text(layer.words), _text(layer.decoded)]
+        counts = [str(layer.codeword_errors), str(layer.codewords), _rate_text(layer.words), _rate_text(layer.decoded)]
         yield [*map(str, tally.point.choice.values()), name, *counts, found, rate]
         found = rate = ""
 
 
-def _text(count: "Count") -> str:
-    if not count.errors:
-        return count.text()
-    low, high = count.interval()
-    return f"{count.text()} ({low:.1e} to {high:.1e})"
+def _rate_text(errors: Count) -> str:
+    if not errors.errors:
+        return errors.text()
+    low, high = errors.interval()
+    return f"{errors.text()} ({low:.1e} to {high:.1e})"

@@ -1,6 +1,7 @@
-"""heliograph transmit."""
+"""Files of LED patterns."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -10,106 +11,107 @@ from numpy.typing import NDArray
 from heliograph.base.errors import MediaError
 from heliograph.base.files import room_for, whole_file
 from heliograph.base.frames import Frame
-from heliograph.cli import console, options
+from heliograph.cli import console
+from heliograph.cli.messages import read_messages
+from heliograph.cli.options import SentOptions, SettingsOptions, refuse_to_replace
+from heliograph.link.simulate import transmitters
+from heliograph.media import create_film
+from heliograph.media.film import FILM_SUFFIXES
+from heliograph.media.slots import SUFFIXES, SlotForm, file_size, write_slots, write_table
+from heliograph.signal import pwm
 
 LED_PX = 16
-"""Pixels of a side of an LED in a film of patterns."""
+"""Side of an LED in a film of patterns, in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Patterns:
+    """Successive patterns of an array: levels 0 to `max_level`, or slots with `max_level` 1."""
+
+    # (n, n) uint8 each
+    levels: Iterator[NDArray[np.uint8]]
+    count: int
+    side: int
+    period_s: float
+    max_level: int
 
 
 def run_transmit(
     output: Path,
+    options: SettingsOptions,
+    sent: SentOptions,
     packets: int,
     identity: int,
-    slots: bool,
-    preset: str,
-    file: Path | None,
-    assignments: list[str] | None,
-    sent: options.Sent,
-    gamma: float = 1.0,
+    gamma: float,
+    *,
+    by_slot: bool,
 ) -> None:
-    """Write the patterns of a transmission: levels, or on and off by slot, as drivers take them."""
-    from heliograph.link.simulate import transmitters
-    from heliograph.media.film import FILM_SUFFIXES
-    from heliograph.media.slots import SUFFIXES, SlotForm, file_size, write_slots
-    from heliograph.signal import pwm
-
-    options.refuse_to_replace(output, (*sent.inputs, file))
-    if gamma != 1 and output.suffix.lower() not in FILM_SUFFIXES:
-        raise MediaError(f"--gamma is that of a display, which plays films: leave it out, or write {FILM_SUFFIXES[0]}")
-    # one array speaks, however many the preset's scene has
-    changes = [*(assignments or ()), "channel.arrays=[{}]", f"transmit.identities=[{identity}]"]
-    settings = options.settings_from(preset, file, changes)
-    seconds = packets * settings.signal.packet_s
-    (sender,) = transmitters(settings, options.read_messages(settings, sent, seconds))
-    count = packets * settings.signal.packet_patterns
-    patterns: Iterator[NDArray[np.uint8]] = islice(sender.levels(), count)
-    period, brightest = settings.signal.pattern_period_s, pwm.SLOTS
-    driver = output.suffix.lower() in SUFFIXES
-    if slots or driver:
-        patterns = (slot for p in patterns for slot in pwm.lit_slots(p, settings.signal.slot_order).astype(np.uint8))
-        count, period, brightest = count * pwm.SLOTS, period / pwm.SLOTS, 1
-    form = SlotForm.of(settings.signal.side, pwm.SLOTS, period, count) if driver else None
-    room_for(output, file_size(output, form) if form else _least_bytes(output, count, settings.signal.side))
+    """Write the patterns of a transmission: levels, or on and off by slot for drivers."""
+    refuse_to_replace(output, (*sent.inputs, options.settings_file))
+    suffix = output.suffix.lower()
+    if gamma != 1 and suffix not in FILM_SUFFIXES:
+        raise MediaError(f"--gamma applies to films for displays: leave it out, or write {FILM_SUFFIXES[0]}")
+    # a single array, for any number of arrays in the scene of the preset
+    single = ("channel.arrays=[{}]", f"transmit.identities=[{identity}]")
+    settings = options.changed(overrides=single).load()
+    (sender,) = transmitters(settings, read_messages(settings, sent, packets * settings.signal.packet_s))
+    signal, by_slot = settings.signal, by_slot or suffix in SUFFIXES
+    count, period_s, max_level = packets * signal.packet_patterns, signal.pattern_period_s, pwm.SLOTS
+    levels: Iterator[NDArray[np.uint8]] = islice(sender.levels(), count)
+    if by_slot:
+        levels = (slot for level in levels for slot in pwm.lit_slots(level, signal.slot_order).astype(np.uint8))
+        count, period_s, max_level = count * pwm.SLOTS, period_s / pwm.SLOTS, 1
     with console.progress("transmitting", count) as advance:
-        if form:
-            write_slots(output, _counted(patterns, advance), form)
-        else:
-            _write(output, _counted(patterns, advance), (count, settings.signal.side), (period, brightest, gamma))
+        _write(output, Patterns(_counted(levels, advance), count, signal.side, period_s, max_level), gamma)
     console.say(
-        f"{output}: {count} {'slots' if brightest == 1 else 'patterns'} of {period * 1e3:g} ms, {count * period:g} s"
+        f"{output}: {count} {'slots' if by_slot else 'patterns'} of {period_s * 1e3:g} ms, {count * period_s:g} s"
     )
 
 
-def _least_bytes(output: Path, count: int, side: int) -> int:
-    """Least bytes that patterns take: a film's codec makes them smaller, but keeps its marks of each frame."""
-    kinds = {".npy": side * side, ".csv": 2 * side * side, ".h5": (LED_PX * side) ** 2, ".hdf5": (LED_PX * side) ** 2}
-    # least bytes of a picture in a video file: FFV1 and MJPEG take more for their headers alone
-    return count * kinds.get(output.suffix.lower(), 64)
-
-
-def _write(
-    output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], light: tuple[float, int, float]
-) -> None:
-    from heliograph.media.film import FILM_SUFFIXES
-    from heliograph.media.slots import SUFFIXES, write_table
-
-    (period, top, _), kind = light, output.suffix.lower()
-    if kind == ".npy":
+def _write(output: Path, patterns: Patterns, gamma: float) -> None:
+    """Write an array, a table, a file for drivers, or a film."""
+    suffix, leds, pixels = output.suffix.lower(), patterns.side**2, (LED_PX * patterns.side) ** 2
+    if suffix in SUFFIXES:
+        form = SlotForm.of(patterns.side, pwm.SLOTS, patterns.period_s, patterns.count)
+        room_for(output, file_size(output, form))
+        write_slots(output, patterns.levels, form)
+        return
+    # lower bounds of the size; a frame of a compressed film has a header of at least 64 bytes
+    sizes = {".npy": leds, ".csv": 2 * leds, ".h5": pixels, ".hdf5": pixels}
+    room_for(output, patterns.count * sizes.get(suffix, 64))
+    if suffix == ".npy":
         with whole_file(output) as partial:
-            _write_npy(partial, patterns, size)
-    elif kind == ".csv":
+            _write_npy(partial, patterns)
+    elif suffix == ".csv":
         with whole_file(output) as partial:
-            write_table(partial, patterns, size[1], period, slots=top == 1)
-    elif kind in FILM_SUFFIXES:
-        _write_film(output, patterns, size[1], light)
+            write_table(partial, patterns.levels, patterns.side, patterns.period_s, slots=patterns.max_level == 1)
+    elif suffix in FILM_SUFFIXES:
+        _write_film(output, patterns, gamma)
     else:
         known = ", ".join((".npy", ".csv", *SUFFIXES, *FILM_SUFFIXES))
         raise MediaError(f"unknown kind of file {output.name!r}: the name must end in one of {known}")
 
 
-def _write_npy(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int]) -> None:
-    """(patterns, n, n) uint8."""
-    count, side = size
-    header = {"descr": "|u1", "fortran_order": False, "shape": (count, side, side)}
+def _write_npy(path: Path, patterns: Patterns) -> None:
+    """Write (patterns, n, n) uint8 pattern by pattern."""
+    header = {"descr": "|u1", "fortran_order": False, "shape": (patterns.count, patterns.side, patterns.side)}
     with path.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)
-        for pattern in patterns:
-            file.write(pattern.tobytes())
+        for level in patterns.levels:
+            file.write(level.tobytes())
 
 
-def _write_film(path: Path, patterns: Iterator[NDArray[np.uint8]], side: int, light: tuple[float, int, float]) -> None:
-    """A film of the array itself, for a screen; gray is the time that an LED is lit, to the power of 1 / gamma."""
-    period, top, gamma = light
-    grays = np.array([255 * (level / top) ** (1 / gamma) for level in range(top + 1)]).astype(np.uint8)
-    from heliograph.media import create_film
-
-    edge, block = side * LED_PX, np.ones((LED_PX, LED_PX), dtype=np.uint8)
-    with create_film(path, width=edge, height=edge, rate_hz=1 / period) as film:
-        for index, pattern in enumerate(patterns):
-            film.write(Frame(index, index * period, np.kron(grays[pattern], block)))
+def _write_film(path: Path, patterns: Patterns, gamma: float) -> None:
+    """Write a film of the array for a display."""
+    duty_cycles = np.arange(patterns.max_level + 1) / patterns.max_level
+    grays = (255 * duty_cycles ** (1 / gamma)).astype(np.uint8)
+    edge, led = patterns.side * LED_PX, np.ones((LED_PX, LED_PX), dtype=np.uint8)
+    with create_film(path, width=edge, height=edge, rate_hz=1 / patterns.period_s) as film:
+        for index, level in enumerate(patterns.levels):
+            film.write(Frame(index, index * patterns.period_s, np.kron(grays[level], led)))
 
 
-def _counted(patterns: Iterator[NDArray[np.uint8]], advance: Callable[[int], None]) -> Iterator[NDArray[np.uint8]]:
+def _counted(patterns: Iterator[NDArray[np.uint8]], advance: Callable[[float], None]) -> Iterator[NDArray[np.uint8]]:
     for number, pattern in enumerate(patterns, 1):
         yield pattern
         advance(number)

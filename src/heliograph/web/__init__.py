@@ -1,1 +1,1 @@
-"""The pages in a browser: they show what the receiver does, send by a screen, and take films of a phone."""
+"""Web pages that show a reception, transmit by a screen, and receive films of a phone."""

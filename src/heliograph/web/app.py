@@ -1,4 +1,4 @@
-"""The application: its pages, what they ask for, and the guard before them."""
+"""Web application: routes of the pages, errors as JSON, and access control."""
 
 import contextlib
 from collections.abc import AsyncIterator, Sequence
@@ -10,61 +10,56 @@ from starlette.exceptions import HTTPException
 
 from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.web import built, receive, transmit, uploads, watch
-from heliograph.web import failures as bundles
+from heliograph.web import built, files, receive, transmit, watch
 from heliograph.web.crashes import CrashReports, is_crash
 from heliograph.web.limits import Limits
-from heliograph.web.security import Door, Guard
+from heliograph.web.security import Access, Guard
 from heliograph.web.shared import BusyError, Shared
-from heliograph.web.uploads import TooLargeError, Uploads
+from heliograph.web.uploads import TooLargeError
 
 
 def create_app(
     settings: LinkSettings | None = None,
     films: Sequence[str] = (),
-    door: Door | None = None,
+    access: Access | None = None,
     limits: Limits | None = None,
     camera: Sequence[str] = (),
 ) -> FastAPI:
-    """Make the application that `heliograph serve` runs."""
+    """Create the application of `heliograph serve`."""
     limits = limits or Limits()
-    shared = Shared(settings or load_settings("paper"), tuple(films), limits, Uploads(limits), tuple(camera))
+    shared = Shared(settings or load_settings("paper"), tuple(films), limits, tuple(camera))
 
     @contextlib.asynccontextmanager
-    async def alive(_app: FastAPI) -> AsyncIterator[None]:
-        try:
+    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+        with contextlib.closing(shared.uploads):
             yield
-        finally:
-            shared.uploads.close()
 
-    app = FastAPI(title="Heliograph", openapi_url=None, docs_url=None, redoc_url=None, lifespan=alive)
+    app = FastAPI(title="Heliograph", openapi_url=None, docs_url=None, redoc_url=None, lifespan=lifespan)
     app.state.shared = shared
-    for room in (uploads, bundles, watch, transmit, receive, built):
-        app.include_router(room.router)
-    app.add_exception_handler(HeliographError, _refused)
-    app.add_exception_handler(HTTPException, _failed)
-    app.add_exception_handler(RequestValidationError, _not_understood)
+    for module in (files, watch, transmit, receive, built):
+        app.include_router(module.router)
+    app.add_exception_handler(HeliographError, _answer_user_error)
+    app.add_exception_handler(HTTPException, _answer_http_error)
+    app.add_exception_handler(RequestValidationError, _answer_invalid_request)
     app.add_middleware(CrashReports)
-    app.add_middleware(Guard, door=door or Door(), limits=limits)
+    app.add_middleware(Guard, access=access or Access(), limits=limits)
     return app
 
 
-async def _refused(_request: Request, error: Exception) -> JSONResponse:
-    """What a user can mend, as the command would say it."""
+async def _answer_user_error(_request: Request, error: Exception) -> JSONResponse:
     if is_crash(error):
         raise error
     status = 413 if isinstance(error, TooLargeError) else 503 if isinstance(error, BusyError) else 400
-    # what is left of a request is not read
+    # the rest of a large request stays unread
     return JSONResponse({"error": str(error)}, status, {"connection": "close"} if status == 413 else None)
 
 
-async def _failed(_request: Request, error: Exception) -> JSONResponse:
+async def _answer_http_error(_request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
     return JSONResponse({"error": str(error.detail)}, error.status_code, error.headers)
 
 
-async def _not_understood(_request: Request, error: Exception) -> JSONResponse:
+async def _answer_invalid_request(_request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
-    first = error.errors()[0] if error.errors() else {"loc": (), "msg": "not understood"}
-    place = ".".join(map(str, first["loc"]))
-    return JSONResponse({"error": f"{place}: {first['msg']}"[:400]}, 422)
+    first = error.errors()[0] if error.errors() else {"loc": (), "msg": "invalid request"}
+    return JSONResponse({"error": f"{'.'.join(map(str, first['loc']))}: {first['msg']}"[:400]}, 422)

@@ -1,10 +1,11 @@
-"""Frames from a browser's camera: checked, and queued for one reader, which has a bounded time for the last of them."""
+"""Frame sources in place of films: iterables, and messages from a browser camera."""
 
 import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
@@ -13,69 +14,82 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 
 HEAD = struct.Struct("<dIHH")
-"""Start of a message: time in s, number of the frame with those that were not sent, columns, rows. Pixels follow."""
+"""Head of a message: time in s, frame number including skipped frames, columns, rows. Pixels follow."""
 
-LEAST_SIDE, MOST_SIDE = 32, 2048
-"""Columns and rows that are taken. Chosen: more pixels than a message may have bytes find no place anyway."""
+MIN_SIDE, MAX_SIDE = 32, 2048
+"""Range of columns and rows; the message size limits the product."""
 
-MOST_WAITING = 96
-"""Frames that wait at most; a page that follows the rules has fewer on their way. Chosen: three seconds."""
+MAX_WAITING = 96
+"""Waiting frames: three seconds. Regular pages have fewer frames in flight."""
 
 
 class MessageError(HeliographError):
-    """A message that no page of ours sends."""
+    """Invalid message of a page."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Frames in place of a film."""
+
+    path: str
+    frames: Iterable[Frame]
+    rate_hz: float = 30.0
+    frame_count: int | None = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        yield from self.frames
 
 
 class CameraFrames:
-    """Frames of a browser's camera: the server's thread puts messages in, a receiver's thread takes frames out."""
+    """Queue of frames from the event loop to the thread of a receiver."""
 
     def __init__(self) -> None:
         self._waiting: deque[Frame] = deque()
         self._changed = threading.Condition()
-        self._until_s: float | None = None
+        self._deadline_s: float | None = None
         self._shape: tuple[int, int] | None = None
         self._last_s = float("-inf")
         self.taken = self.dropped = 0
 
     @property
     def waiting(self) -> int:
-        """Frames that wait to be taken."""
+        """Number of waiting frames."""
         return len(self._waiting)
 
     @property
     def ended(self) -> bool:
-        """Whether no more come."""
-        return self._until_s is not None
+        """True after `end`."""
+        return self._deadline_s is not None
 
     @property
     def late(self) -> bool:
-        """Whether the time for the last frames is over."""
-        return self._until_s is not None and time.monotonic() > self._until_s
+        """True after the deadline for the last frames."""
+        return self._deadline_s is not None and time.monotonic() > self._deadline_s
 
     def put(self, message: bytes) -> None:
-        """Take a message; a frame that finds no place is dropped, and counted."""
+        """Append the frame of a message; drop the frame if the queue is full."""
         frame = self._frame(message)
         with self._changed:
             if self.ended:
                 return
-            if len(self._waiting) >= MOST_WAITING:
+            if len(self._waiting) >= MAX_WAITING:
                 self.dropped += 1
                 return
             self._waiting.append(frame)
             self._changed.notify()
 
-    # Time in s for the frames that wait when a camera is stopped; what is left then is let go. Where an array is
-    # followed three seconds of frames take one, while one that is looked for in vain takes a tenth of a second a frame
-    # and more
     def end(self, seconds: float = 8.0) -> None:
-        """Say that no more come; those that wait are still taken, as long as there is time."""
+        """Close the queue; the receiver may take waiting frames for some seconds.
+
+        Tracking three seconds of frames takes one second; a failing search takes 0.1 s a frame and more.
+        """
         with self._changed:
-            until_s = time.monotonic() + seconds
-            self._until_s = until_s if self._until_s is None else min(until_s, self._until_s)
+            deadline_s = time.monotonic() + seconds
+            self._deadline_s = deadline_s if self._deadline_s is None else min(deadline_s, self._deadline_s)
             self._changed.notify()
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield frames as they come, until the end."""
+        """Yield frames until the end."""
         while (frame := self._next()) is not None:
             yield frame
 
@@ -89,16 +103,16 @@ class CameraFrames:
 
     def _frame(self, message: bytes) -> Frame:
         if len(message) < HEAD.size:
-            raise MessageError("a frame's message is too short")
+            raise MessageError("the message of a frame is too short")
         time_s, number, columns, rows = HEAD.unpack_from(message)
-        if not (LEAST_SIDE <= columns <= MOST_SIDE and LEAST_SIDE <= rows <= MOST_SIDE):
-            raise MessageError(f"a frame has {LEAST_SIDE} to {MOST_SIDE} columns and rows, not {columns} x {rows}")
+        if not (MIN_SIDE <= columns <= MAX_SIDE and MIN_SIDE <= rows <= MAX_SIDE):
+            raise MessageError(f"a frame has {MIN_SIDE} to {MAX_SIDE} columns and rows, not {columns} x {rows}")
         if len(message) != HEAD.size + columns * rows:
             raise MessageError(f"a frame of {columns} x {rows} has {columns * rows} bytes")
         if self._shape not in (None, (rows, columns)):
-            raise MessageError("all frames have the same size: start again where the camera turned")
+            raise MessageError("all frames have the same size: start again after rotating the camera")
         if not isfinite(time_s) or not 0 <= time_s < 1e9 or time_s <= self._last_s:
-            raise MessageError("frames come in the order of time")
+            raise MessageError("the times of frames must increase")
         self._shape, self._last_s = (rows, columns), time_s
         pixels = np.frombuffer(message, np.uint8, offset=HEAD.size).reshape(rows, columns)
         return Frame(number, time_s, pixels)

@@ -1,4 +1,4 @@
-"""Unexpected exceptions: logged with a traceback and reported to the page as one line; memory is returned."""
+"""Worker threads of the server: unexpected exceptions are logged and reported to the page; memory is released."""
 
 import asyncio
 import contextlib
@@ -16,45 +16,40 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from heliograph.base.errors import HeliographError, brief
 from heliograph.media.live.camera import CameraCrashError
+from heliograph.web.row_queue import GoneError
 from heliograph.web.shared import BusyError, Places
-from heliograph.web.told import GoneError
+
+T = TypeVar("T")
+
+LOG = logging.getLogger("heliograph.web")
+
+NORMAL, GOING_AWAY, POLICY, INTERNAL, TRY_AGAIN = 1000, 1001, 1008, 1011, 1013
+"""Close codes of WebSockets (RFC 6455, section 7.4.1, and the IANA registry)."""
 
 
 def release_memory() -> None:
     """Return freed memory to the system.
 
     The C library of Linux (glibc) keeps freed memory in an arena for each thread. Frames of a reception leave gaps that
-    only `malloc_trim` gives back; without it the server grows with each thread that has received.
+    only `malloc_trim` returns; otherwise the server grows with each receiving thread.
     """
     gc.collect()
-    with contextlib.suppress(
-        AttributeError, OSError, TypeError
-    ):  # other C libraries, and systems, return it themselves
+    # other C libraries and systems return memory automatically
+    with contextlib.suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(ctypes.c_size_t(0))
 
 
-T = TypeVar("T")
-
-LOG = logging.getLogger("heliograph.web")
-
-FOLDERS = re.compile(r"(?<!\w)/(?:[^\s/'\"]+/)+")
-"""Folders of a path within a text: where files of the server lie concerns no page."""
-
-GOING_AWAY, POLICY, INTERNAL, TRY_AGAIN = 1001, 1008, 1011, 1013
-"""Codes with which a WebSocket is closed (RFC 6455, section 7.4.1, and the registry of codes)."""
-
-
 class CrashError(Exception):
-    """Unexpected exception of a worker thread; the exception is its cause."""
+    """Unexpected exception of a worker thread; the cause is the exception."""
 
 
 def is_crash(error: BaseException) -> bool:
-    """Return True if an error is unexpected, so that its traceback is needed to mend it."""
+    """Return True if an error is unexpected and needs a traceback."""
     return isinstance(error, CameraCrashError) or not isinstance(error, HeliographError)
 
 
 def report(error: BaseException) -> str:
-    """Return an error as one line for a page; log an unexpected one with its traceback."""
+    """Return an error as one line for a page; log the traceback of an unexpected error."""
     cause = error.__cause__ if isinstance(error, CrashError) and error.__cause__ is not None else error
     line = str(cause) if isinstance(cause, HeliographError) else _line_of(cause)
     if is_crash(cause):
@@ -64,22 +59,23 @@ def report(error: BaseException) -> str:
 
 def _line_of(error: BaseException) -> str:
     if isinstance(error, MemoryError):
-        return "not enough memory for frames of that size: end other receptions, or take a smaller film"
+        return "not enough memory for frames of that size: end other receptions, or use a smaller film"
     if isinstance(error, OSError) and error.strerror:
         return f"input or output failed: {brief(error.strerror)}"
     try:
-        text = FOLDERS.sub("", brief(error)) if isinstance(error, Exception) else ""
-    except Exception:  # an exception whose text cannot be made is still named
+        # pages do not learn folders of the server
+        text = re.sub(r"(?<!\w)/(?:[^\s/'\"]+/)+", "", brief(error)) if isinstance(error, Exception) else ""
+    except Exception:  # the conversion of an exception to text may fail
         text = ""
-    named = type(error).__name__ + (f": {text}" if text else "")
-    return f"the server failed by an internal error ({named}); please report it with the traceback in the server's log"
+    name = type(error).__name__ + (f": {text}" if text else "")
+    return f"the server failed by an internal error ({name}); please report it with the traceback in the server's log"
 
 
 async def in_thread(work: Callable[[], T]) -> T:
-    """Run work in a worker thread, and return its result.
+    """Run a function in a worker thread, and return the result.
 
-    An exception of any kind is raised here as a `CrashError`, but for those that are expected. `KeyboardInterrupt` and
-    `SystemExit` of a worker thread would end the server's loop.
+    Unexpected exceptions become a `CrashError`: `KeyboardInterrupt` and `SystemExit` of a worker thread would end the
+    event loop.
     """
 
     def guarded() -> T:
@@ -95,18 +91,18 @@ async def in_thread(work: Callable[[], T]) -> T:
 
 @contextlib.asynccontextmanager
 async def taking_place(places: Places) -> AsyncIterator[None]:
-    """Take a place for the block; return its memory to the system at the end."""
+    """Occupy a place during the block; release memory at the end."""
     with places.take():
         try:
             yield
         finally:
-            # a task of its own, which goes on where this one is cancelled
+            # a separate task survives the cancellation of this task
             await asyncio.shield(asyncio.ensure_future(in_thread(release_memory)))
 
 
 @contextlib.asynccontextmanager
 async def closing(socket: WebSocket, row_of: Callable[[str], Mapping[str, Any]]) -> AsyncIterator[None]:
-    """Close a WebSocket that the block ends by an exception, after a row that says why."""
+    """Report an exception of the block to the page, and close the WebSocket."""
     try:
         yield
     except WebSocketDisconnect:
@@ -114,14 +110,11 @@ async def closing(socket: WebSocket, row_of: Callable[[str], Mapping[str, Any]])
     except GoneError:
         await _close(socket, GOING_AWAY)
     except Exception as error:
-        if isinstance(error, RuntimeError) and _is_disconnected(socket):
+        is_disconnected = WebSocketState.DISCONNECTED in (socket.client_state, socket.application_state)
+        if isinstance(error, RuntimeError) and is_disconnected:
             return
         code = TRY_AGAIN if isinstance(error, BusyError) else INTERNAL if is_crash(error) else POLICY
         await _close(socket, code, row_of(report(error)))
-
-
-def _is_disconnected(socket: WebSocket) -> bool:
-    return WebSocketState.DISCONNECTED in (socket.client_state, socket.application_state)
 
 
 async def _close(socket: WebSocket, code: int, row: Mapping[str, Any] | None = None) -> None:
@@ -132,26 +125,26 @@ async def _close(socket: WebSocket, code: int, row: Mapping[str, Any] | None = N
 
 
 class CrashReports:
-    """Middleware that answers a request whose handler crashed."""
+    """Middleware that reports unexpected exceptions of request handlers."""
 
     def __init__(self, app: ASGIApp):
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on; see ASGI."""
-        begun = False
+        is_started = False
 
-        async def noted(message: Message) -> None:
-            nonlocal begun
-            begun = True
+        async def send_and_note(message: Message) -> None:
+            nonlocal is_started
+            is_started = True
             await send(message)
 
         try:
-            await self._app(scope, receive, noted)
+            await self._app(scope, receive, send_and_note)
         except Exception as error:
             if scope["type"] != "http":
                 raise
             line = report(error)
-            if begun:  # a half answer cannot be mended: the server breaks the connection off
+            if is_started:  # the server closes the connection of an incomplete response
                 raise
             await JSONResponse({"error": line}, 500)(scope, receive, send)

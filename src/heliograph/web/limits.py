@@ -1,32 +1,32 @@
-"""What a server takes at most: sizes, times, and how much at once."""
+"""Limits of a server: sizes, times and numbers."""
 
 from dataclasses import dataclass
 
 MB = 1 << 20
 
-MOST_DIGITS = 18
-"""Digits of a length that is looked at; thousands take long to convert."""
+MAX_LENGTH_DIGITS = 18
+"""Digits of a length that are parsed; thousands of digits take long to convert."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """Bounds of a server; each is chosen to be far above honest use and far below what hurts a laptop."""
+    """Limits of a server, far above normal use and far below the capacity of a laptop."""
 
-    # Most bytes of a film that is uploaded: two minutes of a phone's best video are about 1 GB
+    # Bytes of an uploaded film: two minutes of high-quality phone video are about 1 GB
     film_bytes: int = 2048 * MB
-    # Most uploaded films that are kept; a new one replaces the oldest that nobody reads
+    # Stored uploads; a new film replaces the oldest film that has no reader
     films: int = 8
-    # Most bytes of any other request
+    # Bytes of any other request
     body_bytes: int = MB
-    # Most bytes of a message of a WebSocket to the server: a raw picture of 2 megapixels
+    # Bytes of a WebSocket message to the server: a raw picture of 2 megapixels
     message_bytes: int = 2 * MB
-    # Longest time in s without a byte in the middle of a request
+    # Longest pause in s in the middle of a request
     idle_s: float = 20.0
-    # Longest time in s of an upload
+    # Time in s of an upload
     upload_s: float = 1800.0
-    # Most uploads at once
+    # Concurrent uploads
     uploads: int = 2
-    # Most pages that receive at once, *Watch* and *Receive* together: each takes a core
+    # Concurrent receptions of *Watch* and *Receive*; each uses a core
     sessions: int = 4
-    # Most connections at once; more are told to come again
+    # Concurrent connections
     connections: int = 64

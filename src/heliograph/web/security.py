@@ -1,35 +1,26 @@
-"""Who may come in: the page's own browser, by the names of this machine, with the token where one is asked for."""
+"""Access control: host names, origins and tokens of requests, and security headers of responses."""
 
 import asyncio
 import hmac
 import ipaddress
-import json
 import re
-from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
-from heliograph.web.limits import MOST_DIGITS, Limits
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import JSONResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-Scope = MutableMapping[str, Any]
-Message = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
+from heliograph.web.limits import MAX_LENGTH_DIGITS, Limits
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "[::1]"})
-"""Names of this machine for itself, as a browser writes them."""
-
-HOST = re.compile(r"(?P<name>[a-z0-9._-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
-"""A Host header: a name or an address, IPv6 in brackets, and a port."""
+"""Host names of the loopback interface in browsers."""
 
 PROTOCOL = "heliograph"
-"""What a WebSocket of the pages speaks; a browser cannot send a header with it, so the token is offered beside it."""
-
-TOKEN_PROTOCOL = "token."
+"""WebSocket subprotocol of the pages; a second subprotocol has the token, as browsers cannot set headers."""
 
 DATA = "/api/"
-"""Paths below it hold data and ask for the token; all others are the package's own pages."""
+"""Prefix of paths with data, which require the token; all other paths are static pages."""
 
 HEADERS = {
     "x-content-type-options": "nosniff",
@@ -39,11 +30,11 @@ HEADERS = {
     "permissions-policy": "camera=(self), screen-wake-lock=(self), fullscreen=(self), microphone=(), geolocation=()",
     "cache-control": "no-store",
 }
-"""Sent with every answer. Nothing is kept: what is shown may be nobody else's business, and the pages are small."""
+"""Headers of every response. Films may be confidential: browsers store no response."""
 
 
 def content_policy(host: str) -> str:
-    """Return the content security policy: own files and generated pictures only, no inline script, no embedding."""
+    """Return the content security policy: files of this server, generated pictures, no inline scripts, no frames."""
     return (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; media-src 'self' blob:; "
         f"font-src 'self'; worker-src 'self'; connect-src 'self' ws://{host} wss://{host}; manifest-src 'self'; "
@@ -52,98 +43,92 @@ def content_policy(host: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Door:
-    """Who may come in."""
+class Access:
+    """Access rules of a server."""
 
-    # Hosts by which the server is asked, in lower case, IPv6 in brackets. A page elsewhere whose name was made to lead
-    # here (DNS rebinding) asks by its own name, and is refused
+    # Accepted host names in lower case, IPv6 in brackets. Other names may be DNS rebinding by a foreign page
     names: frozenset[str] = LOOPBACK
-    # Whether any address in digits will do as well: other machines ask by it, and no name can lead to it
+    # True to accept all numeric addresses, as other machines use; DNS rebinding needs a name
     addresses: bool = False
-    # What data is given for; None asks for none
+    # Token for paths below `DATA`; None for free access
     token: str | None = None
 
-    def knows(self, host: str) -> bool:
-        """Whether a Host header is one of this server's."""
-        found = HOST.fullmatch(host.lower())
-        name = found["name"] if found else ""
-        return name in self.names or (self.addresses and _is_address(name))
+    def accepts_host(self, host: str) -> bool:
+        """Return True if a Host header names this server."""
+        match = re.fullmatch(r"([a-z0-9._-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?", host.lower())
+        return match is not None and (match[1] in self.names or (self.addresses and _is_address(match[1])))
 
-    def lets_in(self, offered: Iterable[str]) -> bool:
-        """Whether one of the tokens that were offered is the right one; it takes as long whatever they are."""
+    def accepts_token(self, tokens: Iterable[str]) -> bool:
+        """Return True if a token is valid; the time of the comparison is constant."""
         if self.token is None:
             return True
-        known = self.token.encode()
-        return sum(hmac.compare_digest(one.encode(), known) for one in offered) > 0
+        expected = self.token.encode()
+        return sum(hmac.compare_digest(token.encode(), expected) for token in tokens) > 0
 
 
 class Guard:
-    """Stands before the application: refuses what does not come from its own pages, and bounds what comes in."""
+    """Middleware that rejects foreign requests, limits request bodies and adds security headers."""
 
-    def __init__(self, app: App, door: Door, limits: Limits):
-        self._app, self._door, self._limits = app, door, limits
+    def __init__(self, app: ASGIApp, access: Access, limits: Limits):
+        self._app, self._access, self._limits = app, access, limits
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request in, or answer it; see ASGI."""
+        """Pass a request on or reject the request; see ASGI."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = _headers(scope)
-        host = headers.get("host", [""])[0]
-        refused = self._refusal(scope, headers, host)
-        answer = _dressed(send, content_policy(host) if refused is None else content_policy("localhost"))
-        if refused is not None:
-            await _refuse(scope, answer, *refused)
-        elif scope["type"] == "http":
-            await self._app(scope, _patient(receive, self._limits.idle_s), answer)
-        else:
+        headers = Headers(scope=scope)
+        rejection = self._rejection(scope, headers)
+        send = _with_headers(send, "localhost" if rejection else headers["host"])
+        if rejection is None:
+            receive = _with_timeout(receive, self._limits.idle_s) if scope["type"] == "http" else receive
             await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": rejection[1]})
+        else:
+            # the rest of the request stays unread: the connection ends
+            response = JSONResponse({"error": rejection[1]}, rejection[0], {"connection": "close"})
+            await response(scope, receive, send)
 
-    def _refusal(self, scope: Scope, headers: dict[str, list[str]], host: str) -> tuple[int, str] | None:
-        """Status and reason where a request is refused."""
-        if len(headers.get("host", [])) != 1 or not self._door.knows(host):
-            return 421, "this server is not asked by that name: take the address that 'heliograph serve' printed"
-        if _is_foreign(scope, headers, host):
-            return 403, "only the pages of this server may ask for that"
-        if scope["path"].startswith(DATA) and not self._door.lets_in(_tokens(scope, headers)):
-            return 401, "the token is missing or wrong: open the whole address that 'heliograph serve' printed"
-        # method of uploads, which count their bytes themselves
+    def _rejection(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
+        """Return status and reason if a request is not acceptable."""
+        hosts = headers.getlist("host")
+        if len(hosts) != 1 or not self._access.accepts_host(hosts[0]):
+            return 421, "unknown host name: open the address printed by 'heliograph serve'"
+        if _is_foreign(scope, headers):
+            return 403, "cross-site requests are not allowed: use the pages of this server"
+        if scope["path"].startswith(DATA) and not self._access.accepts_token(_tokens(scope, headers)):
+            return 401, "the token is missing or wrong: open the complete address printed by 'heliograph serve'"
+        # uploads use PUT and count bytes while reading
         if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD", "PUT"):
-            return self._too_long(headers)
+            return self._length_rejection(headers)
         return None
 
-    def _too_long(self, headers: dict[str, list[str]]) -> tuple[int, str] | None:
-        length = headers.get("content-length", ["0" if "transfer-encoding" not in headers else ""])[0]
+    def _length_rejection(self, headers: Headers) -> tuple[int, str] | None:
+        length = headers.get("content-length", "" if "transfer-encoding" in headers else "0")
         if not (length.isascii() and length.isdecimal()):
-            return 411, "the length of a request must be said"
-        if len(length) > MOST_DIGITS or int(length) > self._limits.body_bytes:
+            return 411, "the request needs a valid Content-Length"
+        if len(length) > MAX_LENGTH_DIGITS or int(length) > self._limits.body_bytes:
             return 413, f"a request has at most {self._limits.body_bytes} bytes"
         return None
 
 
-def _is_foreign(scope: Scope, headers: dict[str, list[str]], host: str) -> bool:
-    """Whether a browser says that another site's page asks; only browsers can be talked into asking for others."""
-    own = {"ws": "http", "wss": "https"}.get(scope["scheme"], scope["scheme"])
-    if any(origin != f"{own}://{host}" for origin in headers.get("origin", [])):
+def _is_foreign(scope: Scope, headers: Headers) -> bool:
+    """Return True if a browser reports that a page of another site sent the request."""
+    scheme = {"ws": "http", "wss": "https"}.get(scope["scheme"], scope["scheme"])
+    if any(origin != f"{scheme}://{headers['host']}" for origin in headers.getlist("origin")):
         return True
-    site, mode = headers.get("sec-fetch-site", ["none"])[0], headers.get("sec-fetch-mode", [""])[0]
-    # a link to a page may be followed from anywhere
-    followed = mode == "navigate" and scope["type"] == "http" and scope["method"] == "GET"
-    return site not in ("same-origin", "none") and not (followed and not scope["path"].startswith(DATA))
+    # links from other sites may lead to pages, but not to data
+    is_page = scope["type"] == "http" and scope["method"] == "GET" and not scope["path"].startswith(DATA)
+    is_link = is_page and headers.get("sec-fetch-mode") == "navigate"
+    return headers.get("sec-fetch-site", "none") not in ("same-origin", "none") and not is_link
 
 
-def _tokens(scope: Scope, headers: dict[str, list[str]]) -> list[str]:
-    """What is offered for a token: by a header, or beside the protocol of a WebSocket."""
-    offered = [one.removeprefix("Bearer ") for one in headers.get("authorization", [])]
-    protocols = scope.get("subprotocols", ())
-    return offered + [one.removeprefix(TOKEN_PROTOCOL) for one in protocols if one.startswith(TOKEN_PROTOCOL)]
-
-
-def _headers(scope: Scope) -> dict[str, list[str]]:
-    out: dict[str, list[str]] = {}
-    for key, value in scope["headers"]:
-        out.setdefault(key.decode("latin-1").lower(), []).append(value.decode("latin-1"))
-    return out
+def _tokens(scope: Scope, headers: Headers) -> list[str]:
+    """Return the tokens of the Authorization header and of the WebSocket subprotocols."""
+    protocols = [name for name in scope.get("subprotocols", ()) if name.startswith("token.")]
+    bearers = [value.removeprefix("Bearer ") for value in headers.getlist("authorization")]
+    return bearers + [name.removeprefix("token.") for name in protocols]
 
 
 def _is_address(name: str) -> bool:
@@ -154,44 +139,31 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def _patient(receive: Receive, idle_s: float) -> Receive:
-    """Take parts of a body as they come; where none comes for too long, whoever sends is taken to be gone."""
-    whole = False
+def _with_timeout(receive: Receive, idle_s: float) -> Receive:
+    """Return `receive` with a timeout for each part of a request body; a timeout disconnects the client."""
+    is_complete = False
 
-    async def next_part() -> Message:
-        nonlocal whole
-        if whole:
+    async def receive_part() -> Message:
+        nonlocal is_complete
+        if is_complete:
             return await receive()
         try:
             part = await asyncio.wait_for(receive(), idle_s)
         except TimeoutError:
             return {"type": "http.disconnect"}
-        whole = not part.get("more_body", False)
+        is_complete = not part.get("more_body", False)
         return part
 
-    return next_part
+    return receive_part
 
 
-def _dressed(send: Send, policy: str) -> Send:
-    """Send answers with `HEADERS` and a content policy."""
-    extra = [(key.encode(), value.encode()) for key, value in (HEADERS | {"content-security-policy": policy}).items()]
+def _with_headers(send: Send, host: str) -> Send:
+    """Return `send` that adds `HEADERS` and the content security policy of a host to responses."""
 
-    async def send_dressed(message: Message) -> None:
+    async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
-            own = {key for key, _ in extra}
-            kept = [(key, value) for key, value in message.get("headers", ()) if key.lower() not in own]
-            message = {**message, "headers": [*kept, *extra]}
+            message = {"headers": (), **message}
+            MutableHeaders(scope=message).update(HEADERS | {"content-security-policy": content_policy(host)})
         await send(message)
 
-    return send_dressed
-
-
-async def _refuse(scope: Scope, send: Send, status: int, reason: str) -> None:
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": 1008, "reason": reason})
-        return
-    body = json.dumps({"error": reason}).encode()
-    # what is still on its way is not read: the connection ends
-    headers = [(b"content-type", b"application/json"), (b"connection", b"close")]
-    await send({"type": "http.response.start", "status": status, "headers": headers})
-    await send({"type": "http.response.body", "body": body})
+    return send_with_headers

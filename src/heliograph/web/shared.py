@@ -1,23 +1,25 @@
-"""What the pages of a server share: its settings, uploaded films, and places for those who receive."""
+"""State that the pages of a server share: settings, films, and limits of concurrent work."""
 
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from typing import Annotated, cast
 
+from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from heliograph.base.errors import HeliographError, printable
 from heliograph.link.settings import LinkSettings
 from heliograph.web.failures import Bundles
 from heliograph.web.limits import Limits
+from heliograph.web.sending import Sendings
 from heliograph.web.uploads import Uploads
 
 
 @contextlib.contextmanager
 def named_as(path: Path, name: str) -> Iterator[None]:
-    """Replace a film's path in the errors of the block: where it lies is the server's own business."""
+    """Replace the path of a film in errors of the block: pages do not learn folders of the server."""
     try:
         yield
     except HeliographError as error:
@@ -28,20 +30,20 @@ def named_as(path: Path, name: str) -> Iterator[None]:
 
 
 class BusyError(HeliographError):
-    """All places are taken; it says so, and what to do."""
+    """Too much concurrent work of a kind."""
 
 
 class Places:
-    """A number of places; who finds none is told to come again."""
+    """Limit of concurrent work of a kind, used by the event loop only."""
 
-    def __init__(self, most: int, what: str):
-        self._most, self._what, self.taken = most, what, 0
+    def __init__(self, count: int, name: str):
+        self._count, self._name, self.taken = count, name, 0
 
     @contextlib.contextmanager
     def take(self) -> Iterator[None]:
-        """Take a place for as long as the block lasts; of the server's own thread alone."""
-        if self.taken >= self._most:
-            raise BusyError(f"{self._most} {self._what} run already: end one of them, or try again later")
+        """Occupy a place during the block; raise a BusyError if all places are occupied."""
+        if self.taken >= self._count:
+            raise BusyError(f"{self._count} {self._name} run already: end a session, or try again later")
         self.taken += 1
         try:
             yield
@@ -49,31 +51,32 @@ class Places:
             self.taken -= 1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Shared:
-    """What the pages share."""
+    """State that the pages share."""
 
-    # The link as the command's options have it; pages begin with it
+    # Initial settings of the pages
     settings: LinkSettings
-    # Films and cameras that were named where the server was started; a page asks for them by number
+    # Films and cameras of the command line; identified by number
     films: tuple[str, ...]
-    # Sizes, times and numbers
     limits: Limits
-    # Films that were uploaded
-    uploads: Uploads
     # Settings of live cameras, such as "exposure_us=500"
     camera: tuple[str, ...] = ()
-    # Places of those who receive
-    sessions: Places = field(init=False)
-    # Names of the live cameras that were found when a page last looked for them; pages ask for them by number
+    # Live cameras of the last search; identified by number
     cameras: list[str] = field(default_factory=list)
-    # Films of what failed, until pages fetch them
     bundles: Bundles = field(default_factory=Bundles)
+    sendings: Sendings = field(default_factory=Sendings)
+    pattern_films: Places = field(default_factory=lambda: Places(2, "films of patterns"))
+    uploads: Uploads = field(init=False)
+    sessions: Places = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sessions", Places(self.limits.sessions, "receptions"))
+        self.uploads, self.sessions = Uploads(self.limits), Places(self.limits.sessions, "receptions")
 
 
 def shared_of(connection: HTTPConnection) -> Shared:
-    """What the pages of the server share that a request or WebSocket came to."""
+    """Return the shared state of the server of a request or WebSocket."""
     return cast(Shared, connection.app.state.shared)
+
+
+SharedState = Annotated[Shared, Depends(shared_of)]

@@ -1,1 +1,1 @@
-"""A reception that is watched: its source, its controls, and what a page sees of it."""
+"""Sources, controls and display of watched receptions."""

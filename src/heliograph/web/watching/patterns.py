@@ -1,4 +1,4 @@
-"""What a packet's light was, as received, as equalised and as decided; its soft values by layer."""
+"""Light of a packet for display: received, equalised and decided luminances, and soft values by layer."""
 
 from base64 import b64encode
 from collections.abc import Mapping
@@ -16,86 +16,88 @@ from heliograph.signal.packet import PacketFormat
 
 
 def luminances_of(cutouts: tuple[Cutout | None, ...], side: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """Read cut-outs LED by LED."""
-    out = np.zeros((len(cutouts), side, side))
-    for place, one in enumerate(cutouts):
-        if one is not None:
-            out[place] = at_leds(one.difference, one.corner, one.middle, side)
-    return out, np.array([one is not None for one in cutouts], dtype=bool)
+    """Return the luminance of each LED of cut-outs, (pairs, n, n), and the mask of pairs with a cut-out."""
+    luminances = np.zeros((len(cutouts), side, side))
+    for pair, cutout in enumerate(cutouts):
+        if cutout is not None:
+            luminances[pair] = at_leds(cutout.difference, cutout.corner, cutout.middle, side)
+    return luminances, np.array([cutout is not None for cutout in cutouts], dtype=bool)
 
 
 def soft_by_layer(form: PacketFormat, luminances: Floats) -> dict[str, Floats]:
-    """Soft values of the coded bits by layer, (codewords, E), positive for bit 0."""
+    """Return soft values of coded bits by layer, (codewords, E), positive for bit 0."""
     soft = form.split(form.soft_data(luminances))
     return {name: layer.deinterleave(soft[name]) for name, layer in form.layers.items()}
 
 
-def decided(form: PacketFormat, words: Words) -> Floats | None:
-    """Luminances x' = level - 2 of the patterns that a packet's decided bits make, right or not: (pairs, n, n).
+def _encoded(form: PacketFormat, words: Words) -> dict[str, NDArray[np.bool_]]:
+    """Encode the decided bits of a packet again, by layer: (codewords, E)."""
+    return {
+        name: layer.code.encode(np.stack([word.bits for word in words[name]])).astype(bool)
+        for name, layer in form.layers.items()
+    }
 
-    None in the single mode, whose patterns depend on those before the packet.
+
+def decided(form: PacketFormat, words: Words) -> Floats | None:
+    """Return luminances x' = level - 2 of the decided bits, (pairs, n, n).
+
+    None in the single mode, whose patterns depend on earlier packets.
     """
     if form.single:
         return None
-    soft = {
-        name: 1.0 - 2.0 * layer.code.encode(np.stack([word.bits for word in words[name]])).astype(np.float64)
-        for name, layer in form.layers.items()
-    }
-    return expected(form, soft)
+    return expected(form, {name: np.where(bits, -1.0, 1.0) for name, bits in _encoded(form, words).items()})
 
 
 def equalised_by(
-    form: PacketFormat, llr: Mapping[str, Floats], led_by_led: Mapping[str, Floats], words: Words
+    form: PacketFormat, llr: Mapping[str, Floats], soft_by_led: Mapping[str, Floats], words: Words
 ) -> tuple[dict[str, Floats], Floats]:
-    """Soft values by layer, and luminances (pairs, n, n), as an equaliser has them.
+    """Return soft values by layer and luminances (pairs, n, n) of an equaliser.
 
-    Codewords that the LEDs gave by themselves it takes for known, and gives no LLRs: of these the soft values are those
-    of the LEDs, and the luminances those of their bits.
+    The equaliser treats codewords decoded per LED as known and returns zero LLRs. For known codewords, use the soft
+    values of the LEDs, and the luminances of the decoded bits.
     """
     soft, bits = dict[str, Floats](), dict[str, Floats]()
-    for name, values in llr.items():
-        coded = form.layers[name].code.encode(np.stack([word.bits for word in words[name]]))
-        known = ~values.any(axis=1, keepdims=True)
-        soft[name] = np.where(known, led_by_led[name], values)
-        bits[name] = np.where(known, 1.0 - 2.0 * coded, np.tanh(values / 2))
+    for name, coded in _encoded(form, words).items():
+        known = ~llr[name].any(axis=1, keepdims=True)
+        soft[name] = np.where(known, soft_by_led[name], llr[name])
+        bits[name] = np.where(known, np.where(coded, -1.0, 1.0), np.tanh(llr[name] / 2))
     return soft, expected(form, bits)
 
 
 def expected(form: PacketFormat, bits: Mapping[str, Floats]) -> Floats:
-    """Luminances x' = level - 2 by the expected values of the coded bits: (pairs, n, n)."""
+    """Return luminances x' = level - 2, (pairs, n, n), from expected coded bits, -1 to 1."""
     parts = [layer.interleave(bits[name] * (1.0 - 2.0 * layer.chips)) for name, layer in form.layers.items()]
-    symbols: Any = np.concatenate(parts, axis=1)  # of any real values
+    symbols: Any = np.concatenate(parts, axis=1)  # any real values
     d = np.asarray(form.join(symbols), np.float64)
     return haar.inverse_transform(d) if form.settings.modulation == "haar" else 2.0 * d
 
 
 def histograms(form: PacketFormat, soft: Mapping[str, Floats], words: Words) -> dict[str, Any]:
-    """Soft values by layer as histograms, as plain values."""
-    out = {}
+    """Return histograms of soft values by layer as plain values."""
+    coded, layers = _encoded(form, words), {}
     for name, values in soft.items():
-        read = np.array([word.status == "ok" for word in words[name]])
-        sent = form.layers[name].code.encode(np.stack([word.bits for word in words[name]])).astype(bool)
+        is_ok = np.array([word.status == "ok" for word in words[name]])
         scale = max(float(np.percentile(np.abs(values), 99)), TINY)
-        known, got = np.broadcast_to(read[:, None], values.shape), values != 0
-        out[name] = {
+        known, valid = np.broadcast_to(is_ok[:, None], values.shape), values != 0
+        layers[name] = {
             "scale": round(scale, 3),
-            "zeros": _bars(values[known & got & ~sent], scale),
-            "ones": _bars(values[known & got & sent], scale),
-            "open": _bars(values[~known & got], scale),
-            "known": int((known & got).sum()),
-            "wrong": int((known & got & ((values < 0) != sent)).sum()),
+            "zeros": _counts(values[known & valid & ~coded[name]], scale),
+            "ones": _counts(values[known & valid & coded[name]], scale),
+            "open": _counts(values[~known & valid], scale),
+            "known": int((known & valid).sum()),
+            "wrong": int((known & valid & ((values < 0) != coded[name])).sum()),
         }
-    return out
+    return layers
 
 
-def _bars(values: Floats, scale: float) -> list[int]:
-    # Bars of a histogram of soft values, the middle one about 0. Chosen
-    counts, _ = np.histogram(np.clip(values, -scale, scale), 31, (-scale, scale))
-    return [int(one) for one in counts]
+def _counts(values: Floats, scale: float) -> list[int]:
+    # an odd number of bins: the middle bin contains 0
+    counts: list[int] = np.histogram(np.clip(values, -scale, scale), 31, (-scale, scale))[0].tolist()
+    return counts
 
 
 def grey(levels: Floats, low: float, high: float) -> dict[str, Any]:
-    """Levels as a small gray picture: `rows`, `columns`, and `data`, values 0 to 255 row by row in Base64."""
+    """Return levels as a small picture: `rows`, `columns`, and `data`, values 0 to 255 row by row in Base64."""
     scaled = (levels - low) * (255.0 / max(high - low, TINY))
     data = np.clip(scaled, 0, 255).astype(np.uint8).tobytes()
     return {"rows": levels.shape[0], "columns": levels.shape[1], "data": b64encode(data).decode("ascii")}

@@ -1,216 +1,237 @@
-"""A reception in a thread of its own: it takes frames through a gate, and tells what happens."""
+"""Watched reception in a thread: frames pass a gate, and results go to the outbox of a page."""
 
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
+from heliograph.link.warm_up import warm_up
 from heliograph.measure.errors import ErrorCounter
 from heliograph.measure.journal import Journal, Row
 from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.media.live.reader import LiveReader
+from heliograph.receive.events import DecodeEvent, DetectEvent, EqualiseEvent, ExtractEvent, LostEvent, TrackEvent
 from heliograph.signal.settings import LAYERS
-from heliograph.web.failures import Failures, Form
+from heliograph.web.camera_frames import Frames
+from heliograph.web.failures import FailureRecorder
 from heliograph.web.shared import Shared
 from heliograph.web.watching.gate import Gate
-from heliograph.web.watching.scene import Scene, Seen
-from heliograph.web.watching.sources import Asked, Source, opened
-from heliograph.web.watching.stages import SEARCH, Stages
+from heliograph.web.watching.outbox import Outbox
+from heliograph.web.watching.scene import SceneObserver
+from heliograph.web.watching.sources import Source, WatchRequest, opened
 
 SCENE_S = 1 / 30
-"""Least time in s from one scene to the next: a screen shows few more."""
+"""Shortest time in s between scenes."""
+
+STAGES: dict[type, str] = {
+    DetectEvent: "find",
+    TrackEvent: "follow",
+    ExtractEvent: "take pairs",
+    EqualiseEvent: "equalise",
+    DecodeEvent: "decode",
+    LostEvent: "follow",
+}
+"""Stages by final event."""
 
 
-@dataclass(frozen=True, slots=True)
-class Teller:
-    """Who hears of a reception; called in its thread."""
+class Stopwatch:
+    """Time by stage of the reception."""
 
-    # Gets rows of plain values, all of them in order
-    tell: Callable[[Row], None]
-    # Gets scenes, of which only the newest counts
-    show: Callable[[Scene], None]
-    # Gets the exception that ended the reception
-    fail: Callable[[BaseException], None]
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last_s = time.perf_counter()
+
+    def mark(self, stage: str) -> None:
+        """Add the time since the last mark to a stage."""
+        now = time.perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last_s
+        self._last_s = now
 
 
 class Run:
-    """A reception that is watched."""
+    """Watched reception."""
 
-    def __init__(self, asked: Asked, shared: Shared, teller: Teller, gate: Gate):
-        self._asked, self._shared, self._teller, self.gate = asked, shared, teller, gate
-        self.failures: Failures | None = None
-        self._stages = Stages()
+    def __init__(self, request: WatchRequest, shared: Shared, outbox: Outbox, gate: Gate):
+        self._request, self._shared, self._outbox, self.gate = request, shared, outbox, gate
+        self.recorder: FailureRecorder | None = None
+        self._stopwatch = Stopwatch()
         self._newest: Frame | None = None
         self._live: LiveReader | None = None
-        self._began = self._counted = time.monotonic()
-        self._shown = float("-inf")  # the first frame is shown at once
-        self._ending, self._over, self._abandoned = threading.Lock(), False, False
+        self._start_s = self._counts_s = time.monotonic()
+        self._scene_s = float("-inf")
+        self._lock, self._is_over, self._is_abandoned = threading.Lock(), False, False
         self._thread = threading.Thread(target=self._main, name="watch", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def abandon(self) -> None:
-        """End it before its next frame, and throw away what was not saved, without waiting for that."""
-        self._let_go()
-        with self._ending:
-            self._abandoned = True
-            if self._over and self.failures is not None:
-                self.failures.close()
+        """Stop before the next frame and discard unsaved frames; do not wait."""
+        self._stop_frames()
+        with self._lock:
+            self._is_abandoned = True
+            if self._is_over and self.recorder is not None:
+                self.recorder.close()
 
     def stop(self) -> None:
-        """The same, and wait for it."""
+        """Abandon the reception and wait for the end of the thread."""
         self.abandon()
         self._thread.join()
 
     def halt(self) -> None:
-        """End it before its next frame, and wait for that; what failed may still be saved."""
-        self._let_go()
+        """Stop before the next frame and wait; failed packets can still be saved."""
+        self._stop_frames()
         self._thread.join()
 
     @property
     def is_over(self) -> bool:
-        """Whether it has ended by itself or was halted."""
-        return self._over
+        """True after the end of the reception."""
+        return self._is_over
 
-    def _let_go(self) -> None:
+    def _stop_frames(self) -> None:
         self.gate.stop()
         if self._live is not None:
-            self._live.stop()  # it may be waiting for a frame that never comes
-
-    def save(self) -> Path | None:
-        """Film of what failed so far, see `Failures.save`."""
-        return None if self.failures is None else self.failures.save()
+            self._live.stop()  # ends the wait for a frame
 
     def _main(self) -> None:
         try:
             self._watch()
-        except BaseException as error:  # nothing above would tell the page; the server goes on
-            self._teller.fail(error)
+        except BaseException as error:  # the thread has no other way to report an error
+            self._outbox.fail(error)
 
     def _watch(self) -> None:
         try:
-            with opened(self._asked, self._shared) as source:
+            with opened(self._request, self._shared) as source:
                 self._receive(source)
         finally:
-            with self._ending:
-                self._over = True
-                if self._abandoned and self.failures is not None:
-                    self.failures.close()
+            with self._lock:
+                self._is_over = True
+                if self._is_abandoned and self.recorder is not None:
+                    self.recorder.close()
 
     def _receive(self, source: Source) -> None:
-        tell = self._teller.tell
-        tell(_about(source))
-        self._live = source.live
-        _attend(source, tell)
-        self.failures = Failures(self._shared.uploads.folder(), _form(source))
+        tell = self._outbox.tell
+        tell({
+            "event": "source", "name": source.name, "width": source.width, "height": source.height,
+            "rate_hz": source.rate_hz, "frames": source.frame_count, "receiver": source.settings.receive.receiver,
+            "packet_s": source.signal.packet_s, "side": source.signal.side, "live": source.live is not None,
+            "truth": source.truth is not None,
+        })  # fmt: skip
+        if source.live is not None:
+            self._prepare_camera(source, source.live)
+        self.recorder = FailureRecorder(
+            self._shared.uploads.folder(), source.signal, rate_hz=source.rate_hz, metadata=source.metadata
+        )
         calibration = source.settings.receive.calibration
-        seen, reception = Seen(source.signal, calibration), Reception(source.truth)
+        observer, reception = SceneObserver(source.signal, calibration), Reception(source.truth)
         try:
-            self._read(source, seen, reception, Journal(calibration, tell))
+            self._read(source, observer, reception, Journal(calibration, tell), self.recorder)
         finally:
             if self._newest is not None:
-                self._teller.show(seen.scene(self._newest))
+                self._outbox.show(observer.scene(self._newest))
             tell(self._counts(reception))
         tell({"event": "end", "stopped": self.gate.stopped})
 
-    def _read(self, source: Source, seen: Seen, reception: Reception, journal: Journal) -> None:
-        """Receive the film, and tell what happens."""
+    def _prepare_camera(self, source: Source, live: LiveReader) -> None:
+        """Report settings that the camera changed, and lost connections; compile the receiver."""
+        self._live = live
+
+        def say(text: str) -> None:
+            self._outbox.tell({"event": "camera", "text": text})
+
+        for text in live.form.departures:
+            say(text)
+        live.say = say
+        with contextlib.suppress(HeliographError):
+            warm_up(source.signal, source.settings.receive, source.bits)
+
+    def _read(
+        self,
+        source: Source,
+        observer: SceneObserver,
+        reception: Reception,
+        journal: Journal,
+        recorder: FailureRecorder,
+    ) -> None:
+        """Receive the frames, and report events and packets."""
 
         def observe(event: Any) -> None:
-            self._stages.event(event)
-            seen(event)
+            self._stopwatch.mark(STAGES.get(type(event), "search"))
+            observer(event)
             journal.observe(event)
-            self._stages.mark("show")
+            self._stopwatch.mark("show")
 
-        film = _Film(source, lambda: self._frames(source, seen, reception))
+        film = Frames(source.name, self._frames(source, observer, reception, recorder))
         for packet, messages in receive_film(film, source.signal, source.settings, reception, observe):
-            self._stages.mark(SEARCH)
-            for row in seen.packets():
-                self._teller.tell(row)
+            self._stopwatch.mark("search")
+            for row in observer.packet_rows():
+                self._outbox.tell(row)
             journal.read(packet, messages, reception.progress)
-            self._teller.tell({"event": "unfinished", "messages": _unfinished(reception)})
-            if packet.status != "ok" and self.failures is not None:
-                self.failures.failed(packet)
+            names = ("id", "layer", "stream", "had", "bytes")
+            unfinished = [dict(zip(names, values, strict=True)) for values in reception.unfinished()[:40]]
+            self._outbox.tell({"event": "unfinished", "messages": unfinished})
+            recorder.add_packet(packet)
             self.gate.packet_read()
-            self._stages.mark("show")
+            self._stopwatch.mark("show")
 
-    def _frames(self, source: Source, seen: Seen, reception: Reception) -> Iterator[Frame]:
-        """Frames as the gate lets them through, shown after they were received."""
+    def _frames(
+        self, source: Source, observer: SceneObserver, reception: Reception, recorder: FailureRecorder
+    ) -> Iterator[Frame]:
+        """Yield frames after the gate; show each frame after the reception."""
         frames = iter(source.frames)
-        self._stages.mark("show")
+        self._stopwatch.mark("show")
         for frame in frames:
-            self._stages.mark("render" if isinstance(source.frames, LiveFilm) else "read")
-            self._show(seen, reception)
-            self._stages.mark("show")
+            self._stopwatch.mark("render" if isinstance(source.frames, LiveFilm) else "read")
+            self._show(observer, reception)
+            self._stopwatch.mark("show")
             if not self.gate.pass_through(frame.time_s):
                 break
-            self._stages.mark("wait")
-            if self.failures is not None:
-                self.failures.saw(frame)
+            self._stopwatch.mark("wait")
+            recorder.add_frame(frame)
             self._newest = frame
             yield frame
-            self._stages.mark(SEARCH)
+            self._stopwatch.mark("search")
         close = getattr(frames, "close", None)
         if close is not None:
             close()
 
-    def _show(self, seen: Seen, reception: Reception) -> None:
-        """Show the frame before and tell the counts, where they are due, or a pause keeps the next frame back."""
-        now, held = time.monotonic(), self.gate.holds
-        if self._newest is not None and (now >= self._shown + SCENE_S or held):
-            # in step with the screen, unless frames come more slowly
-            self._shown = now if now >= self._shown + 2 * SCENE_S else self._shown + SCENE_S
-            self._teller.show(seen.scene(self._newest))
-        # Time in s from one row of counts to the next. Chosen
-        if now >= self._counted + 0.5 or held:
-            self._counted = now
-            self._teller.tell(self._counts(reception))
+    def _show(self, observer: SceneObserver, reception: Reception) -> None:
+        """Show the last frame and report the counts, periodically and before a pause."""
+        now, is_held = time.monotonic(), self.gate.holds
+        if self._newest is not None and (now >= self._scene_s + SCENE_S or is_held):
+            # follow the refresh of the screen, unless frames arrive more slowly
+            self._scene_s = now if now >= self._scene_s + 2 * SCENE_S else self._scene_s + SCENE_S
+            self._outbox.show(observer.scene(self._newest))
+        if now >= self._counts_s + 0.5 or is_held:
+            self._counts_s = now
+            self._outbox.tell(self._counts(reception))
 
     def _counts(self, reception: Reception) -> Row:
-        failures, newest = self.failures, self._newest
         row: dict[str, Any] = {
             "event": "state",
             "frames": reception.frames,
-            "time_s": 0.0 if newest is None else round(newest.time_s, 6),
-            "seconds": round(time.monotonic() - self._began, 3),
+            "time_s": 0.0 if self._newest is None else round(self._newest.time_s, 6),
+            "seconds": round(time.monotonic() - self._start_s, 3),
             "paused": self.gate.paused,
             "detections": reception.detections,
             "left_out": {"candidates": reception.left_out.dropped, "blocks": reception.left_out.blocks},
             "arrays": reception.report(1.0)["arrays"],
-            "stages": {name: round(seconds, 4) for name, seconds in self._stages.seconds.items()},
-            "failed": 0 if failures is None else failures.packets,
+            "stages": {name: round(seconds, 4) for name, seconds in self._stopwatch.seconds.items()},
+            "failed": 0 if self.recorder is None else self.recorder.packets,
         }
         if reception.errors is not None:
             row |= {"errors": errors_by_distance(reception.errors), "false_codewords": reception.errors.false_codewords}
         return row
 
 
-@dataclass(frozen=True, slots=True)
-class _Film:
-    """Frames of a source as the gate lets them through."""
-
-    source: Source
-    frames: Callable[[], Iterator[Frame]]
-
-    @property
-    def path(self) -> str:
-        return self.source.name
-
-    def __iter__(self) -> Iterator[Frame]:
-        return self.frames()
-
-
 def errors_by_distance(errors: ErrorCounter) -> list[dict[str, Any]]:
-    """Codewords wrong of those sent, by distance and layer, with the 95 % interval of their rate, near first."""
+    """Return wrong and sent codewords by distance and layer, with the 95 % interval of the error rate."""
     rows = []
     for row in errors.report():
         layers = {}
@@ -223,47 +244,3 @@ def errors_by_distance(errors: ErrorCounter) -> list[dict[str, Any]]:
             }  # fmt: skip
         rows.append({"from_m": row["from_m"], "to_m": row["to_m"], "layers": layers})
     return rows
-
-
-def _form(source: Source) -> Form:
-    return Form(
-        width=source.width, height=source.height, bits=source.bits, rate_hz=source.rate_hz, signal=source.signal,
-        metadata=source.metadata,
-    )  # fmt: skip
-
-
-def _about(source: Source) -> Row:
-    return {
-        "event": "source",
-        "name": source.name,
-        "width": source.width,
-        "height": source.height,
-        "rate_hz": source.rate_hz,
-        "frames": source.frame_count,
-        "receiver": source.settings.receive.receiver,
-        "packet_s": source.signal.packet_s,
-        "side": source.signal.side,
-        "live": source.live is not None,
-        "truth": source.truth is not None,
-    }
-
-
-def _attend(source: Source, tell: Callable[[Row], None]) -> None:
-    """Say what a camera made of its settings, and when it is lost or back; have the receiver's loops ready for it."""
-    if source.live is None:
-        return
-    from heliograph.link.warm_up import warm_up
-
-    def say(text: str) -> None:
-        tell({"event": "camera", "text": text})
-
-    for text in source.live.form.departures:
-        say(text)
-    source.live.say = say
-    with contextlib.suppress(HeliographError):
-        warm_up(source.signal, source.settings.receive, source.bits)
-
-
-def _unfinished(reception: Reception) -> list[dict[str, Any]]:
-    names = ("id", "layer", "stream", "had", "bytes")
-    return [dict(zip(names, one, strict=True)) for one in reception.unfinished()[:40]]

@@ -1,8 +1,8 @@
-"""What is watched: an uploaded film, one that was named where the server began, a live camera, a simulated drive."""
+"""Sources of page *Watch*: films, live cameras, and simulated drives."""
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,14 +22,11 @@ from heliograph.media.live.reader import LiveReader, is_camera, live_of
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.shared import Shared, named_as
 
-OPEN = ("signal", "receive")
-"""Parts of the settings that a page may change: what the light says, and how it is read."""
-
 Text = Annotated[str, Field(max_length=200)]
 
 
-class Asked(BaseModel):
-    """What a page asks to watch; nothing of it becomes a path of the disk."""
+class WatchRequest(BaseModel):
+    """Request of a page for a source; no value becomes a path on the disk."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -48,113 +45,107 @@ class Asked(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """Something that is watched, opened."""
+    """Open source of frames."""
 
-    # What a page calls it
+    # Name for the page
     name: str
-    # Its frames in the order of time
     frames: FrameSource
-    # width, height, bits, rate_hz: form of its frames
     width: int
     height: int
     bits: int
     rate_hz: float
-    # Frames to expect; None where that is not known
+    # Expected number of frames; None if unknown
     frame_count: int | None
-    # signal, settings: the light's signal, and the link with the receiver
     signal: SignalSettings
     settings: LinkSettings
-    # What was sent; None where it is not known
+    # None if unknown
     truth: TruthSource | None = None
-    # The camera behind it; None of anything else
+    # Live camera; None for other sources
     live: LiveReader | None = None
-    # Text that is kept with it
-    metadata: dict[str, str]
+    # Metadata of the film
+    metadata: dict[str, str] = field(default_factory=dict)
 
 
 @contextlib.contextmanager
-def opened(asked: Asked, shared: Shared) -> Iterator[Source]:
-    """Open what a page asks for, for as long as the block lasts."""
-    if asked.kind == "drive":
-        yield _drive(asked, shared)
+def opened(request: WatchRequest, shared: Shared) -> Iterator[Source]:
+    """Open a source during the block."""
+    if request.kind == "drive":
+        yield _simulate_drive(request, shared)
         return
     with contextlib.ExitStack() as stack:
-        if asked.kind == "film":
-            path, name = stack.enter_context(shared.uploads.reading(asked.film)), "the film"
-        elif asked.kind == "named":
-            path = Path(_numbered(shared.films, asked.number, "film"))
+        if request.kind == "film":
+            path, name = stack.enter_context(shared.uploads.reading(request.film)), "the film"
+        elif request.kind == "named":
+            path = Path(_select(shared.films, request.number, "film", "reload the page"))
             name = shown_name(path)
         else:
-            name = _numbered(shared.cameras, asked.number, "camera")
+            name = _select(shared.cameras, request.number, "camera", "search for cameras again")
             path = Path(name)
         stack.enter_context(named_as(path, name))
-        yield stack.enter_context(_film(asked, shared, path, name))
+        yield stack.enter_context(_open_film(request, shared, path, name))
 
 
 @contextlib.contextmanager
-def _film(asked: Asked, shared: Shared, path: Path, name: str) -> Iterator[Source]:
-    base = _base(asked, shared)
-    settings, changes = _settings(asked, base)
+def _open_film(request: WatchRequest, shared: Shared, path: Path, name: str) -> Iterator[Source]:
+    base = _base_settings(request, shared)
+    settings, changes = _changed_settings(request, base)
     camera = shared.camera if is_camera(path) else ()
-    with open_film(path, rate_hz=asked.rate_hz, expand_range=True, camera=camera) as film:
+    with open_film(path, rate_hz=request.rate_hz, expand_range=True, camera=camera) as film:
         signal, _ = signal_of(film, base.signal, changes)
-        known = None
-        beside = truth_path(path)
-        if asked.kind == "named" and not is_camera(path) and beside.is_file():
-            known = open_truth(beside)
-            check_truth(film, known, signal)
+        truth = None
+        if request.kind == "named" and not is_camera(path) and truth_path(path).is_file():
+            truth = open_truth(truth_path(path))
+            check_truth(film, truth, signal)
         live = live_of(film)
         if live is not None:
             settings = replace(settings, receive=settings.receive.with_live_limits())
         yield Source(
             name=name, frames=film, width=film.width, height=film.height, bits=film.bits, rate_hz=film.rate_hz,
-            frame_count=film.frame_count, signal=signal, settings=settings, truth=known, live=live,
+            frame_count=film.frame_count, signal=signal, settings=settings, truth=truth, live=live,
             metadata=film.metadata,
         )  # fmt: skip
 
 
-def _drive(asked: Asked, shared: Shared) -> Source:
-    """A drive rendered as it is watched, with its truth."""
-    from heliograph.experiments.demo.drive import demo_messages  # it draws reports too, which is slow to import
+def _simulate_drive(request: WatchRequest, shared: Shared) -> Source:
+    """Return a drive that is rendered during the reception."""
+    from heliograph.experiments.demo.drive import demo_messages  # imports Matplotlib
 
-    base = _base(asked, shared)
-    kind = "street" if base.channel.background.level else "street-night"
-    channel = [f"channel.background.kind='{kind}'"] if asked.street else []
-    given = {"distance_m": asked.distance_m, "speed_m_s": asked.speed_m_s}
-    channel += [f"channel.{key}={value}" for key, value in given.items() if value is not None]
-    settings, _ = _settings(asked, _changed(base, map(parse_assignment, channel)))
-    camera, film = settings.channel.camera, LiveFilm(settings, demo_messages(settings), asked.seed, None, None)
+    base = _base_settings(request, shared)
+    channel: dict[str, Any] = {}
+    if request.street:
+        channel["background"] = {"kind": "street" if base.channel.background.level else "street-night"}
+    values = {"distance_m": request.distance_m, "speed_m_s": request.speed_m_s}
+    channel |= {key: value for key, value in values.items() if value is not None}
+    settings, _ = _changed_settings(request, _with_changes(base, [{"channel": channel}]))
+    camera, film = settings.channel.camera, LiveFilm(settings, demo_messages(settings), request.seed, None, None)
     return Source(
         name="a simulated drive", frames=film, width=camera.width, height=camera.height,
         bits=settings.channel.sensor.bits, rate_hz=camera.fps, frame_count=frames_of(settings), signal=settings.signal,
-        settings=settings, truth=film, metadata={},
+        settings=settings, truth=film,
     )  # fmt: skip
 
 
-def _base(asked: Asked, shared: Shared) -> LinkSettings:
-    """Settings before what the page changes one by one."""
-    return shared.settings if asked.preset is None else load_settings(asked.preset)
+def _base_settings(request: WatchRequest, shared: Shared) -> LinkSettings:
+    return shared.settings if request.preset is None else load_settings(request.preset)
 
 
-def _settings(asked: Asked, base: LinkSettings) -> tuple[LinkSettings, list[dict[str, object]]]:
-    """Settings with what the page changes, and the changes of the signal alone."""
-    changes = [parse_assignment(text) for text in asked.changes]
-    if not all(set(change) <= set(OPEN) for change in changes):
-        raise SettingsError(f"a page changes settings of {' and '.join(OPEN)}, such as signal.side=8, no others")
-    receiver = [] if asked.receiver is None else [{"receive": {"receiver": asked.receiver}}]
-    return _changed(base, [*receiver, *changes]), [one["signal"] for one in changes if "signal" in one]
+def _changed_settings(request: WatchRequest, base: LinkSettings) -> tuple[LinkSettings, list[dict[str, object]]]:
+    """Return the settings with the changes of a page, and the changes of the signal."""
+    changes = [parse_assignment(text) for text in request.changes]
+    if not all(set(change) <= {"signal", "receive"} for change in changes):
+        raise SettingsError("a page changes only settings of signal and receive, such as signal.side=8")
+    receiver = [] if request.receiver is None else [{"receive": {"receiver": request.receiver}}]
+    return _with_changes(base, [*receiver, *changes]), [change["signal"] for change in changes if "signal" in change]
 
 
-def _changed(settings: LinkSettings, changes: Iterable[Mapping[str, Any]]) -> LinkSettings:
+def _with_changes(settings: LinkSettings, changes: Iterable[Mapping[str, Any]]) -> LinkSettings:
     tree = to_mapping(settings)
     for change in changes:
         tree = merge(tree, change)
     return from_mapping(LinkSettings, tree)
 
 
-def _numbered(names: tuple[str, ...] | list[str], number: int, what: str) -> str:
+def _select(names: Sequence[str], number: int, kind: str, remedy: str) -> str:
     if number >= len(names):
-        raise SettingsError(
-            f"there is no {what} {number} here: {'look for cameras' if what == 'camera' else 'load the page'} again"
-        )
+        raise SettingsError(f"there is no {kind} {number} here: {remedy}")
     return names[number]

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from heliograph.web import told
-from heliograph.web.told import MOST_WAITING, GoneError, Told
+from heliograph.web import row_queue
+from heliograph.web.row_queue import MAX_ROWS, GoneError, RowQueue
 
 
 class Page:
@@ -23,11 +23,11 @@ class Page:
 def test_a_slow_page_holds_up_its_own_worker_alone_and_loses_nothing() -> None:
     async def run() -> tuple[int, list[Any]]:
         page, sent = Page(), [0]
-        rows = Told(page)  # type: ignore[arg-type]
+        rows = RowQueue(page)  # type: ignore[arg-type]
 
         def work() -> None:
-            for k in range(MOST_WAITING + 50):
-                rows.tell({"row": k})
+            for k in range(MAX_ROWS + 50):
+                rows.put({"row": k})
                 sent[0] = k + 1
 
         worker, forward = threading.Thread(target=work), asyncio.ensure_future(rows.forward())
@@ -41,19 +41,19 @@ def test_a_slow_page_holds_up_its_own_worker_alone_and_loses_nothing() -> None:
         return held, page.rows
 
     held, rows = asyncio.run(run())
-    assert held <= MOST_WAITING + 1
-    assert [row["row"] for row in rows] == list(range(MOST_WAITING + 50))
+    assert held <= MAX_ROWS + 1
+    assert [row["row"] for row in rows] == list(range(MAX_ROWS + 50))
 
 
 def test_a_page_that_takes_nothing_is_taken_for_gone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(told, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(row_queue, "TIMEOUT_S", 0.05)
 
     async def run() -> None:
-        rows = Told(Page())  # type: ignore[arg-type]
+        rows = RowQueue(Page())  # type: ignore[arg-type]
 
         def work() -> None:
-            for k in range(MOST_WAITING + 1):
-                rows.tell({"row": k})
+            for k in range(MAX_ROWS + 1):
+                rows.put({"row": k})
 
         await asyncio.to_thread(work)
 
@@ -63,9 +63,9 @@ def test_a_page_that_takes_nothing_is_taken_for_gone(monkeypatch: pytest.MonkeyP
 
 def test_a_worker_ends_where_its_page_is_gone() -> None:
     async def run() -> None:
-        rows = Told(Page())  # type: ignore[arg-type]
-        rows.gone()
-        await asyncio.to_thread(rows.tell, {"row": 0})
+        rows = RowQueue(Page())  # type: ignore[arg-type]
+        rows.cancel()
+        await asyncio.to_thread(rows.put, {"row": 0})
 
     with pytest.raises(GoneError):
         asyncio.run(run())

@@ -1,0 +1,108 @@
+"""Estimate of the pattern rate and the number of cells of a screen from frames or trial receptions."""
+
+from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from itertools import chain
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame
+from heliograph.link.settings import LinkSettings
+from heliograph.probe.screens import SIDES, cells_of_a_side, patterns_per_s
+from heliograph.receive import make_receiver
+from heliograph.receive.events import DetectEvent
+from heliograph.web.sending import MAX_RATE_HZ, MIN_RATE_HZ, screen_settings
+
+Tell = Callable[[Mapping[str, Any]], None]
+"""Sends a row to a page; an exception ends the reception."""
+
+TRIAL_SIDES = (16, 8, 32, 24, 12, 20, 28)
+"""Sides in the order of trials; page *Transmit* offers 16 first."""
+
+DEFAULT_RATE_HZ = 10.0
+"""Default pattern rate, as in page *Transmit*."""
+
+
+class LinkRequest(BaseModel):
+    """Properties of the screen in the request of a page; None for unknown values."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    # Cells of a side
+    side: Annotated[int, Field(ge=SIDES[0], le=SIDES[-1], multiple_of=SIDES.step)] | None = None
+    # Patterns per second
+    rate_hz: Annotated[float, Field(ge=MIN_RATE_HZ, le=MAX_RATE_HZ)] | None = None
+
+    @property
+    def default_link(self) -> LinkSettings:
+        """Default settings."""
+        return screen_settings(self.side or TRIAL_SIDES[0], self.rate_hz or DEFAULT_RATE_HZ)
+
+
+def shows_light(frames: list[Frame], request: LinkRequest) -> bool:
+    """Return True if frames may show a screen; displays that skip refreshes have cells, but no measurable rate."""
+    return request.rate_hz is not None or patterns_per_s(frames) is not None or cells_of_a_side(frames) is not None
+
+
+def estimate_link(
+    frames: list[Frame],
+    request: LinkRequest,
+    tell: Tell,
+    rejected_sides: AbstractSet[int] = frozenset(),
+    is_late: Callable[[], bool] = lambda: False,
+) -> LinkSettings:
+    """Estimate the settings of a link; `is_late` ends the trials."""
+    rate_hz = request.rate_hz or patterns_per_s(frames)
+    tell({"event": "light", "rate_hz": rate_hz})
+    # a receiver with a wrong rate finds the right rate, but later
+    trial_rate_hz = rate_hz or DEFAULT_RATE_HZ
+    side = request.side or _estimate_side(frames, trial_rate_hz, tell, rejected_sides, is_late)
+    if rate_hz or side:
+        tell({"event": "light", "rate_hz": rate_hz, "side": side})
+    return screen_settings(side or TRIAL_SIDES[0], trial_rate_hz)
+
+
+def _estimate_side(
+    frames: list[Frame], rate_hz: float, tell: Tell, rejected: AbstractSet[int], is_late: Callable[[], bool]
+) -> int | None:
+    """Estimate the side from the lines between cells, or by trial receptions."""
+    side = cells_of_a_side(frames)
+    if side is not None and side not in rejected:
+        return side
+    for side in TRIAL_SIDES:
+        if side in rejected:
+            continue
+        if is_late():
+            return None
+        tell({"event": "trying", "side": side})
+        try:
+            is_detected, is_decoded = _try(frames, screen_settings(side, rate_hz), is_late)
+        except HeliographError:  # such as too few frames; the reception reports the error
+            return None
+        if is_decoded:
+            return side
+        if not is_detected:  # headers of all sizes look alike
+            return None
+    return None
+
+
+def _try(frames: list[Frame], settings: LinkSettings, is_late: Callable[[], bool]) -> tuple[bool, bool]:
+    """Return True for a detected header, and for a decoded codeword."""
+    is_detected = False
+
+    def observe(event: object) -> None:
+        nonlocal is_detected
+        is_detected |= isinstance(event, DetectEvent)
+
+    def frames_in_time() -> Iterator[Frame]:
+        for frame in frames:
+            if is_late():
+                return
+            yield frame
+
+    receiver = make_receiver(settings.signal, settings.receive, observe)
+    packets = chain(chain.from_iterable(map(receiver.push, frames_in_time())), receiver.finish())
+    is_decoded = any(word.block for packet in packets for words in packet.layers.values() for word in words)
+    return is_detected, is_decoded
