@@ -1,7 +1,7 @@
 """Compile hot loops to machine code, which Numba caches on disk.
 
-Numba's cache compares only the file of a function, although functions and constants of other files are compiled into
-the same machine code. The cache folder is therefore named by a digest of all sources of the package.
+Numba checks only the source file of the cached function, although the machine code also contains functions and
+constants from other files. The cache folder name therefore contains a digest of all package sources.
 """
 
 import contextlib
@@ -24,11 +24,11 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCach
 from numba.misc.appdirs import AppDirs
 
 KEPT_FOLDERS = 8
-"""Cache folders to keep, those used last, as several environments may share the place."""
+"""Number of recently used cache folders to keep, as several environments may share the location."""
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function as `numba.njit` does, and cache the machine code; a division by 0 gives infinity."""
+    """Compile a function with `numba.njit` and cache the machine code; division by 0 gives infinity."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(nogil=True, **{"error_model": "numpy", "no_cfunc_wrapper": True, **options})(function)
@@ -41,14 +41,14 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 @cache
 def cache_folder() -> Path:
-    """Return the cache folder of these sources; a new folder replaces the oldest ones."""
+    """Return the cache folder for the current sources; a new folder replaces the oldest."""
     package, digest = Path(__file__).parents[1], hashlib.sha256(sys.version.encode())
     digest.update(f"{numba.__version__} {np.__version__}".encode())
     for path in sorted(package.rglob("*.py")):
         digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
     place = Path(vars(config)["CACHE_DIR"] or AppDirs(appname="heliograph", appauthor=False).user_cache_dir)
     folder = place / f"heliograph-{digest.hexdigest()[:16]}"
-    with contextlib.suppress(OSError):  # it cannot be written, or another process makes or removes a folder
+    with contextlib.suppress(OSError):  # not writable, or changed by another process
         if not folder.exists():
             folder.mkdir(parents=True)
             for old in sorted(place.glob("heliograph-*"), key=os.path.getmtime)[:-KEPT_FOLDERS]:
@@ -63,18 +63,18 @@ class _Locator(InTreeCacheLocator):
 
 
 class _Files(CompileResultCacheImpl):
-    _locator_classes: list[type[object]] = [_Locator]  # noqa: RUF012 - Numba's own attribute, not annotated there
+    _locator_classes: list[type[object]] = [_Locator]  # noqa: RUF012 - Numba declares the attribute with no annotation
 
 
 class _Cache(FunctionCache):
-    """Numba's cache; a damaged or unwritable file only costs the time of compiling."""
+    """Numba cache; after a read or write failure, the function is compiled again."""
 
     _impl_class = _Files
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         base = self._impl.filename_base
-        # Numba numbers the files of a function, so two processes could write machine code under the same name
+        # Numba numbers the cache files, so two processes could write different machine code to the same file
         self._cache_file._data_name = lambda _: f"{base}.{uuid.uuid4().hex}.nbc"  # type: ignore[method-assign]  # no setting
 
     def load_overload(self, signature: Any, target: Any) -> Any:
@@ -91,13 +91,13 @@ class _Cache(FunctionCache):
 
 
 class _Compilation(event.Listener):
-    """Announce the first compilation on a terminal, and suspend garbage collection while Numba compiles."""
+    """Announce the first compilation on a terminal, and suspend garbage collection during compilation."""
 
     def __init__(self) -> None:
         self._announced, self._collecting = False, list[bool]()
 
     def on_start(self, started: Any) -> None:
-        # Numba keeps most of the million objects that it makes: searching them takes a sixth of the time
+        # Numba keeps most objects alive; garbage collection would take a sixth of the compile time
         self._collecting.append(gc.isenabled())
         gc.disable()
         dispatcher, process = started.data["dispatcher"], multiprocessing.current_process()

@@ -20,8 +20,8 @@ CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
 """Configuration of every settings class: unknown keys, infinities and NaN are errors."""
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
-FocalM = Annotated[float, Field(ge=1e-4, le=10)]  # focal length, up to the longest telescopic lenses
-PixelM = Annotated[float, Field(ge=1e-7, le=1e-3)]  # side of a pixel: light makes no image below 0.1 um
+FocalM = Annotated[float, Field(ge=1e-4, le=10)]  # focal length, up to the longest telephoto lenses
+PixelM = Annotated[float, Field(ge=1e-7, le=1e-3)]  # pixel pitch; light forms no image below 0.1 um
 PitchM = Annotated[float, Field(ge=1e-4, le=10)]  # distance between LEDs
 
 # new names of settings by old name
@@ -34,8 +34,8 @@ to_mapping = asdict
 
 
 def clear_errors(cls: type[T]) -> type[T]:
-    """Decorate a settings class so that the constructor raises a SettingsError of one line."""
-    cls.__init__ = _one_line_errors(cls)(cls.__init__)  # type: ignore[method-assign]  # each class has its parameters
+    """Decorate a settings class: the constructor raises a SettingsError with a single-line message."""
+    cls.__init__ = _one_line_errors(cls)(cls.__init__)  # type: ignore[method-assign]  # parameters differ by class
     return cls
 
 
@@ -48,12 +48,12 @@ def _one_line_errors(cls: type) -> Iterator[None]:
 
 
 def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
-    """Make settings of a class from nested mappings; missing keys keep the defaults.
+    """Create settings from nested mappings; missing keys keep the defaults.
 
     Raise a SettingsError if a key is unknown, or a value has the wrong type or is out of range.
     """
     if is_dataclass(cls) and not hasattr(cls, "__pydantic_config__"):  # pydantic would ignore unknown keys
-        cls.__pydantic_config__ = CONFIG  # type: ignore[attr-defined]  # pydantic reads it of any dataclass
+        cls.__pydantic_config__ = CONFIG  # type: ignore[attr-defined]  # pydantic reads this attribute from any dataclass
     for key in _misplaced_booleans(cls, mapping):
         raise SettingsError(f"setting '{key}': a number or text, not true or false")
     with _one_line_errors(cls):
@@ -61,9 +61,9 @@ def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
 
 
 def merge(base: Any, over: Any) -> Any:
-    """Merge changes into a value: mappings merge by key, a list changes item by item, other values are replaced.
+    """Merge changes into a value: mappings merge by key, lists change item by item, other values are replaced.
 
-    A mapping merges into a list by the numbers of the items, from 0; the number after the last adds an item.
+    A mapping merges into a list by item number, starting at 0; the number after the last adds an item.
     """
     if isinstance(base, Mapping) and isinstance(over, Mapping):
         return {**base, **{key: merge(base.get(key), value) for key, value in over.items()}}
@@ -79,7 +79,7 @@ def merge(base: Any, over: Any) -> Any:
 
 
 def keys_of(cls: type) -> Iterator[str]:
-    """Yield the dotted keys of all plain values of a settings class; a list of settings counts as the item 0."""
+    """Yield the dotted keys of all plain values in a settings class; a list of settings counts as item 0."""
     for field in fields(cls):
         kinds = [(field.name, field.type), *((f"{field.name}.0", kind) for kind in get_args(field.type))]
         tables = [(name, kind) for name, kind in kinds if isinstance(kind, type) and is_dataclass(kind)]
@@ -87,9 +87,9 @@ def keys_of(cls: type) -> Iterator[str]:
 
 
 def _to_settings_error(error: ValidationError, cls: type) -> SettingsError:
-    """Return the first error of pydantic as a line with the rule, the wrong value and the nearest known key."""
+    """Convert the first pydantic error to a line with the rule, the wrong value and the nearest known key."""
     first = error.errors()[0]
-    # pydantic adds the kind that it tried to the key
+    # pydantic adds the attempted type to the key
     parts = [str(part) for part in first["loc"]]
     key = ".".join(part for part in parts if not re.search(r"\[|^(constrained|function)-", part))
     key, value = brief(key), first["input"]
@@ -97,7 +97,7 @@ def _to_settings_error(error: ValidationError, cls: type) -> SettingsError:
         return _unknown_key(key, cls)
     if first["type"] == "unexpected_positional_argument":
         return SettingsError(f"settings are given by name, such as {next(keys_of(cls))}=..., not {brief(value)} alone")
-    text = shorten(first["msg"].removeprefix("Value error, "), 320, placeholder="...")  # it may quote a long value
+    text = shorten(first["msg"].removeprefix("Value error, "), 320, placeholder="...")  # may quote a long value
     if not key:
         return SettingsError(text)
     named = isinstance(value, Mapping) or (isinstance(value, str) and repr(value) in text)
@@ -106,7 +106,7 @@ def _to_settings_error(error: ValidationError, cls: type) -> SettingsError:
 
 
 def _unknown_key(key: str, cls: type) -> SettingsError:
-    """Return the error of an unknown key, with the nearest known key or all keys of the table."""
+    """Return the error for an unknown key, with the nearest known key or all keys of the table."""
     parent, dot, leaf = key.rpartition(".")
     item = re.search(r"\.\d+\.", key)
     keys = [known.replace(".0.", item[0]) if item else known for known in keys_of(cls)]
@@ -125,7 +125,7 @@ def _unknown_key(key: str, cls: type) -> SettingsError:
 
 
 def _misplaced_booleans(kind: Any, given: Any, key: str = "") -> Iterator[str]:
-    """Yield the dotted keys of booleans in place of numbers or text, which pydantic takes for 1 and 0."""
+    """Yield the dotted keys of booleans in place of numbers or text, which pydantic reads as 1 and 0."""
     given = given.tolist() if hasattr(given, "tolist") else given  # booleans of NumPy
     if isinstance(given, Mapping) and is_dataclass(kind):
         for name, inner in get_type_hints(kind).items():

@@ -1,16 +1,16 @@
-"""Errors for the user: a line with the problem and the remedy."""
+"""User-facing errors: a line with the problem and the remedy."""
 
 import unicodedata
 from numbers import Number
 
 
 class HeliographError(Exception):
-    """Misuse or broken input; the message states the rule and the wrong value on one line.
+    """Misuse or broken input; the message states the rule and the wrong value on a single line.
 
     Parameters
     ----------
     message
-        Text; characters that a terminal cannot print, such as a line break in a file name, are escaped.
+        Text; unprintable characters, such as a line break in a file name, are escaped.
     """
 
     def __init__(self, message: object = ""):
@@ -22,33 +22,33 @@ class SettingsError(HeliographError, ValueError):
 
 
 class MediaError(HeliographError, OSError):
-    """A film or data file is missing, damaged, of an unknown form, or cannot be written."""
+    """A film or data file is missing, damaged, in an unknown format, or cannot be written."""
 
 
 def printable(text: str) -> str:
-    r"""Escape all characters that a terminal or a UTF-8 file cannot show; a byte that is not UTF-8 becomes ``\xe9``."""
+    r"""Escape characters that a terminal or a UTF-8 file cannot show; an invalid UTF-8 byte becomes ``\xe9``."""
     return text if text.isprintable() else "".join(map(_escape, text))
 
 
 def _escape(character: str) -> str:
-    # the two joiners are part of words of some scripts and of emoji
+    # some scripts and emoji contain the two joiners
     if character.isprintable() or character in "\u200c\u200d" or unicodedata.category(character) == "Zs":
         return character
-    if "\udc80" <= character <= "\udcff":  # a byte that is not UTF-8 (PEP 383)
+    if "\udc80" <= character <= "\udcff":  # invalid UTF-8 byte (PEP 383)
         return f"\\x{ord(character) & 0xFF:02x}"
     return character.encode("unicode_escape").decode("ascii")
 
 
 def brief(value: object) -> str:
-    """Return the text of an error, a text or a wrong value on one line, cut to 80 characters."""
+    """Return an error or a wrong value as text on a single line, cut to 80 characters."""
     try:
         text = " ".join((str if isinstance(value, (str, Exception)) else repr)(value).split())
-    except ValueError:  # a number of more digits than Python writes
+    except ValueError:  # more digits than Python prints
         return "a number of thousands of digits"
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def shown(value: object) -> str:
-    """Return a wrong argument on one line: a number or text as Python writes it, else the type."""
+    """Return a wrong argument on a single line: numbers and text as in Python source, otherwise the type."""
     written = repr(value) if isinstance(value, str) else value
     return brief(written) if isinstance(value, (str, Number)) else type(value).__name__

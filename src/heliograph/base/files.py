@@ -1,4 +1,4 @@
-"""Read bounded files, and write files that appear completely or not at all."""
+"""Read files up to a size limit, and write files atomically."""
 
 import contextlib
 import errno
@@ -12,19 +12,19 @@ from pathlib import Path
 from heliograph.base.errors import MediaError, printable
 
 LONGEST_NAME = 255
-"""Bytes of a file name that usual file systems allow."""
+"""Maximum file name length in bytes on common file systems."""
 
 _CURES = {
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "make room or choose another place"),
     **dict.fromkeys((errno.EACCES, errno.EPERM), "ask for the right to write there, or choose another place"),
     errno.ENAMETOOLONG: f"choose a name of at most {LONGEST_NAME} bytes, or a shorter path",
 }
-"""Advice by the number of an error of writing."""
+"""Advice by error number for failed writes."""
 
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a hidden path to write to, which replaces `path` after the block; raise a MediaError if it cannot."""
+    """Yield a hidden path to write to, then rename the file to `path`; raise a MediaError on failure."""
     with clear_write_errors(path):
         partial = partial_path(path)
         try:
@@ -36,7 +36,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def partial_path(path: Path, suffix: str = "") -> Path:
-    """Return a hidden, unique path in the folder of a file; raise an OSError if the name of the file is too long."""
+    """Return a hidden, unique path in the same folder; raise an OSError if the file name is too long."""
     with contextlib.suppress(FileNotFoundError):
         path.lstat()
     return path.with_name(f".{uuid.uuid4().hex[:8]}.partial{suffix}")
@@ -48,14 +48,14 @@ def shown_name(path: str | os.PathLike[str]) -> str:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file completely or not at all; raise a MediaError if it cannot be written."""
+    """Write a file atomically; raise a MediaError on failure."""
     with whole_file(path) as partial:
         partial.write_bytes(data)
 
 
 def read_bounded(path: Path, most: int, cure: str = "is it the right file?") -> bytes:
-    """Read a file or a pipe; raise an OSError for more than `most` bytes or for a pipe that has no writer."""
-    unblocked = getattr(os, "O_NONBLOCK", 0)  # opening a pipe that has no writer would block
+    """Read a file or a pipe; raise an OSError for more than `most` bytes or for a pipe with no writer."""
+    unblocked = getattr(os, "O_NONBLOCK", 0)  # opening a pipe with no writer would block
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | unblocked)) as file:
         if unblocked:
             os.set_blocking(file.fileno(), True)
@@ -68,10 +68,10 @@ def read_bounded(path: Path, most: int, cure: str = "is it the right file?") -> 
 
 
 def room_for(path: Path, size: int) -> None:
-    """Raise a MediaError if the disk has less room than a file of `size` bytes needs."""
+    """Raise a MediaError if the disk has fewer than `size` free bytes."""
     try:
         free = shutil.disk_usage(path.parent).free
-    except OSError:  # writing the file reports the folder
+    except OSError:  # the write itself reports a missing folder
         return
     if size > free:
         takes, left = (f"{n / 1e9:,.1f} GB" if n >= 1e8 else f"{n / 1e6:,.1f} MB" for n in (size, free))
@@ -80,7 +80,7 @@ def room_for(path: Path, size: int) -> None:
 
 @contextlib.contextmanager
 def clear_write_errors(path: Path) -> Iterator[None]:
-    """Turn an OSError of the block into a MediaError of one line that names the path and the cure."""
+    """Convert an OSError to a single-line MediaError with path and remedy."""
     try:
         yield
     except MediaError:

@@ -1,4 +1,4 @@
-"""A camera frame: pixels, time of the exposure, and place on the sensor."""
+"""Camera frame with pixels, exposure time and sensor position."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,36 +12,36 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 """Gray levels, shape (rows, columns)."""
 
 BITS = {np.dtype(np.uint8): (8, 8), np.dtype(np.uint16): (9, 16)}
-"""Minimum and maximum bits of a gray level by the type of the pixels."""
+"""Minimum and maximum bits per gray level for each pixel type."""
 
 LATEST_S = 1e10
-"""Maximum magnitude of a time in s: times since 1970 are 1.8e9 s, and larger numbers in other units, such as ns."""
+"""Maximum magnitude of a time in s: Unix time is 1.8e9 s; larger numbers have other units, such as ns."""
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One camera frame, or a window of it.
+    """Camera frame or sensor window.
 
     Attributes
     ----------
     index
-        Number of the frame in the film, at least 0; a dropped frame leaves a gap.
+        Frame number in the film, at least 0; a dropped frame leaves a gap.
     time_s
-        Start of the exposure in seconds, by the camera's clock.
+        Start time of the exposure in seconds on the camera clock.
     pixels
-        Gray levels from 0 to full scale, shape (rows, columns), uint8 (8 bit) or uint16 (9 to 16 bit). A view of any
-        array is allowed, in any order in memory. The frame shares the array; the receivers "plain", "soft" and
-        "screen" copy pixels unless they are read-only, so the array may be filled again for the next frame.
+        Gray levels from 0 to full scale, shape (rows, columns), uint8 (8 bit) or uint16 (9 to 16 bit). Array views in
+        any memory order are allowed. The frame shares the array. The receivers "plain", "soft" and "screen" copy
+        writable pixels, so a program may reuse the array for the next frame.
     bits
-        Bits of a gray level, 8 to 16; full scale is ``2**bits - 1``.
+        Bits per gray level, 8 to 16; full scale is ``2**bits - 1``.
     origin
-        (x, y) on the sensor of ``pixels[0, 0]`` in pixels; (0, 0) for a full frame, else the window's corner.
+        Sensor coordinates (x, y) of ``pixels[0, 0]`` in pixels: (0, 0) for a full frame, otherwise the window corner.
 
     Raises
     ------
     HeliographError
-        The pixels are no gray levels, or some are masked; or time, number, bits or corner are none. Levels are not
-        looked at, so that a frame costs microseconds.
+        A field has the wrong type, shape or range, or some pixels are masked. The constructor does not check gray
+        levels, which keeps the cost at microseconds per frame.
     """
 
     index: int
@@ -52,9 +52,9 @@ class Frame:
 
     def __post_init__(self) -> None:
         _check_pixels(self.pixels, self.bits)
-        # subclasses of arrays compute in other ways
+        # array subclasses may redefine arithmetic
         object.__setattr__(self, "pixels", np.asarray(self.pixels))
-        if not (_is_whole(self.index) and abs(self.index) < 1 << 62):  # neighbours have 64 bits too
+        if not (_is_whole(self.index) and abs(self.index) < 1 << 62):  # neighbouring indices must fit 64 bits too
             raise HeliographError(f"a frame's index is its number, a whole one, not {shown(self.index)}")
         if not (isinstance(self.time_s, (int, float, np.integer, np.floating)) and abs(self.time_s) <= LATEST_S):
             raise HeliographError(
@@ -77,7 +77,7 @@ class Frame:
 
 
 def check_unmasked(pixels: NDArray[Any]) -> None:
-    """Raise a HeliographError if some pixels of a frame are masked."""
+    """Raise a HeliographError for masked pixels."""
     if isinstance(pixels, np.ma.MaskedArray) and (count := np.count_nonzero(pixels.mask)):
         raise HeliographError(f"{count} pixels of a frame are masked; give them a level, such as by pixels.filled(0)")
 

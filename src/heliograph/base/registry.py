@@ -1,4 +1,4 @@
-"""Parts by name: built in, registered by a program, or offered by other packages through entry points."""
+"""Parts by name: built in, registered by a program, or provided by other packages through entry points."""
 
 import hashlib
 import os
@@ -19,21 +19,21 @@ from heliograph.base.files import read_bounded
 T = TypeVar("T")
 
 _registries: dict[str, "Registry[Any]"] = {}  # by entry-point group
-_files: dict[str, bytes] = {}  # text of the files that load_parts ran
-_failures: list[str] | None = None  # why a worker process lacks parts; None outside of worker processes
+_files: dict[str, bytes] = {}  # file contents by path, for files run by load_parts
+_failures: list[str] | None = None  # load errors in a worker process; None in the main process
 
 
 class Registry(Generic[T]):
-    """Parts of a kind by name: an entry-point group of installed packages, and built-in parts as "module:attribute"."""
+    """Named parts of a kind: an entry-point group, registered parts, and built-in parts as "module:attribute"."""
 
     def __init__(self, kind: str, group: str, built_in: Mapping[str, str]):
         self._kind, self._group, self._built_in = kind, group, dict(built_in)
         self._registered: dict[str, T] = {}
-        self.origins: dict[str, str] = {}  # module of the maker of each registered part
+        self.origins: dict[str, str] = {}  # defining module by part name
         _registries[group] = self
 
     def register(self, name: str, part: T, make: Any) -> None:
-        """Add or replace a part and its maker; raise a SettingsError if the name or the maker is invalid."""
+        """Add or replace a part and the maker; raise a SettingsError if the name or the maker is invalid."""
         if not callable(make):
             raise SettingsError(f"a {self._kind} is made by a function or a class, not by {shown(make)}")
         if not (isinstance(name, str) and re.fullmatch(r"[\w.-]+", name)):
@@ -44,7 +44,7 @@ class Registry(Generic[T]):
         self.origins[name] = getattr(make, "__module__", None) or "__main__"
 
     def __getitem__(self, name: str) -> T:
-        """Return the part of a name; raise a SettingsError if it is unknown or cannot be loaded."""
+        """Return a part by name; raise a SettingsError for an unknown name or a failed import."""
         self.check(name)
         if name in self._registered:
             return self._registered[name]
@@ -53,11 +53,11 @@ class Registry(Generic[T]):
         entry = next(entry for entry in _entries(self._group) if entry.name == name)
         try:
             return cast(T, entry.load())
-        except Exception as error:  # code of another package may raise any error
+        except Exception as error:  # foreign code may raise any error
             raise SettingsError(f"the {self._kind} '{name}' of {entry.value} cannot be loaded: {error}") from error
 
     def check(self, name: str) -> str:
-        """Return a known name; raise a SettingsError that names the nearest if it is unknown."""
+        """Return a known name; for an unknown name raise a SettingsError with the nearest match."""
         if name in self.names():
             return name
         if _failures is not None:
@@ -74,7 +74,7 @@ class Registry(Generic[T]):
         return [*self._built_in, *sorted({*self._registered, *offered} - set(self._built_in))]
 
     def is_built_in(self, name: str) -> bool:
-        """Return True for the name of a part of the package."""
+        """Return True if the package itself provides the part."""
         return name in self._built_in
 
 
@@ -84,12 +84,12 @@ def load_parts(file: Path | str) -> None:
     Parameters
     ----------
     file
-        The file. It can import modules of the same folder.
+        Path to a Python file, which can import modules from the same folder.
 
     Raises
     ------
     SettingsError
-        The file cannot be read, or ends in an error.
+        The file cannot be read or raises an exception.
     """
     if not isinstance(file, (str, os.PathLike)):
         raise SettingsError(f"load_parts takes the path of a Python file, not {shown(file)}")
@@ -100,27 +100,27 @@ def load_parts(file: Path | str) -> None:
         raise SettingsError(f"cannot load {file}: {error.strerror or error}") from None
     if str(path.parent) not in sys.path:
         sys.path.insert(0, str(path.parent))
-    # files of the same name in different folders are different modules
+    # files with equal names in different folders are different modules
     name = f"loaded_{path.stem}_{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}"
     module = sys.modules[name] = ModuleType(name)
     module.__file__ = str(path)
     try:
         exec(compile(source, path, "exec"), module.__dict__)
-    except Exception as error:  # code of another author may raise any error
+    except Exception as error:  # foreign code may raise any error
         del sys.modules[name]
         raise SettingsError(f"cannot load {file}: {type(error).__name__}: {error}") from error
     _files[str(path)] = source
 
 
 def registered() -> tuple[str, ...]:
-    """Return the files and the names of the modules that register parts, for `register_again` in a worker process."""
+    """Return the files and module names that register parts, for `register_again` in a worker process."""
     modules = {module for registry in _registries.values() for module in registry.origins.values()}
     imported = sorted(module for module in modules if not module.startswith("loaded_"))
     sources = [_find_file(module) if module == "__main__" else module for module in imported]
     return (*_files, *filter(None, sources))
 
 
-@lru_cache  # a worker of a cluster gets them with each task
+@lru_cache  # a cluster worker receives the sources with each task
 def register_again(sources: tuple[str, ...]) -> None:
     """Run files and import modules that register parts, in a worker process."""
     global _failures
@@ -131,12 +131,12 @@ def register_again(sources: tuple[str, ...]) -> None:
                 import_module(source)
             elif source not in _files and source != _find_file("__mp_main__"):  # multiprocessing runs the main script
                 load_parts(source)
-        except Exception as error:  # code of another author may raise any error
+        except Exception as error:  # foreign code may raise any error
             _failures.append(str(error))
 
 
 def digest() -> str:
-    """Return a digest of all parts outside of the package, as results depend on them."""
+    """Return a digest of all external parts, as results depend on the code."""
     about = hashlib.sha256()
     for source in registered():
         file = _find_file(source)
@@ -148,11 +148,11 @@ def digest() -> str:
 
 
 def _find_file(source: str) -> str | None:
-    """Return the file of a source of parts, a file or an imported module; None if there is none."""
+    """Return the file for a source, given as a path or an imported module; None if no file exists."""
     file = source if source.endswith(".py") else getattr(sys.modules.get(source), "__file__", None)
     return str(Path(file).resolve()) if file and Path(file).is_file() else None
 
 
-@lru_cache  # finding the installed packages takes some milliseconds
+@lru_cache  # listing installed packages takes some milliseconds
 def _entries(group: str) -> Iterable[EntryPoint]:
     return tuple(entry_points(group=group))

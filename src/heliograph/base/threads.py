@@ -1,4 +1,7 @@
-"""Limit the algebra of receivers and panels to one thread: BLAS shares small matrices slowly, and rounds otherwise."""
+"""Limit BLAS to a single thread in receivers and panels.
+
+For small matrices several threads are slower, and rounding depends on the thread count.
+"""
 
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -18,7 +21,7 @@ _limited: list[tuple[Any, int]] = []
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread in a ``with`` block; the last of simultaneous blocks restores the number of threads."""
+    """Limit BLAS to a single thread in a ``with`` block; the last concurrent block restores the thread count."""
     global _blocks
     with _lock:
         if not _blocks:
@@ -28,7 +31,7 @@ def one_thread() -> Iterator[None]:
     try:
         yield
     except SystemError as error:
-        # Ctrl-C in machine code that calls Python comes as the cause of a SystemError
+        # if machine code calls Python, Ctrl-C arrives as the cause of a SystemError
         cause: BaseException | None = error
         while cause is not None and not isinstance(cause, KeyboardInterrupt):
             cause = cause.__cause__
@@ -41,7 +44,7 @@ def one_thread() -> Iterator[None]:
 
 
 def in_one_thread(make: Callable[P, Iterator[Item]]) -> Callable[P, Iterator[Item]]:
-    """Limit BLAS to one thread while a generator function runs."""
+    """Limit BLAS to a single thread while a generator function runs."""
 
     @wraps(make)
     def iterate(*args: P.args, **kwargs: P.kwargs) -> Iterator[Item]:
@@ -51,14 +54,14 @@ def in_one_thread(make: Callable[P, Iterator[Item]]) -> Callable[P, Iterator[Ite
     return iterate
 
 
-@cache  # searching for the libraries takes some milliseconds
+@cache  # listing libraries takes some milliseconds
 def _libraries() -> list[Any]:
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)
 
 
 def _set_threads(counts: Iterable[tuple[Any, int]]) -> None:
     for library, count in counts:
-        # from 3.8 on threadpoolctl obeys only one thread until that releases the control
+        # threadpoolctl 3.8 and later accepts calls from a single controlling thread until a release
         release = getattr(library, "clear_controlling_thread", lambda **_: None)
         release(force=True)
         library.set_num_threads(count)

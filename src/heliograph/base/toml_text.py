@@ -9,17 +9,17 @@ import tomli_w
 
 from heliograph.base.errors import SettingsError, brief, shown
 
-MAX_DEPTH = 32  # tables within tables; settings have four
+MAX_DEPTH = 32  # nested tables; settings have four levels
 _DEEP = f"not valid TOML: tables or lists lie more than {MAX_DEPTH} deep"
 _LARGE = "not valid TOML: a whole number has more than 64 bits"
 
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
 _DEEP_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*+(?:{_PART}\.[ \t]*+){{{MAX_DEPTH + 1}}}", re.MULTILINE)
-"""Key of more than `MAX_DEPTH` parts, which takes tomllib quadratic time."""
+"""Keys with more than `MAX_DEPTH` parts, for which tomllib takes quadratic time."""
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML; raise a SettingsError for other text, too deep tables or numbers of more than 64 bits."""
+    """Parse TOML; raise a SettingsError for invalid text, deep tables or numbers with more than 64 bits."""
     if _DEEP_KEY.search(text):
         raise SettingsError(_DEEP)
     try:
@@ -28,14 +28,14 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise SettingsError(_DEEP) from None
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"not valid TOML: {brief(error)}") from error
-    except ValueError:  # more digits than Python turns into a number
+    except ValueError:  # more digits than Python converts
         raise SettingsError(_LARGE) from None
     _check_bounds(tree)
     return tree
 
 
 def parse_assignment(text: str) -> dict[str, Any]:
-    """Turn ``a.b=3`` into ``{"a": {"b": 3}}``; raise a SettingsError if it is no assignment."""
+    """Parse ``a.b=3`` to ``{"a": {"b": 3}}``; raise a SettingsError for other text."""
     if not isinstance(text, str):
         raise SettingsError(f"an assignment is text, such as channel.distance_m=60, not {shown(text)}")
     key, sign, value = text.partition("=")
@@ -50,8 +50,8 @@ def parse_assignment(text: str) -> dict[str, Any]:
 
 
 def parse_value(text: str) -> Any:
-    """Read a value as TOML, or else as bare text; raise a SettingsError if it is too deep or too large."""
-    # only lists and tables hold keys: other text may have many dots
+    """Parse a value as TOML, or else as bare text; raise a SettingsError if the value is too deep or too large."""
+    # plain text may have many dots; only lists and tables hold keys
     if _DEEP_KEY.search(text) and not text.lstrip().startswith(("[", "{")):
         return text.strip()
     try:
@@ -60,13 +60,13 @@ def parse_value(text: str) -> Any:
         if isinstance(error.__cause__, tomllib.TOMLDecodeError):
             return text.strip()
         raise
-    return tree["v"] if len(tree) == 1 else text.strip()  # a second line holds a second key
+    return tree["v"] if len(tree) == 1 else text.strip()  # a second line is a second key
 
 
 def to_toml(mapping: Mapping[str, Any]) -> str:
-    """Write nested mappings as TOML that reads back as the same mapping; None is left out."""
+    """Write nested mappings as TOML; parsing returns the same mapping. None values are omitted."""
     text = tomli_w.dumps(_without_none(mapping))
-    # lists of numbers on one line
+    # write number lists on a single line
     return re.sub(r'\[\n\s+([^\[\]{}"]*),\n\s*\]', lambda items: f"[{' '.join(items[1].split())}]", text)
 
 

@@ -1,4 +1,7 @@
-"""Worker processes of this machine: one core each, and Ctrl-C only for the parent; imports are light before NumPy's."""
+"""Local worker processes with a single thread each; only the parent process handles Ctrl-C.
+
+Importing this module does not import NumPy.
+"""
 
 import contextlib
 import multiprocessing
@@ -14,17 +17,17 @@ from heliograph.base.registry import register_again, registered
 THREAD_LIMITS = {
     f"{name}_THREADS": "1" for name in ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMEXPR_NUM")
 }
-"""Environment of a worker. Numba is not in it: once its threads run, it fails if its variable changes."""
+"""Worker environment. Numba is omitted, as a change to the Numba variable fails once Numba threads run."""
 
 
 def worker_processes(count: int) -> ProcessPoolExecutor:
-    """Return worker processes that know the registered parts; submit work within `worker_environment`."""
+    """Return worker processes with all registered parts; submit work within `worker_environment`."""
     return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), begin_worker, (registered(),))
 
 
 @contextlib.contextmanager
 def worker_environment() -> Iterator[None]:
-    """Start processes within this block: they inherit the thread limits, and Ctrl-C waits until they ignore it."""
+    """Set the thread limits for new processes, and block Ctrl-C until the workers ignore the signal."""
     before = {name: os.environ[name] for name in THREAD_LIMITS if name in os.environ}
     os.environ.update(THREAD_LIMITS)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
@@ -39,7 +42,7 @@ def worker_environment() -> Iterator[None]:
 
 
 def begin_worker(parts: tuple[str, ...] = ()) -> None:
-    """Ignore Ctrl-C, end with the parent process, limit threads, and register the parts of the parent."""
+    """Ignore Ctrl-C, exit with the parent process, limit threads, and register the parts from the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     limit_threads()
@@ -47,7 +50,7 @@ def begin_worker(parts: tuple[str, ...] = ()) -> None:
 
 
 def limit_threads() -> None:
-    """Limit this process to one thread: by the environment before NumPy is imported, and by calls."""
+    """Limit this process to a single thread, through the environment before the NumPy import and through calls."""
     if "numpy" not in sys.modules:
         os.environ.update(THREAD_LIMITS)
     import cv2

@@ -1,5 +1,5 @@
-"""The signal of the light: everything that transmitter and receiver agree on, without images.
+"""Signal format shared by transmitter and receiver, independent of images.
 
-bytes -> blocks (header, CRC-32) -> turbo code -> data matrices -> Haar patterns -> PWM slots, and back. The document
-docs/air-interface.md defines all of it; "section" means one of its sections.
+bytes -> blocks (header, CRC-32) -> turbo code -> data matrices -> Haar patterns -> PWM slots, and back.
+docs/air-interface.md defines the signal; "section" refers to this document.
 """

@@ -1,32 +1,32 @@
-"""Information blocks, one for each codeword: header, payload, CRC-32 (section 7).
+"""Information blocks with header, payload and CRC-32 (section 7).
 
-A block of a message:
+Each codeword carries a block. Message block:
 
     byte 0      version (upper 4 bits), layer 0 high, 1 middle, 2 low (lower 4 bits)
-    byte 1      identity of the array
-    byte 2      stream: number of the message in its layer
-    bytes 3-4   sequence: which segment of the message
-    bytes 5-7   length of the message in bytes
-    ...         payload, filled with zeros in the last segment
-    last 4      CRC-32 (IEEE 802.3) of all bytes before
+    byte 1      array identity
+    byte 2      stream: message number in the layer
+    bytes 3-4   sequence: segment number in the message
+    bytes 5-7   message length in bytes
+    ...         payload, zero-padded in the last segment
+    last 4      CRC-32 (IEEE 802.3) of all preceding bytes
 
-A block of a file has 4 added to its layer, and other fields (section 7.1):
+A file block adds 4 to the layer number and has other fields (section 7.1):
 
     byte 2        code: 0 Cauchy, 1 RaptorQ
-    bytes 3-5     number of its first symbol
-    bytes 6-8     bytes of the file
-    bytes 9-10    bytes of a symbol
+    bytes 3-5     number of the first symbol
+    bytes 6-8     file length in bytes
+    bytes 9-10    symbol size in bytes
     bytes 11-14   CRC-32 of the file
-    ...           as many symbols as find room, then zeros
+    ...           as many symbols as fit, then zeros
 
-Small blocks of a file have a shorter header (section 7.2): the layer plus 8 for a symbol, plus 12 for the description
-of the file:
+A small file block has a shorter header (section 7.2). The layer number plus 8 marks a symbol (left), plus 12 a file
+description (right):
 
-    byte 2        tag: the first byte of the check      bytes 2-4   bytes of the file
-    bytes 3-4     number of the symbol                  bytes 5-8   CRC-32 of the file
-    ...           the symbol, then zeros                ...         zeros
+    byte 2        tag: first CRC byte                   bytes 2-4   file length in bytes
+    bytes 3-4     symbol number                         bytes 5-8   CRC-32 of the file
+    ...           symbol, then zeros                    ...         zeros
 
-Numbers are big-endian; the most significant bit of a byte comes first.
+Numbers are big-endian; bytes start with the most significant bit.
 """
 
 import zlib
@@ -39,64 +39,64 @@ from numpy.typing import NDArray
 from heliograph.signal.settings import LAYERS
 
 VERSION = 1
-"""Version of the air interface, in every block (section 7)."""
+"""Air interface version in every block (section 7)."""
 
 HEADER_BYTES = 8
-"""Bytes before the payload (section 7)."""
+"""Header bytes before the payload (section 7)."""
 
 CRC_BYTES = 4
-"""Bytes of the CRC-32 (section 7)."""
+"""CRC-32 bytes (section 7)."""
 
 MIN_BITS = 8 * (HEADER_BYTES + CRC_BYTES + 1)
-"""Minimum information bits of a block: a single byte of payload."""
+"""Minimum information bits per block: header, CRC and a single payload byte."""
 
 FILE_HEADER_BYTES = 15
-"""Bytes before the symbols of a file (section 7.1)."""
+"""Header bytes before the symbols in a file block (section 7.1)."""
 
 FILE_LAYERS = 4
-"""Added to the layer's number in a block of a file (section 7.1)."""
+"""Offset to the layer number in a file block (section 7.1)."""
 
 SMALL_BLOCK_BYTES = 40
-"""Bytes of a block up to which files are sent by small blocks (section 7.2). Chosen: of larger ones the head of 7.1
-takes less than half, and small blocks spend an eighth on telling what the file is."""
+"""Maximum size of a small file block in bytes (section 7.2). Above this size the header of section 7.1 takes less than
+half of the block, while small blocks spend an eighth on file descriptions."""
 
 SMALL_HEADER_BYTES = 5
-"""Bytes before the symbol of a small block (section 7.2)."""
+"""Header bytes before the symbol in a small block (section 7.2)."""
 
 NOTICE_BYTES = 9
-"""Bytes that tell what a file is (section 7.2)."""
+"""Header bytes in a file description (section 7.2)."""
 
 SYMBOL_LAYERS, NOTICE_LAYERS = 8, 12
-"""Added to the layer's number in a small block with a symbol and with the description of a file (section 7.2)."""
+"""Offsets to the layer number in a small block with a symbol or a file description (section 7.2)."""
 
 MAX_MESSAGE = (1 << 24) - 1
-"""Longest message in bytes: the field for the length has three bytes."""
+"""Maximum message length in bytes: the length field has three bytes."""
 
 MAX_SEGMENTS = 1 << 16
-"""Most segments of a message: the field for the sequence has two bytes."""
+"""Maximum number of segments per message: the sequence field has two bytes."""
 
 _MAX_BYTE = 255
-"""Largest value of a byte."""
+"""Maximum byte value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Segment of a message in a codeword.
+    """Message segment in a codeword.
 
     Attributes
     ----------
     layer
         "high", "middle" or "low".
     identity
-        Number of the array, 0 to 255 (a transmitter uses 0 to 29).
+        Array number, 0 to 255 (a transmitter uses 0 to 29).
     stream
-        Number of the message in its layer, 0 to 255.
+        Message number in the layer, 0 to 255.
     sequence
-        Number of the segment in the message, 0 to 65535.
+        Segment number in the message, 0 to 65535.
     length
-        Bytes of the message, 0 to 2**24 - 1; 0 for an idle block.
+        Message length in bytes, 0 to 2**24 - 1; 0 for an idle block.
     payload
-        Bytes of the segment, padding excluded; at most `payload_bytes`.
+        Segment bytes, excluding padding; at most `payload_bytes`.
     """
 
     layer: str
@@ -109,24 +109,24 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class FileBlock:
-    """Symbols of a file in a codeword (section 7.1).
+    """File symbols in a codeword (section 7.1).
 
     Attributes
     ----------
     layer
         "high", "middle" or "low".
     identity
-        Number of the array, 0 to 255 (a transmitter uses 0 to 29).
+        Array number, 0 to 255 (a transmitter uses 0 to 29).
     code
-        Number of the code that makes symbols of the file: 0 Cauchy, 1 RaptorQ.
+        Number of the symbol code: 0 Cauchy, 1 RaptorQ.
     number
         Number of the first symbol, 0 to 2**24 - 1.
     length
-        Bytes of the file and its name, 1 to 2**24 - 1.
+        Length of file and name in bytes, 1 to 2**24 - 1.
     size
-        Bytes of a symbol, 1 to 65535.
+        Symbol size in bytes, 1 to 65535.
     check
-        CRC-32 of the file and its name.
+        CRC-32 of file and name.
     payload
         Consecutive symbols: a positive multiple of `size` bytes.
     """
@@ -141,27 +141,27 @@ class FileBlock:
     payload: bytes
 
     def symbols(self) -> Iterator[tuple[int, bytes]]:
-        """Yield each symbol's number and bytes."""
+        """Yield number and bytes for each symbol."""
         for place in range(0, len(self.payload), self.size):
             yield self.number + place // self.size, self.payload[place : place + self.size]
 
 
 @dataclass(frozen=True, slots=True)
 class SymbolBlock:
-    """A symbol of a file in a small block (section 7.2).
+    """File symbol in a small block (section 7.2).
 
     Attributes
     ----------
     layer
         "high", "middle" or "low".
     identity
-        Number of the array, 0 to 255 (a transmitter uses 0 to 29).
+        Array number, 0 to 255 (a transmitter uses 0 to 29).
     tag
-        First byte of the file's check, 0 to 255.
+        First CRC byte of the file, 0 to 255.
     number
-        Number of the symbol, 0 to 65535.
+        Symbol number, 0 to 65535.
     payload
-        The symbol: an even number of bytes, at least two.
+        Symbol bytes: an even number, at least two.
     """
 
     layer: str
@@ -173,18 +173,18 @@ class SymbolBlock:
 
 @dataclass(frozen=True, slots=True)
 class FileNotice:
-    """What a file is of which small blocks carry symbols (section 7.2).
+    """File description, which accompanies symbols in small blocks (section 7.2).
 
     Attributes
     ----------
     layer
         "high", "middle" or "low".
     identity
-        Number of the array, 0 to 255 (a transmitter uses 0 to 29).
+        Array number, 0 to 255 (a transmitter uses 0 to 29).
     length
-        Bytes of the file and its name, 1 to 2**24 - 1.
+        Length of file and name in bytes, 1 to 2**24 - 1.
     check
-        CRC-32 of the file and its name.
+        CRC-32 of file and name.
     """
 
     layer: str
@@ -194,81 +194,41 @@ class FileNotice:
 
     @property
     def tag(self) -> int:
-        """First byte of the check, by which symbols name the file."""
+        """First CRC byte, which identifies the file in symbol blocks."""
         return self.check >> 24
 
     @property
     def payload(self) -> bytes:
-        """No symbols."""
+        """Empty, as a description carries no symbols."""
         return b""
 
 
 AnyFileBlock = FileBlock | SymbolBlock | FileNotice
-"""What a codeword carries of a file."""
+"""Block types for files."""
 
 AnyBlock = Block | AnyFileBlock
-"""What a codeword carries."""
+"""Block types for messages and files."""
 
 
 def symbol_bytes(k: int) -> int:
-    """Return the bytes that a block has for symbols of a file; below 1 where it is too small for any.
-
-    Parameters
-    ----------
-    k
-        Information bits of the block, a multiple of 8.
-    """
+    """Return the bytes available for file symbols in a block with `k` bits; below 1 if the block is too small."""
     return k // 8 - FILE_HEADER_BYTES - CRC_BYTES
 
 
 def small_symbol_bytes(k: int) -> int:
-    """Return the bytes of a symbol in a small block (section 7.2); below 2 where there is no room for one.
-
-    Parameters
-    ----------
-    k
-        Information bits of the block, a multiple of 8.
-    """
+    """Return the symbol size in bytes for a small block with `k` bits; below 2 if the block is too small."""
     return (k // 8 - SMALL_HEADER_BYTES - CRC_BYTES) // 2 * 2
 
 
 def payload_bytes(k: int) -> int:
-    """Return the bytes of payload in a block.
-
-    Parameters
-    ----------
-    k
-        Information bits of the block: a multiple of 8, at least `MIN_BITS`.
-
-    Raises
-    ------
-    ValueError
-        `k` is no multiple of 8 or below `MIN_BITS`.
-    """
+    """Return the payload bytes per block; raise a ValueError if `k` is invalid."""
     if k < MIN_BITS or k % 8:
         raise ValueError(f"a block needs a multiple of 8 bits, at least {MIN_BITS}, not {k}")
     return k // 8 - HEADER_BYTES - CRC_BYTES
 
 
 def pack(block: AnyBlock, k: int) -> NDArray[np.uint8]:
-    """Return the information bits of a block (section 7).
-
-    Parameters
-    ----------
-    block
-        Block whose fields and payload the bits carry.
-    k
-        Information bits of the codeword: a multiple of 8, at least `MIN_BITS`.
-
-    Returns
-    -------
-    (k,) uint8 bits 0 and 1; zeros fill up a short payload.
-
-    Raises
-    ------
-    ValueError
-        `k` is no block's size, the payload does not fit, or a field is out of its range.
-    """
+    """Pack a block into information bits, (k,) uint8 (section 7); raise a ValueError if the block is invalid."""
     payload_bytes(k)  # checks k
     head = _head(block)
     room = k // 8 - CRC_BYTES - len(head)
@@ -301,7 +261,7 @@ _FIELDS: dict[type, dict[str, int]] = {
     SymbolBlock: {"identity": _MAX_BYTE, "tag": _MAX_BYTE, "number": MAX_SEGMENTS - 1},
     FileNotice: {"identity": _MAX_BYTE, "length": MAX_MESSAGE, "check": _MOST_CHECK},
 }  # fmt: skip
-"""Largest value of each field."""
+"""Maximum value for each field."""
 
 
 def _check_fields(block: AnyBlock) -> None:
@@ -313,13 +273,7 @@ def _check_fields(block: AnyBlock) -> None:
 
 
 def check(bits: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return whether the CRC-32 of each block is right, (...) bool.
-
-    Parameters
-    ----------
-    bits
-        (..., k) uint8 information bits 0 and 1; k is a multiple of 8.
-    """
+    """Return True for each block with a correct CRC-32; (..., k) uint8 bits give (...) bool."""
     data = np.packbits(bits, axis=-1)
     rows = data.reshape(-1, data.shape[-1])
     good = [zlib.crc32(row[:-CRC_BYTES].tobytes()) == int.from_bytes(row[-CRC_BYTES:].tobytes()) for row in rows]
@@ -327,13 +281,7 @@ def check(bits: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def unpack(bits: NDArray[np.uint8]) -> AnyBlock | None:
-    """Read a block from its information bits; None where the CRC, the version, the layer or a file's field is wrong.
-
-    Parameters
-    ----------
-    bits
-        (k,) uint8 bits 0 and 1; k is a multiple of 8, at least `MIN_BITS`.
-    """
+    """Unpack a block from (k,) information bits; return None if the CRC, version, layer or a file field is invalid."""
     data = np.packbits(bits).tobytes()
     version, layer = data[0] >> 4, data[0] & 15
     if not check(bits) or version != VERSION:
@@ -355,7 +303,7 @@ def unpack(bits: NDArray[np.uint8]) -> AnyBlock | None:
 
 
 def _file_block(data: bytes) -> FileBlock | None:
-    """A file's symbols; None where the fields cannot be."""
+    """Unpack a file block; return None if a field is invalid."""
     number, length, size = int.from_bytes(data[3:6]), int.from_bytes(data[6:9]), int.from_bytes(data[9:11])
     room = data[FILE_HEADER_BYTES:-CRC_BYTES]
     if not length or not 0 < size <= len(room):

@@ -1,7 +1,7 @@
-"""Channel codes: the interface of a code, and codes by name.
+"""Channel codes: code interface and registry.
 
-The code of the air interface is "turbo". Research may register further codes; transmitter and receiver then set
-``signal.code``.
+The air interface uses the code "turbo". Programs may register further codes for research; transmitter and receiver
+then set ``signal.code``.
 """
 
 from collections.abc import Callable
@@ -13,34 +13,34 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.base.registry import Registry
 
 Algorithm = Literal["max-log", "log-map"]
-"""How the metrics of the paths through a trellis state are added: by their maximum, or by ln sum exp."""
+"""Addition of path metrics at a trellis state: by maximum, or by ln sum exp."""
 
 Check = Callable[[NDArray[np.uint8]], NDArray[np.bool_]]
-"""Takes decisions, uint8 of shape (n, k); returns True for each of the n blocks that is right."""
+"""Check for decisions, uint8 (n, k); returns bool (n,), True for each correct block."""
 
 
 class DecodedBlocks(Protocol):
-    """What a decoder says of n blocks. LLR = ln P(b=0)/P(b=1)."""
+    """Decoder output for n blocks. LLR = ln P(b=0)/P(b=1)."""
 
     @property
     def bits(self) -> NDArray[np.uint8]:
-        """(n, k) decisions on the information bits."""
+        """Decisions on the information bits, (n, k)."""
 
     @property
     def llr(self) -> NDArray[np.float32]:
-        """(n, k) a-posteriori LLRs of the information bits."""
+        """A-posteriori LLRs for the information bits, (n, k)."""
 
     @property
     def iterations(self) -> NDArray[np.int32]:
-        """(n,) iterations used."""
+        """Iterations per block, (n,)."""
 
     @property
     def coded_extrinsic(self) -> NDArray[np.float32] | None:
-        """(n, length) a-posteriori LLRs of the coded bits less the input LLRs; None where not asked for."""
+        """A-posteriori LLRs minus input LLRs for the coded bits, (n, length); None unless requested."""
 
 
 class Code(Protocol):
-    """A channel code of one block size and rate. It must be hashable: equal codes are decoded together."""
+    """Channel code with a fixed block size and rate. Codes must be hashable: equal codes are decoded together."""
 
     @property
     def k(self) -> int:
@@ -52,9 +52,9 @@ class Code(Protocol):
 
     @property
     def distinguishing(self) -> NDArray[np.bool_]:
-        """(length,) coded bits that differ by chance in different codewords, however alike their information bits.
+        """Mask (length,) for coded bits that look random even if codewords carry similar information bits.
 
-        The soft receiver compares these bits to recognise a codeword that comes again; all False switches that off.
+        The soft receiver compares these bits to recognise repeated codewords; if all are False, the comparison is off.
         """
 
     def encode(self, bits: ArrayLike) -> NDArray[np.uint8]:
@@ -80,27 +80,27 @@ class Code(Protocol):
         Parameters
         ----------
         llr
-            (n, length) LLRs of the received bits, 0 for an erasure.
+            (n, length) LLRs for the received bits, 0 for an erasure.
         algorithm
-            The setting ``receive.decode.algorithm``; other codes than the turbo code may leave it aside.
+            The setting ``receive.decode.algorithm``; codes other than the turbo code may ignore the setting.
         iterations
-            Most iterations, 1 or more.
+            Maximum number of iterations, 1 or more.
         check
-            Tells right decisions; a decoder may stop a block once it is right.
+            Check for decisions; a decoder may stop a block once the check accepts.
         coded_output
-            Whether `DecodedBlocks.coded_extrinsic` is asked for.
+            True to compute `DecodedBlocks.coded_extrinsic`.
         """
 
 
 class CodePlan(NamedTuple):
-    """How a layer is coded.
+    """Code plan for a layer.
 
     Attributes
     ----------
     codewords
-        Codewords of equal length that share the layer's bits.
+        Number of equal-length codewords in the layer.
     code
-        Code of each codeword.
+        Code for each codeword.
     """
 
     codewords: int
@@ -108,13 +108,14 @@ class CodePlan(NamedTuple):
 
 
 CodeFamily = Callable[[int, float], CodePlan]
-"""Plans the code for a number of coded bits and a rate.
+"""Function from coded bits and rate to a code plan.
 
-The codewords fill the coded bits exactly: codewords * code.length is their number. A `ValueError` says why they cannot.
+The codewords fill the coded bits exactly: codewords * code.length equals the number of coded bits. If no plan exists,
+the function raises a `ValueError` with the reason.
 """
 
 CODES: Registry[CodeFamily] = Registry("code", "heliograph.codes", {"turbo": "heliograph.signal.turbo.code:turbo_plan"})
-"""Code families by the name of the setting ``signal.code``."""
+"""Registry for the setting ``signal.code``."""
 
 
 def register_code(name: str, family: CodeFamily) -> None:
@@ -123,13 +124,13 @@ def register_code(name: str, family: CodeFamily) -> None:
     Parameters
     ----------
     name
-        What ``signal.code`` calls it.
+        Value for ``signal.code``.
     family
-        Plans a code for a number of bits and a rate.
+        Function from coded bits and rate to a code plan.
 
     Raises
     ------
     SettingsError
-        The name is taken by a code of the package, or is no name; or `family` is no function.
+        The name is invalid or belongs to a built-in code, or `family` is not callable.
     """
     CODES.register(name, family, family)

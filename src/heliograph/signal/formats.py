@@ -1,7 +1,7 @@
-"""Formats: a packet's mode and the code rate of each layer, signalled by its later header pairs (section 4.1).
+"""Formats: packet mode and code rate for each layer, signalled by the second and later header pairs (section 4.1).
 
-A format is a number of 11 bits. A Reed-Muller code turns it into a word of 16 bits, one for each cell of the header;
-any two words differ in at least 4 bits. A cell whose bit is 1 has half the contrast. Format 0 dims no cell.
+A format is an 11-bit number. A Reed-Muller code maps the number to a 16-bit word with a bit per header cell; the
+minimum distance is 4 bits. A 1 bit halves the contrast in the cell. Format 0 dims no cell.
 """
 
 from functools import lru_cache
@@ -17,7 +17,7 @@ from heliograph.base.config import CONFIG, clear_errors
 from heliograph.signal.settings import LAYERS, RATE_SLACK, RateSettings, as_number
 
 SIGNALLED_RATES = (2 / 5, 1 / 2, 3 / 5, 2 / 3, 3 / 4, 5 / 6, 9 / 10)
-"""Code rates that a header can signal, numbers 1 to 7 (section 4.1); number 0 is the rate both ends have agreed on."""
+"""Code rates for the rate numbers 1 to 7 (section 4.1); number 0 selects the agreed rate."""
 
 Mode = Literal["paired", "single", "short"]
 
@@ -25,28 +25,28 @@ MODES: tuple[Mode, ...] = ("paired", "single", "short")
 """Modes by number; 3 is reserved (section 4.1)."""
 
 SHORT_PAIRS = 13
-"""Data pairs of a packet of the short mode (section 4.1): with two header pairs 30 patterns, 3 s at 10 patterns a
-second. Half as many would hold no block of 8 x 8 LEDs below the rate 9/10; twice would take 5.6 s."""
+"""Data pairs per packet in short mode (section 4.1): with two header pairs 30 patterns, 3 s at 10 patterns per second.
+With half as many pairs, blocks for 8 x 8 LEDs fit only at rate 9/10; with twice as many, packets take 5.6 s."""
 
 ALL_MODES = 4
-"""Modes in a header, including reserved modes."""
+"""Number of modes, including reserved modes."""
 
 RATE_BITS = 3
-"""Bits of a layer's rate number: eight numbers."""
+"""Bits per rate number."""
 
 BITS = 11
-"""Bits of a format's number: two of the mode, three each of the high, middle and low layer's rate. RM(2, 4) has 11."""
+"""Bits per format number: two for the mode, three for each layer. RM(2, 4) has 11 information bits."""
 
 WORD_BITS = 16
-"""Bits of a format's word: the 4 x 4 cells of the header, the length of RM(2, 4)."""
+"""Bits per format word, the length of RM(2, 4): one bit for each of 4 x 4 header cells."""
 
 DIMMED = 0.5
-"""Contrast of a cell whose bit of the word is 1 (section 4.1): only this contrast between 0 and 1 has integer levels,
-3 and 1. A flat cell of contrast 0 would be lost to detection by the header."""
+"""Contrast for 1 bits (section 4.1): the only contrast between 0 and 1 with integer levels, 3 and 1. At contrast 0,
+header detection would lose the cell."""
 
 
 def _signalled(rate: float) -> float:
-    """Rate of the table that is meant; 0.667 means 2/3."""
+    """Return the nearest signalled rate, such as 2/3 for 0.667; raise a ValueError if the nearest is too far."""
     nearest = min(SIGNALLED_RATES, key=lambda r: abs(r - rate))
     if abs(nearest - rate) > RATE_SLACK:
         raise ValueError("a header can name the rates 2/5, 1/2, 3/5, 2/3, 3/4, 5/6 and 9/10")
@@ -54,27 +54,27 @@ def _signalled(rate: float) -> float:
 
 
 SignalledRate = Annotated[float, BeforeValidator(as_number), AfterValidator(_signalled)]
-"""One of `SIGNALLED_RATES`, also as a fraction such as "2/3" or rounded to three digits."""
+"""Rate from `SIGNALLED_RATES`; a fraction such as "2/3" or a number rounded to three digits is allowed."""
 
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Format:
-    """Mode and code rates of a packet.
+    """Packet mode and code rates.
 
     Attributes
     ----------
     mode
-        "paired": every data pattern is followed by its inverse. "single": every data pattern carries new data, which
-        doubles the data rate (but for 1/32 at 16 x 16 LEDs); only the receiver "soft" reads it. "short": as "paired",
-        and the packet has 13 data pairs, so that a slow light's packets take seconds; ``signal.data_pairs`` must be 13.
+        "paired": an inverted pattern follows every data pattern. "single": every data pattern carries new data, which
+        doubles the data rate (minus 1/32 at 16 x 16 LEDs) and requires the receiver "soft". "short": like "paired" with
+        13 data pairs, so that packets from a slow light take seconds; ``signal.data_pairs`` must be 13.
     high
-        Rate of the high layer's turbo code in information bits per sent bit: 2/5, 1/2, 3/5, 2/3, 3/4, 5/6 or 9/10;
-        left out: ``signal.rate.high``. A larger rate carries more data and tolerates less noise.
+        Turbo code rate in the high layer in information bits per sent bit: 2/5, 1/2, 3/5, 2/3, 3/4, 5/6 or 9/10;
+        default ``signal.rate.high``. A higher rate carries more data and tolerates less noise.
     middle
-        The same for the middle layer; left out: ``signal.rate.middle``.
+        Turbo code rate in the middle layer; default ``signal.rate.middle``.
     low
-        The same for the low layer; left out: ``signal.rate.low``.
+        Turbo code rate in the low layer; default ``signal.rate.low``.
     """
 
     mode: Mode = "paired"
@@ -84,41 +84,30 @@ class Format:
 
     @property
     def number(self) -> int:
-        """Number the header signals, F = 512 M + 64 h + 8 m + l (section 4.1): 0 to 1535."""
+        """Format number in the header, F = 512 M + 64 h + 8 m + l (section 4.1): 0 to 1535."""
         total = MODES.index(self.mode)
         for rate in (self.high, self.middle, self.low):
             total = (total << RATE_BITS) + (0 if rate is None else 1 + SIGNALLED_RATES.index(rate))
         return total
 
     def rates(self, agreed: RateSettings) -> tuple[float, float, float]:
-        """Return the rates of the high, middle and low layer in information bits per sent bit.
+        """Return the high, middle and low layer rates in information bits per sent bit.
 
         Parameters
         ----------
         agreed
-            Rates that both ends have agreed on, for the layers whose rate the format leaves open.
+            Agreed rates, for layers with no rate in the format.
         """
         high, middle, low = (getattr(self, name) or getattr(agreed, name) for name in LAYERS)
         return high, middle, low
 
 
 AGREED = Format()
-"""Format 0: data pairs at the rates both ends have agreed on."""
+"""Format 0: data pairs at the agreed rates."""
 
 
 def format_of(number: int) -> Format:
-    """Return the format of a number, the inverse of `Format.number`.
-
-    Parameters
-    ----------
-    number
-        Number of the format, 0 to 1535.
-
-    Raises
-    ------
-    ValueError
-        The number is of a reserved mode, or not a format's at all.
-    """
+    """Return the format for a number, the inverse of `Format.number`; raise a ValueError if the number is invalid."""
     if not 0 <= number < len(MODES) << 3 * RATE_BITS:
         raise ValueError(f"a format is 0 to {(len(MODES) << 3 * RATE_BITS) - 1}, not {number}")
     codes = [number >> RATE_BITS * place & 7 for place in (2, 1, 0)]
@@ -127,35 +116,16 @@ def format_of(number: int) -> Format:
 
 
 def mode_number(number: int) -> int:
-    """Return the number of a format's mode, M = F div 512 (section 4.1): 0 to 3.
-
-    Parameters
-    ----------
-    number
-        Number of the format, 0 to 2047.
-    """
+    """Return the mode number M = F div 512 (section 4.1), 0 to 3, for a format number F, 0 to 2047."""
     return number >> 3 * RATE_BITS
 
 
 class UnreadableModeError(ValueError):
-    """A packet's mode is not known to this version, or does not go with the settings: it is ignored (section 15)."""
+    """The packet mode is unknown or does not match the settings; the receiver ignores the packet (section 15)."""
 
 
 def check_mode(number: int, data_pairs: int) -> None:
-    """Check that packets of a format's mode can be read.
-
-    Parameters
-    ----------
-    number
-        Number of the format, 0 to 2047.
-    data_pairs
-        Data pairs of a packet that are expected.
-
-    Raises
-    ------
-    UnreadableModeError
-        The mode is 3, or the mode is short and another number of pairs is expected.
-    """
+    """Raise an UnreadableModeError if the mode is 3, or if the mode is short and `data_pairs` is not 13."""
     if mode_number(number) >= len(MODES):
         raise UnreadableModeError(f"its mode, {mode_number(number)}, is not known to this version")
     if not readable(data_pairs)[number]:
@@ -166,31 +136,13 @@ def check_mode(number: int, data_pairs: int) -> None:
 
 
 def known_format(number: int, data_pairs: int) -> Format:
-    """Return the format of a number; the agreed format for an unreadable mode, see `check_mode`.
-
-    Parameters
-    ----------
-    number
-        Number of the format, 0 to 2047.
-    data_pairs
-        Data pairs of a packet that are expected.
-    """
+    """Return the format for a number, or the agreed format for an unreadable mode."""
     return format_of(number) if readable(data_pairs)[number] else AGREED
 
 
 @lru_cache
 def readable(data_pairs: int) -> NDArray[np.bool_]:
-    """Tell which formats can be read.
-
-    Parameters
-    ----------
-    data_pairs
-        Data pairs of a packet that are expected; the short mode has 13.
-
-    Returns
-    -------
-    (2048,) by format number, read-only.
-    """
+    """Return a read-only (2048,) bool mask: True for each readable format number."""
     modes = np.repeat(np.arange(ALL_MODES), 1 << 3 * RATE_BITS)
     found = (modes < len(MODES)) & ((modes != MODES.index("short")) | (data_pairs == SHORT_PAIRS))
     found.setflags(write=False)
@@ -199,16 +151,9 @@ def readable(data_pairs: int) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=2)
 def words(modes: int = len(MODES)) -> NDArray[np.uint8]:
-    """Return the words of all formats, from the Reed-Muller code RM(2, 4) (section 4.1).
+    """Return the RM(2, 4) words for all formats, (512 modes, 16) uint8, read-only (section 4.1).
 
-    Parameters
-    ----------
-    modes
-        Number of modes: 3 known modes, or all 4.
-
-    Returns
-    -------
-    (512 modes, 16) uint8 bits 0 and 1, read-only: row by format number, column 4 row + column of the cell.
+    The row is the format number, the column is 4 row + column of the header cell.
     """
     # w = f0 + f1 v0 + f2 v1 + f3 v2 + f4 v3 + f5 v0 v1 + f6 v0 v2 + ... + f10 v2 v3 (modulo 2)
     index = np.arange(WORD_BITS)

@@ -1,7 +1,7 @@
-"""Hierarchical code: the 2D fast Haar wavelet transform of Nagura et al. 2010, equations (8) to (10).
+"""Hierarchical code: the 2D fast Haar wavelet transform by Nagura et al. 2010, equations (8) to (10).
 
-The data matrix D holds -1 and +1. Its quarter D11 becomes the lowest spatial frequencies of the pattern (high
-priority), D12 and D21 the middle frequencies, D22 the highest (low priority). Blur weakens the high frequencies first.
+The data matrix D contains -1 and +1. Quarter D11 sets the lowest spatial frequencies in the pattern (high priority),
+D12 and D21 the middle frequencies, D22 the highest (low priority). Blur attenuates the high frequencies first.
 Section 6.1 defines the code.
 """
 
@@ -11,26 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 MIDDLE_LEVEL = 2
-"""Level of x' = 0 in equation (8): x' is -2 to 2, levels are 0 to 4."""
+"""Level for x' = 0 in equation (8): x' is -2 to 2, levels are 0 to 4."""
 
 
 def encode(d: ArrayLike) -> NDArray[np.uint8]:
-    """Turn data matrices into patterns of luminance levels.
-
-    Parameters
-    ----------
-    d
-        (..., n, n) array of -1 and +1; n even.
-
-    Returns
-    -------
-    (..., n, n) uint8, level k of 0 to 4 for the luminance x = k / 4.
-
-    Raises
-    ------
-    ValueError
-        The matrices are not square, have an odd size, or hold a value that is neither -1 nor +1.
-    """
+    """Transform data matrices, (..., n, n) with values -1 and +1, to uint8 luminance levels 0 to 4."""
     data = _square(d)
     if not np.isin(data, (-1, 1)).all():
         raise ValueError("a data matrix holds -1 and +1 only")
@@ -39,23 +24,9 @@ def encode(d: ArrayLike) -> NDArray[np.uint8]:
 
 
 def inverse_transform(d: ArrayLike) -> NDArray[np.float64]:
-    """Return x' = 1/2 H^T D H of equation (8).
+    """Return x' = 1/2 H^T D H by equation (8) for real matrices D, (..., n, n) with n even; the inverse of `decode`.
 
-    H is the matrix of equation (9): sums of neighbours in its upper half, differences in its lower half.
-
-    Parameters
-    ----------
-    d
-        (..., n, n) matrices D of any real values; n even.
-
-    Returns
-    -------
-    (..., n, n) float64; the inverse of `decode`.
-
-    Raises
-    ------
-    ValueError
-        The matrices are not square or have an odd size.
+    H is the matrix in equation (9): sums of neighbours in the upper half, differences in the lower half.
     """
     # (8) x' = 1/2 H^T D H
     s = _halves_to_pairs(_halves_to_pairs(_square(d).astype(np.float64), -1), -2)
@@ -63,34 +34,16 @@ def inverse_transform(d: ArrayLike) -> NDArray[np.float64]:
 
 
 def decode(x: ArrayLike) -> NDArray[np.float64]:
-    """Turn received luminances into soft data, equation (10).
+    """Transform received luminances to soft data, equation (10); positive values mean d = +1, bit 0.
 
-    Parameters
-    ----------
-    x
-        (..., n, n) luminances about their mean: x' = level - 2 times any gain; n even.
-
-    Returns
-    -------
-    (..., n, n) float64: data matrices times that gain, plus noise. Positive means d = +1, i.e. bit 0.
-
-    Raises
-    ------
-    ValueError
-        The matrices are not square or have an odd size.
+    A gain on the luminances x' = level - 2, (..., n, n), is a gain on the result.
     """
     # (10) d^' = 1/2 H x' H^T
     return 0.5 * _pairs_to_halves(_pairs_to_halves(_square(x).astype(np.float64), -1), -2)
 
 
 def decide(soft: ArrayLike) -> NDArray[np.int8]:
-    """Decide soft data by a threshold at 0, as below equation (10): int8 +1 where positive, else -1.
-
-    Parameters
-    ----------
-    soft
-        Soft data as of `decode`, of any shape and gain.
-    """
+    """Return int8 decisions on soft data with threshold 0, as below equation (10): +1 if positive, else -1."""
     return np.where(np.asarray(soft) > 0, 1, -1).astype(np.int8)
 
 
@@ -112,6 +65,6 @@ def _halves_to_pairs(a: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
 
 
 def _pairs_to_halves(a: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """Apply H along an axis: first the sums of all pairs, then their differences."""
+    """Apply H along an axis: the sums of all pairs, followed by the differences."""
     view = np.moveaxis(a, axis, 0)
     return np.moveaxis(np.concatenate([view[0::2] + view[1::2], view[0::2] - view[1::2]]), 0, axis)

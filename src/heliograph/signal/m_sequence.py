@@ -4,32 +4,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 HEADER_POLYNOMIALS = (0b11001, 0b10011)
-"""All primitive polynomials of degree 4: x^4 + x^3 + 1 (Nagura et al. 2010, section IV.A) and its reciprocal."""
+"""Primitive polynomials at degree 4: x^4 + x^3 + 1 (Nagura et al. 2010, section IV.A) and the reciprocal."""
 
 MAX_DEGREE = 24
-"""Largest degree of a polynomial. Chosen: one period then takes 16 MB and some seconds; the air interface needs 15."""
+"""Maximum polynomial degree, at which a period takes 16 MB and some seconds; the air interface needs 15."""
 
 
 def m_sequence(polynomial: int, state: int = 1) -> NDArray[np.uint8]:
-    """One period of the M-sequence of a primitive polynomial over GF(2).
+    """Return a period of the M-sequence for a primitive polynomial, (2**m - 1,) uint8 chips 0 and 1.
 
-    The register obeys a[k + m] = sum_i c_i a[k + i] (mod 2) for f(x) = x^m + ... + c_1 x + c_0 of degree m.
-
-    Parameters
-    ----------
-    polynomial
-        Coefficients as bits, bit i for x^i: 0b11001 is x^4 + x^3 + 1; of degree 2 to 24.
-    state
-        The first m chips, chip k in bit k, 1 to 2**m - 1. It selects the cyclic phase.
-
-    Returns
-    -------
-    (2**m - 1,) uint8 chips 0 and 1.
-
-    Raises
-    ------
-    ValueError
-        The polynomial is not primitive or its degree is out of range, or the state is zero or wider than m bits.
+    The register obeys a[k + m] = sum_i c_i a[k + i] (mod 2) for f(x) = x^m + ... + c_1 x + c_0. Bit i in `polynomial`
+    is c_i, and bit k in `state` is chip k for k < m. Raise a ValueError if the polynomial is not primitive, or if the
+    degree or the state is out of range.
     """
     m = polynomial.bit_length() - 1
     if not 2 <= m <= MAX_DEGREE:
@@ -51,16 +37,6 @@ def m_sequence(polynomial: int, state: int = 1) -> NDArray[np.uint8]:
 
 
 def periodic_correlation(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return the periodic correlation of two sequences of chips, bit 0 taken as +1 and bit 1 as -1.
-
-    Parameters
-    ----------
-    a, b
-        (n,) uint8 chips 0 and 1.
-
-    Returns
-    -------
-    (n,) int64: sum_k a_k b_{(k + s) mod n} for the shifts s = 0 to n - 1.
-    """
+    """Return sum_k a_k b_{(k + s) mod n} for s = 0 to n - 1, int64, with bit 0 as +1 and bit 1 as -1."""
     x, y = 1 - 2 * a.astype(np.int64), 1 - 2 * b.astype(np.int64)
     return np.array([int(x @ np.roll(y, -s)) for s in range(len(y))])

@@ -1,4 +1,4 @@
-"""Cut messages into blocks, and put messages together from blocks in any order of arrival (section 8)."""
+"""Split messages into blocks, and reassemble messages from blocks in any order (section 8)."""
 
 import zlib
 from bisect import bisect_right
@@ -9,23 +9,23 @@ from operator import itemgetter
 from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS, AnyBlock, Block
 
 MAX_MESSAGES = 256
-"""Messages of a layer: the stream field is a byte (section 7)."""
+"""Maximum number of messages per layer: the stream field is a byte (section 7)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A complete message.
+    """Complete message.
 
     Attributes
     ----------
     identity
-        Number of the array that sent it, 0 to 29.
+        Number of the sending array, 0 to 29.
     layer
         "high", "middle" or "low".
     stream
-        Number of the message in its layer, 0 to 255.
+        Message number in the layer, 0 to 255.
     data
-        Its bytes, at most 2**24 - 1.
+        Message bytes, at most 2**24 - 1.
     """
 
     identity: int
@@ -35,24 +35,9 @@ class Message:
 
 
 def segments(message: Message, room: int) -> list[Block]:
-    """Cut a message into blocks; an empty message gives an idle block.
+    """Split a message into blocks with `room` payload bytes each; an empty message gives an idle block.
 
-    Parameters
-    ----------
-    message
-        Message to cut; its identity, layer and stream go into each block.
-    room
-        Bytes of payload in a block, at least 1.
-
-    Returns
-    -------
-    list of Block
-        In the order of their sequence; all but the last are full.
-
-    Raises
-    ------
-    ValueError
-        The message is longer than 2**24 - 1 bytes or than 65,536 blocks.
+    Raise a ValueError if the message is longer than 2**24 - 1 bytes or 65,536 blocks.
     """
     limit = min(MAX_MESSAGE, MAX_SEGMENTS * room)
     if len(message.data) > limit:
@@ -64,46 +49,40 @@ def segments(message: Message, room: int) -> list[Block]:
 
 @dataclass(frozen=True, slots=True)
 class Updates:
-    """A message whose content changes during the transmission; each content has a stream number.
+    """Message with changing content; each content has a stream number.
 
     Attributes
     ----------
     contents
-        Start time of each content in s from the start of the transmission, and its bytes; sorted by time, not empty.
-        The first content is sent from the start, whatever its time.
+        (start time in s after the start of transmission, bytes) for each content; sorted by time, not empty. The
+        transmitter sends the first content from the start, regardless of the start time.
     """
 
     contents: tuple[tuple[float, bytes], ...]
 
     def at(self, time_s: float) -> int:
-        """Return the number of the content that is sent at a time.
-
-        Parameters
-        ----------
-        time_s
-            Time from the start of the transmission in s.
-        """
+        """Return the index of the content at a time in s after the start of transmission."""
         return max(0, bisect_right(self.contents, time_s, key=itemgetter(0)) - 1)
 
 
 class Carousel:
-    """Send all segments of a layer's messages, again and again; idle blocks where there is no message (section 8).
+    """Endless sequence of message segments for a layer; idle blocks if the layer has no message (section 8).
 
     Parameters
     ----------
     identity
-        Number of the array, 0 to 29.
+        Array number, 0 to 29.
     layer
         "high", "middle" or "low".
     messages
-        At most 256; message i is sent as stream i. Those that change share the numbers that are left.
+        At most 256 messages; message i is sent as stream i. Changing messages share the remaining stream numbers.
     room
-        Bytes of payload in a block, at least 1.
+        Payload bytes per block, at least 1.
 
     Raises
     ------
     ValueError
-        There are more than 256 messages, or a message is too long for `segments`.
+        The layer has more than 256 messages, or a message is too long for `segments`.
     """
 
     def __init__(self, identity: int, layer: str, messages: Sequence[bytes | Updates], room: int):
@@ -121,15 +100,7 @@ class Carousel:
         self._now: tuple[list[int], list[Block]] = ([], [])
 
     def block(self, number: int, time_s: float = 0.0) -> Block:
-        """Return a block of the transmission.
-
-        Parameters
-        ----------
-        number
-            Number of the block in its layer, from 0 at the start of the transmission.
-        time_s
-            Time at which its packet begins, from there in s; it matters for messages that change.
-        """
+        """Return block `number` in the layer; `time_s`, the start time of the packet, selects changing content."""
         if not self._updates:
             return self._fixed[number % len(self._fixed)]
         which = [update.at(time_s) for update in self._updates]
@@ -150,29 +121,29 @@ class Carousel:
 
 @dataclass(slots=True)
 class _Assembly:
-    """A message that lacks segments: its length in bytes, and its segments by sequence."""
+    """Incomplete message: length in bytes, and segments by sequence."""
 
     length: int
     pieces: dict[int, bytes] = field(default_factory=dict)
 
     def takes(self, block: Block) -> bool:
-        """Whether the block is of the same length, and of the same bytes as a segment received before."""
+        """Return True if the length, and the bytes of an earlier segment with the same sequence, match."""
         return self.length == block.length and self.pieces.get(block.sequence, block.payload) == block.payload
 
     def whole(self) -> bytes | None:
-        """All bytes of the message; None where some are missing."""
+        """Return the message bytes, or None if segments are missing."""
         if sum(map(len, self.pieces.values())) < self.length:
             return None
         return b"".join(self.pieces[i] for i in sorted(self.pieces))
 
 
 _Key = tuple[int, str, int, int]
-"""Identity, layer, stream, and bytes of payload in a block."""
+"""Identity, layer, stream, and payload bytes per block."""
 
 
 @dataclass(slots=True)
 class _Done:
-    """The message last completed under a number: length and CRC; CRCs of its segments by payload size and sequence."""
+    """Last complete message with a stream number: length and CRC; segment CRCs by payload size and sequence."""
 
     data: tuple[int, int]
     pieces: dict[int, dict[int, int]] = field(default_factory=dict)
@@ -180,26 +151,21 @@ class _Done:
 
 @dataclass(slots=True)
 class Reassembler:
-    """Put messages together from blocks in any order, with repeats and gaps; each message is returned once (section 8).
+    """Reassemble messages from blocks in any order, with repeats and gaps; return each message once (section 8).
 
-    Memory is bounded by an incomplete message per array, layer, block size and stream (0 to 255). A transmitter that
-    changes a message must change its stream number; a block of another length or content under the same number starts
-    the message again.
+    Memory is bounded by an incomplete message per array, layer, block size and stream (0 to 255). If the content
+    changes, the transmitter must change the stream number; otherwise a block with different length or content restarts
+    the message.
     """
 
     _open: dict[_Key, _Assembly] = field(default_factory=dict)
     _done: dict[tuple[int, str, int], _Done] = field(default_factory=dict)
 
     def add(self, block: AnyBlock, room: int = 0) -> Message | None:
-        """Add a block; return the message that it completes, or None if no new message is complete.
+        """Add a block with a correct CRC; return a newly completed message, or None. File blocks are ignored.
 
-        Parameters
-        ----------
-        block
-            A block whose CRC is right; blocks of files are ignored.
-        room
-            Bytes of payload in a block of its codeword. If packets differ in their rates, the transmitter cuts a
-            message for each size, and segments of different sizes do not fit together.
+        `room` is the payload size per block in bytes. If packets differ in rate, the transmitter splits a message for
+        each size, and segments with different sizes do not fit together.
         """
         if not isinstance(block, Block):
             return None
@@ -223,17 +189,17 @@ class Reassembler:
         return None if known else Message(*who, data)
 
     def _had(self, key: _Key, block: Block) -> bool:
-        """Whether the block belongs to the message last completed under its number."""
+        """Return True if the block belongs to the last complete message with this stream number."""
         done = self._done.get(key[:3])
         pieces = done.pieces.get(key[3]) if done else None
         if done is None or pieces is None or done.data[0] != block.length:
             return False
         if pieces.get(block.sequence) == zlib.crc32(block.payload):
             return True
-        # same length, other content: the transmitter reuses the number for a new message
+        # same length, different content: the stream number has a new message
         del self._done[key[:3]]
         return False
 
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
-        """Return the messages that lack segments: (identity, layer, stream, bytes received, bytes of the message)."""
+        """Return incomplete messages: (identity, layer, stream, received bytes, message length in bytes)."""
         return [(*key[:3], sum(map(len, a.pieces.values())), a.length) for key, a in self._open.items()]

@@ -1,4 +1,4 @@
-"""Packets: header pairs, then data pairs whose layers carry the codewords (sections 3, 5, 9.1 and 11)."""
+"""Packets: header pairs, then data pairs with a codeword set for each layer (sections 3, 5, 9.1 and 11)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,30 +21,30 @@ from heliograph.signal.whitening import whitening
 Value = TypeVar("Value", bound=np.generic)
 
 SYMBOL_STEP = 23
-"""Symbols by which the interleaver turns from pair to pair (section 11), which spreads each part of a codeword over the
-array.
+"""Symbol shift from pair to pair in the interleaver (section 11), which spreads each codeword over the array.
 
-Chosen, a prime that divides the number of symbols of a single layer. A D11 symbol then carries 0.94 to 1.12 times the
-mean number of bits of each third of a codeword in the default high layer; with 11 or 46 it is 0.88 to 1.12, with 0 it
-is 0 to 3."""
+The prime divides the symbol count of a single layer (high, in single mode at 48 x 48 LEDs). In the default high layer,
+a D11 symbol carries 0.94 to 1.12 times the mean number of bits from each third of a codeword; 11 or 46 gives 0.88 to
+1.12, and 0 gives 0 to 3.
+"""
 
 
 @dataclass(frozen=True)
 class LayerFormat:
-    """How a layer fills a packet. A symbol is an element of the data matrix D.
+    """Layer layout in a packet. A symbol is an element of the data matrix D.
 
     Attributes
     ----------
     name
         "high", "middle" or "low".
     codewords
-        Codewords in a packet, W of section 9.1, at least 1.
+        Codewords per packet, W in section 9.1, at least 1.
     code
-        Their turbo code: K information bits to E coded bits.
+        Channel code with K information bits and E coded bits per codeword.
     pairs
-        Data pairs of a packet, in the single mode its data patterns.
+        Data pairs per packet; data patterns in single mode.
     symbols
-        Symbols of the layer in each, C of section 5.
+        Symbols per pair or pattern, C in section 5.
     """
 
     name: str
@@ -55,72 +55,54 @@ class LayerFormat:
 
     @property
     def payload_bytes(self) -> int:
-        """Bytes of payload in a codeword."""
+        """Payload bytes per codeword."""
         return payload_bytes(self.code.k)
 
     @cached_property
     def places(self) -> NDArray[np.intp]:
-        """Interleaver (section 11): index in (pairs, symbols), flattened, of bit j of all codewords in order."""
+        """Interleaver (section 11): flat index in (pairs, symbols) for bit j in the concatenated codewords."""
         j = np.arange(self.pairs * self.symbols)
         # pair p = j mod P, symbol c = (j div P + 23 p) mod C
         pair = j % self.pairs
         return pair * self.symbols + (j // self.pairs + SYMBOL_STEP * pair) % self.symbols
 
     def encode(self, blocks: Sequence[AnyBlock]) -> NDArray[np.uint8]:
-        """Return the layer's bits 0 and 1 of a packet, (pairs, symbols) uint8.
-
-        Parameters
-        ----------
-        blocks
-            One block per codeword, in the order of the codewords.
-        """
+        """Encode a block per codeword to layer bits 0 and 1, (pairs, symbols) uint8."""
         info = np.stack([pack(block, self.code.k) for block in blocks])
         return self.interleave(self.code.encode(info) ^ self.chips)
 
     @cached_property
     def chips(self) -> NDArray[np.uint8]:
-        """Whitening of the layer's codewords, (codewords, E) uint8 chips 0 and 1."""
+        """Whitening chips 0 and 1, (codewords, E) uint8."""
         return np.stack([whitening(self.code.length, self.name, i) for i in range(self.codewords)])
 
     def interleave(self, coded: NDArray[Value]) -> NDArray[Value]:
-        """Return values of coded bits by symbol: (pairs, symbols).
-
-        Parameters
-        ----------
-        coded
-            (codewords, E) coded bits, or any other value of each.
-        """
+        """Interleave a value per coded bit: (codewords, E) to (pairs, symbols)."""
         out = np.empty(self.pairs * self.symbols, dtype=coded.dtype)
         out[self.places] = coded.reshape(-1)
         return out.reshape(self.pairs, self.symbols)
 
     def deinterleave(self, soft: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return soft values by coded bit before whitening: (codewords, E).
-
-        Parameters
-        ----------
-        soft
-            (pairs, symbols) soft values, such as LLRs, of the bits as they were sent; positive for bit 0.
-        """
+        """Deinterleave and unwhiten soft values, such as LLRs: (pairs, symbols) to (codewords, E)."""
         return soft.reshape(-1)[self.places].reshape(self.codewords, -1) * (1.0 - 2.0 * self.chips)
 
 
 @dataclass(frozen=True)
 class PacketFormat:
-    """Everything that follows from the settings and a packet's format: codewords, places, patterns.
+    """Packet layout for given settings and format: codewords, symbol positions, patterns.
 
     Attributes
     ----------
     settings
-        Settings of the signal, as both ends have agreed on them.
+        Agreed signal settings.
     format
-        Format that the packet's header signals; format 0 for what both ends have agreed on.
+        Format in the header; format 0 selects the agreed mode and rates.
 
     Raises
     ------
     SettingsError
-        The header cannot signal the format, the single mode is asked for without the hierarchical code, or the short
-        mode with another number of data pairs.
+        The header cannot signal the format, single mode lacks the hierarchical code, or short mode has a wrong number
+        of data pairs.
     """
 
     settings: SignalSettings
@@ -142,18 +124,12 @@ class PacketFormat:
 
     @cached_property
     def layers(self) -> dict[str, LayerFormat]:
-        """How each layer fills the packet, by the layer's name in the order of priority.
-
-        Raises
-        ------
-        SettingsError
-            The packet is too short for a codeword of some layer.
-        """
+        """Layer layouts by name in priority order; a SettingsError if the packet is too short for a codeword."""
         rates = self.format.rates(self.settings.rate)
         half, pairs = self.settings.side // 2, self.settings.data_pairs
         quarters = [half * half] * len(LAYERS)
         if self.single:
-            # twice the patterns, and a column of D11 keeps their light even (section 6.3)
+            # twice the patterns, and a D11 column for balance (section 6.3)
             quarters[0], pairs = half * (half - 1), 2 * pairs
         plans = zip(LAYERS, MULTIPLICITY, quarters, rates, strict=True)
         family = CODES[self.settings.code]
@@ -161,22 +137,13 @@ class PacketFormat:
 
     @property
     def single(self) -> bool:
-        """Whether the packet is of the single mode: no inverses follow the data patterns."""
+        """True in single mode: no inverse follows a data pattern."""
         return self.format.mode == "single"
 
     def data_patterns(self, blocks: Mapping[str, Sequence[AnyBlock]], ahead: int = 0) -> NDArray[np.uint8]:
-        """Return the data patterns of a packet, inverses excluded.
+        """Return the data patterns of a packet, excluding inverses: (pairs, n, n) uint8 levels 0 to 4.
 
-        Parameters
-        ----------
-        blocks
-            A block per codeword for each layer.
-        ahead
-            Sum of all D11 sent before, for the balance of the single mode; ignored otherwise.
-
-        Returns
-        -------
-        (pairs, n, n) uint8 levels 0 to 4.
+        `blocks` has a block per codeword for each layer; `ahead` is the sum of all previous D11 (single mode only).
         """
         symbols = [1 - 2 * self.layers[name].encode(blocks[name]).astype(np.int8) for name in LAYERS]
         if self.single:
@@ -186,94 +153,44 @@ class PacketFormat:
         return haar.encode(d) if self.settings.modulation == "haar" else ook.encode(d)
 
     def patterns(self, identity: int, blocks: Mapping[str, Sequence[AnyBlock]], ahead: int = 0) -> NDArray[np.uint8]:
-        """Return all patterns of a packet in the order of time.
-
-        Parameters
-        ----------
-        identity
-            Number of the array, 0 to 29.
-        blocks
-            A block per codeword for each layer.
-        ahead
-            Sum of all D11 sent before, for the balance of the single mode; ignored otherwise.
-
-        Returns
-        -------
-        (patterns, n, n) uint8 levels 0 to 4.
-        """
+        """Return all patterns of a packet in time order, (patterns, n, n) uint8; see `data_patterns`."""
         head = np.stack([self.header_pattern(identity, pair) for pair in range(self.settings.header_pairs)])
         if self.single:
             return np.concatenate([with_inverses(head), self.data_patterns(blocks, ahead)])
         return with_inverses(np.concatenate([head, self.data_patterns(blocks)]))
 
     def header_pattern(self, identity: int, pair: int = 0) -> NDArray[np.uint8]:
-        """Return the pattern of a header pair; with the header "all_on" it is the same for all identities.
-
-        Parameters
-        ----------
-        identity
-            Number of the array, 0 to 29.
-        pair
-            Number of the pair in the packet, from 0; the first signals no format.
-
-        Returns
-        -------
-        (n, n) uint8 levels 0 to 4.
-        """
+        """Return the pattern for a header pair, (n, n) uint8; pair 0 signals no format."""
         side = self.settings.side
         if self.settings.header == "all_on":
             return all_on_levels(side)
         return signalling_levels(identity, self.format.number, side) if pair else header_levels(identity, side)
 
     def soft_data(self, x: ArrayLike) -> NDArray[np.float64]:
-        """Return soft data of received luminances by the modulation, (..., n, n); positive for bit 0.
-
-        Parameters
-        ----------
-        x
-            (..., n, n) luminances x' = level - 2, times any gain.
-        """
+        """Demodulate luminances x' = level - 2, (..., n, n), to soft data; positive for bit 0."""
         return haar.decode(x) if self.settings.modulation == "haar" else ook.decode(x)
 
     def join(self, symbols: NDArray[np.int8]) -> NDArray[np.int8]:
-        """Return the data matrices D, (pairs, n, n).
-
-        Parameters
-        ----------
-        symbols
-            (pairs, n * n) elements of D, -1 to 1, in the order high, middle, low (section 5).
-        """
+        """Join symbols, (pairs, n * n) in the order high, middle, low, to data matrices, (pairs, n, n) (section 5)."""
         h = self.settings.side // 2
         d11, d12, d21, d22 = (q.reshape(-1, h, h) for q in np.split(symbols, 4, axis=1))
         return np.block([[d11, d12], [d21, d22]])
 
     def split(self, d: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Return the data of each layer, (pairs, symbols); the inverse of `join`.
-
-        Parameters
-        ----------
-        d
-            (pairs, n, n) data matrices D, soft or decided.
-        """
+        """Split data matrices, (pairs, n, n), into layers, (pairs, symbols); the inverse of `join`."""
         h = self.settings.side // 2
         q = [part.reshape(len(d), -1) for part in (d[:, :h, :h], d[:, :h, h:], d[:, h:, :h], d[:, h:, h:])]
         return {"high": q[0], "middle": np.concatenate(q[1:3], axis=1), "low": q[3]}
 
 
 def with_inverses(patterns: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return patterns, each followed by its inverse: (2 k, n, n).
-
-    Parameters
-    ----------
-    patterns
-        (k, n, n) uint8 levels 0 to 4, in the order of time.
-    """
+    """Insert the inverse after each pattern: (k, n, n) to (2 k, n, n)."""
     return np.stack([patterns, pwm.invert(patterns)], axis=1).reshape(-1, *patterns.shape[1:])
 
 
-@lru_cache(maxsize=64)  # each packet asks for its layers again, and their interleavers
+@lru_cache(maxsize=64)  # caches layers and interleavers across packets
 def _plan(name: str, count: int, quarter: int, pairs: int, rate: float, family: CodeFamily) -> LayerFormat:
-    """Plan a layer of `count` quarters of the data matrix, each coded by itself."""
+    """Plan a layer with `count` quarters of the data matrix; each quarter has separate codewords."""
     bits = quarter * pairs
     few = (
         f"{name} layer: {pairs} data pairs give {bits} bits at rate {rate:.3g}, too few for a block of {MIN_BITS} "

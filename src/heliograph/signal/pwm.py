@@ -1,4 +1,4 @@
-"""Pulse width modulation: a level is the number of lit slots of a pattern period (Nagura et al. Fig. 4, section 3)."""
+"""Pulse width modulation: level k lights k slots in a pattern period (Nagura et al. Fig. 4, section 3)."""
 
 import math
 from collections.abc import Sequence
@@ -7,42 +7,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 SLOTS = 4
-"""Slots of a pattern period T_b; level k lights k of them. The paper's five luminances 0, 1/4, ..., 1 need four slots;
-its table II gives their rate, 4 kHz at T_b = 1 ms."""
+"""Slots per pattern period T_b. The five luminances 0, 1/4, ..., 1 in the paper need four slots; table II in the paper
+gives a slot rate of 4 kHz at T_b = 1 ms."""
 
 SLOT_ORDER = tuple(range(SLOTS))
-"""Default order in which slots are lit as the level rises (section 1): level k lights the first k."""
+"""Default slot order (section 1): level k lights the first k slots."""
 
 
 def invert(levels: ArrayLike) -> NDArray[np.uint8]:
-    """Return the inverted patterns 1 - x: level k becomes 4 - k, uint8.
-
-    Parameters
-    ----------
-    levels
-        Levels 0 to 4 of patterns, of any shape.
-    """
+    """Return the inverted patterns 1 - x: level k becomes 4 - k, uint8."""
     return (SLOTS - np.asarray(levels, dtype=np.uint8)).astype(np.uint8)
 
 
 def lit_slots(levels: ArrayLike, order: Sequence[int] = SLOT_ORDER) -> NDArray[np.bool_]:
-    """Return which LED is lit in which slot: the pulses of equations (1) and (2) on a grid of T_b / 4.
+    """Return the LED states by slot, the pulses in equations (1) and (2): (..., n, n) levels give (..., 4, n, n) bool.
 
-    Parameters
-    ----------
-    levels
-        (..., n, n) levels 0 to 4.
-    order
-        The slot that is lit first (level 1), second, ...: a permutation of 0 to 3.
-
-    Returns
-    -------
-    (..., 4, n, n) bool, slot s of the period on the third axis from the end.
-
-    Raises
-    ------
-    ValueError
-        A level is below 0 or above 4, or `order` is no permutation of 0 to 3.
+    `order` lists the slots, a permutation of 0 to 3, as lit with increasing level.
     """
     array = np.asarray(levels)
     if array.size and (array.min() < 0 or array.max() > SLOTS):
@@ -54,38 +34,16 @@ def lit_slots(levels: ArrayLike, order: Sequence[int] = SLOT_ORDER) -> NDArray[n
 
 
 def waveform(levels: ArrayLike, order: Sequence[int] = SLOT_ORDER) -> NDArray[np.float64]:
-    """Return the luminous flux of the array by slot; 1 is the flux of all LEDs on.
-
-    Parameters
-    ----------
-    levels
-        (patterns, n, n) levels 0 to 4 in the order of time.
-    order
-        The slots, 0 to 3, in the order in which they are lit, as for `lit_slots`.
-
-    Returns
-    -------
-    (4 patterns,) float64, 0 to 1, slots in the order of time.
-    """
+    """Return the luminous flux by slot, (4 patterns,), relative to the flux with all LEDs on."""
     return lit_slots(levels, order).mean((-2, -1)).reshape(-1)
 
 
 def light_centroids(order: Sequence[int] = SLOT_ORDER) -> tuple[float, float]:
-    """Return the centroids in time of the light of random data, in pattern periods from the start of a pattern.
+    """Return temporal centroids of the light from random data, in pattern periods after the pattern start.
 
-    The Haar transform of random data gives levels 0 to 4 with the probabilities 1, 4, 6, 4, 1 of 16.
-
-    Parameters
-    ----------
-    order
-        The slots, 0 to 3, in the order in which they are lit, as for `lit_slots`.
-
-    Returns
-    -------
-    mean
-        Centroid of the mean light, 0 to 1: sum_s P(lit_s) t_s / sum_s P(lit_s), t_s the middle of slot s.
-    change
-        Centroid of the light's change with the level, 0 to 1: the same with cov(lit_s, level) in place of P(lit_s).
+    The first centroid is for the mean light: sum_s P(lit_s) t_s / sum_s P(lit_s) with the centre t_s of slot s. The
+    second is for the level-dependent light: cov(lit_s, level) replaces P(lit_s). The Haar transform of random data
+    gives levels 0 to 4 with the probabilities 1, 4, 6, 4, 1 out of 16.
     """
     levels = np.repeat(np.arange(SLOTS + 1), [math.comb(SLOTS, k) for k in range(SLOTS + 1)])
     lit = lit_slots(levels[:, None, None], order)[:, :, 0, 0].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Settings of the signal: everything both ends must agree on (section 1)."""
+"""Signal settings, on which transmitter and receiver must agree (section 1)."""
 
 from fractions import Fraction
 from typing import Annotated, Any, Literal
@@ -12,24 +12,18 @@ from heliograph.signal.code import CODES
 from heliograph.signal.pwm import SLOT_ORDER, SLOTS
 
 LAYERS = ("high", "middle", "low")
-"""Layers in the order of priority (section 5)."""
+"""Layers in priority order (section 5)."""
 
 MULTIPLICITY = (1, 2, 1)
-"""Quarters of the data matrix of each layer: D11; D12 and D21; D22 (section 5)."""
+"""Data matrix quarters per layer: D11; D12 and D21; D22 (section 5)."""
 
 RATE_SLACK = 1e-3
-"""Rates may differ by this from the fraction they mean, so that 0.333 is 1/3 and 0.667 is 2/3: three digits. The
-closest fractions, 3/5 and 2/3, lie 0.067 apart, so up to 0.03 no rate would be ambiguous."""
+"""Tolerance for rounded rates, so that 0.333 means 1/3 and 0.667 means 2/3. The closest fractions, 3/5 and 2/3, differ
+by 0.067, so rates would stay unambiguous up to 0.03."""
 
 
 def as_number(value: Any) -> Any:
-    """Return the number that a text states; anything else is returned as it is.
-
-    Parameters
-    ----------
-    value
-        Value of a setting; text such as '1/3' or '0.5' is a number.
-    """
+    """Convert text such as '1/3' or '0.5' to a number; return other values unchanged."""
     try:
         return float(Fraction(value)) if isinstance(value, str) else value
     except (ValueError, ArithmeticError):
@@ -37,23 +31,23 @@ def as_number(value: Any) -> Any:
 
 
 CodeRate = Annotated[float, BeforeValidator(as_number), Field(ge=1 / 3 - RATE_SLACK, le=0.9 + RATE_SLACK)]
-"""Information bits per sent bit: from 1/3, the mother code's rate, to 9/10."""
+"""Information bits per sent bit, from 1/3, the mother code rate, to 9/10."""
 
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class RateSettings:
-    """Rates of the turbo code by layer.
+    """Turbo code rates by layer.
 
     Attributes
     ----------
     high
-        Rate of the high layer in information bits per sent bit, 1/3 to 9/10; a fraction such as "2/3" may be written. A
-        larger rate carries more data and tolerates less noise.
+        High layer rate in information bits per sent bit, 1/3 to 9/10; a fraction such as "2/3" is allowed. A higher
+        rate carries more data and tolerates less noise.
     middle
-        The same for the middle layer.
+        Middle layer rate in information bits per sent bit.
     low
-        The same for the low layer.
+        Low layer rate in information bits per sent bit.
     """
 
     high: CodeRate = 1 / 3
@@ -64,37 +58,37 @@ class RateSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class SignalSettings:
-    """The signal of an array's light.
+    """Signal settings for an array.
 
     Attributes
     ----------
     side
-        LEDs in a row and in a column, 4 to 64, a multiple of 4 because the header has 4 x 4 cells. A larger array
-        carries more data per pattern and, at the same pitch of its LEDs, is found from further away.
+        LEDs per row and column, 4 to 64, a multiple of 4 because the header has 4 x 4 cells. A larger array carries
+        more data per pattern and, at equal LED pitch, has a longer detection range.
     pattern_period_s
-        Duration T_b of a pattern in s, 1e-6 to 1. A shorter duration carries more data per second and needs a camera
-        with as many frames per second; each frame then collects less light.
+        Pattern duration T_b in s, 1e-6 to 1. A shorter duration carries more data per second and needs a higher camera
+        frame rate; each frame then collects less light.
     slot_order
-        Order in which the four PWM slots of T_b, numbered 0 to 3 in time, are lit as the level rises: a permutation of
+        Order in which increasing levels light the four PWM slots of T_b, numbered 0 to 3 in time: a permutation of
         0, 1, 2, 3.
     header_pairs
-        Pairs of header and inverted header at the start of a packet, 1 to 16. More make headers surer and leave less
-        time for data; a packet that signals its format needs 2 or more.
+        Pairs of header and inverted header at the packet start, 1 to 16. More pairs make header detection more reliable
+        and leave less time for data; a packet that signals a format needs 2 or more.
     data_pairs
-        Pairs of data pattern and inverted pattern in a packet, 1 to 4096. More give larger codewords, which correct
-        more errors, and less time spent on headers; headers and packets then come less often.
+        Pairs of data pattern and inverted pattern per packet, 1 to 4096. More pairs allow longer codewords, which
+        correct more errors, and reduce header overhead; headers and packets are then less frequent.
     rate
-        Rates of the turbo code by layer.
+        Turbo code rates by layer.
     code
-        Name of the channel code. "turbo" is the air interface's; others may be registered for research, and both ends
-        must then have them.
+        Name of the channel code. The air interface uses "turbo"; programs may register other codes for research at both
+        ends.
     modulation
-        "haar", the hierarchical code, or "ook", on-off keying of each LED.
+        "haar", the hierarchical code, or "ook", on-off keying for each LED.
     light
-        How a level k of 0 to 4 is shown: "pwm", fully lit in k of the four slots of T_b, as LEDs do it; or "steady", at
-        k / 4 of the full luminance for all of T_b, as a screen does it.
+        Display of level k, 0 to 4: "pwm" lights k out of four slots per T_b, for LEDs; "steady" shows k / 4 of the full
+        luminance during T_b, for screens.
     header
-        "m_sequence", which names the array's identity, or "all_on", for comparison: every LED on, then off.
+        "m_sequence", which identifies the array, or "all_on", for comparison: every LED on, then off.
     """
 
     side: Annotated[int, Field(ge=4, le=64, multiple_of=4)] = 16
@@ -116,28 +110,17 @@ class SignalSettings:
 
     @property
     def packet_patterns(self) -> int:
-        """Patterns of a packet, inverses included."""
+        """Patterns per packet, including inverses."""
         return 2 * (self.header_pairs + self.data_pairs)
 
     @property
     def packet_s(self) -> float:
-        """Duration of a packet in seconds."""
+        """Packet duration in seconds."""
         return self.packet_patterns * self.pattern_period_s
 
 
 def check_signal(settings: object) -> None:
-    """Check what is given for the settings of a signal.
-
-    Parameters
-    ----------
-    settings
-        What was given, of any type.
-
-    Raises
-    ------
-    SettingsError
-        It is no `SignalSettings`.
-    """
+    """Raise a SettingsError unless `settings` is a `SignalSettings`."""
     if not isinstance(settings, SignalSettings):
         raise SettingsError(
             f"settings of a signal are SignalSettings, not {shown(settings)}; those of a link are .signal"

@@ -1,1 +1,1 @@
-"""Whole files: a file cut into symbols, of which any that are enough give it back (sections 7.1 and 8.1)."""
+"""Fountain codes for files: any sufficient set of symbols reconstructs the file (sections 7.1 and 8.1)."""

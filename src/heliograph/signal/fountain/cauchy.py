@@ -1,4 +1,4 @@
-"""Symbols of a file by a Cauchy matrix over GF(2^16): any k of 65536 reconstruct the k of the file (section 8.1)."""
+"""File symbols from a Cauchy matrix over GF(2^16): any k symbols reconstruct k source symbols (section 8.1)."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 POLYNOMIAL = 0b1_0001_0000_0000_1011
-"""x^16 + x^12 + x^3 + x + 1 (section 8.1), primitive: the powers of x are all elements but 0."""
+"""Field polynomial x^16 + x^12 + x^3 + x + 1 (section 8.1), primitive: x generates all nonzero elements."""
 
 ORDER = (1 << 16) - 1
-"""Elements but 0, and the exponent from which on the powers of x come again."""
+"""Number of nonzero elements, and the period of the powers of x."""
 
 ZERO = 2 * ORDER
-"""Stands for the logarithm of 0: beyond the sum of any two others, so that a product with 0 is looked up as 0."""
+"""Logarithm of 0, larger than any sum of two other logarithms: the power table returns 0 for products with 0."""
 
 Logs = NDArray[np.int32]
 Words = NDArray[np.uint16]
@@ -21,7 +21,7 @@ Words = NDArray[np.uint16]
 
 @lru_cache(maxsize=1)
 def _tables() -> tuple[Words, Logs]:
-    """Powers of x by exponent, 0 from `ZERO` on; and the logarithm of each element."""
+    """Return powers of x by exponent, 0 from `ZERO` on, and the logarithm of each element."""
     powers = np.zeros(2 * ZERO + 1, np.uint16)
     logs = np.full(ORDER + 1, ZERO, np.int32)
     element = 1
@@ -38,43 +38,31 @@ def _tables() -> tuple[Words, Logs]:
 
 
 def log(elements: NDArray[np.integer]) -> Logs:
-    """Return logarithms to the base x; `ZERO` for 0.
-
-    Parameters
-    ----------
-    elements
-        (...) elements, 0 to 65535.
-    """
+    """Return logarithms to base x for elements 0 to 65535; `ZERO` for 0."""
     return _tables()[1][elements]
 
 
 def power(exponents: NDArray[np.integer]) -> Words:
-    """Return powers of x; 0 if a logarithm in the sum is that of 0.
-
-    Parameters
-    ----------
-    exponents
-        (...) sums of up to two logarithms: 0 to twice `ZERO`.
-    """
+    """Return powers of x for sums of up to two logarithms; 0 if a summand is `ZERO`."""
     return _tables()[0][exponents]
 
 
 NUMBERS = 1 << 16
-"""Symbols of a file: the elements of the field."""
+"""Symbol numbers: the field elements."""
 
 WORD_BYTES = 2
-"""Bytes of an element: symbols have an even number of bytes."""
+"""Bytes per element; symbol sizes are even."""
 
 
 class CauchyEncoder:
-    """Symbols of a file.
+    """Symbol encoder for a file.
 
     Parameters
     ----------
     data
-        The file's bytes, not empty.
+        File bytes, not empty.
     size
-        Bytes of a symbol, even; zeros fill the last symbol of the file.
+        Symbol size in bytes, even; zeros pad the last source symbol.
     """
 
     def __init__(self, data: bytes, size: int):
@@ -84,13 +72,7 @@ class CauchyEncoder:
         self._logs: Logs | None = None
 
     def symbol(self, number: int) -> bytes:
-        """Return a symbol's bytes.
-
-        Parameters
-        ----------
-        number
-            Number of the symbol, 0 to 65535; those below `count` are the file.
-        """
+        """Return the symbol with a number from 0 to 65535; numbers below `count` are source symbols."""
         if number < self.count:
             return _bytes_of(self._words[number])
         if self._logs is None:
@@ -99,15 +81,7 @@ class CauchyEncoder:
 
 
 def decode(symbols: Mapping[int, bytes], count: int) -> bytes:
-    """Return the consecutive symbols of a file from any `count` different symbols.
-
-    Parameters
-    ----------
-    symbols
-        Symbols by number, 0 to 65535, all of the same even length; at least `count`. Those of the file are used first.
-    count
-        Symbols of the file, k, at least 1.
-    """
+    """Return the source symbols from `count` or more symbols with equal size; received source symbols come first."""
     own = np.array([n for n in range(count) if n in symbols], np.int64)
     lost = np.array([n for n in range(count) if n not in symbols], np.int64)
     repair = np.array(sorted(n for n in symbols if n >= count)[: len(lost)], np.int64)
@@ -124,16 +98,16 @@ def decode(symbols: Mapping[int, bytes], count: int) -> bytes:
 
 
 def _sum(logs: Logs, number: int, of: NDArray[np.int64]) -> Words:
-    """Sum over j of x_j / (number + j): rows of logarithms of x_j, and the j that they are."""
+    """Return sum over j of x_j / (number + j) from logarithms of x_j (rows) and the indices j."""
     # log(1 / a) = order - log(a)
     return np.bitwise_xor.reduce(power(logs + (ORDER - log(number ^ of))[:, None]), axis=0)
 
 
 def _solved(sums: Words, numbers: NDArray[np.int64], lost: NDArray[np.int64]) -> Words:
-    """The lost x_u of y_r = sum over u of x_u / (r + u), by the inverse of a Cauchy matrix.
+    """Solve y_r = sum over u of x_u / (r + u) for the lost x_u by the inverse Cauchy matrix.
 
-    Its element in row u and column r is A_r B_u / ((r + u) C_r D_u) with the products A_r of all r + u' (over u'), B_u
-    of all r' + u, C_r of all r + r' but r itself, D_u of all u + u' but u itself.
+    The element in row u and column r is A_r B_u / ((r + u) C_r D_u). A_r is the product of r + u' over all u', B_u of
+    r' + u over all r', C_r of r + r' over r' != r, and D_u of u + u' over u' != u.
     """
     rows = [_log_product(r ^ lost) - _log_product((r ^ numbers)[numbers != r]) for r in numbers]
     columns = np.array([_log_product(u ^ numbers) - _log_product((u ^ lost)[lost != u]) for u in lost])

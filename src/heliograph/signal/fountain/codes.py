@@ -1,4 +1,4 @@
-"""Codes that make symbols of a file, by name and by the number that a block has (section 8.1)."""
+"""Fountain codes by name and by block field number (section 8.1)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,45 +9,39 @@ from heliograph.signal.fountain import cauchy, raptor
 CodeName = Literal["cauchy", "raptorq"]
 
 MOST_SYMBOLS = 1 << 15
-"""Most symbols of a file (section 8.1): half of the numbers that a code has at least, so that as many repair it."""
+"""Maximum source symbols per file (section 8.1): half of the smallest number range; the other half is for repair."""
 
 
 class Encoder(Protocol):
-    """Symbols of one file."""
+    """Symbol encoder for a file."""
 
     @property
     def count(self) -> int:
-        """Number of source symbols: about as many different symbols reconstruct the file."""
+        """Number of source symbols; about as many different symbols reconstruct the file."""
 
     def symbol(self, number: int) -> bytes:
-        """Return a symbol's bytes.
-
-        Parameters
-        ----------
-        number
-            Number of the symbol, from 0.
-        """
+        """Return the bytes of a symbol; numbers start at 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class FountainCode:
-    """A code that makes symbols of a file.
+    """Fountain code for file symbols.
 
     Attributes
     ----------
     number
-        Number of the code in a block.
+        Code number in a block.
     alignment, least
-        Bytes of a symbol: a multiple of the first, at least the second.
+        Symbol size in bytes: a multiple of `alignment`, at least `least`.
     most_bytes
-        Most bytes of a file.
+        Maximum file length in bytes.
     numbers
-        Symbols by number that there may be.
+        Number of different symbols.
     encoder
-        Makes the symbols of a file of its bytes and the bytes of a symbol.
+        Factory for a symbol encoder from file bytes and symbol size.
     decode
-        Takes symbols by number, bytes of the file and of a symbol; returns the file's bytes, maybe with zeros behind,
-        or None where they are not enough.
+        Function from symbols by number, file length and symbol size to the file bytes, possibly zero-padded; returns
+        None if the symbols are insufficient.
     """
 
     number: int
@@ -59,15 +53,7 @@ class FountainCode:
     decode: Callable[[Mapping[int, bytes], int, int], bytes | None]
 
     def fits(self, length: int, size: int) -> bool:
-        """Whether a file can have symbols of a size.
-
-        Parameters
-        ----------
-        length
-            Bytes of the file.
-        size
-            Bytes of a symbol.
-        """
+        """Return True if the code supports a file length and a symbol size in bytes."""
         aligned = size >= self.least and size % self.alignment == 0
         return aligned and 0 < length <= min(self.most_bytes, MOST_SYMBOLS * size)
 
@@ -82,7 +68,7 @@ CODES: Mapping[CodeName, FountainCode] = {
     "raptorq": FountainCode(1, raptor.ALIGNMENT, raptor.LEAST_BYTES, raptor.MOST_BYTES, raptor.NUMBERS,
                             raptor.RaptorEncoder, raptor.decode),
 }  # fmt: skip
-"""Codes by name. Every receiver reads "cauchy"; "raptorq" needs the package of that name."""
+"""Codes by name. Every receiver supports "cauchy"; "raptorq" requires the package raptorq."""
 
 BY_NUMBER = {code.number: code for code in CODES.values()}
-"""Codes by the number that a block has."""
+"""Codes by block field number."""

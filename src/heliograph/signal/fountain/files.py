@@ -1,4 +1,4 @@
-"""Files as symbols in blocks, and files from the symbols of any blocks that are enough (section 8.1)."""
+"""Encode files as symbols in blocks, and reconstruct files from a sufficient set of symbols (section 8.1)."""
 
 import zlib
 from collections import OrderedDict, deque
@@ -19,41 +19,40 @@ from heliograph.signal.block import (
 from heliograph.signal.fountain.codes import BY_NUMBER, CODES, CodeName, Encoder
 
 LONGEST_NAME = 255
-"""Maximum bytes of a file name: the length field is a byte (section 8.1)."""
+"""Maximum file name length in bytes: the length field is a byte (section 8.1)."""
 
 MOST_OPEN = 8
-"""Maximum number of incomplete files; a further file replaces the file whose last symbol is oldest. Chosen."""
+"""Maximum number of incomplete files; a new file replaces the file with the oldest last symbol."""
 
 MOST_KNOWN = 256
-"""Maximum number of complete files whose symbols are ignored. Chosen."""
+"""Maximum number of remembered complete files, for which symbols are ignored."""
 
 NOTICE_TURNS = 8
-"""Turns of a file per description of the file, if blocks are small (section 8.1). Chosen: descriptions take an eighth
-of the light, and three layers send a description in every second packet of 8 x 8 LEDs."""
+"""Turns per file description in small blocks (section 8.1). Descriptions take an eighth of the light, and three layers
+send a description in every second packet at 8 x 8 LEDs."""
 
 NOTICE_TURN = {"high": 0, "middle": 4, "low": 4}
-"""Turn of the description. Chosen: layers with the same file send the description at different times."""
+"""Description turn by layer: layers with the same file send the description at different times."""
 
 MOST_UNKNOWN = 1024
-"""Maximum number of stored symbols of files without a description; the oldest are dropped. Chosen: 256 packets of
-8 x 8 LEDs."""
+"""Maximum number of stored symbols with no file description, 256 packets at 8 x 8 LEDs; the oldest are dropped."""
 
 MOST_EXTRA = 64
-"""Most symbols beyond those of the file itself that are kept. Chosen: of RaptorQ 3 are too few once in 2^32 files."""
+"""Maximum number of stored symbols beyond the source count. With 3, RaptorQ decoding fails for one file in 2^32."""
 
 
 @dataclass(frozen=True, slots=True)
 class SentFile:
-    """A file to be sent.
+    """File to send.
 
     Attributes
     ----------
     name
-        What the receiver is to call it, at most 255 bytes of UTF-8; it is no path.
+        File name for the receiver, at most 255 bytes UTF-8; no path.
     data
-        Its content, which may be empty.
+        File content, possibly empty.
     code
-        Code that makes its symbols: "cauchy", which every receiver reads, or "raptorq".
+        Symbol code: "cauchy", which every receiver supports, or "raptorq".
     """
 
     name: str
@@ -62,25 +61,25 @@ class SentFile:
 
     @property
     def packed(self) -> bytes:
-        """Name and content as the symbols carry them."""
+        """Name and content as encoded in the symbols."""
         name = self.name.encode()
         return bytes([len(name)]) + name + self.data
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class FileKey:
-    """Key of a file: blocks with equal keys belong to the same file, from any array or layer.
+    """File key: blocks with equal keys belong to the same file, regardless of array and layer.
 
     Attributes
     ----------
     check
         CRC-32 of name and content.
     length
-        Bytes of name and content.
+        Length of name and content in bytes.
     size
-        Bytes of a symbol.
+        Symbol size in bytes.
     code
-        Number of the code.
+        Code number.
     """
 
     check: int
@@ -90,7 +89,7 @@ class FileKey:
 
     @property
     def count(self) -> int:
-        """Symbols that the file has itself."""
+        """Number of source symbols."""
         return -(-self.length // self.size)
 
     def __str__(self) -> str:
@@ -99,14 +98,14 @@ class FileKey:
 
 @dataclass(frozen=True, slots=True)
 class WholeFile:
-    """A complete received file.
+    """Complete received file.
 
     Attributes
     ----------
     name
         Transmitted name: any text, not a safe path.
     data
-        Content; the CRC-32 of name and content is right.
+        Content; the CRC-32 of name and content is correct.
     """
 
     name: str
@@ -115,18 +114,18 @@ class WholeFile:
 
 @dataclass(frozen=True, slots=True)
 class FileProgress:
-    """Progress of a file.
+    """File progress.
 
     Attributes
     ----------
     key
-        Key of the file.
+        File key.
     had
-        Number of different symbols received.
+        Number of different received symbols.
     whole
         Complete file, or None.
     reason
-        Reason for a file that is incomplete in spite of sufficient symbols, in a line; else empty.
+        Single-line reason if sufficient symbols gave no file, otherwise empty.
     """
 
     key: FileKey
@@ -136,27 +135,27 @@ class FileProgress:
 
 
 class FileCarousel:
-    """Endless sequence of symbols of a layer's files, file after file in turn.
+    """Endless sequence of file symbols for a layer, alternating between files.
 
     Parameters
     ----------
     identity
-        Number of the array, 0 to 29.
+        Array number, 0 to 29.
     layer
         "high", "middle" or "low".
     files
-        Files to send, a non-empty sequence.
+        Files to send, not empty.
     bits
-        Information bits of each block size of the layer. A single small size gives small blocks (section 7.2).
+        Information bits for each block size in the layer. A single small size selects small blocks (section 7.2).
     first
-        Number of the layer's first symbol, so that layers with the same file send different symbols.
+        Number of the first symbol, so that layers with the same file send different symbols.
 
     Raises
     ------
     ValueError
         A name is too long, a file has too many symbols, or a block is too small for a symbol.
     HeliographError
-        A code's package is not installed.
+        The package for a code is not installed.
     """
 
     def __init__(self, identity: int, layer: str, files: Sequence[SentFile], bits: Collection[int], first: int = 0):
@@ -169,15 +168,7 @@ class FileCarousel:
         ]
 
     def block(self, number: int, k: int) -> AnyFileBlock:
-        """Return a block of the transmission.
-
-        Parameters
-        ----------
-        number
-            Number of the block among the layer's blocks of files, from 0 at the start of the transmission.
-        k
-            Information bits of this block.
-        """
+        """Return file block `number` in the layer, counted from 0, with `k` information bits."""
         turn, place = divmod(number, len(self._files))
         key, encoder, small = self._files[place]
         (layer, identity), numbers = self._who, _numbers_of(key, encoder)
@@ -193,7 +184,7 @@ class FileCarousel:
 
 
 def _key(file: SentFile, room: int) -> FileKey:
-    """Which file it is; a ValueError where it cannot be sent in blocks that have so much room."""
+    """Return the key of a file; raise a ValueError if blocks with `room` bytes cannot carry the file."""
     code, named = CODES[file.code], len(file.name.encode())
     if named > LONGEST_NAME:
         raise ValueError(f"a file's name has at most {LONGEST_NAME} bytes, not {named}")
@@ -207,22 +198,21 @@ def _key(file: SentFile, room: int) -> FileKey:
 
 @lru_cache(maxsize=4)
 def _encoder(file: SentFile, size: int) -> Encoder:
-    # several layers, and whoever counts errors, send the same file
+    # several layers, and error counters, encode the same file
     return CODES[file.code].encoder(file.packed, size)
 
 
 def _numbers_of(key: FileKey, encoder: Encoder) -> int:
-    """Symbols that are sent before they come again."""
+    """Return the number of different symbols before repetition."""
     return getattr(encoder, "numbers", BY_NUMBER[key.code].numbers)
 
 
 @dataclass(slots=True)
 class FileGatherer:
-    """Put files together from symbols in any order, of any arrays, layers and passages.
+    """Reconstruct files from symbols in any order, from any array, layer and passage.
 
-    Memory is bounded by `MOST_OPEN` incomplete files, each with about as many symbols as the file has, and by
-    `MOST_UNKNOWN` symbols of files without a description. A file whose CRC-32 is wrong at the end had a false symbol;
-    the gatherer then drops all symbols of the file.
+    `MOST_OPEN` and `MOST_EXTRA` bound the memory for incomplete files, and `MOST_UNKNOWN` for symbols with no file
+    description. A wrong CRC-32 after decoding means a wrong symbol: the gatherer then drops all symbols of the file.
     """
 
     _open: OrderedDict[FileKey, dict[int, bytes]] = field(default_factory=OrderedDict)
@@ -231,12 +221,12 @@ class FileGatherer:
     _unknown: deque[SymbolBlock] = field(default_factory=partial(deque, maxlen=MOST_UNKNOWN))
 
     def add(self, block: AnyFileBlock) -> FileProgress | None:
-        """Take a block; return what is there of its file, or None where it brought nothing new.
+        """Add a block; return the file progress, or None if the block adds no symbol.
 
         Parameters
         ----------
         block
-            A block whose CRC was right.
+            Block with a correct CRC.
         """
         if isinstance(block, FileNotice):
             return self._named(block)
@@ -250,7 +240,7 @@ class FileGatherer:
         return self.take(key, dict(block.symbols()))
 
     def _named(self, notice: FileNotice) -> FileProgress | None:
-        """Take what a file is, and its symbols that came before it was known."""
+        """Store a file description, and add earlier symbols with the same tag."""
         who = notice.identity, notice.tag
         self._told[who] = notice
         self._told.move_to_end(who)
@@ -270,14 +260,14 @@ class FileGatherer:
         return self.take(key, {block.number: block.payload})
 
     def take(self, key: FileKey, symbols: Mapping[int, bytes]) -> FileProgress | None:
-        """Take symbols of a file; return what is there of it, or None where they brought nothing new.
+        """Add symbols of a file; return the file progress, or None if no symbol is new.
 
         Parameters
         ----------
         key
-            Which file they are of.
+            File key.
         symbols
-            Symbols by number, each of `key.size` bytes.
+            Symbols by number, each with `key.size` bytes.
         """
         code = BY_NUMBER.get(key.code)
         if code is None or not code.fits(key.length, key.size) or key in self._known:
@@ -293,22 +283,16 @@ class FileGatherer:
         return self._whole(key, had) if len(had) >= key.count else FileProgress(key, len(had))
 
     def unfinished(self) -> Iterator[FileProgress]:
-        """Yield what is there of each file that lacks symbols."""
+        """Yield the progress of each incomplete file."""
         for key, symbols in self._open.items():
             yield FileProgress(key, len(symbols))
 
     def symbols_of(self, key: FileKey) -> Mapping[int, bytes]:
-        """Return the received symbols of an incomplete file by number; for another file an empty mapping.
-
-        Parameters
-        ----------
-        key
-            Which file it is.
-        """
+        """Return the received symbols of an incomplete file by number; an empty mapping for other files."""
         return self._open.get(key, {})
 
     def _whole(self, key: FileKey, symbols: Mapping[int, bytes]) -> FileProgress:
-        """The file of enough symbols; what was false is forgotten."""
+        """Decode a file from sufficient symbols; drop all symbols if the CRC-32 is wrong."""
         had = len(symbols)
         try:
             packed = BY_NUMBER[key.code].decode(symbols, key.length, key.size)

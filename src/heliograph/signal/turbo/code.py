@@ -1,4 +1,4 @@
-"""The turbo code of a block size and rate, and the plan of the codewords of a layer (section 9.1)."""
+"""Turbo code for a block size and rate, and codeword plan for a layer (section 9.1)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,31 +14,31 @@ from heliograph.signal.turbo.qpp import QPP_SIZES, coefficients, interleaver
 from heliograph.signal.turbo.rate_match import STREAMS, selection
 
 HIGHEST_RATE = (9, 10)
-"""Largest rate as a fraction (section 9.1), at which noiseless blocks of every size decode."""
+"""Maximum rate as a fraction (section 9.1), at which noiseless blocks decode at every size."""
 
 _SIZE_SLACK = 32
-"""Information bits by which r E may exceed the largest interleaver (section 9.1): half the step between the largest
-sizes, so that K is no further from r E than rounding to a size takes it. At 0, 4 of 4320 layers tried (8 to 32 LEDs a
-side, 20 to 199 data pairs, eight rates) need more and shorter codewords; a larger slack may lower the rate further."""
+"""Excess of r E over the largest interleaver in information bits (section 9.1): half the step between the largest
+sizes, so that the distance from K to r E stays within rounding. At 0, 4 out of 4320 layers (8 to 32 LEDs per side, 20
+to 199 data pairs, eight rates) need more and shorter codewords; a larger slack may lower the rate further."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TurboCode:
-    """Turbo code of 3GPP TS 36.212 (sections 5.1.3.2 and 5.1.4.1) for a block size and rate.
+    """Turbo code from 3GPP TS 36.212 (sections 5.1.3.2 and 5.1.4.1) for a block size and rate.
 
     Attributes
     ----------
     k : int
-        Information bits per block, one of `QPP_SIZES`.
+        Information bits per block, an element of `QPP_SIZES`.
     coded_bits : int, optional
-        Bits sent a block, E, at least 10 k / 9: rate matching punctures or repeats mother bits to send exactly E, of
-        redundancy version 0. None for no rate matching: the 3 k + 12 bits of the mother code in the order
+        Sent bits per block, E, at least 10 k / 9: rate matching punctures or repeats mother bits to send exactly E bits
+        (redundancy version 0). None disables rate matching: the 3 k + 12 mother bits follow in the order
         d0_0 d1_0 d2_0 d0_1 ...
 
     Raises
     ------
     SettingsError
-        `k` is no interleaver size, or the rate is above 9/10.
+        `k` is not an interleaver size, or the rate is above 9/10.
 
     Examples
     --------
@@ -65,26 +65,26 @@ class TurboCode:
 
     @property
     def length(self) -> int:
-        """Bits sent a block, E: `coded_bits`, or 3 k + 12 without rate matching."""
+        """Sent bits per block, E: `coded_bits`, or 3 k + 12 with no rate matching."""
         return STREAMS * self.k + TERMINATION if self.coded_bits is None else self.coded_bits
 
     @property
     def rate(self) -> float:
-        """Information bits per sent bit, k / E; the tail counts."""
+        """Information bits per sent bit, k / E, including the tail."""
         return self.k / self.length
 
     @property
     def positions(self) -> NDArray[np.int64]:
-        """Position in the mother codeword of each sent bit, shape (E,), 0 to 3 k + 11."""
+        """Position in the mother codeword for each sent bit, shape (E,), 0 to 3 k + 11."""
         if self.coded_bits is None:
             return np.arange(self.length)
         return selection(self.k + TERMINATION // STREAMS, self.coded_bits)
 
     @property
     def distinguishing(self) -> NDArray[np.bool_]:
-        """Coded bits of the second encoder, shape (E,), which encodes the interleaved information bits.
+        """Mask for coded bits from the second encoder, shape (E,), which encodes the interleaved information bits.
 
-        Blocks resemble each other, as texts and filling do, and so do the bits of the first encoder.
+        Blocks with similar text or padding have similar bits from the first encoder.
         """
         return np.asarray(self.positions % STREAMS == STREAMS - 1)
 
@@ -104,7 +104,7 @@ class TurboCode:
         Raises
         ------
         ValueError
-            The last axis is not k long, or a value is neither 0 nor 1.
+            The last axis does not have length k, or a value is neither 0 nor 1.
         """
         array = np.asarray(bits)
         self._check_shape("bits", array, self.k)
@@ -129,31 +129,31 @@ class TurboCode:
         Parameters
         ----------
         llr : array_like of float, shape (..., E)
-            LLR = ln P(b=0)/P(b=1) of each received bit; larger magnitudes than 1e4, also infinity, count as 1e4.
+            LLR = ln P(b=0)/P(b=1) for each received bit. Magnitudes above 1e4, including infinity, are clipped to 1e4.
         algorithm : {"max-log", "log-map"}
-            See `DecoderOptions`, as for the next three.
+            See `DecoderOptions`.
         iterations : int
             Maximum number of full iterations, at least 1.
         scale : float, optional
-            Factor on extrinsic LLRs, above 0 and at most 1; None for the default of the algorithm.
+            Factor on extrinsic LLRs, above 0 and at most 1; None for the algorithm default.
         stop : {"none", "agreement", "crc"}, optional
-            When a block stops early; by default "crc" with `check`, else "agreement".
+            Stopping rule; by default "crc" with `check`, otherwise "agreement".
         check : callable, optional
-            For ``stop="crc"``: takes decisions, uint8 (n, k), returns bool (n,), True if a block is right.
+            Check for ``stop="crc"``: maps decisions, uint8 (n, k), to bool (n,), True for each correct block.
         coded_output : bool
             True to compute `coded_llr` and `coded_extrinsic`, which costs an iteration.
 
         Returns
         -------
         TurboResult
-            Arrays of leading shape (...). The result of a block does not depend on the others in the call.
+            Arrays with leading shape (...). Blocks are decoded independently.
 
         Raises
         ------
         ValueError
-            A shape is wrong, an LLR is NaN, or `check` returns something else.
+            A shape is wrong, an LLR is NaN, or the return value of `check` is invalid.
         SettingsError
-            An option is unknown or out of range, or `check` and `stop` do not go together.
+            An option is unknown or out of range, or `check` and `stop` are incompatible.
         """
         stop = stop or ("agreement" if check is None else "crc")
         options = DecoderOptions(algorithm=algorithm, iterations=iterations, scale=scale, stop=stop)
@@ -184,20 +184,7 @@ class TurboCode:
 
 
 def turbo_plan(bits: int, rate: float) -> CodePlan:
-    """Plan a layer by section 9.1: the fewest codewords, equal in size, that keep K within the interleavers.
-
-    Parameters
-    ----------
-    bits
-        Coded bits of the layer, 1 or more.
-    rate
-        Information bits by coded bit, above 0 and at most 9/10.
-
-    Raises
-    ------
-    ValueError
-        The bits are too few for the smallest interleaver.
-    """
+    """Plan the fewest equal codewords with an interleaver size K near rate * E (section 9.1)."""
     most, of = HIGHEST_RATE
     for split in range(1, bits + 1):
         e = bits // split

@@ -1,4 +1,4 @@
-"""Iterative decoding of blocks: options, result, and the loop that stops each block."""
+"""Iterative block decoding: options, result, and decoding loop with early stopping."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,34 +11,33 @@ from heliograph.signal.code import Algorithm, Check
 from heliograph.signal.turbo.encoder import TERMINATION
 
 Stop = Literal["none", "agreement", "crc"]
-"""When a block stops before the last iteration."""
+"""Stopping rule for a block."""
 
 LLR_LIMIT = 1e4
-"""Magnitude to which input LLRs are clipped: far above that of any channel, and float32 resolves 0.001 at it."""
+"""Clipping magnitude for input LLRs: far above any channel LLR, with a float32 resolution of 0.001."""
 
 _DEFAULT_SCALE: dict[str, float] = {"max-log": 0.7, "log-map": 1.0}
-"""Default factor on extrinsic LLRs. Log-MAP needs none. For max-log, which overrates them, 0.7 left 3384 of 20,480
-blocks of K = 1024 at 0.5 dB in error, the usual 0.75 left 3500 (docs/decisions.md)."""
+"""Default factor on extrinsic LLRs. Log-MAP needs none. Max-log overestimates extrinsic LLRs: at K = 1024 and 0.5 dB,
+3384 out of 20,480 blocks failed with 0.7, and 3500 with the usual 0.75 (docs/decisions.md)."""
 
 _STOPS = ("none", "agreement", "crc")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DecoderOptions:
-    """Settings of the iterative decoder.
+    """Settings for the iterative decoder.
 
     Attributes
     ----------
     algorithm : {"max-log", "log-map"}
-        "log-map" gives the a-posteriori LLRs of each constituent code, with ln(1 + exp(-x)) exact to 0.032;
-        "max-log" takes the maximum in place of each sum.
+        "log-map" computes a-posteriori LLRs for each constituent code, with ln(1 + exp(-x)) exact to 0.032; "max-log"
+        replaces each sum by the maximum.
     iterations : int
-        Maximum number of full iterations (of both constituent decoders), at least 1.
+        Maximum number of full iterations (both constituent decoders), at least 1.
     scale : float, optional
-        Factor on the extrinsic LLRs passed on, above 0 and at most 1; None for 0.7 with max-log, 1 with log-map.
+        Factor on the extrinsic LLRs between decoders, above 0 and at most 1; None for 0.7 with max-log, 1 with log-map.
     stop : {"none", "agreement", "crc"}
-        When a block stops early: never; when both half iterations decide all bits alike; when the check of the caller
-        accepts the decisions.
+        Stopping rule: never; when both half iterations agree on all bits; or when the check accepts the decisions.
 
     Raises
     ------
@@ -63,30 +62,30 @@ class DecoderOptions:
 
     @property
     def factor(self) -> float:
-        """Factor on the extrinsic LLRs: `scale`, or the default of the algorithm."""
+        """Factor on the extrinsic LLRs: `scale`, or the algorithm default."""
         return _DEFAULT_SCALE[self.algorithm] if self.scale is None else self.scale
 
 
 @dataclass(frozen=True, kw_only=True)
 class TurboResult:
-    """Decisions and LLRs of decoded blocks. LLR = ln P(b=0)/P(b=1).
+    """Decisions and LLRs for decoded blocks. LLR = ln P(b=0)/P(b=1).
 
     Attributes
     ----------
     bits : ndarray of uint8, shape (..., K)
         Decisions on the information bits, 0 or 1.
     llr : ndarray of float32, shape (..., K)
-        A-posteriori LLRs of the information bits.
+        A-posteriori LLRs for the information bits.
     extrinsic : ndarray of float32, shape (..., K)
-        Contribution of the code: `llr` less the LLRs of the channel for the same bits.
+        Code contribution: `llr` minus the channel LLRs for the same bits.
     iterations : ndarray of int32, shape (...)
-        Full iterations that each block took, at least 1.
+        Full iterations per block, at least 1.
     stopped : ndarray of bool, shape (...)
-        True if the stopping rule was met; False everywhere for ``stop="none"``.
+        True if the block met the stopping rule; False everywhere for ``stop="none"``.
     coded_llr : ndarray of float32, shape (..., E), or None
-        A-posteriori LLRs of the coded bits; None unless requested.
+        A-posteriori LLRs for the coded bits; None unless requested.
     coded_extrinsic : ndarray of float32, shape (..., E), or None
-        `coded_llr` less the input LLRs: a-priori LLRs for an equaliser; None unless requested.
+        `coded_llr` minus the input LLRs: a-priori LLRs for an equaliser; None unless requested.
     """
 
     bits: NDArray[np.uint8]
@@ -107,29 +106,11 @@ def decode_blocks(
     check: Check | None = None,
     coded_output: bool = False,
 ) -> TurboResult:
-    """Decode blocks with the Numba kernel; the caller has checked the shapes.
+    """Decode LLRs (B, E) with the Numba kernel; the caller checks the shapes.
 
-    Parameters
-    ----------
-    llr : ndarray of float32, shape (B, E)
-        Received LLRs, at most `LLR_LIMIT` in magnitude.
-    positions : ndarray of int64, shape (E,)
-        Position of each received bit in the mother codeword; all 3 K + 12 differ before any repeats.
-    order : ndarray of int64, shape (K,)
-        Interleaver, ``x_itl = x_nat[order]``.
-    options : DecoderOptions
-        Algorithm, iterations, scale, stopping rule.
-    check : callable, optional
-        The check of ``stop="crc"``.
-    coded_output : bool
-        True to compute the LLRs of the coded bits too.
-
-    Returns
-    -------
-    TurboResult
-        Arrays of leading shape (B,). The result of a block does not depend on the other blocks.
+    `positions` maps received bits to mother bits and covers all 3 K + 12 before repeating; ``x_itl = x_nat[order]``.
     """
-    # imported at the first decoding: Numba takes half a second
+    # deferred, as importing Numba takes half a second
     from heliograph.signal.turbo import kernel
 
     blocks, k = len(llr), len(order)
@@ -166,7 +147,7 @@ def decode_blocks(
 
 
 def _accumulate(llr: NDArray[np.float32], positions: NDArray[np.int64], length: int) -> NDArray[np.float32]:
-    """Add received LLRs at the positions in the mother codeword: punctured bits keep 0, repeated bits add up."""
+    """Add received LLRs at the mother codeword positions: punctured bits stay 0, repeated bits add up."""
     mother = np.zeros((len(llr), length), np.float32)
     for start in range(0, len(positions), length):
         mother[:, positions[start : start + length]] += llr[:, start : start + length]
@@ -174,7 +155,7 @@ def _accumulate(llr: NDArray[np.float32], positions: NDArray[np.int64], length: 
 
 
 def _call_check(check: Check, decisions: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return the verdicts of the caller after a check that each block has a bool."""
+    """Call the check; raise a ValueError unless the result is a bool per block."""
     verdict = np.asarray(check(decisions))
     if verdict.shape != (len(decisions),) or verdict.dtype != np.bool_:
         raise ValueError(

@@ -1,11 +1,11 @@
-"""Max-log and log-MAP decoding of the constituent codes in machine code, block by block.
+"""Numba kernel for max-log and log-MAP decoding of the constituent codes, block by block.
 
-The eight metrics of a step are a tuple, which stays in registers during the recursions. The LLRs of all steps follow
-afterwards: they do not depend on each other, so LLVM computes several of them in a vector.
+A tuple with eight metrics per step stays in registers during the recursions. The LLRs for all steps follow in a second
+loop with independent iterations, which LLVM vectorises.
 
-``u`` is the information bit of a step and ``z`` the parity bit; ``lu`` and ``lp`` are the LLRs of both. ``exact`` is
-True for log-MAP and None for max-log: Numba compiles a version for each and drops the unused branch. Arrays are
-float32. `tests/oracles/turbo.py` holds the same written for reading.
+``u`` is the information bit in a step and ``z`` the parity bit, with the LLRs ``lu`` and ``lp``. ``exact`` is True for
+log-MAP and None for max-log: Numba compiles a version for each and drops the unused branch. Arrays are float32.
+`tests/oracles/turbo.py` contains a readable reference implementation.
 """
 
 from typing import Any
@@ -17,40 +17,40 @@ from heliograph.base.compiled import compiled
 from heliograph.signal.turbo.encoder import STATES, TAIL, TAIL_BITS
 
 NORMALISE_EVERY = 8
-"""Steps of the trellis between two subtractions of the largest metric, which keep the metrics small in float32. The
-largest error of a max-log LLR (64 blocks of K = 1024 at 1 dB, 8 iterations) is 5e-5 with 8 steps, 3e-5 with 4, 1e-4
-with 16, and 5e-3 if the metrics are never subtracted."""
+"""Trellis steps between normalisations, which keep the metrics small in float32. For 64 blocks (K = 1024, 1 dB, 8
+iterations), the largest error of a max-log LLR is 5e-5 with 8 steps, 3e-5 with 4, 1e-4 with 16, and 5e-3 with no
+normalisation."""
 
 IMPOSSIBLE = np.float32(-1e30)
-"""Metric of an impossible state: below any sum of LLRs, and finite, so that no difference is NaN."""
+"""Metric for an impossible state: below any sum of LLRs, and finite, so that no difference is NaN."""
 
 # ln(1 + exp(-x)) = max(0, q(x))^2 within 0.032, q = _Q0 - _Q1 x fitted by minimax
 _Q0, _Q1 = np.float32(0.81323412), np.float32(0.22587585)
 """Coefficients of q."""
 
 _ALPHA, _BETA = np.int64(0), np.int64(STATES)
-"""First of eight rows of working memory: forward metrics before, backward metrics after each step. Numba would compile
-a function for each plain number."""
+"""First of eight working memory rows: forward metrics before each step, backward metrics after each step. The type is
+int64 because Numba would compile a version for each integer literal."""
 
 _INFO, _PARITY, _EXTRINSIC = 2 * STATES, 2 * STATES + 1, 2 * STATES + 2
-"""Rows of L_u, L_z and the extrinsic LLR of each step, in the order of the trellis."""
+"""Working memory rows for L_u, L_z and the extrinsic LLR in each step, in trellis order."""
 
 _PADDING = 16
-"""Values between two rows: a cache line, so that rows of K = 1024 do not share the same places of the cache."""
+"""Padding between rows, a cache line, so that rows with K = 1024 map to different cache sets."""
 
-# "contract" and "nsz" keep the order of additions
+# "contract" and "nsz" preserve the addition order
 _compile = compiled(fastmath={"contract", "nsz"})
 _inlined = compiled(fastmath={"contract", "nsz"}, forceinline=True)
 
 
 def allocate(k: int) -> NDArray[np.float32]:
-    """Return the working memory for blocks of K bits."""
+    """Allocate working memory for blocks with K bits."""
     return np.empty((2 * STATES + 3, k + _PADDING), dtype=np.float32)
 
 
 @_inlined
 def add(a: Any, b: Any, exact: Any) -> Any:
-    """Add the metrics of two paths that meet: ln(exp a + exp b), or for max-log the larger."""
+    """Combine the metrics of two merging paths: ln(exp a + exp b), or the maximum for max-log."""
     larger = a if a > b else b
     if exact is None:
         return larger
@@ -67,7 +67,7 @@ def _add4(a: Any, b: Any, c: Any, d: Any, exact: Any) -> Any:
 
 @_inlined
 def _normalise(metrics: Any) -> Any:
-    """Subtract the largest of the eight metrics, as only differences matter."""
+    """Subtract the largest of eight metrics, as only differences matter."""
     m0, m1, m2, m3, m4, m5, m6, m7 = metrics
     top = add(_add4(m0, m1, m2, m3, None), _add4(m4, m5, m6, m7, None), None)
     return m0 - top, m1 - top, m2 - top, m3 - top, m4 - top, m5 - top, m6 - top, m7 - top
@@ -109,7 +109,7 @@ def _step_backward(beta: Any, lu: Any, lp: Any, exact: Any) -> Any:
 
 @_inlined
 def _sum_branches(alpha: Any, beta: Any, exact: Any) -> Any:
-    """Return ln sum of exp(alpha(s) + beta'(s')) over the branches of each pair of bits: u z = 00, 01, 10, 11."""
+    """Return ln sum exp(alpha(s) + beta'(s')) over the branches for each bit pair u z = 00, 01, 10, 11."""
     a0, a1, a2, a3, a4, a5, a6, a7 = alpha
     b0, b1, b2, b3, b4, b5, b6, b7 = beta
     return (
@@ -122,7 +122,7 @@ def _sum_branches(alpha: Any, beta: Any, exact: Any) -> Any:
 
 @_inlined
 def _rows(work: Any, i: int) -> Any:
-    """Return eight rows of working memory."""
+    """Return eight working memory rows."""
     return work[i], work[i + 1], work[i + 2], work[i + 3], work[i + 4], work[i + 5], work[i + 6], work[i + 7]
 
 
@@ -140,7 +140,7 @@ def _write(rows: Any, k: int, metrics: Any) -> None:
 
 @_compile
 def _fill_inputs(mother: Any, passed: Any, work: Any, order: Any, code: int) -> None:
-    """Put the LLRs of a constituent code in the order of the trellis."""
+    """Copy the LLRs for a constituent code to the working memory in trellis order."""
     info, parity = work[_INFO], work[_PARITY]
     for k in range(order.size):
         info[k] = mother[3 * order[k]] + passed[order[k]]
@@ -175,7 +175,7 @@ def _backward(work: Any, size: int, end: Any, exact: Any) -> None:
 
 @_compile
 def _end_metrics(tail: Any) -> Any:
-    """Compute the metrics of the final states: each has a single path to state 0, so LLRs of tail bits add up."""
+    """Return the final state metrics: each state has a single path to state 0, so tail LLRs add up."""
     beta = np.zeros(STATES, dtype=np.float32)
     for j in range(TAIL_BITS):
         for s in range(STATES):
@@ -188,14 +188,14 @@ def _end_metrics(tail: Any) -> Any:
 def _fill_extrinsic(work: Any, size: int, exact: Any) -> None:
     alpha, beta, parity, out = _rows(work, _ALPHA), _rows(work, _BETA), work[_PARITY], work[_EXTRINSIC]
     for k in range(size):
-        # L_e(u) = ln sum over u = 0 less the same over u = 1
+        # L_e(u) = ln sum over u = 0 - ln sum over u = 1
         u0z0, u0z1, u1z0, u1z1 = _sum_branches(_read(alpha, k), _read(beta, k), exact)
         out[k] = add(u0z0 + parity[k], u0z1, exact) - add(u1z0 + parity[k], u1z1, exact)
 
 
 @_compile
 def _store(work: Any, passed: Any, app: Any, order: Any, scale: Any) -> None:
-    """Write the a-posteriori and scaled extrinsic LLRs in the natural order."""
+    """Write the a-posteriori and scaled extrinsic LLRs in natural order."""
     info, extrinsic = work[_INFO], work[_EXTRINSIC]
     for k in range(order.size):
         app[order[k]] = info[k] + extrinsic[k]
@@ -204,7 +204,7 @@ def _store(work: Any, passed: Any, app: Any, order: Any, scale: Any) -> None:
 
 @_compile
 def _siso(mother: Any, passed: Any, work: Any, app: Any, order: Any, code: int, scale: Any, exact: Any) -> Any:
-    """Run a constituent decoder on a block; return the metrics of the final states, forward and backward."""
+    """Run a constituent decoder on a block; return forward and backward metrics for the final states."""
     size = order.size
     first_tail = 3 * size + code * TAIL_BITS
     end = _end_metrics(mother[first_tail : first_tail + TAIL_BITS])
@@ -220,28 +220,11 @@ def _siso(mother: Any, passed: Any, work: Any, app: Any, order: Any, code: int, 
 def iterate(
     mother: Any, passed: Any, work: Any, app: Any, blocks: Any, orders: Any, iterations: int, scale: Any, exact: Any
 ) -> None:
-    """Run full iterations on some blocks.
+    """Run full iterations on the given block numbers.
 
-    Parameters
-    ----------
-    mother
-        (B, 3 K + 12) input LLRs.
-    passed
-        (B, K) scaled extrinsic LLRs of the second decoder, natural order; changed.
-    work
-        Working memory, as `allocate` returns it.
-    app
-        (2, B, K) written: a-posteriori LLRs after each half iteration, natural order.
-    blocks
-        (n,) int64 numbers of the blocks.
-    orders
-        (2, K) int64 identity and interleaver, ``x_itl = x_nat[orders[1]]``.
-    iterations
-        Full iterations to run, at least 1.
-    scale
-        Factor on extrinsic LLRs, above 0 and at most 1.
-    exact
-        True for log-MAP, None for max-log.
+    Inputs are LLRs `mother` (B, 3 K + 12), and `orders` (2, K): identity and interleaver, ``x_itl = x_nat[orders[1]]``.
+    Modified in natural order: `passed` (B, K), scaled extrinsic LLRs from the second decoder, and `app` (2, B, K),
+    a-posteriori LLRs after each half iteration. `exact` is True for log-MAP, None for max-log.
     """
     for b in blocks:
         for _ in range(iterations):
@@ -254,7 +237,7 @@ def _fill_parity_posterior(work: Any, out: Any, code: int, size: int, exact: Any
     alpha, beta, info, parity = _rows(work, _ALPHA), _rows(work, _BETA), work[_INFO], work[_PARITY]
     posterior = work[_EXTRINSIC]
     for k in range(size):
-        # L(z) = L_z + ln sum over z = 0 less the same over z = 1
+        # L(z) = L_z + ln sum over z = 0 - ln sum over z = 1
         u0z0, u0z1, u1z0, u1z1 = _sum_branches(_read(alpha, k), _read(beta, k), exact)
         posterior[k] = parity[k] + add(u0z0 + info[k], u1z0, exact) - add(u0z1 + info[k], u1z1, exact)
     for k in range(size):
@@ -278,16 +261,9 @@ def _fill_tail_posterior(final: Any, end: Any, out: Any, exact: Any) -> None:
 def mother_posterior(
     mother: Any, passed: Any, work: Any, app: Any, orders: Any, scale: Any, exact: Any, out: Any
 ) -> None:
-    """Compute a-posteriori LLRs of all mother codewords by another pass of both constituent decoders.
+    """Compute a-posteriori LLRs for all mother codewords, `out` (B, 3 K + 12), by another pass through both decoders.
 
-    Parameters
-    ----------
-    mother, passed, work, orders, scale, exact
-        As for `iterate`.
-    app
-        (B, K) a-posteriori LLRs of the information bits, which are copied to `out`.
-    out
-        (B, 3 K + 12) written: a-posteriori LLRs of each mother codeword.
+    `app` (B, K) contains the a-posteriori LLRs for the information bits; other arguments as in `iterate`.
     """
     size = orders.shape[1]
     unused = np.empty(size, dtype=np.float32)

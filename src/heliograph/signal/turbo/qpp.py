@@ -1,4 +1,4 @@
-"""The quadratic permutation polynomial (QPP) interleaver: 188 block sizes and the permutation of each.
+"""Quadratic permutation polynomial (QPP) interleaver with 188 block sizes.
 
 Source: 3GPP TS 36.212, section 5.1.3.2.3, table 5.1.3-3.
 """
@@ -15,9 +15,9 @@ from heliograph.base.errors import SettingsError
 QPP_SIZES: tuple[int, ...] = tuple(
     chain(range(40, 512, 8), range(512, 1024, 16), range(1024, 2048, 32), range(2048, 6145, 64))
 )
-"""The 188 block sizes K of the interleaver in information bits, rising (TS 36.212, table 5.1.3-3)."""
+"""Interleaver block sizes K in information bits, in increasing order (TS 36.212, table 5.1.3-3)."""
 
-# f1 and f2 of table 5.1.3-3, in the order of QPP_SIZES; as text because 376 lines of numbers would hide the code.
+# f1 and f2 from table 5.1.3-3, in the order of QPP_SIZES; as text to save 376 lines
 _F1 = """
     3 7 19 7 7 11 5 11 7 41 103 15 9 17 9 21 101 21 57 23 13 27 11 27 85 29 33 15 17 33 103 19 19 37 19 21 21
     115 193 21 133 81 45 23 243 151 155 25 51 47 91 29 29 247 29 89 91 157 55 31 17 35 227 65 19 37 41 39 185 43
@@ -37,7 +37,7 @@ _F2 = """
 """
 
 CACHED = 32
-"""Cached permutations, of 49 kB at most: three layers of ten formats need 30."""
+"""Number of cached permutations, at most 49 kB each: three layers and ten formats need 30."""
 
 _COEFFICIENTS = dict(
     zip(QPP_SIZES, zip(map(int, _F1.split()), map(int, _F2.split()), strict=True), strict=True),
@@ -45,18 +45,7 @@ _COEFFICIENTS = dict(
 
 
 def coefficients(k: int) -> tuple[int, int]:
-    """Return the coefficients f1 and f2 of a block size (TS 36.212, table 5.1.3-3).
-
-    Parameters
-    ----------
-    k : int
-        Block size in information bits, one of `QPP_SIZES`.
-
-    Raises
-    ------
-    SettingsError
-        `k` is not one of `QPP_SIZES`; the message names the sizes on either side.
-    """
+    """Return f1 and f2 for a block size (TS 36.212, table 5.1.3-3); raise a SettingsError for other sizes."""
     if k not in _COEFFICIENTS:
         place = bisect_left(QPP_SIZES, k)
         near = " or ".join(str(size) for size in QPP_SIZES[max(place - 1, 0) : place + 1])
@@ -68,22 +57,9 @@ def coefficients(k: int) -> tuple[int, int]:
 
 @lru_cache(maxsize=CACHED)
 def interleaver(k: int) -> NDArray[np.int64]:
-    """Return the permutation of the turbo code's internal interleaver (TS 36.212, 5.1.3.2.3).
+    """Return the permutation for the internal interleaver, (k,) int64, read-only (TS 36.212, 5.1.3.2.3).
 
-    Parameters
-    ----------
-    k : int
-        Block size, one of `QPP_SIZES`.
-
-    Returns
-    -------
-    ndarray of int64, shape (k,)
-        `order`, read-only, with ``x_itl = x_nat[order]`` and ``x_nat[order] = x_itl``.
-
-    Raises
-    ------
-    SettingsError
-        `k` is not one of `QPP_SIZES`.
+    ``x_itl = x_nat[order]`` and ``x_nat[order] = x_itl``.
     """
     f1, f2 = coefficients(k)
     i = np.arange(k)

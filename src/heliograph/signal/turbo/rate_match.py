@@ -1,7 +1,7 @@
 """Rate matching: sub-block interleavers, circular buffer, bit selection.
 
-A list of positions, made once for each size and rate, does all of it: the encoder gathers sent bits by it, the decoder
-adds received LLRs by it. Source: 3GPP TS 36.212, section 5.1.4.1.
+A list of positions for each size and rate implements all steps: the encoder gathers sent bits, and the decoder adds
+received LLRs, at these positions. Source: 3GPP TS 36.212, section 5.1.4.1.
 """
 
 from functools import lru_cache
@@ -13,39 +13,23 @@ from heliograph.base.errors import SettingsError
 from heliograph.signal.turbo.qpp import CACHED
 
 COLUMNS = 32
-"""Columns of the sub-block interleaver (TS 36.212, 5.1.4.1.1)."""
+"""Columns in the sub-block interleaver (TS 36.212, 5.1.4.1.1)."""
 
 STREAMS = 3
-"""Streams d0, d1, d2 of the mother code of rate 1/3 (TS 36.212, 5.1.3.2.2)."""
+"""Streams d0, d1, d2 in the rate 1/3 mother code (TS 36.212, 5.1.3.2.2)."""
 
 _NULL = -1
-"""Stands for an empty place of the circular buffer."""
+"""Marker for an empty element in the circular buffer."""
 
 _COLUMN_ORDER = np.array([int(f"{column:05b}"[::-1], 2) for column in range(COLUMNS)])
-"""Table 5.1.4-1: column c of the output is column P(c) of the input, P(c) the five bits of c read backwards."""
+"""Table 5.1.4-1: output column c is input column P(c), where P reverses the five bits."""
 
 
 @lru_cache(maxsize=CACHED)
 def selection(stream_length: int, coded_bits: int) -> NDArray[np.int64]:
-    """Return the position in the mother codeword of each sent bit, of redundancy version 0 (TS 36.212, 5.1.4.1.2).
+    """Return the mother codeword position for each sent bit, (coded_bits,), read-only (TS 36.212, 5.1.4.1.2).
 
-    Parameters
-    ----------
-    stream_length : int
-        D, the length of each of the streams d0, d1, d2: K + 4 for a turbo code block.
-    coded_bits : int
-        E, the number of bits to send; above 3 D the buffer is read again from the start.
-
-    Returns
-    -------
-    ndarray of int64, shape (coded_bits,)
-        Read-only; ``3 t + j`` stands for bit t of stream j, so ``sent = mother[..., positions]`` with the
-        mother codeword in the order d0_0 d1_0 d2_0 d0_1 ...
-
-    Raises
-    ------
-    SettingsError
-        A length is below 1.
+    Position ``3 t + j`` is bit t in stream j, 0 <= t < D = `stream_length`. Above 3 D bits the buffer repeats.
     """
     if min(stream_length, coded_bits) < 1:
         raise SettingsError(f"lengths must be at least 1, not D = {stream_length} and E = {coded_bits}")
@@ -59,9 +43,9 @@ def selection(stream_length: int, coded_bits: int) -> NDArray[np.int64]:
 
 
 def _circular_buffer(stream_length: int) -> NDArray[np.int64]:
-    """Return positions in the order of the circular buffer w, NULL where the rectangle was padded (5.1.4.1.2)."""
+    """Return positions in the order of the circular buffer w, with NULL for padding (5.1.4.1.2)."""
     size = -(-stream_length // COLUMNS) * COLUMNS
-    # <NULL> bits fill the front of the first row, then y_k = d_(k - ND)
+    # <NULL> bits pad the start of the first row, then y_k = d_(k - ND)
     padded = np.arange(size) - (size - stream_length)
     v0, v1, v2 = (
         _positions(padded[reading], stream)
@@ -76,11 +60,11 @@ def _positions(times: NDArray[np.int64], stream: int) -> NDArray[np.int64]:
 
 
 def _read_01(size: int) -> NDArray[np.int64]:
-    """Streams 0 and 1: written row by row, columns permuted, read column by column (5.1.4.1.1)."""
+    """Interleave streams 0 and 1: write row by row, permute columns, read column by column (5.1.4.1.1)."""
     return np.arange(size).reshape(-1, COLUMNS)[:, _COLUMN_ORDER].T.ravel()
 
 
 def _read_2(size: int) -> NDArray[np.int64]:
-    """Stream 2: the same reading, a bit later."""
+    """Interleave stream 2: as for streams 0 and 1, shifted by a bit."""
     # pi(k) = (P(floor(k / R)) + C (k mod R) + 1) mod Kpi
     return (_read_01(size) + 1) % size
