@@ -121,7 +121,9 @@ class FilmWriter:
     def _check(self, frame: Frame) -> None:
         """Refuse a frame of wrong size, type, levels or time."""
         if not isinstance(frame, Frame):
-            raise MediaError(f"a film takes heliograph.Frame, not {shown(frame)}")
+            raise MediaError(
+                f"a film takes heliograph.Frame, not {shown(frame)}; write Frame(index, time_s, pixels, bits)"
+            )
         pixels, spec, dtype = frame.pixels, self.spec, np.dtype(np.uint8 if self.spec.bits == 8 else np.uint16)
         if pixels.shape != (spec.height, spec.width):
             size = f"{pixels.shape[1]}x{pixels.shape[0]}"
