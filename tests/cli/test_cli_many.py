@@ -140,7 +140,12 @@ class Elsewhere(Workers):
         self.disk = disk
 
     def submit(self, job: Any, work: Any) -> Any:
-        return super().submit(job, replace(work, here=self.disk / work.here.relative_to("/")))
+        def moved(path: Path) -> Path:
+            return self.disk / path.relative_to("/")
+
+        results = replace(work.options.results, output=moved(work.options.results.output))
+        work = replace(work, path=moved(work.path), options=replace(work.options, results=results))
+        return super().submit(job, work)
 
 
 @pytest.mark.parametrize("film_is_there", [True, False])
@@ -159,7 +164,7 @@ def test_results_that_do_not_arrive_are_missed(
     if film_is_there:
         shutil.copy(film, there)
     monkeypatch.chdir(client)
-    monkeypatch.setattr("heliograph.sweeps.executors.open_workers", lambda *_: Elsewhere(disk))
+    monkeypatch.setattr("heliograph.cli.receive_many.open_workers", lambda *_: Elsewhere(disk))
     line = ("receive", "a.h5", "--receiver", "plain", "--output", "out", "--scheduler", "tcp://192.0.2.1:1")
     run = called(*line, capfd=capfd, monkeypatch=monkeypatch)
     row = rows(run)["a.h5"]

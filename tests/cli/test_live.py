@@ -218,7 +218,7 @@ def test_cameras_are_listed_and_what_is_missing_is_said(call: Call, monkeypatch:
     assert "camera:played:FILM" in says
     for kind, why in found["lacking"].items():
         assert f"camera:{kind}: {why}" in says
-        assert any(cure in why for cure in ("install", "plug one in", "no camera answers", "give its address")), why
+        assert any(cure in why for cure in ("install", "plug one in", "no camera answers", "give the address")), why
     assert "genicam" in found["lacking"]
 
 

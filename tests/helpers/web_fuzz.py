@@ -286,7 +286,7 @@ async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
             "films": await fuzz_films(app, films, random.Random(f"films {seed}")),
         }
         shared = app.state.shared
-        kept = {film.path for film in shared.uploads._films.values()} | set(shared.bundles._known.values())
+        kept = {film.path for film in shared.uploads._films.values()} | set(shared.bundles._paths.values())
         left = [path for path in shared.uploads.folder().iterdir() if path.is_file() and path not in kept]
         many = len(kept) > LIMITS.films + MAX_BUNDLES
         if left or many or shared.sessions.taken:

@@ -87,8 +87,9 @@ class FeatureCamera(ABC):
                     if self._has(switch):
                         self._write(switch, state)
                 self._write(self._name(key) or _NAMES[key][0], value)
-        if settings.trigger is not None:
-            with setting_errors("trigger", settings.trigger):
+        # a camera with a rate runs freely, also after a program that left a trigger
+        if settings.trigger is not None or settings.rate_hz is not None:
+            with setting_errors("trigger", settings.trigger or "off"):
                 self._write_trigger(settings)
         for key, text in settings.features.items():
             with setting_errors(key, text):
