@@ -72,7 +72,7 @@ def test_same_as_filterpy(observation: Observation) -> None:
         z, noise = rng.normal(size=5), random_covariance(rng)
         vector, covariance = fitted(state, z, noise, observation)
         # model error acts as additional measurement noise
-        other.update(z.reshape(-1, 1), R=noise + np.diag(observation[1]), H=observation[0])
+        other.update(z.reshape(-1, 1), R=noise + observation[1], H=observation[0])
         state = state.condition(vector, covariance, observation)
         assert state.time_s == time_s
         assert state.mean == pytest.approx(other.x.ravel(), rel=1e-6, abs=1e-6)
@@ -85,7 +85,7 @@ def test_errors_of_the_model_keep_the_state_from_trusting_a_sharp_fit() -> None:
     vector, covariance = fitted(state, np.ones(5), sharp, POSE)
     trusting = state.condition(vector, covariance, POSE)
     assert trusting.mean[:5] == pytest.approx(np.ones(5), abs=1e-4)
-    doubtful = POSE[0], np.array([0, 0, 0.2, 0, 0]) ** 2
+    doubtful = POSE[0], np.diag([0, 0, 0.2, 0, 0]) ** 2
     vector, covariance = fitted(state, np.ones(5), sharp, doubtful)
     careful = state.condition(vector, covariance, doubtful)
     # equal state and model variances: half the innovation, half the variance

@@ -35,7 +35,7 @@ HeaderPair = tuple[FramePair, tuple[Pose, Pose]]
 
 
 # Errors of the image model in x, y (px), ln pitch, roll and ln blur
-DECIDED = np.eye(POSE_SIZE, STATE_SIZE), np.array([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2
+DECIDED = np.eye(POSE_SIZE, STATE_SIZE), np.diag([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2
 
 
 def surroundings(frame: AnyFrame, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:

@@ -8,6 +8,7 @@ from functools import cached_property, lru_cache, partial
 from math import exp, hypot, inf
 
 import numpy as np
+from scipy.linalg import lapack
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.geometry.pose import Pose
@@ -49,7 +50,7 @@ class MotionModel:
 
 
 Observation = tuple[Floats, Floats]
-"""Part of the state that a fit observes: H (5, 10), the state to the pose vector, and variances (5,) of the model."""
+"""Part of the state that a fit observes: H (5, 10), the state to the pose vector, and R (5, 5), errors of the model."""
 
 
 @lru_cache(maxsize=8)  # synchronous sums share one delay
@@ -59,13 +60,13 @@ def sum_observation(late_s: float) -> Observation:
     matrix[:3, RATE_STATES] = late_s * np.eye(3)
     matrix[2, 8] = matrix[4, 9] = 1.0
     # ln pitch and ln blur err by about the last step of a fit
-    return matrix, np.array([0.0, 0.0, 0.002, 0.0, 0.02]) ** 2
+    return matrix, np.diag([0.0, 0.0, 0.002, 0.0, 0.02]) ** 2
 
 
 # a header less the inverse: the array moves by about 0.5 px between both, hence x and y
-HEADER_OBSERVATION = np.eye(POSE_SIZE, STATE_SIZE), np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2
+HEADER_OBSERVATION = np.eye(POSE_SIZE, STATE_SIZE), np.diag([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2
 # the pose itself
-POSE = np.eye(POSE_SIZE, STATE_SIZE), np.zeros(POSE_SIZE)
+POSE = np.eye(POSE_SIZE, STATE_SIZE), np.zeros((POSE_SIZE, POSE_SIZE))
 
 
 @dataclass(frozen=True)  # without slots, for the cached properties
@@ -127,14 +128,17 @@ class PoseState:
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
         """Predict the mean (5,) and the covariance (5, 5) of a fit: H x, H P H^T + R."""
-        matrix, variances = observation
-        return matrix @ self.mean, matrix @ self.covariance @ matrix.T + np.diag(variances)
+        matrix, errors = observation
+        return matrix @ self.mean, matrix @ self.covariance @ matrix.T + errors
 
     def condition(self, vector: Floats, covariance: Floats, observation: Observation) -> "PoseState":
         """Update the state by a fit with the prior `expected` (an iterated Kalman update)."""
         # the posterior C of the fit: K = P H^T S^-1, x += K (z - H x), P += K (C - S) K^T
         expected, spread = self.expected(observation)
-        gain = np.linalg.solve(spread, observation[0] @ self.covariance).T
+        _, gain, failed = lapack.dposv(spread, observation[0] @ self.covariance)
+        if failed:
+            raise np.linalg.LinAlgError("the covariance of an array's pose is not positive definite")
+        gain = gain.T
         full = self.covariance + gain @ (covariance - spread) @ gain.T
         mean = self.mean + gain @ (vector - expected)
         return PoseState(self.time_s, mean, 0.5 * (full + full.T), self.tilt, self.tilt_covariance)
