@@ -189,7 +189,7 @@ def test_ctrl_c_keeps_the_films_that_are_done(film: Path, tmp_path: Path) -> Non
     assert list(rows(run)) == ["a.h5"]
     assert names(tmp_path / "out" / "a.h5") == RESULTS
     assert not list((tmp_path / "out").glob("*/.*partial*"))
-    # what was done is not done again, what was broken off is
+    # the completed film is skipped, the interrupted film is repeated
     again = rows(within(tmp_path, *line))
     assert [again[name].get("kept") for name in ("a.h5", "long.h5")] == [True, None]
     assert again["long.h5"]["frames"] == 2000

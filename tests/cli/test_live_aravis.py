@@ -197,7 +197,7 @@ class TestLossy:
         report = json.loads(succeeded(received(tmp_path, 4, "--json", "--output", "out")))
         counts = report["camera"]
         # 15 UDP packets per frame: every eleventh frame is incomplete
-        assert counts["incomplete"] + counts["lost"] >= 1
+        assert counts["incomplete"] + counts["lost"] >= 3
         assert report["frames"] == counts["frames"]
         assert (tmp_path / "out" / "array-0-high-0.bin").read_bytes() == TEXT.encode()
         assert report["arrays"][0]["layers"]["high"]["ok"] >= 1

@@ -1,5 +1,7 @@
 """Pixels, times and metadata survive a round trip."""
 
+import subprocess
+import sys
 import threading
 from itertools import product
 from pathlib import Path
@@ -166,3 +168,8 @@ def test_tiny_films(tmp_path: Path, suffix: str, size: tuple[int, int]) -> None:
 def test_no_thread_stays(tmp_path: Path) -> None:
     write(tmp_path / "a.mkv", noise(2), [0.0, 0.001])
     assert not [t for t in threading.enumerate() if t.name.startswith("film-encoder")]
+
+
+def test_import_is_light() -> None:
+    code = "import sys, heliograph.media; sys.exit(any(m in sys.modules for m in ('av', 'h5py', 'cv2')))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

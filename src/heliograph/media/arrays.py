@@ -7,7 +7,6 @@ from pathlib import Path
 from tokenize import TokenError
 from typing import Any
 
-import av
 import numpy as np
 
 from heliograph.base.errors import MediaError, brief
@@ -79,6 +78,8 @@ def refuse_dump(path: Path) -> None:
 
 def _is_video(path: Path) -> bool:
     """True if FFmpeg finds pictures in the content; by the suffix FFmpeg would read any .bin file as text art."""
+    import av
+
     try:
         # a file object would show FFmpeg the name
         with (

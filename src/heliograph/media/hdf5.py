@@ -14,7 +14,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from heliograph.base.errors import MediaError, brief
@@ -99,6 +98,8 @@ def is_hdf5(path: Path) -> bool:
 
 def _frame_reader(file: Any, frames: Any) -> Callable[[int], Pixels]:
     """Return a function from number to frame, which avoids HDF5's copy if each frame is a plain chunk."""
+    import h5py
+
     with suppress(OSError, AttributeError, ValueError):  # some systems lack this call
         # the system reads ahead: a thread would cost more than reading
         os.posix_fadvise(file.id.get_vfd_handle(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
@@ -155,6 +156,8 @@ def _number(path: Path, attributes: Any, name: str, least: float, most: float) -
 
 def _attribute(attributes: Any, name: str, missing: Any) -> Any:
     """Return an attribute except for a list of variable length: HDF5 crashes if damage turns a text into a list."""
+    import h5py
+
     try:
         held = attributes.get_id(name)
     except KeyError:
@@ -194,6 +197,8 @@ def _opened(path: Path) -> Iterator[Any]:
 
 def _open_file(path: Path) -> Any:
     """Open a file, even while another program writes (SWMR), or on a system that lacks locks."""
+    import h5py
+
     try:
         return h5py.File(path, "r")
     except _BROKEN as error:
@@ -217,6 +222,8 @@ def _open_file(path: Path) -> Any:
 
 def _check_filters(path: Path, dataset: Any) -> None:
     """Refuse data that need a missing filter."""
+    import h5py
+
     created = dataset.id.get_create_plist()
     for number, _, _, label in map(created.get_filter, range(created.get_nfilters())):
         with suppress(ImportError):
@@ -244,6 +251,8 @@ def _check_heaps(path: Path, head: bytes) -> None:
 
 def _check_form(path: Path, file: Any) -> None:
     """Refuse a file if datasets are missing, lie in other files, or are no film."""
+    import h5py
+
     try:
         external = any(_is_external(file, name) for name in (b"frames", b"times_s"))
         datasets: list[Any] = [] if external else [file.get("frames"), file.get("times_s")]
@@ -271,6 +280,8 @@ def _check_form(path: Path, file: Any) -> None:
 
 def _is_external(file: Any, name: bytes) -> bool:
     """True if a name leads out of a file. h5py would open the target of a link, even a pipe, so go step by step."""
+    import h5py
+
     group, parts = file.id, [name]
     for _ in range(100):
         if not parts:
@@ -355,6 +366,8 @@ class Hdf5Sink:
     _step_frames = 256  # the datasets grow in steps
 
     def __init__(self, partial: Path, target: Path, spec: FilmSpec) -> None:
+        import h5py
+
         self._target = target
         self._count = 0
         with self._clear_errors():

@@ -8,17 +8,19 @@ import warnings
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
 from heliograph.media import tiff
 from heliograph.media.reader import Reading, camera_rate, checked_size, clear_read_errors
 from heliograph.media.stamps import TimedReader
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 _KINDS = {
     ".png": ".png", ".jpg": ".jpg", ".jpeg": ".jpg", ".jpe": ".jpg", ".tif": ".tif", ".tiff": ".tif", ".bmp": ".bmp",
@@ -123,6 +125,8 @@ def is_pattern(path: Path) -> bool:
 
 def _decode(data: bytes) -> NDArray[np.generic] | None:
     """Decode a picture by OpenCV, gray or blue, green and red, with Exif orientation; None if damaged."""
+    import cv2
+
     log = getattr(cv2.utils, "logging", cv2)  # OpenCV 4.5 has no module for it
     before = log.getLogLevel()
     log.setLogLevel(0)  # LOG_LEVEL_SILENT: errors report damage
@@ -138,6 +142,8 @@ def _decode(data: bytes) -> NDArray[np.generic] | None:
 
 def _is_sound(path: Path, data: bytes) -> bool:
     """Check a picture by Pillow, as OpenCV fills missing parts of PNG and JPEG; True for kinds unknown to Pillow."""
+    from PIL import Image, UnidentifiedImageError
+
     with warnings.catch_warnings(action="ignore"):  # the size is checked here
         try:
             with Image.open(io.BytesIO(data)) as image:
@@ -266,7 +272,9 @@ def is_animation(path: Path, head: bytes) -> bool:
         return False
 
 
-def _opened(path: Path) -> Image.Image:
+def _opened(path: Path) -> "Image":
+    from PIL import Image
+
     try:
         image = Image.open(path, formats=_ANIMATED)
     except Image.DecompressionBombError:
@@ -277,7 +285,7 @@ def _opened(path: Path) -> Image.Image:
     return image
 
 
-def _levels(image: Image.Image, channel: str) -> Pixels:
+def _levels(image: "Image", channel: str) -> Pixels:
     if image.mode == "L" or image.mode.startswith("I;16"):
         levels = np.array(image)
         return to_gray(levels.astype(levels.dtype.newbyteorder("=")), channel)

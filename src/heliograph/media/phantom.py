@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from imagecodecs import packints_decode
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError
@@ -148,6 +147,8 @@ def _curve() -> NDArray[np.uint16]:
 
 def unpack_levels(data: bytes | bytearray, bits: int) -> NDArray[np.uint16]:
     """Return densely packed gray levels, the upper bits first."""
+    from imagecodecs import packints_decode
+
     levels: NDArray[np.uint16] = packints_decode(bytes(data), np.uint16, bits)
     return levels
 

@@ -2,12 +2,14 @@
 
 import functools
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import av
 import numpy as np
 
 from heliograph.base.frames import Pixels
+
+if TYPE_CHECKING:
+    import av
 
 LIMITED, FULL = 1, 2
 """FFmpeg's AVCOL_RANGE_MPEG (levels 16 to 235) and AVCOL_RANGE_JPEG (levels 0 to 255)."""
@@ -23,8 +25,10 @@ def gray_format(bits: int) -> str:
     return _GRAY[min(held for held in _GRAY if held >= bits)]
 
 
-def to_video(pixels: Pixels, pixel_format: str, span: int = FULL) -> av.VideoFrame:
+def to_video(pixels: Pixels, pixel_format: str, span: int = FULL) -> "av.VideoFrame":
     """Copy gray levels into a picture with neutral colour planes, if any."""
+    import av
+
     if span == LIMITED:
         pixels = np.rint(16 + np.arange(256) * 219 / 255).astype(np.uint8)[pixels]
     rows, columns = pixels.shape
@@ -36,7 +40,7 @@ def to_video(pixels: Pixels, pixel_format: str, span: int = FULL) -> av.VideoFra
     return picture
 
 
-def to_gray(picture: av.VideoFrame, expand_range: bool, channel: str = "luma") -> tuple[Pixels, int]:
+def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma") -> tuple[Pixels, int]:
     """Return a copy of the gray levels, and the bits.
 
     Luma keeps the stored levels, and so do numbers if the palette is missing. Colours are converted by Rec. ITU-R
@@ -60,7 +64,7 @@ def to_gray(picture: av.VideoFrame, expand_range: bool, channel: str = "luma") -
     return pixels.copy(), bits
 
 
-def _is_limited(picture: av.VideoFrame) -> bool:
+def _is_limited(picture: "av.VideoFrame") -> bool:
     """True if black is at 16 and white at 235; YUV video of unknown range counts as limited."""
     name = picture.format.name
     if picture.format.is_rgb or picture.format.has_palette or name.startswith(("mono", "yuvj")):
@@ -68,7 +72,7 @@ def _is_limited(picture: av.VideoFrame) -> bool:
     return picture.color_range == LIMITED or (picture.color_range != FULL and not name.startswith("gray"))
 
 
-def _repair_palette(picture: av.VideoFrame) -> None:
+def _repair_palette(picture: "av.VideoFrame") -> None:
     """Replace a constant palette by gray levels: AVI files of gray levels may lack a palette."""
     plane: Any = picture.planes[1]
     palette = np.frombuffer(plane, np.uint8).reshape(-1, 4)
@@ -76,7 +80,7 @@ def _repair_palette(picture: av.VideoFrame) -> None:
         palette[:, :3], palette[:, 3] = np.arange(256)[:, None], 255
 
 
-def _as_gray(picture: av.VideoFrame) -> av.VideoFrame:
+def _as_gray(picture: "av.VideoFrame") -> "av.VideoFrame":
     bits = max(picture.format.components[0].bits, 8)
     if not picture.format.is_rgb and len(picture.format.components) > 2:
         # from YUV to YUV luma keeps the levels; a conversion to gray may stretch the range
@@ -85,14 +89,14 @@ def _as_gray(picture: av.VideoFrame) -> av.VideoFrame:
     return picture.reformat(format=_GRAY.get(bits, "gray16le"), src_color_range="JPEG", dst_color_range="JPEG")
 
 
-def _colour(picture: av.VideoFrame, channel: str) -> tuple[Pixels, int]:
+def _colour(picture: "av.VideoFrame", channel: str) -> tuple[Pixels, int]:
     bits = min(held for held in _GRAY if held >= picture.format.components[0].bits)
     colours = picture.reformat(format="gbrp" if bits == 8 else f"gbrp{bits}le")
     plane = ("green", "blue", "red").index(channel)
     return _plane(colours, plane, bits)[: picture.height, : picture.width].copy(), bits
 
 
-def _plane(picture: av.VideoFrame, index: int, bits: int) -> Pixels:
+def _plane(picture: "av.VideoFrame", index: int, bits: int) -> Pixels:
     plane: Any = picture.planes[index]  # lines are padded to line_size
     if bits == 8:
         return np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)

@@ -11,19 +11,19 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import tifffile
-from imagecodecs import packints_decode
 from numpy.typing import NDArray
-from tifffile import TiffPage
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
 from heliograph.media import images
 from heliograph.media.reader import Reading, camera_rate, checked_size
 from heliograph.media.stamps import TimedReader
+
+if TYPE_CHECKING:
+    from tifffile import TiffPage
 
 SUFFIXES = (".tif", ".tiff")
 """Suffixes of stacks."""
@@ -167,6 +167,8 @@ def _stored(page: "TiffPage", plane: int) -> NDArray[Any]:
     if page.parent.filehandle.readinto(data) < size:
         raise ValueError(f"its pixels take {size} bytes")
     if bits % 8 and size < 2 * math.prod(shape):
+        from imagecodecs import packints_decode
+
         return packints_decode(bytes(data), page.dtype, bits, runlen=shape[2] * shape[3]).reshape(shape)
     kind = np.dtype(np.uint16) if bits % 8 else np.dtype(page.dtype)
     return np.frombuffer(data, kind.newbyteorder(page.parent.byteorder)).reshape(shape).astype(kind, copy=False)
@@ -233,6 +235,8 @@ class _Stack:
     """An open TIFF file."""
 
     def __init__(self, path: Path) -> None:
+        import tifffile
+
         self._path = path
         self._errors = (
             ValueError, ArithmeticError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError,
@@ -349,6 +353,8 @@ class _Stack:
 
     def _pages(self) -> Iterator["TiffPage"]:
         """Yield the pages except for reduced copies of others."""
+        import tifffile
+
         for number, place in enumerate(self._directories()):
             self._file.seek(place)
             try:

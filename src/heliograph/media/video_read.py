@@ -10,12 +10,9 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import av
 import numpy as np
-from av.container import InputContainer
-from av.sidedata.sidedata import Type
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
@@ -23,6 +20,10 @@ from heliograph.media import planes, whole
 from heliograph.media.reader import Reading, camera_rate, checked_size
 from heliograph.media.record import from_tags, restored_time
 from heliograph.media.stamps import LIMITS, StampClock, TimedReader
+
+if TYPE_CHECKING:
+    import av
+    from av.container import InputContainer
 
 
 class VideoReader(TimedReader):
@@ -81,7 +82,9 @@ class VideoReader(TimedReader):
                 self._check_form(pixels, bits, count)
                 yield time_s, pixels, self.bits if self._record else bits
 
-    def _gray(self, picture: av.VideoFrame, count: int) -> tuple[Pixels, int]:
+    def _gray(self, picture: "av.VideoFrame", count: int) -> tuple[Pixels, int]:
+        import av
+
         try:
             pixels, bits = planes.to_gray(picture, self._expanded, self._reading.channel)
         except (av.error.FFmpegError, ValueError) as error:
@@ -96,11 +99,13 @@ class VideoReader(TimedReader):
             sizes = f"{self.width}x{self.height} to {pixels.shape[1]}x{pixels.shape[0]}"
             raise MediaError(f"{self.path} changes its size from {sizes} pixels after {count} frames: cut it there")
 
-    def _stream(self, container: "InputContainer") -> av.VideoStream:
+    def _stream(self, container: "InputContainer") -> "av.VideoStream":
         return next(stream for stream in container.streams.video if stream.index == self._track)
 
-    def _decoded(self, container: "InputContainer") -> Iterator[av.VideoFrame]:
+    def _decoded(self, container: "InputContainer") -> Iterator["av.VideoFrame"]:
         """Yield decoded pictures, then raise a MediaError if the rest of the file is damaged."""
+        import av
+
         stream = self._stream(container)
         context = stream.codec_context
         stream.thread_type, context.thread_count = "AUTO", 2
@@ -127,14 +132,14 @@ class VideoReader(TimedReader):
         if damaged:
             raise MediaError(f"{self.path} is damaged after {count} whole frames: copy or record it again")
 
-    def _in_order(self, container: "InputContainer") -> Iterator[tuple[av.VideoFrame, float, float | None]]:
+    def _in_order(self, container: "InputContainer") -> Iterator[tuple["av.VideoFrame", float, float | None]]:
         """Yield pictures in display order, each with the earliest remaining stamp in s and the next stamp.
 
         Some writers stamp pictures in coding order: the set of stamps is right, and the order is not.
         """
         # H.264 and H.265 hold back 16 pictures for bidirectional prediction
         held_back = 16 if self._stream(container).codec_context.has_b_frames else 1
-        pictures, stamps, stamp_s = deque[av.VideoFrame](), list[float](), -1 / self.claimed_hz
+        pictures, stamps, stamp_s = deque["av.VideoFrame"](), list[float](), -1 / self.claimed_hz
         damage: MediaError | None = None
         try:
             for picture in self._decoded(container):
@@ -154,8 +159,10 @@ class VideoReader(TimedReader):
             raise damage
 
 
-def _orientation(picture: av.VideoFrame) -> tuple[bool, bool, bool]:
+def _orientation(picture: "av.VideoFrame") -> tuple[bool, bool, bool]:
     """Return whether to transpose a picture, then to flip rows and columns; other angles are ignored."""
+    from av.sidedata.sidedata import Type
+
     side_data: Any = picture.side_data
     matrix = side_data.get(Type.DISPLAYMATRIX)
     if matrix is None or len(bytes(matrix)) < 36:
@@ -176,6 +183,8 @@ def _upright(pixels: Any, transposed: bool, rows_back: bool, columns_back: bool)
 
 @contextmanager
 def _opened(path: Path) -> Iterator["InputContainer"]:
+    import av
+
     try:
         # "file:" because a colon in a name would denote a protocol
         container = av.open(f"file:{path}", "r", metadata_errors="replace")
@@ -192,7 +201,7 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
         yield container
 
 
-def _film_stream(path: Path, container: "InputContainer") -> av.VideoStream:
+def _film_stream(path: Path, container: "InputContainer") -> "av.VideoStream":
     """Return the track with the most pixels in all frames; ignore single pictures."""
     # FFmpeg reads text files as films of letters on a terminal
     is_text = container.format.name in ("tty", "lrc", "srt", "ass", "webvtt")
@@ -210,7 +219,7 @@ def _film_stream(path: Path, container: "InputContainer") -> av.VideoStream:
         return films[0]
     counts = _count_frames(container, films)
 
-    def size(stream: av.VideoStream) -> tuple[bool, int]:
+    def size(stream: "av.VideoStream") -> tuple[bool, int]:
         count = counts[stream.index]
         return count > 1, stream.codec_context.width * stream.codec_context.height * count
 
@@ -226,6 +235,7 @@ def _count_frames(container: "InputContainer", films: "list[av.VideoStream]") ->
     """Return the frames of each track, stated by the container or counted in 500 packets."""
     if all(stream.frames for stream in films):
         return {stream.index: stream.frames for stream in films}
+    import av
 
     counts = {stream.index: 0 for stream in films}
     with suppress(av.error.FFmpegError):  # reading reports damage after the good frames
@@ -235,8 +245,10 @@ def _count_frames(container: "InputContainer", films: "list[av.VideoStream]") ->
     return counts
 
 
-def _sample(container: "InputContainer", stream: av.VideoStream) -> tuple["av.VideoFrame | None", list[float]]:
+def _sample(container: "InputContainer", stream: "av.VideoStream") -> tuple["av.VideoFrame | None", list[float]]:
     """Return the first picture of a track and the stamps in s of the first packets before any damage."""
+    import av
+
     first: av.VideoFrame | None = None
     stamps: list[float] = []
     with suppress(av.error.FFmpegError, ValueError):
@@ -251,7 +263,7 @@ def _sample(container: "InputContainer", stream: av.VideoStream) -> tuple["av.Vi
     return first, sorted(stamps)
 
 
-def _frame_count(container: "InputContainer", stream: av.VideoStream, rate_hz: float) -> int | None:
+def _frame_count(container: "InputContainer", stream: "av.VideoStream", rate_hz: float) -> int | None:
     """Return the smaller of the container's count and the duration times the rate: edit lists hide stored frames."""
     counts = [stream.frames] if stream.frames else []
     if stream.duration and stream.time_base:

@@ -9,15 +9,16 @@ from contextlib import contextmanager, suppress
 from fractions import Fraction
 from numbers import Real
 from pathlib import Path
-from typing import Any, cast
-
-import av
+from typing import TYPE_CHECKING, Any, cast
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Frame
 from heliograph.media import planes
 from heliograph.media.record import FilmRecord, FilmSpec, fine_time_base, rational_rate, to_tags
 from heliograph.media.writer import write_error
+
+if TYPE_CHECKING:
+    import av
 
 CODECS = {
     ".mkv": ("ffv1", "h264", "h265", "mjpeg"),
@@ -71,6 +72,8 @@ class VideoSink:
         self._start_s: float | None = None
         self._last_tick = -1
         with self._clear_errors():
+            import av
+
             flags = {"movflags": "use_metadata_tags"} if self._suffix == ".mp4" else {}  # MP4 would drop the record
             # "file:" because a colon in a name would denote a protocol
             self._container = av.open(f"file:{partial}", "w", options=flags)
@@ -98,10 +101,10 @@ class VideoSink:
         with suppress(Exception):
             self._container.close()
 
-    def _add_stream(self, codec: str, options: dict[str, str], mbit_s: float | None) -> av.VideoStream:
+    def _add_stream(self, codec: str, options: dict[str, str], mbit_s: float | None) -> "av.VideoStream":
         encoder = {"h264": "libx264", "h265": "libx265"}.get(codec, codec)
         rate = rational_rate(self._spec.rate_hz)
-        stream = cast(av.VideoStream, self._container.add_stream(encoder, rate=rate, options=options))
+        stream = cast("av.VideoStream", self._container.add_stream(encoder, rate=rate, options=options))
         stream.width, stream.height = self._spec.width, self._spec.height
         stream.pix_fmt, stream.time_base = self._pixel_format, self._time_base
         context = stream.codec_context
@@ -138,6 +141,8 @@ class VideoSink:
 
     @contextmanager
     def _clear_errors(self) -> Iterator[None]:
+        import av
+
         try:
             yield
         except MediaError:

@@ -5,14 +5,15 @@ import queue
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import av
+from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.media import planes
 from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError, Found, Picture
 from heliograph.media.live.settings import CameraSettings, Value, compare_settings
+
+if TYPE_CHECKING:
+    import av
 
 DEVICES = Path("/sys/class/video4linux")
 """Folder of the video devices of Linux."""
@@ -38,6 +39,8 @@ class Webcam:
 
     def open(self, settings: CameraSettings) -> CameraForm:
         """Connect and configure the camera; see `Camera`."""
+        import av
+
         self._channel = settings.channel
         options = self._options(settings)
         try:
@@ -98,6 +101,8 @@ class Webcam:
 
     def _read(self) -> None:
         """Queue pictures in a thread, as FFmpeg may wait endlessly for the next picture."""
+        import av
+
         end: BaseException | None = None
         try:
             for packet in self._container.demux(video=0):
@@ -119,6 +124,8 @@ class Webcam:
 
     def _decode(self, packet: "av.Packet[Any]") -> list[Picture]:
         """Return the pictures of a packet; an incomplete picture has no pixels."""
+        import av
+
         try:
             return [self._convert(picture) for picture in packet.decode()]
         except (av.error.InvalidDataError, ValueError):
@@ -144,7 +151,7 @@ class Webcam:
             options["input_format"] = settings.pixel_format
         return options
 
-    def _convert(self, picture: av.VideoFrame) -> Picture:
+    def _convert(self, picture: "av.VideoFrame") -> Picture:
         pixels, _ = planes.to_gray(picture, False, self._channel)
         if picture.pts is None or picture.time_base is None:
             return Picture(pixels)
