@@ -1,10 +1,13 @@
 """Settings of the documentation's site: `make docs` builds it into docs/_build."""
 
-import subprocess
-import sys
 from pathlib import Path
 
+from typer import Context
+from typer.cli import get_docs_for_click
+from typer.main import get_command
+
 from heliograph import __version__
+from heliograph.cli import main
 
 HERE = Path(__file__).parent
 
@@ -34,10 +37,11 @@ napoleon_use_rtype = False
 
 
 def _write_cli_reference() -> None:
-    """Let Typer describe the command; its output is made again with each build."""
-    page = HERE / "reference" / "cli.md"
-    command = [sys.executable, "-m", "typer", "heliograph.cli.main", "utils", "docs", "--name", "heliograph"]
-    page.write_text(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    """Let Typer describe the command; each build makes the page again."""
+    group = get_command(main.app)
+    group.commands = {name: main.load_command(name) for name in main.COMMANDS}
+    page = get_docs_for_click(obj=group, ctx=Context(group), name="heliograph")
+    (HERE / "reference" / "cli.md").write_text(f"{page.strip()}\n")
 
 
 _write_cli_reference()

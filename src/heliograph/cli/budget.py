@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from functools import cache
 from itertools import islice
 from typing import Any
@@ -12,8 +12,8 @@ import numpy as np
 
 from heliograph.base.config import merge
 from heliograph.base.errors import SettingsError
-from heliograph.cli import console
-from heliograph.cli.options import SettingsOptions, parse_vary_options
+from heliograph.cli import console, options
+from heliograph.cli.options import option
 from heliograph.experiments.flicker import metrics
 from heliograph.experiments.flicker.metrics import Flicker
 from heliograph.link.budget import Budget, Budgets, Spot
@@ -28,17 +28,31 @@ from heliograph.sweeps.plan import grid, varied
 DISTANCE = "channel.distance_m"
 
 
-def run_budget(
-    vary_options: list[str] | None, options: SettingsOptions, light: LightSettings, *, as_json: bool
+@options.command
+def budget(
+    *,
+    vary: list[str] | None = options.vary_option("Repeat it for a grid. Default: distances from 25 m to 200 m."),
+    settings: options.SettingsOptions = options.STATIC,
+    candela: float | None = option(
+        "Luminous intensity of an LED on its axis; default: value of channel.emitter.all_on.", "CD"
+    ),
+    f_number: float = option("Focal length over the lens's opening.", default=11.0),
+    efficiency: float = option("Electrons a photon: transmission of the lens times quantum efficiency.", default=0.4),
+    wavelength_nm: float = option("Wavelength of the LEDs.", "NM", "--wavelength", default=625.0),
+    as_json: options.JsonList = False,
 ) -> None:
-    """Print the link budget of each point."""
-    overlay, vary = options.overlay(), parse_vary_options(vary_options)
-    if not vary and "distance_m" not in overlay.get("channel", {}):
-        vary = {DISTANCE: [25, 40, 60, 80, 100, 125, 150, 200]}
-    choices, budgets_of = grid(vary), Budgets(light)
+    """Calculate the budget of a planned link: light, electrons, pixels, blur, range of each layer, flicker.
+
+    Geometry, lens, sensor and LEDs are settings of 'channel'; see --set and --vary.
+    """
+    light = LightSettings(candela=candela, f_number=f_number, efficiency=efficiency, wavelength_nm=wavelength_nm)
+    overlay, values = settings.overlay(), options.parse_vary_options(vary)
+    if not values and "distance_m" not in overlay.get("channel", {}):
+        values = {DISTANCE: [25, 40, 60, 80, 100, 125, 150, 200]}
+    choices, budgets_of = grid(values), Budgets(light)
     # at rest, the end of a drive does not limit distances
     overlay = merge(overlay, {"channel": {"speed_m_s": 0.0, "speed_profile": []}})
-    links = [varied(options.preset, overlay, choice) for choice in choices]
+    links = [varied(settings.preset, overlay, choice) for choice in choices]
     budgets, flickers = [], []
     with console.progress("points", len(links)) as advance:
         for number, link in enumerate(links, 1):
@@ -46,21 +60,15 @@ def run_budget(
             flickers.append(_flicker(replace(link, channel=links[0].channel)))
             advance(number)
     if as_json:
-        console.say_json([
-            {
-                "settings": choice,
-                **budget.plain(),
-                "flicker": {
-                    mode: {**array.plain(), "led_period_s": led_s} for mode, (array, led_s) in flicker.items()
-                },
-            }
-            for choice, budget, flicker in zip(choices, budgets, flickers, strict=True)
-        ])  # fmt: skip
+        points = []
+        for choice, point, flicker in zip(choices, budgets, flickers, strict=True):
+            modes = {mode: {**array.plain(), "led_period_s": led_s} for mode, (array, led_s) in flicker.items()}
+            points.append({"settings": choice, **point.plain(), "flicker": modes})
+        console.say_json(points)
         return
-    _show_spots(choices, [budget.spot for budget in budgets])
+    _show_spots(choices, [point.spot for point in budgets])
     _show_ranges(choices, budgets)
-    intensities = ", ".join(dict.fromkeys(f"{budget.candela:.3g} cd" for budget in budgets))
-    light = budgets_of.light
+    intensities = ", ".join(dict.fromkeys(f"{point.candela:.3g} cd" for point in budgets))
     console.say_prose(
         f"light: {intensities} an LED, f/{light.f_number:g}, {light.efficiency:g} electrons a photon, "
         f"{light.wavelength_nm:g} nm"
@@ -80,12 +88,12 @@ def _flicker(link: LinkSettings) -> dict[str, tuple[Flicker, float]]:
     formats = link.transmit.formats
     # default formats: the paired mode, and the single mode as an alternative; the short mode has the light of the
     # paired mode
-    for mode in MODES if formats else ("paired", "single"):
-        of_mode = tuple(form for form in formats if form.mode == mode)
-        if formats and not of_mode:
-            continue
-        sent = of_mode if formats or mode == "paired" else (Format(mode=mode),)
-        changed = replace(link, transmit=replace(link.transmit, formats=sent))
+    sent = {"paired": formats, "single": (Format(mode="single"),)}
+    if formats:
+        sent = {mode: tuple(form for form in formats if form.mode == mode) for mode in MODES}
+        sent = {mode: forms for mode, forms in sent.items() if forms}
+    for mode, forms in sent.items():
+        changed = replace(link, transmit=replace(link.transmit, formats=forms))
         try:
             messages = random_messages(lasting(changed, packets * link.signal.packet_s), 0)
             sender = transmitters(changed, messages)[0]
@@ -107,11 +115,10 @@ def _flicker(link: LinkSettings) -> dict[str, tuple[Flicker, float]]:
 def _show_spots(choices: Sequence[Mapping[str, Any]], spots: Sequence[Spot]) -> None:
     """Print a row for each point: the image of the array."""
     head = [*choices[0], "m", "px/LED", "px/side", "e-/LED", "e-/px", "light", "peak", "noise", "blur px", "blur/pitch"]
-    rows = []
-    for choice, spot in zip(choices, spots, strict=True):
-        numbers = (spot.distance_m, spot.pitch_px, spot.side_px, spot.electrons_led, spot.electrons_px, spot.light,
-                   spot.peak, spot.noise, spot.blur_px, spot.blur_pitches)  # fmt: skip
-        rows.append([*map(str, choice.values()), *(f"{number:.3g}" for number in numbers)])
+    rows = [
+        [*map(str, choice.values()), *(f"{number:.3g}" for number in astuple(spot)[:-1])]
+        for choice, spot in zip(choices, spots, strict=True)
+    ]
     console.say_table(head, rows)
 
 

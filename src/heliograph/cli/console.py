@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+import typer
+
 from heliograph.base.errors import HeliographError, printable
 
 INTERRUPTED = 130
@@ -17,9 +19,6 @@ INTERRUPTED = 130
 
 NO_ARRAY = 3
 """Exit status of a complete reception that found no array."""
-
-MAX_LENGTH = 600
-"""Characters of a message; arguments and files may be quoted at any length."""
 
 
 def say(text: str) -> None:
@@ -67,10 +66,10 @@ def tell(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """Print an error or warning on a single line of limited length."""
+    """Print an error or warning on a single line; shorten quoted arguments and files to 600 characters."""
     line = printable(text)
-    if len(line) > MAX_LENGTH:  # the problem stands at the beginning, the remedy at the end
-        line = f"{line[: MAX_LENGTH // 2]} ... {line[-MAX_LENGTH // 2 :]}"
+    if len(line) > 600:  # the problem stands at the beginning, the remedy at the end
+        line = f"{line[:300]} ... {line[-300:]}"
     sys.stderr.write(f"heliograph: {line}\n")
 
 
@@ -87,6 +86,13 @@ def exit_interrupted(text: str) -> NoReturn:
     """Print the state after Ctrl-C and exit."""
     complain(text)
     sys.exit(INTERRUPTED)
+
+
+def help_unless_command(context: typer.Context) -> None:
+    """Write the help to standard error and exit with status 2 if no command is given; Click before 8.2 exits with 0."""
+    if context.invoked_subcommand is None:
+        sys.stderr.write(context.get_help() + "\n")
+        raise typer.Exit(2)
 
 
 def argument(path: Path) -> str:
@@ -117,9 +123,9 @@ class Progress:
 
 
 @contextlib.contextmanager
-def progress(title: str, total: int | None) -> Iterator[Progress]:
+def progress(title: str, total: int | None, *, is_hidden: bool = False) -> Iterator[Progress]:
     """Show a progress bar if standard error is a terminal."""
-    if not sys.stderr.isatty():
+    if is_hidden or not sys.stderr.isatty():
         yield Progress()
         return
     from rich.console import Console

@@ -1,39 +1,35 @@
-"""Conversion of films, and list of live cameras."""
+"""Conversion of films."""
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from heliograph.base.errors import MediaError
 from heliograph.base.words import counted
-from heliograph.cli import console
+from heliograph.cli import console, options
 from heliograph.cli.live import ended_by_ctrl_c, report_camera, show_counts
-from heliograph.cli.options import FilmOptions, LiveOptions, refuse_to_replace
+from heliograph.cli.options import option
 from heliograph.media import convert_film, open_film
 from heliograph.media.film import keeps_levels
-from heliograph.media.live.camera import PREFIX, list_cameras
 from heliograph.media.live.reader import live_of
-from heliograph.media.live.settings import camera_settings
 
 
-def run_cameras(assignments: list[str] | None, *, as_json: bool) -> None:
-    """List the connected cameras, and the missing requirements of other kinds."""
-    cameras, missing = list_cameras(camera_settings(assignments or ()))
-    if as_json:
-        console.say_json({"cameras": cameras, "lacking": missing})
-        return
-    width = max((len(camera["name"]) for camera in cameras), default=0)
-    for camera in cameras:
-        console.say(f"{camera['name']:{width}}  {camera['text']}")
-    if not cameras:
-        console.say("no camera found")
-    for kind, reason in missing.items():
-        console.say_prose(f"{PREFIX}{kind}: {reason}")
-
-
-def run_convert(
-    film: Path, output: Path, film_options: FilmOptions, live: LiveOptions, codec: str | None, crf: float | None
+@options.command
+def convert(
+    film: options.Film,
+    output: Annotated[Path, typer.Argument(help="Film to write: .mkv, .nut, .mp4, .avi or .h5.")],
+    *,
+    film_options: options.FilmOptions,
+    codec: options.Codec = None,
+    crf: float | None = option("Quality of lossy H.264, 0 to 51; by default all gray levels are kept."),
+    live: options.LiveOptions,
 ) -> None:
-    """Convert a film, or record a live camera until Ctrl-C."""
-    refuse_to_replace(output, (film,))
+    """Convert a film to another format, with gray levels and times; .h5 is the fastest to read.
+
+    A live camera is recorded until Ctrl-C, or for --duration S.
+    """
+    options.refuse_to_replace(output, (film,))
     is_new = not output.exists()
 
     def output_state() -> str:

@@ -1,11 +1,15 @@
 """Data sets for training."""
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from heliograph.base.errors import SettingsError, shown
-from heliograph.cli import console
+from heliograph.cli import console, options
+from heliograph.cli.options import option
 from heliograph.datasets.dataset import SHEET, done, write
-from heliograph.datasets.plan import SPLITS, DatasetPlan
+from heliograph.datasets.plan import SPLITS, planned
 
 
 def parse_shares(text: str) -> list[int]:
@@ -16,13 +20,35 @@ def parse_shares(text: str) -> list[int]:
         raise SettingsError(f"--splits takes TRAIN,VALIDATION,TEST in whole shares, not {shown(text)}") from None
 
 
-def run_dataset(folder: Path, plan: DatasetPlan, seed: int, *, size_only: bool) -> None:
-    """Print the size of a data set, and write the films that are missing."""
+@options.command
+def dataset(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the data set.")],
+    *,
+    vary: list[str] | None = options.vary_option("Such as distances, scenes, faults. Each combination gets films."),
+    films: int = option("Films of each combination.", default=10, min=1),
+    splits: str = option("Shares of train, validation and test.", "SHARES", default="80,10,10"),
+    packets: int | None = option(
+        "Length of a film in packets; default: a packet at rest, the complete drive in motion.", min=1
+    ),
+    settings: options.SettingsOptions = options.STATIC,
+    seed: options.Seed = 0,
+    background: list[Path] | None = option(
+        "Recorded footage for the background; may be repeated: each video serves a single split.", "VIDEO"
+    ),
+    imu: options.Imu = None,
+    size: bool = option("Print the size and write no data.", None, "--size", default=False),
+) -> None:
+    """Write films with truth and cut-outs, split for training detectors and decoders.
+
+    The size is printed first. The same command continues a stopped run. DATASHEET.md in DIR describes the data set.
+    """
+    overlay, values, shares = settings.overlay(), options.parse_vary_options(vary), parse_shares(splits)
+    plan = planned(values, settings.preset, overlay, films, shares, packets, seed, background or [], imu)
     kept = len(done(plan, folder))
-    size = f"{plan.bytes / 1e9:.1f} GB" if plan.bytes >= 1e9 else f"{plan.bytes / 1e6:.1f} MB"
+    volume = f"{plan.bytes / 1e9:.1f} GB" if plan.bytes >= 1e9 else f"{plan.bytes / 1e6:.1f} MB"
     existing = f", of which {kept} films exist" if kept else ""
-    console.say(f"{folder}: {len(plan.films)} films, {plan.frames} frames, {size}{existing}")
-    if size_only:
+    console.say(f"{folder}: {len(plan.films)} films, {plan.frames} frames, {volume}{existing}")
+    if size:
         return
     advance = console.Progress()
     try:
@@ -30,7 +56,7 @@ def run_dataset(folder: Path, plan: DatasetPlan, seed: int, *, size_only: bool) 
             advance(kept)
             write(plan, folder, advance)
     except KeyboardInterrupt:
-        films = f"{int(advance.done)} of {len(plan.films)} films"
-        console.exit_interrupted(f"interrupted after {films}; the same command continues")
+        complete = f"{int(advance.done)} of {len(plan.films)} films"
+        console.exit_interrupted(f"interrupted after {complete}; the same command continues")
     splits = ", ".join(f"{sum(film.split == name for film in plan.films)} {name}" for name in SPLITS)
     console.say(f"{folder / SHEET}: seed {seed}; {splits}")

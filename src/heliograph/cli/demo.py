@@ -6,28 +6,34 @@ from pathlib import Path
 from heliograph.base.errors import HeliographError
 from heliograph.base.files import clear_write_errors
 from heliograph.base.words import counted
-from heliograph.cli import console
-from heliograph.cli.options import SceneOptions, SettingsOptions
+from heliograph.cli import console, options
+from heliograph.cli.options import option
 from heliograph.cli.simulate import load_scene
 from heliograph.experiments.demo.drive import film_bytes, run
 from heliograph.link.film import frames_of
 
 
-def run_demo(output: Path, options: SettingsOptions, scene: SceneOptions) -> None:
-    """Simulate and receive a drive, and print a summary."""
-    channel = options.overlay().get("channel", {})
+@options.command
+def demo(
+    *,
+    output: Path = option("Folder for the film, the messages and the report.", "DIR", default=Path("demo")),
+    settings: options.SettingsOptions,
+    scene: options.SceneOptions,
+) -> None:
+    """Simulate the paper's drive, receive the film, and report the results in report.html."""
+    channel = settings.overlay().get("channel", {})
     if not isinstance(channel, dict) or "background" not in channel:
-        kind = "street-night" if options.preset == "night" else "street"
-        options = options.changed([f"channel.background.kind='{kind}'"])
-    settings, recordings = load_scene(options, scene)
+        kind = "street-night" if settings.preset == "night" else "street"
+        settings = settings.changed([f"channel.background.kind='{kind}'"])
+    link, recordings = load_scene(settings, scene)
     is_new, film = not output.exists(), output / "drive.mp4"
     with clear_write_errors(output):
         output.mkdir(parents=True, exist_ok=True)
-    size_mb = max(1, round(film_bytes(settings) / 1e6))
-    console.say(f"{film}: a film of {frames_of(settings)} frames, about {size_mb} MB")
+    size_mb = max(1, round(film_bytes(link) / 1e6))
+    console.say(f"{film}: a film of {frames_of(link)} frames, about {size_mb} MB")
     old_time = film.stat().st_mtime_ns if film.exists() else None
     try:
-        demonstration = run(output, settings, scene.seed, recordings, console.progress)
+        demonstration = run(output, link, scene.seed, recordings, console.progress)
     except KeyboardInterrupt:
         is_written = film.exists() and film.stat().st_mtime_ns != old_time
         console.exit_interrupted(f"interrupted; {film} holds the frames so far" if is_written else "interrupted")

@@ -10,30 +10,14 @@ from typing import Any, get_args
 from docstring_parser import parse
 from pydantic import TypeAdapter
 
-UNITS = {
-    "m_s": "m/s",
-    "m": "m",
-    "s": "s",
-    "px": "px",
-    "deg": "degrees",
-    "ppm": "ppm",
-    "e": "electrons",
-    "patterns": "patterns",
-    "hz": "Hz",
-    "fps": "frames/s",
-}
+UNITS = {"m_s": "m/s", "m": "m", "s": "s", "px": "px", "deg": "degrees", "ppm": "ppm", "e": "electrons",
+         "patterns": "patterns", "hz": "Hz", "fps": "frames/s"}  # fmt: skip
 """Units by the ending of a key; a longer ending comes first."""
 
 _TYPES = {"integer": "whole number", "number": "number", "boolean": "true, false", "string": "text"}
-_BOUNDS = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
-_KEYWORDS = {
-    "minimum": "ge",
-    "exclusiveMinimum": "gt",
-    "maximum": "le",
-    "exclusiveMaximum": "lt",
-    "multipleOf": "multiple_of",
-}
-"""Bounds of an annotated type by the keyword of a JSON schema."""
+_BOUNDS = {"minimum": "from", "ge": "from", "exclusiveMinimum": "above", "gt": "above",
+           "maximum": "to", "le": "to", "exclusiveMaximum": "below", "lt": "below"}  # fmt: skip
+"""Words for bounds in a JSON schema; A type with a converter has the keywords of Pydantic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +45,6 @@ def describe(cls: type, prefix: str = "") -> Iterator[KeyDescription]:
         if is_dataclass(types[name]):
             yield from describe(types[name], f"{prefix}{name}.")
             continue
-        # a schema lacks the bounds of a type with a converter
-        schema = {**_bounds_of(types[name]), **schema}
         unit = next((unit for ending, unit in UNITS.items() if f"_{name}".endswith(f"_{ending}")), "")
         yield KeyDescription(prefix + name, unit, _allowed(schema), _default(schema), meanings.get(name, ""))
         if schema.get("type") == "array":
@@ -103,11 +85,6 @@ def _summary(about: KeyDescription) -> str:
     """Return the first sentence of the meaning of a key, with the unit unless the sentence has it."""
     sentence = re.split(r"(?<=\.)\s", about.meaning, maxsplit=1)[0].rstrip(".;").replace("``", "")
     return sentence if not about.unit or f"in {about.unit}" in sentence else f"{sentence} ({about.unit})"
-
-
-def _bounds_of(annotation: Any) -> dict[str, Any]:
-    limits = [limit for part in getattr(annotation, "__metadata__", ()) for limit in getattr(part, "metadata", ())]
-    return {key: getattr(limit, name) for limit in limits for key, name in _KEYWORDS.items() if hasattr(limit, name)}
 
 
 def _allowed(schema: Mapping[str, Any]) -> str:

@@ -1,10 +1,9 @@
-"""Output of events and messages during a reception, and control of live cameras."""
+"""Output of events during a reception, and control of live cameras."""
 
 import contextlib
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -21,67 +20,50 @@ from heliograph.media.live.reader import LiveReader, live_of
 from heliograph.media.live.recorder import Recorder
 from heliograph.receive import Packet, ReceiveSettings
 from heliograph.receive.events import DetectEvent, LostEvent, UnseenEvent
-from heliograph.road.codec import road_values, road_words
-from heliograph.signal.message import Message
 from heliograph.signal.settings import SignalSettings
 
 
-class EventOutput(contextlib.ExitStack):
-    """Output of events as JSON lines, as sentences, and to network clients; a failing address is dropped."""
+@contextlib.contextmanager
+def open_events(options: EventOptions) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+    """Yield an output of events as JSON lines, as sentences, and to network clients; a failing address is dropped."""
+    with contextlib.ExitStack() as stack:
+        outlets = list[Outlet]()
+        for address in options.send or ():
+            outlets.append(stack.enter_context(contextlib.closing(open_outlet(address))))
+            console.complain(f"events are sent to {outlets[-1].address}")
 
-    def __init__(self, options: EventOptions):
-        super().__init__()
-        self._options, self._outlets = options, list[Outlet]()
+        def tell(row: Mapping[str, Any]) -> None:
+            if options.follow:
+                console.say_json(row)
+            if options.verbose and row["event"] != "end":
+                for line in sentence(row).splitlines():
+                    console.tell(line)
+            for outlet in list(outlets):
+                try:
+                    outlet.send(row)
+                except OSError as error:
+                    outlets.remove(outlet)
+                    console.complain(f"cannot send events to {outlet.address} any more: {error.strerror or error}")
 
-    def __enter__(self) -> "EventOutput":
-        super().__enter__()
-        with contextlib.ExitStack() as undo:
-            for address in self._options.send or ():
-                outlet = open_outlet(address)
-                undo.callback(outlet.close)
-                self._outlets.append(outlet)
-                console.complain(f"events are sent to {outlet.address}")
-            self.enter_context(undo.pop_all())
-        return self
-
-    def tell(self, row: Mapping[str, Any]) -> None:
-        """Output an event."""
-        if self._options.follow:
-            console.say_json(row)
-        if self._options.verbose and row["event"] != "end":
-            for line in sentence(row).splitlines():
-                console.tell(line)
-        for outlet in list(self._outlets):
-            try:
-                outlet.send(row)
-            except OSError as error:
-                self._outlets.remove(outlet)
-                console.complain(f"cannot send events to {outlet.address} any more: {error.strerror or error}")
+        yield tell
 
 
 class FilmMonitor:
     """Frames of a film or live camera during a reception; records failures of a live camera."""
 
-    def __init__(
-        self, source: FilmReader, *, is_quiet: bool, live: LiveReader | None = None, recorder: Recorder | None = None
-    ):
-        self.path, self.frame_count = source.path, source.frame_count
-        self._source, self._live, self._recorder, self._is_quiet = source, live, recorder, is_quiet
+    def __init__(self, source: FilmReader, live: LiveReader | None = None, recorder: Recorder | None = None):
+        self.path, self.live = source.path, live
+        self._source, self._recorder = source, recorder
         self._has_packet = False
         # Reason of a missing array; empty if unknown
         self.unseen = ""
-
-    @property
-    def is_live(self) -> bool:
-        """True for a live camera."""
-        return self._live is not None
 
     def __iter__(self) -> Iterator[Frame]:
         for frame in self._source:
             if self._recorder is not None:
                 self._recorder.saw(frame)
             yield frame
-        counts = self._live.counts if self._live is not None else None
+        counts = self.live.counts if self.live is not None else None
         if counts is not None and not counts.frames:
             raise MediaError(f"{self.path} gave no frame: check exposure and trigger, which must be off or have pulses")
 
@@ -101,40 +83,29 @@ class FilmMonitor:
         if packet.status != "ok":
             self._fail()
 
-    def show_message(self, message: Message) -> None:
-        """Print a message."""
-        if not self._is_quiet:
-            road = road_values(message.data)
-            console.say(
-                f"array {message.identity}, {message.layer}, message {message.stream}: {len(message.data)} bytes, "
-                f"{_abbreviate(message.data) if road is None else road_words(road)}"
-            )
-
-    @property
-    def recorded(self) -> Path | None:
-        """Film of the failures; None if no failure occurred."""
-        return self._recorder.path if self._recorder is not None and self._recorder.written else None
-
     def finish(self) -> dict[str, Any]:
         """Finish the recording; return the report of a live camera, empty for films."""
-        if self._live is None:
+        if self.live is None:
             return {}
         if not self._has_packet:
             self._fail()
         if self._recorder is not None:
             self._recorder.close()
-        counts, form = self._live.counts, self._live.form
+        counts, form = self.live.counts, self.live.form
         report = {"name": str(self.path), "model": form.model, "settings": dict(form.settings)}
         return {"camera": report | (asdict(counts) if counts is not None else {})}
 
-    def show(self) -> None:
-        """Print the counts of a live camera, and the recording."""
-        show_counts(self._live)
-        if self._recorder is not None and self._recorder.written:
-            frames, path = f"the last {self._recorder.written} frames", self._recorder.path
-            console.say(
-                f"the failures are in {frames} of {path}" if self._has_packet else f"{frames} are kept in {path}"
-            )
+    def show(self, *, has_array: bool) -> None:
+        """Print the remedy for a missing array, the counts of a live camera, and the recording."""
+        recorded = self._recorder.path if self._recorder is not None and self._recorder.written else None
+        if not has_array:
+            command = f"heliograph probe {console.argument(recorded or self.path)}"
+            console.say_prose(f"'{command}' describes the frames, and explains why no array is read")
+        show_counts(self.live)
+        if self._recorder is not None and recorded is not None:
+            frames = f"the last {self._recorder.written} frames"
+            kept = f"the failures are in {frames} of" if self._has_packet else f"{frames} are kept in"
+            console.say(f"{kept} {recorded}")
 
     def _fail(self) -> None:
         if self._recorder is not None:
@@ -143,12 +114,12 @@ class FilmMonitor:
 
 @contextlib.contextmanager
 def monitored(
-    source: FilmReader, options: RecordOptions, light: SignalSettings, receiver: ReceiveSettings, *, is_quiet: bool
+    source: FilmReader, options: RecordOptions, light: SignalSettings, receiver: ReceiveSettings
 ) -> Iterator[FilmMonitor]:
     """Monitor a film during the block; the first Ctrl-C ends the frames of a live camera."""
     live = live_of(source)
     if live is None:
-        yield FilmMonitor(source, is_quiet=is_quiet)
+        yield FilmMonitor(source)
         return
     report_camera(live)
     recorder = None
@@ -158,7 +129,7 @@ def monitored(
             console.complain(f"{options.record} keeps {recorder.seconds:.1f} s: the memory has no room for more")
     warm_up(light, receiver, source.bits)
     with ended_by_ctrl_c(live):
-        yield FilmMonitor(source, is_quiet=is_quiet, live=live, recorder=recorder)
+        yield FilmMonitor(source, live, recorder)
 
 
 def report_camera(live: LiveReader) -> None:
@@ -210,15 +181,3 @@ def show_counts(live: LiveReader | None) -> None:
         if number:
             parts.append(text.format(number))
     console.say("; ".join(parts))
-
-
-def _abbreviate(data: bytes) -> str:
-    """Return the first 60 characters of a text, or of other data in hexadecimal."""
-    try:
-        text = data.decode()
-    except UnicodeDecodeError:
-        text = ""
-    if not text or not all(character.isprintable() or character.isspace() for character in text):
-        return data[:30].hex() + ("..." if len(data) > 30 else "")
-    line = " ".join(text.split())
-    return f"'{line}'" if len(line) <= 60 else f"'{line[:57]}...'"

@@ -4,57 +4,83 @@ import io
 import os
 import signal
 import sys
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from heliograph import __version__
 from heliograph.base.errors import HeliographError
 from heliograph.base.registry import load_parts
-from heliograph.cli import console, film_commands, light_commands, measure, options, study_commands
+from heliograph.cli import console
 
-app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+COMMANDS = {
+    "simulate": "Film a drive past the arrays, and write the truth next to the film.",
+    "transmit": "Write the LED patterns of a transmission.",
+    "receive": "Find arrays in films or in front of a live camera, and read the messages; diagnose unreadable films.",
+    "cameras": "List the connected live cameras by names for 'receive', and the missing requirements of other kinds.",
+    "probe": "Describe a film: frames, light and noise, blinking regions, why each is or is not an array, the remedy.",
+    "convert": "Convert a film to another format, with gray levels and times; .h5 is the fastest to read.",
+    "demo": "Simulate the paper's drive, receive the film, and report the results in report.html.",
+    "serve": "Serve pages for a browser: watch the receiver, transmit by a screen, receive by the camera of a phone.",
+    "sweep": "Count errors over a grid of settings, without films.",
+    "budget": "Calculate the budget of a planned link: light, electrons, pixels, blur, range of each layer, flicker.",
+    "dataset": "Write films with truth and cut-outs, split for training detectors and decoders.",
+    "reproduce": "Run the paper's experiments, and compare claims with the measurements.",
+    "presets": "List the presets, or print all settings of a preset.",
+    "measure": "Run a measurement and print the counts.",
+}
+"""Commands and their help; each is a module of this package."""
 
-for _command in (
-    light_commands.simulate,
-    light_commands.transmit,
-    film_commands.receive,
-    film_commands.cameras,
-    film_commands.probe,
-    film_commands.convert,
-    light_commands.demo,
-    film_commands.serve,
-    study_commands.sweep,
-    study_commands.budget,
-    study_commands.dataset,
-    study_commands.reproduce,
-    study_commands.presets,
-):
-    app.command()(_command)
-app.add_typer(measure.app, name="measure")
+
+class LazyGroup(typer.core.TyperGroup):
+    """Group that imports the module of a command when the command is invoked."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:
+        """Return the name, the command and the remaining arguments."""
+        name, _, remaining = super().resolve_command(ctx, args)
+        return name, name and load_command(name), remaining
+
+
+def load_command(name: str) -> Any:
+    """Import the module of a command, and return the command."""
+    return typer.main.get_command(getattr(import_module(f"heliograph.cli.{name}"), name))
+
+
+app = typer.Typer(cls=LazyGroup, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+for _name, _help in COMMANDS.items():
+    app.command(_name, help=_help)(lambda: None)
 
 TyperError: type[Exception] = getattr(typer, "TyperException", typer.BadParameter.__mro__[2])
 """Base class of usage errors; before Typer 0.27, the Click exception below `typer.BadParameter`."""
 
-Version = Annotated[
-    bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=options.print_version)
-]
 
-
-Load = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--load", metavar="FILE", help="Python file that registers custom parts, such as a receiver; may be repeated."
-    ),
-]
+def print_version(requested: bool) -> None:
+    """Print the version and exit."""
+    if requested:
+        console.say(f"heliograph {__version__}")
+        raise typer.Exit
 
 
 @app.callback(invoke_without_command=True)
-def main(context: typer.Context, load: Load = None, version: Version = False) -> None:  # noqa: ARG001 - a callback
+def main(
+    context: typer.Context,
+    load: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE", help="Python file that registers custom parts, such as a receiver; may be repeated."
+        ),
+    ] = None,
+    version: Annotated[  # noqa: ARG001 - a callback
+        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=print_version)
+    ] = False,
+) -> None:
     """Transmit data by an LED array, and receive it by a high-speed camera on a moving car."""
     for file in load or ():
         load_parts(file)
-    options.help_unless_command(context)
+    console.help_unless_command(context)
 
 
 def _complain_about_usage(error: Exception) -> None:

@@ -4,80 +4,94 @@ import contextlib
 import functools
 import inspect
 import math
-import sys
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, is_dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from heliograph import __version__
+from heliograph.base.config import merge
 from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.base.toml_text import parse_assignment, parse_toml
-from heliograph.cli import console
+from heliograph.link import truth
+from heliograph.link.settings import PRESETS, LinkSettings, load_settings
+from heliograph.media import FilmReader
+from heliograph.media.live.reader import film_path, is_camera
+from heliograph.receive.registry import RECEIVERS
+from heliograph.signal.settings import SignalSettings
+from heliograph.sweeps.plan import parse_vary
 
-if TYPE_CHECKING:
-    from heliograph.link.settings import LinkSettings
+
+def option(text: str, metavar: str | None = None, *names: str, default: Any = None, **settings: Any) -> Any:
+    """Declare an option with a help text, as the default of a field or a parameter."""
+    return field(default=default, metadata={"option": typer.Option(*names, metavar=metavar, help=text, **settings)})
 
 
-def with_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """Replace parameters of a command that are dataclasses: each field becomes an option."""
-    hints, groups, parameters = get_type_hints(command, include_extras=True), dict[str, Any](), []
-    for name, parameter in inspect.signature(command).parameters.items():
-        kind = hints[name]
-        if not (isinstance(kind, type) and is_dataclass(kind)):
-            parameters.append(parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=kind))
-            continue
-        groups[name] = kind
-        defaults = kind() if parameter.default is parameter.empty else parameter.default
-        parameters += [
-            inspect.Parameter(option, parameter.KEYWORD_ONLY, default=getattr(defaults, option), annotation=field_hint)
-            for option, field_hint in get_type_hints(kind, include_extras=True).items()
-        ]
+def with_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Prepare a function for Typer: apply `option`, and make each field of a dataclass parameter an option."""
+    groups, parameters = dict[str, Any](), list[inspect.Parameter]()
 
-    @functools.wraps(command)
+    def add(name: str, hint: Any, default: Any, metadata: Mapping[str, Any]) -> None:
+        annotation = Annotated[hint, metadata["option"]] if metadata else hint
+        parameters.append(
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        )
+
+    hints = get_type_hints(function, include_extras=True)
+    for name, parameter in inspect.signature(function).parameters.items():
+        kind, default = hints[name], parameter.default
+        if is_dataclass(kind):
+            groups[name], types = kind, get_type_hints(kind, include_extras=True)
+            for item in fields(kind):
+                add(item.name, types[item.name], getattr(default, item.name, item.default), item.metadata)
+        elif isinstance(default, Field):
+            add(name, kind, default.default, default.metadata)
+        else:
+            add(name, kind, default, {})
+
+    @functools.wraps(function)
     def expanded(**values: Any) -> None:
         for name, kind in groups.items():
-            values[name] = kind(**{option: values.pop(option) for option in get_type_hints(kind)})
-        command(**values)
+            values[name] = kind(**{item.name: values.pop(item.name) for item in fields(kind)})
+        function(**values)
 
     expanded.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return expanded
 
 
+def command(function: Callable[..., None]) -> typer.Typer:
+    """Make a command of a function; see `with_options`."""
+    app = typer.Typer(rich_markup_mode=None, add_completion=False)
+    app.command()(with_options(function))
+    return app
+
+
 def complete_preset(start: str) -> list[tuple[str, str]]:
     """Return presets and descriptions for shell completion."""
-    from heliograph.link.settings import PRESETS
-
     return [(name, text) for name, (text, _) in PRESETS.items() if name.startswith(start)]
 
 
 def complete_receiver(start: str) -> list[str]:
     """Return receivers for shell completion."""
-    from heliograph.receive.registry import RECEIVERS
-
     return [name for name in RECEIVERS.names() if name.startswith(start)]
 
 
-def parse_film(text: str) -> Path:
-    """Return the path of a film, or the name of a live camera."""
-    from heliograph.media.live.reader import film_path
-
-    return film_path(text)
-
-
-def message_option(layer: str) -> Any:
-    """Return the option of the message of a layer."""
-    text = f"Message of {layer} priority: a file, - for standard input, or a text."
-    return typer.Option(f"--{layer}", metavar="FILE|-|TEXT", help=text)
+def parse_vary_options(texts: list[str] | None) -> dict[str, list[Any]]:
+    """Return the values of varied settings by key."""
+    vary: dict[str, list[Any]] = {}
+    for key, values in map(parse_vary, texts or ()):
+        if key in vary:
+            raise SettingsError(f"'{key}' is varied twice; write its values in one --vary")
+        vary[key] = values
+    return vary
 
 
 def vary_option(text: str) -> Any:
-    """Return the option of varied settings."""
-    return typer.Option("--vary", metavar="KEY=VALUES", help=f"Key and values: 1,2 or first:last:step. {text}")
+    """Declare the option of varied settings."""
+    return option(f"Key and values: 1,2 or first:last:step. {text}", "KEY=VALUES", "--vary")
 
 
 FILM_KINDS = (
@@ -85,17 +99,15 @@ FILM_KINDS = (
     "camera, camera:KIND:ADDRESS."
 )
 
-Film = Annotated[Path, typer.Argument(metavar="FILM", parser=parse_film, help=FILM_KINDS)]
+Film = Annotated[Path, typer.Argument(metavar="FILM", parser=film_path, help=FILM_KINDS)]
 Json = Annotated[bool, typer.Option("--json", help="Print only a JSON object.")]
 JsonList = Annotated[bool, typer.Option("--json", help="Print only a JSON list.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the road, the scene and the noise.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the road, the scene and the noise.")]
 Assignments = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting; may be repeated.")
 ]
-Imu = Annotated[Path | None, typer.Option("--imu", metavar="CSV", help="Recorded car motion; sets channel.shake=imu.")]
-WorkersOption = Annotated[
-    int | None, typer.Option("--workers", min=1, help="Worker processes; default: number of cores.")
-]
+Imu = Annotated[Path | None, typer.Option(metavar="CSV", help="Recorded car motion; sets channel.shake=imu.")]
+WorkersOption = Annotated[int | None, typer.Option(min=1, help="Worker processes; default: number of cores.")]
 Receiver = Annotated[
     str | None,
     typer.Option(
@@ -107,7 +119,6 @@ Receiver = Annotated[
 CameraOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--camera",
         metavar="KEY=VALUE",
         help="Set a live camera: exposure_us, gain, rate_hz, region=X,Y,WIDTH,HEIGHT, pixel_format, trigger, producer, "
         "queue_s, reconnect, or a feature by the camera's own name, such as BlackLevel; may be repeated.",
@@ -122,49 +133,37 @@ Codec = Annotated[
 class SettingsOptions:
     """Selection of settings: `assignments` override the file, and the file overrides the preset."""
 
-    preset: Annotated[
-        str,
-        typer.Option(
-            "--preset", help="Preset to start from, see 'heliograph presets'.", autocompletion=complete_preset
-        ),
-    ] = "paper"
-    settings_file: Annotated[
-        Path | None, typer.Option("--settings", metavar="FILE", help="TOML file that changes settings of the preset.")
-    ] = None
+    preset: str = option(
+        "Preset to start from, see 'heliograph presets'.", default="paper", autocompletion=complete_preset
+    )
+    settings_file: Path | None = option("TOML file that changes settings of the preset.", "FILE", "--settings")
     assignments: Assignments = None
 
-    def load(self) -> "LinkSettings":
+    def load(self) -> LinkSettings:
         """Return the settings."""
-        from heliograph.link.settings import load_settings
-
         return load_settings(self.preset, self._tree(), self.assignments or ())
 
-    def load_preset(self) -> "LinkSettings":
-        """Return the settings of the preset."""
-        from heliograph.link.settings import load_settings
-
-        return load_settings(self.preset)
-
-    def signal_changes(self) -> list[dict[str, Any]]:
-        """Return changes of the signal in order, after validation by `load`."""
-        changes = [self._tree(), *map(parse_assignment, self.assignments or ())]
-        return [change["signal"] for change in changes if change.get("signal")]
+    def signal_of(self, film: FilmReader) -> tuple[SignalSettings, str]:
+        """Return the signal of a film, and the differences from the film's note; `load` validates the settings."""
+        changes = [change["signal"] for change in self._changes() if change.get("signal")]
+        return truth.signal_of(film, load_settings(self.preset).signal, changes)
 
     def overlay(self) -> Any:
         """Return file and assignments as a nested mapping."""
-        from heliograph.base.config import merge
-
-        tree: Any = self._tree()
-        for change in map(parse_assignment, self.assignments or ()):
-            tree = merge(tree, change)
-        return tree
+        return functools.reduce(merge, self._changes())
 
     def changed(self, defaults: Iterable[str] = (), overrides: Iterable[str] = ()) -> "SettingsOptions":
         """Return the options with assignments of lower and higher priority."""
         return SettingsOptions(self.preset, self.settings_file, [*defaults, *(self.assignments or ()), *overrides])
 
+    def _changes(self) -> list[dict[str, Any]]:
+        return [self._tree(), *map(parse_assignment, self.assignments or ())]
+
     def _tree(self) -> dict[str, Any]:
         return read_toml(self.settings_file) if self.settings_file else {}
+
+
+STATIC = SettingsOptions("static")
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,14 +171,9 @@ class SceneOptions:
     """Random numbers and recordings of a simulation."""
 
     seed: Seed = 0
-    background: Annotated[
-        Path | None,
-        typer.Option(
-            "--background",
-            metavar="VIDEO",
-            help="Recorded footage for the background; sets channel.background.kind=footage.",
-        ),
-    ] = None
+    background: Path | None = option(
+        "Recorded footage for the background; sets channel.background.kind=footage.", "VIDEO"
+    )
     imu: Imu = None
 
 
@@ -188,44 +182,24 @@ class WorkerOptions:
     """Processes or machines for the computation."""
 
     workers: WorkersOption = None
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers compute, in place of --workers."),
-    ] = None
+    scheduler: str | None = option("Dask scheduler whose workers compute, in place of --workers.", "ADDRESS")
 
 
 @dataclass(frozen=True, slots=True)
 class FilmOptions:
     """Reading of a film."""
 
-    fps: Annotated[
-        float | None,
-        typer.Option(
-            "--fps",
-            metavar="RATE",
-            help="Frames per second of the camera, if the film states another rate, as in slow motion, or has no "
-            "clock: a folder of pictures, TIFF, .npy.",
-        ),
-    ] = None
-    crop: Annotated[
-        str | None,
-        typer.Option(
-            "--crop",
-            metavar="X,Y,WIDTH,HEIGHT",
-            help="Region of the frames to read, in pixels; x and y count from 0 at the upper left.",
-        ),
-    ] = None
-    binning: Annotated[
-        int,
-        typer.Option("--bin", metavar="SIDE", help="Average squares of SIDE pixels, 1 to 16; 2 for a Bayer mosaic."),
-    ] = 1
-    rotate: Annotated[
-        int,
-        typer.Option("--rotate", metavar="DEGREES", help="Rotate the region clockwise: 0, 90, 180 or 270 degrees."),
-    ] = 0
-    channel: Annotated[str, typer.Option("--channel", help="Gray level of a colour: luma, red, green or blue.")] = (
-        "luma"
+    fps: float | None = option(
+        "Frames per second of the camera, if the film states another rate, as in slow motion, or has no clock: a "
+        "folder of pictures, TIFF, .npy.",
+        "RATE",
     )
+    crop: str | None = option(
+        "Region of the frames to read, in pixels; x and y count from 0 at the upper left.", "X,Y,WIDTH,HEIGHT"
+    )
+    binning: int = option("Average squares of SIDE pixels, 1 to 16; 2 for a Bayer mosaic.", "SIDE", "--bin", default=1)
+    rotate: int = option("Rotate the region clockwise: 0, 90, 180 or 270 degrees.", "DEGREES", default=0)
+    channel: str = option("Gray level of a colour: luma, red, green or blue.", default="luma")
 
     @property
     def is_partial(self) -> bool:
@@ -249,24 +223,16 @@ class DetectOptions:
     """Receiver, and positions of arrays."""
 
     receiver: Receiver = None
-    corners: Annotated[
-        str | None,
-        typer.Option(
-            "--corners",
-            metavar="X,Y,X,Y,X,Y,X,Y",
-            help="Position of an array that detection misses: the four corners of the LED area in turn, in pixels of "
-            "the frames after cropping and binning. Sets receive.detect.corners.",
-        ),
-    ] = None
-    region: Annotated[
-        str | None,
-        typer.Option(
-            "--region",
-            metavar="X,Y,WIDTH,HEIGHT",
-            help="Region of the frames to search for arrays, however faint; tracking continues outside. Sets "
-            "receive.detect.region.",
-        ),
-    ] = None
+    corners: str | None = option(
+        "Position of an array that detection misses: the four corners of the LED area in turn, in pixels of the frames "
+        "after cropping and binning. Sets receive.detect.corners.",
+        "X,Y,X,Y,X,Y,X,Y",
+    )
+    region: str | None = option(
+        "Region of the frames to search for arrays, however faint; tracking continues outside. Sets "
+        "receive.detect.region.",
+        "X,Y,WIDTH,HEIGHT",
+    )
 
     def assignments(self) -> list[str]:
         """Return assignments of settings."""
@@ -291,12 +257,10 @@ class LiveOptions:
     """Settings of live cameras."""
 
     camera: CameraOption = None
-    duration: Annotated[float | None, typer.Option(metavar="S", help="Duration of a live recording in seconds.")] = None
+    duration: float | None = option("Duration of a live recording in seconds.", "S")
 
     def keywords(self, film: Path) -> dict[str, Any]:
         """Return the arguments of `open_film`; raise a MediaError for a recording."""
-        from heliograph.media.live.reader import is_camera
-
         values = {name: getattr(self, name, None) for name in ("camera", "duration", "record")}
         names = [f"--{name}" for name, value in values.items() if value not in (None, [])]
         if names and not is_camera(film):
@@ -309,73 +273,49 @@ class LiveOptions:
 class RecordOptions(LiveOptions):
     """Settings of live cameras, and recording of failures."""
 
-    record: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="HDF5 film of the last seconds of a live camera with a lost array or an unread packet, or without any "
-            "packet.",
-        ),
-    ] = None
-    record_s: Annotated[
-        float, typer.Option("--record-s", metavar="S", min=0.1, max=3600, help="Seconds that --record keeps.")
-    ] = 10.0
+    record: Path | None = option(
+        "HDF5 film of the last seconds of a live camera with a lost array or an unread packet, or without any packet.",
+        "FILE",
+    )
+    record_s: float = option("Seconds that --record keeps.", "S", default=10.0, min=0.1, max=3600)
 
 
 @dataclass(frozen=True, slots=True)
 class AddressOptions:
     """Address of a server."""
 
-    host: Annotated[
-        str, typer.Option("--host", help="Address of the server; 0.0.0.0 admits other machines with a token.")
-    ] = "127.0.0.1"
-    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port of the server; 0 for a free port.")] = 8000
-    certificate: Annotated[
-        Path | None,
-        typer.Option(
-            "--certificate",
-            metavar="PEM",
-            help="Certificate for HTTPS, required by browsers of other machines for camera access.",
-        ),
-    ] = None
-    key: Annotated[Path | None, typer.Option("--key", metavar="PEM", help="Key of the certificate.")] = None
+    host: str = option("Address of the server; 0.0.0.0 admits other machines with a token.", default="127.0.0.1")
+    port: int = option("Port of the server; 0 for a free port.", default=8000, min=0, max=65535)
+    certificate: Path | None = option(
+        "Certificate for HTTPS, required by browsers of other machines for camera access.", "PEM"
+    )
+    key: Path | None = option("Key of the certificate.", "PEM")
 
 
 @dataclass(frozen=True, slots=True)
 class EventOptions:
     """Output of events."""
 
-    follow: Annotated[
-        bool, typer.Option("--follow", help="Print a JSON line for each array found or lost, each packet and message.")
-    ] = False
-    send: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--send",
-            metavar="ADDRESS",
-            help="Send the lines of --follow: udp://HOST:PORT, or ws://127.0.0.1:PORT for WebSocket clients; may be "
-            "repeated.",
-        ),
-    ] = None
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Describe these events on standard error.")] = False
+    follow: bool = option(
+        "Print a JSON line for each array found or lost, each packet and message.", None, "--follow", default=False
+    )
+    send: list[str] | None = option(
+        "Send the lines of --follow: udp://HOST:PORT, or ws://127.0.0.1:PORT for WebSocket clients; may be repeated.",
+        "ADDRESS",
+    )
+    verbose: bool = option("Describe these events on standard error.", None, "--verbose", "-v", default=False)
 
 
 @dataclass(frozen=True, slots=True)
 class OutputOptions:
     """Results of a reception."""
 
-    output: Annotated[
-        Path | None, typer.Option("--output", metavar="DIR", help="Folder for the messages and the packet log.")
-    ] = None
-    files: Annotated[
-        Path | None,
-        typer.Option(
-            "--files",
-            metavar="DIR",
-            help="Folder for received files; incomplete files continue with the next film. Default: the folder 'files' "
-            "in the folder of --output.",
-        ),
-    ] = None
+    output: Path | None = option("Folder for the messages and the packet log.", "DIR")
+    files: Path | None = option(
+        "Folder for received files; incomplete files continue with the next film. Default: the folder 'files' in the "
+        "folder of --output.",
+        "DIR",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,7 +325,6 @@ class ReceiveOptions:
     film: FilmOptions
     settings: SettingsOptions
     results: OutputOptions = OutputOptions()
-    truth: Path | None = None
     live: RecordOptions = RecordOptions()
     events: EventOptions = EventOptions()
     as_json: bool = False
@@ -395,60 +334,43 @@ class ReceiveOptions:
         """True if standard output is JSON only."""
         return self.as_json or self.events.follow
 
-    def relative_to(self, folder: Path) -> "ReceiveOptions":
-        """Return the options with paths relative to a folder."""
+    @property
+    def files_folder(self) -> Path | None:
+        """Folder of received files."""
+        output = self.results.output
+        return self.results.files or (None if output is None else output / "files")
+
+    def for_film(self, film: Path, folder: Path) -> "ReceiveOptions":
+        """Return the options for one of many films; paths are relative to a folder."""
         file, output, files = (
             None if path is None else folder / path
             for path in (self.settings.settings_file, self.results.output, self.results.files)
         )
-        return replace(self, settings=replace(self.settings, settings_file=file), results=OutputOptions(output, files))
+        results = OutputOptions(None if output is None else output / film.name, files)
+        return replace(self, settings=replace(self.settings, settings_file=file), results=results)
 
 
 @dataclass(frozen=True, slots=True)
 class SentOptions:
     """Messages and files to send; see `messages.message_of` for `high`, `middle` and `low`."""
 
-    high: Annotated[str | None, message_option("high")] = None
-    middle: Annotated[str | None, message_option("middle")] = None
-    low: Annotated[str | None, message_option("low")] = None
-    file: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--file",
-            metavar="PATH",
-            help="File for layers that have no message, sent as fountain-coded symbols: any sufficient number "
-            "restores the file; may be repeated.",
-        ),
-    ] = None
-    file_code: Annotated[
-        str,
-        typer.Option("--file-code", help="Code of --file: cauchy, for every receiver, or raptorq, for megabytes."),
-    ] = "cauchy"
-    junction: Annotated[
-        Path | None,
-        typer.Option(
-            "--junction",
-            metavar="TOML",
-            help="Junction: the high layer sends traffic lights as SPATEM, the middle layer lanes as MAPEM.",
-        ),
-    ] = None
+    high: str | None = option("Message of high priority: a file, - for standard input, or a text.", "FILE|-|TEXT")
+    middle: str | None = option("Message of middle priority: a file, - for standard input, or a text.", "FILE|-|TEXT")
+    low: str | None = option("Message of low priority: a file, - for standard input, or a text.", "FILE|-|TEXT")
+    file: list[Path] | None = option(
+        "File for layers that have no message, sent as fountain-coded symbols: any sufficient number restores the "
+        "file; may be repeated.",
+        "PATH",
+    )
+    file_code: str = option("Code of --file: cauchy, for every receiver, or raptorq, for megabytes.", default="cauchy")
+    junction: Path | None = option(
+        "Junction: the high layer sends traffic lights as SPATEM, the middle layer lanes as MAPEM.", "TOML"
+    )
 
     @property
     def inputs(self) -> tuple[str | Path | None, ...]:
         """Possible names of input files."""
         return (self.high, self.middle, self.low, *(self.file or ()), self.junction)
-
-
-def parse_vary_options(texts: list[str] | None) -> dict[str, list[Any]]:
-    """Return the values of varied settings by key."""
-    from heliograph.sweeps.plan import parse_vary
-
-    vary: dict[str, list[Any]] = {}
-    for key, values in map(parse_vary, texts or ()):
-        if key in vary:
-            raise SettingsError(f"'{key}' is varied twice; write its values in one --vary")
-        vary[key] = values
-    return vary
 
 
 def read_toml(file: Path) -> dict[str, Any]:
@@ -464,13 +386,6 @@ def read_toml(file: Path) -> dict[str, Any]:
         raise SettingsError(f"{file}: {error}") from None
 
 
-def print_version(requested: bool) -> None:
-    """Print the version and exit."""
-    if requested:
-        console.say(f"heliograph {__version__}")
-        raise typer.Exit
-
-
 def refuse_to_replace(output: Path, inputs: Iterable[Path | str | None]) -> None:
     """Raise a MediaError if an output file is also an input file."""
     is_same = False
@@ -479,10 +394,3 @@ def refuse_to_replace(output: Path, inputs: Iterable[Path | str | None]) -> None
             is_same |= output.samefile(path)
     if is_same:
         raise MediaError(f"{output} is read and would be written: give the output another name")
-
-
-def help_unless_command(context: typer.Context) -> None:
-    """Write the help to standard error and exit with status 2 if no command is given; Click before 8.2 exits with 0."""
-    if context.invoked_subcommand is None:
-        sys.stderr.write(context.get_help() + "\n")
-        raise typer.Exit(2)

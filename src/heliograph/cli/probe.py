@@ -8,9 +8,8 @@ import cv2
 from heliograph.base.errors import HeliographError
 from heliograph.base.files import clear_write_errors
 from heliograph.base.words import counted
-from heliograph.cli import console
-from heliograph.cli.options import FilmOptions, SettingsOptions
-from heliograph.link.truth import signal_of
+from heliograph.cli import console, options
+from heliograph.cli.options import option
 from heliograph.media import open_film
 from heliograph.media.live.reader import is_camera
 from heliograph.probe import probe_film
@@ -18,24 +17,30 @@ from heliograph.probe.page import write_page
 from heliograph.probe.words import as_mapping, lines
 
 
-def run_probe(
-    film: Path,
-    film_options: FilmOptions,
-    settings_options: SettingsOptions,
-    camera: list[str] | None,
-    frames: int | None,
-    output: Path | None,
+@options.command
+def probe(
+    film: options.Film,
     *,
-    as_json: bool,
+    detect: options.DetectOptions,
+    frames: int | None = option("Probe only the first N frames; live camera: 2048.", "N", min=1),
+    output: Path | None = option("Folder for probe.html, with pictures.", "DIR"),
+    film_options: options.FilmOptions,
+    camera: options.CameraOption = None,
+    settings: options.SettingsOptions,
+    as_json: options.Json = False,
 ) -> None:
-    """Describe a film; show the findings so far after an early end."""
-    settings = settings_options.load()
-    base, changes = settings_options.load_preset(), settings_options.signal_changes()
+    """Describe a film: frames, light and noise, blinking regions, why each is or is not an array, the remedy.
+
+    The exit status is 0 if an array is read with these settings, 3 if no array is read, and 1 if the film is truncated,
+    or the receiver refuses the frame rate.
+    """
+    settings = settings.changed(overrides=detect.assignments())
+    link = settings.load()
     cv2.setNumThreads(1)  # as in receive
     # two seconds of a live camera of the reference link
     frames = 2048 if frames is None and is_camera(film) else frames
     with open_film(film, **film_options.keywords(), camera=camera or ()) as source:
-        signal, departure = signal_of(source, base.signal, changes)
+        signal, departure = settings.signal_of(source)
         if departure:
             console.complain(departure)
         if output is not None:
@@ -43,7 +48,7 @@ def run_probe(
                 output.mkdir(parents=True, exist_ok=True)
         total = source.frame_count if frames is None else min(frames, source.frame_count or frames)
         with console.progress("probing", total) as advance:
-            findings = probe_film(source, signal, settings.receive, advance, most=frames)
+            findings = probe_film(source, signal, link.receive, advance, most=frames)
     if as_json:
         console.say_json(as_mapping(findings))
     else:

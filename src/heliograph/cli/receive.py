@@ -1,42 +1,57 @@
-"""Reception of a film or live camera."""
+"""Command for the reception of films and live cameras, one or many in parallel."""
 
 import contextlib
+import glob
 import json
 import os
 import re
 import sys
 import time
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Annotated, Any
 
 import cv2
+import typer
 
+from heliograph import __version__
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.base.words import counted
-from heliograph.cli import console
-from heliograph.cli.files import FileOutput
-from heliograph.cli.live import EventOutput, FilmMonitor, monitored
-from heliograph.cli.options import ReceiveOptions
-from heliograph.link.film import FrameProgress, packet_row, silent
+from heliograph.cli import console, options
+from heliograph.cli.files import FileOutput, join
+from heliograph.cli.live import FilmMonitor, monitored, open_events
+from heliograph.cli.options import ReceiveOptions, WorkerOptions, option
+from heliograph.link.film import packet_row
 from heliograph.link.settings import LinkSettings
-from heliograph.link.truth import check_truth, open_truth, signal_of
+from heliograph.link.truth import TruthFile, check_truth, open_truth
 from heliograph.measure.counts import LayerCounts
 from heliograph.measure.errors import BIN_M, ErrorCounter
 from heliograph.measure.journal import Journal, missed_words
 from heliograph.measure.reception import Reception, receive_film
-from heliograph.media import FilmReader, open_film
-from heliograph.media.live.reader import is_camera, live_of
+from heliograph.media import FilmReader, open_film, tiff
+from heliograph.media.images import PICTURE_SUFFIXES, is_pattern
+from heliograph.media.live.reader import film_path, is_camera, live_of
 from heliograph.probe import Findings, probe_film
 from heliograph.probe.activity import MOST_FRAMES
 from heliograph.probe.words import as_mapping, in_short
 from heliograph.receive.registry import RECEIVERS
+from heliograph.road.codec import road_values, road_words
 from heliograph.signal.message import Message
-from heliograph.signal.settings import SignalSettings
+from heliograph.sweeps.executors import Workers, fewer_workers, open_workers
 
 PARTIAL_LOG = ".packets.jsonl.partial"
 """Name of an incomplete packet log."""
+
+FILMS = {".mkv", ".nut", ".mp4", ".mov", ".m4v", ".webm", ".avi", ".y4m", ".ts", ".m2ts", ".wmv", ".flv", ".h264",
+         ".h265", ".hevc", ".h5", ".hdf5", ".mat", ".mraw", ".cine", ".npy"}  # fmt: skip
+"""Suffixes of films in a folder; the pictures of a folder are the frames of a film."""
+
+Row = dict[str, Any]
+"""Result of a film."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,141 +68,166 @@ class Ending:
 INTERRUPTED = Ending("interrupted", is_interrupted=True)
 
 
-def run_receive(film: Path, options: ReceiveOptions) -> None:
-    """Receive a film or live camera; show the results so far after an early end, and diagnose a missing array."""
-    settings = options.settings.load()
-    base, changes = options.settings.load_preset(), options.settings.signal_changes()
-    if options.truth and is_camera(film):
-        raise MediaError("a live camera has no truth: leave out --truth")
-    if options.truth and options.film.is_partial:
-        raise MediaError("the truth describes complete frames: leave out --crop, --bin and --rotate, or --truth")
-    truth = open_truth(options.truth) if options.truth else None
-    reception, output = Reception(truth), options.results.output
-    files_folder = options.results.files or (output / "files" if output else None)
-    files = FileOutput(files_folder, is_quiet=options.is_quiet)
-    files.begin(reception.files)
-    cv2.setNumThreads(1)  # a second thread is not faster for small images
-    with open_film(film, **options.film.keywords(), **options.live.keywords(film)) as source:
-        signal, departure = signal_of(source, base.signal, changes)
-        if truth is not None:
-            check_truth(source, truth, signal)
-        if departure:
-            console.complain(departure)
-        link = _adapted(settings, source)
-        with (
-            ResultFolder(output) as folder,
-            EventOutput(options.events) as events,
-            monitored(source, options.live, signal, link.receive, is_quiet=options.is_quiet) as monitor,
-        ):
-            start_s = time.perf_counter()
-            with console.progress("receiving", monitor.frame_count) as advance:
-                ending = receive_packets(monitor, signal, link, reception, folder, events, files, advance)
-            report = {"film": str(film), **reception.report(time.perf_counter() - start_s)}
-            report["reading_seconds"] = source.read_s
-            findings = None
-            try:
-                if not monitor.is_live and is_unexplained(report, ending):
-                    findings = probe_unread(source, signal, settings, report)
-            except KeyboardInterrupt:
-                ending = INTERRUPTED
-            if findings is not None and findings.screen is not None and ending.is_refused:
-                # the receiver for arrays refuses the frame rate of films of screens
-                ending = Ending(f"{film} shows a screen: {findings.screen.advice[0]}")
-            if ending.error:
-                report["error"] = ending.error
-            try:
-                report |= monitor.finish()
-                folder.finish(report)
-                files.finish(reception.files)
-            except MediaError as error:
-                ending = Ending(str(error))
-            events.tell({"event": "end", **report})
-    if options.as_json and not options.events.follow:
-        console.say_json(report)
-    elif not options.events.follow:
-        _show(report, reception, folder, monitor.unseen)
-        for line in files.incomplete_lines(reception.files, reception.frames / source.rate_hz):
-            console.say_prose(line)
-        _show_findings(findings, film)
-        if monitor.is_live and not report["arrays"]:
-            command = f"heliograph probe {console.argument(monitor.recorded or film)}"
-            console.say_prose(f"'{command}' describes the frames, and explains why no array is read")
-        monitor.show()
-        if not monitor.is_live:
-            _show_reading_time(source, report)
-    if ending.is_interrupted:
-        console.exit_interrupted(
-            f"interrupted after {counted(reception.frames, 'frame')}; the results so far are above"
-        )
-    if ending.error:
-        raise HeliographError(ending.error)
-    exit_without_array(report)
+@dataclass(slots=True)
+class Outcome:
+    """Results of a reception."""
+
+    report: dict[str, Any]
+    reception: Reception
+    monitor: FilmMonitor
+    files: FileOutput
+    # Names of the written messages
+    messages: list[str]
+    ending: Ending
+    # Diagnosis of a missing array
+    findings: Findings | None
 
 
-def receive_packets(
-    monitor: FilmMonitor,
-    signal: SignalSettings,
-    settings: LinkSettings,
-    reception: Reception,
-    folder: "ResultFolder",
-    events: EventOutput,
-    files: FileOutput,
-    advance: FrameProgress = silent,
-) -> Ending:
-    """Receive all packets."""
-    journal = Journal(settings.receive.calibration, events.tell)
+@options.command
+def receive(
+    films: Annotated[list[Path], typer.Argument(metavar="FILM...", parser=film_path, help=options.FILM_KINDS)],
+    *,
+    detect: options.DetectOptions,
+    results: options.OutputOptions,
+    truth: Path | None = option("Truth of the film, for error counts.", "FILE"),
+    film: options.FilmOptions,
+    settings: options.SettingsOptions,
+    live: options.RecordOptions,
+    as_json: options.Json = False,
+    events: options.EventOptions,
+    crew: options.WorkerOptions,
+) -> None:
+    """Find arrays in films or in front of a live camera, and read the messages; diagnose unreadable films.
 
-    def observe(event: Any) -> None:
-        journal.observe(event)
-        monitor.observe(event)
+    A live camera is camera:KIND or camera:KIND:ADDRESS; 'heliograph cameras' lists the connected cameras. The reception
+    ends with Ctrl-C, after --duration S, or at the end of the camera.
 
-    try:
-        for packet, messages in receive_film(monitor, signal, settings, reception, observe, advance):
-            folder.log(packet_row(packet, reception.confirmed))
-            journal.read(packet, messages, reception.progress)
-            monitor.add_packet(packet)
-            for message in messages:
-                folder.write_message(message)
-                monitor.show_message(message)
-            for progress in reception.progress:
-                files.update(progress)
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except (HeliographError, OSError, MemoryError) as error:
-        is_refused = isinstance(error, HeliographError) and not isinstance(error, MediaError)
-        return Ending(console.error_text(error), is_refused=is_refused)
-    return Ending()
-
-
-def is_unexplained(report: dict[str, Any], ending: Ending) -> bool:
-    """Return True if a diagnosis must explain a missing array."""
-    return not report["arrays"] and (ending.is_refused or not ending.error)
-
-
-def exit_without_array(*reports: dict[str, Any]) -> None:
-    """Exit with status 3 if no reception decoded a codeword of an array."""
+    Films of 'simulate' contain a note of the signal, which overrides the preset. --settings and --set override the
+    note; a line reports differences. For several films, or a folder of films, the output is a line of JSON for each
+    film; --output has a folder for each film, and existing results are not computed again. The exit status is 3 if no
+    array was found in any film.
+    """
+    chosen = settings.changed(overrides=detect.assignments())
+    request = ReceiveOptions(film, chosen, results, live, events, as_json)
+    chosen.load()  # reports invalid settings once
+    if not is_many(films) and crew == options.WorkerOptions():
+        reports = [_receive_film(films[0], request, truth)]
+    else:
+        is_watched = events.follow or events.send or events.verbose
+        if truth or live.camera or live.record or live.duration is not None or is_watched:
+            raise MediaError(
+                "--truth, --follow, --send, --verbose and cameras' options accept a single film: receive films in turn"
+            )
+        reports = run_many(films, request, crew)
     if not any(report["arrays"] for report in reports):
         sys.exit(console.NO_ARRAY)
 
 
-def probe_unread(
+def _receive_film(film: Path, request: ReceiveOptions, truth_path: Path | None) -> dict[str, Any]:
+    """Receive a film or live camera; show the results so far after an early end, and diagnose a missing array."""
+    if truth_path and is_camera(film):
+        raise MediaError("a live camera has no truth: leave out --truth")
+    if truth_path and request.film.is_partial:
+        raise MediaError("the truth describes complete frames: leave out --crop, --bin and --rotate, or --truth")
+    truth = open_truth(truth_path) if truth_path else None
+    cv2.setNumThreads(1)  # a second thread is not faster for small images
+    with open_film(film, **request.film.keywords(), **request.live.keywords(film)) as source:
+        outcome = receive_source(source, str(film), request, truth)
+    if request.as_json and not request.events.follow:
+        console.say_json(outcome.report)
+    elif not request.events.follow:
+        _show(outcome, request.results.output)
+        _show_end(outcome, source, film)
+    ending = outcome.ending
+    if ending.is_interrupted:
+        frames = counted(outcome.reception.frames, "frame")
+        console.exit_interrupted(f"interrupted after {frames}; the results so far are above")
+    if ending.error:
+        raise HeliographError(ending.error)
+    return outcome.report
+
+
+def receive_source(
     source: FilmReader,
-    signal: SignalSettings,
-    settings: LinkSettings,
-    report: dict[str, Any],
-    *,
-    is_quiet: bool = False,
-) -> Findings:
-    """Diagnose an unreadable film, and add the findings to the report; sample sections of a long film."""
-    most, every = 8 * MOST_FRAMES, 1
-    if source.frame_count is not None:
-        every, most = max(1, source.frame_count // most), source.frame_count
-    with contextlib.nullcontext(silent) if is_quiet else console.progress("asking why", most) as advance:
-        findings = probe_film(source, signal, settings.receive, advance, reading=False, every=every, most=most)
-    report["probe"] = as_mapping(findings)
-    if isinstance(findings.broken, KeyboardInterrupt):
-        raise findings.broken
-    return findings
+    name: str,
+    options: ReceiveOptions,
+    truth: TruthFile | None = None,
+    origin: Mapping[str, Any] | None = None,
+) -> Outcome:
+    """Receive a film or live camera; a film with an origin is one of many, and is received silently."""
+    settings, is_batch = options.settings.load(), origin is not None
+    is_quiet = is_batch or options.is_quiet
+    signal, departure = options.settings.signal_of(source)
+    if truth is not None:
+        check_truth(source, truth, signal)
+    if departure and not is_batch:
+        console.complain(departure)
+    link = settings if is_batch else _adapted(settings, source)
+    reception, files = Reception(truth), FileOutput(options.files_folder, is_quiet=is_quiet)
+    files.begin(reception.files)
+
+    def receive_packets() -> Ending:
+        journal = Journal(settings.receive.calibration, tell)
+
+        def observe(event: Any) -> None:
+            journal.observe(event)
+            monitor.observe(event)
+
+        try:
+            for packet, messages in receive_film(monitor, signal, link, reception, observe, advance):
+                folder.log(packet_row(packet, reception.confirmed))
+                journal.read(packet, messages, reception.progress)
+                monitor.add_packet(packet)
+                for message in messages:
+                    folder.write_message(message)
+                    if not is_quiet:
+                        console.say(_message_text(message))
+                for file in reception.progress:
+                    files.update(file)
+        except KeyboardInterrupt:
+            return INTERRUPTED
+        except (HeliographError, OSError, MemoryError) as error:
+            is_refused = isinstance(error, HeliographError) and not isinstance(error, MediaError)
+            return Ending(console.error_text(error), is_refused=is_refused)
+        return Ending()
+
+    with (
+        ResultFolder(options.results.output) as folder,
+        open_events(options.events) as tell,
+        monitored(source, options.live, signal, link.receive) as monitor,
+    ):
+        start_s = time.perf_counter()
+        with console.progress("receiving", source.frame_count, is_hidden=is_batch) as advance:
+            ending = receive_packets()
+        report = {"film": name, **reception.report(time.perf_counter() - start_s)}
+        if is_batch:
+            report |= {"messages": folder.messages, **({"departure": departure} if departure else {})}
+        else:
+            report["reading_seconds"] = source.read_s
+        findings = None
+        if monitor.live is None and not report["arrays"] and (ending.is_refused or not ending.error):
+            # sample sections of a long film
+            most = source.frame_count or 8 * MOST_FRAMES
+            every = max(1, most // (8 * MOST_FRAMES))
+            with console.progress("asking why", most, is_hidden=is_batch) as advance:
+                findings = probe_film(source, signal, settings.receive, advance, reading=False, every=every, most=most)
+            report["probe"] = as_mapping(findings)
+            if isinstance(findings.broken, KeyboardInterrupt):
+                ending = INTERRUPTED
+            elif findings.screen is not None and ending.is_refused and not is_batch:
+                # the receiver for arrays refuses the frame rate of films of screens
+                ending = Ending(f"{name} shows a screen: {findings.screen.advice[0]}")
+        if ending.error:
+            report["error"] = " ".join(ending.error.split()) if is_batch else ending.error
+        try:
+            report |= monitor.finish()
+            folder.finish(report if origin is None else {**report, "made_of": origin})
+            files.finish(reception.files)
+        except MediaError as error:
+            ending = Ending(str(error))
+            report["error"] = ending.error
+        tell({"event": "end", **report})
+    return Outcome(report, reception, monitor, files, folder.messages, ending, findings)
 
 
 def _adapted(settings: LinkSettings, source: FilmReader) -> LinkSettings:
@@ -253,22 +293,40 @@ class ResultFolder:
                     old.unlink(missing_ok=True)
 
 
-def _show(report: dict[str, Any], reception: Reception, folder: ResultFolder, unseen: str) -> None:
+def _message_text(message: Message) -> str:
+    road = road_values(message.data)
+    content = _abbreviate(message.data) if road is None else road_words(road)
+    return f"array {message.identity}, {message.layer}, message {message.stream}: {len(message.data)} bytes, {content}"
+
+
+def _abbreviate(data: bytes) -> str:
+    """Return the first 60 characters of a text, or of other data in hexadecimal."""
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        text = ""
+    if not text or not all(character.isprintable() or character.isspace() for character in text):
+        return data[:30].hex() + ("..." if len(data) > 30 else "")
+    line = " ".join(text.split())
+    return f"'{line}'" if len(line) <= 60 else f"'{line[:57]}...'"
+
+
+def _show(outcome: Outcome, output: Path | None) -> None:
     """Print the results."""
+    report, reception = outcome.report, outcome.reception
     detections = counted(report["detections"], "detection")
     console.say(
         f"{counted(report['frames'], 'frame')} in {report['seconds']:.1f} s "
         f"({report['frames_per_second']:.0f} frames/s)" + (f", {detections}" if report["arrays"] else "")
     )
     if report["dropped_candidates"] or report["dropped_blocks"]:
-        skipped = (
-            f"{counted(report['dropped_candidates'], 'candidate')} and {counted(report['dropped_blocks'], 'block')}"
-        )
+        candidates, blocks = report["dropped_candidates"], report["dropped_blocks"]
         console.say_prose(
-            f"the search skipped {skipped} to limit the CPU time; set --region, or raise receive.detect.cpu_share"
+            f"the search skipped {counted(candidates, 'candidate')} and {counted(blocks, 'block')} to limit the CPU "
+            "time; set --region, or raise receive.detect.cpu_share"
         )
     if not report["arrays"]:
-        cause = unseen or (f"{detections} without a decoded codeword" if report["detections"] else "")
+        cause = outcome.monitor.unseen or (f"{detections} without a decoded codeword" if report["detections"] else "")
         console.say(f"no array found: {cause}" if cause else "no array found")
     for array in report["uncertain"]:
         console.say(f"uncertain, no codeword decoded: {_array_text(array)}")
@@ -279,13 +337,26 @@ def _show(report: dict[str, Any], reception: Reception, folder: ResultFolder, un
             console.say(f"  {layer:6} {codewords} read, {tally['failed']} not, {tally['bytes']} bytes")
     for missed in report["missed_starts"]:
         console.say(missed_words(missed))
-    for name in folder.messages:
-        console.say(f"message {folder.path}/{name}")
+    for name in outcome.messages:
+        console.say(f"message {output}/{name}")
     for identity, layer, stream, received, size in reception.unfinished():
         missing = f"{size - received} missing: film longer, or until the array repeats the message"
         console.say(f"array {identity}, {layer}, message {stream}: {received} of {size} bytes, {missing}")
     if reception.errors is not None:
         _show_errors(reception.errors)
+
+
+def _show_end(outcome: Outcome, source: FilmReader, film: Path) -> None:
+    """Print incomplete files, the diagnosis of a missing array, and notes on the source."""
+    reception = outcome.reception
+    for line in outcome.files.incomplete_lines(reception.files, reception.frames / source.rate_hz):
+        console.say_prose(line)
+    if outcome.findings is not None:
+        for line in in_short(outcome.findings):
+            console.say_prose(line)
+        console.note(f"'heliograph probe {console.argument(film)} --output DIR' gives details, with pictures")
+    if outcome.monitor.live is not None:
+        outcome.monitor.show(has_array=bool(outcome.report["arrays"]))
 
 
 def _array_text(array: dict[str, Any]) -> str:
@@ -294,28 +365,6 @@ def _array_text(array: dict[str, Any]) -> str:
         f"frames {array['first_frame']} to {array['last_frame']}, "
         f"{array['first_distance_m']:.1f} m to {array['last_distance_m']:.1f} m away"
     )
-
-
-def _show_findings(findings: Findings | None, film: Path) -> None:
-    """Print why no array was read."""
-    if findings is None:
-        return
-    for line in in_short(findings):
-        console.say_prose(line)
-    console.note(f"'heliograph probe {console.argument(film)} --output DIR' gives details, with pictures")
-
-
-def _show_reading_time(source: FilmReader, report: dict[str, Any]) -> None:
-    """Recommend a faster container if reading takes most of the time."""
-    reading_s = report["reading_seconds"]
-    is_slow = reading_s > max(2.0, report["frames"] / source.rate_hz) and reading_s > 0.5 * report["seconds"]
-    if is_slow and source.faster:
-        are = "is" if len(source.faster) == 1 else "are"
-        faster = source.path.parent / f"{source.path.stem or 'film'}.h5"
-        console.note(
-            f"reading the film took {reading_s:.1f} s: {' and '.join(source.faster)} {are} read faster, see "
-            f"'heliograph convert {console.argument(source.path)} {console.argument(faster)}'"
-        )
 
 
 def _show_errors(errors: ErrorCounter) -> None:
@@ -332,3 +381,221 @@ def _show_errors(errors: ErrorCounter) -> None:
 def _cell(counts: LayerCounts) -> str:
     bits, words = counts.decoded_bits, counts.words
     return f"{bits.text():>9} of {bits.trials:<7d} {words.errors:3d}/{words.trials:<3d}"
+
+
+@dataclass(frozen=True, slots=True)
+class FilmWork:
+    """Film to receive in a worker process."""
+
+    # Name in the results
+    film: str
+    path: Path
+    options: ReceiveOptions
+
+    def made_of(self) -> Row:
+        """Return the origin of the results: equal origins have equal results."""
+        options = self.options.settings
+        with contextlib.suppress(OSError):
+            stats = [file.stat() for file in _files_of(self.path)]
+            file = options.settings_file
+            toml = "" if file is None else file.read_text(encoding="utf-8", errors="replace")
+            return {
+                "film": [[stat.st_size, stat.st_mtime_ns] for stat in stats],
+                "options": [asdict(self.options.film), options.preset, toml, list(options.assignments or ())],
+                "version": __version__,
+            }
+        return {}
+
+
+def _files_of(film: Path) -> list[Path]:
+    """Return the files of a film: pictures of a folder or pattern, header and frames, or a single file."""
+    if film.is_dir():
+        return sorted(film.iterdir())
+    if is_pattern(film):
+        return sorted(film.parent.glob(f"*{glob.escape(film.suffix)}"))
+    has_header = film.suffix.lower() in (".mraw", ".cih", ".cihx")
+    return sorted(film.parent.glob(f"{glob.escape(film.stem)}.*")) if has_header else [film]
+
+
+def films_of(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
+    """Return the films of files and folders, and warnings about ignored content of folders."""
+    films, warnings = list[Path](), list[str]()
+    for path in paths:
+        films_here, warning = _films_of_folder(path)
+        films += films_here or [path]
+        warnings += [warning] if warning else []
+    return films, warnings
+
+
+def is_many(paths: Sequence[Path]) -> bool:
+    """Return True for several films or a folder of films."""
+    return len(paths) > 1 or any(_films_of_folder(path)[0] for path in paths)
+
+
+def _films_of_folder(path: Path) -> tuple[tuple[Path, ...], str]:
+    """Return the films of a folder, and a warning about ignored content; no films for other paths.
+
+    Films are files, TIFF stacks and folders of pictures. A folder of pictures is a film itself.
+    """
+    try:
+        if not path.is_dir():
+            return (), ""
+        entries = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))
+        folders = [entry for entry in entries if entry.is_dir()]
+        picture_folders = [
+            folder for folder in folders if any(file.suffix.lower() in PICTURE_SUFFIXES for file in folder.iterdir())
+        ]
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror}") from None
+    files = [entry for entry in entries if entry not in folders]
+    films = [file for file in files if file.suffix.lower() in FILMS]
+    pictures = [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
+    tiffs = [file for file in pictures if file.suffix.lower() in tiff.SUFFIXES]
+    # the first file decides: opening each of a thousand pages takes too long
+    stacks = tiffs if tiffs and tiff.is_stack(tiffs[0]) else []
+    films += stacks
+    if films or not pictures:
+        films += picture_folders
+    ignored = {"picture": len(pictures) - len(stacks), "folder": len(folders) - len(picture_folders)}
+    listed = " and ".join(counted(count, kind) for kind, count in ignored.items() if count)
+    remedy = "in this folder of films; put the pictures of each recording into a folder"
+    return tuple(sorted(films)), f"{path}: ignoring {listed} {remedy}" if films and listed else ""
+
+
+def run_many(paths: Sequence[Path], options: ReceiveOptions, crew_options: WorkerOptions) -> list[Row]:
+    """Receive films in worker processes or on a Dask cluster; a broken film does not stop the others."""
+    if cameras := [path for path in paths if is_camera(path)]:
+        raise MediaError(f"{cameras[0]} is a live camera: receive it separately, without --workers and --scheduler")
+    films, warnings = films_of(paths)
+    # other machines have other working directories
+    base = Path.cwd() if crew_options.scheduler is not None else Path()
+    works = [FilmWork(str(film), base / film, options.for_film(film, base)) for film in films]
+    _check_names(works)
+    for text in filter(None, (*warnings, fewer_workers(crew_options.workers))):
+        console.complain(text)
+    rows = {work.film: row for work in works if (row := _stored_row(work)) is not None}
+    for row in rows.values():
+        console.say_json(row)
+    remaining = [work for work in works if work.film not in rows]
+    try:
+        with (
+            contextlib.closing(open_workers(crew_options.workers, crew_options.scheduler)) as crew,
+            console.progress("films", len(works)) as advance,
+        ):
+            advance(len(rows))
+            for row in _receive_all(remaining, crew):
+                rows[row["film"]] = row
+                console.say_json(row)
+                advance(len(rows))
+    except KeyboardInterrupt:
+        for work in remaining:
+            if (folder := work.options.results.output) is not None:  # the interrupted worker has left a partial log
+                (folder / PARTIAL_LOG).unlink(missing_ok=True)
+        hint = (
+            "the same command continues" if options.results.output else "with --output the same command would continue"
+        )
+        console.exit_interrupted(f"interrupted after {len(rows)} of {len(works)} films; {hint}")
+    complete, incomplete = join(options.results.files) if options.results.files else ([], [])
+    for line in [*(f"{path} is complete, from several films" for path in complete), *incomplete]:
+        console.complain(line)
+    faults = list[str]()
+    if broken := sum("error" in row for row in rows.values()):
+        faults.append(f"{broken} of {len(works)} films could not be read to the end; see the error lines")
+    if lost := sum(not _is_written(work, rows[work.film]) for work in works):
+        place = " and ".join(str(path) for path in (options.results.output, options.results.files) if path is not None)
+        faults.append(
+            f"the results of {lost} of {len(works)} films are not in {place}: the workers wrote them elsewhere; use a "
+            "folder that all machines share, or leave out --scheduler"
+        )
+    if faults:
+        raise MediaError("; ".join(faults))
+    return list(rows.values())
+
+
+def receive_one(work: FilmWork) -> Row:
+    """Receive a film; errors become part of the row."""
+    cv2.setNumThreads(1)
+    try:
+        with open_film(work.path, **work.options.film.keywords()) as source:
+            outcome = receive_source(source, work.film, work.options, origin=work.made_of())
+    except (HeliographError, OSError, MemoryError) as error:
+        return {"film": work.film, "error": _one_line(console.error_text(error))}
+    if outcome.ending.is_interrupted:
+        raise KeyboardInterrupt
+    return outcome.report
+
+
+def _receive_all(works: Sequence[FilmWork], crew: Workers) -> Iterator[Row]:
+    """Yield rows in the order of completion; replace lost workers, for example after a lack of memory."""
+    waiting, running = list(works), dict[Future[Row], FilmWork]()
+    while waiting or running:
+        while waiting and len(running) < crew.slots:
+            work = waiting.pop(0)
+            running[crew.submit(receive_one, work)] = work
+        completed, _ = wait(running, return_when=FIRST_COMPLETED)
+        if any(isinstance(future.exception(), BrokenExecutor) for future in completed):
+            # any of the films may have broken the pool: receive each in a separate pool
+            lost = list(running.values())
+            running.clear()
+            crew.restart()
+            for work in lost:
+                future = crew.submit(receive_one, work)
+                yield _row_of(future, work)
+                if isinstance(future.exception(), BrokenExecutor):
+                    crew.restart()
+            continue
+        for future in completed:
+            work = running.pop(future)
+            yield _row_of(future, work)
+
+
+def _row_of(future: Future[Row], work: FilmWork) -> Row:
+    try:
+        row = future.result()
+    except BrokenExecutor:
+        return {"film": work.film, "error": "the worker process ended; the memory may be too small"}
+    except CancelledError:
+        raise HeliographError("the connection to the Dask scheduler was lost; the results so far are kept") from None
+    except Exception as error:  # such as a worker with another version of Heliograph
+        text = _one_line(str(error)) or type(error).__name__
+        return {"film": work.film, "error": f"its worker failed with {type(error).__name__}: {text}"}
+    if row.get("error", "").startswith("there is no file") and work.path.exists():  # on this machine
+        row["error"] = f"the worker has no file {work.path}: all machines need this folder under the same name"
+    return row
+
+
+def _stored_row(work: FilmWork) -> Row | None:
+    """Return the result of an earlier run with the same film and options."""
+    folder = work.options.results.output
+    if folder is None:
+        return None
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        row = json.loads((folder / "summary.json").read_bytes())
+        if row.pop("made_of") == work.made_of() != {} and "error" not in row:
+            return {**row, "film": work.film, "kept": True}
+    return None
+
+
+def _is_written(work: FilmWork, row: Row) -> bool:
+    """Return True if the results of a worker are in the folders of this machine."""
+    if "error" in row or "kept" in row:
+        return True
+    folder, files = work.options.results.output, work.options.files_folder
+    if folder is not None:
+        list(folder.glob("*"))  # refreshes the cache of network file systems
+        if _stored_row(work) is None:
+            return False
+    return files is None or not any(file["symbols"] for file in row["files"]) or any(files.glob("*"))
+
+
+def _check_names(works: Iterable[FilmWork]) -> None:
+    folders = Counter(work.options.results.output for work in works)
+    repeated = [folder.name for folder, count in folders.items() if folder is not None and count > 1]
+    if repeated:
+        raise MediaError(
+            f"several films have the name {repeated[0]}, and share a folder for results: receive the films separately"
+        )
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

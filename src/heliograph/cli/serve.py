@@ -3,35 +3,48 @@
 import contextlib
 import sys
 import webbrowser
+from dataclasses import astuple
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from heliograph.base.errors import MediaError, SettingsError
-from heliograph.cli import console
-from heliograph.cli.options import AddressOptions, SettingsOptions
+from heliograph.cli import console, options
+from heliograph.cli.options import option
 from heliograph.media import open_film
 from heliograph.media.images import is_pattern
-from heliograph.media.live.reader import is_camera
+from heliograph.media.live.reader import film_path, is_camera
 from heliograph.media.live.settings import camera_settings
 
 
-def run_serve(
-    films: list[Path],
-    options: AddressOptions,
-    camera: list[str] | None,
-    settings_options: SettingsOptions,
+@options.command
+def serve(
+    films: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[FILM]...", parser=film_path, help=f"Films for page Watch. {options.FILM_KINDS}"),
+    ] = None,
     *,
-    browse: bool,
+    address: options.AddressOptions,
+    browse: bool = option("Open the pages in this machine's browser.", None, "--open", default=False),
+    camera: options.CameraOption = None,
+    receiver: options.Receiver = None,
+    settings: options.SettingsOptions,
 ) -> None:
-    """Serve the pages until Ctrl-C."""
-    if (options.certificate is None) != (options.key is None):
+    """Serve pages for a browser: watch the receiver, transmit by a screen, receive by the camera of a phone.
+
+    By default only this machine has access. With --host, an address with a token is printed, on a terminal also as a
+    QR code. Uploaded films are deleted when the server ends. Ctrl-C ends the server.
+    """
+    if (address.certificate is None) != (address.key is None):
         raise SettingsError("HTTPS requires both --certificate and --key")
-    for film in films:
+    for film in films or ():
         if not (is_camera(film) or is_pattern(film) or film.exists()):
             raise MediaError(f"there is no file {film}: check the name")
         if not is_camera(film):
             # report unreadable films now; pages can set another frame rate
             open_film(film, rate_hz=1.0).close()
-    settings = settings_options.load()
+    link = settings.changed(overrides=options.DetectOptions(receiver).assignments()).load()
     camera_settings(camera or ())
     try:
         from heliograph.web.app import create_app
@@ -39,16 +52,16 @@ def run_serve(
         from heliograph.web.serve import Address, open_port, run
     except ImportError as error:
         raise MediaError(f"the pages require the extra 'web' ({error.name}): pip install 'heliograph[web]'") from None
-    address, limits = Address(options.host, options.port, options.certificate, options.key), Limits()
-    access = address.access()
-    with open_port(address) as listener:
-        url = address.url(listener.getsockname()[1], access.token)
-        app = create_app(settings, [str(film) for film in films], access, limits, camera or ())
-        show_address(url, is_loopback=address.is_loopback, is_secure=address.is_secure)
+    served, limits = Address(*astuple(address)), Limits()
+    access = served.access()
+    with open_port(served) as listener:
+        url = served.url(listener.getsockname()[1], access.token)
+        app = create_app(link, [str(film) for film in films or ()], access, limits, camera or ())
+        show_address(url, is_loopback=served.is_loopback, is_secure=served.is_secure)
         if browse:
             webbrowser.open(url)
         with contextlib.suppress(KeyboardInterrupt):
-            run(app, listener, address, limits)
+            run(app, listener, served, limits)
     console.say("ended")
 
 

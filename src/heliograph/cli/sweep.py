@@ -5,21 +5,35 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from heliograph.base.errors import HeliographError
-from heliograph.cli import console
-from heliograph.cli.options import WorkerOptions
+from heliograph.base.workers import limit_threads
+from heliograph.cli import console, options
+from heliograph.cli.options import option
 from heliograph.measure.statistics import Count
 from heliograph.sweeps.executors import fewer_workers
-from heliograph.sweeps.plan import not_looked_for
-from heliograph.sweeps.points import Point
+from heliograph.sweeps.plan import not_looked_for, plan
 from heliograph.sweeps.runner import bar
 from heliograph.sweeps.sweep import count
 from heliograph.sweeps.tally import PointTally, StopRule
 
 
-def run_sweep(
-    points: list[Point], stop_rule: StopRule, output: Path | None, crew: WorkerOptions, *, as_json: bool
+@options.command
+def sweep(
+    *,
+    vary: list[str] | None = options.vary_option("Repeat it for a grid. 'receiver' and 'preset' are keys as well."),
+    settings: options.SettingsOptions = options.STATIC,
+    output: Path | None = option("Folder for the results. A stopped sweep continues from this folder.", "DIR"),
+    min_errors: int = option("Wrong codewords of each layer that complete a point.", default=50, min=1),
+    max_codewords: int = option("Maximum number of codewords of a layer at a point.", default=1000, min=1),
+    max_seconds: float | None = option("Maximum computing time of a point in s, summed over the workers."),
+    crew: options.WorkerOptions,
+    scene: options.SceneOptions,
+    as_json: options.JsonList = False,
 ) -> None:
-    """Count errors at each point; show the counts so far after an early end."""
+    """Count errors over a grid of settings, without films."""
+    limit_threads()
+    overlay = settings.overlay()
+    points = plan(options.parse_vary_options(vary), settings.preset, overlay, scene.seed, scene.background, scene.imu)
+    stop_rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
     tallies = [PointTally(point, stop_rule) for point in points]
     for text in filter(None, (not_looked_for(points), fewer_workers(crew.workers))):
         console.complain(text)

@@ -4,24 +4,23 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError
 from heliograph.base.files import room_for, whole_file
 from heliograph.base.frames import Frame
-from heliograph.cli import console
+from heliograph.cli import console, options
 from heliograph.cli.messages import read_messages
-from heliograph.cli.options import SentOptions, SettingsOptions, refuse_to_replace
+from heliograph.cli.options import option
 from heliograph.link.simulate import transmitters
 from heliograph.media import create_film
 from heliograph.media.film import FILM_SUFFIXES
 from heliograph.media.slots import SUFFIXES, SlotForm, file_size, write_slots, write_table
 from heliograph.signal import pwm
-
-LED_PX = 16
-"""Side of an LED in a film of patterns, in pixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,26 +35,35 @@ class Patterns:
     max_level: int
 
 
-def run_transmit(
-    output: Path,
-    options: SettingsOptions,
-    sent: SentOptions,
-    packets: int,
-    identity: int,
-    gamma: float,
+@options.command
+def transmit(
+    output: Annotated[
+        Path,
+        typer.Argument(
+            help="Patterns to write: .npy, .csv, a film (.mkv, .mp4, ...); for drivers, by slot: .bits (bit planes), "
+            ".h (C header), .hub75 (row scan), .shift (shift registers)."
+        ),
+    ],
     *,
-    by_slot: bool,
+    packets: int = option("Packets to write.", default=10, min=1),
+    identity: int = option("Identity of the array.", default=0, min=0, max=29),
+    slots: bool = option("Write on and off by PWM slot instead of levels.", None, "--slots", default=False),
+    gamma: float = option(
+        "Gamma of the display for a film, usually 2.2; 1 writes linear levels.", default=1.0, min=1, max=4
+    ),
+    settings: options.SettingsOptions,
+    sent: options.SentOptions,
 ) -> None:
-    """Write the patterns of a transmission: levels, or on and off by slot for drivers."""
-    refuse_to_replace(output, (*sent.inputs, options.settings_file))
+    """Write the LED patterns of a transmission."""
+    options.refuse_to_replace(output, (*sent.inputs, settings.settings_file))
     suffix = output.suffix.lower()
     if gamma != 1 and suffix not in FILM_SUFFIXES:
         raise MediaError(f"--gamma applies to films for displays: leave it out, or write {FILM_SUFFIXES[0]}")
     # a single array, for any number of arrays in the scene of the preset
     single = ("channel.arrays=[{}]", f"transmit.identities=[{identity}]")
-    settings = options.changed(overrides=single).load()
-    (sender,) = transmitters(settings, read_messages(settings, sent, packets * settings.signal.packet_s))
-    signal, by_slot = settings.signal, by_slot or suffix in SUFFIXES
+    link = settings.changed(overrides=single).load()
+    signal, by_slot = link.signal, slots or suffix in SUFFIXES
+    (sender,) = transmitters(link, read_messages(link, sent, packets * signal.packet_s))
     count, period_s, max_level = packets * signal.packet_patterns, signal.pattern_period_s, pwm.SLOTS
     levels: Iterator[NDArray[np.uint8]] = islice(sender.levels(), count)
     if by_slot:
@@ -70,7 +78,7 @@ def run_transmit(
 
 def _write(output: Path, patterns: Patterns, gamma: float) -> None:
     """Write an array, a table, a file for drivers, or a film."""
-    suffix, leds, pixels = output.suffix.lower(), patterns.side**2, (LED_PX * patterns.side) ** 2
+    suffix, leds, pixels = output.suffix.lower(), patterns.side**2, (16 * patterns.side) ** 2
     if suffix in SUFFIXES:
         form = SlotForm.of(patterns.side, pwm.SLOTS, patterns.period_s, patterns.count)
         room_for(output, file_size(output, form))
@@ -102,10 +110,10 @@ def _write_npy(path: Path, patterns: Patterns) -> None:
 
 
 def _write_film(path: Path, patterns: Patterns, gamma: float) -> None:
-    """Write a film of the array for a display."""
+    """Write a film of the array for a display, with 16 x 16 pixels an LED."""
     duty_cycles = np.arange(patterns.max_level + 1) / patterns.max_level
     grays = (255 * duty_cycles ** (1 / gamma)).astype(np.uint8)
-    edge, led = patterns.side * LED_PX, np.ones((LED_PX, LED_PX), dtype=np.uint8)
+    edge, led = 16 * patterns.side, np.ones((16, 16), dtype=np.uint8)
     with create_film(path, width=edge, height=edge, rate_hz=1 / patterns.period_s) as film:
         for index, level in enumerate(patterns.levels):
             film.write(Frame(index, index * patterns.period_s, np.kron(grays[level], led)))
