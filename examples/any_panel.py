@@ -46,7 +46,7 @@ def draw(folder: Path, bits: np.ndarray) -> None:
 
 def main(few: bool) -> None:
     """Draw a film, read the film, and plot both."""
-    sent = np.random.default_rng(0).random((12 if few else 40, ROWS, COLUMNS, 3)) < 0.5
+    sent = np.random.default_rng(0).random((4 if few else 40, ROWS, COLUMNS, 3)) < 0.5
     with tempfile.TemporaryDirectory() as folder:
         draw(Path(folder), sent)
         bits, places = read(Path(folder))

@@ -49,7 +49,7 @@ def main(few: bool) -> None:
     levels = write_patterns(settings)
     frame = film_and_receive(settings)
     data = heliograph.sweep(
-        {"signal.side": [8, 16], "channel.distance_m": [20, 60] if few else [40, 50, 60, 70, 80]},
+        {"signal.side": [8, 16], "channel.distance_m": [20] if few else [40, 50, 60, 70, 80]},
         set={"receive.detect.min_side_px": 4},
         min_errors=5 if few else 30,
         max_codewords=1 if few else 40,

@@ -29,7 +29,7 @@ data = sweep(
     set={"signal.data_pairs": 8 if FEW else 48},
     seed=1,
     min_errors=5 if FEW else 30,
-    max_codewords=6 if FEW else 60,
+    max_codewords=2 if FEW else 60,
 )
 print(data)
 
