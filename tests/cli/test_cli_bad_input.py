@@ -5,12 +5,12 @@ import json
 import os
 import resource
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import SMALL, Run, called, failed, heliograph, lasting, names, succeeded
+from cli_runs import SMALL, Call, failed, heliograph, lasting, names, succeeded
 from small_links import small
 
 from heliograph.base.frames import Frame
@@ -20,8 +20,6 @@ from heliograph.link.settings import load_settings
 from heliograph.link.simulate import simulate
 from heliograph.media import create_film
 
-Call = Callable[..., Run]
-
 
 @pytest.fixture(scope="module")
 def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -29,36 +27,24 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("stock")
     for name, content in {
         "text.mkv": b"this is no film\n",
-        "empty.mkv": b"",
         "bad.toml": b"a = [\n",
-        "deep.toml": b"a = " + b"[" * 50_000,
         "binary.toml": b"\xff\xfe\x00",
         "unknown.toml": b"[channel]\ndistanse_m = 3\n",
-        "lacks.csv": b"t_s,gyro_fwd_rad_s,gyro_right,speed_m_s\n0,0,0,0\n",
         "file": b"a file",
         "long": bytes(20_000_000),
         "empty": b"",
     }.items():
         (folder / name).write_bytes(content)
-    (folder / "folder").mkdir()
     os.mkfifo(folder / "pipe")
     changes = [part for part in SMALL if "=" in part] + ["channel.duration_s=0.25"]
     settings = load_settings("static", None, changes)
     write_film(folder / "a.mkv", settings, [{"high": [b"kept"]}], seed=1)
     whole = (folder / "a.mkv").read_bytes()
     (folder / "cut.mkv").write_bytes(whole[: int(len(whole) * 0.6)])
-    truth = (folder / "a.mkv.truth.npz").read_bytes()
-    (folder / "cut.npz").write_bytes(truth[: len(truth) // 2])
     write_film(folder / "other.mkv", load_settings("static", None, [*changes, "channel.duration_s=0.01"]), [{}], seed=2)
     with create_film(folder / "one.mkv", width=160, height=120, rate_hz=1000) as film:
         film.write(Frame(0, 0.0, np.zeros((120, 160), np.uint8)))
     return folder
-
-
-@pytest.fixture
-def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
 
 
 S, LONGER = (" ".join(lasting(seconds)) for seconds in (0.01, 0.1))
@@ -66,51 +52,31 @@ S, LONGER = (" ".join(lasting(seconds)) for seconds in (0.01, 0.1))
 BAD = {
     # films to read
     "receive {}/text.mkv --output out": "text.mkv is not a video",
-    "receive {}/empty.mkv --output out": "empty.mkv is empty",
     "receive {}/missing.mkv --output out": "there is no file",
-    "receive {}/folder": "is a folder",
-    "receive {}/a.mkv.truth.npz": "is an archive, such as .zip or .npz",
     # settings
     "simulate a.mkv --preset papre": "did you mean 'paper'",
     "presets papre": "did you mean 'paper'",
     "simulate a.mkv --set channel.distanse_m=3": "did you mean 'channel.distance_m'",
-    "simulate a.mkv --set channel.arrays.0.x=3": "did you mean 'channel.arrays.0.x_m'",
     "simulate a.mkv --set channel.distance_m=far": "channel.distance_m",
-    "simulate a.mkv --set channel.camera.width=1": "greater than or equal to 16",
-    "simulate a.mkv --set channel.distance_m": "write key=value",
-    "simulate a.mkv --set channel.arrays.7.x_m=1": "not an item of a list of 1",
-    "simulate a.mkv --set signal.data_pairs=1": "raise signal.data_pairs",
     f"simulate a.mkv {S} --set channel.duration_s=1e-5": "raise channel.duration_s",
     "simulate a.mkv --settings {}/bad.toml": "bad.toml: not valid TOML",
-    "simulate a.mkv --settings {}/deep.toml": "deep.toml: not valid TOML: tables or lists lie more than 32 deep",
     "simulate a.mkv --settings /dev/zero": "longer than 1,048,576 bytes",
     "simulate a.mkv --settings {}/pipe": "a pipe that nobody writes to",
-    "simulate a.mkv --set channel.duration_s=1e308": "less than or equal to 3600",
-    "simulate a.mkv --set channel.arrays.0.z_offset_m=-80": "behind the camera",
-    "simulate a.mkv --set channel.foo=1": "known are arrays, background",
-    "simulate a.mkv --set channel.distance_m=true": "not true or false",
     "receive {}/pipe": "is a pipe or a device",
     "--load {}/pipe presets": "a pipe that nobody writes to",
     "simulate a.h5 --set channel.duration_s=3600 --set channel.camera.width=8192": "are free; write less",
     "transmit a.npy --packets 1000000000": "are free; write less",
-    "transmit a.csv --packets 1000000000": "are free; write less",
     "transmit a.mkv --packets 100000000000": "are free; write less",
     "transmit a.bits --packets 1000000000": "are free; write less",
-    "transmit a.h --packets 1000000000": "are free; write less",
-    "transmit a.hub75 --packets 1000000000": "are free; write less",
-    "transmit a.shift --set signal.pattern_period_s=1.001e-6": "no whole number of ns",
     f"simulate a.mkv {S} --high {{}}/pipe": "a pipe that nobody writes to",
     f"simulate a.mkv {S} --high /dev/zero": "send less",
     f"simulate a.mkv {S} --imu {{}}/pipe": "a pipe that nobody writes to",
     "simulate a.mkv --settings {}/binary.toml": "write TOML in UTF-8",
     "simulate a.mkv --settings {}/unknown.toml": "did you mean 'channel.distance_m'",
     "simulate a.mkv --settings {}/missing.toml": "No such file",
-    "simulate a.mkv --settings {}/folder": "directory",
     "receive {}/a.mkv --receiver plane": "unknown receiver 'plane'; did you mean 'plain'?",
     # truth and output
-    "receive {}/a.mkv --truth {}/missing.npz": "there is no truth file",
     "receive {}/a.mkv --truth {}/text.mkv": "no truth file: those end in .truth.npz",
-    "receive {}/a.mkv --truth {}/cut.npz": "no truth file, or damaged",
     "receive {}/a.mkv --truth {}/other.mkv.truth.npz": "is not the truth of",
     "receive {}/a.mkv --output {}/file": "cannot write",
     "receive {}/a.mkv --output {}/file/deeper": "cannot write",
@@ -125,30 +91,21 @@ BAD = {
     f"simulate a.xyz {S}": "must end in one of .mkv",
     f"simulate a {S}": "must end in one of .mkv",
     f"simulate none/a.mkv {S}": "the folder none does not exist",
-    f"simulate a.mkv {S} --codec divx": "choose one of",
     f"simulate a.mkv {S} --crf 70 --codec h264": "crf",
     "transmit a.xyz": "must end in one of .npy, .csv",
     "transmit none/a.npy": "cannot write none/a.npy",
-    "transmit {}/file/a.csv": "cannot write",
-    "transmit none/a.shift": "cannot write none/a.shift",
     "transmit a.mkv --slots": "use .nut",
     # recordings
     f"simulate a.mkv {S} --background {{}}/text.mkv": "not a video",
-    f"simulate a.mkv {S} --background {{}}/missing.mkv": "there is no file",
     f"simulate a.mkv {S} --set channel.background.kind=footage": "--background",
-    f"simulate a.mkv {S} --imu {{}}/lacks.csv": "lacks the column 'gyro_down'",
-    f"simulate a.mkv {S} --imu {{}}/empty": "is empty",
     f"simulate a.mkv {S} --imu {{}}/a.mkv": "no text",
     f"simulate a.mkv {S} --set channel.shake=imu": "--imu",
     # budgets
     "budget --candela -1": "setting 'candela': input should be greater than",
-    "budget --wavelength 900": "setting 'wavelength_nm'",
-    "budget --vary channel.distanse_m=3": "did you mean 'channel.distance_m'",
     "budget --vary foo": "write key=value,value or key=first:last:step",
-    "budget --set signal.data_pairs=1": "raise signal.data_pairs",
+    "serve {}/text.mkv --port 0": "is not a video that can be read",
     # messages
     f"simulate a.mkv {S} --high {{}}/missing": "cannot read",
-    f"simulate a.mkv {S} --low {{}}/empty": "no message to send",
     f"simulate a.mkv {S} --middle {{}}/long": "send less",
     "transmit a.npy --high {}/long": "send less",
 }
@@ -184,16 +141,11 @@ def test_wrong_usage_is_one_line_that_points_to_the_help(line: str, said: str, t
     assert names(tmp_path) == []
 
 
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("receive {}/text.mkv --output out", "text.mkv is not a video"),
-        ("serve {}/text.mkv --port 0", "is not a video that can be read"),
-    ],
-)
 @pytest.mark.slow
-def test_it_is_the_same_from_a_shell(line: str, said: str, stock: Path, tmp_path: Path) -> None:
-    assert said in failed(heliograph(*line.replace("{}", str(stock)).split(), cwd=tmp_path))
+def test_a_process_reports_bad_input(stock: Path, tmp_path: Path) -> None:
+    assert "text.mkv is not a video" in failed(
+        heliograph("receive", stock / "text.mkv", "--output", "out", cwd=tmp_path)
+    )
     assert names(tmp_path) == []
 
 
@@ -229,14 +181,14 @@ def test_a_film_of_one_frame_is_too_short(stock: Path, call: Call, tmp_path: Pat
     assert names(tmp_path / "out") == ["packets.jsonl", "summary.json"]
 
 
-def test_a_film_that_cannot_be_read_leaves_earlier_results_alone(stock: Path, call: Call, tmp_path: Path) -> None:
+def test_an_unreadable_film_keeps_earlier_results(stock: Path, call: Call, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/packets.jsonl").write_text("earlier\n")
     failed(call("receive", stock / "text.mkv", "--output", "out"))
     assert (tmp_path / "out/packets.jsonl").read_text() == "earlier\n"
 
 
-def test_a_failed_simulation_leaves_the_earlier_film_alone(stock: Path, call: Call, tmp_path: Path) -> None:
+def test_a_failed_simulation_keeps_the_earlier_film(stock: Path, call: Call, tmp_path: Path) -> None:
     (tmp_path / "a.mkv").write_bytes(b"earlier")
     failed(
         call("simulate", "a.mkv", *lasting(0.2), "--background", stock / "cut.mkv", "--set", "channel.camera.fps=1e6")
@@ -257,14 +209,20 @@ def test_too_little_memory_is_reported(tmp_path: Path) -> None:
     assert names(tmp_path) == []
 
 
-def limited() -> None:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+@pytest.fixture
+def small_files() -> Iterator[None]:
+    """Limit the size of files to 20 kB."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.usefixtures("small_files")
 @pytest.mark.parametrize("line", [f"simulate a.mkv {LONGER}", f"simulate a.h5 {LONGER}", "transmit a.npy"])
 @pytest.mark.slow
-def test_a_file_that_must_not_grow_is_removed(line: str, tmp_path: Path) -> None:
-    assert "cannot write" in failed(heliograph(*line.split(), cwd=tmp_path, prepare=limited))
+def test_a_file_above_the_size_limit_is_removed(line: str, tmp_path: Path, call: Call) -> None:
+    assert "cannot write" in failed(call(*line.split()))
     assert names(tmp_path) == []
 
 
@@ -326,7 +284,7 @@ def humbled() -> None:
 def test_a_folder_that_may_not_be_written_is_reported(stock: Path, tmp_path: Path) -> None:
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o500)
-    for line in (f"simulate {closed}/a.mkv {S}", f"receive {stock}/a.mkv --output {closed}"):
+    for line in (f"transmit {closed}/a.npy", f"receive {stock}/a.mkv --output {closed}"):
         said = failed(heliograph(*line.split(), cwd=tmp_path, prepare=humbled))
         assert "Permission denied" in said
         assert "make room" not in said
@@ -334,11 +292,10 @@ def test_a_folder_that_may_not_be_written_is_reported(stock: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_results_that_have_nowhere_to_go_end_before_any_work(tmp_path: Path) -> None:
-    run = heliograph("presets", cwd=tmp_path, prepare=lambda: os.close(1))
-    assert "standard output is closed" in failed(run)
-    unheard = heliograph("receive", "none.mkv", cwd=tmp_path, prepare=lambda: os.close(2))
-    assert (unheard.returncode, unheard.stderr) == (1, "")
+def test_closed_streams_end_a_command_before_any_work(tmp_path: Path) -> None:
+    assert "standard output is closed" in failed(heliograph("presets", cwd=tmp_path, prepare=lambda: os.close(1)))
+    unheard = heliograph("recieve", cwd=tmp_path, prepare=lambda: os.close(2))
+    assert (unheard.returncode, unheard.stderr) == (2, "")
 
 
 def test_no_array_in_sight_is_a_result_not_a_fault(call: Call, tmp_path: Path) -> None:

@@ -1,22 +1,14 @@
 """Manual corners on the command line for arrays missed by detection."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import Run, called, failed, lasting, succeeded, within
+from cli_runs import Call, Run, failed, lasting, succeeded, within
 
-Call = Callable[..., Run]
 CORNERS = "78,43,96,58,81,76,63,61"
 TURNED = (*lasting(0.15), "--set", "channel.distance_m=40", "--set", "channel.arrays.0.roll_deg=40")
-
-
-@pytest.fixture
-def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +40,7 @@ def test_a_turned_array_is_read_by_its_corners(turned: Path, call: Call) -> None
     assert Path("out", "array-0-high-0.bin").read_bytes() == b"mind the gap"
 
 
-def test_what_a_search_leaves_out_of_a_busy_scene_is_said(call: Call) -> None:
+def test_skipped_blocks_of_a_busy_scene_are_reported(call: Call) -> None:
     levels = np.random.default_rng(0).integers(0, 256, (130, 8, 10), np.uint8)
     np.save("busy.npy", np.kron(levels, np.ones((1, 8, 8), np.uint8)))
     read = ("receive", "busy.npy", "--fps", "1000", "--preset", "static", "--set", "receive.detect.cpu_share=0.01")
@@ -60,7 +52,7 @@ def test_what_a_search_leaves_out_of_a_busy_scene_is_said(call: Call) -> None:
 
 
 @pytest.mark.slow
-def test_corners_count_from_a_cut_and_hold_for_several_films(turned: Path, call: Call) -> None:
+def test_corners_refer_to_the_crop_and_apply_to_several_films(turned: Path, call: Call) -> None:
     moved = ",".join(str(int(n) - (10, 5)[k % 2]) for k, n in enumerate(CORNERS.split(",")))
     said = succeeded(call("receive", turned, "--workers", "1", "--preset", "static",
                           "--crop", "10,5,140,110", "--corners", moved))  # fmt: skip
@@ -83,11 +75,11 @@ def test_corners_count_from_a_cut_and_hold_for_several_films(turned: Path, call:
         (("--region", "1,2,1" + "0" * 400 + ",9"), "--region takes"),
     ],
 )
-def test_what_is_no_place_is_said_in_one_line(options: tuple[str, str], says: str, dark: Path, call: Call) -> None:
+def test_an_invalid_place_is_one_line(options: tuple[str, str], says: str, dark: Path, call: Call) -> None:
     assert says in failed(call("receive", dark, "--fps", "1000", "--preset", "static", *options))
 
 
-def test_a_region_beyond_the_film_is_said_in_one_line(dark: Path, call: Call) -> None:
+def test_a_region_beyond_the_film_is_one_line(dark: Path, call: Call) -> None:
     run = call("receive", dark, "--fps", "1000", "--preset", "static", "--region", "500,0,40,40")
     assert run.returncode == 1
     assert run.stderr == "heliograph: the region 500,0,40,40 that was given lies beyond the frames, which are 160x120\n"

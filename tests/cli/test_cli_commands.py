@@ -1,41 +1,31 @@
 """Behaviour of each command, and its JSON contract."""
 
 import base64
+import contextlib
 import io
 import json
 import os
-import pty
 import re
 import socket
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import COMMAND, Run, called, failed, heliograph, lasting, names, succeeded, within
+from cli_runs import COMMAND, Call, failed, heliograph, lasting, names, succeeded, within
 from waiting import HANG_S
 
 import heliograph as heliograph_package
-from heliograph.cli import console
+from heliograph.cli import console, main
 from heliograph.link.settings import PRESETS
-from heliograph.media import create_film, open_film
+from heliograph.media import open_film
 
 pytestmark = pytest.mark.slow
 
-HIGH, MIDDLE, LOW = b"brake\x00\xff", b"detour " * 40, bytes(range(256))
-
-
-Call = Callable[..., Run]
-
-
-@pytest.fixture
-def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
+HIGH, MIDDLE, LOW = b"brake\x00\xff", b"detour " * 10, bytes(range(70))
 
 
 @pytest.fixture(scope="module")
@@ -43,28 +33,26 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("film")
     for name, data in (("high", HIGH), ("middle", MIDDLE), ("low", LOW)):
         (folder / name).write_bytes(data)
-    out = within(folder, "simulate", "a.mkv", *lasting(0.4), "--high", "high", "--middle", "middle", "--low", "low",
+    out = within(folder, "simulate", "a.mkv", *lasting(0.2), "--high", "high", "--middle", "middle", "--low", "low",
                  "--seed", "5")  # fmt: skip
-    assert succeeded(out) == "a.mkv: 400 frames; truth in a.mkv.truth.npz\n"
+    assert succeeded(out) == "a.mkv: 200 frames; truth in a.mkv.truth.npz\n"
     assert names(folder) == ["a.mkv", "a.mkv.truth.npz", "high", "low", "middle"]
     return folder / "a.mkv"
 
 
-def test_a_reception_is_followed_by_lines_datagrams_and_words(film: Path, tmp_path: Path) -> None:
+def test_a_reception_is_followed_by_lines_datagrams_and_words(film: Path, call: Call) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("127.0.0.1", 0))
         listener.settimeout(HANG_S)
         address = f"udp://127.0.0.1:{listener.getsockname()[1]}"
-        out = heliograph(
-            "receive", film, "--receiver", "plain", "--follow", "--verbose", "--send", address, cwd=tmp_path
-        )
+        out = call("receive", film, "--receiver", "plain", "--follow", "--verbose", "--send", address)
         rows = [json.loads(line) for line in out.stdout.splitlines()]
         assert [json.loads(listener.recv(1 << 16)) for _ in rows] == rows
     assert out.returncode == 0
-    assert [row["event"] for row in rows if row["event"] != "message"] == ["found", *4 * ["packet"], "end"]
+    assert [row["event"] for row in rows if row["event"] != "message"] == ["found", *2 * ["packet"], "end"]
     (high,) = (row for row in rows if row["event"] == "message" and row["layer"] == "high")
     assert base64.b64decode(high["data"]) == HIGH
-    assert rows[-1]["arrays"][0]["packets"] == 4
+    assert rows[-1]["arrays"][0]["packets"] == 2
     assert re.search(
         r"^0\.000 s: array 0 found (49|50)\.\d m away, moving by \d+ px/s in the image, upright; identity uncertain",
         out.stderr,
@@ -73,35 +61,32 @@ def test_a_reception_is_followed_by_lines_datagrams_and_words(film: Path, tmp_pa
     assert "message 0 of the high layer is whole, 7 bytes" in out.stderr
 
 
-def test_messages_of_a_film_are_shown_as_they_are_read(tmp_path: Path, call: Call) -> None:
+def test_messages_are_printed_as_text_or_hexadecimal(tmp_path: Path, call: Call) -> None:
     """Print text as text and other data as leading bytes; escape terminal control characters."""
     coloured, long = b"brake \x1b[31m", "x" * 100
     sent = ("--high", f"text:{coloured.decode()}", "--middle", f"text:{long}")
-    succeeded(call("simulate", "a.h5", *lasting(0.42), *sent))
+    succeeded(call("simulate", "a.h5", *lasting(0.22), *sent))
     said = succeeded(call("receive", "a.h5", "--preset", "static")).splitlines()
     assert said[0] == f"array 0, high, message 0: 11 bytes, {coloured.hex()}"
     assert f"array 0, middle, message 0: 100 bytes, '{'x' * 57}...'" in said
-    assert not any("message 0" in line for line in call("receive", "a.h5", "--preset", "static", "--json").stdout)
 
 
-def test_a_text_or_standard_input_is_sent(tmp_path: Path, call: Call) -> None:
+def test_a_text_or_standard_input_is_sent(tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     """An argument that looks like a file name is a file, unless prefixed with "text:"."""
     (tmp_path / "words").write_bytes(b"of a file")
     said = [("red light", b"red light"), ("text:a.txt", b"a.txt"), ("words", b"of a file")]
     for number, (given, _) in enumerate(said):
         succeeded(call("transmit", f"{number}.npy", "--high", given, "--packets", "1"))
-    piped = subprocess.run(
-        [*COMMAND, "transmit", "3.npy", "--high", "-", "--packets", "1"], cwd=tmp_path, input=b"red light", check=False
-    )
-    assert piped.returncode == 0
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"red light")))
+    succeeded(call("transmit", "3.npy", "--high", "-", "--packets", "1"))
     for number, data in enumerate([*(data for _, data in said), b"red light"]):
         assert np.array_equal(np.load(tmp_path / f"{number}.npy"), heliograph_package.encode({"high": data})[:100])
 
 
 def test_receive_writes_messages_packets_and_summary(film: Path, tmp_path: Path, call: Call) -> None:
     out = succeeded(call("receive", film, "--receiver", "plain", "--output", "out"))
-    assert "400 frames in " in out
-    assert re.search(r"array 0: 4 packets, frames 0 to 399, (49\.\d|50\.\d) m to (49\.\d|50\.\d) m away\n", out)
+    assert "200 frames in " in out
+    assert re.search(r"array 0: 2 packets, frames 0 to 199, (49\.\d|50\.\d) m to (49\.\d|50\.\d) m away\n", out)
     assert "message out/array-0-high-0.bin" in out
     assert names(tmp_path / "out") == [
         "array-0-high-0.bin", "array-0-low-0.bin", "array-0-middle-0.bin", "packets.jsonl", "summary.json"
@@ -110,39 +95,36 @@ def test_receive_writes_messages_packets_and_summary(film: Path, tmp_path: Path,
     assert (tmp_path / "out/array-0-middle-0.bin").read_bytes() == MIDDLE
     assert (tmp_path / "out/array-0-low-0.bin").read_bytes() == LOW
     log = [json.loads(line) for line in (tmp_path / "out/packets.jsonl").read_text().splitlines()]
-    assert [row["first_frame"] for row in log] == [0, 100, 200, 300]
+    assert [row["first_frame"] for row in log] == [0, 100]
     assert all(row["status"] == "ok" for row in log)
-    assert json.loads((tmp_path / "out/summary.json").read_text())["frames"] == 400
+    assert json.loads((tmp_path / "out/summary.json").read_text())["frames"] == 200
 
 
-def test_json_is_one_object_as_agreed(film: Path, tmp_path: Path, call: Call) -> None:
+def test_json_is_one_object_with_the_documented_fields(film: Path, tmp_path: Path, call: Call) -> None:
     out = succeeded(call("receive", film, "--json", "--truth", f"{film}.truth.npz"))
     assert out.count("\n") == 1
     report = json.loads(out)
+    untrue = json.loads(succeeded(call("receive", film, "--json")))
+    assert not {"errors", "false_packets", "false_codewords"} & set(untrue)
     assert {"frames", "seconds", "frames_per_second", "arrays", "errors"} <= set(report)
     assert (report["false_packets"], report["false_codewords"]) == (0, 0)
-    assert report["frames"] == 400
-    assert report["frames_per_second"] == pytest.approx(400 / report["seconds"], rel=0.01)
+    assert report["frames"] == 200
+    assert report["frames_per_second"] == pytest.approx(200 / report["seconds"], rel=0.01)
     (array,) = report["arrays"]
     assert set(array) == {
         "id", "first_frame", "last_frame", "first_distance_m", "last_distance_m", "packets", "layers"
     }  # fmt: skip
     assert array["first_distance_m"] == pytest.approx(50, abs=0.5)
-    assert (array["id"], array["first_frame"], array["last_frame"], array["packets"]) == (0, 0, 399, 4)
+    assert (array["id"], array["first_frame"], array["last_frame"], array["packets"]) == (0, 0, 199, 2)
     assert list(array["layers"]) == ["high", "middle", "low"]
-    assert array["layers"]["high"] == {"ok": 4, "failed": 0, "bytes": 4 * len(HIGH)}
+    assert array["layers"]["high"] == {"ok": 2, "failed": 0, "bytes": 2 * len(HIGH)}
     (row,) = report["errors"]
     assert (row["from_m"], row["to_m"]) == (50.0, 55.0)
-    for layer, codewords in (("high", 4), ("middle", 8), ("low", 4)):
+    for layer, codewords in (("high", 2), ("middle", 4), ("low", 2)):
         assert {"bits", "errors", "codewords", "codeword_errors"} <= set(row[layer])
         assert (row[layer]["bits"], row[layer]["errors"]) == (1024 * codewords, 0)
         assert (row[layer]["codewords"], row[layer]["codeword_errors"]) == (codewords, 0)
     assert names(tmp_path) == []
-
-
-def test_without_truth_there_are_no_errors_to_tell(film: Path, tmp_path: Path, call: Call) -> None:
-    report = json.loads(succeeded(call("receive", film, "--json")))
-    assert not {"errors", "false_packets", "false_codewords"} & set(report)
 
 
 def test_error_rates_come_with_their_counts(film: Path, tmp_path: Path, call: Call) -> None:
@@ -150,19 +132,17 @@ def test_error_rates_come_with_their_counts(film: Path, tmp_path: Path, call: Ca
     (line,) = [line for line in out.splitlines() if line.strip().startswith("50-55")]
     assert line.split() == [
         "50-55", "m",
+        "<", "1.5e-03", "of", "2048", "0/2",
         "<", "7.3e-04", "of", "4096", "0/4",
-        "<", "3.7e-04", "of", "8192", "0/8",
-        "<", "7.3e-04", "of", "4096", "0/4",
+        "<", "1.5e-03", "of", "2048", "0/2",
     ]  # fmt: skip
     assert "packets that were not sent: 0\naccepted codewords that were not sent: 0" in out
 
 
-@pytest.mark.parametrize("suffix", [".h5", ".mp4"])
-def test_films_of_other_kinds(suffix: str, tmp_path: Path, call: Call) -> None:
-    lossless = ("--lossless",) if suffix == ".mp4" else ()
-    succeeded(call("simulate", f"a{suffix}", *lasting(0.1), *lossless))
-    assert names(tmp_path) == [f"a{suffix}", f"a{suffix}.truth.npz"]
-    report = json.loads(succeeded(call("receive", f"a{suffix}", "--json")))
+def test_a_lossless_mp4_is_written_and_read(tmp_path: Path, call: Call) -> None:
+    succeeded(call("simulate", "a.mp4", *lasting(0.1), "--lossless"))
+    assert names(tmp_path) == ["a.mp4", "a.mp4.truth.npz"]
+    report = json.loads(succeeded(call("receive", "a.mp4", "--json")))
     assert report["arrays"][0]["layers"]["high"]["ok"] == 1
 
 
@@ -202,7 +182,7 @@ def test_transmit_writes_patterns_as_numbers(tmp_path: Path, call: Call) -> None
 
 
 @pytest.mark.parametrize("kind", ["bits", "h", "hub75", "shift"])
-def test_transmit_writes_what_drivers_take(kind: str, tmp_path: Path, call: Call) -> None:
+def test_transmit_writes_files_for_drivers(kind: str, tmp_path: Path, call: Call) -> None:
     name, order = f"a.{kind}", ("--set", "signal.slot_order=[0, 2, 1, 3]")
     succeeded(call("transmit", "a.npy", "--packets", "1", "--slots", *order))
     out = succeeded(call("transmit", name, "--packets", "1", *order))
@@ -223,17 +203,16 @@ def test_transmit_writes_a_film_for_a_screen(tmp_path: Path, call: Call) -> None
 
 
 def test_a_converted_film_is_read_like_its_source(film: Path, tmp_path: Path, call: Call) -> None:
-    assert succeeded(call("convert", film, "b.h5")) == "b.h5: 400 frames\n"
+    assert succeeded(call("convert", film, "b.h5")) == "b.h5: 200 frames\n"
     truth = ("--truth", f"{film}.truth.npz", "--json")
     ours, theirs = (json.loads(succeeded(call("receive", path, *truth))) for path in ("b.h5", film))
     assert ours["errors"] == theirs["errors"]
-    assert succeeded(call("convert", "b.h5", "c.avi")).startswith("c.avi: 400 frames; gray levels differ slightly")
+    assert succeeded(call("convert", "b.h5", "c.avi")).startswith("c.avi: 200 frames; gray levels differ slightly")
     assert "is read and would be written" in failed(call("convert", "b.h5", "b.h5"))
 
 
-@pytest.mark.parametrize("preset", ["static", "night"])
-def test_budget_says_what_a_link_has(preset: str, call: Call) -> None:
-    small = ("--preset", preset, "--set", "signal.side=8", "--vary", "channel.distance_m=20,60")
+def test_budget_shows_image_range_and_flicker(call: Call) -> None:
+    small = ("--set", "signal.side=8", "--vary", "channel.distance_m=20,60")
     text = succeeded(call("budget", *small))
     rows = [line.split() for line in text.splitlines()]
     assert rows[0][:3] == ["channel.distance_m", "m", "px/LED"]
@@ -251,13 +230,13 @@ def test_budget_says_what_a_link_has(preset: str, call: Call) -> None:
     assert points[0]["notes"] == []
 
 
-def test_budget_says_what_spoils_a_link(call: Call) -> None:
+def test_budget_warns_of_saturation(call: Call) -> None:
     text = succeeded(call("budget", "--set", "signal.side=8", "--set", "channel.distance_m=30", "--candela", "9"))
     assert "note: the array saturates" in text
     assert "reads to" not in text
 
 
-def test_a_note_that_distances_share_is_said_once(call: Call) -> None:
+def test_equal_notes_of_a_budget_are_printed_once(call: Call) -> None:
     aside = ("--set", "signal.side=8", "--set", "channel.arrays.0.x_m=9", "--vary", "channel.distance_m=20,30,40")
     notes = [line for line in succeeded(call("budget", *aside, "--candela", "9")).splitlines() if "not in the" in line]
     assert len(notes) == 1
@@ -275,7 +254,7 @@ def test_presets_are_listed_and_printed(tmp_path: Path, call: Call) -> None:
     assert tree["channel"]["emitter"]["all_on"] == 0.2
 
 
-def test_demo_shows_what_arrived(tmp_path: Path, call: Call) -> None:
+def test_demo_counts_codewords_and_writes_a_report(tmp_path: Path, call: Call) -> None:
     out = succeeded(call("demo", "--output", "d", *lasting(0.1)))
     assert out.splitlines()[0] == "d/drive.mp4: a film of 100 frames, about 1 MB"
     assert "array 0: 1 packet; codewords read: high 1/1" in out
@@ -283,13 +262,11 @@ def test_demo_shows_what_arrived(tmp_path: Path, call: Call) -> None:
     assert {"report.html", "drive.mp4", "drive.mp4.truth.npz", "array-0-high-0.txt"} <= set(names(tmp_path / "d"))
 
 
-def test_the_version_is_told_and_python_runs_the_command(tmp_path: Path) -> None:
-    told = f"heliograph {heliograph_package.__version__}\n"
-    assert succeeded(heliograph("--version", cwd=tmp_path)) == told
-    module = [sys.executable, "-m", "heliograph"]
-    assert subprocess.run([*module, "--version"], capture_output=True, text=True, check=True).stdout == told
-    wrong = subprocess.run([*module, "simulat"], capture_output=True, text=True, check=False)
-    assert wrong.stderr.startswith("heliograph: No such command 'simulat'")
+def test_the_script_and_python_run_the_command(tmp_path: Path) -> None:
+    version = f"heliograph {heliograph_package.__version__}\n"
+    assert succeeded(heliograph("--version", cwd=tmp_path)) == version
+    wrong = subprocess.run([sys.executable, "-m", "heliograph", "simulat"], capture_output=True, text=True, check=False)
+    assert wrong.stderr.startswith("heliograph: No such command 'simulat'. Did you mean 'simulate'?")
     assert wrong.stderr.endswith("see 'heliograph --help'\n")
 
 
@@ -308,7 +285,7 @@ def test_shells_complete_commands_options_and_names(call: Call, monkeypatch: pyt
         assert (run.stdout.split(), run.stderr) == ([found], "")
 
 
-def test_prose_is_broken_on_a_terminal_alone(
+def test_long_lines_wrap_on_a_terminal_only(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = "fig13    holds    " + "0 of 1000 codewords, " * 80
@@ -322,7 +299,7 @@ def test_prose_is_broken_on_a_terminal_alone(
     assert " ".join(" ".join(lines).split()) == " ".join(text.split())
 
 
-def test_a_message_that_quotes_too_much_is_cut_in_its_middle(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_long_message_is_shortened_in_the_middle(capsys: pytest.CaptureFixture[str]) -> None:
     console.complain(f"unknown setting '{'x' * 5000}'; did you mean 'y'?")
     line = capsys.readouterr().err
     assert len(line) < 640
@@ -331,61 +308,56 @@ def test_a_message_that_quotes_too_much_is_cut_in_its_middle(capsys: pytest.Capt
 
 
 def test_help_and_no_arguments(call: Call) -> None:
+    for command, text in main.COMMANDS.items():
+        assert main.load_command(command).help.startswith(text)
     assert "simulate" in succeeded(call("--help"))
     told = " ".join(succeeded(call("receive", "--help")).split())
     assert "--truth" in told
+    assert "screen" in told.partition("--receiver")[2].partition("--")[0]
     assert "overrides the preset. --settings and --set override the note" in told
     run = call()
     assert run.returncode == 2
     assert "Usage: heliograph" in run.stderr
 
 
-def on_a_terminal(*arguments: str, cwd: Path) -> tuple[str, str]:
-    """Run a command with a terminal as standard error; return its result and the terminal output."""
-    ours, theirs = pty.openpty()
-    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80"}
-    command = [*COMMAND, *arguments]
-    with subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=theirs, env=environment) as process:
-        os.close(theirs)
-        shown = b""
-        while True:
-            try:
-                part = os.read(ours, 4096)
-            except OSError:
-                break  # the other end is closed
-            if not part:
-                break
-            shown += part
-        assert process.wait(HANG_S) == 0, shown
-        assert process.stdout is not None
-        result = process.stdout.read()
-    os.close(ours)
-    return result.decode(), shown.decode()
+class Screen(io.StringIO):
+    """Standard error that may be a terminal."""
+
+    def __init__(self, is_terminal: bool):
+        super().__init__()
+        self._is_terminal = is_terminal
+
+    def isatty(self) -> bool:
+        return self._is_terminal
 
 
-def test_long_work_shows_progress_on_a_terminal(tmp_path: Path) -> None:
-    result, shown = on_a_terminal("simulate", "a.mkv", *lasting(0.3), cwd=tmp_path)
-    assert result == "a.mkv: 300 frames; truth in a.mkv.truth.npz\n"
+def test_a_terminal_shows_progress_and_invisible_arrays(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", terminal := Screen(True))
+    two = ("--set", "transmit.identities=[3,4]", "--set", "channel.arrays=[{x_m=0,y_m=0},{x_m=30,y_m=0}]")
+    assert call("simulate", "a.mkv", *lasting(0.02), *two).stdout == "a.mkv: 20 frames; truth in a.mkv.truth.npz\n"
+    shown = terminal.getvalue()
     assert "simulating" in shown
-    assert "/300" in shown
+    assert "/20" in shown
+    assert "array 1 is never completely in the picture" in shown
+    assert "array 0 is" not in shown
 
 
-def test_a_sweep_shows_its_points_on_a_terminal(tmp_path: Path) -> None:
+def test_a_sweep_shows_its_points_on_a_terminal(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", terminal := Screen(True))
     grid = ("--vary", "channel.distance_m=40", "--set", "signal.data_pairs=8", "--max-codewords", "4")
-    result, shown = on_a_terminal("sweep", *grid, "--workers", "1", cwd=tmp_path)
-    assert result.count("\n") == 4
-    assert "1 of 1 points" in shown
-    assert "100%" in shown
+    assert call("sweep", *grid, "--workers", "1").stdout.count("\n") == 4
+    assert "1 of 1 points" in terminal.getvalue()
+    assert "100%" in terminal.getvalue()
 
 
-def test_tuning_the_receiver_keeps_the_films_own_signal(tmp_path: Path, call: Call) -> None:
+def test_receiver_settings_keep_the_signal_of_the_film(tmp_path: Path, call: Call) -> None:
     (tmp_path / "tune.toml").write_text("[receive.decode]\niterations = 4\n")
     succeeded(call("simulate", "a.mkv", *lasting(0.14), "--set", "signal.data_pairs=64"))
     run = call("receive", "a.mkv", "--json", "--settings", "tune.toml")
     assert json.loads(succeeded(run))["arrays"][0]["packets"] == 1
 
 
-def test_one_setting_changes_one_thing_of_the_films_note_and_says_so(tmp_path: Path, call: Call) -> None:
+def test_a_setting_overrides_the_note_of_a_film_and_is_reported(tmp_path: Path, call: Call) -> None:
     (tmp_path / "low.toml").write_text("[signal.rate]\nlow = 0.5\n")
     succeeded(call("simulate", "a.mkv", *lasting(0.14), "--set", "signal.data_pairs=64"))
     run = call("receive", "a.mkv", "--json", "--settings", "low.toml", "--set", "signal.rate.high=0.4")
@@ -399,15 +371,15 @@ def test_one_setting_changes_one_thing_of_the_films_note_and_says_so(tmp_path: P
     }  # fmt: skip
 
 
-def test_what_is_no_packet_is_not_in_the_log(film: Path, tmp_path: Path, call: Call) -> None:
+def test_overlong_packets_are_uncertain(film: Path, tmp_path: Path, call: Call) -> None:
     """With overlong packets, every second packet has no header and no valid codeword."""
     run = call("receive", film, "--output", "out", "--set", "signal.data_pairs=64")
     assert run.returncode == 3
     log = [json.loads(line) for line in (tmp_path / "out/packets.jsonl").read_text().splitlines()]
-    assert [row["status"] for row in log] == ["crc_fail", "crc_fail"]
-    assert "uncertain, no codeword decoded: array 0: 2 packets" in run.stdout
+    assert [row["status"] for row in log] == ["crc_fail"]
+    assert "uncertain, no codeword decoded: array 0: 1 packet" in run.stdout
     (array,) = json.loads((tmp_path / "out/summary.json").read_text())["uncertain"]
-    assert array["packets"] == 2
+    assert array["packets"] == 1
 
 
 @pytest.mark.parametrize("change", ["signal.rate.high=0.5", "signal.data_pairs=24"])
@@ -418,43 +390,41 @@ def test_errors_are_not_counted_with_another_signal(change: str, film: Path, tmp
     assert names(tmp_path) == []
 
 
-def test_a_closed_pipe_is_no_fault(film: Path, tmp_path: Path) -> None:
-    line = f"{' '.join(COMMAND)} receive {film} | head -1"
-    run = subprocess.run(line, shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False)
-    assert run.stderr == ""
-    assert run.stdout.count("\n") == 1
+@pytest.fixture
+def closed_pipe() -> Iterator[int]:
+    """Open a pipe with no reader."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    yield writer
+    os.close(writer)
 
 
-def test_an_array_outside_the_picture_is_told_on_a_terminal(
-    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+def test_a_closed_pipe_ends_a_process_silently(tmp_path: Path, closed_pipe: int) -> None:
+    run = subprocess.run([*COMMAND, "presets"], stdout=closed_pipe, stderr=subprocess.PIPE, check=False)
+    assert (run.returncode, run.stderr) == (1, b"")
+
+
+def test_a_closed_pipe_ends_receive_silently(
+    film: Path, call: Call, tmp_path: Path, closed_pipe: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    two = ("--set", "transmit.identities=[3,4]", "--set", "channel.arrays=[{x_m=0,y_m=0},{x_m=30,y_m=0}]")
-    run = call("simulate", "a.h5", *lasting(0.02), *two)
-    assert run.returncode == 0
-    assert "array 1 is never completely in the picture" in run.stderr
-    assert "array 0 is" not in run.stderr
+    with open(closed_pipe, "w", closefd=False) as out, (tmp_path / "errors").open("w") as errors:
+        monkeypatch.setattr(sys, "stdout", out)
+        monkeypatch.setattr(sys, "stderr", errors)
+        assert call("receive", film).returncode == 1
+        monkeypatch.undo()
+        with contextlib.suppress(BrokenPipeError):
+            out.close()
+    assert (tmp_path / "errors").read_text() == ""
 
 
-def test_progress_is_shown_on_a_terminal_and_nothing_in_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
     for seen in (True, False):
-        monkeypatch.setattr(sys, "stderr", error := _Screen(seen))
+        monkeypatch.setattr(sys, "stderr", error := Screen(seen))
         with console.progress("receiving", 31) as note:
             for done in (1, 20, 921):
                 note(done)
         # the film had more frames than claimed
         assert ("receiving" in error.getvalue(), "921/921" in error.getvalue()) == (seen, seen)
-
-
-class _Screen(io.StringIO):
-    """Standard error that may be a terminal."""
-
-    def __init__(self, seen: bool):
-        super().__init__()
-        self._seen = seen
-
-    def isatty(self) -> bool:
-        return self._seen
 
 
 def test_a_sweep_shows_counts_and_intervals(call: Call) -> None:
@@ -470,7 +440,7 @@ def test_a_sweep_shows_counts_and_intervals(call: Call) -> None:
     assert "1.0e+00 (4.7e-01 to 1.0e+00)" in lines[6]
 
 
-def test_a_printed_preset_says_what_each_setting_means_and_can_be_read_again(tmp_path: Path, call: Call) -> None:
+def test_a_printed_preset_explains_each_setting_and_can_be_read(tmp_path: Path, call: Call) -> None:
     printed = succeeded(call("presets", "two-arrays"))
     settings = [line for line in printed.splitlines() if " =" in line]
     assert all("  # " in line for line in settings)
@@ -478,21 +448,3 @@ def test_a_printed_preset_says_what_each_setting_means_and_can_be_read_again(tmp
     (tmp_path / "two.toml").write_text(printed)
     again = call("sweep", "--settings", "two.toml", "--vary", "nothing=1")
     assert "unknown setting 'nothing'" in again.stderr
-
-
-@pytest.mark.parametrize("receiver", ["plain", "soft"])
-def test_a_take_in_slow_motion_is_read_at_the_camera_s_own_rate(
-    film: Path, receiver: str, tmp_path: Path, call: Call
-) -> None:
-    with open_film(film) as taken, create_film(
-        tmp_path / "slow.mp4", width=taken.width, height=taken.height, rate_hz=30, lossless=True
-    ) as slow:  # fmt: skip
-        for frame in taken:
-            slow.write(replace(frame, time_s=frame.index / 30))
-    said = failed(call("receive", tmp_path / "slow.mp4", "--receiver", receiver))
-    assert "30.0 frames/s, the light 1000.0 patterns/s" in said
-    assert "--fps" in said
-    report = json.loads(
-        succeeded(call("receive", tmp_path / "slow.mp4", "--receiver", receiver, "--fps", "1000", "--json"))
-    )
-    assert [(array["packets"], array["layers"]["high"]["ok"]) for array in report["arrays"]] == [(4, 4)]

@@ -1,12 +1,10 @@
 """The `heliograph dataset` command."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cli_runs import Run, called, failed, grown, interrupted, names, succeeded
+from cli_runs import Call, failed, names, succeeded
 
-Call = Callable[..., Run]
 SMALL = (
     "--set", "channel.camera.width=64", "--set", "channel.camera.height=48", "--set", "signal.data_pairs=8",
     "--set", "channel.arrays.0.x_m=0", "--set", "channel.arrays.0.y_m=0",
@@ -17,13 +15,7 @@ FILMS = ["test/000002.h5", "test/000005.h5", "train/000000.h5", "train/000003.h5
          "validation/000004.h5"]  # fmt: skip
 
 
-@pytest.fixture
-def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
-
-
-def test_the_size_is_said_before_and_what_is_there_is_kept(call: Call, tmp_path: Path) -> None:
+def test_the_size_is_printed_and_existing_films_are_kept(call: Call, tmp_path: Path) -> None:
     said = succeeded(call("dataset", "a", *SMALL, *SPLIT, "--size"))
     assert said.startswith("a: 6 films, 120 frames, ")
     assert not (tmp_path / "a").exists()
@@ -45,35 +37,10 @@ def test_the_size_is_said_before_and_what_is_there_is_kept(call: Call, tmp_path:
         (("--vary", "channel.distance_m=3", "--vary", "channel.distance_m=4"), "is varied twice"),
         (("--set", "channel.background.kind=footage"), "give it by --background VIDEO"),
         (("--background", "none.mp4"), "there is no file none.mp4"),
-        (
-            (
-                "--packets",
-                "10000",
-                "--films",
-                "2000",
-                "--set",
-                "channel.camera.width=4000",
-                "--set",
-                "channel.camera.height=4000",
-            ),
-            "are free",
-        ),
+        (("--packets", "10000", "--films", "2000", *LARGE), "are free"),
     ],
 )
-def test_what_cannot_be_made_is_said_in_one_line(options: tuple[str, ...], says: str, call: Call) -> None:
+def test_invalid_options_are_one_line(options: tuple[str, ...], says: str, call: Call) -> None:
     run = call("dataset", "a", *SMALL, *options)
     assert says in failed(run)
     assert not Path("a").exists()
-
-
-@pytest.mark.slow
-def test_after_ctrl_c_the_same_command_goes_on(tmp_path: Path, call: Call) -> None:
-    longer = (*SMALL, *SPLIT, "--packets", "20")
-    run = interrupted("dataset", "a", *longer, cwd=tmp_path, when=grown(tmp_path / "a", "validation/*.h5"))
-    assert run.returncode == 130
-    assert run.stderr.startswith("heliograph: interrupted after ")
-    assert run.stderr.endswith("of 6 films; the same command continues\n")
-    there = names(tmp_path / "a")
-    assert "DATASHEET.md" not in there
-    assert f"of which {len(there) - 1} films exist" in succeeded(call("dataset", "a", *longer))
-    assert names(tmp_path / "a") == ["DATASHEET.md", "dataset.json", "films.csv", *FILMS]

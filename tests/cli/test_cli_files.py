@@ -3,12 +3,11 @@
 import json
 import random
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import Run, called, lasting, succeeded
+from cli_runs import Call, lasting, succeeded
 
 from heliograph.cli.files import FileOutput, join
 from heliograph.link.file_store import FileStore, safe_name
@@ -18,20 +17,12 @@ from heliograph.signal.fountain.files import FileGatherer, FileKey, SentFile, Wh
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "junction.toml"
 
-Call = Callable[..., Run]
-
-
-@pytest.fixture
-def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
-
 
 PICTURE = random.Random(1).randbytes(1500)
 
 
 @pytest.mark.slow
-def test_a_file_is_joined_of_two_films(tmp_path: Path, call: Call) -> None:
+def test_two_films_complete_a_file(tmp_path: Path, call: Call) -> None:
     (tmp_path / "map.png").write_bytes(PICTURE)
     for number, start_s in enumerate((0.0, -0.3)):
         changes = ("--set", f"channel.arrays.0.start_s={start_s}", "--file", "map.png", "--high", "brake")
@@ -60,7 +51,7 @@ def test_a_file_is_joined_of_two_films(tmp_path: Path, call: Call) -> None:
 
 
 @pytest.mark.parametrize("folder", [None, "got"])
-def test_the_last_word_on_a_file_says_what_is_missing_and_what_helps(tmp_path: Path, folder: str | None) -> None:
+def test_an_incomplete_file_has_a_line_with_progress_and_remedy(tmp_path: Path, folder: str | None) -> None:
     data = b"\x01a" + bytes(range(200))
     encoder, key, gatherer = CauchyEncoder(data, 8), FileKey(0, len(data), 8, 0), FileGatherer()
     files = FileOutput(tmp_path / folder if folder else None, is_quiet=False)
@@ -79,7 +70,7 @@ def test_the_last_word_on_a_file_says_what_is_missing_and_what_helps(tmp_path: P
         assert lacking == [line.replace(", about 0.6 s", "")]
 
 
-def test_transmit_refuses_a_file_that_no_layer_has_room_for(tmp_path: Path, call: Call) -> None:
+def test_transmit_refuses_a_file_without_a_free_layer(tmp_path: Path, call: Call) -> None:
     (tmp_path / "a").write_bytes(b"1")
     layers = ("--high", "a b", "--middle", "c d", "--low", "e f")
     for given, word in (
@@ -123,7 +114,7 @@ def test_a_file_never_replaces_another(tmp_path: Path) -> None:
     assert (tmp_path / "outside").read_bytes() == b"mine"
 
 
-def test_broken_symbols_of_an_earlier_passage_are_passed_over(tmp_path: Path) -> None:
+def test_damaged_stored_symbols_are_ignored(tmp_path: Path) -> None:
     files, data = FileGatherer(), b"\x01a" + bytes(range(200))
     encoder, key = CauchyEncoder(data, 8), FileKey(0, len(data), 8, 0)
     files.take(key, {n: encoder.symbol(n) for n in range(5)})
@@ -156,7 +147,7 @@ def test_a_junction_is_sent_and_counted_down(tmp_path: Path, call: Call) -> None
     assert "tells of junction 7: group 1 red, 10.9 s left" in followed.stderr
 
 
-def test_a_junction_that_is_wrong_is_one_line(tmp_path: Path, call: Call) -> None:
+def test_an_invalid_junction_is_one_line(tmp_path: Path, call: Call) -> None:
     (tmp_path / "a.toml").write_text("id = 7\ngroup = 1\n")
     for given, word in (
         (("--junction", "a.toml"), "a.toml: "),

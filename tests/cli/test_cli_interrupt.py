@@ -1,72 +1,106 @@
 """Ctrl-C ends each command cleanly and keeps the results so far."""
 
 import json
+import shutil
 import signal
-import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cli_runs import failed, grown, interrupted, lasting, names, succeeded, within
+from cli_runs import SMALL, failed, grown, interrupted, interrupted_at, lasting, names, succeeded, within
+from faulty_films import KeptFilm, film, link, write
 
 from heliograph.link.truth import open_truth
 from heliograph.media import open_film
 
+pytestmark = pytest.mark.slow
+
 INTERRUPTED = 130
+RESULTS = ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.slow
-def test_simulate_keeps_the_film_so_far(tmp_path: Path, by: signal.Signals) -> None:
-    started = grown(tmp_path, ".*partial*", 200_000)
-    run = interrupted("simulate", "a.mkv", *lasting(300), cwd=tmp_path, when=started, by=by)
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Create a film of two packets."""
+    folder = tmp_path_factory.mktemp("drive")
+    succeeded(within(folder, "simulate", "a.h5", *lasting(0.25), "--high", "text:first"))
+    return folder / "a.h5"
+
+
+def test_sigterm_ends_a_process_like_ctrl_c(tmp_path: Path) -> None:
+    started = grown(tmp_path, ".*partial*", 20_000)
+    run = interrupted("simulate", "a.mkv", *lasting(300), cwd=tmp_path, when=started, by=signal.SIGTERM)
     assert "a.mkv holds the " in failed(run, INTERRUPTED)
     assert names(tmp_path) == ["a.mkv", "a.mkv.truth.npz"]
+
+
+def test_simulate_keeps_the_film_so_far(tmp_path: Path) -> None:
+    run = interrupted_at(tmp_path, "simulate", "a.mkv", *lasting(300), title="simulating", step=12)
+    assert failed(run, INTERRUPTED) == "heliograph: interrupted; a.mkv holds the 12 frames so far"
+    assert names(tmp_path) == ["a.mkv", "a.mkv.truth.npz"]
     with open_film(tmp_path / "a.mkv") as film:
-        frames = len(list(film))
-    assert frames > 10
-    assert abs(frames - len(list(open_truth(tmp_path / "a.mkv.truth.npz").rows()))) <= 1
+        assert abs(len(list(film)) - 12) <= 1
+    assert abs(len(list(open_truth(tmp_path / "a.mkv.truth.npz").rows())) - 12) <= 1
 
 
-@pytest.mark.slow
-def test_receive_shows_and_keeps_the_results_so_far(tmp_path: Path) -> None:
-    (tmp_path / "high").write_bytes(b"first")
-    succeeded(within(tmp_path, "simulate", "a.mkv", *lasting(1.5), "--high", "high"))
-    first = grown(tmp_path, "out/array-0-high-0.bin")
-    run = interrupted("receive", "a.mkv", "--output", "out", "--json", cwd=tmp_path, when=first)
-    assert "the results so far are above" in failed(run, INTERRUPTED)
+def test_receive_shows_and_keeps_the_results_so_far(drive: Path, tmp_path: Path) -> None:
+    run = interrupted_at(tmp_path, "receive", drive, "--output", "out", "--json", title="receiving", step=210)
+    assert "interrupted after 210 frames; the results so far are above" in failed(run, INTERRUPTED)
     report = json.loads(run.stdout)
-    assert 100 <= report["frames"] < 1500
+    assert report["frames"] == 210
     assert report["error"] == json.loads((tmp_path / "out/summary.json").read_text())["error"] == "interrupted"
     assert report["arrays"][0]["packets"] >= 1
-    assert names(tmp_path / "out") == ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
+    assert names(tmp_path / "out") == RESULTS
     assert (tmp_path / "out/array-0-high-0.bin").read_bytes() == b"first"
     assert len((tmp_path / "out/packets.jsonl").read_text().splitlines()) == report["arrays"][0]["packets"]
 
 
-@pytest.mark.parametrize("name", ["a.npy", "a.mkv"])
-@pytest.mark.slow
-def test_transmit_leaves_nothing(tmp_path: Path, name: str) -> None:
-    started = grown(tmp_path, ".*partial*")
-    run = interrupted("transmit", name, "--packets", "100000", cwd=tmp_path, when=started)
+def test_receive_keeps_the_completed_films(drive: Path, tmp_path: Path) -> None:
+    shutil.copy(drive, tmp_path / "a.h5")
+    succeeded(within(tmp_path, "simulate", "long.h5", *lasting(0.35), "--high", "text:first"))
+    line = ("receive", "a.h5", "long.h5", "--workers", "1", "--receiver", "plain", "--output", "out")
+    run = interrupted_at(tmp_path, *line, title="receiving", step=300)
+    assert "interrupted after 1 of 2 films; the same command continues" in failed(run, INTERRUPTED)
+    assert [json.loads(row)["film"] for row in run.stdout.splitlines()] == ["a.h5"]
+    assert names(tmp_path / "out" / "a.h5") == RESULTS
+    again = {row["film"]: row for row in map(json.loads, within(tmp_path, *line).stdout.splitlines())}
+    assert [again[name].get("kept") for name in ("a.h5", "long.h5")] == [True, None]
+    assert again["long.h5"]["frames"] == 350
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.mkv", "a.h"])
+def test_transmit_leaves_no_partial_file(tmp_path: Path, name: str) -> None:
+    run = interrupted_at(tmp_path, "transmit", name, "--packets", "1000", title="transmitting", step=50)
     assert "interrupted" in failed(run, INTERRUPTED)
     assert names(tmp_path) == []
 
 
-@pytest.mark.slow
 def test_demo_keeps_the_film_so_far(tmp_path: Path) -> None:
-    started = grown(tmp_path, "d/.*partial*", 20_000)
-    run = interrupted("demo", "--output", "d", *lasting(60), cwd=tmp_path, when=started)
+    run = interrupted_at(tmp_path, "demo", "--output", "d", *lasting(60), title="simulating", step=20)
     assert "interrupted; d/drive.mp4 holds the frames so far" in failed(run, INTERRUPTED)
     assert names(tmp_path / "d") == ["drive.mp4", "drive.mp4.truth.npz"]
 
 
-@pytest.mark.slow
-def test_demo_reports_what_was_received(tmp_path: Path) -> None:
-    truth = tmp_path / "d/drive.mp4.truth.npz"
-
-    def receiving() -> bool:
-        return truth.exists() and time.time() - truth.stat().st_mtime > 0.3
-
-    run = interrupted("demo", "--output", "d", *lasting(2), cwd=tmp_path, when=receiving)
+def test_demo_reports_the_packets_so_far(tmp_path: Path) -> None:
+    run = interrupted_at(tmp_path, "demo", "--output", "d", *lasting(0.15), title="receiving", step=120)
     assert "d holds the results so far" in failed(run, INTERRUPTED)
     assert {"drive.mp4", "drive.mp4.truth.npz", "report.html"} <= set(names(tmp_path / "d"))
+
+
+def test_the_same_command_continues_a_data_set(tmp_path: Path) -> None:
+    line = ("dataset", "a", *SMALL, "--set", "channel.camera.width=64", "--set", "channel.camera.height=48",
+            "--set", "signal.data_pairs=8", "--films", "6", "--splits", "1,1,1")  # fmt: skip
+    run = interrupted_at(tmp_path, *line, title="films", step=2)
+    assert failed(run, INTERRUPTED) == "heliograph: interrupted after 2 of 6 films; the same command continues"
+    there = names(tmp_path / "a")
+    assert "DATASHEET.md" not in there
+    assert f"of which {len(there) - 1} films exist" in succeeded(within(tmp_path, *line))
+    assert len(names(tmp_path / "a")) == 6 + 3
+
+
+def test_probe_shows_the_findings_so_far(tmp_path: Path) -> None:
+    frames = film(link(camera={"width": 48, "height": 48}))
+    write(KeptFilm([replace(frames[k % 130], index=k, time_s=k / 1000) for k in range(400)]), tmp_path / "long.h5")
+    run = interrupted_at(tmp_path, "probe", "long.h5", "--output", "seen", title="probing", step=200)
+    assert "interrupted after 200 frames; the findings so far are above" in failed(run, INTERRUPTED)
+    assert names(tmp_path / "seen") == ["probe.html"]

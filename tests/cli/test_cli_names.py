@@ -1,13 +1,15 @@
 """Arbitrary bytes in file names: each result and error stays on its line."""
 
+import io
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import called, failed, heliograph, within
+from cli_runs import Call, failed, within
 
 from heliograph.base.frames import Frame
 from heliograph.cli import console, messages
@@ -26,38 +28,36 @@ def write(path: Path) -> Path:
     return path
 
 
-def test_results_and_errors_name_a_film_on_one_line(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_results_and_errors_name_a_film_on_one_line(tmp_path: Path, call: Call) -> None:
     write(tmp_path / ODD)
-    line = failed(called("receive", "--output", "results", "--", ODD, capfd=capfd, monkeypatch=monkeypatch))
+    line = failed(call("receive", "--output", "results", "--", ODD))
     assert line.startswith(f"heliograph: {SHOWN} has 20 frames")
     assert json.loads(Path("results/summary.json").read_bytes())["film"] == ODD
     assert line.endswith(json.loads(Path("results/summary.json").read_bytes())["error"])
 
-    run = called("probe", "--output", "seen", "--", ODD, capfd=capfd, monkeypatch=monkeypatch)
+    run = call("probe", "--output", "seen", "--", ODD)
     assert run.returncode == 3, run.stderr
     assert run.stdout.startswith(f"{SHOWN}: 20 frames")
     assert "<title>Probe of -caf\\xe9\\n" in Path("seen/probe.html").read_text(encoding="utf-8")
 
     for command in ("receive", "probe"):
-        line = failed(called(command, "--", f"no{ODD}", capfd=capfd, monkeypatch=monkeypatch))
+        line = failed(call(command, "--", f"no{ODD}"))
         assert line == f"heliograph: there is no file no{SHOWN}: check the name"
 
-    run = called("receive", "--workers", "1", "--", ODD, f"no{ODD}", capfd=capfd, monkeypatch=monkeypatch)
+    run = call("receive", "--workers", "1", "--", ODD, f"no{ODD}")
     assert [json.loads(row)["film"] for row in run.stdout.splitlines()] == [ODD, f"no{ODD}"]
 
-    run = called("convert", f"./{ODD}", f"to{ODD}", capfd=capfd, monkeypatch=monkeypatch)
+    run = call("convert", f"./{ODD}", f"to{ODD}")
     assert run.stdout == f"to{SHOWN}: 20 frames\n"
 
 
-@pytest.mark.slow
-def test_a_stream_that_lacks_letters_of_a_name_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_characters_missing_from_the_encoding_are_escaped(
+    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write(tmp_path / "試.h5")
-    monkeypatch.setenv("PYTHONIOENCODING", "ascii:strict")
-    run = heliograph("convert", "試.h5", "験.h5", cwd=tmp_path)
-    assert (run.returncode, run.stdout) == (0, "\\u9a13.h5: 20 frames\n")
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(out := io.BytesIO(), "ascii", "strict"))
+    assert call("convert", "試.h5", "験.h5").returncode == 0
+    assert out.getvalue() == b"\\u9a13.h5: 20 frames\n"
 
 
 def test_a_film_named_like_a_camera_is_a_film(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_a_film_named_like_a_camera_is_a_film(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.h5", "a b.h5", "-x.h5", "it's.h5", "$(rm x)`", ODD, "試.h5", "caf\udce9b\\n.h5"])
-def test_a_name_in_a_command_that_is_shown_is_that_of_the_file(name: str) -> None:
+def test_a_file_name_is_quoted_for_the_shell(name: str) -> None:
     script = f"printf '%s\\0' {console.argument(Path(name))}"
     out = subprocess.run(["bash", "-c", script], capture_output=True, check=True).stdout
     assert out == os.fsencode(f"./{name}" if name.startswith("-") else name) + b"\0"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import failed, heliograph, within
+from cli_runs import failed, within
 from screen_films import Phone, phone_frames, write_phone_film
 from screen_light import shown
 
@@ -16,17 +16,16 @@ PHONE = Phone(width=320, height=240, side_px=160.0, blur_px=0.8, seed=5)
 
 
 @pytest.mark.slow
-def test_a_phone_film_without_options_is_told_the_preset(tmp_path: Path) -> None:
+def test_receive_advises_the_preset_for_a_phone_film(tmp_path: Path) -> None:
     grabs = shown(sending_of(b"Hello from a laptop", None, 16, 10.0), 4.0, cell_px=8)
     write_phone_film(tmp_path / "phone.mp4", phone_frames(grabs, PHONE), PHONE)
-    for options in ([], ["--receiver", "soft"]):
-        run = within(tmp_path, "receive", "phone.mp4", *options)
-        advice = [line for line in run.stdout.splitlines() if line.startswith("  - ")]
-        assert advice == ["  - read it by --preset phone, which chooses --receiver screen"]
-        assert "phone.mp4 shows a screen: read it by --preset phone" in failed(run)
+    run = within(tmp_path, "receive", "phone.mp4")
+    advice = [line for line in run.stdout.splitlines() if line.startswith("  - ")]
+    assert advice == ["  - read it by --preset phone, which chooses --receiver screen"]
+    assert "phone.mp4 shows a screen: read it by --preset phone" in failed(run)
 
 
-def test_a_film_without_a_screen_is_told_so_early_and_at_the_end(tmp_path: Path) -> None:
+def test_receive_reports_a_missing_screen_early_and_at_the_end(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     with create_film(tmp_path / "empty.h5", width=64, height=48, rate_hz=30.0) as film:
         for k in range(170):
@@ -34,8 +33,3 @@ def test_a_film_without_a_screen_is_told_so_early_and_at_the_end(tmp_path: Path)
     run = within(tmp_path, "receive", "empty.h5", "--preset", "phone")
     assert "no readable screen is visible, in the first 5.0 s" in failed(run, 3)
     assert "no array found: no readable screen is visible" in run.stdout
-
-
-def test_help_names_the_receiver_for_screens(tmp_path: Path) -> None:
-    run = heliograph("receive", "--help", cwd=tmp_path)
-    assert "screen" in run.stdout.partition("--receiver")[2].partition("--")[0]

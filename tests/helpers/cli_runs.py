@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -22,6 +22,7 @@ SMALL = (
 """A small camera that faces the array."""
 
 Run = subprocess.CompletedProcess[str]
+Call = Callable[..., Run]
 
 
 def lasting(seconds: float) -> tuple[str, ...]:
@@ -110,6 +111,33 @@ def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool], by:
         finally:
             process.kill()  # an endless command would block the tests
     return subprocess.CompletedProcess(command, process.returncode, out, err)
+
+
+def interrupted_at(
+    folder: Path, *arguments: str | Path, title: str, step: float, by: signal.Signals = signal.SIGINT
+) -> Run:
+    """Run the command in this process; its progress `title` sends a signal at a step."""
+    from heliograph.cli import console
+
+    before, sent = signal.signal(signal.SIGINT, signal.default_int_handler), list[float]()
+
+    @contextlib.contextmanager
+    def progress(name: str, _: int | None, **__: bool) -> Iterator[console.Progress]:
+        def advance(done: float) -> None:
+            if name == title and done >= step and not sent:
+                sent.append(done)
+                signal.raise_signal(by)
+
+        yield console.Progress(advance)
+
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(console, "progress", progress)
+            run = within(folder, *arguments)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert sent, f"over before step {step} of {title}"
+    return run
 
 
 def heed_ctrl_c() -> None:
