@@ -27,9 +27,10 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "a.h5"
 
 
-def test_sigterm_ends_a_process_like_ctrl_c(tmp_path: Path) -> None:
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_process(tmp_path: Path, by: signal.Signals) -> None:
     started = grown(tmp_path, ".*partial*", 20_000)
-    run = interrupted("simulate", "a.mkv", *lasting(300), cwd=tmp_path, when=started, by=signal.SIGTERM)
+    run = interrupted("simulate", "a.mkv", *lasting(300), cwd=tmp_path, when=started, by=by)
     assert "a.mkv holds the " in failed(run, INTERRUPTED)
     assert names(tmp_path) == ["a.mkv", "a.mkv.truth.npz"]
 
