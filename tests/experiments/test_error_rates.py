@@ -174,7 +174,7 @@ def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
 
 @pytest.mark.slow
 def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    short = load_settings("paper", {"channel": {"distance_m": 66.0, "duration_s": 0.42}})
+    short = load_settings("paper", {"channel": {"distance_m": 66.0, "duration_s": 0.34}})
     monkeypatch.setattr(films, "load_settings", lambda *_: short)
     done: list[float] = []
     context = Context(progress=lambda _, share: done.append(share))

@@ -30,20 +30,20 @@ def scene(data: Path, clip: str, seed: int, *changes: str) -> RealScene:
 )
 @pytest.mark.slow
 def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, distance_m: int, readable: int) -> None:
-    drive = scene(data, clip, 1, f"channel.distance_m={distance_m}", "channel.duration_s=0.35")
+    drive = scene(data, clip, 1, f"channel.distance_m={distance_m}", "channel.duration_s=0.24")
     # film only the array and a margin, for speed
     found = real_input.drive(drive, 16)
-    assert found.frames == 350
+    assert found.frames == 240
     assert found.errors is not None
     total = found.errors.total()
-    # three packets are completely filmed
-    assert {n: e.codewords for n, e in total.items()} == {"high": 3, "middle": 6, "low": 3}
+    # two packets are completely filmed
+    assert {n: e.codewords for n, e in total.items()} == {"high": 2, "middle": 4, "low": 2}
     assert [total[n].codeword_errors for n in ("high", "middle", "low")[:readable]] == [0] * readable
     assert found.errors.false_codewords == 0
 
 
 @pytest.mark.real_data
-@pytest.mark.parametrize(("clip", "native"), [("day-shade", False), ("night-road", True), ("day-motorway", True)])
+@pytest.mark.parametrize(("clip", "native"), [("day-shade", False), ("night-road", True)])
 @pytest.mark.slow
 def test_a_clip_without_an_array_has_no_packet(data: Path, clip: str, native: bool) -> None:
     # short packets, so that a packet from a false detection ends within the clip

@@ -34,7 +34,7 @@ def settings(background: dict[str, Any]) -> LinkSettings:
     """Place an array near the centre of a small camera image, on a bad road."""
     channel = {
         "distance_m": 50.0,
-        "duration_s": 0.14,
+        "duration_s": 0.11,
         "road_class": "C",
         "camera": {"width": 256, "height": 192},
         "arrays": [{"x_m": 0.2, "y_m": -0.2}],
@@ -56,8 +56,8 @@ def dark() -> TrackingRun:
 
 def test_all_trackers_process_the_same_pairs(day: TrackingRun) -> None:
     assert list(day.errors) == list(TRACKERS)
-    # 70 pairs minus the two header pairs that initialise the trackers
-    assert {len(errors) for errors in day.errors.values()} == {68}
+    # 55 pairs minus the two header pairs that initialise the trackers
+    assert {len(errors) for errors in day.errors.values()} == {53}
     assert len(day.cuts) == 8
 
 
@@ -104,7 +104,7 @@ def test_known_light_keeps_its_leds_lit_and_is_not_inverted() -> None:
     assert patterns[4:, ~known].std() / 4 == pytest.approx(KNOWN_SPREAD, rel=0.05)
 
 
-def test_a_known_pattern_that_is_lost_stays_in_the_picture_and_of_a_likely_size() -> None:
+def test_a_lost_known_pattern_stays_in_the_frame_with_a_plausible_size() -> None:
     link = settings({"kind": "synthetic"})
     rng = np.random.default_rng(0)
     pose = Pose(128.0, 96.0, 1.2, 0.0, 0.8)
@@ -115,6 +115,8 @@ def test_a_known_pattern_that_is_lost_stays_in_the_picture_and_of_a_likely_size(
     found = [tracker.update(one, other) for one, other in zip(frames[4::2], frames[5::2], strict=True)]
     assert all(GROWTH[0] <= p.pitch / pose.pitch <= GROWTH[1] for p in found)
     assert all(0 <= p.x < 256 and 0 <= p.y < 192 for p in found)
+    # a lost tracker stops
+    assert found[-1] == found[-2]
 
 
 def test_scores_of_known_errors() -> None:
@@ -145,8 +147,9 @@ def fake(**changes: TrackingScore) -> dict[str, dict[str, TrackingScore]]:
     return table
 
 
-def finding(table: dict[str, dict[str, TrackingScore]], start: str) -> Finding:
-    (found,) = (f for f in findings(table, {"at night": {DARK: [DAY]}}) if f.claim.startswith(start))
+def finding(table: dict[str, dict[str, TrackingScore]], start: str, *clips: str, full: bool = True) -> Finding:
+    dark = {"at night": {DARK: [DAY], **tracking.night_clips(clips)}}
+    (found,) = (f for f in findings(table, dark, full=full) if f.claim.startswith(start))
     return found
 
 
@@ -169,9 +172,7 @@ def test_verdicts_follow_the_numbers(start: str, change: dict[str, TrackingScore
 
 
 def test_a_part_of_the_drive_does_not_refute_fig_11() -> None:
-    (part,) = (
-        f for f in findings(fake(day_none=GOOD), {"at night": {DARK: [DAY]}}, full=False) if "Fig. 11" in f.claim
-    )
+    part = finding(fake(day_none=GOOD), "Fig. 11", full=False)
     assert part.verdict == "shown"
     assert DAY in part.why
 
@@ -192,18 +193,15 @@ def night(drawn: TrackingScore, clip: TrackingScore, by_day: TrackingScore) -> F
     table = fake(dark_back=drawn)
     for name, one in (("night-road", clip), ("dashcam", by_day)):
         table[name] = table[DARK] | {BACKGROUND: one}
-    films = {DARK: [DAY], **tracking.night_clips(["dashcam", "night-road"])}
-    (found,) = (f for f in findings(table, {"at night": films}) if f.claim.startswith("IV.B.2"))
-    return found
+    return finding(table, "IV.B.2", "dashcam", "night-road")
 
 
 def test_a_dark_film_is_not_judged_if_the_background_fails_by_day() -> None:
     for clip in (GOOD, AWAY):
-        by_drawn_alone = night(AWAY, clip, by_day=AWAY)
-        assert by_drawn_alone.verdict == "holds"
-        assert "Not judged: night-road" in by_drawn_alone.why
-    (none,) = (f for f in findings(fake(day_back=AWAY), {"at night": {DARK: [DAY]}}) if f.claim.startswith("IV.B.2"))
-    assert none.verdict == "shown"
+        found = night(AWAY, clip, by_day=AWAY)
+        assert found.verdict == "holds"
+        assert "Not judged: night-road" in found.why
+    assert finding(fake(day_back=AWAY), "IV.B.2").verdict == "shown"
 
 
 def test_the_claim_about_data_rates_depends_on_the_lost_leds() -> None:
