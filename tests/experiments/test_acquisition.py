@@ -7,7 +7,7 @@ def test_an_array_is_found_by_its_first_header() -> None:
     assert acquire(AcquisitionTrial(seed=0, within=5)).headers == 1
 
 
-@pytest.mark.parametrize("seed", [135, 497, 556, 586])
+@pytest.mark.parametrize("seed", [135, 586])
 @pytest.mark.slow
 def test_a_pair_of_data_before_a_header_is_not_taken_for_its_first(seed: int) -> None:
     """In these trials the last data pair resembles a header pair, and replaced it before the header was complete."""

@@ -8,13 +8,10 @@ import pytest
 
 from heliograph.base.frames import Frame
 from heliograph.experiments.error_rates import comparison, experiment, films
-from heliograph.experiments.error_rates import experiment as verdicts
 from heliograph.experiments.report import Context
 from heliograph.link.settings import load_settings
-from heliograph.link.simulate import simulate
-from heliograph.measure.bench import random_messages, run_block
+from heliograph.measure.bench import run_block
 from heliograph.measure.counts import LayerCounts
-from heliograph.measure.errors import ErrorCounter
 from heliograph.measure.statistics import Count
 from heliograph.receive import Packet, Receiver, make_receiver
 from heliograph.signal.settings import LAYERS
@@ -32,28 +29,25 @@ def records(rate: float, count: int, rng: np.random.Generator) -> list[films.Pac
     return out
 
 
-def test_equal_rates_are_alike() -> None:
-    rng = np.random.default_rng(0)
-    found = comparison.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
-    assert {c.bin_m for c in found} == {52.5, 57.5, None}
-    assert [c.verdict for c in found] == ["alike"] * 9
-    assert verdicts.alike(found, *NONE_LOST).verdict == "holds"
+@pytest.mark.parametrize(
+    ("seed", "factor", "packets", "verdicts", "verdict"),
+    [(0, 1.0, 200, {"alike"}, "holds"), (1, 1.9, 120, {"apart"}, "differs"), (2, 1.5, 4, {"open"}, "shown")],
+)
+def test_rates_are_alike_apart_or_open(
+    seed: int, factor: float, packets: int, verdicts: set[str], verdict: str
+) -> None:
+    rng = np.random.default_rng(seed)
+    found = comparison.compare(records(0.02 * factor, packets, rng), records(0.02, packets, rng), rng)
+    assert {c.bin_m for c in found} <= {52.5, 57.5, None}
+    assert len(found) == 9 or packets == 4
+    assert {c.verdict for c in found} == verdicts
+    assert verdict != "differs" or all(1.6 < c.ratio < 2.3 for c in found)
+    assert experiment.alike(found, *NONE_LOST).verdict == verdict
 
 
-def test_a_faked_difference_is_found() -> None:
-    rng = np.random.default_rng(1)
-    found = comparison.compare(records(0.02 * 1.9, 120, rng), records(0.02, 120, rng), rng)
-    assert {c.verdict for c in found} == {"apart"}
-    assert all(1.6 < c.ratio < 2.3 for c in found)
-    assert verdicts.alike(found, *NONE_LOST).verdict == "differs"
-
-
-def test_few_packets_decide_nothing() -> None:
-    rng = np.random.default_rng(2)
-    found = comparison.compare(records(0.03, 4, rng), records(0.02, 4, rng), rng)
-    assert all(c.verdict != "apart" for c in found)
-    assert comparison.compare([], [], rng) == []
-    assert verdicts.alike([], *NONE_LOST).verdict == "shown"
+def test_zero_packets_decide_no_claim() -> None:
+    assert comparison.compare([], [], np.random.default_rng(0)) == []
+    assert experiment.alike([], *NONE_LOST).verdict == "shown"
 
 
 def test_false_alarms_are_rare() -> None:
@@ -70,16 +64,16 @@ def test_false_alarms_are_rare() -> None:
 def test_lost_packets_count() -> None:
     rng = np.random.default_rng(0)
     found = comparison.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
-    worse = verdicts.alike(found, Count(200, 20), Count(200, 2))
+    worse = experiment.alike(found, Count(200, 20), Count(200, 2))
     assert worse.verdict == "differs"
     assert "20 of 200 driving, 2 of 200 at rest" in worse.ours
     assert "lost" in worse.why
-    assert verdicts.alike(found, Count(200, 2), Count(200, 20)).verdict == "holds"
-    assert verdicts.alike(found, Count(20, 1), Count(20, 0)).verdict == "shown"
-    assert verdicts.alike(found, Count(), Count()).verdict == "shown"
+    assert experiment.alike(found, Count(200, 2), Count(200, 20)).verdict == "holds"
+    assert experiment.alike(found, Count(20, 1), Count(20, 0)).verdict == "shown"
+    assert experiment.alike(found, Count(), Count()).verdict == "shown"
 
 
-def test_drives_that_differ_widen_the_interval() -> None:
+def test_different_drives_widen_the_interval() -> None:
     rng = np.random.default_rng(4)
     drives = [k % 4 for k in range(200)]
     one, other = records(0.02, 200, rng), records(0.02, 200, rng)
@@ -92,7 +86,7 @@ def test_drives_that_differ_widen_the_interval() -> None:
     assert by_drive.high - by_drive.low > 2 * (plain.high - plain.low)
 
 
-def test_layers_of_which_nothing_was_read_are_not_compared() -> None:
+def test_unread_layers_are_not_compared() -> None:
     rng = np.random.default_rng(6)
     one, other = records(0.02, 50, rng), records(0.02, 50, rng)
     other[0] = replace(other[0], layers={**other[0].layers, "low": LayerCounts()})
@@ -113,14 +107,14 @@ def test_layers_of_which_nothing_was_read_are_not_compared() -> None:
     ],
 )
 def test_reasons_of_wrong_codewords(counts: LayerCounts, verdict: str, why: str) -> None:
-    finding = next(verdicts.error_free(films.CountsByDistance({77.5: dict.fromkeys(LAYERS, counts)})))
+    finding = next(experiment.error_free(films.CountsByDistance({77.5: dict.fromkeys(LAYERS, counts)})))
     assert finding.verdict == verdict
     assert why in finding.why
     assert bool(finding.why) == bool(why)
     assert ("too much" in finding.why) == (counts.raw_errors == 200 and counts.missed < counts.codeword_errors)
 
 
-class Deaf:
+class RepeatingReceiver:
     """Receiver that returns each packet `times` times."""
 
     def __init__(self, receiver: Receiver, times: int):
@@ -133,7 +127,7 @@ class Deaf:
 @pytest.mark.parametrize(("times", "packets", "lost"), [(0, 0, 1), (2, 1, 0)])
 @pytest.mark.slow
 def test_lost_and_repeated_packets(monkeypatch: pytest.MonkeyPatch, times: int, packets: int, lost: int) -> None:
-    monkeypatch.setattr(films, "make_receiver", lambda *args: Deaf(make_receiver(*args), times))
+    monkeypatch.setattr(films, "make_receiver", lambda *args: RepeatingReceiver(make_receiver(*args), times))
     one = films.count_film(films.FilmTask(35.0, "haar", (7,)))
     assert (len(one.packets), list(one.lost)) == (packets, [37.5] * lost)
     assert films.lost_packets([one, one]) == Count(2, 2 * lost)
@@ -146,10 +140,10 @@ def test_holm() -> None:
 
 
 @pytest.mark.slow
-def test_packets_of_a_drive_by_themselves_are_the_whole_count() -> None:
-    settings = load_settings("paper", {"channel": {"distance_m": 62.0, "duration_s": 0.35}})
+def test_packets_of_a_drive_add_up_to_the_count_of_a_block() -> None:
+    settings = load_settings("paper", {"channel": {"distance_m": 62.0, "duration_s": 0.25}})
     one = films.film_packets(settings, np.random.default_rng(4))
-    assert len(one.packets) == 3
+    assert len(one.packets) == 2
     assert one.false_codewords == 0
     assert all(55 < record.distance_m < 62 for record in one.packets)
     distances = [record.distance_m for record in one.packets]
@@ -164,21 +158,11 @@ def test_packets_of_a_drive_by_themselves_are_the_whole_count() -> None:
 
 def test_on_off_keying_end_to_end() -> None:
     """At short range all layers with on-off keying arrive, and the error counter counts each bit."""
-    changes = {"signal": {"modulation": "ook"}, "channel": {"distance_m": 35.0, "duration_s": 0.2001}}
-    settings = load_settings("static", changes)
-    messages = random_messages(settings, 5)
-    counter, receiver = ErrorCounter(settings, messages), make_receiver(settings.signal, settings.receive)
-    statuses = []
-    for frame, truth in simulate(settings, messages, 5, roi_margin_px=20):
-        counter.saw(truth.time_s, [truth.arrays[0].distance_m], [truth.arrays[0].visible])
-        for packet in receiver.push(frame):
-            statuses.append(packet.status)
-            counter.received(packet)
-    assert statuses == ["ok", "ok"]
-    total = counter.total()
-    assert {name: total[name].raw_bits for name in LAYERS} == {"high": 6144, "middle": 12288, "low": 6144}
-    assert all(total[name].raw_errors == total[name].bit_errors == 0 for name in LAYERS)
-    assert counter.false_codewords == 0
+    settings = load_settings("static", {"signal": {"modulation": "ook"}, "channel": {"distance_m": 35.0}})
+    block = run_block(settings, 5, max_packets=2)
+    assert (block.packets, block.false_codewords) == (2, 0)
+    assert {name: block.layers[name].raw_bits for name in LAYERS} == {"high": 6144, "middle": 12288, "low": 6144}
+    assert all(block.layers[name].raw_errors == block.layers[name].bit_errors == 0 for name in LAYERS)
 
 
 def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
@@ -190,12 +174,12 @@ def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
 
 @pytest.mark.slow
 def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    short = load_settings("paper", {"channel": {"distance_m": 66.0, "duration_s": 0.72}})
+    short = load_settings("paper", {"channel": {"distance_m": 66.0, "duration_s": 0.34}})
     monkeypatch.setattr(films, "load_settings", lambda *_: short)
     done: list[float] = []
     context = Context(progress=lambda _, share: done.append(share))
     result = experiment.run(context, experiment.ErrorRateEffort([30.0, 60.0], films=1, drives=1))
-    assert result.key == "fig13"
+    assert result.text == "1 static films a distance; 1 drives, shaken by a road of class B, in bins of 5 m."
     assert done == sorted(done)
     assert done[-1] == pytest.approx(1)
     data = json.loads(json.dumps(result.data))

@@ -27,3 +27,12 @@ def test_a_system_without_any_error_keeps_its_place_in_the_legend() -> None:
     legend = before.get_legend()
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == [*LAYERS, BOUND]
+
+
+def test_no_error_is_drawn_as_a_bound_of_three_by_n() -> None:
+    layers = {"high": LayerCounts(bits=6000), "middle": LayerCounts(), "low": LayerCounts(bits=1000, bit_errors=10)}
+    after = plots.errors_by_distance({50.0: layers}).axes[1]
+    points = [(float(x), float(y)) for line in after.lines for x, y in np.array(line.get_xydata())]
+    # each layer is drawn a little aside
+    assert (52.5 - 0.7, 3 / 6000) in points
+    assert (52.5 + 0.7, 0.01) in points

@@ -5,7 +5,7 @@ from heliograph.experiments.report import Context
 from heliograph.measure.counts import BlockCounts, LayerCounts
 
 
-def test_every_scene_has_settings_of_its_own() -> None:
+def test_all_scenes_have_different_settings() -> None:
     found = [scenes.scene_settings(name, 50.0) for name in scenes.SCENES]
     assert all(one not in found[:k] for k, one in enumerate(found))
     assert {one.receive.receiver for one in found} == {"soft"}

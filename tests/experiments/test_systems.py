@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 from heliograph.base.threads import one_thread
+from heliograph.experiments import systems
 from heliograph.experiments.links import static_link
 from heliograph.experiments.report import Context
-from heliograph.experiments.systems import experiment, schemes
-from heliograph.experiments.systems import experiment as verdicts
-from heliograph.experiments.systems.experiment import CURVES, error_free_m, range_m
-from heliograph.experiments.systems.schemes import ENOUGH, SCHEMES, SIDE, BitCounts, count_bits
+from heliograph.experiments.systems import CURVES, SCHEMES, BitCounts, count_bits, error_free_m, range_m
 from heliograph.link.settings import LinkSettings
-from heliograph.measure.statistics import Count
+from heliograph.measure.statistics import Clustered, Count
 
 
 @pytest.mark.parametrize("key", SCHEMES)
@@ -22,7 +20,7 @@ def test_bits_come_back(key: str) -> None:
     scheme = SCHEMES[key]
     bits = np.random.default_rng(0).integers(0, 2, (3, scheme.bits), dtype=np.uint8)
     patterns = scheme.encode(bits)
-    assert patterns.shape == (3, SIDE, SIDE)
+    assert patterns.shape == (3, 16, 16)
     assert patterns.dtype == np.uint8
     for pattern, sent in zip(patterns, bits, strict=True):
         assert np.array_equal(scheme.decode(pattern.astype(float) - 2) < 0, sent)
@@ -46,14 +44,14 @@ def short_films(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         settings = static_link(distance_m, rng)
         return replace(settings, signal=replace(settings.signal, data_pairs=16))
 
-    monkeypatch.setattr(schemes, "static_link", short)
+    monkeypatch.setattr(systems, "static_link", short)
     with one_thread():
         yield
 
 
 @pytest.mark.slow
 def test_bits_are_counted_and_the_inverse_helps(short_films: None) -> None:
-    counted = count_bits(SCHEMES["ook"], ("plain", "inverse", "known"), 55.0, 2000, 3)
+    counted = count_bits(2000, 3, ("ook", 55.0))
     plain, inverse, known = (counted.counts[method, "all"] for method in ("plain", "inverse", "known"))
     assert counted.films == counted.found == 1
     assert plain.trials == inverse.trials == known.trials == 16 * 256
@@ -62,22 +60,23 @@ def test_bits_are_counted_and_the_inverse_helps(short_films: None) -> None:
     assert known.rate < 1e-3
 
 
-def test_repetition_reaches_further() -> None:
-    assert count_bits(SCHEMES["repeat2"], ("plain",), 65.0, 2000, 0).counts["plain", "all"].errors < 5
+def test_repetition_reaches_further(short_films: None) -> None:
+    counted = count_bits(8000, 0, ("repeat2", 65.0)).counts["plain", "all"]
+    assert counted.trials >= 2000
+    assert counted.errors < 5
 
 
-def test_an_array_out_of_reach_ends() -> None:
-    counted = count_bits(SCHEMES["ook"], ("plain",), 400.0, 2000, 0)
+def test_an_array_out_of_reach_ends(short_films: None) -> None:
+    counted = count_bits(2000, 0, ("repeat2", 400.0))
     assert counted.found == 0
     assert not counted.counts
 
 
-def test_counting_ends_with_errors_enough() -> None:
-    counted = BitCounts()
-    counted.add("plain", "all", 1000, ENOUGH)
-    assert counted.settled(10**6)
-    counted.add("inverse", "all", 1000, 0)
-    assert not counted.settled(10**6)
+def test_counting_ends_after_200_errors_of_each_method() -> None:
+    counted = BitCounts({("plain", "all"): Clustered(1000, 200)})
+    assert counted.is_settled(10**6)
+    counted.counts["inverse", "all"] = Clustered(1000, 0)
+    assert not counted.is_settled(10**6)
 
 
 def test_ranges() -> None:
@@ -94,8 +93,7 @@ def test_ranges() -> None:
 @pytest.mark.slow
 def test_result(short_films: None) -> None:
     places = {"ook": (40, 50, 60), "haar": (60,), "repeat2": (100,), "repeat4": (150,)}
-    result = experiment.run(Context(), experiment.SystemEffort(500, places))
-    assert result.key == "systems"
+    result = systems.run(Context(), 500, places)
     assert len(result.pictures) == 1
     assert result.findings[0].verdict == "holds"
     rows = {row["system"]: row for row in result.data["systems"]}
@@ -106,6 +104,6 @@ def test_result(short_films: None) -> None:
 
 def test_a_field_trial_that_does_not_hold_differs() -> None:
     points = [(40.0, Count(1000, 3)), (50.0, Count(1000, 30))]
-    assert verdicts.field_trial("without the inverse", 40.0, points, "why").verdict == "differs"
+    assert systems.field_trial("without the inverse", 40.0, points, "why").verdict == "differs"
     # the limit is outside the measured range
-    assert verdicts.field_trial("without the inverse", 40.0, [(40.0, Count(1000, 0))]).verdict == "differs"
+    assert systems.field_trial("without the inverse", 40.0, [(40.0, Count(1000, 0))]).verdict == "differs"

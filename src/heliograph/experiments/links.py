@@ -1,11 +1,15 @@
 """Links, simulated receptions and true poses that several experiments share."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from heliograph.channel import ArrayTruth, Truth
+from heliograph.base.frames import Frame
+from heliograph.channel import ArrayTruth, Truth, film
+from heliograph.channel.settings import ChannelSettings
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.measure.bench import lasting, placed_within_pixel, window_margin_px
@@ -27,6 +31,15 @@ def centred_link(distance_m: float, rng: np.random.Generator, brightness: float 
     return load_settings("static", {"channel": channel})
 
 
+def film_at_rest(
+    channel: ChannelSettings, patterns: Sequence[NDArray[np.uint8]], rng: np.random.Generator, margin_px: int = 6
+) -> list[tuple[Frame, ArrayTruth]]:
+    """Film successive patterns of an array at rest, rendered around the array: each frame with the truth."""
+    channel = replace(channel, duration_s=1e-3 * len(patterns))
+    shots = film(channel, [patterns], rng, pattern_period_s=1e-3, roi_margin_px=margin_px)
+    return [(frame, truth.arrays[0]) for frame, truth in shots]
+
+
 def receive_link(
     settings: LinkSettings,
     messages: Sequence[Messages],
@@ -37,6 +50,16 @@ def receive_link(
     """Simulate the surroundings of the arrays: the truth of each frame, and an iterator that receives the frame."""
     for frame, truth in simulate(settings, messages, seed, recordings, window_margin_px(settings)):
         yield truth, receiver.push(frame)
+
+
+def receive_packets(
+    settings: LinkSettings, messages: Sequence[Messages], seed: int, receiver: Receiver, truths: dict[int, ArrayTruth]
+) -> Iterator[Packet]:
+    """Simulate and receive: all packets, and before each frame the truth of the first array by frame number."""
+    for truth, packets in receive_link(settings, messages, seed, receiver):
+        truths[truth.index] = truth.arrays[0]
+        yield from packets
+    yield from receiver.finish()
 
 
 def true_pose(truth: ArrayTruth, settings: LinkSettings) -> Pose:

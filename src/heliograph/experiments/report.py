@@ -42,22 +42,27 @@ class Table:
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
 
+    @classmethod
+    def of(cls, title: str, items: Iterable[Any], columns: Mapping[str, Callable[[Any], str]]) -> "Table":
+        """Make a table with a row for each item, from the text of an item by column head."""
+        return cls(title, list(columns), [[text(item) for text in columns.values()] for item in items])
+
     def markdown(self) -> str:
         """Head and rows in Markdown."""
         lines = [self.head, ["---"] * len(self.head), *self.rows]
         return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ExperimentResult:
     """Result of an experiment."""
 
-    # Name on the command line, such as "fig13"
-    key: str
-    title: str
-    # Description of the experiment in paragraphs
-    text: str
-    findings: Sequence[Finding] = ()
+    # Name on the command line, such as "fig13", and title; set by `reproduce`
+    key: str = ""
+    title: str = ""
+    # Effort; `reproduce` adds the description of the experiment, in paragraphs
+    text: str = ""
+    findings: Sequence[Finding]
     # Figures with captions
     pictures: Sequence[tuple["Figure", str]] = ()
     tables: Sequence[Table] = ()
@@ -89,11 +94,6 @@ class Context:
         """Run a job for each work item in the workers; see `executors.each`."""
         start, end = span
         return each(self.workers, job, works, lambda done: self.progress(title, start + (end - start) * done))
-
-
-def description(docstring: str | None) -> str:
-    """Description of an experiment: the docstring of the module after the summary."""
-    return (docstring or "").partition("\n\n")[2].strip()
 
 
 def verdict_of(holds: bool | None) -> Verdict:

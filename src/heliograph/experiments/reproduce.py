@@ -16,30 +16,21 @@ from heliograph.experiments.report import Context, ExperimentResult, Finding, Re
 from heliograph.sweeps.points import Recorded, build
 
 EXPERIMENTS = {
-    "fig3": ("patterns.received", "received image at 10 m and 70 m"),
-    "fig4": ("patterns.pwm", "pulse width modulation and the exposure"),
-    "fig5": ("patterns.packet", "packet format"),
-    "fig6": ("detection.experiment", "false detections and identities"),
-    "fig7": ("patterns.header", "the header near and at 25 m"),
-    "fig8": ("patterns.inverse", "inverted pattern and sum (Fig. 8 and 9)"),
-    "fig11": ("tracking.experiment", "tracking over a drive (Fig. 11 and 12)"),
-    "fig13": ("error_rates.experiment", "bit error rate by distance, static and driving"),
+    "fig3": ("patterns.received", "Fig. 3: received image"),
+    "fig4": ("patterns.pwm", "Fig. 4: pulse width modulation"),
+    "fig5": ("patterns.packet", "Fig. 5: packet format"),
+    "fig6": ("detection.experiment", "Fig. 6: false detections and identities"),
+    "fig7": ("patterns.header", "Fig. 7: the header"),
+    "fig8": ("patterns.inverse", "Fig. 8 and 9: inverted pattern and sum"),
+    "fig11": ("tracking.experiment", "Fig. 11 and 12: tracking"),
+    "fig13": ("error_rates.experiment", "Bit error rate by distance, static and driving (Fig. 13)"),
     "tables": ("patterns.parameters", "Tables I and II, data rates"),
-    "flicker": ("flicker.experiment", "flicker of the array"),
-    "systems": ("systems.experiment", "other systems in the same channel"),
-    "soft": ("calibration.experiment", "the soft receiver: calibration of LLRs, and distances"),
+    "flicker": ("flicker.experiment", "Flicker of the array"),
+    "systems": ("systems", "Other systems in the same channel"),
+    "soft": ("calibration.experiment", "The soft receiver: calibration of LLRs, and distances"),
+    "scenes": ("error_rates.scenes", "Hard scenes"),
 }
-"""Module and subject of each default experiment, by name."""
-
-FURTHER = {
-    "scenes": ("error_rates.scenes", "error rates in hard scenes"),
-    "repeated-packets": ("error_rates.repeated_packets", "repeated packets"),
-    "acquisition": ("detection.acquisition", "acquisition of an array that is switched on"),
-    "known-channel": ("calibration.known_receiver", "the soft receiver and the known channel"),
-    "header-separation": ("detection.header_separation", "distances between headers"),
-    "timing-loss": ("patterns.timing_loss", "loss of an unsynchronised camera"),
-}
-"""Experiments that run by name only."""
+"""Module and title of each experiment, by name; "scenes" runs by name only."""
 
 ALIASES = {"fig9": "fig8", "fig12": "fig11", "table1": "tables", "table2": "tables", "calibration": "soft"}
 
@@ -48,11 +39,11 @@ def chosen(names: Sequence[str]) -> list[str]:
     """Unique names of the requested experiments, or all default experiments."""
     keys = [ALIASES.get(name, name) for name in map(str.lower, names)]
     for key in keys:
-        if key not in EXPERIMENTS and key not in FURTHER:
-            close = get_close_matches(key, [*EXPERIMENTS, *FURTHER, *ALIASES], 1)
-            hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join([*EXPERIMENTS, *FURTHER])}"
+        if key not in EXPERIMENTS:
+            close = get_close_matches(key, [*EXPERIMENTS, *ALIASES], 1)
+            hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(EXPERIMENTS)}"
             raise SettingsError(f"unknown experiment '{key}'; {hint}")
-    return list(dict.fromkeys(keys)) or list(EXPERIMENTS)
+    return list(dict.fromkeys(keys)) or [key for key in EXPERIMENTS if key != "scenes"]
 
 
 def recordings_in(folder: Path | None) -> dict[str, Any]:
@@ -75,8 +66,7 @@ def done_before(keys: Sequence[str], context: Context, folder: Path) -> dict[str
     if not folder.is_dir():
         return {}
     run = _run_identity(context)
-    results = {key: _read_result(folder, key, run) for key in keys}
-    return {key: result for key, result in results.items() if result is not None}
+    return {key: result for key in keys if (result := _read_result(folder, key, run)) is not None}
 
 
 def reproduce(
@@ -98,12 +88,26 @@ def reproduce(
     if done:
         write_pages()
     for key in [key for key in keys if key not in done]:
-        module, title = {**EXPERIMENTS, **FURTHER}[key]
-        begin(key, title)
-        done[key] = _rendered(import_module(f"heliograph.experiments.{module}").run(context))
+        begin(key, EXPERIMENTS[key][1])
+        done[key] = run_experiment(key, context)
         _write_result(folder, done[key], run)
         write_pages()
     return [done[key] for key in keys]
+
+
+def run_experiment(key: str, context: Context) -> ExperimentResult:
+    """Run an experiment, and draw the figures."""
+    name, title = EXPERIMENTS[key]
+    module = import_module(f"heliograph.experiments.{name}")
+    result: ExperimentResult = module.run(context)
+    # the description is the docstring of the module after the summary
+    description = (module.__doc__ or "").partition("\n\n")[2]
+    drawn = []
+    if result.pictures:
+        from heliograph.experiments.plots import figure_png  # Matplotlib is slow to import
+
+        drawn = [(figure_png(figure), caption) for figure, caption in result.pictures]
+    return replace(result, key=key, title=title, text=f"{result.text} {description}".strip(), pictures=(), drawn=drawn)
 
 
 def _note(missing: Sequence[str]) -> str:
@@ -113,7 +117,7 @@ def _note(missing: Sequence[str]) -> str:
 def write_report(
     path: Path, results: Sequence[ExperimentResult], context: Context, missing: Sequence[str] = ()
 ) -> None:
-    """Write the HTML page of all results."""
+    """Write the HTML page of all results: first all claims, then each experiment."""
     page = Report("The experiments of Nagura et al. 2010, measured")
     scene = f"footage {', '.join(context.clips)}" if context.clips else "a drawn scene"
     motion = "a recorded trace" if context.imu else "a road by ISO 8608"
@@ -124,6 +128,9 @@ def write_report(
         page.text(_note(missing))
     verdicts = Counter(str(finding.verdict) for result in results for finding in result.findings)
     page.badges((verdict, f"{verdict}: {count}") for verdict, count in sorted(verdicts.items()))
+    page.heading("All claims and measurements")
+    rows = [(result.key, f.claim, f.ours, f.verdict) for result in results for f in result.findings]
+    page.table(("", "claim", "measured", "verdict"), rows, prose=True)
     for result in results:
         page.heading(result.title)
         for paragraph in result.text.split("\n\n"):
@@ -135,9 +142,6 @@ def write_report(
         for table in result.tables:
             page.text(table.title)
             page.table(table.head, table.rows)
-    page.heading("All claims and measurements")
-    rows = [(result.key, f.claim, f.ours, f.verdict) for result in results for f in result.findings]
-    page.table(("", "claim", "measured", "verdict"), rows, prose=True)
     page.write(path)
 
 
@@ -158,34 +162,23 @@ def markdown(results: Sequence[ExperimentResult], context: Context, missing: Seq
 
 def _run_identity(context: Context) -> dict[str, Any]:
     """Plain values that determine the results."""
-    recordings = {**context.clips, **({"motion": context.imu} if context.imu else {})}
-    digests = {name: Recorded.of(path).digest for name, path in recordings.items()}
-    parts = registry.digest()
-    return {"code": build(), "parts": parts, "quick": context.quick, "seed": context.seed, "recordings": digests}
-
-
-def _rendered(result: ExperimentResult) -> ExperimentResult:
-    """Result with PNG files instead of figures."""
-    if not result.pictures:
-        return result
-    from heliograph.experiments.plots import figure_png  # Matplotlib is slow to import
-
-    return replace(result, pictures=(), drawn=[(figure_png(figure), caption) for figure, caption in result.pictures])
+    recordings = [*context.clips.items(), ("motion", context.imu)]
+    return {
+        "code": build(),
+        "parts": registry.digest(),
+        "quick": context.quick,
+        "seed": context.seed,
+        "recordings": {name: Recorded.of(path).digest for name, path in recordings if path},
+    }
 
 
 def _write_result(folder: Path, result: ExperimentResult, run: Mapping[str, Any]) -> None:
     """Write pictures and data; the data file comes last, as the mark of a complete result."""
     for number, (picture, _) in enumerate(result.drawn, 1):
         write_whole(folder / f"{result.key}-{number}.png", picture)
-    content = {
-        "title": result.title,
-        "findings": [asdict(finding) for finding in result.findings],
-        "data": result.data,
-        "text": result.text,
-        "tables": [asdict(table) for table in result.tables],
-        "captions": [caption for _, caption in result.drawn],
-        "run": run,
-    }
+    plain = asdict(replace(result, drawn=()))
+    fields = {name: plain[name] for name in ("title", "findings", "data", "text", "tables")}
+    content = {**fields, "captions": [caption for _, caption in result.drawn], "run": run}
     write_whole(folder / f"{result.key}.json", json.dumps(content, indent=1).encode())
 
 
@@ -198,14 +191,13 @@ def _read_result(folder: Path, key: str, run: Mapping[str, Any]) -> ExperimentRe
         captions = [str(caption) for caption in content["captions"]]
         pictures = [(folder / f"{key}-{number}.png").read_bytes() for number in range(1, len(captions) + 1)]
         return ExperimentResult(
-            key,
-            content["title"],
-            content["text"],
-            [Finding(**finding) for finding in content["findings"]],
-            (),
-            [Table(**table) for table in content["tables"]],
-            content["data"],
-            list(zip(pictures, captions, strict=True)),
+            key=key,
+            title=content["title"],
+            text=content["text"],
+            findings=[Finding(**finding) for finding in content["findings"]],
+            tables=[Table(**table) for table in content["tables"]],
+            data=content["data"],
+            drawn=list(zip(pictures, captions, strict=True)),
         )
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None

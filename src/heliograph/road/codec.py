@@ -10,10 +10,8 @@ from typing import Any
 from heliograph.base.errors import SettingsError
 from heliograph.road.junction import GroupSettings, Junction, LaneSettings, Phase
 
-SPATEM, MAPEM = 4, 5
-"""Message numbers in the header (ETSI TS 102 894-2)."""
-
-NAMES = {SPATEM: "SPATEM", MAPEM: "MAPEM"}
+KINDS = {4: "SPATEM", 5: "MAPEM"}
+"""Kind by message number in the header (ETSI TS 102 894-2)."""
 
 MAX_BYTES = 8192
 """Maximum size of a message in bytes; a MAPEM of 100 lanes has about 3000."""
@@ -22,66 +20,62 @@ _LOCK = threading.Lock()
 """Lock for the types of pycrate, which store the latest value."""
 
 
-class UnreadableError(ValueError):
-    """A message is invalid."""
-
-
 def kind_of(data: bytes) -> str | None:
     """Return "SPATEM" or "MAPEM" by the header of a message, else None."""
     # header: version, message, station
     if len(data) <= 6 or data[0] not in (1, 2):
         return None
-    return NAMES.get(data[1])
+    return KINDS.get(data[1])
 
 
 def is_there() -> bool:
     """Return True if `pycrate` is installed."""
     try:
-        _type(SPATEM)
+        _types()
     except SettingsError:
         return False
     return True
 
 
-def packed(message: int, station: int, content: Mapping[str, Any]) -> bytes:
+def _encode(number: int, station: int, content: Mapping[str, Any]) -> bytes:
     """Return a message as UPER."""
-    header = {"protocolVersion": 1, "messageID": message, "stationID": station}
+    header = {"protocolVersion": 1, "messageID": number, "stationID": station}
     with _LOCK:
-        kind = _type(message)
-        kind.set_val({"header": header, "spat" if message == SPATEM else "map": dict(content)})
+        kind, name = _types()[number]
+        kind.set_val({"header": header, name: dict(content)})
         return bytes(kind.to_uper())
 
 
-def unpacked(data: bytes) -> tuple[str, int, dict[str, Any]]:
-    """Return kind, station number and content of a message."""
-    kind = kind_of(data)
-    if kind is None:
-        raise UnreadableError("the message is no SPATEM or MAPEM")
+def _decode(data: bytes) -> tuple[int, Mapping[str, Any]]:
+    """Return station number and content of a message; raise ValueError for an invalid message."""
+    kind = KINDS[data[1]]
     if len(data) > MAX_BYTES:
-        raise UnreadableError(f"this {kind} has {len(data)} bytes, more than {MAX_BYTES}")
+        raise ValueError(f"this {kind} has {len(data)} bytes, more than {MAX_BYTES}")
     with _LOCK:
+        coded, name = _types()[data[1]]
         try:
-            coded = _type(data[1])
             coded.from_uper(data)
             value: dict[str, Any] = coded.get_val()
             coded.set_val(value)
-            canonical = bytes(coded.to_uper()) == data
-        except SettingsError as error:
-            raise UnreadableError(str(error)) from None
+            is_canonical = bytes(coded.to_uper()) == data
         except Exception:  # pycrate raises many kinds
-            raise UnreadableError(f"this {kind} is damaged: the data violate ISO TS 19091") from None
-    if not canonical:
-        raise UnreadableError(f"this {kind} is damaged: the encoding is not canonical")
-    return kind, int(value["header"]["stationID"]), value["spat" if kind == "SPATEM" else "map"]
+            raise ValueError(f"this {kind} is damaged: the data violate ISO TS 19091") from None
+    if not is_canonical:
+        raise ValueError(f"this {kind} is damaged: the encoding is not canonical")
+    return int(value["header"]["stationID"]), value[name]
 
 
-@lru_cache(maxsize=2)
-def _type(message: int) -> Any:
+@lru_cache(maxsize=1)
+def _types() -> dict[int, tuple[Any, str]]:
+    """Return type and field of the content by message number."""
     try:
         from pycrate_asn1dir import ITS_IS
     except ImportError:
         raise SettingsError("road messages need the package pycrate: pip install 'heliograph[its]'") from None
-    return ITS_IS.SPATEM_PDU_Descriptions.SPATEM if message == SPATEM else ITS_IS.MAPEM_PDU_Descriptions.MAPEM
+    return {
+        4: (ITS_IS.SPATEM_PDU_Descriptions.SPATEM, "spat"),
+        5: (ITS_IS.MAPEM_PDU_Descriptions.MAPEM, "map"),
+    }
 
 
 STATES: dict[Phase, str] = {
@@ -108,7 +102,7 @@ def spatem(junction: Junction, time_s: float) -> bytes:
         "timeStamp": int((now - minute).total_seconds() * 1000),
         "states": [_movement(junction, group, time_s) for group in junction.groups],
     }
-    return packed(SPATEM, junction.station, {"intersections": [state]})
+    return _encode(4, junction.station, {"intersections": [state]})
 
 
 def mapem(junction: Junction) -> bytes:
@@ -123,7 +117,7 @@ def mapem(junction: Junction) -> bytes:
         "laneWidth": round(junction.lane_width_m * 100),
         "laneSet": [_encode_lane(lane) for lane in junction.lanes],
     }
-    return packed(MAPEM, junction.station, {"msgIssueRevision": 1, "intersections": [geometry]})
+    return _encode(5, junction.station, {"msgIssueRevision": 1, "intersections": [geometry]})
 
 
 def updates(junction: Junction, duration_s: float) -> tuple[tuple[float, bytes], ...]:
@@ -135,7 +129,7 @@ def updates(junction: Junction, duration_s: float) -> tuple[tuple[float, bytes],
 def _movement(junction: Junction, group: GroupSettings, time_s: float) -> dict[str, Any]:
     events: list[dict[str, Any]] = []
     for phase, end_s in group.following(time_s, 2):  # the present and the next phase
-        timing: dict[str, int] = {"minEndTime": _mark(junction, end_s), "maxEndTime": _mark(junction, end_s)}
+        timing = dict.fromkeys(("minEndTime", "maxEndTime"), _mark(junction, end_s))
         if events:
             timing["startTime"] = events[-1]["timing"]["minEndTime"]
         events.append({"eventState": STATES[phase], "timing": timing})
@@ -183,15 +177,9 @@ Values = Mapping[str, Any]
 """Content of a message as JSON values."""
 
 PHASES = {
-    "stop-And-Remain": "red",
+    **{state: phase for phase, state in STATES.items()},
     "stop-Then-Proceed": "red",
-    "pre-Movement": "red-yellow",
-    "permissive-Movement-Allowed": "green",
-    "protected-Movement-Allowed": "green-free",
     "permissive-clearance": "yellow",
-    "protected-clearance": "yellow",
-    "caution-Conflicting-Traffic": "flashing",
-    "dark": "dark",
     "unavailable": "unknown",
 }
 """Phase by state of a light in the standard."""
@@ -205,15 +193,12 @@ def road_values(data: bytes) -> Values | None:
     if kind is None:
         return None
     try:
-        _, station, content = unpacked(data)
-    except UnreadableError as error:
+        station, content = _decode(data)
+    except (ValueError, SettingsError) as error:
         return {"kind": kind, "junctions": [], "reason": str(error)}
     parse = _lights if kind == "SPATEM" else _map
-    return {
-        "kind": kind,
-        "station": station,
-        "junctions": [parse(junction) for junction in content.get("intersections", ())],
-    }
+    junctions = [parse(junction) for junction in content.get("intersections", ())]
+    return {"kind": kind, "station": station, "junctions": junctions}
 
 
 def left_s(end_s: float, now_s: float) -> float:
@@ -225,12 +210,15 @@ def road_words(values: Values) -> str:
     """Return a road message as a line of text."""
     if "reason" in values:
         return str(values["reason"])
-    parts = [
-        f"junction {junction['id']}: {', '.join(map(group_words, junction['groups']))}"
-        if values["kind"] == "SPATEM"
-        else f"junction {junction['id']}{_name_suffix(junction)}: {len(junction['lanes'])} lanes"
-        for junction in values["junctions"]
-    ]
+    parts = []
+    for junction in values["junctions"]:
+        if values["kind"] == "SPATEM":
+            parts.append(f"junction {junction['id']}: {', '.join(map(group_words, junction['groups']))}")
+        else:
+            # received text: remove control characters
+            name = "".join(c for c in junction["name"] or "" if c.isprintable())
+            suffix = f" ({name})" if name else ""
+            parts.append(f"junction {junction['id']}{suffix}: {len(junction['lanes'])} lanes")
     return f"{values['kind']} of " + "; ".join(parts or ["no junction"])
 
 
@@ -238,12 +226,6 @@ def group_words(group: Values) -> str:
     """Return the phase of a signal group and the remaining time as text."""
     left = group["left_s"]
     return f"group {group['group']} {group['phase']}" + ("" if left is None else f", {max(left, 0.0):.1f} s left")
-
-
-def _name_suffix(junction: Values) -> str:
-    # received text: remove control characters
-    name = "".join(c for c in junction["name"] or "" if c.isprintable())
-    return f" ({name})" if name else ""
 
 
 def _lights(state: Mapping[str, Any]) -> dict[str, Any]:
@@ -257,19 +239,15 @@ def _lights(state: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _group(movement: Mapping[str, Any], stamp_s: float | None) -> dict[str, Any]:
-    events: list[dict[str, Any]] = [
-        {"phase": PHASES.get(event["eventState"], "unknown"), "end_s": _end(event.get("timing", {}))}
-        for event in movement["state-time-speed"]
-    ]
+    events: list[dict[str, Any]] = []
+    for event in movement["state-time-speed"]:
+        # tenths of a second in the hour; 36001 means unknown
+        mark = event.get("timing", {}).get("minEndTime", 36001)
+        end_s = None if mark >= 36001 else mark / 10
+        events.append({"phase": PHASES.get(event["eventState"], "unknown"), "end_s": end_s})
     end_s = events[0]["end_s"]
     left = None if end_s is None or stamp_s is None else round(left_s(end_s, stamp_s), 1)
     return {"group": movement["signalGroup"], **events[0], "left_s": left, "then": events[1:]}
-
-
-def _end(timing: Mapping[str, Any]) -> float | None:
-    mark = timing.get("minEndTime")
-    # tenths of a second in the hour; 36001 means unknown
-    return None if mark is None or mark >= 36001 else mark / 10
 
 
 def _map(geometry: Mapping[str, Any]) -> dict[str, Any]:

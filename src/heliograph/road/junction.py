@@ -165,32 +165,26 @@ def example() -> dict[str, Any]:
     """Return the settings of a junction of two streets as a mapping for `Junction`."""
     red_first = [("red", 12.0), ("red-yellow", 2.0), ("green", 18.0), ("yellow", 3.0)]
     green_first = [("green", 9.0), ("yellow", 3.0), ("red", 21.0), ("red-yellow", 2.0)]
-
-    def group(number: int, phases: list[tuple[str, float]]) -> dict[str, Any]:
-        return {"group": number, "phases": [{"phase": name, "seconds": s} for name, s in phases]}
-
-    def arm(number: int, east: float, north: float, group: int, ahead: int) -> list[dict[str, Any]]:
-        """Return lane 2 k + 1 in and lane 2 k + 2 out, for right-hand traffic."""
-        side = (-1.7 * north, 1.7 * east)
-        near, far = 10.0, 60.0
-
-        def points(sign: float) -> list[tuple[float, float]]:
-            return [(east * d + sign * side[0], north * d + sign * side[1]) for d in (near, far)]
-
-        first = 2 * number + 1
-        return [
-            {"lane": first, "points_m": points(1), "group": group, "to": [ahead]},
-            {"lane": first + 1, "points_m": points(-1), "towards": False},
-        ]
-
-    arms = [arm(0, 0, -1, 1, 4), arm(1, 0, 1, 1, 2), arm(2, 1, 0, 2, 8), arm(3, -1, 0, 2, 6)]
-    crossing = [{"lane": 9, "kind": "crosswalk", "points_m": [(7.0, -5.0), (7.0, 5.0)], "towards": True}]
+    groups = [
+        {"group": number, "phases": [{"phase": name, "seconds": s} for name, s in phases]}
+        for number, phases in ((1, red_first), (2, green_first))
+    ]
+    lanes: list[dict[str, Any]] = []
+    # direction, signal group and opposite lane of each arm, for right-hand traffic
+    arms = (((0, -1), 1, 4), ((0, 1), 1, 2), ((1, 0), 2, 8), ((-1, 0), 2, 6))
+    for number, ((east, north), group, ahead) in enumerate(arms):
+        inwards, outwards = (
+            [(east * d - 1.7 * sign * north, north * d + 1.7 * sign * east) for d in (10.0, 60.0)] for sign in (1, -1)
+        )
+        lanes.append({"lane": 2 * number + 1, "points_m": inwards, "group": group, "to": [ahead]})
+        lanes.append({"lane": 2 * number + 2, "points_m": outwards, "towards": False})
+    lanes.append({"lane": 9, "kind": "crosswalk", "points_m": [(7.0, -5.0), (7.0, 5.0)], "towards": True})
     return {
         "id": 7,
         "name": "Harbour Road",
         "station": 7,
         "latitude": 35.155,
         "longitude": 136.966,
-        "groups": [group(1, red_first), group(2, green_first)],
-        "lanes": [*(lane for pair in arms for lane in pair), *crossing],
+        "groups": groups,
+        "lanes": lanes,
     }

@@ -9,27 +9,28 @@ the image, and the true distance in the middle of the packet. The first packet h
 assume independent normal errors.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from heliograph.base.arrays import Floats
+from heliograph.channel import ArrayTruth
 from heliograph.experiments import plots
-from heliograph.experiments.calibration.recorder import (
-    FIRST,
-    LAST,
-    CalibrationFilm,
-    ReliabilityBin,
-    record,
-    reliability_bins,
-)
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
-from heliograph.link.settings import load_settings
+from heliograph.experiments.links import receive_packets
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import transmitters
+from heliograph.measure.bench import block_settings, dithered, random_messages
+from heliograph.measure.statistics import Clustered
+from heliograph.receive import make_receiver
+from heliograph.receive.events import EqualiseEvent, Event
+from heliograph.signal.block import pack
 
 TOLERANCE = 0.1
 """Allowed relative deviation of observed from predicted error probability."""
@@ -37,38 +38,148 @@ TOLERANCE = 0.1
 GOOD_M = 0.25
 """Required rms error of the distance in m."""
 
+EDGES = (0.0, 1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5)
+"""Bin edges of the predicted error probability."""
 
-@plots.styled
-def reliability_diagram(bins: Mapping[str, Sequence[ReliabilityBin]]) -> Figure:
-    """Observed over predicted error probability of the judged bins, with 95 % intervals."""
-    figure = Figure(figsize=(8, 4))
-    axes = figure.add_subplot(xlabel="predicted error probability", ylabel="observed / predicted")
-    for name, part in bins.items():
-        here = judged(part)
-        if here:
-            ratio, low, high = np.array([one.ratio() for one in here]).T
-            axes.errorbar([one.predicted for one in here], ratio, (ratio - low, high - ratio), marker="o", label=name)
-    for line in (1 - TOLERANCE, 1 + TOLERANCE):
-        axes.axhline(line, color=plots.GRAY, lw=0.8, ls="--")
-    axes.set(xscale="log", yscale="log")
-    axes.legend()
-    return figure
+FIRST, LAST = "first iteration", "last iteration"
+"""LLRs of the equaliser with no prior knowledge, and LLRs of the last decoding of a later codeword."""
 
 
-@plots.styled
-def distance_plot(distances: Mapping[str, Floats]) -> Figure:
-    """Distance error of each packet."""
-    figure = Figure(figsize=(8, 4))
-    axes = figure.add_subplot(xlabel="distance (m)", ylabel="error (m)")
-    for k, (case, rows) in enumerate(distances.items()):
-        for name, marker, here in (("first", "o", rows[rows[:, 2] == 0]), ("later", ".", rows[rows[:, 2] > 0])):
-            if len(here):
-                style: dict[str, Any] = {"color": f"C{k}", "mfc": "none" if name == "first" else None, "alpha": 0.6}
-                axes.plot(here[:, 0], here[:, 1] - here[:, 0], marker, label=f"{case}, {name} packets", **style)
-    for line in (-GOOD_M, GOOD_M):
-        axes.axhline(line, color=plots.GRAY, lw=0.8, ls="--")
-    axes.legend()
-    return figure
+@dataclass(frozen=True, kw_only=True)
+class CalibrationFilm:
+    """Film to receive."""
+
+    # Name in tables
+    case: str
+    # Link with a single array
+    settings: LinkSettings
+    seed: int
+    # Length in packets; None: all of the drive
+    packets: int | None = 1
+
+
+@dataclass(slots=True)
+class CalibrationRecord:
+    """Predictions and distances of the packets of a film."""
+
+    case: str
+    # Result of `count_bits` for each packet, by `FIRST` and `LAST`
+    reliability: dict[str, list[Floats]] = field(default_factory=lambda: {FIRST: [], LAST: []})
+    # For each packet: true distance in m, estimated distance (NaN if no codeword was read), number in the film
+    distances: list[tuple[float, float, int]] = field(default_factory=list)
+
+
+def record(film: CalibrationFilm) -> CalibrationRecord:
+    """Simulate and receive a film, and compare each packet with the truth."""
+    settings = dithered(block_settings(film.settings, film.packets), film.seed)
+    messages = random_messages(settings, film.seed)
+    (sender,) = transmitters(settings, messages)
+    iterations: list[dict[str, Floats]] = []
+    truths: dict[int, ArrayTruth] = {}
+
+    def observe(event: Event) -> None:
+        if isinstance(event, EqualiseEvent):
+            iterations.append({name: llr.copy() for name, llr in event.llr.items()})
+
+    receiver = make_receiver(settings.signal, settings.receive, observe)
+    out = CalibrationRecord(film.case)
+    for packet in receive_packets(settings, messages, film.seed, receiver, truths):
+        number = round(packet.start_time_s / settings.signal.packet_s)
+        blocks, layers = sender.blocks(number), sender.format_of(number).layers
+        sent = [layers[n].code.encode([pack(b, layers[n].code.k) for b in blocks[n]]).ravel() for n in layers]
+        llrs = [np.concatenate([llr[n].ravel() for n in layers]) for llr in iterations]
+        iterations.clear()
+        _count_iterations(llrs, np.concatenate(sent), out.reliability)
+        true = truths[(packet.first_frame + packet.last_frame) // 2].distance_m
+        found = packet.distance_m if packet.status in ("ok", "partial") else float("nan")
+        out.distances.append((true, found, number))
+    return out
+
+
+def _count_iterations(llrs: Sequence[Floats], sent: NDArray[np.uint8], reliability: Mapping[str, list[Floats]]) -> None:
+    """Count the bits of a packet."""
+    # other lengths: the receiver assumed another packet format
+    if llrs and len(llrs[0]) == len(sent):
+        last = np.zeros_like(llrs[0])
+        for llr in llrs[1:]:
+            # the equaliser skips decoded codewords
+            last = np.where(llr != 0, llr, last)
+        reliability[FIRST].append(count_bits(llrs[0], sent))
+        reliability[LAST].append(count_bits(last, sent))
+
+
+def count_bits(llr: Floats, sent: NDArray[np.uint8]) -> Floats:
+    """Bits, wrong bits and the sum of predicted error probabilities of a packet, (3, bins)."""
+    known = llr != 0
+    # P(wrong) = 1 / (1 + exp |LLR|)
+    predicted = 1 / (1 + np.exp(np.abs(llr[known])))
+    wrong = (llr[known] < 0) != sent[known]
+    weights = (np.ones(len(predicted)), wrong.astype(float), predicted)
+    return np.array([np.histogram(predicted, EDGES, weights=w)[0] for w in weights])
+
+
+@dataclass(frozen=True, slots=True)
+class ReliabilityBin:
+    """Bits of similar predicted error probability."""
+
+    # Smallest and largest predicted error probability
+    edges: tuple[float, float]
+    # Mean predicted error probability
+    predicted: float
+    # Bits and errors, clustered by packet
+    count: Clustered
+
+    @property
+    def expected(self) -> float:
+        """Expected number of wrong bits."""
+        return self.predicted * self.count.trials
+
+    def ratio(self) -> tuple[float, float, float]:
+        """Observed over predicted error probability with 95 % interval."""
+        low, high = self.count.interval()
+        return self.count.rate / self.predicted, low / self.predicted, high / self.predicted
+
+    def range_text(self) -> str:
+        """Edges as text."""
+        return f"{self.edges[0]:g} to {self.edges[1]:g}"
+
+    def ratio_text(self) -> str:
+        """Ratio and interval as text; "-" for no bits."""
+        if not (self.count.trials and self.predicted):
+            return "-"
+        ratio, low, high = self.ratio()
+        return f"{ratio:.2f} ({low:.2f} to {high:.2f})"
+
+
+def reliability_bins(counts: Sequence[Floats]) -> list[ReliabilityBin]:
+    """Predicted and observed error probabilities of packets, by bin."""
+    table, out = np.reshape(counts, (-1, 3, len(EDGES) - 1)), []
+    for k, edges in enumerate(pairwise(EDGES)):
+        count = Clustered(scattered=True)
+        for bits, wrong, _ in table[:, :, k]:
+            count.add(int(bits), int(wrong))
+        out.append(ReliabilityBin(edges, float(table[:, 2, k].sum() / max(count.trials, 1)), count))
+    return out
+
+
+def judged(bins: Sequence[ReliabilityBin]) -> list[ReliabilityBin]:
+    """Bins with at least 30 observed or expected errors."""
+    return [part for part in bins if max(part.count.errors, part.expected) >= 30]
+
+
+def calibrated(name: str, bins: Sequence[ReliabilityBin]) -> Finding:
+    """Compare observed and predicted error probabilities."""
+    here = judged(bins)
+    off = [part for part in here if part.ratio()[1] > 1 + TOLERANCE or part.ratio()[2] < 1 - TOLERANCE]
+    near = [part for part in here if abs(part.ratio()[0] - 1) <= TOLERANCE]
+    bits, errors = sum(part.count.trials for part in bins), sum(part.count.errors for part in bins)
+    return Finding(
+        f"Question: predicted and observed error probability within 10 %, {name}.",
+        f"{errors} of {bits} bits wrong, {sum(part.expected for part in bins):.0f} expected; of {len(here)} bins with "
+        f"30 errors or more {len(near)} are within {TOLERANCE:.0%}, {len(off)} apart for certain.",
+        verdict_of(not off if here else None),
+        "Apart: " + "; ".join(f"{part.range_text()}: {part.ratio_text()}" for part in off) + "." if off else "",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,27 +192,6 @@ class DistanceErrors:
     to_m: float
     # (packets,) errors in m
     errors_m: Floats
-
-
-def judged(bins: Sequence[ReliabilityBin]) -> list[ReliabilityBin]:
-    """Bins with at least 30 observed or expected errors."""
-    return [one for one in bins if max(one.count.errors, one.expected) >= 30]
-
-
-def calibrated(name: str, bins: Sequence[ReliabilityBin]) -> Finding:
-    """Compare observed and predicted error probabilities."""
-    here = judged(bins)
-    off = [one for one in here if one.ratio()[1] > 1 + TOLERANCE or one.ratio()[2] < 1 - TOLERANCE]
-    near = [one for one in here if abs(one.ratio()[0] - 1) <= TOLERANCE]
-    bits, errors = sum(one.count.trials for one in bins), sum(one.count.errors for one in bins)
-    expected = sum(one.expected for one in bins)
-    return Finding(
-        f"Question: predicted and observed error probability within 10 %, {name}.",
-        f"{errors} of {bits} bits wrong, {expected:.0f} expected; of {len(here)} bins with 30 errors or more "
-        f"{len(near)} are within {TOLERANCE:.0%}, {len(off)} apart for certain.",
-        verdict_of(not off if here else None),
-        "Apart: " + "; ".join(f"{one.range_text()}: {one.ratio_text()}" for one in off) + "." if off else "",
-    )
 
 
 def by_distance(distances: Mapping[str, Floats]) -> list[DistanceErrors]:
@@ -126,10 +216,10 @@ def rms_m(errors_m: Floats) -> tuple[float, float, float]:
 
 def accurate(errors: Sequence[DistanceErrors]) -> Finding:
     """Check the distance errors up to 80 m."""
-    near = [one for one in errors if one.to_m <= 82.5]
-    worst = max(near, key=lambda one: rms_m(one.errors_m)[0])
+    near = [part for part in errors if part.to_m <= 82.5]
+    worst = max(near, key=lambda part: rms_m(part.errors_m)[0])
     rms, low, high = rms_m(worst.errors_m)
-    pooled = np.concatenate([one.errors_m for one in near])
+    pooled = np.concatenate([part.errors_m for part in near])
     return Finding(
         f"Question: distance from one camera below {GOOD_M:g} m rms up to 80 m.",
         f"{len(pooled)} packets to 80 m: {rms_m(pooled)[0]:.3f} m rms; worst are {len(worst.errors_m)} packets "
@@ -139,28 +229,74 @@ def accurate(errors: Sequence[DistanceErrors]) -> Finding:
     )
 
 
-def run(context: Context, distances_m: Sequence[float] = ()) -> ExperimentResult:
+@plots.styled
+def _reliability_diagram(bins: Mapping[str, Sequence[ReliabilityBin]]) -> Figure:
+    """Observed over predicted error probability of the judged bins, with 95 % intervals."""
+    figure = Figure(figsize=(8, 4))
+    axes = figure.add_subplot(xlabel="predicted error probability", ylabel="observed / predicted")
+    for name, part in bins.items():
+        if here := judged(part):
+            ratio, low, high = np.array([one.ratio() for one in here]).T
+            axes.errorbar([one.predicted for one in here], ratio, (ratio - low, high - ratio), marker="o", label=name)
+    for line in (1 - TOLERANCE, 1 + TOLERANCE):
+        axes.axhline(line, color=plots.GRAY, lw=0.8, ls="--")
+    axes.set(xscale="log", yscale="log")
+    axes.legend()
+    return figure
+
+
+@plots.styled
+def _distance_plot(distances: Mapping[str, Floats]) -> Figure:
+    """Distance error of each packet."""
+    figure = Figure(figsize=(8, 4))
+    axes = figure.add_subplot(xlabel="distance (m)", ylabel="error (m)")
+    for k, (case, rows) in enumerate(distances.items()):
+        for name, marker, here in (("first", "o", rows[rows[:, 2] == 0]), ("later", ".", rows[rows[:, 2] > 0])):
+            if len(here):
+                style: dict[str, Any] = {"color": f"C{k}", "mfc": "none" if name == "first" else None, "alpha": 0.6}
+                axes.plot(here[:, 0], here[:, 1] - here[:, 0], marker, label=f"{case}, {name} packets", **style)
+    for line in (-GOOD_M, GOOD_M):
+        axes.axhline(line, color=plots.GRAY, lw=0.8, ls="--")
+    axes.legend()
+    return figure
+
+
+def run(context: Context, films: Sequence[CalibrationFilm] = ()) -> ExperimentResult:
     """Receive packets and compare predictions and distances with the truth."""
-    full_m = (25.0, 40.0, 60.0, 70.0, 80.0, 90.0, 100.0, 125.0, 150.0, 180.0, 210.0)
-    todo = films(context, distances_m or ((40.0, 80.0, 125.0) if context.quick else full_m))
-    records = context.each("the soft receiver", record, todo)
+    records = context.each("the soft receiver", record, films or all_films(context))
     counts = {name: [row for one in records for row in one.reliability[name]] for name in (FIRST, LAST)}
     bins = {name: reliability_bins(rows) for name, rows in counts.items()}
-    rows: dict[str, list[tuple[float, float, int]]] = {}
-    for one in records:
-        rows.setdefault(one.case, []).extend(one.distances)
-    distances = {case: np.reshape(part, (-1, 3)) for case, part in rows.items()}
+    cases = dict.fromkeys(one.case for one in records)
+    distances = {
+        case: np.reshape([row for one in records if one.case == case for row in one.distances], (-1, 3))
+        for case in cases
+    }
     errors = by_distance(distances)
+    reliability_columns: dict[str, Callable[[ReliabilityBin], str]] = {
+        "predicted": ReliabilityBin.range_text,
+        "bits": lambda part: str(part.count.trials),
+        "wrong": lambda part: str(part.count.errors),
+        "expected": lambda part: f"{part.expected:.1f}",
+        "ratio": ReliabilityBin.ratio_text,
+    }
+    distance_columns: dict[str, Callable[[DistanceErrors], str]] = {
+        "case": lambda part: part.case,
+        "distance": lambda part: f"{part.from_m:g} to {part.to_m:g} m",
+        "packets": lambda part: str(len(part.errors_m)),
+        "rms (95 %)": lambda part: "{:.3f} ({:.3f} to {:.3f})".format(*rms_m(part.errors_m)),
+        "bias": lambda part: f"{part.errors_m.mean():+.3f}",
+    }
+    title = "Bits by predicted error probability"
     return ExperimentResult(
-        key="soft",
-        title="The soft receiver: calibration of LLRs, and distances",
-        text=description(__doc__),
         findings=[*(calibrated(name, part) for name, part in bins.items()), accurate(errors)],
         pictures=[
-            (reliability_diagram(bins), "Observed over predicted error probability; dashed: tolerance."),
-            (distance_plot(distances), "Distance error of a packet."),
+            (_reliability_diagram(bins), "Observed over predicted error probability; dashed: tolerance."),
+            (_distance_plot(distances), "Distance error of a packet."),
         ],
-        tables=[*(_reliability_table(name, part) for name, part in bins.items()), _distance_table(errors)],
+        tables=[
+            *(Table.of(f"{title}, {name}", part, reliability_columns) for name, part in bins.items()),
+            Table.of("Error of distance in m", errors, distance_columns),
+        ],
         data={
             "reliability": {name: np.sum(part, 0).tolist() for name, part in counts.items()},
             "distances": {case: part.tolist() for case, part in distances.items()},
@@ -168,10 +304,11 @@ def run(context: Context, distances_m: Sequence[float] = ()) -> ExperimentResult
     )
 
 
-def films(context: Context, distances_m: Sequence[float]) -> list[CalibrationFilm]:
+def all_films(context: Context) -> list[CalibrationFilm]:
     """Films to receive; far films take longest and come first."""
-    out = []
-    for z in sorted(distances_m, reverse=True):
+    out, quick_m = [], (125.0, 80.0, 40.0)
+    full_m = (210.0, 180.0, 150.0, 125.0, 100.0, 90.0, 80.0, 70.0, 60.0, 40.0, 25.0)
+    for z in quick_m if context.quick else full_m:
         for case, preset, packets, count in (("at rest", "static", 1, 24), ("driving", "paper", 3, 8)):
             channel = {"distance_m": z, "stop_m": 5.0}
             # near packets need the equaliser, too
@@ -184,21 +321,3 @@ def films(context: Context, distances_m: Sequence[float]) -> list[CalibrationFil
     full = load_settings("paper", None, ["receive.receiver=soft"])
     seeds = [1000 * context.seed + k for k in range(3)]
     return [CalibrationFilm(case="whole drives", settings=full, seed=seed, packets=None) for seed in seeds] + out
-
-
-def _reliability_table(name: str, bins: Sequence[ReliabilityBin]) -> Table:
-    rows = [
-        [one.range_text(), str(one.count.trials), str(one.count.errors), f"{one.expected:.1f}", one.ratio_text()]
-        for one in bins
-    ]
-    head = ["predicted", "bits", "wrong", "expected", "ratio"]
-    return Table(f"Bits by predicted error probability, {name}", head, rows)
-
-
-def _distance_table(errors: Sequence[DistanceErrors]) -> Table:
-    rows = []
-    for one in errors:
-        rms, low, high = rms_m(one.errors_m)
-        spread, place = f"{rms:.3f} ({low:.3f} to {high:.3f})", f"{one.from_m:g} to {one.to_m:g} m"
-        rows.append([one.case, place, str(len(one.errors_m)), spread, f"{one.errors_m.mean():+.3f}"])
-    return Table("Error of distance in m", ["case", "distance", "packets", "rms (95 %)", "bias"], rows)

@@ -12,21 +12,12 @@ import numpy as np
 
 from heliograph.base.threads import one_thread
 from heliograph.channel import ArrayTruth
-from heliograph.experiments.links import receive_link, true_pose
-from heliograph.experiments.report import (
-    Context,
-    ExperimentResult,
-    Finding,
-    Table,
-    count_text,
-    description,
-    interval_text,
-)
+from heliograph.experiments.links import receive_packets, true_pose
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import transmitters
 from heliograph.measure.bench import dithered, lasting, random_messages
 from heliograph.measure.statistics import Count
-from heliograph.receive import Packet, Receiver, make_receiver
+from heliograph.receive import Receiver, make_receiver
 from heliograph.receive.build import soft_receiver
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.combining import SoftBuffer
@@ -150,41 +141,6 @@ def _count_packet(task: KnownChannelTask, seed: int) -> Count:
     sent = transmitters(link, messages)[0].blocks(0)[task.layer]
     truths: Truths = {}
     receiver = known_receiver(link, truths) if task.known else make_receiver(link.signal, link.receive)
-    packets = list[Packet]()
-    for truth, received in receive_link(link, messages, seed, receiver):
-        truths[truth.index] = truth.arrays[0]
-        packets += received
-    packets += receiver.finish()
+    packets = list(receive_packets(link, messages, seed, receiver, truths))
     read = [word.block for packet in packets for word in packet.layers[task.layer] if word.block is not None]
     return Count(len(sent), sum(block not in read for block in sent))
-
-
-def run(context: Context) -> ExperimentResult:
-    """Count wrong codewords with the estimated and the true channel."""
-    brightness = (0.9,) if context.quick else (0.85, 0.9, 0.95)
-    todo = tasks(112.0, "low", brightness, 6 if context.quick else 300)
-    counts = context.each("known channel", measure, todo)
-    # estimated and true channel alternate
-    blind, known = counts[::2], counts[1::2]
-    rows = [
-        [f"{level:g}", *(f"{count_text(c)} ({interval_text(c)})" for c in pair)]
-        for level, *pair in zip(brightness, blind, known, strict=True)
-    ]
-    wrong, best, trials = sum(c.errors for c in blind), sum(c.errors for c in known), sum(c.trials for c in blind)
-    return ExperimentResult(
-        key="known-channel",
-        title="The soft receiver and the known channel",
-        text=description(__doc__),
-        findings=[
-            Finding(
-                "Question: the loss by estimation of pose, blur, gain and noise.",
-                f"All brightnesses together: {wrong} of {trials} codewords wrong blind, {best} with the channel known.",
-                "shown",
-            )
-        ],
-        tables=[Table("Codewords wrong", ["brightness", "blind", "channel known"], rows)],
-        data={
-            name: {f"{level:g}": [c.errors, c.trials] for level, c in zip(brightness, part, strict=True)}
-            for name, part in (("blind", blind), ("known", known))
-        },
-    )

@@ -125,13 +125,13 @@ def drawn(moment: Moment) -> Rgb:
     image = np.full((304, 640, 3), (24, 27, 32), np.uint8)
     if moment.cut is not None:
         image[12 : 12 + CUT_PX, 12 : 12 + CUT_PX] = moment.cut[..., None]
-    x, y, width, height = (268, 12, 360, 240)
+    x, view = 268, image[12:252, 268:628]
     picture = pixels_of(moment.picture) if moment.picture else None
     if picture is None:
-        cv2.rectangle(image, (x, y), (x + width - 1, y + height - 1), (44, 48, 56), -1)
-        _write(image, "the picture comes with the low layer", (x + 46, y + 124), DIM)
+        view[:] = (44, 48, 56)
+        _write(image, "the picture comes with the low layer", (x + 46, 136), DIM)
     else:
-        image[y : y + height, x : x + width] = cv2.resize(picture, (width, height), interpolation=cv2.INTER_NEAREST)
+        view[:] = cv2.resize(picture, view.shape[1::-1], interpolation=cv2.INTER_NEAREST)
     _write(image, f"{moment.distance_m:.0f} m", (12, 286), PALE, 0.7)
     for k, (name, (read, sent)) in enumerate(moment.layers.items()):
         _write(image, f"{name} {read}/{sent}", (102, 266 + 15 * k), PALE if read == sent else DIM, 0.38)

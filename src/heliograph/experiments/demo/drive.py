@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -58,14 +59,10 @@ def junction_plot(junction: Values, groups: Mapping[int, Mapping[str, Any]]) -> 
         axes.plot(x[0], y[0], "o", color=colour, ms=13, zorder=4)
         left = "" if group["left_s"] is None else f" {max(group['left_s'], 0.0):.0f} s"
         vertical = abs(y[0]) > abs(x[0])
-        axes.annotate(
-            f"{group['phase']}{left}",
-            ((x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2),
-            (24, 0) if vertical else (0, 24),
-            textcoords="offset points",
-            ha="left" if vertical else "center",
-            va="center",
-        )
+        offset, align = ((24, 0), "left") if vertical else ((0, 24), "center")
+        middle = (x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2
+        text = f"{group['phase']}{left}"
+        axes.annotate(text, middle, offset, textcoords="offset points", ha=align, va="center")
     # "$" would start a formula
     axes.set_title(str(junction["name"] or f"junction {junction['id']}").replace("$", r"\$"))
     return figure
@@ -81,9 +78,8 @@ def write_page(
     messages: Sequence[Message],
 ) -> None:
     """Write the page; `moving` is the animation."""
-    settings = truth.settings
     page = Report("Heliograph: a drive past an LED array")
-    channel, side = settings.channel, settings.signal.side
+    channel, side, cuts = truth.settings.channel, truth.settings.signal.side, recorder.cuts
     page.text(
         f"A {side} x {side} LED array sends to a {channel.camera.fps:.0f} fps camera behind the windscreen of a car "
         f"driving from {channel.distance_m:.0f} m to {channel.stop_m:.0f} m at {channel.speed_m_s * 3.6:.0f} km/h. "
@@ -98,21 +94,19 @@ def write_page(
             "Left: the tracked array, packet by packet. Right: the picture in the low layer. Below: distance, read "
             "codewords of each layer, countdown of the signals.",
         )
-    if recorder.cuts:
+    if cuts:
         page.heading("What the camera saw")
-        for name, (_, pose, frame, _) in (("far", recorder.cuts[0]), ("near", recorder.cuts[-1])):
+        for name, (_, pose, frame, _) in (("far", cuts[0]), ("near", cuts[-1])):
             title = f"{name}: frame {frame.index}, {pose.pitch:.2f} px from LED to LED"
             half = 11 * pose.pitch
             figure = plots.frame_with_array(frame.pixels, pose.x, pose.y, half, title, frame.full_scale)
             page.figure(figure, f"Received image, {name}.")
     _show_messages(page, messages, reception)
-    if recorder.cuts:
-        if recorder.identity in settings.transmit.identities:
-            _show_track(page, truth, recorder)
-        first, largest = recorder.cuts[0][1], 2 * recorder.cuts[0][2].full_scale
-        names = [f"frame {index}" for index, *_ in recorder.cuts]
+    if cuts:
+        _show_track(page, truth, recorder)
+        names, largest = [f"frame {index}" for index, *_ in cuts], 2 * cuts[0][2].full_scale
         for title, fixed in (("without tracking", True), ("with tracking", False)):
-            images = [_sum_at(first if fixed else pose, up, down) for _, pose, up, down in recorder.cuts]
+            images = [_sum_at(cuts[0][1] if fixed else pose, up, down) for _, pose, up, down in cuts]
             page.figure(plots.image_row(images, names, largest=largest), f"Pattern plus inverse, cut out {title}.")
     _show_errors(page, reception)
     page.write(path)
@@ -131,17 +125,15 @@ def _badges(counts: Mapping[str, Any], reception: Reception) -> Iterator[tuple[s
 
 
 def _show_messages(page: Report, messages: Sequence[Message], reception: Reception) -> None:
+    """Show road messages, the best version of each picture, texts, and the progress of incomplete messages."""
     page.heading("What arrived")
     rows = [(message, road_values(message.data)) for message in messages]
     for identity in sorted({message.identity for message in messages}):
         _show_road(page, identity, [values for message, values in rows if values and message.identity == identity])
-    largest: dict[int, int] = {}
-    for message in messages:
-        if is_picture(message.data):
-            largest[message.identity] = max(largest.get(message.identity, 0), len(message.data))
+    pictures = [message for message in messages if is_picture(message.data)]
+    best = {message.identity: message for message in sorted(pictures, key=lambda message: len(message.data))}
     for message, values in rows:
-        # show only the best version of a picture
-        if values is not None or (is_picture(message.data) and len(message.data) < largest[message.identity]):
+        if values is not None or (is_picture(message.data) and best[message.identity] is not message):
             continue
         page.text(f"Array {message.identity}, {message.layer} priority, {len(message.data)} bytes:")
         if is_picture(message.data) and pixels_of(message.data) is not None:
@@ -168,15 +160,18 @@ def _show_road(page: Report, identity: int, values: Sequence[Values]) -> None:
 
 
 def _show_track(page: Report, truth: TruthFile, recorder: DriveRecorder) -> None:
-    frames = {frame for _, frame, _ in recorder.track}
+    """Show the track of the array detected first, unless the detection is false."""
     settings, names = truth.settings, ("x", "y", "distance_m")
+    if recorder.identity not in settings.transmit.identities:
+        return
     array = settings.transmit.identities.index(recorder.identity)
-    rows, before = list[list[float]](), None
-    for row in truth.rows():
-        # the truth of a pair is the mean of two frames
-        if before is not None and int(before["index"]) in frames:
-            rows.append([(before["arrays"][array][k] + row["arrays"][array][k]) / 2 for k in names])
-        before = row
+    frames = {frame for _, frame, _ in recorder.track}
+    # the truth of a pair is the mean of two frames
+    rows = [
+        [(first["arrays"][array][k] + second["arrays"][array][k]) / 2 for k in names]
+        for first, second in pairwise(truth.rows())
+        if int(first["index"]) in frames
+    ]
     true = dict(zip(names, np.array(rows).T, strict=True))
     track = recorder.track[: len(rows)]
     calibration = settings.receive.calibration
@@ -207,10 +202,10 @@ def _show_errors(page: Report, reception: Reception) -> None:
     head = ["distance"] + [f"{layer}: {cell}" for layer in LAYERS for cell in ("BER", "wrong")]
     rows = []
     for start, layers in bins.items():
-        cells = (
-            (f"{e.decoded_bits.text()} of {e.bits}", f"{e.codeword_errors} of {e.codewords}") for e in layers.values()
-        )
-        rows.append([f"{start:.0f}-{start + BIN_M:.0f} m", *(text for pair in cells for text in pair)])
+        row = [f"{start:.0f}-{start + BIN_M:.0f} m"]
+        for e in layers.values():
+            row += [f"{e.decoded_bits.text()} of {e.bits}", f"{e.codeword_errors} of {e.codewords}"]
+        rows.append(row)
     page.table(head, rows)
     page.text(
         f"Packets that were not sent: {reception.errors.false_packets}. "

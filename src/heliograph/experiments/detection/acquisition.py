@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliograph.experiments.links import receive_link
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
+from heliograph.experiments.report import Context
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import random_messages
 from heliograph.measure.statistics import Count
@@ -61,18 +61,14 @@ def acquire(trial: AcquisitionTrial) -> Acquired:
             # a track follows the last detection
             tracked.extend(one for one in detected[-1:] if one.identity == event.identity and one not in tracked)
 
-    receiver = make_receiver(settings.signal, settings.receive, observe)
-    identity, period, packet_s = (
-        settings.transmit.identities[0],
-        settings.signal.pattern_period_s,
-        settings.signal.packet_s,
-    )
+    signal, identity = settings.signal, settings.transmit.identities[0]
+    receiver = make_receiver(signal, settings.receive, observe)
     for _, packets in receive_link(settings, random_messages(settings, trial.seed), trial.seed, receiver):
         for _ in packets:
             pass
         for detection in tracked:
-            headers, rest = divmod((detection.start_time_s - first_s) / packet_s + 0.5, 1.0)
-            if detection.identity == identity and abs(rest - 0.5) * packet_s < 0.5 * period:
+            headers, rest = divmod((detection.start_time_s - first_s) / signal.packet_s + 0.5, 1.0)
+            if detection.identity == identity and abs(rest - 0.5) * signal.packet_s < 0.5 * signal.pattern_period_s:
                 return Acquired(int(headers) + 1, len(detected) - 1)
     return Acquired(0, len(detected))
 
@@ -97,40 +93,11 @@ def _trial_settings(trial: AcquisitionTrial) -> tuple[LinkSettings, float]:
     return load_settings("paper", None, ["receive.receiver=soft", *trial.changes, *changes]), first
 
 
-def _by_header(outcomes: Sequence[Acquired]) -> list[int]:
-    """Numbers of missed arrays, and of arrays found by the first and the second header."""
-    return [sum(outcome.headers == headers for outcome in outcomes) for headers in range(3)]
-
-
 def outcomes_text(outcomes: Sequence[Acquired]) -> str:
     """Outcomes in a line, with the 95 % interval of the rate of missed arrays."""
-    missed, first, second = _by_header(outcomes)
+    missed, first, second = (sum(outcome.headers == headers for outcome in outcomes) for headers in range(3))
     low, high = Count(len(outcomes), missed).interval()
     return (
         f"{len(outcomes)} trials: by the first header {first}, by the second {second}, missed "
         f"{missed} [{low:.1e}, {high:.1e}]; wrong detections {sum(outcome.wrong for outcome in outcomes)}"
-    )
-
-
-def run(context: Context) -> ExperimentResult:
-    """Run all trials."""
-    count = 10 if context.quick else 3000
-    outcomes = measure([AcquisitionTrial(context.seed + k, 20) for k in range(count)], context)
-    missed, first, second = _by_header(outcomes)
-    rows = [["by its first header", str(first)], ["by its second header", str(second)], ["missed", str(missed)]]
-    return ExperimentResult(
-        key="acquisition",
-        title="Acquisition of an array that is switched on",
-        text=description(__doc__),
-        findings=[
-            Finding(
-                "Question: an array is found by the next header.", f"{outcomes_text(outcomes)}.", verdict_of(not missed)
-            )
-        ],
-        tables=[Table("Arrays found", ["found", "trials"], rows)],
-        data={
-            "trials": len(outcomes),
-            "headers": [outcome.headers for outcome in outcomes],
-            "wrong_detections": sum(outcome.wrong for outcome in outcomes),
-        },
     )

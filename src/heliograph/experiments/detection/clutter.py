@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import Literal
@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.arrays import Gray
-from heliograph.base.errors import MediaError
+from heliograph.base.arrays import Floats, Gray
 from heliograph.base.frames import Frame
 from heliograph.channel import Footage, ImuTrace, Placement, film
 from heliograph.channel.background import cover_size, draw_scene
@@ -32,107 +31,134 @@ SIZE = (640, 1152)
 
 RATE_HZ = 1000.0
 
-
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """Moment of a scene."""
-
-    footage: Footage
-    # Start of the film in the footage, in s
-    start_s: float
-
+Moment = tuple[Footage, float]
+"""Footage of a scene, and the start of the film in the footage in s."""
 
 Backdrop = Callable[[np.random.Generator], Moment]
 """Random moment of a scene."""
+
+HeaderKind = Literal["m_sequence", "all_on"]
+
+LAMPS = "lamps"
+"""Scene full of lamps."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """Scenes and motion of the films of an experiment."""
+
+    scenes: Mapping[str, Backdrop]
+    # Recorded motion; None: a road of class C
+    imu: ImuTrace | None
+    seed: int
+
+
+def backdrops(clips: Mapping[str, Path], reach: int) -> dict[str, Backdrop]:
+    """All scenes by name: the first frames of clips, a drawn street, and a street full of lamps."""
+    scenes: dict[str, Backdrop] = {name: partial(clip_backdrop, path, reach) for name, path in clips.items()}
+    return {**scenes, "drawn scene": drawn_backdrop, LAMPS: lamp_backdrop}
 
 
 def drawn_backdrop(rng: np.random.Generator) -> Moment:
     """Drawn street with a moving camera."""
     street = draw_scene(SIZE, rng)
-    return Moment(Footage(lambda: iter([street, street]), RATE_HZ / FRAMES), 0.0)
+    return Footage(lambda: iter([street, street]), RATE_HZ / FRAMES), 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Lamp:
-    """Lamp."""
+def clip_backdrop(path: Path, reach: int, rng: np.random.Generator) -> Moment:
+    """Moment between two successive frames of a clip, with a cross-fade of the channel."""
+    rate_hz, pairs = _clip_pairs(path, reach)
+    pair = pairs[int(rng.integers(len(pairs)))]
+    room = max(1 / rate_hz - FRAMES / RATE_HZ, 0.0)
+    return Footage(lambda: iter(pair), rate_hz), float(rng.uniform(0, room))
 
-    # Centre and half sizes (x, y) in px
-    centre: tuple[float, float]
-    half: tuple[float, float]
-    # True for a disc, False for a rectangle
-    round: bool
-    # Light 0 to 1 at times in s; (rows, times) for a matrix sign
-    light: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    # (x, y) in px/s
-    speed: tuple[float, float] = (0.0, 0.0)
-    # Picture of a matrix sign, (rows, columns) of 0 and 1
-    picture: Gray | None = None
+
+@lru_cache(maxsize=8)
+def _clip_pairs(path: Path, reach: int) -> tuple[float, list[tuple[Gray, Gray]]]:
+    """Frame rate of a clip, and up to 32 pairs of successive frames; a pair takes 1.5 MB."""
+    source = load_footage(path)
+    step = max(2, -(-reach // 32))
+    held: dict[int, Gray] = {}
+    for k, frame in enumerate(islice(source.frames(), reach)):
+        if k % step < 2:
+            held[k] = cover_size(frame, SIZE)
+    return source.rate_hz, [(held[k], held[k + 1]) for k in held if k % step == 0 and k + 1 in held]
+
+
+Lamp = Callable[[Gray, float], None]
+"""Draw a lamp into an image at a time in s: the mean light over an exposure, at the position in the middle."""
+
+Light = Callable[[Floats], Floats]
+"""Light 0 to 1 at times in s; (rows, times) for a matrix sign."""
 
 
 def lamp_backdrop(rng: np.random.Generator) -> Moment:
     """Drawn street with lamps that move, flicker, blink and turn."""
-    street = next(iter(drawn_backdrop(rng).footage.frames()))
+    street = next(iter(drawn_backdrop(rng)[0].frames()))
     makers = (_mains, _moving, _beacon, _pulsed, _sign)
     lamps = [makers[int(rng.integers(len(makers)))](rng) for _ in range(8)]
     images = []
     for k in range(FRAMES + 2):
         image = street.copy()
-        for lamp in lamps:
-            _draw(image, lamp, k / RATE_HZ)
+        for draw in lamps:
+            draw(image, k / RATE_HZ)
         images.append(np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5), np.uint8))
     # the channel samples the footage in the middle of an exposure; half a frame later it gets unmixed images
-    return Moment(Footage(lambda: iter(images), RATE_HZ), 0.5 / RATE_HZ)
+    return Footage(lambda: iter(images), RATE_HZ), 0.5 / RATE_HZ
 
 
-def _draw(image: Gray, lamp: Lamp, time_s: float) -> None:
-    """Draw the mean light of a lamp over an exposure, at the position in the middle."""
-    light = np.asarray(lamp.light(time_s + (np.arange(8) + 0.5) / 8 / RATE_HZ).mean(-1))
-    if lamp.picture is not None:
-        size = max(1, round(2 * lamp.half[1] / lamp.picture.shape[0]))
-        patch = np.kron(15 + 240 * lamp.picture * light[:, None], np.ones((size, size))).astype(np.uint8)
-        sizes = zip(lamp.centre, image.shape[::-1], patch.shape[::-1], strict=True)
-        x, y = (int(np.clip(corner, 0, room - width)) for corner, room, width in sizes)
-        image[y : y + patch.shape[0], x : x + patch.shape[1]] = patch
-        return
-    centre = [a + v * (time_s + 0.5 / RATE_HZ) for a, v in zip(lamp.centre, lamp.speed, strict=True)]
-    shade, fine = int(20 + 235 * float(light)), 16  # 16ths of a pixel
-    if lamp.round:
-        x, y = (round(a * fine) for a in centre)
-        cv2.circle(image, (x, y), round(lamp.half[0] * fine), shade, -1, cv2.LINE_AA, 4)
-        return
-    low, high = ([round((a + s * h) * fine) for a, h in zip(centre, lamp.half, strict=True)] for s in (-1, 1))
-    cv2.rectangle(image, low, high, shade, -1, cv2.LINE_AA, 4)
+def _mean_light(light: Light, time_s: float) -> Floats:
+    return np.asarray(light(time_s + (np.arange(8) + 0.5) / 8 / RATE_HZ).mean(-1))
 
 
-def _body(rng: np.random.Generator) -> tuple[tuple[float, float], tuple[float, float], bool]:
-    """Centre, half sizes and roundness, with the size of an array from 25 m to 80 m away."""
+def _body(rng: np.random.Generator) -> tuple[Floats, Floats, bool]:
+    """Centre and half sizes (x, y) in px, and roundness, with the size of an array from 25 m to 80 m away."""
     half = float(rng.uniform(4, 20))
-    centre = (float(rng.uniform(90, SIZE[1] - 90)), float(rng.uniform(90, SIZE[0] - 90)))
-    return centre, (half, half * float(rng.uniform(0.6, 1.4))), bool(rng.random() < 0.5)
+    centre = np.array([rng.uniform(90, SIZE[1] - 90), rng.uniform(90, SIZE[0] - 90)])
+    return centre, np.array([half, half * rng.uniform(0.6, 1.4)]), bool(rng.random() < 0.5)
+
+
+def _lamp(rng: np.random.Generator, light: Light, speed: Sequence[float] = (0.0, 0.0)) -> Lamp:
+    """Disc or rectangle with a speed (x, y) in px/s."""
+    start, half, is_round = _body(rng)
+
+    def draw(image: Gray, time_s: float) -> None:
+        centre = start + np.array(speed) * (time_s + 0.5 / RATE_HZ)
+        # in 16ths of a pixel
+        middle, size, low, high = (
+            np.rint(16 * place).astype(int).tolist() for place in (centre, half, centre - half, centre + half)
+        )
+        shade = int(20 + 235 * float(_mean_light(light, time_s)))
+        if is_round:
+            cv2.circle(image, middle, size[0], shade, -1, cv2.LINE_AA, 4)
+        else:
+            cv2.rectangle(image, low, high, shade, -1, cv2.LINE_AA, 4)
+
+    return draw
 
 
 def _mains(rng: np.random.Generator) -> Lamp:
     """Lamp at twice the mains frequency, with a depth of 30 % to 100 %."""
     depth, phase, hz = rng.uniform(0.3, 1), rng.uniform(0, 2 * np.pi), rng.choice([100.0, 120.0])
-    return Lamp(*_body(rng), lambda t: 1 - depth * np.sin(np.pi * hz * t + phase) ** 2)
+    return _lamp(rng, lambda t: 1 - depth * np.sin(np.pi * hz * t + phase) ** 2)
 
 
 def _moving(rng: np.random.Generator) -> Lamp:
     """Steady lamp of a vehicle, up to 0.7 px per frame."""
-    speed = (float(rng.uniform(-500, 500)), float(rng.uniform(-500, 500)))
-    return Lamp(*_body(rng), lambda t: np.ones_like(t), speed)
+    speed = (rng.uniform(-500, 500), rng.uniform(-500, 500))
+    return _lamp(rng, np.ones_like, speed)
 
 
 def _beacon(rng: np.random.Generator) -> Lamp:
     """Rotating beacon, 3 turns a second, a beam of 8 degrees, near its passage."""
     middle = rng.uniform(-0.01, 0.02)
-    return Lamp(*_body(rng), lambda t: 0.05 + 0.95 * np.exp(-0.5 * (1080 * (t - middle) / 8) ** 2))
+    return _lamp(rng, lambda t: 0.05 + 0.95 * np.exp(-0.5 * (1080 * (t - middle) / 8) ** 2))
 
 
 def _pulsed(rng: np.random.Generator) -> Lamp:
     """Tail lamp with pulse width modulation at 100 Hz to 1000 Hz; the header has 500 Hz."""
     hz, duty, phase = rng.uniform(100, 1000), rng.uniform(0.2, 0.8), rng.random()
-    return Lamp(*_body(rng), lambda t: ((hz * t + phase) % 1 < duty).astype(float))
+    return _lamp(rng, lambda t: ((hz * t + phase) % 1 < duty).astype(float))
 
 
 def _sign(rng: np.random.Generator) -> Lamp:
@@ -141,11 +167,16 @@ def _sign(rng: np.random.Generator) -> Lamp:
     picture = (rng.random((rows, int(rng.integers(6, 25)))) < 0.6).astype(np.uint8)
     turn = np.arange(rows)[:, None] % 4 / 4
     centre, half, _ = _body(rng)
-    light = lambda t: ((hz * t + phase + turn) % 1 < 0.25).astype(float)  # noqa: E731
-    return Lamp(centre, half, False, light, picture=picture)
+    size = max(1, round(2 * half[1] / rows))
 
+    def draw(image: Gray, time_s: float) -> None:
+        light = _mean_light(lambda t: ((hz * t + phase + turn) % 1 < 0.25).astype(float), time_s)
+        patch = np.kron(15 + 240 * picture * light[:, None], np.ones((size, size))).astype(np.uint8)
+        height, width = patch.shape
+        x, y = (int(np.clip(centre[0], 0, SIZE[1] - width)), int(np.clip(centre[1], 0, SIZE[0] - height)))
+        image[y : y + height, x : x + width] = patch
 
-HeaderKind = Literal["m_sequence", "all_on"]
+    return draw
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,49 +190,6 @@ class ClutterFilm:
     # Pose of each array in the second frame of its header
     truths: tuple[Pose, ...]
 
-    @property
-    def truth(self) -> Pose | None:
-        """Pose of the first array."""
-        return self.truths[0] if self.truths else None
-
-
-def backdrops(clips: Mapping[str, Path], reach: int) -> dict[str, Backdrop]:
-    """All scenes by name: clips, a drawn street, and a street full of lamps."""
-    scenes: dict[str, Backdrop] = {name: ClipBackdrop(path, reach) for name, path in clips.items()}
-    return {**scenes, "drawn scene": drawn_backdrop, "lamps": lamp_backdrop}
-
-
-@dataclass(frozen=True, slots=True)
-class ClipBackdrop:
-    """Moments between two successive frames of a clip, with a cross-fade of the channel."""
-
-    path: Path
-    # Frames of the clip in use, from the first on
-    reach: int
-
-    def __call__(self, rng: np.random.Generator) -> Moment:
-        """Draw a moment."""
-        try:
-            status = self.path.stat()
-        except OSError as error:
-            raise MediaError(f"cannot read {self.path}: {error.strerror}") from None
-        rate_hz, pairs = _clip_pairs(self.path, self.reach, status.st_mtime_ns, status.st_size)
-        one, other = pairs[int(rng.integers(len(pairs)))]
-        room = max(1 / rate_hz - FRAMES / RATE_HZ, 0.0)
-        return Moment(Footage(lambda: iter([one, other]), rate_hz), float(rng.uniform(0, room)))
-
-
-@lru_cache(maxsize=8)
-def _clip_pairs(path: Path, reach: int, *_version: int) -> tuple[float, list[tuple[Gray, Gray]]]:
-    """Frame rate of a version of a clip, and up to 32 pairs of successive frames; a pair takes 1.5 MB."""
-    source = load_footage(path)
-    step = max(2, -(-reach // 32))
-    held: dict[int, Gray] = {}
-    for k, frame in enumerate(islice(source.frames(), reach)):
-        if k % step < 2:
-            held[k] = cover_size(frame, SIZE)
-    return source.rate_hz, [(held[k], held[k + 1]) for k in held if k % step == 0 and k + 1 in held]
-
 
 def film_moment(
     moment: Moment,
@@ -214,7 +202,7 @@ def film_moment(
 ) -> ClutterFilm:
     """Film a moment in the reference link, or in `channel` with its arrays; with no array if no distance is given."""
     base = channel or load_settings("paper").channel
-    start, z = moment.start_s, distance_m or 50.0
+    (footage, start), z = moment, distance_m or 50.0
     places = channel.arrays if channel else (_random_placement(z, base, rng),)
     settings = replace(
         base,
@@ -233,11 +221,10 @@ def film_moment(
         firsts.append(int(rng.choice((2, 3))))
         if distance_m:
             patterns.append(_patterns(header, identity, firsts[-1], rng))
-    shots = list(film(settings, patterns, rng, pattern_period_s=1e-3, footage=moment.footage, imu=imu))
+    shots = list(film(settings, patterns, rng, pattern_period_s=1e-3, footage=footage, imu=imu))
     truths = [shots[first + 1][1].arrays[k] for k, first in enumerate(firsts)] if distance_m else []
-    return ClutterFilm(
-        [frame for frame, _ in shots], firsts[0], tuple(Pose(t.x, t.y, t.pitch_px, t.roll_rad) for t in truths)
-    )
+    poses = tuple(Pose(t.x, t.y, t.pitch_px, t.roll_rad) for t in truths)
+    return ClutterFilm([frame for frame, _ in shots], firsts[0], poses)
 
 
 def _random_placement(distance_m: float, channel: ChannelSettings, rng: np.random.Generator) -> Placement:

@@ -21,37 +21,37 @@ filmed separately, and with an array of another identity 0.5 m to 1.2 m away, wi
 searched at the true place. Intervals are Clopper-Pearson, 95 %.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
+from heliograph.base.arrays import Floats
 from heliograph.experiments import plots
-from heliograph.experiments.detection import ablation
-from heliograph.experiments.detection.ablation import VARIANTS
-from heliograph.experiments.detection.clutter import ClutterFilm, backdrops
-from heliograph.experiments.detection.identities import Confusion, confusion
+from heliograph.experiments.detection.clutter import LAMPS, ClutterFilm, Surroundings, backdrops
 from heliograph.experiments.detection.trials import (
     DISTANCES_M,
     FOUND,
-    LAMPS,
     RECEIVER,
     SCORE,
-    DetectionEffort,
+    Confusion,
     DetectionScores,
-    DetectionTrials,
-    is_lower,
+    Example,
+    Scores,
+    confusion,
     measure,
 )
+from heliograph.experiments.detection.variants import PAPER, REFERENCE, VARIANTS
 from heliograph.experiments.report import (
     Context,
     ExperimentResult,
     Finding,
     Table,
     count_text,
-    description,
     interval_text,
     verdict_of,
 )
@@ -64,81 +64,79 @@ FAR_M = 150.0
 """Distance in m beyond the range of the paper."""
 
 
+@dataclass(frozen=True, slots=True)
+class DetectionEffort:
+    """Number of films."""
+
+    # Films of each scene with no array, and with an array at each distance
+    without: int
+    with_array: int
+    # Frames of a clip, from the first on
+    reach: int
+    # Films of an identity at each distance
+    repeats: int
+    # Step between filmed identities
+    step: int = 1
+
+
 def run(context: Context, effort: DetectionEffort | None = None) -> ExperimentResult:
     """Search films for false detections and identities."""
     effort = effort or (DetectionEffort(6, 3, 16, 1) if context.quick else DetectionEffort(75, 20, 220, 10))
-    imu = load_imu(context.imu) if context.imu else None
-    scenes = backdrops(context.clips, effort.reach)
-    measured = measure(scenes, effort, imu, context)
-    places, shown = (*DISTANCES_M, FAR_M), range(0, IDENTITIES, effort.step)
-    alone = confusion(places, scenes, effort.repeats, imu, context, (0.7, 0.9), shown)
+    scenes, imu = backdrops(context.clips, effort.reach), load_imu(context.imu) if context.imu else None
+    surroundings = Surroundings(scenes, imu, context.seed)
+    scores, example = measure(surroundings, effort.without, effort.with_array, context)
+    places, shown, repeats = (*DISTANCES_M, FAR_M), range(0, IDENTITIES, effort.step), effort.repeats
+    alone = confusion(surroundings, places, shown, repeats, context, (0.7, 0.9))
     # a film counts two arrays
-    films = -(-effort.repeats // 2)
-    beside = confusion(places, scenes, films, imu, context, (0.9, 1.0), shown, beside=True)
-    identities = [
-        [f"{z:g} m, {view}", counted(c.right), counted(c.wrong), counted(c.missed)]
-        for view, by in (("alone", alone), ("two in view", beside))
-        for z, c in by.items()
+    beside = confusion(surroundings, places, shown, -(-repeats // 2), context, (0.9, 1.0), two_in_view=True)
+    return report(scores, example, alone, beside)
+
+
+def report(
+    scores: Scores, example: Example | None, alone: Mapping[float, Confusion], beside: Mapping[float, Confusion]
+) -> ExperimentResult:
+    """Judge, draw and tabulate scores and identities."""
+    pictures = [
+        (_roc(scores), "Arrays found against false alarms for falling thresholds, all scenes together; left: none."),
+        (_matrices(alone), "Identity shown (down) and found (across; last column: missed), a single array in view."),
+        (_matrices(beside), "The same, two arrays of different identities in view, both counted."),
     ]
+    if example:
+        caption = "Fig. 6: a false detection of the all-on detector; frame, and difference of two frames."
+        pictures.insert(0, (_example(*example), caption))
     return ExperimentResult(
-        key="fig6",
-        title="Fig. 6: false detections and identities",
-        text=description(__doc__),
         findings=[
-            *compared(measured),
-            identities_found(alone, "alone"),
-            identities_found(beside, "two in view"),
-            ingredients(measured),
-            receiver_finding(measured),
+            *compared(scores),
+            _identities_found(alone, "alone"),
+            _identities_found(beside, "two in view"),
+            ingredients(scores),
+            _receiver_finding(scores),
         ],
-        pictures=pictures(measured, alone, beside),
-        tables=[
-            *_tables(measured),
-            Table("Identities", ["distance", "right", "taken for another (of those found)", "missed"], identities),
-        ],
+        pictures=pictures,
+        tables=[*_score_tables(scores), _identity_table(alone, beside)],
         data={
-            "scores": {
-                variant.name: {
-                    "false": _rounded(measured.scores[variant.name].false),
-                    "true": _rounded(_named(measured.scores[variant.name].true)),
-                }
-                for variant in VARIANTS
-            },
-            "receiver": {
-                "false": _counts(measured.scores[RECEIVER].false),
-                "found": _counts(_named(measured.scores[RECEIVER].true)),
-            },
+            "scores": {name: _plain(scores[name], "true", _rounded) for name in VARIANTS},
+            "receiver": _plain(scores[RECEIVER], "found", _counts),
             "identities": {f"{z:g} m": c.counts.tolist() for z, c in alone.items()},
             "identities_two_in_view": {f"{z:g} m": c.counts.tolist() for z, c in beside.items()},
         },
     )
 
 
-def _named(true: Mapping[tuple[str, float], list[float]]) -> dict[str, list[float]]:
-    return {f"{scene}, {z:g} m": scores for (scene, z), scores in true.items()}
+def _plain(scores: DetectionScores, true: str, plain: Callable[[list[float]], list[float]]) -> dict[str, Any]:
+    """Plain values of the scores, by scene, and with the key `true` by scene and distance."""
+    return {
+        "false": {scene: plain(values) for scene, values in scores.false.items()},
+        true: {f"{scene}, {z:g} m": plain(values) for (scene, z), values in scores.true.items()},
+    }
 
 
-def _rounded(by_place: Mapping[str, list[float]]) -> dict[str, list[float]]:
-    return {place: [round(score, 4) for score in scores] for place, scores in by_place.items()}
+def _rounded(scores: list[float]) -> list[float]:
+    return [round(score, 4) for score in scores]
 
 
-def _counts(by_place: Mapping[str, list[float]]) -> dict[str, list[int]]:
-    return {place: [int(sum(scores)), len(scores)] for place, scores in by_place.items()}
-
-
-def pictures(
-    measured: DetectionTrials, alone: Mapping[float, Confusion], beside: Mapping[float, Confusion]
-) -> list[tuple[Figure, str]]:
-    """Draw an example, the curves and the confusion matrices."""
-    drawn = [
-        (_roc(measured), "Arrays found against false alarms for falling thresholds, all scenes together; left: none."),
-        (_matrices(alone), "Identity shown (down) and found (across; last column: missed), a single array in view."),
-        (_matrices(beside), "The same, two arrays of different identities in view, both counted."),
-    ]
-    if measured.example:
-        caption = "Fig. 6: a false detection of the all-on detector; frame, and difference of two frames."
-        drawn.insert(0, (_example(*measured.example), caption))
-    return drawn
+def _counts(scores: list[float]) -> list[float]:
+    return [int(sum(scores)), len(scores)]
 
 
 @plots.styled
@@ -154,19 +152,25 @@ def _example(score: float, film: ClutterFilm, pose: Pose) -> Figure:
     return figure
 
 
+def curve(false: Floats, true: Floats) -> tuple[list[float], list[float]]:
+    """Fractions of false alarms and of arrays found for falling thresholds."""
+    thresholds = np.unique(np.concatenate([false, true, [0.0, 1.0]]))[::-1]
+    alarms, found = ([float((scores > t).mean()) for t in thresholds] for scores in (false, true))
+    return alarms, found
+
+
 @plots.styled
-def _roc(measured: DetectionTrials) -> Figure:
+def _roc(measured: Scores) -> Figure:
     figure = Figure(figsize=(12, 5))
-    smallest = 0.5 / max(measured.scores[VARIANTS[0].name].all_false().size, 1)
+    smallest = 0.5 / max(measured[REFERENCE].all_false().size, 1)
     # lines of different widths stay visible below each other
     styles = (("C3", 8.0), (plots.ORANGE, 5.5), (plots.GREEN, 3.2), (plots.BLUE, 1.4))
     for axes, distance in zip(figure.subplots(1, 3, sharey=True), DISTANCES_M, strict=True):
-        for variant, (colour, width) in zip(VARIANTS, styles, strict=True):
-            scores = measured.scores[variant.name]
-            alarms, found = ablation.curve(scores.all_false(), scores.all_true(distance))
+        for name, (colour, width) in zip(VARIANTS, styles, strict=True):
+            alarms, found = curve(measured[name].all_false(), measured[name].all_true(distance))
             rates = 1000 * np.maximum(alarms, smallest)
-            axes.step(rates, found, where="post", color=colour, lw=width, label=variant.name)
-        receiver = measured.scores[RECEIVER]
+            axes.step(rates, found, where="post", color=colour, lw=width, label=name)
+        receiver = measured[RECEIVER]
         false, found_rate = max(receiver.false_alarms().rate, smallest), receiver.found(distance_m=distance).rate
         axes.plot(1000 * false, found_rate, "*", color="black", ms=15, label=RECEIVER, clip_on=False, zorder=5)
         axes.set(xscale="log", xlim=(700 * smallest, 1000), ylim=(-0.03, 1.03))
@@ -192,18 +196,18 @@ def _matrices(confusions: Mapping[float, Confusion]) -> Figure:
     return figure
 
 
-def compared(measured: DetectionTrials) -> list[Finding]:
+def compared(measured: Scores) -> list[Finding]:
     """Judge the two claims about false detections at the threshold of the receiver, by kind of scene."""
-    groups = kinds(measured)
+    groups = _kinds(measured)
     return [
         *(_false_alarms(measured, kind, scenes) for kind, scenes in groups.items()),
         *(_unique(measured, kind, scenes) for kind, scenes in groups.items()),
     ]
 
 
-def kinds(measured: DetectionTrials) -> dict[str, list[str]]:
+def _kinds(measured: Scores) -> dict[str, list[str]]:
     """Scenes by kind: recorded and drawn scenes at rest, and the drawn lamps."""
-    names = list(measured.scores[VARIANTS[0].name].false)
+    names = list(measured[REFERENCE].false)
     groups = {
         "footage and a street at rest": [name for name in names if name != LAMPS],
         "drawn lamps": [name for name in names if name == LAMPS],
@@ -211,8 +215,8 @@ def kinds(measured: DetectionTrials) -> dict[str, list[str]]:
     return {kind: scenes for kind, scenes in groups.items() if scenes}
 
 
-def _false_alarms(measured: DetectionTrials, kind: str, scenes: list[str]) -> Finding:
-    all_on = measured.scores[VARIANTS[0].name]
+def _false_alarms(measured: Scores, kind: str, scenes: list[str]) -> Finding:
+    all_on = measured[REFERENCE]
     alarms, why = all_on.false_alarms(scenes=scenes), ""
     if not alarms.errors:
         highest = max(chain.from_iterable(all_on.false[scene] for scene in scenes), default=0.0)
@@ -229,15 +233,12 @@ def _false_alarms(measured: DetectionTrials, kind: str, scenes: list[str]) -> Fi
     )
 
 
-def _unique(measured: DetectionTrials, kind: str, scenes: list[str]) -> Finding:
-    all_on, paper = (measured.scores[VARIANTS[k].name] for k in (0, 2))
-    fewer = is_lower(paper.false_alarms(scenes=scenes), all_on.false_alarms(scenes=scenes))
-    parts = []
-    for variant, scores in ((VARIANTS[2], paper), (VARIANTS[0], all_on)):
-        fitted = scores.fitted_threshold()
-        parts.append(
-            f"{_summary(variant.name, scores, scenes)}; above {fitted:.3f}, {_by_scene(scores, scenes, fitted)}"
-        )
+def _unique(measured: Scores, kind: str, scenes: list[str]) -> Finding:
+    alarms = {name: measured[name].false_alarms(scenes=scenes) for name in (PAPER, REFERENCE)}
+    fewer, parts = is_lower(alarms[PAPER], alarms[REFERENCE]), []
+    for name in alarms:
+        scores, fitted = measured[name], measured[name].fitted_threshold()
+        parts.append(f"{_summary(name, scores, scenes)}; above {fitted:.3f}, {_by_scene(scores, scenes, fitted)}")
     return Finding(
         f"Section IV-A: the M-sequence is unique in the background and makes detection reliable: {kind}.",
         f"Score above {SCORE}, and above the threshold that {FOUND:.0%} of all these arrays exceed. "
@@ -245,6 +246,13 @@ def _unique(measured: DetectionTrials, kind: str, scenes: list[str]) -> Finding:
         verdict_of(fewer),
         "" if fewer is not None else "The intervals overlap: these films do not decide the claim.",
     )
+
+
+def is_lower(a: Count, b: Count) -> bool | None:
+    """True if a rate is lower than another; None if their 95 % intervals overlap."""
+    if a.interval()[1] < b.interval()[0]:
+        return True
+    return False if a.interval()[0] > b.interval()[1] else None
 
 
 def _by_scene(scores: DetectionScores, scenes: Collection[str], threshold: float = SCORE) -> str:
@@ -258,13 +266,13 @@ def _summary(name: str, scores: DetectionScores, scenes: list[str]) -> str:
     return f"{name}: films with a false alarm {_by_scene(scores, scenes)}, found {found}"
 
 
-def identities_found(confusions: Mapping[float, Confusion], view: str) -> Finding:
+def _identities_found(confusions: Mapping[float, Confusion], view: str) -> Finding:
     """Check the identities of detected arrays."""
-    near, far = [c for z, c in confusions.items() if z in DISTANCES_M], confusions[FAR_M]
     wrong, right = Count(), Count()
-    for one in near:
-        wrong.include(one.wrong)
-        right.include(one.right)
+    for z in DISTANCES_M:
+        wrong.include(confusions[z].wrong)
+        right.include(confusions[z].right)
+    far = confusions[FAR_M]
     return Finding(
         f"Section IV-A: arrays with different M-sequences are distinguished, {view}.",
         f"At 25 m to 80 m: right {counted(right)}, taken for another {counted(wrong)}; at {FAR_M:g} m right "
@@ -273,21 +281,21 @@ def identities_found(confusions: Mapping[float, Confusion], view: str) -> Findin
     )
 
 
-def ingredients(measured: DetectionTrials) -> Finding:
+def ingredients(measured: Scores) -> Finding:
     """Effect of the header and of the number of frames."""
     parts = [
-        _summary(f"{variant.name}, {kind}", measured.scores[variant.name], scenes)
-        for variant in VARIANTS
-        for kind, scenes in kinds(measured).items()
+        _summary(f"{name}, {kind}", measured[name], scenes)
+        for name in VARIANTS
+        for kind, scenes in _kinds(measured).items()
     ]
     claim = f"Question: the effect of header and number of frames, score above {SCORE}."
     return Finding(claim, "; ".join(parts) + ".", "shown")
 
 
-def receiver_finding(measured: DetectionTrials) -> Finding:
+def _receiver_finding(measured: Scores) -> Finding:
     """Results of the detector of the receiver."""
-    parts, receiver = [], measured.scores[RECEIVER]
-    for kind, scenes in kinds(measured).items():
+    parts, receiver = [], measured[RECEIVER]
+    for kind, scenes in _kinds(measured).items():
         found = ", ".join(f"{z:g} m {count_text(receiver.found(scenes=scenes, distance_m=z))}" for z in DISTANCES_M)
         parts.append(f"{kind}: films with a false alarm {_by_scene(receiver, scenes)}, found {found}")
     return Finding("Question: the receiver's detector with default settings.", "; ".join(parts) + ".", "shown")
@@ -298,28 +306,35 @@ def counted(count: Count) -> str:
     return f"{count_text(count)} ({interval_text(count, '.1%', '-')})"
 
 
-def _tables(measured: DetectionTrials) -> list[Table]:
+def _score_tables(measured: Scores) -> list[Table]:
     """Arrays found at 1 % of false alarms, and false alarms by scene at both thresholds."""
-    names = [variant.name for variant in VARIANTS]
-    rows = [[name, *(counted(measured.scores[name].found_at(z, 0.01)) for z in DISTANCES_M)] for name in names]
-    receiver = measured.scores[RECEIVER]
-    rows.append([RECEIVER, *(counted(receiver.found(distance_m=z)) for z in DISTANCES_M)])
-    fixed = dict.fromkeys(names, SCORE)
-    fitted = {name: measured.scores[name].fitted_threshold() for name in names}
-    head = ["variant", *(f"{z:g} m" for z in DISTANCES_M)]
-    return [
-        Table("Arrays found at no more than 10 false alarms in 1000 frames", head, rows),
-        _scene_table(measured, fixed, "Films with a false alarm at the receiver's threshold"),
-        _scene_table(
-            measured, fitted, f"Films with a false alarm at the threshold that {FOUND:.0%} of the arrays exceed"
-        ),
+    rows = [[name, *(counted(measured[name].found_at(z, 0.01)) for z in DISTANCES_M)] for name in VARIANTS]
+    rows.append([RECEIVER, *(counted(measured[RECEIVER].found(distance_m=z)) for z in DISTANCES_M)])
+    tables = [
+        Table(
+            "Arrays found at no more than 10 false alarms in 1000 frames",
+            ["variant", *(f"{z:g} m" for z in DISTANCES_M)],
+            rows,
+        )
     ]
+    fitted = {name: measured[name].fitted_threshold() for name in VARIANTS}
+    scenes = list(measured[REFERENCE].false)
+    for thresholds, title in (
+        (dict.fromkeys(VARIANTS, SCORE), "the receiver's threshold"),
+        (fitted, f"the threshold that {FOUND:.0%} of the arrays exceed"),
+    ):
+        rows = [
+            [name, f"{t:.3f}", *(counted(measured[name].false_alarms(t, [scene])) for scene in scenes)]
+            for name, t in thresholds.items()
+        ]
+        tables.append(Table(f"Films with a false alarm at {title}", ["variant", "threshold", *scenes], rows))
+    return tables
 
 
-def _scene_table(measured: DetectionTrials, thresholds: Mapping[str, float], title: str) -> Table:
-    scenes = list(measured.scores[VARIANTS[0].name].false)
+def _identity_table(alone: Mapping[float, Confusion], beside: Mapping[float, Confusion]) -> Table:
     rows = [
-        [name, f"{t:.3f}", *(counted(measured.scores[name].false_alarms(t, [scene])) for scene in scenes)]
-        for name, t in thresholds.items()
+        [f"{z:g} m, {view}", counted(c.right), counted(c.wrong), counted(c.missed)]
+        for view, by_distance in (("alone", alone), ("two in view", beside))
+        for z, c in by_distance.items()
     ]
-    return Table(title, ["variant", "threshold", *scenes], rows)
+    return Table("Identities", ["distance", "right", "taken for another (of those found)", "missed"], rows)

@@ -8,13 +8,13 @@ deviations of pixel noise, and the distance of the most similar formats.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import erfc
 
 from heliograph.base.arrays import Floats
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description
+from heliograph.experiments.report import Table
 from heliograph.signal.formats import DIMMED, words
 from heliograph.signal.header import CELLS, IDENTITIES, all_header_cells
 
@@ -127,24 +127,3 @@ def tables(found: Sequence[Separation]) -> list[Table]:
         Table("Headers", ["Z (m)", "pitch (px)", "correlation", "magnitude", "closest two", "distance (noises)"], rows),
         Table("Formats", ["Z (m)", "distance (noises)"], [(f"{s.distance_m:g}", f"{s.formats:.0f}") for s in found]),
     ]
-
-
-def run(context: Context) -> ExperimentResult:
-    """Compare all headers and formats."""
-    found = [separation(z) for z in (DISTANCES_M[::4] if context.quick else DISTANCES_M)]
-    far = found[-1]
-    return ExperimentResult(
-        key="header-separation",
-        title="Distances between headers",
-        text=description(__doc__),
-        findings=[
-            Finding(
-                "Question: the distance between the most similar headers.",
-                f"At {far.distance_m:g} m {far.headers:.0f} standard deviations of a pixel's noise, between identities "
-                f"{far.closest[0]} and {far.closest[1]}; {far.formats:.0f} between two formats.",
-                "shown",
-            )
-        ],
-        tables=tables(found),
-        data={"separation": [asdict(s) for s in found]},
-    )

@@ -13,10 +13,9 @@ rates account for dependent bits in a packet; with no error after the code, the 
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import fisher_exact
 
@@ -25,6 +24,7 @@ from heliograph.experiments.error_rates.comparison import MARGIN, RISK, Comparis
 from heliograph.experiments.error_rates.films import (
     CountsByDistance,
     FilmTask,
+    Modulation,
     add_counts,
     all_layers,
     bin_of,
@@ -32,8 +32,7 @@ from heliograph.experiments.error_rates.films import (
     lost_packets,
 )
 from heliograph.experiments.plots import LAYER_COLOURS
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, Verdict, count_text, description
-from heliograph.measure.counts import Layers
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, Verdict, count_text
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.statistics import Count
 from heliograph.signal.settings import LAYERS
@@ -74,21 +73,33 @@ def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentRe
     rates = measure(context, effort)
     road = "a road of class B"
     shake = f"{road} and a recorded trace in turn" if context.imu and effort.drives > 1 else road
+    films = f"{effort.films} static films a distance; {effort.drives} drives"
     return ExperimentResult(
-        key="fig13",
-        title="Bit error rate by distance, static and driving (Fig. 13)",
-        text=(
-            f"{effort.films} static films a distance; {effort.drives} drives, shaken by {shake}, in bins of "
-            f"{BIN_M:g} m. {description(__doc__)}"
-        ),
-        findings=judge(rates),
-        pictures=pictures(rates),
+        text=f"{films}, shaken by {shake}, in bins of {BIN_M:g} m.",
+        findings=[
+            alike(rates.comparisons, rates.lost["driving"], rates.lost["static"]),
+            *error_free(rates.driving),
+            keying(rates.static, rates.keyed),
+        ],
+        pictures=[
+            (
+                _rates_plot(rates),
+                "Bit error rate before and after the turbo code, by layer: static (lines), driving (open squares), "
+                "on-off keying before any code (gray), with an offset of half a metre. 95 % intervals; an arrow is an "
+                "upper bound (3/n) for no error in n bits before the code, in n packets after it.",
+            ),
+            (
+                _ratio_plot(rates.comparisons),
+                "Raw errors driving over static at the same distances, 95 % over packets or drives; "
+                f"gray: alike, a factor {MARGIN:g}.",
+            ),
+        ],
         tables=[_rates_table(rates), _comparison_table(rates.comparisons)],
         data={
             "static": _plain(rates.static),
             "driving": _plain(rates.driving),
             "ook": _plain(rates.keyed),
-            "comparison": [asdict(one) for one in rates.comparisons],
+            "comparison": [asdict(comparison) for comparison in rates.comparisons],
             "lost": {name: asdict(count) for name, count in rates.lost.items()},
             "false_codewords": rates.false_codewords,
         },
@@ -103,58 +114,39 @@ def measure(context: Context, effort: ErrorRateEffort) -> ErrorRates:
     """Count all films, and compare each packet of the drives with a packet at rest at the same distance."""
     seed = context.seed
     # every second drive has the recorded motion
-    todo = [FilmTask(None, "haar", (seed, 1, k), context.imu if k % 2 else None) for k in range(effort.drives)]
-    driven = context.each("drives", count_film, todo, (0.0, 0.4))
+    drives = [FilmTask(None, "haar", (seed, 1, k), context.imu if k % 2 else None) for k in range(effort.drives)]
+    driven = context.each("drives", count_film, drives, (0.0, 0.4))
     driving: CountsByDistance = {}
     for film in driven:
         for record in film.packets:
             add_counts(driving, bin_of(record.distance_m), record.layers)
         for start, layers in film.missed.items():
             add_counts(driving, start + BIN_M / 2, layers)
-    static = _static(context, effort, "haar", (0.4, 0.55))
-    keyed = _static(context, effort, "ook", (0.55, 0.7))
-    packets = [record for film in driven for record in film.packets]
-    drives = [k for k, film in enumerate(driven) for _ in film.packets]
-    wanted = [record.distance_m for record in packets] + [z for film in driven for z in film.lost]
-    todo = [FilmTask(z, "haar", (seed, 2, k)) for k, z in enumerate(wanted)]
-    twins = context.each("the same at rest", count_film, todo, (0.7, 1.0))
+    static = _count_static(context, effort, "haar", "static", (0.4, 0.55))
+    keyed = _count_static(context, effort, "ook", "on-off keying", (0.55, 0.7))
+    packets = [(record, k) for k, film in enumerate(driven) for record in film.packets]
+    wanted = [record.distance_m for record, _ in packets] + [z for film in driven for z in film.lost]
+    tasks = [FilmTask(z, "haar", (seed, 2, k)) for k, z in enumerate(wanted)]
+    twins = context.each("the same at rest", count_film, tasks, (0.7, 1.0))
     # the last twins, of lost packets, only enter the loss at rest
-    pairs = [(a, b.packets[0], k) for a, b, k in zip(packets, twins, drives, strict=False) if b.packets]
-    comparisons = compare(
-        [a for a, _, _ in pairs],
-        [b for _, b, _ in pairs],
-        np.random.default_rng([seed, 9]),
-        drives=[k for _, _, k in pairs],
-    )
+    pairs = [(record, twin.packets[0], k) for (record, k), twin in zip(packets, twins, strict=False) if twin.packets]
+    moving, at_rest, numbers = zip(*pairs, strict=True) if pairs else ((), (), ())
+    comparisons = compare(moving, at_rest, np.random.default_rng([seed, 9]), drives=numbers)
     lost = {"driving": lost_packets(driven), "static": lost_packets(twins)}
     false = sum(film.false_codewords for film in (*driven, *twins))
     return ErrorRates(static, driving, keyed, comparisons, lost, false)
 
 
-def _static(
-    context: Context, effort: ErrorRateEffort, modulation: Literal["haar", "ook"], span: tuple[float, float]
+def _count_static(
+    context: Context, effort: ErrorRateEffort, modulation: Modulation, title: str, span: tuple[float, float]
 ) -> CountsByDistance:
-    todo = [
-        (z, FilmTask(z, modulation, (context.seed, 3, len(modulation), k, round(z))))
-        for z in effort.places_m
-        for k in range(effort.films)
-    ]
-    title = "static" if modulation == "haar" else "on-off keying"
+    places = [(z, k) for z in effort.places_m for k in range(effort.films)]
+    tasks = [FilmTask(z, modulation, (context.seed, 3, len(modulation), k, round(z))) for z, k in places]
     counts: CountsByDistance = {}
-    films = context.each(title, count_film, [task for _, task in todo], span)
-    for (z, _), film in zip(todo, films, strict=True):
+    for (z, _), film in zip(places, context.each(title, count_film, tasks, span), strict=True):
         for layers in (*(record.layers for record in film.packets), *film.missed.values()):
             add_counts(counts, z, layers)
     return counts
-
-
-def judge(rates: ErrorRates) -> list[Finding]:
-    """Judge all claims on error rates."""
-    return [
-        alike(rates.comparisons, rates.lost["driving"], rates.lost["static"]),
-        *error_free(rates.driving),
-        keying(rates.static, rates.keyed),
-    ]
 
 
 def alike(comparisons: Sequence[Comparison], driving: Count, static: Count) -> Finding:
@@ -237,23 +229,6 @@ def keying(static: CountsByDistance, keyed: CountsByDistance) -> Finding:
     )
 
 
-def pictures(rates: ErrorRates) -> list[tuple[Figure, str]]:
-    """Rates by distance, and driving over static."""
-    return [
-        (
-            _rates_plot(rates),
-            "Bit error rate before and after the turbo code, by layer: static (lines), driving (open squares), on-off "
-            "keying before any code (gray), with an offset of half a metre. 95 % intervals; an arrow is an upper bound "
-            "(3/n) for no error in n bits before the code, in n packets after it.",
-        ),
-        (
-            _ratio_plot(rates.comparisons),
-            "Raw errors driving over static at the same distances, 95 % over packets or drives; "
-            f"gray: alike, a factor {MARGIN:g}.",
-        ),
-    ]
-
-
 @plots.styled
 def _rates_plot(rates: ErrorRates) -> Figure:
     """Plot with a column for each layer, and a row before and after the code."""
@@ -261,16 +236,16 @@ def _rates_plot(rates: ErrorRates) -> Figure:
     panels = figure.subplots(2, len(LAYERS), sharex=True, sharey="row")
     for row, (kind, title) in zip(panels, (("raw", "before"), ("decoded", "after")), strict=True):
         for axes, name in zip(row, LAYERS, strict=True):
-
-            def count(layers: Layers, name: str = name, kind: str = kind) -> Count:
-                return layers[name].raw if kind == "raw" else layers[name].decoded
-
-            lines: dict[str, Any] = {"marker": "o", "lw": 1.8}
-            _draw(axes, rates.static, count, -0.5, label="static", color=LAYER_COLOURS[name], **lines)
-            squares: dict[str, Any] = {"marker": "s", "mfc": "none", "ms": 6, "ls": "none", "lw": 1.2}
-            _draw(axes, rates.driving, count, 0.5, label="driving", color="black", **squares)
+            static, driving = (
+                [(z + offset, getattr(layers[name], kind)) for z, layers in sorted(counts.items())]
+                for counts, offset in ((rates.static, -0.5), (rates.driving, 0.5))
+            )
+            plots.draw_rates(axes, static, "static", color=LAYER_COLOURS[name], lw=1.8)
+            squares = {"marker": "s", "mfc": "none", "ms": 6, "ls": "none"}
+            plots.draw_rates(axes, driving, "driving", color="black", lw=1.2, **squares)
             if kind == "raw":
-                _draw(axes, rates.keyed, all_layers, label="on-off keying, static", color=plots.GRAY, ls="--", **lines)
+                keyed = [(z, all_layers(layers)) for z, layers in sorted(rates.keyed.items())]
+                plots.draw_rates(axes, keyed, "on-off keying, static", color=plots.GRAY, ls="--", lw=1.8)
             axes.set(yscale="log", title=f"{name}, {title} the turbo code")
         # intervals may reach below the smallest drawn rate
         row[0].set(ylabel="bit error rate", ylim=(max(row[0].get_ylim()[0], 1e-6), 1.5))
@@ -278,12 +253,6 @@ def _rates_plot(rates: ErrorRates) -> Figure:
         axes.set_xlabel("distance (m)")
     plots.legend_below(figure)
     return figure
-
-
-def _draw(
-    axes: Axes, counts: CountsByDistance, count: Callable[[Layers], Count], offset_m: float = 0.0, **style: Any
-) -> None:
-    plots.draw_rates(axes, [(z + offset_m, count(layers)) for z, layers in sorted(counts.items())], **style)
 
 
 @plots.styled
@@ -330,14 +299,15 @@ def _bin_text(middle_m: float) -> str:
 
 def _comparison_table(comparisons: Sequence[Comparison]) -> Table:
     """Driving and static, with a row per comparison."""
-    head = ("layer", "distance", "packets", "driving", "static", "ratio", "95 % interval", "p (Holm)", "verdict")
-    rows = [
-        [
-            c.layer,
-            "all" if c.bin_m is None else _bin_text(c.bin_m),
-            *(str(c.pairs), f"{c.driving:.1e}", f"{c.static:.1e}", f"{c.ratio:.2f}"),
-            *(f"{c.low:.2f}-{c.high:.2f}", f"{c.p:.3f}", c.verdict),
-        ]
-        for c in comparisons
-    ]
-    return Table(f"Driving against static, raw; alike: within a factor {MARGIN:g}", head, rows)
+    columns: dict[str, Callable[[Comparison], str]] = {
+        "layer": lambda c: c.layer,
+        "distance": lambda c: "all" if c.bin_m is None else _bin_text(c.bin_m),
+        "packets": lambda c: str(c.pairs),
+        "driving": lambda c: f"{c.driving:.1e}",
+        "static": lambda c: f"{c.static:.1e}",
+        "ratio": lambda c: f"{c.ratio:.2f}",
+        "95 % interval": lambda c: f"{c.low:.2f}-{c.high:.2f}",
+        "p (Holm)": lambda c: f"{c.p:.3f}",
+        "verdict": lambda c: c.verdict,
+    }
+    return Table.of(f"Driving against static, raw; alike: within a factor {MARGIN:g}", comparisons, columns)

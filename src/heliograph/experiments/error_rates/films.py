@@ -41,14 +41,17 @@ class FilmCounts:
     false_codewords: int = 0
 
 
+Modulation = Literal["haar", "ook"]
+"""The hierarchical code; on-off keying of each LED."""
+
+
 @dataclass(frozen=True, slots=True)
 class FilmTask:
     """Film at rest, or drive."""
 
     # Distance at rest in m; None: a drive from 80 m to 25 m at 30 km/h
     distance_m: float | None
-    # "haar": the hierarchical code; "ook": on-off keying of each LED
-    modulation: Literal["haar", "ook"]
+    modulation: Modulation
     seed: tuple[int, ...]
     # File of the recorded motion of the drive; None: a road
     imu: Path | None = None

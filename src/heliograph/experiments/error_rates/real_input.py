@@ -4,7 +4,7 @@ Frames pass from channel to receiver with no file, as in a lossless film.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from fractions import Fraction
 from itertools import islice
@@ -16,15 +16,16 @@ import numpy as np
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.link.film import is_packet
+from heliograph.link.film import FrameSource, is_packet
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, load_footage, load_imu, simulate
 from heliograph.link.truth import TruthFile
 from heliograph.measure.errors import BIN_M, ErrorCounter
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.live_film import LiveFilm
+from heliograph.measure.reception import Reception, TruthSource, receive_film
 from heliograph.measure.statistics import Count
 from heliograph.media import open_film
-from heliograph.receive import Packet, make_receiver, receive_frames
+from heliograph.receive import Packet, make_receiver
 from heliograph.receive.events import DetectEvent, Event
 
 
@@ -46,30 +47,17 @@ class RealScene:
         return settings, Recordings(footage=load_footage(self.clip), imu=load_imu(self.imu))
 
 
-@dataclass(frozen=True, slots=True)
-class DriveCounts:
-    """Frames and errors of a drive."""
-
-    frames: int
-    errors: ErrorCounter
-
-
-def drive(scene: RealScene, margin_px: int | None = None) -> DriveCounts:
+def drive(scene: RealScene, margin_px: int | None = None) -> Reception:
     """Receive and count a drive over real footage."""
     settings, recordings = scene.load()
-    messages = default_messages(settings)
-    errors, frames = ErrorCounter(settings, messages), Count()
+    film = LiveFilm(settings, default_messages(settings), scene.seed, recordings, margin_px)
+    return _received(film, film)
 
-    def counted() -> Iterator[Frame]:
-        for frame, truth in simulate(settings, messages, scene.seed, recordings, margin_px):
-            errors.saw(truth.time_s, [a.distance_m for a in truth.arrays], [a.visible for a in truth.arrays])
-            frames.add(1, 0)
-            yield frame
 
-    for packet in receive_frames(counted(), settings.signal, settings.receive):
-        if is_packet(packet):
-            errors.received(packet)
-    return DriveCounts(frames.trials, errors)
+def _received(film: FrameSource, truth: TruthSource) -> Reception:
+    reception = Reception(truth)
+    deque(receive_film(film, truth.settings.signal, truth.settings, reception), maxlen=0)
+    return reception
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +81,7 @@ class EmptyCounts:
         """Counts in a line, with bounds per frame."""
         names = ("detections", "packets", "packets with a right codeword")
         counts = (self.detections, self.packets, self.right)
-        parts = [f"{counted_text(Count(self.frames, n))} {name}" for n, name in zip(counts, names, strict=True)]
+        parts = [f"{_count_text(Count(self.frames, n))} {name}" for n, name in zip(counts, names, strict=True)]
         return ", ".join([*parts, f"{self.words} right codewords"])
 
 
@@ -150,23 +138,23 @@ def encode_again(source: Path, target: Path) -> None:
 
 def receive_again(film: Path, truth: TruthFile) -> Reception:
     """Receive a transcoded film, with the truth of the original film."""
-    reception = Reception(truth)
     with open_film(film) as source:
-        deque(receive_film(source, truth.settings.signal, truth.settings, reception), maxlen=0)
-    return reception
+        return _received(source, truth)
 
 
-def error_lines(errors: ErrorCounter) -> Iterable[str]:
-    """Wrong and sent codewords as lines, by distance and in total."""
+def error_lines(errors: ErrorCounter | None) -> Iterator[str]:
+    """Wrong and sent codewords as lines, by distance and in total; no lines if the truth is unknown."""
+    if errors is None:
+        return
     for start, layers in errors.bins().items():
         row = ", ".join(f"{name} {e.codeword_errors}/{e.codewords}" for name, e in layers.items())
         yield f"{start:g}-{start + BIN_M:g} m: {row}"
     for name, e in errors.total().items():
-        yield f"{name}: {counted_text(e.words)} wrong, {e.missed} of them missed"
+        yield f"{name}: {_count_text(e.words)} wrong, {e.missed} of them missed"
     yield f"false codewords {errors.false_codewords}, false packets {errors.false_packets}"
 
 
-def counted_text(count: Count) -> str:
+def _count_text(count: Count) -> str:
     """Errors of trials with 95 % interval, or the upper bound 3 / n for no error."""
     if count.errors:
         low, high = count.interval()

@@ -10,11 +10,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.experiments.links import receive_link
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description
+from heliograph.experiments.links import receive_packets
+from heliograph.experiments.report import Context
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.statistics import Count
-from heliograph.receive import Packet, make_receiver
+from heliograph.receive import make_receiver
 from heliograph.signal.packet import PacketFormat
 
 
@@ -41,38 +41,10 @@ def wrong_codewords(settings: LinkSettings, layer: str, receptions: int, seed: i
     rng = np.random.default_rng([seed, 1])
     # messages that fill a packet
     messages = {name: [rng.bytes(form.codewords * form.payload_bytes)] for name, form in formats.items()}
-    receiver, packets = make_receiver(settings.signal, settings.receive), list[Packet]()
-    for _, received in receive_link(settings, [messages], seed, receiver):
-        packets += received
-    packets += receiver.finish()
+    receiver = make_receiver(settings.signal, settings.receive)
     wrong = np.full(receptions, formats[layer].codewords, np.int64)
-    for packet in packets:
+    for packet in receive_packets(settings, [messages], seed, receiver, {}):
         number = round(packet.start_time_s / settings.signal.packet_s)
         if number < receptions:
             wrong[number] = sum(word.status != "ok" for word in packet.layers[layer])
     return wrong
-
-
-def run(context: Context) -> ExperimentResult:
-    """Count repeated packets at distances beyond the range of a single reception."""
-    receptions, found = 4, {}
-    for layer, z in (("low", 130.0), ("middle", 160.0), ("middle", 180.0), ("high", 220.0), ("high", 240.0)):
-        films = 1 if context.quick else 12
-        found[f"{layer}, {z:g} m"] = measure(film_settings(z, receptions), layer, receptions, films, context)
-    head = ["layer, distance", *(f"reception {k}" for k in range(1, receptions + 1))]
-    rows = [[place, *(f"{c.errors}/{c.trials}" for c in counts)] for place, counts in found.items()]
-    ends = "; ".join(f"{place}: {counts[0].errors} and {counts[-1].errors}" for place, counts in found.items())
-    return ExperimentResult(
-        key="repeated-packets",
-        title="Repeated packets",
-        text=description(__doc__),
-        findings=[
-            Finding(
-                "Question: the gain of a repeated packet.",
-                f"Codewords wrong in the first and in the last of {receptions} receptions: {ends}.",
-                "shown",
-            )
-        ],
-        tables=[Table("Codewords wrong of sent", head, rows)],
-        data={place: [[c.errors, c.trials] for c in counts] for place, counts in found.items()},
-    )

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
 
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import run_block
 from heliograph.measure.counts import BlockCounts
@@ -106,29 +106,16 @@ def run(context: Context) -> ExperimentResult:
     seeds = range(context.seed, context.seed + (1 if context.quick else 6))
     total = measure(list(SCENES), distances_m, seeds, "soft", context)
     false, sent = (sum(getattr(c, name) for c in total.values()) for name in ("false_codewords", "codewords"))
-    rows = [
-        [
-            scene,
-            *(
-                " ".join(f"{layer.codeword_errors}/{layer.codewords}" for layer in total[scene, z].layers.values())
-                for z in distances_m
-            ),
-        ]
-        for scene in SCENES
-    ]
+    claim = "Question: the receiver accepts no codeword that was not sent."
+    head = ["scene", *(f"{z:g} m: {', '.join(LAYERS)}" for z in distances_m)]
+    rows = [[scene, *(_errors_text(total[scene, z]) for z in distances_m)] for scene in SCENES]
     return ExperimentResult(
-        key="scenes",
-        title="Hard scenes",
-        text=description(__doc__),
-        findings=[
-            Finding(
-                "Question: the receiver accepts no codeword that was not sent.",
-                f"{false} false codewords, {sent} sent.",
-                verdict_of(not false),
-            )
-        ],
-        tables=[
-            Table("Codewords wrong of sent", ["scene", *(f"{z:g} m: {', '.join(LAYERS)}" for z in distances_m)], rows)
-        ],
+        findings=[Finding(claim, f"{false} false codewords, {sent} sent.", verdict_of(not false))],
+        tables=[Table("Codewords wrong of sent", head, rows)],
         data={f"{scene}, {z:g} m": counts.to_plain() for (scene, z), counts in total.items()},
     )
+
+
+def _errors_text(counts: BlockCounts) -> str:
+    """Wrong and sent codewords of each layer."""
+    return " ".join(f"{layer.codeword_errors}/{layer.codewords}" for layer in counts.layers.values())

@@ -6,44 +6,26 @@ filmed at rest. A cell is read as lit if the mean luminance at the 16 LEDs excee
 
 from heliograph.experiments import plots
 from heliograph.experiments.patterns.received import led_points, luminance_at, static_frame
-from heliograph.experiments.report import (
-    Context,
-    ExperimentResult,
-    Finding,
-    Table,
-    description,
-    interval_text,
-    verdict_of,
-)
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, interval_text, verdict_of
 from heliograph.measure.statistics import Count
 from heliograph.signal.header import IDENTITIES, header_cells, header_levels
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence, periodic_correlation
 
-DISTANCES_M = (10.0, 25.0, 50.0, 80.0, 150.0)
-
 
 def run(context: Context) -> ExperimentResult:
     """Film headers and read the cells."""
-    identities = range(0, IDENTITIES, 3 if context.quick else 1)
-    wrong = {z: _wrong_cells(z, identities, context.seed) for z in DISTANCES_M}
+    identities, distances_m = range(0, IDENTITIES, 3 if context.quick else 1), (10.0, 25.0, 50.0, 80.0, 150.0)
+    wrong = {z: _wrong_cells(z, identities, context.seed) for z in distances_m}
     levels = header_levels(0)
-    images = [levels * 63, *(static_frame(z, levels, context.seed)[0].pixels for z in DISTANCES_M[:4])]
-    names = ["sent", *(f"received at {z:g} m" for z in DISTANCES_M[:4])]
+    images = [levels * 63, *(static_frame(z, levels, context.seed)[0].pixels for z in distances_m[:4])]
+    names = ["sent", *(f"received at {z:g} m" for z in distances_m[:4])]
+    rows = [[f"{z:g} m", str(c.errors), str(c.trials), interval_text(c, ".2%")] for z, c in wrong.items()]
+    head = ["distance", "wrong", "of", "95 % interval"]
+    caption = "The header of identity 0; Fig. 7 of the paper has another layout."
     return ExperimentResult(
-        key="fig7",
-        title="Fig. 7: the header",
-        text=description(__doc__),
         findings=[_autocorrelation(), _received(wrong[25.0])],
-        pictures=[
-            (plots.image_row(images, names), "The header of identity 0; Fig. 7 of the paper has another layout.")
-        ],
-        tables=[
-            Table(
-                "Cells of the header read wrong, one frame each",
-                ["distance", "wrong", "of", "95 % interval"],
-                [[f"{z:g} m", str(c.errors), str(c.trials), interval_text(c, ".2%")] for z, c in wrong.items()],
-            )
-        ],
+        pictures=[(plots.image_row(images, names), caption)],
+        tables=[Table("Cells of the header read wrong, one frame each", head, rows)],
         data={"wrong_cells": {f"{z:g} m": [c.errors, c.trials] for z, c in wrong.items()}},
     )
 
@@ -66,10 +48,10 @@ def _received(wrong: Count) -> Finding:
     )
 
 
-def _wrong_cells(distance: float, identities: range, seed: int) -> Count:
+def _wrong_cells(distance_m: float, identities: range, seed: int) -> Count:
     count = Count()
     for number in identities:
-        frame, truth = static_frame(distance, header_levels(number), seed + number)
+        frame, truth = static_frame(distance_m, header_levels(number), seed + number)
         light = luminance_at(frame, led_points(truth))
         lit = light.reshape(4, 4, 4, 4).mean((1, 3)) > light.mean()
         count.add(16, int((lit != (header_cells(number) > 0)).sum()))

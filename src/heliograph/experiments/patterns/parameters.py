@@ -4,10 +4,10 @@ Data rates are those of the light: bits of a data pattern over time, inverses in
 left out unless stated.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.experiments.tracking.experiment import rates
 from heliograph.link.settings import LinkSettings, load_settings
 
@@ -17,30 +17,26 @@ class Parameter:
     """Parameter of the paper and of the preset."""
 
     name: str
-    # Value of the paper in `unit`, or a text
-    paper: float | str
+    # Value of the paper in `unit`
+    paper: float
     unit: str
     # Value of the preset in the same unit
-    ours: Callable[[LinkSettings], float | str]
+    ours: Callable[[LinkSettings], float]
 
     def equal(self, link: LinkSettings) -> bool:
-        """True if texts agree, or numbers to 0.1 %."""
-        ours = self.ours(link)
-        if isinstance(ours, str) or isinstance(self.paper, str):
-            return ours == self.paper
-        return abs(ours - self.paper) <= 1e-3 * abs(self.paper)
+        """True if the values agree to 0.1 %."""
+        return abs(self.ours(link) - self.paper) <= 1e-3 * abs(self.paper)
 
     def cells(self, link: LinkSettings) -> list[str]:
         """Name, both values, and the agreement."""
-        values = (v if isinstance(v, str) else f"{v:.6g}" for v in (self.paper, self.ours(link)))
-        return [self.name, *(f"{v} {self.unit}".strip() for v in values), "yes" if self.equal(link) else "no"]
+        values = (f"{v:.6g} {self.unit}".strip() for v in (self.paper, self.ours(link)))
+        return [self.name, *values, "yes" if self.equal(link) else "no"]
 
 
 CAMERA = (
     Parameter("focal length", 35.0, "mm", lambda s: 1e3 * s.channel.camera.focal_m),
     Parameter("frame rate used, of 60 to 16000", 1000.0, "fps", lambda s: s.channel.camera.fps),
     Parameter("pixel (FASTCAM-1280PCI)", 12.0, "um", lambda s: 1e6 * s.channel.camera.pixel_m),
-    Parameter("fits within 1280 x 1024 pixels", "yes", "", lambda s: "yes" if _fits(s) else "no"),
 )
 """Table I; the pixel is that of the camera model."""
 
@@ -52,11 +48,11 @@ EXPERIMENT = (
     Parameter("turbo code rate, middle layer", 1 / 3, "", lambda s: s.signal.rate.middle),
     Parameter("turbo code rate, low layer", 1 / 3, "", lambda s: s.signal.rate.low),
     Parameter("focal length", 35.0, "mm", lambda s: 1e3 * s.channel.camera.focal_m),
-    Parameter("resolution, across", 1024.0, "px", lambda s: float(s.channel.camera.width)),
-    Parameter("resolution, down", 512.0, "px", lambda s: float(s.channel.camera.height)),
+    Parameter("resolution, across", 1024.0, "px", lambda s: s.channel.camera.width),
+    Parameter("resolution, down", 512.0, "px", lambda s: s.channel.camera.height),
     Parameter("distance, from", 80.0, "m", lambda s: s.channel.distance_m),
     Parameter("distance, to", 25.0, "m", lambda s: s.channel.stop_m),
-    Parameter("LEDs in a row", 16.0, "", lambda s: float(s.signal.side)),
+    Parameter("LEDs in a row", 16.0, "", lambda s: s.signal.side),
     Parameter("LED spacing", 20.0, "mm", lambda s: 1e3 * s.channel.emitter.pitch_m),
     Parameter("half-value angle", 22.6, "deg", lambda s: s.channel.emitter.half_angle_deg),
 )
@@ -65,46 +61,44 @@ EXPERIMENT = (
 
 def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experiment takes a context
     """Compare the preset with the paper."""
-    link, by_tracking = load_settings("paper"), rates()
-    tables = {"Table I": CAMERA, "Table II, and the array": EXPERIMENT}
+    link = load_settings("paper")
+    tables = [[row.cells(link) for row in rows] for rows in (CAMERA, EXPERIMENT)]
+    camera = link.channel.camera
+    fits = "yes" if camera.width <= 1280 and camera.height <= 1024 else "no"
+    tables[0].append(["fits within 1280 x 1024 pixels", "yes", fits, fits])
     unset = [
         ["lens diaphragm", "11", "in the level of the light and the blur"],
         ["focus of the lens", "infinity", "in the blur"],
         ["sensor type", "CMOS", "global shutter"],
     ]
+    by_tracking = [[r.method, str(r.bits), f"{r.kb_s:g}", f"{r.kb_s:g}"] for r in rates()]
+    head = ["name", "paper", "preset", "equal"]
     return ExperimentResult(
-        key="tables",
-        title="Tables I and II, data rates",
-        text=description(__doc__),
-        findings=judge(link),
+        findings=[
+            _agreement("Table I: the camera.", tables[0]),
+            _agreement("Table II: the experiment's parameters.", tables[1]),
+            *_judge_rates(link),
+        ],
         tables=[
-            *(
-                Table(title, ["name", "paper", "preset", "equal"], [row.cells(link) for row in rows])
-                for title, rows in tables.items()
-            ),
+            Table("Table I", head, tables[0]),
+            Table("Table II, and the array", head, tables[1]),
             Table("Values with no setting", ["name", "paper", "here"], unset),
             Table(
                 "Data rate by tracking method",
                 ["tracking", "bits a pattern", "bits a pattern shown", "kb/s"],
-                [[r.method, str(r.bits), f"{r.per_slot:g}", f"{r.kb_s:g}"] for r in by_tracking],
+                by_tracking,
             ),
         ],
-        data={
-            "table1": [row.cells(link) for row in CAMERA],
-            "table2": [row.cells(link) for row in EXPERIMENT],
-            "rates_kb_s": {r.method: r.kb_s for r in by_tracking},
-        },
+        data={"table1": tables[0], "table2": tables[1], "rates_kb_s": {r.method: r.kb_s for r in rates()}},
     )
 
 
-def judge(link: LinkSettings) -> list[Finding]:
-    """Compare parameters and data rates with the paper."""
+def _judge_rates(link: LinkSettings) -> list[Finding]:
+    """Compare the data rates with the paper."""
     rate, signal = net_kb_s(link), link.signal
     data_rate = rate * 2 * signal.data_pairs / signal.packet_patterns
     information = data_rate * (signal.rate.high + 2 * signal.rate.middle + signal.rate.low) / 4
     return [
-        _agreement("Table I: the camera.", CAMERA, link),
-        _agreement("Table II: the experiment's parameters.", EXPERIMENT, link),
         Finding(
             "Table II: 128 kb/s in the static experiment.",
             f"{signal.side**2} bits a pair, {0.5 / signal.pattern_period_s:g} pairs a second: {rate:g} kb/s; with the "
@@ -126,12 +120,8 @@ def net_kb_s(link: LinkSettings) -> float:
     return link.signal.side**2 * 0.5 / link.signal.pattern_period_s / 1000
 
 
-def _fits(link: LinkSettings) -> bool:
-    return link.channel.camera.width <= 1280 and link.channel.camera.height <= 1024
-
-
-def _agreement(claim: str, rows: tuple[Parameter, ...], link: LinkSettings) -> Finding:
-    off = [row.name for row in rows if not row.equal(link)]
-    rest = f"; not: {', '.join(off)}." if off else "."
-    text = f"{len(rows) - len(off)} of {len(rows)} values of the preset are the paper's{rest}"
-    return Finding(claim, text, verdict_of(not off))
+def _agreement(claim: str, rows: Sequence[Sequence[str]]) -> Finding:
+    unequal = [row[0] for row in rows if row[-1] == "no"]
+    rest = f"; not: {', '.join(unequal)}." if unequal else "."
+    text = f"{len(rows) - len(unequal)} of {len(rows)} values of the preset are the paper's{rest}"
+    return Finding(claim, text, verdict_of(not unequal))

@@ -5,34 +5,31 @@ m no LED saturates the sensor. The summed luminance of the array in the frame, m
 the integral of equation (6); results are relative to level 4.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from heliograph.channel import film
+from heliograph.base.arrays import Floats
 from heliograph.experiments import plots
-from heliograph.experiments.links import centred_link
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
+from heliograph.experiments.links import centred_link, film_at_rest
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.signal import pwm
 from heliograph.signal.settings import SignalSettings
 
 LEVELS = np.arange(5, dtype=np.uint8)
 
-Luminances = Mapping[float, NDArray[np.float64]]
+Luminances = Mapping[float, Floats]
 """Luminance by level of each film, (films, 5) relative to level 4, by exposure in s."""
 
 
 def run(context: Context) -> ExperimentResult:
-    """Draw the waveforms and film each level."""
-    luminances = measure(range(context.seed, context.seed + (4 if context.quick else 40)))
+    """Draw the waveforms, and film each level with each exposure."""
+    seeds = range(context.seed, context.seed + (4 if context.quick else 40))
+    luminances = {tau: np.array([filmed(tau, seed) for seed in seeds]) for tau in (1e-3, 0.5e-3)}
     rows = [[f"{1e3 * tau:g} ms", *(f"{v:.3f}" for v in rows.mean(0))] for tau, rows in luminances.items()]
     return ExperimentResult(
-        key="fig4",
-        title="Fig. 4: pulse width modulation",
-        text=description(__doc__),
         findings=judge(luminances),
         pictures=[(_waveforms(), "Light of an LED by level over a pattern and the inverse; orange: open shutter.")],
         tables=[Table("Luminance by level, relative to level 4", ["exposure", *map(str, LEVELS)], rows)],
@@ -40,27 +37,23 @@ def run(context: Context) -> ExperimentResult:
     )
 
 
-def measure(seeds: Sequence[int]) -> Luminances:
-    """Film each level with each exposure."""
-    return {tau: np.array([filmed(tau, seed) for seed in seeds]) for tau in (1e-3, 0.5e-3)}
-
-
 def judge(luminances: Luminances) -> list[Finding]:
     """Check that the luminance grows with the level for both exposures."""
     full, half = luminances.values()
-    off = np.abs(full.mean(0) - LEVELS / 4).max()
+    deviation = np.abs(full.mean(0) - LEVELS / 4).max()
     # a step is lost below half of the nominal size
     lost = int((np.diff(half.mean(0)) < 0.5 / 4).sum())
+    full_text, half_text = (", ".join(f"{v:.3f}" for v in part.mean(0)) for part in (full, half))
     return [
         Finding(
             "Fig. 4: an LED lit for a fraction of T_b has that fraction of the luminance.",
-            f"Levels 0 to 4 give {_numbers(full.mean(0))} of the light ({len(full)} films of each); largest "
-            f"deviation from a straight line {off:.2%}, from film to film {full.std(0).max():.2%}.",
-            verdict_of(bool(off < 0.02)),
+            f"Levels 0 to 4 give {full_text} of the light ({len(full)} films of each); largest "
+            f"deviation from a straight line {deviation:.2%}, from film to film {full.std(0).max():.2%}.",
+            verdict_of(bool(deviation < 0.02)),
         ),
         Finding(
             "Section II-B allows an exposure shorter than T_b.",
-            f"With half of T_b, and slots lit from the first on, levels 0 to 4 give {_numbers(half.mean(0))}: "
+            f"With half of T_b, and slots lit from the first on, levels 0 to 4 give {half_text}: "
             f"{lost} of 4 steps between levels are lost.",
             verdict_of(not lost),
             "PWM needs an exposure of T_b: levels that differ after the exposure look alike." if lost else "",
@@ -68,19 +61,14 @@ def judge(luminances: Luminances) -> list[Finding]:
     ]
 
 
-def filmed(exposure_s: float, seed: int) -> NDArray[np.float64]:
+def filmed(exposure_s: float, seed: int) -> Floats:
     """Luminance of the array at each level, minus the dark array, relative to level 4."""
     rng = np.random.default_rng(seed)
-    settings = centred_link(60.0, rng).channel
-    settings = replace(settings, duration_s=5e-3, camera=replace(settings.camera, exposure_s=exposure_s))
-    patterns = [np.full((16, 16), level, np.uint8) for level in LEVELS]
-    frames = [f for f, _ in film(settings, [patterns], rng, pattern_period_s=1e-3, roi_margin_px=4)]
-    light = np.array([frame.pixels.sum(dtype=float) for frame in frames])
+    channel = centred_link(60.0, rng).channel
+    channel = replace(channel, camera=replace(channel.camera, exposure_s=exposure_s))
+    shots = film_at_rest(channel, [np.full((16, 16), level, np.uint8) for level in LEVELS], rng, margin_px=4)
+    light = np.array([frame.pixels.sum(dtype=float) for frame, _ in shots])
     return np.asarray((light - light[0]) / (light[4] - light[0]))
-
-
-def _numbers(values: NDArray[np.float64]) -> str:
-    return ", ".join(f"{v:.3f}" for v in values)
 
 
 @plots.styled

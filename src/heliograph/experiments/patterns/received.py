@@ -7,41 +7,43 @@ of 15 %.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
-from heliograph.channel import ArrayTruth, film
+from heliograph.channel import ArrayTruth
 from heliograph.experiments import plots
-from heliograph.experiments.links import centred_link
-from heliograph.experiments.report import Context, ExperimentResult, Finding, description, verdict_of
+from heliograph.experiments.links import centred_link, film_at_rest
+from heliograph.experiments.report import Context, ExperimentResult, Finding, verdict_of
 from heliograph.receive import Pose
 from heliograph.receive.decode import kernels
 from heliograph.signal import haar
 
-NEAR_M, FAR_M = 10.0, 70.0
-
 RESOLVED = (1 - 0.735) / (1 + 0.735)
 """Rayleigh contrast of two lights just resolved: the middle has 73.5 % of the peak luminance."""
-
-Contrasts = Mapping[float, Sequence[float]]
-"""Contrast of each frame, by distance in m."""
 
 
 def run(context: Context) -> ExperimentResult:
     """Film the array at near and far distances."""
-    contrasts = measure(range(2 if context.quick else 20))
+    seeds, on = range(2 if context.quick else 20), np.full((16, 16), 4, np.uint8)
+    distances_m = (10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
+    contrasts = {z: [contrast(*static_frame(z, on, seed)) for seed in seeds] for z in distances_m}
     data = haar.encode(np.random.default_rng(context.seed).choice([-1, 1], (16, 16)))
-    images = [static_frame(z, levels, 0)[0].pixels for z in (NEAR_M, FAR_M) for levels in (data, np.full_like(data, 4))]
-    names = [f"{z:g} m, {pattern}" for z in (NEAR_M, FAR_M) for pattern in ("data", "all on")]
+    shown = [(z, name, levels) for z in (10.0, 70.0) for name, levels in (("data", data), ("all on", on))]
+    images = [static_frame(z, levels, 0)[0].pixels for z, _, levels in shown]
+    near, far = np.array(contrasts[10.0]), np.array(contrasts[70.0])
+    finding = Finding(
+        "Fig. 3: single LEDs are resolved at 10 m and run together at 70 m.",
+        f"Contrast between LEDs and gaps {near.mean():.0%} at 10 m ({(near > RESOLVED).sum()} of {near.size} "
+        f"frames above {RESOLVED:.0%}), {far.mean():.1%} at 70 m ({(far > RESOLVED).sum()} of {far.size}).",
+        verdict_of(bool((near > RESOLVED).all() and (far < RESOLVED).all())),
+    )
+    names = [f"{z:g} m, {name}" for z, name, _ in shown]
     return ExperimentResult(
-        key="fig3",
-        title="Fig. 3: received image",
-        text=description(__doc__),
-        findings=[judge(contrasts)],
+        findings=[finding],
         pictures=[
             (plots.image_row(images, names), "Camera image of the array, pixel for pixel."),
             (_contrast_plot(contrasts), "Contrast of single LEDs by distance; dashed: Rayleigh limit."),
@@ -50,34 +52,13 @@ def run(context: Context) -> ExperimentResult:
     )
 
 
-def measure(seeds: Sequence[int]) -> Contrasts:
-    """Contrast of single LEDs in each frame, by distance in m."""
-    on = np.full((16, 16), 4, np.uint8)
-    distances = (10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
-    return {z: [contrast(*static_frame(z, on, seed)) for seed in seeds] for z in distances}
-
-
-def judge(contrasts: Contrasts) -> Finding:
-    """Check that all near frames resolve single LEDs and no far frame does."""
-    near, far = (np.array(contrasts[z]) for z in (NEAR_M, FAR_M))
-    return Finding(
-        "Fig. 3: single LEDs are resolved at 10 m and run together at 70 m.",
-        f"Contrast between LEDs and gaps {near.mean():.0%} at {NEAR_M:g} m ({(near > RESOLVED).sum()} of {near.size} "
-        f"frames above {RESOLVED:.0%}), {far.mean():.1%} at {FAR_M:g} m ({(far > RESOLVED).sum()} of {far.size}).",
-        verdict_of(bool((near > RESOLVED).all() and (far < RESOLVED).all())),
-    )
-
-
 def static_frame(distance_m: float, levels: NDArray[np.uint8], seed: int) -> tuple[Frame, ArrayTruth]:
     """Frame and truth of a steady pattern near the sensor centre."""
-    settings = centred_link(distance_m, np.random.default_rng([seed, round(distance_m)]))
-    channel = replace(settings.channel, duration_s=1e-3)
-    frames = film(channel, [[levels]], np.random.default_rng(seed), pattern_period_s=1e-3, roi_margin_px=6)
-    frame, truth = next(iter(frames))
-    return frame, truth.arrays[0]
+    channel = centred_link(distance_m, np.random.default_rng([seed, round(distance_m)])).channel
+    return film_at_rest(channel, [levels], np.random.default_rng(seed))[0]
 
 
-def luminance_at(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def luminance_at(frame: Frame, points: Floats) -> Floats:
     """Luminance in gray levels at (..., 2) points on the sensor, by cubic interpolation."""
     flat = np.ascontiguousarray((points - np.array(frame.origin)).reshape(-1, 2))
     out = np.empty(len(flat))
@@ -85,7 +66,7 @@ def luminance_at(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float6
     return out.reshape(points.shape[:-1])
 
 
-def led_points(truth: ArrayTruth) -> NDArray[np.float64]:
+def led_points(truth: ArrayTruth) -> Floats:
     """True image points of the LEDs, (16, 16, 2) x and y in px."""
     return Pose(truth.x, truth.y, truth.pitch_px, truth.roll_rad).leds(16)
 
@@ -100,7 +81,7 @@ def contrast(frame: Frame, truth: ArrayTruth) -> float:
 
 
 @plots.styled
-def _contrast_plot(contrasts: Contrasts) -> Figure:
+def _contrast_plot(contrasts: Mapping[float, Sequence[float]]) -> Figure:
     figure = Figure(figsize=(7, 3.4))
     axes = figure.add_subplot(xlabel="distance (m)", ylabel="contrast of single LEDs", ylim=(-0.05, 1))
     axes.plot(list(contrasts), [np.mean(v) for v in contrasts.values()], "o-")

@@ -10,12 +10,12 @@ each symbol if the adjacent pairs are known. Header: largest contrast of the hea
 """
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description
+from heliograph.experiments.report import Table
 from heliograph.receive.sync import combine as partial_exposure
 from heliograph.receive.sync.combine import Combination, combine_pair
 
@@ -57,8 +57,7 @@ def timing_loss(rate: float, exposure: float, phase: float) -> TimingLoss:
     with np.errstate(divide="ignore"):
         loss = float(20 * np.log10(rows[:, 1] / rows[:, 0]).max())
     slope, noise, around, rest, bits = map(float, rows.mean(0))
-    header = _header(rate, exposure, phase)
-    return TimingLoss(rate, exposure, phase, slope, noise, loss, around, rest, bits, header)
+    return TimingLoss(rate, exposure, phase, slope, noise, loss, around, rest, bits, _header(rate, exposure, phase))
 
 
 def _row(combination: Combination | None) -> Floats:
@@ -87,29 +86,6 @@ def table(losses: Iterable[TimingLoss]) -> Table:
     """Table with a row per case and phase."""
     head = ("rate", "exposure", "phase", "slope", "noise", "loss (dB)", "around", "rest", "bits", "header")
     forms = {"rate": "g", "loss_db": ".1f"}
-    rows = [
-        [format(getattr(loss, field.name), forms.get(field.name, ".2f")) for field in fields(loss)] for loss in losses
-    ]
+    columns = [(field.name, forms.get(field.name, ".2f")) for field in fields(TimingLoss)]
+    rows = [[format(getattr(loss, name), form) for name, form in columns] for loss in losses]
     return Table("The best combination for a pair", head, rows)
-
-
-def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experiment takes a context
-    """Compute all cases."""
-    losses = measure()
-    worst = max((loss for loss in losses if loss.rate == loss.exposure == 1), key=lambda loss: loss.loss_db)
-    return ExperimentResult(
-        key="timing-loss",
-        title="Loss of an unsynchronised camera",
-        text=description(__doc__),
-        findings=[
-            Finding(
-                "Question: the loss of frames across two patterns.",
-                f"With one frame per pattern and a full exposure, at most {worst.loss_db:.1f} dB, at a phase of "
-                f"{worst.phase:.1f} T_b.",
-                "shown",
-            )
-        ],
-        tables=[table(losses)],
-        # JSON has neither infinity nor NaN
-        data={"cases": [{k: v if np.isfinite(v) else None for k, v in asdict(loss).items()} for loss in losses]},
-    )

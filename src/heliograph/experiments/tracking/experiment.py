@@ -31,7 +31,7 @@ from matplotlib.figure import Figure
 
 from heliograph.base.arrays import Floats
 from heliograph.experiments import plots
-from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, description, verdict_of
+from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.experiments.tracking.runs import KNOWN, OURS, TRACKERS, TrackingFilm, TrackingRun, run_trackers
 from heliograph.experiments.tracking.trackers import known_leds
 from heliograph.link.settings import load_settings
@@ -64,7 +64,7 @@ ScoreTable = Mapping[str, Mapping[str, TrackingScore]]
 """Scores by film and tracker."""
 
 
-def scores(runs: Sequence[TrackingRun]) -> dict[str, dict[str, TrackingScore]]:
+def scores(runs: Sequence[TrackingRun]) -> ScoreTable:
     """Score all trackers, by film and tracker."""
     return {run.name: {name: score(run, errors) for name, errors in run.errors.items()} for run in runs}
 
@@ -99,7 +99,7 @@ def _shake(run: TrackingRun, errors: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(np.concatenate(rests) ** 2, axis=1)))) if rests else 0.0
 
 
-def pictures(runs: Sequence[TrackingRun]) -> list[tuple[Figure, str]]:
+def _pictures(runs: Sequence[TrackingRun]) -> list[tuple[Figure, str]]:
     """Cut-outs without and with tracking in the first film, and the errors in all films."""
     shown = runs[0]
     names = [f"{time:.2f} s" for time, _ in shown.cuts]
@@ -141,14 +141,9 @@ class TrackingRate:
     inverse: bool = True
 
     @property
-    def per_slot(self) -> float:
-        """Data bits per shown pattern, inverses included."""
-        return self.bits / (2 if self.inverse else 1)
-
-    @property
     def kb_s(self) -> float:
-        """Data rate in kb/s at 1000 patterns/s, headers and code left out."""
-        return self.per_slot
+        """Data bits per shown pattern, or kb/s at 1000 patterns/s, inverses included, headers and code left out."""
+        return self.bits / (2 if self.inverse else 1)
 
 
 def rates(lost: int | None = None) -> list[TrackingRate]:
@@ -167,39 +162,48 @@ def rates(lost: int | None = None) -> list[TrackingRate]:
 
 def findings(table: ScoreTable, dark: Mapping[str, Mapping[str, Sequence[str]]], *, full: bool = True) -> list[Finding]:
     """Judge all claims; `dark` maps a condition to dark films and counterparts by day."""
+    other = {
+        BACKGROUND: "The background's motion with no help from later headers.",
+        KNOWN: "Tracking by known LEDs (64 of 256 lit), each frame separately.",
+        "OpenCV MIL": "A general tracker: OpenCV's TrackerMIL, fed with the sums of pairs.",
+        "OpenCV template": "Another: template matching, fed with the sums of pairs.",
+    }
     return [
         _without_tracking(table, full),
         _with_tracking(table),
         *(_background(table, condition, films) for condition, films in dark.items()),
         _dark(table, [film for films in dark.values() for film in films]),
         rate_finding(rates()),
-        _shown(table, BACKGROUND, "The background's motion with no help from later headers."),
-        _shown(table, KNOWN, "Tracking by known LEDs (64 of 256 lit), each frame separately."),
-        _shown(table, "OpenCV MIL", "A general tracker: OpenCV's TrackerMIL, fed with the sums of pairs."),
-        _shown(table, "OpenCV template", "Another: template matching, fed with the sums of pairs."),
+        *(Finding(claim, _by_film(table, name, _errors_text), "shown") for name, claim in other.items()),
     ]
 
 
+def _by_film(table: ScoreTable, name: str, text: Callable[[TrackingScore], str]) -> str:
+    """Text of a tracker for each film."""
+    return "; ".join(f"{film}: {text(row[name])}" for film, row in table.items()) + "."
+
+
+def _errors_text(s: TrackingScore) -> str:
+    return f"rms {s.rms_px:.3f} px, 99.9 % {s.q999_px:.3f} px, {s.lost} of {s.pairs} pairs lost"
+
+
 def _without_tracking(table: ScoreTable, full: bool) -> Finding:
-    parts = {film: row["none"] for film, row in table.items()}
-    stays = [film for film, s in parts.items() if not s.lost]
+    stays = [film for film, row in table.items() if not row["none"].lost]
     rest = "" if full else " The films cover a part of the drive."
     return Finding(
         "Fig. 11: without tracking, the array moves out of the cut-out.",
-        _list({film: f"partly out in {s.lost} of {s.pairs} pairs" for film, s in parts.items()}),
+        _by_film(table, "none", lambda s: f"partly out in {s.lost} of {s.pairs} pairs"),
         verdict_of(not stays if full or not stays else None),
         f"It stays inside in: {', '.join(stays)}.{rest}" if stays else "",
     )
 
 
 def _with_tracking(table: ScoreTable) -> Finding:
-    parts = {film: row[OURS] for film, row in table.items()}
     # the array counts as centred if 99.9 % of the pairs are within 1 px
-    bad = [film for film, s in parts.items() if s.lost or s.q999_px > 1]
-    texts = {f: f"99.9 % of {s.pairs} pairs within {s.q999_px:.3f} px, {s.lost} lost" for f, s in parts.items()}
+    bad = [film for film, row in table.items() if row[OURS].lost or row[OURS].q999_px > 1]
     return Finding(
         "Fig. 12: with tracking by inverted signals, the array is reliably captured in the middle of the cut-out.",
-        _list(texts),
+        _by_film(table, OURS, lambda s: f"99.9 % of {s.pairs} pairs within {s.q999_px:.3f} px, {s.lost} lost"),
         verdict_of(not bad),
         f"More than 1 px off, or lost, in: {', '.join(bad)}." if bad else "",
     )
@@ -219,25 +223,29 @@ def _background(table: ScoreTable, condition: str, films: Mapping[str, Sequence[
     if works:
         rest = f"it fails in: {', '.join(failed)}." if failed else "it fails in none."
         why.append(f"It still removes more than half of the vibration in: {', '.join(works)}; {rest}")
-    texts = {
-        film: f"{table[film][BACKGROUND].shake_px:.3f} of {table[film]['none'].shake_px:.3f} px vibration left "
+    texts = [
+        f"{film}: {table[film][BACKGROUND].shake_px:.3f} of {table[film]['none'].shake_px:.3f} px vibration left "
         f"({fraction:.0%}), {table[film][BACKGROUND].pairs} pairs"
         for film, fraction in left.items()
-    }
+    ]
     return Finding(
         f"IV.B.2: the motion vector of the background cannot track {condition}, as there is no background light.",
-        _list(texts),
+        f"{'; '.join(texts)}.",
         verdict_of(None if not judged or (works and failed) else not works),
         " ".join(why),
     )
 
 
-def _dark(table: ScoreTable, films: list[str]) -> Finding:
-    parts = {film: table[film][OURS] for film in films}
-    bad = [f"{f} (99.9 % within {s.q999_px:.3f} px, {s.lost} lost)" for f, s in parts.items() if s.near < s.pairs]
+def _dark(table: ScoreTable, films: Sequence[str]) -> Finding:
+    dark = {film: table[film] for film in films}
+    bad = [
+        f"{film} (99.9 % within {row[OURS].q999_px:.3f} px, {row[OURS].lost} lost)"
+        for film, row in dark.items()
+        if row[OURS].near < row[OURS].pairs
+    ]
     return Finding(
         "IV.B: inverted signals solve this problem: they need no background.",
-        _list({film: f"{s.near} of {s.pairs} pairs within {NEAR_PX:g} px" for film, s in parts.items()}),
+        _by_film(dark, OURS, lambda s: f"{s.near} of {s.pairs} pairs within {NEAR_PX:g} px"),
         verdict_of(not bad),
         f"Not all pairs in: {', '.join(bad)}." if bad else "",
     )
@@ -256,24 +264,11 @@ def rate_finding(table: list[TrackingRate]) -> Finding:
         "IV.B: a known tracking pattern takes LEDs from the data; inverted signals use all LEDs, so the data rate is "
         "higher.",
         f"Known pattern: {256 - known.bits} of 256 bits a pattern lost, {known.bits} left, {known.kb_s:g} kb/s; "
-        f"inverted signals: 256 bits a pair, {ours.per_slot:g} a pattern shown, {ours.kb_s:g} kb/s; a known pattern "
+        f"inverted signals: 256 bits a pair, {ours.kb_s:g} a pattern shown, {ours.kb_s:g} kb/s; a known pattern "
         f"whose patterns are inverted all the same, against flicker and background: {both.kb_s:g} kb/s.",
         verdict_of(holds),
         "" if holds else why,
     )
-
-
-def _shown(table: ScoreTable, name: str, claim: str) -> Finding:
-    parts = {film: row[name] for film, row in table.items()}
-    texts = {
-        film: f"rms {s.rms_px:.3f} px, 99.9 % {s.q999_px:.3f} px, {s.lost} of {s.pairs} pairs lost"
-        for film, s in parts.items()
-    }
-    return Finding(claim, _list(texts), "shown")
-
-
-def _list(texts: dict[str, str]) -> str:
-    return "; ".join(f"{film}: {text}" for film, text in texts.items()) + "."
 
 
 DAY, NIGHT = "drawn scene", "no light"
@@ -290,11 +285,8 @@ def run(context: Context) -> ExperimentResult:
         "at night": {NIGHT: [DAY], **night_clips(context.clips)},
     }
     return ExperimentResult(
-        key="fig11",
-        title="Fig. 11 and 12: tracking",
-        text=description(__doc__),
         findings=findings(table, dark, full=not context.quick),
-        pictures=pictures(runs),
+        pictures=_pictures(runs),
         tables=tables(table),
         data={
             "scores": {film: {name: asdict(s) for name, s in row.items()} for film, row in table.items()},
@@ -312,58 +304,50 @@ def night_clips(clips: Iterable[str]) -> dict[str, list[str]]:
 
 def _films(context: Context) -> list[TrackingFilm]:
     """The drive with a drawn scene, at small apertures, at night, and with each clip."""
-    drawn = {"kind": "synthetic"}
     backgrounds: dict[str, dict[str, Any]] = {
-        DAY: drawn,
-        **{name: {**drawn, "gain": gain} for name, gain in APERTURE.items()},
+        DAY: {"kind": "synthetic"},
+        **{name: {"kind": "synthetic", "gain": gain} for name, gain in APERTURE.items()},
         NIGHT: {"kind": "flat", "level": 0.0},
     }
-    shake = {"shake": "imu"} if context.imu else {"shake": "road", "road_class": "C"}
     films = [*backgrounds.items(), *((name, {"kind": "footage"}) for name in context.clips)]
+    common = {"shake": "imu"} if context.imu else {"shake": "road", "road_class": "C"}
     # a quick run films 2 s in total
     part = {"distance_m": 50.0, "duration_s": 2.0 / len(films)} if context.quick else {}
-    return [
-        TrackingFilm(
-            name=name,
-            settings=load_settings(
-                "paper",
-                {
-                    "channel": {
-                        **shake,
-                        **part,
-                        "background": background,
-                        "emitter": {"panel_level": 0.0} if name == NIGHT else {},
-                    }
-                },
-            ),
-            seed=context.seed,
-            clip=context.clips[name] if background["kind"] == "footage" else None,
-            imu=context.imu,
-        )
-        for name, background in films
-    ]
+    out = []
+    for name, background in films:
+        emitter = {"panel_level": 0.0} if name == NIGHT else {}
+        settings = load_settings("paper", {"channel": {**common, **part, "background": background, "emitter": emitter}})
+        clip = context.clips[name] if background["kind"] == "footage" else None
+        out.append(TrackingFilm(name=name, settings=settings, seed=context.seed, clip=clip, imu=context.imu))
+    return out
 
 
 def tables(table: ScoreTable) -> list[Table]:
     """Errors by tracker and film, and the data rate of each tracking method."""
     pairs = next(iter(table.values()))[OURS].pairs
-    return [
-        _table(f"Error of the centre, rms / 99.9 % in px ({pairs} pairs a film)", table, _error_cell),
-        _table("Vibration left within a packet, rms in px", table, lambda s: f"{s.shake_px:.3f}"),
-        _table(f"Pairs within {NEAR_PX:g} px, and pairs lost", table, lambda s: f"{s.near / s.pairs:.1%}, {s.lost}"),
-        _table("Error of the pitch, rms", table, lambda s: "none" if s.pitch is None else f"{s.pitch:.2%}"),
-        Table(
-            "Data rate by tracking method: bits per pattern, halved by inverses, times 1000 patterns a second; headers "
-            "(4 of 100 patterns) and code left out",
-            ["tracking", "bits lost", "bits a pattern", "bits a pattern shown", "kb/s"],
-            [[r.method, str(256 - r.bits), str(r.bits), f"{r.per_slot:g}", f"{r.kb_s:g}"] for r in rates()],
-        ),
-    ]
-
-
-def _table(title: str, table: ScoreTable, cell: Callable[[TrackingScore], str]) -> Table:
-    rows = [[name, *(cell(row[name]) for row in table.values())] for name in TRACKERS]
-    return Table(title, ["tracker", *table], rows)
+    cells: dict[str, Callable[[TrackingScore], str]] = {
+        f"Error of the centre, rms / 99.9 % in px ({pairs} pairs a film)": _error_cell,
+        "Vibration left within a packet, rms in px": lambda s: f"{s.shake_px:.3f}",
+        f"Pairs within {NEAR_PX:g} px, and pairs lost": lambda s: f"{s.near / s.pairs:.1%}, {s.lost}",
+        "Error of the pitch, rms": lambda s: "none" if s.pitch is None else f"{s.pitch:.2%}",
+    }
+    rows = {
+        title: [[name, *(cell(row[name]) for row in table.values())] for name in TRACKERS]
+        for title, cell in cells.items()
+    }
+    title = (
+        "Data rate by tracking method: bits per pattern, halved by inverses, times 1000 patterns a second; headers "
+        "(4 of 100 patterns) and code left out"
+    )
+    columns: dict[str, Callable[[TrackingRate], str]] = {
+        "tracking": lambda rate: rate.method,
+        "bits lost": lambda rate: str(256 - rate.bits),
+        "bits a pattern": lambda rate: str(rate.bits),
+        "bits a pattern shown": lambda rate: f"{rate.kb_s:g}",
+        "kb/s": lambda rate: f"{rate.kb_s:g}",
+    }
+    by_film = [Table(name, ["tracker", *table], part) for name, part in rows.items()]
+    return [*by_film, Table.of(title, rates(), columns)]
 
 
 def _error_cell(s: TrackingScore) -> str:

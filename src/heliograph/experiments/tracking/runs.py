@@ -1,7 +1,7 @@
 """Films of a drive with different backgrounds, and all trackers on them."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -33,13 +33,13 @@ from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.geometry.window import cut_out
 
 KNOWN, OURS = "known pattern", "inverted signals"
-TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
-    "none": lambda _: NoTracking(),
+TRACKERS: Mapping[str, type[Follower]] = {
+    "none": NoTracking,
     OURS: InvertedSignals,
     KNOWN: KnownPattern,
-    "background": lambda _: BackgroundMotion(),
-    "OpenCV MIL": lambda _: MultipleInstance(),
-    "OpenCV template": lambda _: TemplateMatch(),
+    "background": BackgroundMotion,
+    "OpenCV MIL": MultipleInstance,
+    "OpenCV template": TemplateMatch,
 }
 """Trackers by name."""
 
@@ -98,27 +98,22 @@ def run_trackers(job: TrackingFilm) -> TrackingRun:
     cut_frames = [max(int(k), held[-1][0].index) for k in moments]
     others = [name for name in TRACKERS if name != KNOWN]
     rows, errors, cuts = _follow(settings, found, chain(held, pairs), others, cut_frames)
-    errors |= _follow(settings, found, _pairs(_known_film(job, recordings)), [KNOWN])[1]
+    # the same drive, scene and noise with the light of the known pattern, rendered around the array
+    known_film = film(
+        channel,
+        [known_light(settings, settings.transmit.identities[0], job.seed)],
+        np.random.default_rng(job.seed),
+        pattern_period_s=settings.signal.pattern_period_s,
+        slot_order=settings.signal.slot_order,
+        footage=recordings.footage,
+        imu=recordings.imu,
+        roi_margin_px=24,  # more than the window of a tracker on the array
+    )
+    errors |= _follow(settings, found, _pairs(known_film), [KNOWN])[1]
     times, pitch = np.array(rows).T
     packet = np.floor(times / settings.signal.packet_s + 1e-6).astype(np.int64)
     arrays = {name: np.array(errors[name]) for name in TRACKERS}
     return TrackingRun(job.name, times, settings.signal.side * pitch, packet, arrays, cuts)
-
-
-def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Frame, Truth]]:
-    """The same drive, scene and noise with the light of the known pattern, rendered around the array."""
-    settings, signal = job.settings, job.settings.signal
-    return film(
-        settings.channel,
-        [known_light(settings, settings.transmit.identities[0], job.seed)],
-        np.random.default_rng(job.seed),
-        pattern_period_s=signal.pattern_period_s,
-        slot_order=signal.slot_order,
-        footage=recordings.footage,
-        imu=recordings.imu,
-        # more than the window of a tracker on the array
-        roi_margin_px=24,
-    )
 
 
 def _pairs(frames: Iterator[tuple[Frame, Truth]]) -> Iterator[Pair]:
@@ -150,14 +145,12 @@ def _follow(
     Returns time and pitch of each pair, errors by tracker, and the sums of the first pairs from `cut_frames`
     on, cut out twice as wide as the array.
     """
-    signal, frames = settings.signal, list(cut_frames)
-    followers = {name: TRACKERS[name](settings) for name in names}
+    signal, frames, followers = settings.signal, list(cut_frames), dict[str, Follower]()
     poses, rows, cuts = dict[str, Pose](), list[tuple[float, float]](), list[Cut]()
     errors: dict[str, list[Error]] = {name: [] for name in names}
-    started = False
     for pattern, inverted, true, later in pairs:
         since = pattern.time_s - found.start_time_s
-        if started:
+        if followers:
             x, y, pitch = (0.5 * (getattr(true, n) + getattr(later, n)) for n in ("x", "y", "pitch_px"))
             rows.append((pattern.time_s, pitch))
             for name, follower in followers.items():
@@ -165,9 +158,7 @@ def _follow(
                 relative = pose.pitch / pitch - 1 if follower.sized else np.nan
                 errors[name].append((pose.x - x, pose.y - y, relative))
         elif since > -1e-9 and not is_in_header(settings, since + 2 * signal.pattern_period_s):
-            started = True
-            for follower in followers.values():
-                follower.start(found, pattern, inverted)
+            followers = {name: TRACKERS[name](settings, found, pattern, inverted) for name in names}
         if frames and pattern.index >= frames[0]:
             frames.pop(0)
             if OURS in poses:

@@ -25,14 +25,12 @@ from heliograph.signal.pwm import SLOTS
 
 
 class Follower(Protocol):
-    """Tracker of an array over pairs of frames."""
+    """Tracker of an array over pairs of frames, from a detection and the last pair of the detected header on."""
 
     # True if the tracker estimates the pitch
     sized: bool
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Start at a detection."""
-        ...
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame): ...
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
         """Estimate the pose in the middle of the next pair."""
@@ -44,8 +42,7 @@ class NoTracking:
 
     sized = False
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - the protocol
-        """Keep the pose."""
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
         self._pose = found.fit.pose
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:  # noqa: ARG002 - the protocol
@@ -58,14 +55,10 @@ class InvertedSignals:
 
     sized = True
 
-    def __init__(self, settings: LinkSettings):
-        self._settings = settings
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
+        self._settings, side = settings, settings.signal.side
         model = MotionModel(settings.signal.pattern_period_s, settings.receive.track.acceleration_px)
-        self._tracker = Tracker(settings.signal.side, model)
-
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - the protocol
-        """Start the tracker of the receiver."""
-        side = self._settings.signal.side
+        self._tracker = Tracker(side, model)
         self._weights = header_levels(found.identity, side) / 2.0 - 1.0
         self._track = self._tracker.start(found)
         self._start_s = found.start_time_s
@@ -104,10 +97,8 @@ class BackgroundMotion:
     _key: Gray
     _way: tuple[float, float]
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Choose features around the array."""
-        self._pose: Pose = found.fit.pose
-        self._side = 16 * self._pose.pitch
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
+        self._pose, self._side = found.fit.pose, 16 * found.fit.pose.pitch
         self._renew(_sum(pattern, inverted))
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
@@ -157,8 +148,7 @@ class MultipleInstance:
 
     sized = False
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Learn the array."""
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
         opencv: Any = cv2  # the type hints lack this tracker
         params = opencv.TrackerMIL_Params()
         params.samplerSearchWinSize = float(REACH_PX)
@@ -167,24 +157,22 @@ class MultipleInstance:
         self._pose, side = found.fit.pose, round(32 * found.fit.pose.pitch)
         left, top = round(self._pose.x - side / 2), round(self._pose.y - side / 2)
         # distance of the array from the corner of the box
-        self._rest = self._pose.x - left, self._pose.y - top
-        view, corner = self._view(pattern, inverted)
-        self._tracker.init(view, (left - corner[0], top - corner[1], side, side))
-        self._corner = corner
+        self._offset = self._pose.x - left, self._pose.y - top
+        self._tracker.init(_half_sum(pattern, inverted), (left, top, side, side))
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
         """Move to the box of OpenCV, if found."""
-        view, _ = self._view(pattern, inverted)
-        found, (left, top, _, _) = self._tracker.update(view)
+        found, (left, top, _, _) = self._tracker.update(_half_sum(pattern, inverted))
         if found:
-            dx, dy = (start + rest for start, rest in zip(self._corner, self._rest, strict=True))
+            dx, dy = self._offset
             self._pose = self._pose.moved(left + dx - self._pose.x, top + dy - self._pose.y)
         return self._pose
 
-    def _view(self, pattern: Frame, inverted: Frame) -> tuple[Gray, tuple[int, int]]:
-        """Half of the sum in colour, and the corner on the sensor."""
-        gray = cv2.addWeighted(pattern.pixels, 0.5, inverted.pixels, 0.5, 0)
-        return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8), pattern.origin
+
+def _half_sum(pattern: Frame, inverted: Frame) -> Gray:
+    """Half of the sum in colour."""
+    gray = cv2.addWeighted(pattern.pixels, 0.5, inverted.pixels, 0.5, 0)
+    return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 class TemplateMatch:
@@ -195,8 +183,7 @@ class TemplateMatch:
 
     sized = False
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Cut the template out."""
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
         self._pose, self._side = found.fit.pose, 2 * round(16 * found.fit.pose.pitch) + 1
         self._template = self._patch(_sum(pattern, inverted), self._side)
 
@@ -261,13 +248,9 @@ class KnownPattern:
 
     sized = True
 
-    def __init__(self, settings: LinkSettings):
-        self._settings = settings
-        self._side = settings.signal.side
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
+        self._settings, self._side = settings, settings.signal.side
         self._model = MotionModel(settings.signal.pattern_period_s, settings.receive.track.acceleration_px)
-
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - the protocol
-        """Start at the detection."""
         wider = widen_covariance(found.fit.covariance)[:POSE_SIZE, :POSE_SIZE]
         self._state = PoseState.start(found.time_s, found.fit.vector[:POSE_SIZE], wider, self._model)
         self._start_s, self._gain = found.start_time_s, found.fit.gain
@@ -278,22 +261,19 @@ class KnownPattern:
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
         """Fit the two frames separately, as there is no inverse."""
-        first, second = self._frame_pose(pattern), self._frame_pose(inverted)
-        return Pose.from_vector(0.5 * (first + second))
+        return Pose.from_vector(0.5 * (self._follow(pattern) + self._follow(inverted)))
 
-    def _frame_pose(self, frame: Frame) -> Floats:
-        if not self._lost:
-            self._follow(frame)
-        return self._state.mean[:5].copy()
-
-    def _follow(self, frame: Frame) -> None:
+    def _follow(self, frame: Frame) -> Floats:
+        """Pose vector in a frame; a lost array keeps the last pose."""
         before = self._state
-        if frame.time_s > before.time_s:
-            self._state = before.predict(frame.time_s, self._model)
-        mean, data = self._expected[self._kind(frame.time_s - self._start_s)]
-        vector, covariance = self._fit(frame, mean, data)
-        self._lost = not self._is_plausible(frame, Pose.from_vector(vector))
-        self._state = before if self._lost else self._state.condition(vector, covariance, POSE)
+        if not self._lost:
+            if frame.time_s > before.time_s:
+                self._state = before.predict(frame.time_s, self._model)
+            mean, data = self._expected[self._kind(frame.time_s - self._start_s)]
+            vector, covariance = self._fit(frame, mean, data)
+            self._lost = not self._is_plausible(frame, Pose.from_vector(vector))
+            self._state = before if self._lost else self._state.condition(vector, covariance, POSE)
+        return self._state.mean[:5].copy()
 
     def _is_plausible(self, frame: Frame, pose: Pose) -> bool:
         """True if the centre lies in the frame and the size is in range."""

@@ -1,1 +1,0 @@
-"""Error rates of other systems in the same channel."""
