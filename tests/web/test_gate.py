@@ -1,5 +1,6 @@
 import threading
 import time
+from math import inf
 
 from waiting import HANG_S
 
@@ -15,7 +16,7 @@ def test_all_frames_pass_until_it_is_stopped() -> None:
 
 def test_a_step_lets_one_frame_through_and_holds_the_next() -> None:
     gate = Gate()
-    gate.step()
+    gate.allow(1)
     assert not gate.holds
     assert gate.pass_through(0.0)
     assert gate.holds
@@ -23,18 +24,18 @@ def test_a_step_lets_one_frame_through_and_holds_the_next() -> None:
 
 def test_a_step_to_a_packet_lets_frames_through_until_it_is_read() -> None:
     gate = Gate()
-    gate.step(to_packet=True)
+    gate.allow(inf, until_packet=True)
     assert all(gate.pass_through(k) for k in range(50))
-    gate.packet_read()
+    gate.end_packet()
     assert gate.holds
 
 
 def test_a_held_frame_goes_on_when_it_is_let() -> None:
     gate, passed = Gate(), []
-    gate.pause()
+    gate.allow(0)
     waiting = threading.Thread(target=lambda: passed.append(gate.pass_through(0.0)))
     waiting.start()
-    gate.go()
+    gate.allow(inf)
     waiting.join(HANG_S)
     assert passed == [True]
 
