@@ -163,10 +163,19 @@ def test_failed_packets_of_a_film_are_received_again_by_the_command(
     assert sum(layer["failed"] for array in again["arrays"] for layer in array["layers"].values()) > 0
 
 
+Rows = list[Mapping[str, Any]]
+
+
+def reader_of(rows: Rows, folder: Path) -> PageReader:
+    request = LinkRequest(side=16, rate_hz=None)
+    recorder = FailureRecorder(folder, request.default_link.signal)
+    return PageReader(request, rows.append, recorder, Store(1, "", StoredFilm.drop))
+
+
 def test_frames_of_a_stopped_camera_are_left_after_the_deadline(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    camera, rows = CameraFrames(), list[Mapping[str, Any]]()
+    camera, rows = CameraFrames(), Rows()
     for k in range(90):
         camera.put(message(k / 20, np.full((64, 64), 90 + k % 2, np.uint8), k))
     camera.end()
@@ -179,12 +188,20 @@ def test_frames_of_a_stopped_camera_are_left_after_the_deadline(
         return push(self, frame)
 
     monkeypatch.setattr(ScreenReceiver, "push", push_until_deadline)
-    request = LinkRequest(side=16, rate_hz=15.0)
-    recorder = FailureRecorder(tmp_path, request.default_link.signal)
-    PageReader(request, rows.append, recorder, Store(1, "", StoredFilm.drop)).read_camera(camera)
+    reader_of(rows, tmp_path).read_camera(camera)
     assert len(pushed) == 10
     assert next(row["frames"] for row in rows if row["event"] == "left") == 89
     assert (rows[-1]["event"], rows[-1]["frames"]) == ("end", 10)
+
+
+def test_single_frame_after_a_gap_is_diagnosed(tmp_path: Path) -> None:
+    camera, rows = CameraFrames(), Rows()
+    for time_s, number in ((0.0, 0), (0.1, 1), (13.0, 400)):
+        camera.put(message(time_s, np.full((64, 64), 90, np.uint8), number))
+    camera.end()
+    with pytest.raises(MediaError, match="frame"):  # too few frames for a packet
+        reader_of(rows, tmp_path).read_camera(camera)
+    assert "why" in {row["event"] for row in rows}
 
 
 def test_diagnosis_follows_a_film_without_patterns(client: TestClient, tmp_path: Path) -> None:

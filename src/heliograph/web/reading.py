@@ -172,7 +172,8 @@ class PageReader:
         A window of a camera is always short, and the page counts lost frames.
         """
         self._tell({"event": "asking why"})
-        rate_hz = (len(frames) - 1) / max(frames[-1].time_s - frames[0].time_s, 1e-3)
+        # a gap of a camera may leave a single frame
+        rate_hz = max(len(frames) - 1, 1) / max(frames[-1].time_s - frames[0].time_s, 1e-3)
         film = Frames("the film", frames, rate_hz, len(frames))
         signal, receiver = settings.signal, settings.receive
         try:
