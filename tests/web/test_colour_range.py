@@ -1,7 +1,6 @@
 """Command line and pages handle the colour range equally, with or without a tag."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -52,18 +51,15 @@ def write_video(path: Path, codec: str, form: str, span: int, white: int) -> Non
         container.mux(stream.encode(None))
 
 
-def write_array(path: Path) -> None:
-    np.save(path, np.stack([picture(k, 255) for k in range(FRAMES)]))
-
-
-FILMS: dict[str, Callable[[Path], None]] = {
-    "untagged.mp4": lambda path: write_video(path, "libx264", "yuv420p", UNTAGGED, 235),
-    "limited.mp4": lambda path: write_video(path, "libx264", "yuv420p", LIMITED, 235),
-    "full.mp4": lambda path: write_video(path, "libx264", "yuv420p", FULL, 255),
-    "motion.avi": lambda path: write_video(path, "mjpeg", "yuvj420p", FULL, 255),
-    "raw.y4m": lambda path: write_video(path, "rawvideo", "yuv420p", UNTAGGED, 235),
-    "raw.avi": lambda path: write_video(path, "rawvideo", "gray", UNTAGGED, 255),
+FILMS = {
+    "untagged.mp4": ("libx264", "yuv420p", UNTAGGED, 235),
+    "limited.mp4": ("libx264", "yuv420p", LIMITED, 235),
+    "full.mp4": ("libx264", "yuv420p", FULL, 255),
+    "motion.avi": ("mjpeg", "yuvj420p", FULL, 255),
+    "raw.y4m": ("rawvideo", "yuv420p", UNTAGGED, 235),
+    "raw.avi": ("rawvideo", "gray", UNTAGGED, 255),
 }
+"""Codec, pixel format, tag and level of white."""
 
 
 @pytest.mark.parametrize("name", FILMS)
@@ -71,7 +67,7 @@ def test_probe_and_pages_see_the_same_part_at_full_scale(
     name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / name
-    FILMS[name](path)
+    write_video(path, *FILMS[name])
     run = called("probe", path, "--json", "--preset", "phone", capfd=capfd, monkeypatch=monkeypatch)
     assert json.loads(run.stdout)["levels"]["at_full_scale"] == pytest.approx(WHITE, abs=0.01)
     seen: list[Frame] = []
