@@ -1,19 +1,16 @@
-"""Headless browsers and a running server for page tests."""
+"""Headless browsers for page tests."""
 
 import base64
-import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserType, Page, expect
 from screen_films import Grabs
-from waiting import HANG_MS, HANG_S
+from waiting import HANG_MS
 
 CHROMIUM = next((found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None)
 
@@ -65,29 +62,13 @@ async ([refreshes, size]) => {
 
 
 @contextmanager
-def served(*options: str) -> Iterator[str]:
-    """Serve the pages with the command line; yield the printed address."""
-    command = [sys.executable, "-m", "heliograph", "serve", "--port", "0", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        try:
-            assert server.stdout is not None
-            said = re.search(r"http://\S+/", server.stdout.readline())
-            assert said is not None
-            yield said[0]
-        finally:
-            server.terminate()
-            server.wait(HANG_S)
-
-
-@contextmanager
-def browser(*switches: str, under: Playwright | None = None) -> Iterator[Browser]:
-    """Yield a headless browser; a second simultaneous browser shares the Playwright instance."""
-    with nullcontext(under) if under is not None else sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=[*SWITCHES, *switches])
-        try:
-            yield found
-        finally:
-            found.close()
+def browser(kind: BrowserType, *switches: str) -> Iterator[Browser]:
+    """Yield a headless browser."""
+    found = kind.launch(executable_path=CHROMIUM, headless=True, args=[*SWITCHES, *switches])
+    try:
+        yield found
+    finally:
+        found.close()
 
 
 @contextmanager
@@ -121,3 +102,10 @@ def grabbed(page: Page, seconds: float, size: int = 240) -> Grabs:
     times, data = page.evaluate(GRABBED, [round(60 * seconds), size])
     pictures = np.frombuffer(base64.b64decode(data), np.uint8).reshape(-1, size, size)
     return Grabs(np.array([*times, seconds]), np.concatenate([pictures, pictures[-1:]]))
+
+
+def check_accessibility(page: Page) -> None:
+    """Check a page with axe."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    found = axe.Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()

@@ -15,12 +15,11 @@ from parser_fuzz import mutated
 
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
-from heliograph.web.failures import MAX_BUNDLES
 from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Access
-from heliograph.web.sending import Sendings, sending_of
+from heliograph.web.sending import sending_of
 
-LIMITS = Limits(film_bytes=1 << 16, films=4, body_bytes=2048, idle_s=0.05, upload_s=1.0)
+LIMITS = Limits(film_bytes=1 << 16, films=4, idle_s=0.05, upload_s=1.0)
 """Small limits, so that cases exceed them."""
 
 LIMIT_S = 20.0
@@ -262,7 +261,7 @@ async def fuzz_films(app: FastAPI, cases: int, rng: random.Random) -> Counter[st
         if status != 201:
             found[f"{status // 100}xx"] += 1
             continue
-        name = next(reversed(app.state.shared.uploads._films))
+        name = [*app.state.shared.uploads.items()][-1]
         source = {"kind": "film", "film": name, "rate_hz": RATE_HZ if kind in ("npy", "tif") else None}
         opens = {"type": "websocket.receive", "text": json.dumps({"do": "open", "source": source})}
         try:
@@ -277,7 +276,6 @@ async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
     """Run cases with requests, messages and damaged films; fail on leftovers from aborted cases."""
     app, films = served(), round(cases * FILM_PART)
     part = (cases - films) // 3
-    app.state.shared.sendings = Sendings()
     async with app.router.lifespan_context(app):
         found = {
             "requests": await fuzz_requests(app, part, random.Random(f"requests {seed}")),
@@ -286,9 +284,9 @@ async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
             "films": await fuzz_films(app, films, random.Random(f"films {seed}")),
         }
         shared = app.state.shared
-        kept = {film.path for film in shared.uploads._films.values()} | set(shared.bundles._paths.values())
-        left = [path for path in shared.uploads.folder().iterdir() if path.is_file() and path not in kept]
-        many = len(kept) > LIMITS.films + MAX_BUNDLES
+        kept = {film.path for film in [*shared.uploads.items().values(), *shared.bundles.items().values()]}
+        left = [path for path in shared.folder.iterdir() if path not in kept]
+        many = len(kept) > LIMITS.films + 2 * LIMITS.sessions
         if left or many or shared.sessions.taken:
             found["left over"] = Counter({f"{len(left)} files, {app.state.shared.sessions.taken} sessions": 1})
     return found

@@ -6,79 +6,83 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+pytest.importorskip("playwright", reason="playwright is not installed: pip install playwright")
+
+from browsers import check_accessibility, needs_chromium, quiet_page
 from cli_runs import SMALL
+from playwright.sync_api import Browser, Page, WebSocketRoute
+from web_server import serving
 
 from heliograph.experiments.demo.drive import demo_messages
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.media import open_film
 
-axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="pip install axe-playwright-python")
-browsers = pytest.importorskip("browsers", reason="playwright is not installed: pip install playwright")
-
-pytestmark = [pytest.mark.slow, browsers.needs_chromium]
+pytestmark = [pytest.mark.slow, needs_chromium]
 
 PHONE: dict[str, Any] = {"viewport": {"width": 390, "height": 844}, "color_scheme": "dark"}
 DESK: dict[str, Any] = {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"}
 
 
 @pytest.fixture(scope="module")
-def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("films") / "demo.h5"
-    settings = load_settings("static", None, [*SMALL[3::2], "channel.duration_s=1.25"])
-    write_film(path, settings, demo_messages(settings), seed=1)
-    return path
+def films(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """A film with the messages of the demonstration, and a short film."""
+    folder, paths = tmp_path_factory.mktemp("films"), list[Path]()
+    for name, seconds in (("demo.h5", 1.25), ("short.h5", 0.35)):
+        settings = load_settings("static", None, [*SMALL[3::2], f"channel.duration_s={seconds}"])
+        write_film(folder / name, settings, demo_messages(settings), seed=1)
+        paths.append(folder / name)
+    return paths
 
 
 @pytest.fixture(scope="module")
-def address(film: Path) -> Iterator[str]:
-    with browsers.served(str(film)) as url:
-        yield url
+def address(films: list[Path]) -> Iterator[str]:
+    with serving(films) as url:
+        yield f"{url}watch"
 
 
 @pytest.fixture(scope="module")
-def found() -> Iterator[Any]:
-    with browsers.browser() as launched:
-        yield launched
+def ended(chromium: Browser, address: str) -> Iterator[Page]:
+    """The page at the end of the film."""
+    with quiet_page(chromium, address, **DESK) as page:
+        page.wait_for_selector("#named option", state="attached")
+        page.click("#open")
+        page.get_by_text("The end: 1250 frames").wait_for()
+        page.wait_for_function(
+            "document.querySelector('#picture img').naturalWidth === 96"
+        )  # the second, sharper picture
+        yield page
 
 
-def to_the_end(page: Any) -> None:
-    page.wait_for_selector("#named option", state="attached")
-    page.click("#open")
-    page.get_by_text("The end: 1250 frames").wait_for()
-    page.wait_for_timeout(300)
+def test_results_of_a_reception_are_shown_and_named(ended: Page) -> None:
+    assert ended.inner_text("#arrays tbody").startswith("array 0")
+    assert ended.locator("#packets li").count() == 12
+    assert "red for 12 s" in ended.inner_text("#messages")
+    assert "array 0 at" in (ended.get_attribute("#frame", "aria-label") or "")
+    for name in ("received", "equalised", "decided"):
+        assert "levels" in (ended.get_attribute(f"#{name}", "aria-label") or "")
+    assert "0 of" in ended.inner_text("#errors")
+    assert "following" in ended.inner_text("#stages")
 
 
 @pytest.mark.parametrize("looks", [DESK, PHONE], ids=["desk", "phone"])
-def test_all_that_was_received_is_shown_and_named(found: Any, address: str, looks: dict[str, Any]) -> None:
-    with browsers.quiet_page(found, f"{address}watch", **looks) as page:
-        to_the_end(page)
-        assert page.inner_text("#arrays tbody").startswith("array 0")
-        assert page.locator("#packets li").count() == 12
-        assert "red for 12 s" in page.inner_text("#messages")
-        assert page.evaluate("document.querySelector('#picture img').naturalWidth") == 96  # the second, sharper picture
-        assert "array 0 at" in (page.get_attribute("#frame", "aria-label") or "")
-        for name in ("received", "equalised", "decided"):
-            assert "levels" in (page.get_attribute(f"#{name}", "aria-label") or "")
-        assert "0 of" in page.inner_text("#errors")
-        assert "following" in page.inner_text("#stages")
-        assert page.evaluate("document.documentElement.scrollWidth") <= looks["viewport"]["width"]
-        assert not axe.Axe().run(page).response["violations"]
+def test_page_is_accessible_and_fits_the_screen(ended: Page, looks: dict[str, Any]) -> None:
+    ended.set_viewport_size(looks["viewport"])
+    ended.emulate_media(color_scheme=looks["color_scheme"])
+    assert ended.evaluate("document.documentElement.scrollWidth") <= looks["viewport"]["width"]
+    check_accessibility(ended)
 
 
-def test_lights_that_were_told_of_are_drawn(found: Any, address: str) -> None:
+def test_announced_traffic_lights_are_drawn(ended: Page) -> None:
     pytest.importorskip("pycrate_asn1dir", reason="the extra its is not installed")
-    with browsers.quiet_page(found, f"{address}watch", **DESK) as page:
-        to_the_end(page)
-        assert "Junction 7, Harbour Road" in page.inner_text("#lights")
-        assert page.locator("#lights svg .lamp.red").count() >= 1
-        assert page.locator("#lights svg .way.green").count() >= 1
+    assert "Junction 7, Harbour Road" in ended.inner_text("#lights")
+    assert ended.locator("#lights svg .lamp.red").count() >= 1
+    assert ended.locator("#lights svg .way.green").count() >= 1
 
 
-def test_it_is_stepped_through_and_looked_back_on_by_keyboard(
-    found: Any, address: str, film: Path, tmp_path: Path
-) -> None:
-    with browsers.quiet_page(found, f"{address}watch", **DESK) as page:
+def test_keys_step_through_a_film_and_look_back(chromium: Browser, address: str, tmp_path: Path) -> None:
+    with quiet_page(chromium, address, **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.select_option("#speed", "0.1")
         page.focus("#open")
@@ -106,21 +110,21 @@ def test_it_is_stepped_through_and_looked_back_on_by_keyboard(
         assert sum(1 for _ in kept) > 50
 
 
-def test_counts_from_before_a_pause_do_not_undo_it(found: Any, address: str) -> None:
-    to_page: list[Any] = []
+def test_counts_from_before_a_pause_do_not_undo_it(chromium: Browser, address: str) -> None:
+    to_page: list[WebSocketRoute] = []
     counts: list[str] = []
 
-    def passed_on(socket: Any) -> None:
-        def heard(message: str | bytes) -> None:
+    def connect(socket: WebSocketRoute) -> None:
+        def forward(message: str | bytes) -> None:
             if isinstance(message, str) and '"event": "state"' in message:
                 counts.append(message)
             socket.send(message)
 
         to_page.append(socket)
-        socket.connect_to_server().on_message(heard)
+        socket.connect_to_server().on_message(forward)
 
-    with browsers.quiet_page(found, f"{address}watch", **DESK) as page:
-        page.route_web_socket("**/api/watch*", passed_on)
+    with quiet_page(chromium, address, **DESK) as page:
+        page.route_web_socket("**/api/watch*", connect)
         page.wait_for_selector("#named option", state="attached")
         page.select_option("#speed", "0.1")
         page.click("#open")
@@ -130,16 +134,17 @@ def test_counts_from_before_a_pause_do_not_undo_it(found: Any, address: str) -> 
         to_page[0].send(counts[0])
         page.wait_for_timeout(300)
         page.get_by_role("button", name="Go on").click()
+        page.select_option("#speed", index=0)
         page.get_by_text("The end: 1250 frames, 12 packets").wait_for()
 
 
-def test_a_film_that_is_dropped_is_decoded(found: Any, address: str, film: Path, tmp_path: Path) -> None:
-    with browsers.quiet_page(found, f"{address}watch", **DESK) as page:
+def test_dropped_film_replaces_the_results(chromium: Browser, address: str, films: list[Path], tmp_path: Path) -> None:
+    with quiet_page(chromium, address, **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.check("input[value=film]")
-        page.set_input_files("#film", film)
+        page.set_input_files("#film", films[1])
         page.click("#open")
-        page.get_by_text("The end: 1250 frames, 12 packets").wait_for()
+        page.get_by_text("The end: 350 frames, 3 packets").wait_for()
         assert "not known" in page.inner_text("#errors")
         # for an unreadable film, the page is empty, and earlier results are cleared
         (broken := tmp_path / "broken.mp4").write_bytes(b"no film")

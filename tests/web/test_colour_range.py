@@ -1,7 +1,6 @@
 """Command line and pages handle the colour range equally, with or without a tag."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +9,15 @@ import numpy as np
 import pytest
 from cli_runs import called
 from fastapi.testclient import TestClient
+from web_server import OWN
 
+from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.web.app import create_app
 from heliograph.web.failures import FailureRecorder
 
-OWN = "http://127.0.0.1:8000"
+pytestmark = pytest.mark.usefixtures("quick_ends")
+
 WHITE, DARK = 0.75, 40
 FRAMES, SIDE = 24, 64
 
@@ -49,23 +51,15 @@ def write_video(path: Path, codec: str, form: str, span: int, white: int) -> Non
         container.mux(stream.encode(None))
 
 
-def write_array(path: Path) -> None:
-    np.save(path, np.stack([picture(k, 255) for k in range(FRAMES)]))
-
-
-FILMS: dict[str, Callable[[Path], None]] = {
-    "untagged.mp4": lambda path: write_video(path, "libx264", "yuv420p", UNTAGGED, 235),
-    "limited.mp4": lambda path: write_video(path, "libx264", "yuv420p", LIMITED, 235),
-    "full.mp4": lambda path: write_video(path, "libx264", "yuv420p", FULL, 255),
-    "motion.avi": lambda path: write_video(path, "mjpeg", "yuvj420p", FULL, 255),
-    "raw.y4m": lambda path: write_video(path, "rawvideo", "yuv420p", UNTAGGED, 235),
-    "raw.avi": lambda path: write_video(path, "rawvideo", "gray", UNTAGGED, 255),
+FILMS = {
+    "untagged.mp4": ("libx264", "yuv420p", UNTAGGED, 235),
+    "limited.mp4": ("libx264", "yuv420p", LIMITED, 235),
+    "full.mp4": ("libx264", "yuv420p", FULL, 255),
+    "motion.avi": ("mjpeg", "yuvj420p", FULL, 255),
+    "raw.y4m": ("rawvideo", "yuv420p", UNTAGGED, 235),
+    "raw.avi": ("rawvideo", "gray", UNTAGGED, 255),
 }
-
-
-def at_full_scale(frames: list[Frame]) -> float:
-    assert len(frames) >= FRAMES
-    return float(np.mean([np.mean(frame.pixels == frame.full_scale) for frame in frames]))
+"""Codec, pixel format, tag and level of white."""
 
 
 @pytest.mark.parametrize("name", FILMS)
@@ -73,24 +67,28 @@ def test_probe_and_pages_see_the_same_part_at_full_scale(
     name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / name
-    FILMS[name](path)
-    told = json.loads(called("probe", path, "--json", "--preset", "phone", capfd=capfd, monkeypatch=monkeypatch).stdout)
-    assert told["levels"]["at_full_scale"] == pytest.approx(WHITE, abs=0.01)
-    seen: dict[str, list[Frame]] = {"receive": [], "watch": []}
-    page = "receive"
-    monkeypatch.setattr(FailureRecorder, "add_frame", lambda _recorder, frame: seen[page].append(frame))
+    write_video(path, *FILMS[name])
+    run = called("probe", path, "--json", "--preset", "phone", capfd=capfd, monkeypatch=monkeypatch)
+    assert json.loads(run.stdout)["levels"]["at_full_scale"] == pytest.approx(WHITE, abs=0.01)
+    seen: list[Frame] = []
+
+    def add_frame(_recorder: FailureRecorder, frame: Frame) -> None:
+        seen.append(frame)
+        if len(seen) == FRAMES:
+            raise MediaError("seen")  # ends the reception
+
+    monkeypatch.setattr(FailureRecorder, "add_frame", add_frame)
     with TestClient(create_app(films=[str(path)]), base_url=OWN) as client:
-        kept = client.put(f"/api/films?kind={path.suffix[1:]}", content=path.read_bytes()).json()["film"]
-        with client.websocket_connect("ws://127.0.0.1:8000/api/receive", ["heliograph"]) as socket:
-            socket.send_json({"kind": "film", "film": kept, "side": 16, "rate_hz": 10})
-            while socket.receive()["type"] != "websocket.close":
-                pass
-        page = "watch"
-        with client.websocket_connect("ws://127.0.0.1:8000/api/watch") as socket:
-            socket.send_json({"do": "open", "source": {"kind": "named", "preset": "phone"}})
-            event = ""
-            while event not in ("end", "failed"):
-                message = socket.receive()
-                event = json.loads(message["text"])["event"] if message.get("text") else event
-    assert at_full_scale(seen["receive"]) == pytest.approx(WHITE, abs=0.01)
-    assert at_full_scale(seen["watch"]) == pytest.approx(WHITE, abs=0.01)
+        film = client.put(f"/api/films?kind={path.suffix[1:]}", content=path.read_bytes()).json()["film"]
+        requests = {
+            "receive": {"kind": "film", "film": film, "side": 16, "rate_hz": 10},
+            "watch": {"do": "open", "source": {"kind": "named", "preset": "phone"}},
+        }
+        for page, request in requests.items():
+            seen.clear()
+            with client.websocket_connect(f"ws://127.0.0.1:8000/api/{page}", ["heliograph"]) as socket:
+                socket.send_json(request)
+                while "seen" not in (socket.receive().get("text") or ""):
+                    pass
+            share = np.mean([np.mean(frame.pixels == frame.full_scale) for frame in seen])
+            assert share == pytest.approx(WHITE, abs=0.01)

@@ -8,18 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import played_camera
+import played_camera  # noqa: F401 - registers camera:played
 import pytest
 from fastapi.testclient import TestClient
+from web_server import OWN
 
 from heliograph.base.frames import Frame
-from heliograph.media import create_film
 from heliograph.media.reader import read_ahead
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
-from heliograph.web.crashes import report
+from heliograph.web.connection import INTERNAL, Outbox
+from heliograph.web.crashes import CrashError, in_thread, report
 
-OWN = "http://127.0.0.1:8000"
+pytestmark = pytest.mark.usefixtures("quick_ends")
+
 RECEIVE, WATCH = "ws://127.0.0.1:8000/api/receive", "ws://127.0.0.1:8000/api/watch"
 
 ERRORS = [
@@ -36,9 +38,10 @@ ERRORS = [
     OSError(28, "No space left on device", "/tmp/heliograph-x/film.h5"),
     ValueError("cannot open /tmp/heliograph-x/0123.mp4\nsecond line"),
 ]
-PASSED_ON = [ERRORS[0], *(one for one in ERRORS if isinstance(one, StopIteration) or not isinstance(one, Exception))]
+PASSED_ON = [error for error in ERRORS if isinstance(error, (MemoryError, StopIteration, SystemExit))]
 """Errors that threads and tasks pass on in different ways."""
-INTERNAL = 1011
+
+CAMERA_FRAME = HEAD.pack(0.0, 0, 64, 64) + bytes(4096)
 
 Rows = list[dict[str, Any]]
 
@@ -51,17 +54,9 @@ def raises(error: BaseException) -> Callable[..., Any]:
 
 
 @pytest.fixture(scope="module")
-def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("films") / "dark.h5"
-    with create_film(path, width=64, height=48, rate_hz=1000) as out:
-        for k in range(40):
-            out.write(Frame(k, k / 1000, np.full((48, 64), 20 + k % 2, np.uint8)))
-    return path
-
-
-@pytest.fixture
-def client(film: Path) -> Iterator[TestClient]:
-    with TestClient(create_app(films=[str(film), f"camera:played:{film}"]), base_url=OWN) as made:
+def client(dark_film: Path) -> Iterator[TestClient]:
+    app = create_app(films=[str(dark_film), f"camera:played:{dark_film}"])
+    with TestClient(app, base_url=OWN, raise_server_exceptions=False) as made:
         yield made
 
 
@@ -77,8 +72,12 @@ def rows_of(socket: Any) -> tuple[Rows, int]:
 
 
 def is_logged_once(caplog: pytest.LogCaptureFixture, error: BaseException) -> bool:
+    """Return True if the log has one traceback, of the error or of its consequence."""
     (record,) = [one for one in caplog.records if one.name.startswith("heliograph") and one.levelno >= logging.ERROR]
-    return record.exc_info is not None and record.exc_info[1] is error
+    cause = record.exc_info[1] if record.exc_info else None
+    while cause is not None and cause is not error:
+        cause = cause.__cause__
+    return cause is error
 
 
 def is_one_clear_line(line: str, error: BaseException) -> bool:
@@ -102,151 +101,98 @@ def watched(client: TestClient, number: int = 0, then: str = "") -> tuple[Rows, 
         return rows_of(socket)
 
 
-@pytest.mark.parametrize("error", ERRORS, ids=lambda one: type(one).__name__)
-def test_any_exception_is_reported_in_a_line_and_logged(error: BaseException, caplog: pytest.LogCaptureFixture) -> None:
-    assert is_one_clear_line(report(error), error)
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_any_exception_of_a_worker_is_reported_in_a_line_and_logged(
+    error: BaseException, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Page *Transmit* awaits `in_thread`, the other pages `Outbox.run` and `Outbox.send_to`."""
+
+    async def run() -> None:
+        with pytest.raises(CrashError):
+            await in_thread(raises(error))
+        outbox = Outbox()
+        await outbox.run(raises(error))
+        await outbox.send_to(None)  # type: ignore[arg-type]
+
+    with pytest.raises(CrashError) as raised:
+        asyncio.run(run())
+    assert is_one_clear_line(report(raised.value), error)
     assert is_logged_once(caplog, error)
 
 
-@pytest.mark.parametrize("error", PASSED_ON, ids=lambda one: type(one).__name__)
-def test_receive_reports_any_exception_of_its_worker_and_closes(
-    client: TestClient,
-    film: Path,
-    error: BaseException,
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize("error", PASSED_ON, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("page", ["receive", "watch", "transmit"])
+def test_every_page_reports_any_exception_of_its_worker(
+    client: TestClient, dark_film: Path, page: str, error: BaseException, monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
-) -> None:
-    monkeypatch.setattr("heliograph.web.receive.PageReader.read_upload", raises(error))
-    rows, code = received(client, film)
-    assert [row["event"] for row in rows] == ["error"]
-    assert is_one_clear_line(rows[0]["error"], error)
-    assert code == INTERNAL
+) -> None:  # fmt: skip
+    if page == "transmit":
+        monkeypatch.setattr("heliograph.web.transmit.sending_of", raises(error))
+        answer = client.post("/api/transmit", content=b"text")
+        assert answer.status_code == 500
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        line = answer.json()["error"]
+    elif page == "receive":
+        monkeypatch.setattr("heliograph.web.receive.PageReader.read_upload", raises(error))
+        rows, code = received(client, dark_film)
+        assert ([row["event"] for row in rows], code) == (["error"], INTERNAL)
+        line = rows[0]["error"]
+    else:
+        monkeypatch.setattr("heliograph.web.watching.run.receive_film", raises(error))
+        rows, code = watched(client)
+        assert ([row["event"] for row in rows].count("failed"), code) == (1, INTERNAL)
+        line = rows[-1]["reason"]
+    assert is_one_clear_line(line, error)
     assert is_logged_once(caplog, error)
     assert client.app.state.shared.sessions.taken == 0  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("error", PASSED_ON, ids=lambda one: type(one).__name__)
-def test_watch_reports_any_exception_of_its_worker_and_closes(
-    client: TestClient, error: BaseException, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr("heliograph.web.watching.run.receive_film", raises(error))
-    rows, code = watched(client)
-    assert is_one_clear_line(rows[-1]["reason"], error)
-    assert [row["event"] for row in rows].count("failed") == 1
-    assert code == INTERNAL
-    assert is_logged_once(caplog, error)
+PLACES = [
+    ("film", "heliograph.web.reading.open_film"),
+    ("film", "heliograph.web.reading.probe_film"),
+    ("film", "heliograph.web.failures.FailureRecorder.add_frame"),
+    ("film", "heliograph.web.failures.FailureRecorder.close"),
+    ("camera", "heliograph.web.receive.PageReader.read_camera"),
+    ("camera", "heliograph.web.receive.CameraFrames.put"),
+    ("save", "heliograph.web.failures.FailureRecorder.save"),
+    ("watch", "heliograph.web.watching.run.opened"),
+    ("watch", "heliograph.web.watching.scene.Scene.encoded"),
+    ("watch", "heliograph.media.hdf5.Hdf5Reader._frames"),
+    ("watch save", "heliograph.web.watching.session.Session._save"),
+    ("watch stop", "heliograph.web.watching.run.Run.stop"),
+    ("watch camera", "played_camera.PlayedCamera.open"),
+    ("watch camera", "played_camera.PlayedCamera.frames"),
+]
+"""Interaction with a page, and the function that crashes: in the worker, in a handler, or while sending."""
 
 
-@pytest.mark.parametrize("error", PASSED_ON, ids=lambda one: type(one).__name__)
-def test_transmit_answers_any_exception_of_its_worker_in_a_line(
-    client: TestClient, error: BaseException, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr("heliograph.web.transmit.sending_of", raises(error))
-    answer = client.post("/api/transmit", content=b"text")
-    assert answer.status_code == 500
-    assert is_one_clear_line(answer.json()["error"], error)
-    assert answer.headers["x-content-type-options"] == "nosniff"
-    assert is_logged_once(caplog, error)
-
-
-@pytest.mark.parametrize(
-    "place",
-    [
-        "heliograph.web.reading.open_film",
-        "heliograph.web.reading.estimate_link",
-        "heliograph.web.reading.receive_film",
-        "heliograph.web.reading.probe_film",
-        "heliograph.measure.reception.make_receiver",
-        "heliograph.web.failures.FailureRecorder.add_frame",
-        "heliograph.web.failures.FailureRecorder.close",
-        "heliograph.web.link_estimate.screen_settings",
-    ],
-)
-def test_receive_reports_a_crash_wherever_it_is(
-    client: TestClient, film: Path, place: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    error = ValueError("broken")
-    monkeypatch.setattr(place, raises(error))
-    rows, code = received(client, film)
-    assert rows[-1]["event"] == "error"
-    assert is_one_clear_line(rows[-1]["error"], error)
-    assert code == INTERNAL
-
-
-@pytest.mark.parametrize(
-    "place", ["heliograph.web.receive.PageReader.read_camera", "heliograph.web.receive.CameraFrames.put"]
-)
-def test_receive_reports_a_crash_while_it_reads_a_camera(
-    client: TestClient, place: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    error = ValueError("broken")
-    monkeypatch.setattr(place, raises(error))
-    with client.websocket_connect(RECEIVE, ["heliograph"]) as socket:
-        socket.send_json({"kind": "camera"})
-        socket.send_bytes(HEAD.pack(0.0, 0, 64, 64) + bytes(4096))
-        rows, code = rows_of(socket)
-    assert is_one_clear_line(rows[-1]["error"], error)
-    assert code == INTERNAL
-
-
-def test_receive_reports_a_crash_while_it_saves(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("heliograph.web.failures.FailureRecorder.save", raises(ValueError("broken")))
-    with client.websocket_connect(RECEIVE, ["heliograph"]) as socket:
-        socket.send_json({"kind": "camera"})
-        socket.send_text("save")
-        rows, code = rows_of(socket)
-    assert "ValueError: broken" in rows[-1]["error"]
-    assert code == INTERNAL
-
-
-@pytest.mark.parametrize(
-    ("place", "number", "then"),
-    [
-        ("heliograph.web.watching.run.opened", 0, ""),
-        ("heliograph.web.watching.run.FailureRecorder.add_frame", 0, ""),
-        ("heliograph.web.watching.run.SceneObserver.scene", 0, ""),
-        ("heliograph.web.watching.scene.Scene.encoded", 0, ""),
-        ("heliograph.web.watching.session.save_bundle", 0, "save"),
-        ("heliograph.web.watching.run.Run.halt", 0, "stop"),
-        ("heliograph.media.hdf5.Hdf5Reader._frames", 0, ""),
-        ("played_camera.PlayedCamera.open", 1, ""),
-        ("played_camera.PlayedCamera.frames", 1, ""),
-    ],
-)
-def test_watch_reports_a_crash_wherever_it_is(
-    client: TestClient,
-    place: str,
-    number: int,
-    then: str,
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("interaction", "place"), PLACES, ids=[place.rpartition(".")[2] for _, place in PLACES])
+def test_pages_report_a_crash_at_any_place(
+    client: TestClient, dark_film: Path, interaction: str, place: str, monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
-) -> None:
-    error = ValueError("broken")
+) -> None:  # fmt: skip
+    error = KeyboardInterrupt() if place.endswith("PlayedCamera.frames") else ValueError("broken")
     monkeypatch.setattr(place, raises(error))
     monkeypatch.setattr("heliograph.web.watching.run.warm_up", lambda *_: None)
-    rows, code = watched(client, number, then)
-    # the short film may end without a packet before the command arrives
-    failed = [row["reason"] for row in rows if row["event"] == "failed" and "record longer" not in row["reason"]]
-    assert len(failed) == 1
-    assert is_one_clear_line(failed[0], error)
+    if interaction == "film":
+        rows, code = received(client, dark_film)
+    elif interaction.startswith("watch"):
+        command = interaction.removeprefix("watch").strip()
+        rows, code = watched(client, int(command == "camera"), command.removeprefix("camera"))
+    else:
+        with client.websocket_connect(RECEIVE, ["heliograph"]) as socket:
+            socket.send_json({"kind": "camera"})
+            socket.send_text("save") if interaction == "save" else socket.send_bytes(CAMERA_FRAME)
+            rows, code = rows_of(socket)
+    # the short film may end without a packet before a command arrives
+    lines = [str(row.get("error") or row["reason"]) for row in rows if row["event"] in ("error", "failed")]
+    (line,) = [line for line in lines if "record longer" not in line]
+    assert is_one_clear_line(line, error)
     assert code == INTERNAL
-    (record,) = [one for one in caplog.records if one.name.startswith("heliograph")]
-    assert "ValueError: broken" in (logging.Formatter().format(record))
-    assert "Traceback" in logging.Formatter().format(record)
+    assert is_logged_once(caplog, error)
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), SystemExit(1), ValueError("broken")])
-def test_the_end_of_a_cameras_thread_ends_its_reception(
-    client: TestClient, error: BaseException, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(played_camera.PlayedCamera, "frames", raises(error))
-    monkeypatch.setattr("heliograph.web.watching.run.warm_up", lambda *_: None)
-    rows, code = watched(client, 1)
-    assert type(error).__name__ in rows[-1]["reason"]
-    assert code == INTERNAL
-
-
-def test_an_expected_error_of_watch_leaves_the_page_connected(client: TestClient) -> None:
+def test_page_stays_connected_after_an_expected_error(client: TestClient) -> None:
     with client.websocket_connect(WATCH) as socket:
         for _ in range(2):
             socket.send_json({"do": "open", "source": {"kind": "named", "number": 7}})
@@ -256,32 +202,25 @@ def test_an_expected_error_of_watch_leaves_the_page_connected(client: TestClient
 @pytest.mark.parametrize(
     ("place", "path"),
     [
-        ("heliograph.web.sending.Sending.packets", "packets"),
-        ("heliograph.web.transmit._write", "film?seconds=1"),
-        ("heliograph.web.sending.Sendings.of", "packets"),
+        ("heliograph.web.sending.Sending.packets", "transmit/{}/packets"),
+        ("heliograph.web.transmit._write", "transmit/{}/film?seconds=1"),
+        ("heliograph.web.stores.Store.of", "transmit/{}/packets"),
+        ("heliograph.web.watch.list_cameras", "watch/cameras"),
     ],
 )
-def test_transmit_answers_a_crash_wherever_it_is(
+def test_requests_answer_a_crash_in_a_line(
     client: TestClient, place: str, path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = client.post("/api/transmit?side=8", content=b"text").json()["sending"]
     monkeypatch.setattr(place, raises(ValueError("broken")))
-    answer = client.get(f"/api/transmit/{name}/{path}")
+    answer = client.get(f"/api/{path.replace('{}', name)}")
     assert answer.status_code == 500
     assert "ValueError: broken" in answer.json()["error"]
-    assert not list(client.app.state.shared.uploads.folder().iterdir())  # type: ignore[attr-defined]
-
-
-def test_a_crash_while_cameras_are_listed_is_answered_in_a_line(
-    client: TestClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("heliograph.web.watch.list_cameras", raises(ValueError("broken")))
-    answer = client.get("/api/watch/cameras")
-    assert (answer.status_code, "ValueError: broken" in answer.json()["error"]) == (500, True)
+    assert not list(client.app.state.shared.folder.glob("patterns-*"))  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("error", [ValueError("broken"), KeyboardInterrupt(), SystemExit(1)])
-def test_frames_read_ahead_end_with_any_exception_of_their_thread(error: BaseException) -> None:
+def test_frames_read_ahead_end_with_any_exception_of_the_thread(error: BaseException) -> None:
     def frames() -> Generator[Frame, None, None]:
         yield Frame(0, 0.0, np.zeros((4, 4), np.uint8))
         raise error
@@ -292,7 +231,7 @@ def test_frames_read_ahead_end_with_any_exception_of_their_thread(error: BaseExc
         next(ahead)
 
 
-def test_a_page_that_has_gone_is_not_logged_as_a_crash(client: TestClient, caplog: pytest.LogCaptureFixture) -> None:
+def test_disconnected_page_is_not_logged_as_a_crash(client: TestClient, caplog: pytest.LogCaptureFixture) -> None:
     with client.websocket_connect(RECEIVE, ["heliograph"]) as socket:
         socket.send_json({"kind": "camera"})
     with client.websocket_connect(WATCH) as socket:

@@ -3,40 +3,21 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import uvicorn
 from cli_runs import COMMAND, called
-from waiting import HANG_S, wait_until
+from waiting import HANG_S
+from web_server import serving
 
 from heliograph.base.errors import SettingsError
 from heliograph.cli.serve import show_address
-from heliograph.web.app import create_app
 from heliograph.web.limits import Limits
-from heliograph.web.serve import Address, open_port, server_config
+from heliograph.web.serve import Address, open_port
 
 
-@contextlib.contextmanager
-def serving(limits: Limits) -> Iterator[int]:
-    """Run a server in a thread; yield the port."""
-    address = Address(port=0)
-    server = uvicorn.Server(server_config(create_app(limits=limits), address, limits))
-    with open_port(address) as waiting:
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [waiting]})
-        thread.start()
-        try:
-            wait_until(lambda: server.started)
-            yield waiting.getsockname()[1]
-        finally:
-            server.should_exit = True
-            thread.join()
-
-
-def test_this_machine_alone_needs_no_token() -> None:
+def test_loopback_needs_no_token() -> None:
     for host in ("127.0.0.1", "localhost", "::1"):
         address = Address(host)
         assert address.is_loopback
@@ -45,7 +26,7 @@ def test_this_machine_alone_needs_no_token() -> None:
     assert Address("::1").url(8000, None) == "http://[::1]:8000/"
 
 
-def test_others_need_a_token_that_is_new_each_time() -> None:
+def test_other_machines_need_a_new_token() -> None:
     address = Address("0.0.0.0")
     access = address.access()
     assert not address.is_loopback
@@ -60,7 +41,7 @@ def test_others_need_a_token_that_is_new_each_time() -> None:
     assert Address("0.0.0.0", certificate=Path("a"), key=Path("b")).url(1, None).startswith("https://")
 
 
-def test_a_port_that_is_taken_is_told_in_a_line() -> None:
+def test_occupied_port_is_reported_in_a_line() -> None:
     with open_port(Address(port=0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(
@@ -70,7 +51,7 @@ def test_a_port_that_is_taken_is_told_in_a_line() -> None:
     assert "\n" not in str(error.value)
 
 
-def test_a_host_of_another_machine_is_told_in_a_line() -> None:
+def test_host_of_another_machine_is_reported_in_a_line() -> None:
     with pytest.raises(SettingsError, match=r"cannot listen at 192\.0\.2\.1"):
         open_port(Address("192.0.2.1", 0))
 
@@ -96,7 +77,7 @@ def test_the_command_serves_until_ctrl_c() -> None:
         (["--port", "0", "--set", "signal.side=7"], "signal.side"),
     ],
 )
-def test_what_is_wrong_is_said_in_a_line(
+def test_invalid_options_are_reported_in_a_line(
     arguments: list[str], said: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = called("serve", *arguments, capfd=capfd, monkeypatch=monkeypatch)
@@ -105,28 +86,27 @@ def test_what_is_wrong_is_said_in_a_line(
     assert run.stderr.count("\n") == 1
 
 
-def test_the_extra_is_named_where_it_is_missing(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_extra_is_named(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     monkeypatch.delitem(sys.modules, "heliograph.web.serve", raising=False)
     assert "pip install 'heliograph[web]'" in called("serve", capfd=capfd, monkeypatch=monkeypatch).stderr
 
 
 @pytest.mark.slow
-def test_clients_that_ask_for_nothing_take_nobodys_place() -> None:
+def test_idle_connections_are_closed() -> None:
     limits = Limits(idle_s=0.5, connections=4)
-    with serving(limits) as port, contextlib.ExitStack() as stack:
+    with serving(limits=limits) as url, contextlib.ExitStack() as stack:
+        port = int(url.rpartition(":")[2].strip("/"))
         held = [stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(6)]
         held[0].sendall(b"GET /watch HTTP/1.1\r\nHost: 127.0.0.1")  # an incomplete request
         for one in held:
             one.settimeout(HANG_S)
             while one.recv(1 << 16):
                 pass
-        assert urllib.request.urlopen(f"http://127.0.0.1:{port}/watch", timeout=HANG_S).status == 200
+        assert urllib.request.urlopen(f"{url}watch", timeout=HANG_S).status == 200
 
 
-def test_an_address_for_others_is_said_with_a_warning(capsys: pytest.CaptureFixture[str]) -> None:
+def test_address_for_other_machines_has_a_warning(capsys: pytest.CaptureFixture[str]) -> None:
     show_address("http://192.168.1.5:8000/#token=abc", is_loopback=False, is_secure=False)
     said = capsys.readouterr()
     assert "http://192.168.1.5:8000/#token=abc" in said.out

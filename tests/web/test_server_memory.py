@@ -3,37 +3,32 @@
 import gc
 import json
 import threading
-import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from waiting import wait_until
+from web_server import OWN, write_dark_film
 
-from heliograph.base.frames import Frame
-from heliograph.media import create_film
 from heliograph.web.app import create_app
+from heliograph.web.limits import Limits
 
-OWN = "http://127.0.0.1:8000"
 RECEIVE, WATCH = "ws://127.0.0.1:8000/api/receive", "ws://127.0.0.1:8000/api/watch"
-RECEPTIONS = 5
+# more than the bundles that a server for two sessions keeps, less the first
+RECEPTIONS = 4
 
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("films") / "dark.h5"
-    with create_film(path, width=64, height=48, rate_hz=1000) as out:
-        for k in range(110):
-            out.write(Frame(k, k / 1000, np.full((48, 64), 20 + k % 2, np.uint8)))
-    return path
+    """A film longer than a packet of 100 frames."""
+    return write_dark_film(tmp_path_factory.mktemp("films") / "dark.h5", 110)
 
 
 @pytest.fixture
 def client(film: Path) -> Iterator[TestClient]:
-    with TestClient(create_app(films=[str(film)]), base_url=OWN) as made:
+    with TestClient(create_app(films=[str(film)], limits=Limits(sessions=2)), base_url=OWN) as made:
         yield made
 
 
@@ -70,28 +65,26 @@ def leaked(before: Counter[str]) -> dict[str, int]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["receive", "watch", "watch by soft", "watch broken off"])
-def test_no_object_of_an_ended_reception_is_kept(client: TestClient, film: Path, page: str) -> None:
-    def run() -> str:
-        if page == "receive":
-            return receive(client, film)
-        return watch(client, "soft" if "soft" in page else "plain", "source" if "broken" in page else "end")
-
-    assert run() != "failed"
+def test_ended_receptions_keep_no_object(client: TestClient, film: Path) -> None:
+    pages: dict[str, Callable[[], str]] = {
+        "receive": lambda: receive(client, film),
+        "watch": lambda: watch(client),
+        "watch by soft": lambda: watch(client, "soft"),
+        "watch broken off": lambda: watch(client, until="source"),
+    }
+    assert [page() for page in pages.values()] == ["end", "end", "end", "source"]
     before = live_objects()
-    for _ in range(RECEPTIONS):
-        run()
-    deadline = time.monotonic() + 60
-    while (grown := leaked(before)) and time.monotonic() < deadline:  # wait for ending threads
-        time.sleep(0.1)
-    assert not grown
+    for page in pages.values():
+        for _ in range(RECEPTIONS):
+            page()
+    wait_until(lambda: not leaked(before))  # threads may still end
 
 
 @pytest.mark.parametrize("page", [receive, lambda client, _: watch(client)], ids=["receive", "watch"])
 def test_memory_is_released_when_a_reception_has_ended(
-    client: TestClient, film: Path, page: Any, monkeypatch: pytest.MonkeyPatch
+    client: TestClient, film: Path, page: Callable[[TestClient, Path], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     released = threading.Event()
-    monkeypatch.setattr("heliograph.web.crashes.release_memory", released.set)
+    monkeypatch.setattr("heliograph.web.connection.release_memory", released.set)
     page(client, film)
     assert released.wait(60)

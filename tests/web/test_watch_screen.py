@@ -23,7 +23,7 @@ SMALL = (
 
 
 @pytest.mark.slow
-def test_a_screen_is_drawn_with_its_box_cut_outs_and_light() -> None:
+def test_screen_is_drawn_with_box_cut_outs_and_light() -> None:
     settings = load_settings("phone-60", None, SMALL)
     seen = SceneObserver(settings.signal, settings.receive.calibration)
     receiver = heliograph.make_receiver(settings.signal, settings.receive, seen)

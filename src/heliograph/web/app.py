@@ -1,21 +1,27 @@
 """Web application: routes of the pages, errors as JSON, and access control."""
 
 import contextlib
+import tempfile
 from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.web import built, files, receive, transmit, watch
-from heliograph.web.crashes import CrashReports, is_crash
+from heliograph.web.crashes import is_crash, report
 from heliograph.web.limits import Limits
-from heliograph.web.security import Access, Guard
-from heliograph.web.shared import BusyError, Shared
-from heliograph.web.uploads import TooLargeError
+from heliograph.web.security import HEADERS, Access, Guard
+from heliograph.web.shared import Shared
+from heliograph.web.stores import BusyError, MissingError
+
+STATUS: dict[type[Exception], int] = {files.TooLargeError: 413, BusyError: 503, MissingError: 404}
+"""Status of responses by expected error; 400 for other errors."""
 
 
 def create_app(
@@ -31,35 +37,33 @@ def create_app(
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
-        with contextlib.closing(shared.uploads):
+        with tempfile.TemporaryDirectory(prefix="heliograph-", ignore_cleanup_errors=True) as folder:
+            shared.folder = Path(folder)
             yield
 
     app = FastAPI(title="Heliograph", openapi_url=None, docs_url=None, redoc_url=None, lifespan=lifespan)
     app.state.shared = shared
     for module in (files, watch, transmit, receive, built):
         app.include_router(module.router)
-    app.add_exception_handler(HeliographError, _answer_user_error)
-    app.add_exception_handler(HTTPException, _answer_http_error)
-    app.add_exception_handler(RequestValidationError, _answer_invalid_request)
-    app.add_middleware(CrashReports)
-    app.add_middleware(Guard, access=access or Access(), limits=limits)
+    for kind in (HeliographError, HTTPException, RequestValidationError, ClientDisconnect, Exception):
+        app.add_exception_handler(kind, _answer_error)
+    app.add_middleware(Guard, access=access or Access())
     return app
 
 
-async def _answer_user_error(_request: Request, error: Exception) -> JSONResponse:
-    if is_crash(error):
-        raise error
-    status = 413 if isinstance(error, TooLargeError) else 503 if isinstance(error, BusyError) else 400
-    # the rest of a large request stays unread
-    return JSONResponse({"error": str(error)}, status, {"connection": "close"} if status == 413 else None)
-
-
-async def _answer_http_error(_request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, HTTPException)
-    return JSONResponse({"error": str(error.detail)}, error.status_code, error.headers)
-
-
-async def _answer_invalid_request(_request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, RequestValidationError)
-    first = error.errors()[0] if error.errors() else {"loc": (), "msg": "invalid request"}
-    return JSONResponse({"error": f"{'.'.join(map(str, first['loc']))}: {first['msg']}"[:400]}, 422)
+async def _answer_error(_request: Request, error: Exception) -> JSONResponse:
+    """Answer a request with the error as a line of text."""
+    match error:
+        case HTTPException():
+            return JSONResponse({"error": str(error.detail)}, error.status_code, error.headers)
+        case RequestValidationError():
+            first = error.errors()[0] if error.errors() else {"loc": (), "msg": "invalid request"}
+            return JSONResponse({"error": f"{'.'.join(map(str, first['loc']))}: {first['msg']}"[:400]}, 422)
+        case ClientDisconnect():
+            return JSONResponse({"error": "the upload was interrupted: send it again"}, 400)
+        case HeliographError() if not is_crash(error):
+            status = STATUS.get(type(error), 400)
+            # the rest of a large request stays unread
+            return JSONResponse({"error": str(error)}, status, {"connection": "close"} if status == 413 else None)
+    # handlers of unexpected errors run outside the middleware
+    return JSONResponse({"error": report(error)}, 500, HEADERS)

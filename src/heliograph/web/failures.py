@@ -1,8 +1,8 @@
-"""Films of failed packets for download."""
+"""Recorder of failed packets: films for download."""
 
 import secrets
 import threading
-from collections import OrderedDict, deque
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,7 @@ from heliograph.media import FilmWriter, create_film
 from heliograph.media.record import FASTEST_HZ
 from heliograph.receive import Packet
 from heliograph.signal.settings import SignalSettings
-
-MAX_BUNDLES = 8
-"""Stored films: two for each concurrent reception."""
+from heliograph.web.stores import Store, StoredFilm
 
 BEFORE, AFTER = 1.2, 0.2
 """Recorded time before and after a failed packet, in packets; detection and tracking need the time before."""
@@ -24,13 +22,13 @@ BEFORE, AFTER = 1.2, 0.2
 class FailureRecorder:
     """Recorder of the frames of failed packets; one thread receives, any thread saves.
 
-    Frames must not change after `add_frame`.
+    `signal` may change between frames. Frames must not change after `add_frame`.
     """
 
     def __init__(
         self,
         folder: Path,
-        signal: SignalSettings | None = None,
+        signal: SignalSettings,
         *,
         rate_hz: float | None = None,
         metadata: dict[str, str] | None = None,
@@ -41,27 +39,21 @@ class FailureRecorder:
         self._film: FilmWriter | None = None
         self.restart(signal)
 
-    def restart(self, signal: SignalSettings | None) -> None:
+    def restart(self, signal: SignalSettings) -> None:
         """Discard unsaved frames and start with a new signal."""
         with self._lock:
             self.close()
-            self._signal = signal
+            self.signal = signal
             self._error: MediaError | None = None
             self._end_s = self._last_s = float("-inf")
             self.packets, self._is_full = 0, False
 
-    def change_signal(self, signal: SignalSettings) -> None:
-        """Change the signal of the following frames."""
-        with self._lock:
-            self._signal = signal
-
     def add_frame(self, frame: Frame) -> None:
         """Buffer a frame, and record the frame if it belongs to a failed packet."""
-        assert self._signal is not None
         with self._lock:
             frames = self._frames
             frames.append(frame)
-            first_s = frame.time_s - (1 + BEFORE + AFTER) * self._signal.packet_s
+            first_s = frame.time_s - (1 + BEFORE + AFTER) * self.signal.packet_s
             # 256 MB of frames: 0.5 s of 1024 x 512 pixels at 1000 frames/s
             max_frames = max(2, (256 << 20) // frame.pixels.nbytes)
             while len(frames) > max_frames or frames[0].time_s < first_s:
@@ -72,30 +64,30 @@ class FailureRecorder:
     def add_packet(self, packet: Packet) -> None:
         """Record the frames of a packet unless all codewords were decoded."""
         with self._lock:
-            if packet.status == "ok" or self._is_full or self._signal is None:
+            if packet.status == "ok" or self._is_full:
                 return
             self.packets += 1
-            packet_s, start_s = self._signal.packet_s, packet.start_time_s
+            packet_s, start_s = self.signal.packet_s, packet.start_time_s
             self._end_s = max(self._end_s, start_s + (1 + AFTER) * packet_s)
             for frame in self._frames:
                 if start_s - BEFORE * packet_s <= frame.time_s <= self._end_s:
                     self._write(frame)
 
-    def save(self) -> Path | None:
-        """Finish the film of failed packets, by default of the last frames; None if the buffer is empty."""
+    def save(self, films: Store[StoredFilm]) -> dict[str, Any] | None:
+        """Store the film of failed packets, by default of the last frames; return key and size, or None if empty."""
         with self._lock:
             if self._film is None:
                 for frame in self._frames:
                     self._write(frame)
-            film, self._film = self._film, None
-            error, self._error = self._error, None
+            film, error = self._film, self._error
+            self._film = self._error = None
             self.packets, self._is_full, self._last_s = 0, False, float("-inf")
             if error is not None:
                 raise error
             if film is None:
                 return None
             film.finish()
-            return film.path
+            return {"bytes": film.path.stat().st_size, "bundle": films.add(StoredFilm(film.path))}
 
     def close(self) -> None:
         """Discard unsaved frames."""
@@ -110,19 +102,16 @@ class FailureRecorder:
         if frame.time_s <= self._last_s or self._is_full:
             return
         try:
-            if self._film is None:
-                self._film = self._create_film(frame)
+            self._film = self._film or self._create_film(frame)
             self._film.write(frame)
+            self._last_s = frame.time_s
+            self._is_full = self._film.frames_written * frame.pixels.nbytes >= self._max_bytes
         except MediaError as error:
-            film, self._film, self._error, self._is_full = self._film, None, error, True
-            if film is not None:
-                film.abort()
-            return
-        self._last_s = frame.time_s
-        self._is_full = self._film.frames_written * frame.pixels.nbytes >= self._max_bytes
+            if self._film is not None:
+                self._film.abort()
+            self._film, self._error, self._is_full = None, error, True
 
     def _create_film(self, frame: Frame) -> FilmWriter:
-        assert self._signal is not None
         first, last, (rows, columns) = self._frames[0], self._frames[-1], frame.pixels.shape
         measured_hz = max((last.index - first.index) / max(last.time_s - first.time_s, 1e-3), 1.0)
         return create_film(
@@ -131,43 +120,5 @@ class FailureRecorder:
             height=rows,
             rate_hz=min(self._rate_hz or measured_hz, FASTEST_HZ),
             bits=frame.bits,
-            metadata={**self._metadata, **signal_note(self._signal)},
+            metadata={**self._metadata, **signal_note(self.signal)},
         )
-
-
-class Bundles:
-    """Films of failed packets by key; thread-safe."""
-
-    def __init__(self) -> None:
-        self._paths: OrderedDict[str, Path] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def add(self, path: Path) -> str:
-        """Add a film and return the key; the oldest films are deleted."""
-        key = secrets.token_hex(16)
-        with self._lock:
-            self._paths[key] = path
-            old_paths = [self._paths.popitem(last=False)[1] for _ in range(len(self._paths) - MAX_BUNDLES)]
-        for old_path in old_paths:
-            old_path.unlink(missing_ok=True)
-        return key
-
-    def save(self, recorder: FailureRecorder) -> dict[str, Any] | None:
-        """Add the film of a recorder and return key and size; None if the recorder has no frames."""
-        path = recorder.save()
-        if path is None:
-            return None
-        size = path.stat().st_size
-        return {"bundle": self.add(path), "bytes": size}
-
-    def drop(self, key: str) -> None:
-        """Delete a film; ignore unknown keys."""
-        with self._lock:
-            path = self._paths.pop(key, None)
-        if path is not None:
-            path.unlink(missing_ok=True)
-
-    def of(self, key: str) -> Path | None:
-        """Return the path of a film; None for unknown keys."""
-        with self._lock:
-            return self._paths.get(key)

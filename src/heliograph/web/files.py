@@ -2,29 +2,45 @@
 
 import asyncio
 import contextlib
-from typing import Any
+import secrets
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Header, Request
 from fastapi.responses import FileResponse
-from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect
 
-from heliograph.base.errors import MediaError
-from heliograph.web.crashes import in_thread
-from heliograph.web.failures import Bundles, FailureRecorder
-from heliograph.web.shared import SharedState
+from heliograph.base.errors import HeliographError, MediaError
+from heliograph.web.limits import Limits
+from heliograph.web.shared import SharedState, body_of
+from heliograph.web.stores import StoredFilm
+
+SUFFIXES = frozenset(
+    ("mp4", "mov", "mkv", "webm", "avi", "nut", "y4m", "h5", "hdf5", "cine", "tif", "tiff", "npy", "png")
+)
+"""Accepted suffixes of stored films; readers recognise all other kinds by content."""
 
 router = APIRouter(prefix="/api")
 
 
+class TooLargeError(MediaError):
+    """An upload exceeds the limit."""
+
+
 @router.put("/films", status_code=201)
-async def upload(request: Request, shared: SharedState, kind: str = "") -> dict[str, Any]:
+async def upload(
+    request: Request, shared: SharedState, kind: str = "", content_length: Annotated[int, Header(ge=0)] = 0
+) -> dict[str, Any]:
     """Store a film, the body of a request; `kind` is the suffix of the name."""
-    shared.uploads.check(request.headers.get("content-length", ""))
-    try:
-        return {"film": await shared.uploads.take(request.stream(), kind[:8])}
-    except ClientDisconnect:
-        raise MediaError("the upload was interrupted: send the film again") from None
+    _check_size(content_length, shared.limits)
+    suffix = f".{kind.lower()}" if kind.lower() in SUFFIXES else ""
+    path = shared.folder / (secrets.token_hex(16) + suffix)
+    with shared.running_uploads.take(), contextlib.ExitStack() as undo:
+        undo.callback(path.unlink, missing_ok=True)
+        await _write(path, body_of(request, shared.limits.idle_s), shared.limits)
+        undo.pop_all()
+    return {"film": shared.uploads.add(StoredFilm(path))}
 
 
 @router.delete("/films/{name}", status_code=204)
@@ -36,25 +52,29 @@ async def forget(name: str, shared: SharedState) -> None:
 @router.get("/bundles/{name}")
 async def bundle(name: str, shared: SharedState) -> FileResponse:
     """Return a film of failed packets."""
-    path = shared.bundles.of(name)
-    if path is None or not path.is_file():
-        raise HTTPException(404, "that film is not here any more: save it again")
-    return FileResponse(path, media_type="application/x-hdf5", filename="failed.h5")
+    return FileResponse(shared.bundles.of(name).path, media_type="application/x-hdf5", filename="failed.h5")
 
 
-async def save_bundle(recorder: FailureRecorder | None, bundles: Bundles) -> dict[str, Any] | None:
-    """Save the film of a recorder; delete the film if the page disconnects meanwhile."""
-    if recorder is None:
-        return None
-    saving = asyncio.ensure_future(in_thread(lambda: bundles.save(recorder)))
-
-    def discard(saved: "asyncio.Future[dict[str, Any] | None]") -> None:
-        with contextlib.suppress(Exception, asyncio.CancelledError):
-            if row := saved.result():
-                bundles.drop(row["bundle"])
-
+async def _write(path: Path, parts: AsyncIterator[bytes], limits: Limits) -> None:
+    size, end_s = 0, time.monotonic() + limits.upload_s
     try:
-        return await asyncio.shield(saving)
-    except asyncio.CancelledError:
-        saving.add_done_callback(discard)
+        with path.open("xb") as file:
+            async for part in parts:
+                size += len(part)
+                _check_size(size, limits)
+                if time.monotonic() > end_s:
+                    raise MediaError(
+                        f"the upload took more than {limits.upload_s:g} s: name the film on the command line"
+                    )
+                await asyncio.to_thread(file.write, part)
+    except HeliographError:
         raise
+    except OSError as error:
+        raise MediaError(f"cannot store the film: {error.strerror or error}; make room and upload it again") from None
+    if not size:
+        raise MediaError("the film is empty: choose a file with content")
+
+
+def _check_size(size: int, limits: Limits) -> None:
+    if size > limits.film_bytes:
+        raise TooLargeError(f"a film has at most {limits.film_bytes} bytes: name it on the command line")

@@ -1,8 +1,7 @@
 """Estimate of the pattern rate and the number of cells of a screen from frames or trial receptions."""
 
-from collections.abc import Callable, Iterator, Mapping
-from collections.abc import Set as AbstractSet
-from itertools import chain
+from collections.abc import Callable, Collection, Mapping
+from itertools import chain, takewhile
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -50,7 +49,7 @@ def estimate_link(
     frames: list[Frame],
     request: LinkRequest,
     tell: Tell,
-    rejected_sides: AbstractSet[int] = frozenset(),
+    rejected_sides: Collection[int] = (),
     is_late: Callable[[], bool] = lambda: False,
 ) -> LinkSettings:
     """Estimate the settings of a link; `is_late` ends the trials."""
@@ -58,51 +57,33 @@ def estimate_link(
     tell({"event": "light", "rate_hz": rate_hz})
     # a receiver with a wrong rate finds the right rate, but later
     trial_rate_hz = rate_hz or DEFAULT_RATE_HZ
-    side = request.side or _estimate_side(frames, trial_rate_hz, tell, rejected_sides, is_late)
+    side = request.side or cells_of_a_side(frames)
+    if request.side is None and (side is None or side in rejected_sides):
+        side = None
+        for trial_side in TRIAL_SIDES:
+            if trial_side in rejected_sides:
+                continue
+            if is_late():
+                break
+            tell({"event": "trying", "side": trial_side})
+            is_detected, is_decoded = _try(frames, screen_settings(trial_side, trial_rate_hz), is_late)
+            if is_decoded:
+                side = trial_side
+            if is_decoded or not is_detected:  # headers of all sizes look alike
+                break
     if rate_hz or side:
         tell({"event": "light", "rate_hz": rate_hz, "side": side})
     return screen_settings(side or TRIAL_SIDES[0], trial_rate_hz)
 
 
-def _estimate_side(
-    frames: list[Frame], rate_hz: float, tell: Tell, rejected: AbstractSet[int], is_late: Callable[[], bool]
-) -> int | None:
-    """Estimate the side from the lines between cells, or by trial receptions."""
-    side = cells_of_a_side(frames)
-    if side is not None and side not in rejected:
-        return side
-    for side in TRIAL_SIDES:
-        if side in rejected:
-            continue
-        if is_late():
-            return None
-        tell({"event": "trying", "side": side})
-        try:
-            is_detected, is_decoded = _try(frames, screen_settings(side, rate_hz), is_late)
-        except HeliographError:  # such as too few frames; the reception reports the error
-            return None
-        if is_decoded:
-            return side
-        if not is_detected:  # headers of all sizes look alike
-            return None
-    return None
-
-
 def _try(frames: list[Frame], settings: LinkSettings, is_late: Callable[[], bool]) -> tuple[bool, bool]:
     """Return True for a detected header, and for a decoded codeword."""
-    is_detected = False
-
-    def observe(event: object) -> None:
-        nonlocal is_detected
-        is_detected |= isinstance(event, DetectEvent)
-
-    def frames_in_time() -> Iterator[Frame]:
-        for frame in frames:
-            if is_late():
-                return
-            yield frame
-
-    receiver = make_receiver(settings.signal, settings.receive, observe)
-    packets = chain(chain.from_iterable(map(receiver.push, frames_in_time())), receiver.finish())
-    is_decoded = any(word.block for packet in packets for words in packet.layers.values() for word in words)
-    return is_detected, is_decoded
+    events: list[object] = []
+    frames_in_time = takewhile(lambda _: not is_late(), frames)
+    try:
+        receiver = make_receiver(settings.signal, settings.receive, events.append)
+        packets = [*chain.from_iterable(map(receiver.push, frames_in_time)), *receiver.finish()]
+    except HeliographError:  # such as too few frames; the reception reports the error
+        return False, False
+    is_detected = any(isinstance(event, DetectEvent) for event in events)
+    return is_detected, any(packet.has_codeword for packet in packets)

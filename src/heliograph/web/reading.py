@@ -1,10 +1,11 @@
 """Reception of an uploaded film or of the camera of a browser: the link is estimated, and the results are reported."""
 
+import contextlib
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
 from itertools import chain, product
+from math import ceil, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ from heliograph.media import FilmReader, open_film
 from heliograph.probe import probe_film
 from heliograph.probe.words import in_sentences
 from heliograph.web.camera_frames import CameraFrames, Frames
-from heliograph.web.failures import Bundles, FailureRecorder
+from heliograph.web.failures import FailureRecorder
 from heliograph.web.link_estimate import LinkRequest, Tell, estimate_link, shows_light
+from heliograph.web.stores import Store, StoredFilm
 
 WINDOW_S, WINDOW_BYTES = 7.0, 160 << 20
 """Frames for the estimate of a link: two packets of 3 s and a pause; 170 frames of 1280 x 720 pixels."""
@@ -45,21 +47,14 @@ class Timer:
         return True
 
 
-@dataclass(slots=True)
-class _Attempt:
-    """State of a reception with one estimate of the link."""
-
-    last_frames: deque[Frame] = field(default_factory=lambda: deque(maxlen=PROBE_FRAMES))
-    # True if no codeword was decoded for `PATIENCE_S`
-    is_exhausted: bool = False
-
-
 class PageReader:
     """Reader of frames of a screen for a page; runs in a worker thread."""
 
-    def __init__(self, request: LinkRequest, tell: Tell, recorder: FailureRecorder, bundles: Bundles):
+    def __init__(self, request: LinkRequest, tell: Tell, recorder: FailureRecorder, bundles: Store[StoredFilm]):
         self._request, self._tell, self._recorder, self._bundles = request, tell, recorder, bundles
         self._reception = Reception()
+        # Last frames of a camera with the present settings; True if no codeword was decoded for `PATIENCE_S`
+        self._last_frames, self._is_exhausted = deque[Frame](maxlen=PROBE_FRAMES), False
 
     def read_upload(self, path: Path) -> None:
         """Read a film; retry with another side and at full resolution if no codeword is decoded."""
@@ -70,7 +65,7 @@ class PageReader:
                 continue
             with open_film(path, expand_range=True, binning=binning) as film:
                 window = list(_first_frames(film))
-            settings = estimate_link(window, self._request, self._tell, rejected_sides if is_retry else frozenset())
+            settings = estimate_link(window, self._request, self._tell, rejected_sides if is_retry else ())
             if is_retry and settings.signal.side in rejected_sides:
                 continue
             self._reception = Reception()
@@ -88,40 +83,38 @@ class PageReader:
     def read_camera(self, camera: CameraFrames) -> None:
         """Read a camera; estimate the link again if no codeword is decoded for `PATIENCE_S`."""
         rejected_sides = set[int]()
-        self._recorder.restart(self._request.default_link.signal)
         frames = self._recorded(self._acknowledged(camera))
         while window := self._wait_for_light(frames):
             settings = estimate_link(window, self._request, self._tell, rejected_sides, lambda: camera.ended)
-            self._recorder.change_signal(settings.signal)
-            attempt = _Attempt()
+            self._recorder.signal = settings.signal
+            self._last_frames.clear()
+            self._is_exhausted = False
             try:
-                self._read(Frames("the camera", self._attempted(attempt, window, frames, camera)), settings, None)
+                self._read(Frames("the camera", self._attempted(window, frames, camera)), settings, None)
             except MediaError:  # fewer frames than a packet
                 if not camera.late:
                     raise
-            if attempt.is_exhausted or not self._codewords():
-                self._explain_camera([*attempt.last_frames], settings)
-            if not attempt.is_exhausted:
+            if self._is_exhausted or not self._codewords():
+                self._explain([*self._last_frames], settings)
+            if not self._is_exhausted:
                 break
             rejected_sides = {settings.signal.side} - rejected_sides
         self._finish(camera.waiting)
 
-    def _attempted(
-        self, attempt: _Attempt, window: list[Frame], frames: Iterator[Frame], camera: CameraFrames
-    ) -> Iterator[Frame]:
+    def _attempted(self, window: list[Frame], frames: Iterator[Frame], camera: CameraFrames) -> Iterator[Frame]:
         """Yield frames until no codeword is decoded for `PATIENCE_S`, or until the deadline of the camera."""
         codewords, start_s, timer = 0, None, Timer()
         for count, frame in enumerate(chain(window, frames), 1):
             decoded = self._codewords()
             start_s = frame.time_s if start_s is None or decoded > codewords else start_s
             codewords = decoded
-            attempt.last_frames.append(frame)
+            self._last_frames.append(frame)
             yield frame
             if camera.ended:
                 if timer.is_due():
                     self._tell({"event": "left", "frames": max(len(window) - count, 0) + camera.waiting})
             elif frame.time_s - start_s > PATIENCE_S:
-                attempt.is_exhausted = True
+                self._is_exhausted = True
                 return
             if camera.late:
                 return
@@ -145,7 +138,7 @@ class PageReader:
             self._tell({"event": "light", "rate_hz": None})
             if frame.time_s >= explain_s:
                 explain_s = frame.time_s + PATIENCE_S
-                self._explain_camera(window[-PROBE_FRAMES:], self._request.default_link)
+                self._explain(window[-PROBE_FRAMES:], self._request.default_link)
         return window
 
     def _acknowledged(self, camera: CameraFrames) -> Iterator[Frame]:
@@ -171,19 +164,20 @@ class PageReader:
             journal.read(packet, messages, reception.progress)
             self._recorder.add_packet(packet)
 
-    def _explain_camera(self, frames: list[Frame], settings: LinkSettings) -> None:
-        # a window is always short; the page counts lost frames
-        self._explain(frames, settings, ("Short:", "Lost frames:"))
+    def _explain(
+        self, frames: list[Frame], settings: LinkSettings, omitted: tuple[str, ...] = ("Short:", "Lost frames:")
+    ) -> None:
+        """Report why no codeword was decoded, except findings with an omitted prefix.
 
-    def _explain(self, frames: list[Frame], settings: LinkSettings, omitted: tuple[str, ...]) -> None:
-        """Report why no codeword was decoded, except findings with an omitted prefix."""
+        A window of a camera is always short, and the page counts lost frames.
+        """
         self._tell({"event": "asking why"})
-        rate_hz = (len(frames) - 1) / max(frames[-1].time_s - frames[0].time_s, 1e-3)
+        # a gap of a camera may leave a single frame
+        rate_hz = max(len(frames) - 1, 1) / max(frames[-1].time_s - frames[0].time_s, 1e-3)
         film = Frames("the film", frames, rate_hz, len(frames))
+        signal, receiver = settings.signal, settings.receive
         try:
-            findings = probe_film(
-                film, settings.signal, settings.receive, reading=False, most=PROBE_FRAMES, trials=False
-            )
+            findings = probe_film(film, signal, receiver, reading=False, most=PROBE_FRAMES, trials=False)
             if findings.broken is not None:
                 raise findings.broken
             lines = [line for line in in_sentences(findings) if not line.startswith(omitted)]
@@ -195,12 +189,9 @@ class PageReader:
         """Report the counts, and the film of failed packets."""
         counts = self._counts()
         if counts["failed"] or not counts["ok"]:
-            try:
-                bundle = self._bundles.save(self._recorder)
-            except HeliographError:
-                bundle = None
-            if bundle is not None:
-                self._tell({"event": "bundle", **bundle})
+            with contextlib.suppress(HeliographError):
+                if (bundle := self._recorder.save(self._bundles)) is not None:
+                    self._tell({"event": "bundle", **bundle})
         self._tell({"event": "end", **counts, "let_go": skipped})
 
     def _counts(self) -> dict[str, Any]:
@@ -222,10 +213,8 @@ def _binnings(path: Path) -> tuple[int, ...]:
         first = next(iter(film), None)
     if first is None:
         raise MediaError("the film holds no frames: record it again")
-    binning = 1
     # Binning 2 reads a film of 1920 x 1080 pixels three times as fast, with 1.5 px per LED for an array of 50 px
-    while first.pixels.size > 1_300_000 * binning**2:
-        binning += 1
+    binning = max(1, ceil(sqrt(first.pixels.size / 1_300_000)))
     return tuple(dict.fromkeys((binning, 1)))
 
 

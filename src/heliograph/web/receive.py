@@ -3,26 +3,20 @@
 import asyncio
 import contextlib
 import functools
-from collections.abc import Awaitable, Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, WebSocket
 from pydantic import Field, ValidationError
-from starlette.websockets import WebSocketDisconnect
 
 from heliograph.base.errors import HeliographError, MediaError
-from heliograph.web.camera_frames import CameraFrames, MessageError
-from heliograph.web.crashes import closing, in_thread, taking_place
-from heliograph.web.failures import Bundles, FailureRecorder
-from heliograph.web.files import save_bundle
+from heliograph.web.camera_frames import CameraFrames
+from heliograph.web.connection import Outbox, closing, converse, taking_place
+from heliograph.web.crashes import GoneError, in_thread
+from heliograph.web.failures import FailureRecorder
 from heliograph.web.link_estimate import LinkRequest
 from heliograph.web.reading import PageReader
-from heliograph.web.row_queue import GoneError, RowQueue
 from heliograph.web.security import PROTOCOL
-from heliograph.web.shared import SharedState, named_as
-
-Handle = Callable[[bytes | str], Awaitable[dict[str, Any] | None]]
-"""Handles a message of a page, and returns an optional answer."""
+from heliograph.web.shared import Shared, SharedState, named_as
 
 router = APIRouter(prefix="/api/receive")
 
@@ -42,113 +36,74 @@ async def receive(socket: WebSocket, shared: SharedState) -> None:
     texts "save" and "end".
     """
     await socket.accept(PROTOCOL)
-    async with closing(socket, lambda line: {"event": "error", "error": line}):
+    async with closing(socket, "error", "error"):
         request = await _receive_request(socket)
         async with taking_place(shared.sessions):
-            rows = RowQueue(socket)
-            # 256 MB: 40 s of 480 x 480 pixels at 30 frames/s
-            recorder = FailureRecorder(shared.uploads.folder(), max_bytes=256 << 20)
-            reader = PageReader(request, rows.put, recorder, shared.bundles)
-            if request.kind == "film":
-                with shared.uploads.reading(request.film) as path, named_as(path, "the film"):
-                    await _run(socket, rows, recorder, lambda: reader.read_upload(path), _reject)
-                shared.uploads.drop(request.film)
-            else:
-                camera = CameraFrames()
-                handle = functools.partial(_handle_camera, camera, recorder, shared.bundles)
-                await _run(socket, rows, recorder, lambda: reader.read_camera(camera), handle, lambda: camera.end(0.0))
+            await _run(socket, shared, request)
         await socket.close()
 
 
 async def _receive_request(socket: WebSocket) -> ReceiveRequest:
     try:
-        message = await asyncio.wait_for(socket.receive(), 10.0)
+        async with asyncio.timeout(10.0):
+            return ReceiveRequest.model_validate_json(await socket.receive_text())
     except TimeoutError:
         raise GoneError from None
-    if message["type"] == "websocket.disconnect":
-        raise WebSocketDisconnect
-    if not isinstance(message.get("text"), str):
-        raise MessageError("the first message must be a request in JSON")
+    except (ValidationError, UnicodeError, KeyError):
+        raise MediaError("the first message must be a request in JSON") from None
+
+
+async def _run(socket: WebSocket, shared: Shared, request: ReceiveRequest) -> None:
+    """Receive in a worker thread, send rows to the page, and handle messages of the page."""
+    outbox, camera = Outbox(), CameraFrames()
+    # 256 MB: 40 s of 480 x 480 pixels at 30 frames/s
+    recorder = FailureRecorder(shared.folder, request.default_link.signal, max_bytes=256 << 20)
+    reader = PageReader(request, outbox.tell, recorder, shared.bundles)
+
+    async def handle(message: str | bytes) -> None:
+        """Queue a frame, end the camera, or save the failed packets."""
+        if request.kind == "film":
+            raise MediaError("a page sends no messages during the reception of a film")
+        if isinstance(message, bytes):
+            camera.put(message)
+        elif message == "end":
+            camera.end()
+        elif message == "save":
+            outbox.tell(await _save(shared, recorder))
+        else:
+            raise MediaError("a page sends frames, 'save' and 'end'")
+
+    async def run_worker() -> None:
+        try:
+            with contextlib.closing(recorder):
+                await outbox.run(work)
+        except Exception as error:
+            outbox.end(error)
+        else:
+            outbox.end()
+
+    with contextlib.ExitStack() as stack:
+        if request.kind == "film":
+            path = stack.enter_context(shared.uploads.of(request.film).reading())
+            stack.enter_context(named_as(path, "the film"))
+            stack.callback(shared.uploads.drop, request.film)
+            work = functools.partial(reader.read_upload, path)
+        else:
+            work = functools.partial(reader.read_camera, camera)
+        worker = asyncio.create_task(run_worker())
+        try:
+            await converse(socket, outbox, handle)
+        finally:
+            camera.end(0.0)
+            await asyncio.wait([worker])  # occupies the film and a place until the end
+
+
+async def _save(shared: Shared, recorder: FailureRecorder) -> dict[str, object]:
+    """Save the failed packets so far, and return the row for the page."""
     try:
-        return ReceiveRequest.model_validate_json(message["text"])
-    except (ValidationError, UnicodeError):
-        raise MessageError("invalid request") from None
-
-
-async def _reject(_message: bytes | str) -> None:
-    raise MessageError("a page sends no messages during the reception of a film")
-
-
-async def _handle_camera(
-    camera: CameraFrames, recorder: FailureRecorder, bundles: Bundles, message: bytes | str
-) -> dict[str, Any] | None:
-    """Queue a frame, end the camera, or save the failed packets."""
-    if isinstance(message, bytes):
-        camera.put(message)
-    elif message == "end":
-        camera.end()
-    elif message == "save":
-        return await _save(recorder, bundles)
-    else:
-        raise MessageError("a page sends frames, 'save' and 'end'")
-    return None
-
-
-async def _save(recorder: FailureRecorder, bundles: Bundles) -> dict[str, Any]:
-    """Save the failed packets so far, and return the answer to the page."""
-    try:
-        bundle = await save_bundle(recorder, bundles)
+        bundle = await in_thread(lambda: recorder.save(shared.bundles))
         if bundle is None:
             raise MediaError("the camera has sent no frames: start the camera")
     except HeliographError as error:
         return {"event": "refused", "error": str(error)}
     return {"event": "saved", **bundle}
-
-
-async def _run(
-    socket: WebSocket,
-    rows: RowQueue,
-    recorder: FailureRecorder,
-    work: Callable[[], None],
-    handle: Handle,
-    stop: Callable[[], None] = lambda: None,
-) -> None:
-    """Run a worker, send rows to the page, and handle messages of the page; `stop` unblocks the worker."""
-
-    def work_and_discard() -> None:
-        with contextlib.closing(recorder):
-            work()
-
-    async def run_worker() -> None:
-        try:
-            with contextlib.suppress(GoneError):
-                await in_thread(work_and_discard)
-        finally:
-            await rows.end()
-
-    worker = asyncio.ensure_future(run_worker())
-    tasks = [asyncio.create_task(rows.forward()), asyncio.create_task(_handle_messages(socket, rows, handle))]
-    done = set[asyncio.Task[None]]()
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        rows.cancel()
-        stop()
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-    await worker  # occupies the film and a place until the end
-    for task in done:
-        task.result()
-
-
-async def _handle_messages(socket: WebSocket, rows: RowQueue, handle: Handle) -> None:
-    """Handle messages until the page disconnects."""
-    while True:
-        message = await socket.receive()
-        if message["type"] == "websocket.disconnect":
-            raise WebSocketDisconnect
-        data = message.get("bytes")
-        answer = await handle(message.get("text") or "" if data is None else data)
-        if answer is not None:
-            await rows.put_in_loop(answer)

@@ -1,6 +1,5 @@
 """Access control: host names, origins and tokens of requests, and security headers of responses."""
 
-import asyncio
 import hmac
 import ipaddress
 import re
@@ -10,8 +9,6 @@ from dataclasses import dataclass
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-
-from heliograph.web.limits import MAX_LENGTH_DIGITS, Limits
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "[::1]"})
 """Host names of the loopback interface in browsers."""
@@ -67,10 +64,10 @@ class Access:
 
 
 class Guard:
-    """Middleware that rejects foreign requests, limits request bodies and adds security headers."""
+    """Middleware that rejects foreign requests and adds security headers."""
 
-    def __init__(self, app: ASGIApp, access: Access, limits: Limits):
-        self._app, self._access, self._limits = app, access, limits
+    def __init__(self, app: ASGIApp, access: Access):
+        self._app, self._access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on or reject the request; see ASGI."""
@@ -81,7 +78,6 @@ class Guard:
         rejection = self._rejection(scope, headers)
         send = _with_headers(send, "localhost" if rejection else headers["host"])
         if rejection is None:
-            receive = _with_timeout(receive, self._limits.idle_s) if scope["type"] == "http" else receive
             await self._app(scope, receive, send)
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008, "reason": rejection[1]})
@@ -99,17 +95,6 @@ class Guard:
             return 403, "cross-site requests are not allowed: use the pages of this server"
         if scope["path"].startswith(DATA) and not self._access.accepts_token(_tokens(scope, headers)):
             return 401, "the token is missing or wrong: open the complete address printed by 'heliograph serve'"
-        # uploads use PUT and count bytes while reading
-        if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD", "PUT"):
-            return self._length_rejection(headers)
-        return None
-
-    def _length_rejection(self, headers: Headers) -> tuple[int, str] | None:
-        length = headers.get("content-length", "" if "transfer-encoding" in headers else "0")
-        if not (length.isascii() and length.isdecimal()):
-            return 411, "the request needs a valid Content-Length"
-        if len(length) > MAX_LENGTH_DIGITS or int(length) > self._limits.body_bytes:
-            return 413, f"a request has at most {self._limits.body_bytes} bytes"
         return None
 
 
@@ -137,24 +122,6 @@ def _is_address(name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _with_timeout(receive: Receive, idle_s: float) -> Receive:
-    """Return `receive` with a timeout for each part of a request body; a timeout disconnects the client."""
-    is_complete = False
-
-    async def receive_part() -> Message:
-        nonlocal is_complete
-        if is_complete:
-            return await receive()
-        try:
-            part = await asyncio.wait_for(receive(), idle_s)
-        except TimeoutError:
-            return {"type": "http.disconnect"}
-        is_complete = not part.get("more_body", False)
-        return part
-
-    return receive_part
 
 
 def _with_headers(send: Send, host: str) -> Send:

@@ -1,8 +1,6 @@
 """Transmission of texts and files by a screen: packets of patterns, and settings of the link."""
 
-import secrets
 import threading
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from math import ceil
@@ -11,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.errors import MediaError, SettingsError
+from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.file_store import safe_name
 from heliograph.link.settings import LinkSettings, load_settings
@@ -26,9 +24,6 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.5, 240.0
 
 MAX_BYTES = 256 << 10
 """Size of a text or file: at the rates of screens an hour, and less than 2 s of encoding."""
-
-MAX_SENDINGS = 16
-"""Stored transmissions; the least recently used transmission is deleted first."""
 
 LED_PX, MARGIN = 32, 2
 """Side of a cell in pixels and dark margin in cells, of a film of patterns."""
@@ -101,12 +96,17 @@ class Sending:
         }  # fmt: skip
 
 
+def check_size(size: int) -> None:
+    """Raise a MediaError if a text or file has too many bytes."""
+    if size > MAX_BYTES:
+        raise MediaError(f"a screen sends at most {MAX_BYTES >> 10} kB: choose a smaller file")
+
+
 def sending_of(data: bytes, name: str | None, side: int, rate_hz: float) -> Sending:
     """Return the transmission of a text, or of a file with a name."""
     if not data and name is None:
         raise MediaError("the text is empty: write a text, or choose a file")
-    if len(data) > MAX_BYTES:
-        raise MediaError(f"a screen sends at most {MAX_BYTES >> 10} kB, not {len(data) / 1024:.0f} kB: make it smaller")
+    check_size(len(data))
     settings = screen_settings(side, rate_hz)
     formats = settings.transmit.formats
     layers = Transmitter(settings.signal, 0, {}, formats).format.layers.values()
@@ -116,28 +116,3 @@ def sending_of(data: bytes, name: str | None, side: int, rate_hz: float) -> Send
     content: Any = data if is_message else SentFile(safe_name(name or "text.txt")[-LONGEST_NAME:], data)
     transmitter = Transmitter(settings.signal, 0, {layer: [content] for layer in LAYERS}, formats)
     return Sending(transmitter, rate_hz, len(data), not is_message)
-
-
-class Sendings:
-    """Transmissions by key; thread-safe."""
-
-    def __init__(self) -> None:
-        self._sendings: OrderedDict[str, Sending] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def add(self, sending: Sending) -> str:
-        """Add a transmission and return the key."""
-        name = secrets.token_hex(8)
-        with self._lock:
-            self._sendings[name] = sending
-            while len(self._sendings) > MAX_SENDINGS:
-                self._sendings.popitem(last=False)
-        return name
-
-    def of(self, name: str) -> Sending:
-        """Return a transmission; raise a SettingsError for an unknown key."""
-        with self._lock:
-            if name not in self._sendings:
-                raise SettingsError("that text or file is not here any more: send it again")
-            self._sendings.move_to_end(name)
-            return self._sendings[name]

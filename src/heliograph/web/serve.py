@@ -76,16 +76,14 @@ def open_port(address: Address) -> socket.socket:
     family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    place = f"{address.host}, port {address.port}"
     try:
         listener.bind((address.host, address.port))
         listener.listen(128)
     except (OSError, OverflowError) as error:
         listener.close()
         reason = getattr(error, "strerror", None) or str(error)
-        raise SettingsError(
-            f"cannot listen at {address.host}, port {address.port}: {reason}; choose another address by --port or "
-            "--host"
-        ) from None
+        raise SettingsError(f"cannot listen at {place}: {reason}; choose another address by --port or --host") from None
     return listener
 
 

@@ -1,20 +1,19 @@
 """State that the pages of a server share: settings, films, and limits of concurrent work."""
 
+import asyncio
 import contextlib
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Annotated, cast
 
 from fastapi import Depends
-from starlette.requests import HTTPConnection
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 
 from heliograph.base.errors import HeliographError, printable
 from heliograph.link.settings import LinkSettings
-from heliograph.web.failures import Bundles
 from heliograph.web.limits import Limits
-from heliograph.web.sending import Sendings
-from heliograph.web.uploads import Uploads
+from heliograph.web.sending import Sending
+from heliograph.web.stores import Places, Store, StoredFilm
 
 
 @contextlib.contextmanager
@@ -29,49 +28,23 @@ def named_as(path: Path, name: str) -> Iterator[None]:
         raise type(error)(str(error).replace(shown, name)) from error
 
 
-class BusyError(HeliographError):
-    """Too much concurrent work of a kind."""
-
-
-class Places:
-    """Limit of concurrent work of a kind, used by the event loop only."""
-
-    def __init__(self, count: int, name: str):
-        self._count, self._name, self.taken = count, name, 0
-
-    @contextlib.contextmanager
-    def take(self) -> Iterator[None]:
-        """Occupy a place during the block; raise a BusyError if all places are occupied."""
-        if self.taken >= self._count:
-            raise BusyError(f"{self._count} {self._name} run already: end a session, or try again later")
-        self.taken += 1
-        try:
-            yield
-        finally:
-            self.taken -= 1
-
-
-@dataclass(slots=True)
 class Shared:
     """State that the pages share."""
 
-    # Initial settings of the pages
-    settings: LinkSettings
-    # Films and cameras of the command line; identified by number
-    films: tuple[str, ...]
-    limits: Limits
-    # Settings of live cameras, such as "exposure_us=500"
-    camera: tuple[str, ...] = ()
-    # Live cameras of the last search; identified by number
-    cameras: list[str] = field(default_factory=list)
-    bundles: Bundles = field(default_factory=Bundles)
-    sendings: Sendings = field(default_factory=Sendings)
-    pattern_films: Places = field(default_factory=lambda: Places(2, "films of patterns"))
-    uploads: Uploads = field(init=False)
-    sessions: Places = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.uploads, self.sessions = Uploads(self.limits), Places(self.limits.sessions, "receptions")
+    def __init__(self, settings: LinkSettings, films: tuple[str, ...], limits: Limits, camera: tuple[str, ...]):
+        # Films and cameras of the command line, identified by number, and settings such as "exposure_us=500"
+        self.settings, self.films, self.limits, self.camera = settings, films, limits, camera
+        # Live cameras of the last search; identified by number
+        self.cameras: list[str] = []
+        # Folder of films, set while the server runs
+        self.folder = Path()
+        self.uploads = Store(limits.films, "that film is not here any more: upload it again", StoredFilm.drop)
+        # Films of failed packets: two for each concurrent reception
+        self.bundles = Store(2 * limits.sessions, "that film is not here any more: save it again", StoredFilm.drop)
+        self.sendings = Store[Sending](16, "that text or file is not here any more: send it again")
+        self.sessions = Places(limits.sessions, "receptions")
+        self.running_uploads = Places(limits.uploads, "uploads")
+        self.pattern_films = Places(2, "films of patterns")
 
 
 def shared_of(connection: HTTPConnection) -> Shared:
@@ -80,3 +53,13 @@ def shared_of(connection: HTTPConnection) -> Shared:
 
 
 SharedState = Annotated[Shared, Depends(shared_of)]
+
+
+async def body_of(request: Request, idle_s: float) -> AsyncIterator[bytes]:
+    """Yield the parts of a request body; a long pause counts as a disconnection."""
+    parts = request.stream()
+    try:
+        while (part := await asyncio.wait_for(anext(parts, None), idle_s)) is not None:
+            yield part
+    except TimeoutError:
+        raise ClientDisconnect from None

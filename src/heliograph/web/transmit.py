@@ -8,16 +8,12 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
-from starlette.requests import ClientDisconnect
 
 from heliograph.base.errors import MediaError
 from heliograph.media import create_film
 from heliograph.web.crashes import in_thread
-from heliograph.web.sending import LED_PX, MARGIN, MAX_BYTES, MAX_RATE_HZ, MIN_RATE_HZ, Sending, sending_of
-from heliograph.web.shared import SharedState
-
-MAX_FILM_PATTERNS = 36_000
-"""Patterns of a film: ten minutes at 60 patterns/s, half a minute of computing."""
+from heliograph.web.sending import LED_PX, MARGIN, MAX_RATE_HZ, MIN_RATE_HZ, Sending, check_size, sending_of
+from heliograph.web.shared import SharedState, body_of
 
 router = APIRouter(prefix="/api/transmit")
 
@@ -32,13 +28,9 @@ async def begin(
 ) -> dict[str, Any]:
     """Store a text or file, the body of a request; return the key and properties of the transmission."""
     data = bytearray()
-    try:
-        async for part in request.stream():
-            data += part
-            if len(data) > MAX_BYTES:
-                raise MediaError(f"a screen sends at most {MAX_BYTES >> 10} kB: choose a smaller file")
-    except ClientDisconnect:
-        raise MediaError("the upload was interrupted: send the text or file again") from None
+    async for part in body_of(request, shared.limits.idle_s):
+        data += part
+        check_size(len(data))
     sending = await in_thread(lambda: sending_of(bytes(data), name, side, rate_hz))
     return {"sending": shared.sendings.add(sending), **sending.facts()}
 
@@ -67,9 +59,10 @@ async def film(
 ) -> FileResponse:
     """Return the patterns as a video for any display."""
     sending = shared.sendings.of(name)
-    if seconds * sending.rate_hz > MAX_FILM_PATTERNS:
-        raise MediaError(f"such a film has at most {MAX_FILM_PATTERNS} patterns: choose fewer seconds")
-    path = shared.uploads.folder() / f"patterns-{token_hex(8)}.mp4"
+    # ten minutes at 60 patterns/s, half a minute of computing
+    if seconds * sending.rate_hz > 36_000:
+        raise MediaError("such a film has at most 36000 patterns: choose fewer seconds")
+    path = shared.folder / f"patterns-{token_hex(8)}.mp4"
     with contextlib.ExitStack() as cleanup, shared.pattern_films.take():
         cleanup.callback(path.unlink, missing_ok=True)
         await in_thread(lambda: _write(path, sending, seconds, gamma))

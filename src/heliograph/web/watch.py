@@ -10,7 +10,8 @@ from heliograph.media.live.camera import list_cameras
 from heliograph.media.live.reader import is_camera
 from heliograph.media.live.settings import camera_settings
 from heliograph.receive.registry import RECEIVERS
-from heliograph.web.crashes import closing, in_thread, taking_place
+from heliograph.web.connection import closing, taking_place
+from heliograph.web.crashes import in_thread
 from heliograph.web.security import PROTOCOL
 from heliograph.web.shared import SharedState
 from heliograph.web.watching.session import Session
@@ -39,5 +40,5 @@ async def cameras(shared: SharedState) -> dict[str, Any]:
 async def watch(socket: WebSocket, shared: SharedState) -> None:
     """Show receptions to a page."""
     await socket.accept(PROTOCOL if PROTOCOL in socket.scope.get("subprotocols", ()) else None)
-    async with closing(socket, lambda line: {"event": "failed", "reason": line}), taking_place(shared.sessions):
+    async with closing(socket, "failed", "reason"), taking_place(shared.sessions):
         await Session(socket, shared).run()

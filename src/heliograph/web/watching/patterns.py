@@ -1,4 +1,4 @@
-"""Light of a packet for display: received, equalised and decided luminances, and soft values by layer."""
+"""Light of a packet for display: luminances, and histograms of soft values by layer."""
 
 from base64 import b64encode
 from collections.abc import Mapping
@@ -8,20 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.decode.per_led import at_leds
-from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 
+CodedBits = Mapping[str, NDArray[np.bool_]]
+"""Coded bits by layer, (codewords, E)."""
 
-def luminances_of(cutouts: tuple[Cutout | None, ...], side: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the luminance of each LED of cut-outs, (pairs, n, n), and the mask of pairs with a cut-out."""
-    luminances = np.zeros((len(cutouts), side, side))
-    for pair, cutout in enumerate(cutouts):
-        if cutout is not None:
-            luminances[pair] = at_leds(cutout.difference, cutout.corner, cutout.middle, side)
-    return luminances, np.array([cutout is not None for cutout in cutouts], dtype=bool)
+
+def encode(form: PacketFormat, words: Words) -> CodedBits:
+    """Encode the decided bits of a packet again."""
+    return {
+        name: layer.code.encode(np.stack([word.bits for word in words[name]])).astype(bool)
+        for name, layer in form.layers.items()
+    }
 
 
 def soft_by_layer(form: PacketFormat, luminances: Floats) -> dict[str, Floats]:
@@ -30,26 +30,8 @@ def soft_by_layer(form: PacketFormat, luminances: Floats) -> dict[str, Floats]:
     return {name: layer.deinterleave(soft[name]) for name, layer in form.layers.items()}
 
 
-def _encoded(form: PacketFormat, words: Words) -> dict[str, NDArray[np.bool_]]:
-    """Encode the decided bits of a packet again, by layer: (codewords, E)."""
-    return {
-        name: layer.code.encode(np.stack([word.bits for word in words[name]])).astype(bool)
-        for name, layer in form.layers.items()
-    }
-
-
-def decided(form: PacketFormat, words: Words) -> Floats | None:
-    """Return luminances x' = level - 2 of the decided bits, (pairs, n, n).
-
-    None in the single mode, whose patterns depend on earlier packets.
-    """
-    if form.single:
-        return None
-    return expected(form, {name: np.where(bits, -1.0, 1.0) for name, bits in _encoded(form, words).items()})
-
-
 def equalised_by(
-    form: PacketFormat, llr: Mapping[str, Floats], soft_by_led: Mapping[str, Floats], words: Words
+    form: PacketFormat, llr: Mapping[str, Floats], soft_by_led: Mapping[str, Floats], coded: CodedBits
 ) -> tuple[dict[str, Floats], Floats]:
     """Return soft values by layer and luminances (pairs, n, n) of an equaliser.
 
@@ -57,10 +39,10 @@ def equalised_by(
     values of the LEDs, and the luminances of the decoded bits.
     """
     soft, bits = dict[str, Floats](), dict[str, Floats]()
-    for name, coded in _encoded(form, words).items():
+    for name in coded:
         known = ~llr[name].any(axis=1, keepdims=True)
         soft[name] = np.where(known, soft_by_led[name], llr[name])
-        bits[name] = np.where(known, np.where(coded, -1.0, 1.0), np.tanh(llr[name] / 2))
+        bits[name] = np.where(known, np.where(coded[name], -1.0, 1.0), np.tanh(llr[name] / 2))
     return soft, expected(form, bits)
 
 
@@ -72,20 +54,19 @@ def expected(form: PacketFormat, bits: Mapping[str, Floats]) -> Floats:
     return haar.inverse_transform(d) if form.settings.modulation == "haar" else 2.0 * d
 
 
-def histograms(form: PacketFormat, soft: Mapping[str, Floats], words: Words) -> dict[str, Any]:
+def histograms(soft: Mapping[str, Floats], coded: CodedBits, words: Words) -> dict[str, Any]:
     """Return histograms of soft values by layer as plain values."""
-    coded, layers = _encoded(form, words), {}
+    layers = {}
     for name, values in soft.items():
-        is_ok = np.array([word.status == "ok" for word in words[name]])
         scale = max(float(np.percentile(np.abs(values), 99)), TINY)
-        known, valid = np.broadcast_to(is_ok[:, None], values.shape), values != 0
+        valid, ones = values != 0, coded[name]
+        known = valid & np.array([word.status == "ok" for word in words[name]])[:, None]
+        parts = {"zeros": known & ~ones, "ones": known & ones, "open": valid & ~known}
         layers[name] = {
             "scale": round(scale, 3),
-            "zeros": _counts(values[known & valid & ~coded[name]], scale),
-            "ones": _counts(values[known & valid & coded[name]], scale),
-            "open": _counts(values[~known & valid], scale),
-            "known": int((known & valid).sum()),
-            "wrong": int((known & valid & ((values < 0) != coded[name])).sum()),
+            **{part: _counts(values[mask], scale) for part, mask in parts.items()},
+            "known": int(known.sum()),
+            "wrong": int((known & ((values < 0) != ones)).sum()),
         }
     return layers
 

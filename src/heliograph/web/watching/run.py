@@ -1,7 +1,6 @@
-"""Watched reception in a thread: frames pass a gate, and results go to the outbox of a page."""
+"""Watched reception in a worker thread: frames pass a gate, and results go to the outbox of a page."""
 
 import contextlib
-import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -18,10 +17,11 @@ from heliograph.media.live.reader import LiveReader
 from heliograph.receive.events import DecodeEvent, DetectEvent, EqualiseEvent, ExtractEvent, LostEvent, TrackEvent
 from heliograph.signal.settings import LAYERS
 from heliograph.web.camera_frames import Frames
+from heliograph.web.connection import Outbox
+from heliograph.web.crashes import is_crash
 from heliograph.web.failures import FailureRecorder
 from heliograph.web.shared import Shared
 from heliograph.web.watching.gate import Gate
-from heliograph.web.watching.outbox import Outbox
 from heliograph.web.watching.scene import SceneObserver
 from heliograph.web.watching.sources import Source, WatchRequest, opened
 
@@ -39,81 +39,39 @@ STAGES: dict[type, str] = {
 """Stages by final event."""
 
 
-class Stopwatch:
-    """Time by stage of the reception."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last_s = time.perf_counter()
-
-    def mark(self, stage: str) -> None:
-        """Add the time since the last mark to a stage."""
-        now = time.perf_counter()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last_s
-        self._last_s = now
-
-
 class Run:
-    """Watched reception."""
+    """Watched reception; `watch` runs in a worker thread."""
 
     def __init__(self, request: WatchRequest, shared: Shared, outbox: Outbox, gate: Gate):
         self._request, self._shared, self._outbox, self.gate = request, shared, outbox, gate
         self.recorder: FailureRecorder | None = None
-        self._stopwatch = Stopwatch()
         self._newest: Frame | None = None
         self._live: LiveReader | None = None
         self._start_s = self._counts_s = time.monotonic()
         self._scene_s = float("-inf")
-        self._lock, self._is_over, self._is_abandoned = threading.Lock(), False, False
-        self._thread = threading.Thread(target=self._main, name="watch", daemon=True)
-
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    def abandon(self) -> None:
-        """Stop before the next frame and discard unsaved frames; do not wait."""
-        self._stop_frames()
-        with self._lock:
-            self._is_abandoned = True
-            if self._is_over and self.recorder is not None:
-                self.recorder.close()
+        self._stages: dict[str, float] = {}
+        self._mark_s = time.perf_counter()
 
     def stop(self) -> None:
-        """Abandon the reception and wait for the end of the thread."""
-        self.abandon()
-        self._thread.join()
-
-    def halt(self) -> None:
-        """Stop before the next frame and wait; failed packets can still be saved."""
-        self._stop_frames()
-        self._thread.join()
-
-    @property
-    def is_over(self) -> bool:
-        """True after the end of the reception."""
-        return self._is_over
-
-    def _stop_frames(self) -> None:
+        """Stop before the next frame; failed packets can still be saved."""
         self.gate.stop()
         if self._live is not None:
             self._live.stop()  # ends the wait for a frame
 
-    def _main(self) -> None:
-        try:
-            self._watch()
-        except BaseException as error:  # the thread has no other way to report an error
-            self._outbox.fail(error)
+    def discard(self) -> None:
+        """Discard unsaved frames."""
+        if self.recorder is not None:
+            self.recorder.close()
 
-    def _watch(self) -> None:
+    def watch(self) -> None:
+        """Receive the source, and report the results or an expected error."""
         try:
             with opened(self._request, self._shared) as source:
                 self._receive(source)
-        finally:
-            with self._lock:
-                self._is_over = True
-                if self._is_abandoned and self.recorder is not None:
-                    self.recorder.close()
+        except HeliographError as error:
+            if is_crash(error):
+                raise
+            self._outbox.tell({"event": "failed", "reason": str(error)})
 
     def _receive(self, source: Source) -> None:
         tell = self._outbox.tell
@@ -126,15 +84,15 @@ class Run:
         if source.live is not None:
             self._prepare_camera(source, source.live)
         self.recorder = FailureRecorder(
-            self._shared.uploads.folder(), source.signal, rate_hz=source.rate_hz, metadata=source.metadata
+            self._shared.folder, source.signal, rate_hz=source.rate_hz, metadata=source.metadata
         )
-        calibration = source.settings.receive.calibration
-        observer, reception = SceneObserver(source.signal, calibration), Reception(source.truth)
+        observer = SceneObserver(source.signal, source.settings.receive.calibration)
+        reception = Reception(source.truth)
         try:
-            self._read(source, observer, reception, Journal(calibration, tell), self.recorder)
+            self._report_packets(source, observer, reception, self.recorder)
         finally:
             if self._newest is not None:
-                self._outbox.show(observer.scene(self._newest))
+                self._outbox.show(observer.scene(self._newest).encoded)
             tell(self._counts(reception))
         tell({"event": "end", "stopped": self.gate.stopped})
 
@@ -151,55 +109,49 @@ class Run:
         with contextlib.suppress(HeliographError):
             warm_up(source.signal, source.settings.receive, source.bits)
 
-    def _read(
-        self,
-        source: Source,
-        observer: SceneObserver,
-        reception: Reception,
-        journal: Journal,
-        recorder: FailureRecorder,
+    def _report_packets(
+        self, source: Source, observer: SceneObserver, reception: Reception, recorder: FailureRecorder
     ) -> None:
         """Receive the frames, and report events and packets."""
+        journal = Journal(source.settings.receive.calibration, self._outbox.tell)
 
         def observe(event: Any) -> None:
-            self._stopwatch.mark(STAGES.get(type(event), "search"))
+            self._mark(STAGES.get(type(event), "search"))
             observer(event)
             journal.observe(event)
-            self._stopwatch.mark("show")
+            self._mark("show")
 
-        film = Frames(source.name, self._frames(source, observer, reception, recorder))
+        def frames() -> Iterator[Frame]:
+            """Yield frames after the gate; show each frame after the reception."""
+            self._mark("show")
+            for frame in source.frames:
+                self._mark("render" if isinstance(source.frames, LiveFilm) else "read")
+                self._show(observer, reception)
+                self._mark("show")
+                if not self.gate.pass_through(frame.time_s):
+                    break
+                self._mark("wait")
+                recorder.add_frame(frame)
+                self._newest = frame
+                yield frame
+                self._mark("search")
+
+        film = Frames(source.name, frames())
         for packet, messages in receive_film(film, source.signal, source.settings, reception, observe):
-            self._stopwatch.mark("search")
+            self._mark("search")
             for row in observer.packet_rows():
                 self._outbox.tell(row)
             journal.read(packet, messages, reception.progress)
-            names = ("id", "layer", "stream", "had", "bytes")
-            unfinished = [dict(zip(names, values, strict=True)) for values in reception.unfinished()[:40]]
-            self._outbox.tell({"event": "unfinished", "messages": unfinished})
+            self._outbox.tell({"event": "unfinished", "messages": reception.report(1.0)["unfinished"][:40]})
             recorder.add_packet(packet)
-            self.gate.packet_read()
-            self._stopwatch.mark("show")
+            self.gate.end_packet()
+            self._mark("show")
 
-    def _frames(
-        self, source: Source, observer: SceneObserver, reception: Reception, recorder: FailureRecorder
-    ) -> Iterator[Frame]:
-        """Yield frames after the gate; show each frame after the reception."""
-        frames = iter(source.frames)
-        self._stopwatch.mark("show")
-        for frame in frames:
-            self._stopwatch.mark("render" if isinstance(source.frames, LiveFilm) else "read")
-            self._show(observer, reception)
-            self._stopwatch.mark("show")
-            if not self.gate.pass_through(frame.time_s):
-                break
-            self._stopwatch.mark("wait")
-            recorder.add_frame(frame)
-            self._newest = frame
-            yield frame
-            self._stopwatch.mark("search")
-        close = getattr(frames, "close", None)
-        if close is not None:
-            close()
+    def _mark(self, stage: str) -> None:
+        """Add the time since the last mark to a stage."""
+        now = time.perf_counter()
+        self._stages[stage] = self._stages.get(stage, 0.0) + now - self._mark_s
+        self._mark_s = now
 
     def _show(self, observer: SceneObserver, reception: Reception) -> None:
         """Show the last frame and report the counts, periodically and before a pause."""
@@ -207,7 +159,7 @@ class Run:
         if self._newest is not None and (now >= self._scene_s + SCENE_S or is_held):
             # follow the refresh of the screen, unless frames arrive more slowly
             self._scene_s = now if now >= self._scene_s + 2 * SCENE_S else self._scene_s + SCENE_S
-            self._outbox.show(observer.scene(self._newest))
+            self._outbox.show(observer.scene(self._newest).encoded)
         if now >= self._counts_s + 0.5 or is_held:
             self._counts_s = now
             self._outbox.tell(self._counts(reception))
@@ -222,7 +174,7 @@ class Run:
             "detections": reception.detections,
             "left_out": {"candidates": reception.left_out.dropped, "blocks": reception.left_out.blocks},
             "arrays": reception.report(1.0)["arrays"],
-            "stages": {name: round(seconds, 4) for name, seconds in self._stopwatch.seconds.items()},
+            "stages": {name: round(seconds, 4) for name, seconds in self._stages.items()},
             "failed": 0 if self.recorder is None else self.recorder.packets,
         }
         if reception.errors is not None:
@@ -238,9 +190,7 @@ def errors_by_distance(errors: ErrorCounter) -> list[dict[str, Any]]:
         for name in LAYERS:
             wrong, sent = row[name]["codeword_errors"], row[name]["codewords"]
             low, high = clopper_pearson(wrong, sent) if sent else (0.0, 1.0)
-            layers[name] = {
-                "wrong": wrong, "sent": sent, "low": low, "high": high, "raw_wrong": row[name]["raw_errors"],
-                "raw_bits": row[name]["raw_bits"],
-            }  # fmt: skip
+            bits = {"raw_wrong": row[name]["raw_errors"], "raw_bits": row[name]["raw_bits"]}
+            layers[name] = {"wrong": wrong, "sent": sent, "low": low, "high": high, **bits}
         rows.append({"from_m": row["from_m"], "to_m": row["to_m"], "layers": layers})
     return rows

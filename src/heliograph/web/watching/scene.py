@@ -1,22 +1,20 @@
 """Scenes for display: frame, boxes and cut-outs of arrays; and the light of decoded packets."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
 
-from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
+from heliograph.receive.decode.per_led import at_leds
 from heliograph.receive.events import DecodeEvent, DetectEvent, EqualiseEvent, ExtractEvent, LostEvent, TrackEvent
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
-from heliograph.web.watching.patterns import decided, equalised_by, grey, histograms, luminances_of, soft_by_layer
+from heliograph.web.watching.patterns import encode, equalised_by, expected, grey, histograms, soft_by_layer
 
 MAX_COLUMNS = 960
 """Columns of a transmitted picture."""
@@ -69,25 +67,26 @@ class SceneObserver:
 
     def __call__(self, event: object) -> None:
         """Update the state by an event."""
-        if isinstance(event, TrackEvent):
-            self._tracked[event.identity] = event.view.pose_out(event.tracked.state.pose), event.tracked.seen
-        elif isinstance(event, DetectEvent):
-            self._tracked[event.detection.identity] = event.detection.fit.pose, True
-        elif isinstance(event, ExtractEvent):
-            pairs = self._pairs.setdefault(event.identity, [])
-            pairs.append(event)
-            del pairs[: -2 * self.signal.data_pairs]
-        elif isinstance(event, EqualiseEvent):
-            self._equalised[event.identity] = event
-        elif isinstance(event, DecodeEvent):
-            if event.packet.has_codeword:
-                self._confirmed.add(event.identity)
-            self._packet_rows.append(self._packet_row(event))
-            self._pairs.pop(event.identity, None)
-            self._equalised.pop(event.identity, None)
-        elif isinstance(event, LostEvent):
-            self._tracked.pop(event.identity, None)
-            self._pairs.pop(event.identity, None)
+        match event:
+            case TrackEvent():
+                self._tracked[event.identity] = event.view.pose_out(event.tracked.state.pose), event.tracked.seen
+            case DetectEvent():
+                self._tracked[event.detection.identity] = event.detection.fit.pose, True
+            case ExtractEvent():
+                pairs = self._pairs.setdefault(event.identity, [])
+                pairs.append(event)
+                del pairs[: -2 * self.signal.data_pairs]
+            case EqualiseEvent():
+                self._equalised[event.identity] = event
+            case DecodeEvent():
+                if event.packet.has_codeword:
+                    self._confirmed.add(event.identity)
+                self._packet_rows.append(self._packet_row(event))
+                self._pairs.pop(event.identity, None)
+                self._equalised.pop(event.identity, None)
+            case LostEvent():
+                self._tracked.pop(event.identity, None)
+                self._pairs.pop(event.identity, None)
 
     def packet_rows(self) -> list[dict[str, Any]]:
         """Return the light of the packets decoded since the last call."""
@@ -121,46 +120,46 @@ class SceneObserver:
         row: dict[str, Any] = {"event": "light", **self._name(event.identity), "time_s": round(packet.start_time_s, 6)}
         if not packet.layers or form.single:
             return row | {"reason": packet.reason or "no inverses: the patterns depend on earlier patterns"}
-        if event.luminances is not None:
-            luminances = event.luminances
-            is_valid = np.abs(luminances).sum(axis=(1, 2)) > 0
-        else:
-            luminances, is_valid = luminances_of(event.cutouts, self.signal.side)
-        method = "LED by LED"
-        soft: Mapping[str, Floats] = soft_by_layer(form, luminances)
+        side, coded = self.signal.side, encode(form, packet.layers)
+        luminances = event.luminances
+        if luminances is None:
+            luminances = np.stack([
+                np.zeros((side, side)) if cut is None else at_leds(cut.difference, cut.corner, cut.middle, side)
+                for cut in event.cutouts
+            ])  # fmt: skip
+        seen_pairs = np.flatnonzero(luminances.any(axis=(1, 2)))
+        method, soft = "LED by LED", soft_by_layer(form, luminances)
         equalised = self._equalised.get(event.identity)
         if equalised is not None and all(equalised.llr[name].shape == soft[name].shape for name in soft):
             method = f"equalised, iteration {equalised.iteration + 1}"
-            soft, luminances = equalised_by(form, equalised.llr, soft, packet.layers)
-        row |= {"how": method, "layers": histograms(form, soft, packet.layers)}
-        if not is_valid.any():
+            soft, luminances = equalised_by(form, equalised.llr, soft, coded)
+        row |= {"how": method, "layers": histograms(soft, coded, packet.layers)}
+        if not seen_pairs.size:
             return row
-        pairs = np.flatnonzero(is_valid)
-        pair = int(pairs[len(pairs) // 2])
+        pair = int(seen_pairs[len(seen_pairs) // 2])
         # if the gain is unknown, the 98th percentile stands for x' = 2
         is_calibrated = event.luminances is not None or equalised is not None
         high = 2.0 if is_calibrated else float(np.percentile(np.abs(luminances[pair]), 98)) or 1.0
-        row |= {"pair": pair + 1, "pairs": len(is_valid), "equalised": grey(luminances[pair], -high, high)}
-        patterns = decided(form, packet.layers)
-        if patterns is not None:
-            row["decided"] = grey(patterns[pair], -2.0, 2.0)
+        decided = expected(form, {name: np.where(bits, -1.0, 1.0) for name, bits in coded.items()})
         received = self._received_pattern(event, pair)
-        return row if received is None else row | {"received": received}
+        return row | {
+            "pair": pair + 1, "pairs": len(luminances), "equalised": grey(luminances[pair], -high, high),
+            "decided": grey(decided[pair], -2.0, 2.0), **({} if received is None else {"received": received}),
+        }  # fmt: skip
 
     def _received_pattern(self, event: DecodeEvent, pair: int) -> dict[str, Any] | None:
         """Return the camera's picture of the pattern of a pair."""
-        if event.luminances is not None:
-            for extracted in self._pairs.get(event.identity, ()):
-                luminances = extracted.luminances
-                is_same = luminances is not None and np.array_equal(luminances, event.luminances[pair])
-                if is_same or extracted.number == pair:
-                    return self._received_frame(extracted)
-            return None
-        cutout: Cutout | None = event.cutouts[pair]
-        if cutout is None:
-            return None
-        pattern = 0.5 * (cutout.total + cutout.difference)
-        return _cut(pattern, cutout.corner, cutout.poses[0], self.signal.side)
+        if event.luminances is None:
+            cutout = event.cutouts[pair]
+            if cutout is None:
+                return None
+            return _cut(0.5 * (cutout.total + cutout.difference), cutout.corner, cutout.poses[0], self.signal.side)
+        for extracted in self._pairs.get(event.identity, ()):
+            luminances = extracted.luminances
+            is_same = luminances is not None and np.array_equal(luminances, event.luminances[pair])
+            if is_same or extracted.number == pair:
+                return self._received_frame(extracted)
+        return None
 
     def _received_frame(self, event: ExtractEvent) -> dict[str, Any]:
         frame = event.frames[0]

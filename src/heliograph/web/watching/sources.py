@@ -1,7 +1,7 @@
 """Sources of page *Watch*: films, live cameras, and simulated drives."""
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -69,12 +69,18 @@ class Source:
 @contextlib.contextmanager
 def opened(request: WatchRequest, shared: Shared) -> Iterator[Source]:
     """Open a source during the block."""
+    base = shared.settings if request.preset is None else load_settings(request.preset)
+    changes = [parse_assignment(text) for text in request.changes]
+    if not all(set(change) <= {"signal", "receive"} for change in changes):
+        raise SettingsError("a page changes only settings of signal and receive, such as signal.side=8")
+    receiver = [] if request.receiver is None else [{"receive": {"receiver": request.receiver}}]
     if request.kind == "drive":
-        yield _simulate_drive(request, shared)
+        yield _simulate_drive(request, base, [*receiver, *changes])
         return
+    settings = _with_changes(base, [*receiver, *changes])
     with contextlib.ExitStack() as stack:
         if request.kind == "film":
-            path, name = stack.enter_context(shared.uploads.reading(request.film)), "the film"
+            path, name = stack.enter_context(shared.uploads.of(request.film).reading()), "the film"
         elif request.kind == "named":
             path = Path(_select(shared.films, request.number, "film", "reload the page"))
             name = shown_name(path)
@@ -82,16 +88,9 @@ def opened(request: WatchRequest, shared: Shared) -> Iterator[Source]:
             name = _select(shared.cameras, request.number, "camera", "search for cameras again")
             path = Path(name)
         stack.enter_context(named_as(path, name))
-        yield stack.enter_context(_open_film(request, shared, path, name))
-
-
-@contextlib.contextmanager
-def _open_film(request: WatchRequest, shared: Shared, path: Path, name: str) -> Iterator[Source]:
-    base = _base_settings(request, shared)
-    settings, changes = _changed_settings(request, base)
-    camera = shared.camera if is_camera(path) else ()
-    with open_film(path, rate_hz=request.rate_hz, expand_range=True, camera=camera) as film:
-        signal, _ = signal_of(film, base.signal, changes)
+        camera = shared.camera if is_camera(path) else ()
+        film = stack.enter_context(open_film(path, rate_hz=request.rate_hz, expand_range=True, camera=camera))
+        signal, _ = signal_of(film, base.signal, [change["signal"] for change in changes if "signal" in change])
         truth = None
         if request.kind == "named" and not is_camera(path) and truth_path(path).is_file():
             truth = open_truth(truth_path(path))
@@ -106,17 +105,15 @@ def _open_film(request: WatchRequest, shared: Shared, path: Path, name: str) -> 
         )  # fmt: skip
 
 
-def _simulate_drive(request: WatchRequest, shared: Shared) -> Source:
+def _simulate_drive(request: WatchRequest, base: LinkSettings, changes: Sequence[Mapping[str, Any]]) -> Source:
     """Return a drive that is rendered during the reception."""
     from heliograph.experiments.demo.drive import demo_messages  # imports Matplotlib
 
-    base = _base_settings(request, shared)
-    channel: dict[str, Any] = {}
+    values = {"distance_m": request.distance_m, "speed_m_s": request.speed_m_s}
+    channel: dict[str, Any] = {key: value for key, value in values.items() if value is not None}
     if request.street:
         channel["background"] = {"kind": "street" if base.channel.background.level else "street-night"}
-    values = {"distance_m": request.distance_m, "speed_m_s": request.speed_m_s}
-    channel |= {key: value for key, value in values.items() if value is not None}
-    settings, _ = _changed_settings(request, _with_changes(base, [{"channel": channel}]))
+    settings = _with_changes(base, [{"channel": channel}, *changes])
     camera, film = settings.channel.camera, LiveFilm(settings, demo_messages(settings), request.seed, None, None)
     return Source(
         name="a simulated drive", frames=film, width=camera.width, height=camera.height,
@@ -125,20 +122,7 @@ def _simulate_drive(request: WatchRequest, shared: Shared) -> Source:
     )  # fmt: skip
 
 
-def _base_settings(request: WatchRequest, shared: Shared) -> LinkSettings:
-    return shared.settings if request.preset is None else load_settings(request.preset)
-
-
-def _changed_settings(request: WatchRequest, base: LinkSettings) -> tuple[LinkSettings, list[dict[str, object]]]:
-    """Return the settings with the changes of a page, and the changes of the signal."""
-    changes = [parse_assignment(text) for text in request.changes]
-    if not all(set(change) <= {"signal", "receive"} for change in changes):
-        raise SettingsError("a page changes only settings of signal and receive, such as signal.side=8")
-    receiver = [] if request.receiver is None else [{"receive": {"receiver": request.receiver}}]
-    return _with_changes(base, [*receiver, *changes]), [change["signal"] for change in changes if "signal" in change]
-
-
-def _with_changes(settings: LinkSettings, changes: Iterable[Mapping[str, Any]]) -> LinkSettings:
+def _with_changes(settings: LinkSettings, changes: Sequence[Mapping[str, Any]]) -> LinkSettings:
     tree = to_mapping(settings)
     for change in changes:
         tree = merge(tree, change)

@@ -1,0 +1,103 @@
+"""Limited stores of films and transmissions, and limits of concurrent work."""
+
+import contextlib
+import secrets
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from heliograph.base.errors import HeliographError, MediaError
+
+T = TypeVar("T")
+
+
+class BusyError(HeliographError):
+    """Too much concurrent work of a kind."""
+
+
+class MissingError(MediaError):
+    """Unknown key or name."""
+
+
+class Places:
+    """Limit of concurrent work of a kind, used by the event loop only."""
+
+    def __init__(self, count: int, name: str):
+        self._count, self._name, self.taken = count, name, 0
+
+    @contextlib.contextmanager
+    def take(self) -> Iterator[None]:
+        """Occupy a place during the block; raise a BusyError if all places are occupied."""
+        if self.taken >= self._count:
+            raise BusyError(f"{self._count} {self._name} run already: end a session, or try again later")
+        self.taken += 1
+        try:
+            yield
+        finally:
+            self.taken -= 1
+
+
+class Store(Generic[T]):
+    """Values by random key; a new value replaces the least recently used value; thread-safe."""
+
+    def __init__(self, max_count: int, missing: str, discard: Callable[[T], Any] = lambda _: None):
+        self._max_count, self._missing, self._discard = max_count, missing, discard
+        self._values: OrderedDict[str, T] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def add(self, value: T) -> str:
+        """Add a value and return the key."""
+        key = secrets.token_hex(16)
+        with self._lock:
+            self._values[key] = value
+            old_keys = list(self._values)[: -self._max_count]
+        for old_key in old_keys:
+            self.drop(old_key)
+        return key
+
+    def of(self, key: str) -> T:
+        """Return a value; raise a MissingError for an unknown key."""
+        with self._lock:
+            if key not in self._values:
+                raise MissingError(self._missing)
+            self._values.move_to_end(key)
+            return self._values[key]
+
+    def drop(self, key: str) -> None:
+        """Discard a value; ignore unknown keys."""
+        with self._lock:
+            value = self._values.pop(key, None)
+        if value is not None:
+            self._discard(value)
+
+    def items(self) -> dict[str, T]:
+        """Return all values by key, the least recently used first."""
+        return dict(self._values)
+
+
+class StoredFilm:
+    """Film file, deleted after `drop` as soon as no reader remains."""
+
+    def __init__(self, path: Path):
+        self.path, self._readers, self._is_dropped = path, 0, False
+
+    @contextlib.contextmanager
+    def reading(self) -> Iterator[Path]:
+        """Yield the path; the file stays during the block."""
+        self._readers += 1
+        try:
+            yield self.path
+        finally:
+            self._readers -= 1
+            self._delete_if_unused()
+
+    def drop(self) -> None:
+        """Delete the file, or leave the deletion to the last reader."""
+        self._is_dropped = True
+        self._delete_if_unused()
+
+    def _delete_if_unused(self) -> None:
+        if self._is_dropped and not self._readers:
+            self.path.unlink(missing_ok=True)

@@ -1,0 +1,44 @@
+"""A server of the pages in a thread of this process, so that tests can inject faults."""
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import uvicorn
+from waiting import wait_until
+
+from heliograph.base.frames import Frame
+from heliograph.media import create_film
+from heliograph.web.app import create_app
+from heliograph.web.limits import Limits
+from heliograph.web.serve import Address, open_port, server_config
+
+OWN = "http://127.0.0.1:8000"
+"""Address of test clients; other addresses are rejected."""
+
+
+@contextmanager
+def serving(films: Sequence[Path] = (), limits: Limits | None = None) -> Iterator[str]:
+    """Serve the pages; yield the URL."""
+    address, limits = Address(port=0), limits or Limits()
+    app = create_app(films=[str(film) for film in films], limits=limits)
+    server = uvicorn.Server(server_config(app, address, limits))
+    with open_port(address) as listener:
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        try:
+            wait_until(lambda: server.started)
+            yield f"http://127.0.0.1:{listener.getsockname()[1]}/"
+        finally:
+            server.should_exit = True
+            thread.join()
+
+
+def write_dark_film(path: Path, frames: int = 40) -> Path:
+    """Write a film without an array."""
+    with create_film(path, width=64, height=48, rate_hz=1000) as out:
+        for k in range(frames):
+            out.write(Frame(k, k / 1000, np.full((48, 64), 20 + k % 2, np.uint8)))
+    return path
