@@ -16,7 +16,7 @@ from heliograph.cli import console
 from heliograph.cli.options import SettingsOptions, parse_vary_options
 from heliograph.experiments.flicker import metrics
 from heliograph.experiments.flicker.metrics import Flicker
-from heliograph.link.budget import Budget, Budgets, Spot
+from heliograph.link.budget import Budget, Spot, budgets
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import transmitters
@@ -35,16 +35,16 @@ def run_budget(
     overlay, vary = options.overlay(), parse_vary_options(vary_options)
     if not vary and "distance_m" not in overlay.get("channel", {}):
         vary = {DISTANCE: [25, 40, 60, 80, 100, 125, 150, 200]}
-    choices, budgets_of = grid(vary), Budgets(light)
+    choices = grid(vary)
     # at rest, the end of a drive does not limit distances
     overlay = merge(overlay, {"channel": {"speed_m_s": 0.0, "speed_profile": []}})
     links = [varied(options.preset, overlay, choice) for choice in choices]
-    budgets, flickers = [], []
+    rows, flickers = list[Budget](), []
     with console.progress("points", len(links)) as advance:
-        for number, link in enumerate(links, 1):
-            budgets.append(budgets_of.of(link))
+        for link, row in zip(links, budgets(links, light), strict=True):
+            rows.append(row)
             flickers.append(_flicker(replace(link, channel=links[0].channel)))
-            advance(number)
+            advance(len(rows))
     if as_json:
         console.say_json([
             {
@@ -54,20 +54,19 @@ def run_budget(
                     mode: {**array.plain(), "led_period_s": led_s} for mode, (array, led_s) in flicker.items()
                 },
             }
-            for choice, budget, flicker in zip(choices, budgets, flickers, strict=True)
+            for choice, budget, flicker in zip(choices, rows, flickers, strict=True)
         ])  # fmt: skip
         return
-    _show_spots(choices, [budget.spot for budget in budgets])
-    _show_ranges(choices, budgets)
-    intensities = ", ".join(dict.fromkeys(f"{budget.candela:.3g} cd" for budget in budgets))
-    light = budgets_of.light
+    _show_spots(choices, [budget.spot for budget in rows])
+    _show_ranges(choices, rows)
+    intensities = ", ".join(dict.fromkeys(f"{budget.candela:.3g} cd" for budget in rows))
     console.say_prose(
         f"light: {intensities} an LED, f/{light.f_number:g}, {light.efficiency:g} electrons a photon, "
         f"{light.wavelength_nm:g} nm"
     )
     for text in dict.fromkeys(line for flicker in flickers for line in _flicker_lines(flicker)):
         console.say_prose(text)
-    for text in _notes(budgets):
+    for text in _notes(rows):
         console.say_prose(f"note: {text}")
 
 
