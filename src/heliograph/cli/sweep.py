@@ -9,7 +9,7 @@ from heliograph.cli import console
 from heliograph.cli.options import WorkerOptions
 from heliograph.measure.statistics import Count
 from heliograph.sweeps.executors import fewer_workers
-from heliograph.sweeps.plan import not_looked_for
+from heliograph.sweeps.plan import size_warning
 from heliograph.sweeps.points import Point
 from heliograph.sweeps.runner import bar
 from heliograph.sweeps.sweep import count
@@ -21,7 +21,7 @@ def run_sweep(
 ) -> None:
     """Count errors at each point; show the counts so far after an early end."""
     tallies = [PointTally(point, stop_rule) for point in points]
-    for text in filter(None, (not_looked_for(points), fewer_workers(crew.workers))):
+    for text in filter(None, (size_warning(points), fewer_workers(crew.workers))):
         console.complain(text)
     logging.disable(logging.CRITICAL)  # hides the messages of lost clusters; an error follows
 
