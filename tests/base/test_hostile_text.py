@@ -110,14 +110,6 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert settings.transmit.identities == (3,)
 
 
-def test_true_stays_true() -> None:
-    settings = load_settings(
-        "static", None, ["channel.camera.gaps=false", "receive.receiver=soft", "receive.soft.combining=true"]
-    )
-    assert settings.channel.camera.gaps is False
-    assert settings.receive.soft.combining is True
-
-
 def test_an_array_behind_the_camera() -> None:
     behind = "channel.arrays.0.z_offset_m=-60"
     with pytest.raises(
@@ -167,6 +159,9 @@ def test_patterns_that_no_frame_shows(change: str) -> None:
         ("chanel.distance_m", r"did you mean 'channel'"),
         ("channel.arrays.0.x", r"did you mean 'channel\.arrays\.0\.x_m'"),
         ("k" * 100_000, "known are"),
+        ("receive.decode.beside", r"it is called 'receive\.decode\.in_background' now"),
+        ("receive.detect.busy_part", r"it is called 'receive\.detect\.cpu_share' now"),
+        ("receive.own", r"it is called 'receive\.custom' now"),
     ],
     ids=lambda text: text[:20],
 )

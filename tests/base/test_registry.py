@@ -1,17 +1,19 @@
 """Component registries, and registered components in worker processes."""
 
-import subprocess
+import importlib
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
-from waiting import HANG_S
 
+from heliograph.base import registry
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
-from heliograph.base.registry import Registry, _entries, digest, load_parts, registered
+from heliograph.base.registry import Registry, _entries, digest, load_parts, register_again, registered
 from heliograph.receive import ReceiveSettings, make_receiver
 from heliograph.receive.registry import RECEIVERS
 from heliograph.signal.settings import SignalSettings
@@ -67,14 +69,7 @@ def test_a_file_of_parts_that_cannot_be_run_is_one_line(tmp_path: Path, content:
     assert "loaded_broken_parts" not in sys.modules
 
 
-PARTS = """
-import heliograph
-from beside import Nothing
-
-heliograph.register_receiver("nothing", Nothing)
-"""
-
-BESIDE = """
+NOTHING = """
 class Nothing:
     detections = 0
 
@@ -87,58 +82,67 @@ class Nothing:
     finish = push
 """
 
-PROGRAM = """
-import pickle, sys
-from heliograph import load_parts
-from heliograph.base.registry import registered
-load_parts("parts.py")
-sys.stdout.buffer.write(pickle.dumps(registered()))
-"""
 
-WORKER = """
-import pickle, sys
-from heliograph.base.registry import register_again
-register_again(pickle.load(sys.stdin.buffer))
-import heliograph
-receiver = heliograph.make_receiver(heliograph.SignalSettings(), heliograph.ReceiveSettings(receiver=sys.argv[1]))
-print(type(receiver).__name__)
-"""
+def forget(patch: pytest.MonkeyPatch) -> None:
+    """Reset the registered parts, as in a new process."""
+    patch.setattr(registry, "_files", {})
+    patch.setattr(registry, "_failures", None)
+    for parts in registry._registries.values():
+        patch.setattr(parts, "_registered", {})
+        patch.setattr(parts, "origins", {})
+    patch.delitem(sys.modules, "neighbour", raising=False)
+    register_again.cache_clear()
 
 
-def run(program: str, *arguments: str, folder: Path, given: bytes = b"") -> subprocess.CompletedProcess[bytes]:
-    command = [sys.executable, "-c", program, *arguments]
-    return subprocess.run(command, cwd=folder, input=given, capture_output=True, timeout=HANG_S)
+@pytest.fixture
+def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, ...]]:
+    """Load a file that imports a neighbour, and return the sources for a new process, here without parts."""
+    forget(monkeypatch)
+    (tmp_path / "neighbour.py").write_text(NOTHING)
+    code = "import heliograph\nfrom neighbour import Nothing\nheliograph.register_receiver('nothing', Nothing)\n"
+    (tmp_path / "parts.py").write_text(code)
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    load_parts(tmp_path / "parts.py")
+    sources = registered()
+    forget(monkeypatch)
+    yield sources
+    register_again.cache_clear()
+    importlib.invalidate_caches()
 
 
-@pytest.mark.slow
-def test_another_process_runs_the_file_again(tmp_path: Path) -> None:
-    (tmp_path / "beside.py").write_text(BESIDE)
-    (tmp_path / "parts.py").write_text(PARTS)
-    parts = run(PROGRAM, folder=tmp_path).stdout
-    assert run(WORKER, "nothing", folder=tmp_path, given=parts).stdout == b"Nothing\n"
+def make_nothing() -> str:
+    return type(make_receiver(SignalSettings(), ReceiveSettings(receiver="nothing"))).__name__
 
 
-@pytest.mark.slow
-def test_what_does_not_come_by_running_a_file_again_is_an_error_once_it_is_asked_for(tmp_path: Path) -> None:
-    (tmp_path / "beside.py").write_text(BESIDE)
-    (tmp_path / "parts.py").write_text(PARTS)
-    parts = run(PROGRAM, folder=tmp_path).stdout
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    assert run(WORKER, "nothing", folder=elsewhere, given=parts).stdout == b"Nothing\n"
-    (tmp_path / "beside.py").unlink()
-    assert run(WORKER, "plain", folder=elsewhere, given=parts).stdout == b"StreamReceiver\n"
-    wrong = run(WORKER, "nothing", folder=elsewhere, given=parts)
-    assert b"'nothing' is not registered in this worker process" in wrong.stderr
-    assert b"No module named 'beside'" in wrong.stderr
+def test_worker_runs_the_file_again(sources: tuple[str, ...]) -> None:
+    register_again(sources)
+    assert make_nothing() == "Nothing"
 
 
-@pytest.mark.slow
-def test_what_is_registered_by_hand_cannot_go_elsewhere(tmp_path: Path) -> None:
-    (tmp_path / "beside.py").write_text(BESIDE)
-    program = PROGRAM.replace('load_parts("parts.py")', PARTS)
-    wrong = run(WORKER, "nothing", folder=tmp_path, given=run(program, folder=tmp_path).stdout)
-    assert b"write it into a file" in wrong.stderr
+def test_failed_registration_in_a_worker_is_reported_with_the_first_use(
+    sources: tuple[str, ...], tmp_path: Path
+) -> None:
+    (tmp_path / "neighbour.py").unlink()
+    shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
+    importlib.invalidate_caches()
+    register_again(sources)
+    assert RECEIVERS["plain"]
+    message = "'nothing' is not registered in this worker process: .*No module named 'neighbour'"
+    with pytest.raises(SettingsError, match=message):
+        make_nothing()
+
+
+@pytest.mark.usefixtures("sources")
+def test_part_of_an_interactive_session_cannot_reach_a_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "__main__", ModuleType("__main__"))
+    maker: Any = lambda *_: None  # noqa: E731 - the attribute of a function is set
+    maker.__module__ = "__main__"
+    RECEIVERS.register("nothing", maker, maker)
+    assert registered() == ()
+    forget(monkeypatch)
+    register_again(())
+    with pytest.raises(SettingsError, match="write it into a file"):
+        make_nothing()
 
 
 def test_files_of_one_name_are_different_modules(tmp_path: Path) -> None:
