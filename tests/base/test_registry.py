@@ -21,17 +21,13 @@ from heliograph.signal.settings import SignalSettings
 COLOURS: Registry[str] = Registry("colour", "test.colours", {"red": "string:digits"})
 
 
-def test_a_part_of_the_package_is_imported_when_asked_for() -> None:
+def test_built_in_and_registered_parts_are_found() -> None:
     assert COLOURS["red"] == "0123456789"
-    assert COLOURS.is_built_in("red")
-
-
-def test_a_registered_part_is_found_and_can_be_replaced() -> None:
     COLOURS.register("blue", "first", str)
     COLOURS.register("blue", "second", str)
     assert COLOURS["blue"] == "second"
     assert COLOURS.names() == ["red", "blue"]
-    assert not COLOURS.is_built_in("blue")
+    assert [COLOURS.is_built_in(name) for name in COLOURS.names()] == [True, False]
 
 
 @pytest.mark.parametrize(
@@ -43,16 +39,18 @@ def test_a_registered_part_is_found_and_can_be_replaced() -> None:
         ("é/", "name has letters"),
     ],
 )
-def test_names_that_are_refused(name: str, message: str) -> None:
+def test_invalid_names_are_refused(name: str, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         COLOURS.register(name, "x", str)
 
 
-def test_an_unknown_name_is_an_error_that_names_the_nearest() -> None:
-    with pytest.raises(SettingsError, match="unknown colour 'rad'; did you mean 'red'"):
-        COLOURS.check("rad")
-    with pytest.raises(SettingsError, match="unknown colour 'zzzz'; there are red"):
-        COLOURS.check("zzzz")
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("rad", "unknown colour 'rad'; did you mean 'red'"), ("zzzz", "unknown colour 'zzzz'; there are red")],
+)
+def test_unknown_name_is_an_error_with_the_nearest_name(name: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        COLOURS.check(name)
 
 
 @pytest.mark.parametrize(
@@ -217,55 +215,41 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     _entries.cache_clear()
 
 
+def offered(name: str, **groups: Any) -> Any:
+    settings = from_mapping(ReceiveSettings, {"receiver": f"offered{name}", **groups})
+    return make_receiver(SignalSettings(), settings)
+
+
 @pytest.mark.usefixtures("installed")
-def test_an_installed_package_offers_receivers() -> None:
+def test_installed_receivers_get_the_settings_that_they_declare() -> None:
     assert {"offered", "offered-reader"} <= {*RECEIVERS.names()}
     assert not RECEIVERS.is_built_in("offered")
-    receiver = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, {"receiver": "offered"}))
-    assert type(receiver).__name__ == "Offered"
+    assert type(offered("")).__name__ == "Offered"
+    assert offered("").own is None
+    calibration = {"exposure_s": 5e-4}
+    assert offered("-reader", calibration=calibration).exposure_s == 5e-4
+    for own, patience in (({}, 0.5), ({"patience": 2.0}, 2.0)):
+        receiver = offered("-patient", custom=own, calibration=calibration)
+        assert (receiver.own.patience, receiver.exposure_s) == (patience, 5e-4)
 
 
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize(
-    ("name", "message"),
+    ("name", "groups", "message"),
     [
-        (
-            "offered-broken",
-            "the receiver 'offered-broken' of offered_broken:Nothing cannot be loaded: division by zero",
-        ),
-        ("offered-gone", "the receiver 'offered-gone' of offered_parts:Gone cannot be loaded: .*'Gone'"),
+        ("-broken", {}, "the receiver 'offered-broken' of offered_broken:Nothing cannot be loaded: division by zero"),
+        ("-gone", {}, "the receiver 'offered-gone' of offered_parts:Gone cannot be loaded: .*'Gone'"),
+        ("-reader", {"detect": {"score": 0.8}}, r"receive\.detect\.score has no effect"),
+        ("", {"calibration": {"exposure_s": 5e-4}}, r"receive\.calibration\.exposure_s has no effect"),
+        ("-patient", {"custom": {"patiense": 2.0}}, r"unknown .*patiense.*; did you mean 'patience'"),
+        ("", {"custom": {"patience": 2.0}}, r"receive\.custom\.patience has no effect"),
     ],
 )
-def test_a_part_that_cannot_be_loaded_is_one_line(name: str, message: str) -> None:
+def test_faults_of_installed_receivers_and_their_settings_are_one_line(
+    name: str, groups: dict[str, Any], message: str
+) -> None:
     with pytest.raises(SettingsError, match=message) as caught:
-        RECEIVERS[name]
+        offered(name, **groups)
     assert "\n" not in str(caught.value)
     # a broken entry point leaves built-in receivers usable
     assert RECEIVERS["plain"]
-
-
-@pytest.mark.usefixtures("installed")
-def test_an_offered_receiver_reads_the_groups_that_it_names() -> None:
-    calibration = {"calibration": {"exposure_s": 5e-4}}
-    settings = from_mapping(ReceiveSettings, {"receiver": "offered-reader", **calibration})
-    assert make_receiver(SignalSettings(), settings).exposure_s == 5e-4  # type: ignore[attr-defined]
-    with pytest.raises(SettingsError, match=r"receive\.detect\.score has no effect"):
-        from_mapping(ReceiveSettings, {"receiver": "offered-reader", "detect": {"score": 0.8}})
-    with pytest.raises(SettingsError, match=r"receive\.calibration\.exposure_s has no effect"):
-        from_mapping(ReceiveSettings, {"receiver": "offered", **calibration})
-
-
-@pytest.mark.usefixtures("installed")
-def test_an_offered_receiver_has_the_settings_of_its_own_that_it_names() -> None:
-    for own, patience in (({}, 0.5), ({"patience": 2.0}, 2.0)):
-        given = {"receiver": "offered-patient", "custom": own, "calibration": {"exposure_s": 5e-4}}
-        receiver: Any = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, given))
-        assert receiver.own.patience == patience
-        assert receiver.exposure_s == 5e-4
-    with pytest.raises(SettingsError, match=r"unknown .*patiense.*; did you mean 'patience'"):
-        from_mapping(ReceiveSettings, {"receiver": "offered-patient", "custom": {"patiense": 2.0}})
-    # a bare class has no settings
-    receiver = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, {"receiver": "offered"}))
-    assert receiver.own is None
-    with pytest.raises(SettingsError, match=r"receive\.custom\.patience has no effect"):
-        from_mapping(ReceiveSettings, {"receiver": "offered", "custom": {"patience": 2.0}})

@@ -118,7 +118,7 @@ def test_every_size_of_block_brings_the_messages() -> None:
     [
         (SMALL, 0, {"top": [b""]}, "layers are high, middle, low, not top"),
         (SMALL, 30, {}, "identity is a whole number, 0 to 29, not 30"),
-        (SMALL, 0, {"high": [bytes(65537)]}, "at most 65536 bytes, not 65537"),
+        (SignalSettings(side=8, data_pairs=20), 0, {"high": [bytes(65537)]}, "at most 65536 bytes, not 65537"),
         (SignalSettings(side=4, data_pairs=10), 0, {}, r"raise signal\.data_pairs"),
         (SMALL, 3, {"high": [Updates(())]}, "in order"),
         (SMALL, 3, {"high": [Updates(((1.0, b"b"), (0.0, b"a")))]}, "in order"),

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 MOST_DATAGRAM = 65507
 """Largest payload of a UDP datagram over IPv4, in bytes."""
 
-MAX_QUEUED = 1000
-"""Queued rows per client; a slower client is disconnected."""
-
 CLOSE_TIMEOUT_S = 2.0
 """Time in s for clients to receive queued rows at the end."""
 
@@ -85,11 +82,15 @@ class Datagrams:
 
 
 class WebSocket:
-    """Local WebSocket server that sends each row to all clients; input from clients is ignored."""
+    """Local WebSocket server that sends each row to all clients; input from clients is ignored.
 
-    def __init__(self, host: str, port: int):
+    A client with `max_queued` waiting rows is disconnected.
+    """
+
+    def __init__(self, host: str, port: int, max_queued: int = 1000):
         from websockets.sync.server import serve
 
+        self._max_queued = max_queued
         self._queues: dict[ServerConnection, queue.Queue[str | None]] = {}
         self._changed = threading.Condition()
         local_pages = re.compile(r"http://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
@@ -130,7 +131,7 @@ class WebSocket:
         """Send queued rows to a client, in the client thread."""
         from websockets.exceptions import ConnectionClosed
 
-        rows: queue.Queue[str | None] = queue.Queue(MAX_QUEUED)
+        rows: queue.Queue[str | None] = queue.Queue(self._max_queued)
         with self._changed:
             self._queues[client] = rows
         with contextlib.suppress(ConnectionClosed, OSError):
