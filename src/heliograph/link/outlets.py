@@ -92,7 +92,7 @@ class WebSocket:
 
         self._max_queued = max_queued
         self._queues: dict[ServerConnection, queue.Queue[str | None]] = {}
-        self._changed = threading.Condition()
+        self._is_open, self._changed = True, threading.Condition()
         local_pages = re.compile(r"http://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
         self._server: Server = serve(self._serve_client, host, port, compression=None, origins=[None, local_pages])
         port = self._server.socket.getsockname()[1]
@@ -116,7 +116,7 @@ class WebSocket:
     def close(self) -> None:
         """Send the queued rows, then stop the server."""
         with self._changed:
-            queues = list(self._queues.values())
+            self._is_open, queues = False, list(self._queues.values())
         for rows in queues:
             with contextlib.suppress(queue.Full):
                 rows.put(None, timeout=CLOSE_TIMEOUT_S)
@@ -133,9 +133,11 @@ class WebSocket:
 
         rows: queue.Queue[str | None] = queue.Queue(self._max_queued)
         with self._changed:
+            if not self._is_open:  # a late client would wait for rows forever
+                return
             self._queues[client] = rows
         with contextlib.suppress(ConnectionClosed, OSError):
-            while (text := rows.get()) is not None:
+            while client in self._queues and (text := rows.get()) is not None:
                 client.send(text)
         with self._changed:
             self._queues.pop(client, None)
