@@ -1,6 +1,5 @@
 """Frame validation: one-line errors for invalid frames and mixed cameras."""
 
-import timeit
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -74,10 +73,8 @@ def test_a_copy_of_a_frame_lies_row_after_row_in_memory() -> None:
     assert copy.pixels.any()
 
 
-def test_the_check_takes_microseconds() -> None:
-    """The check ignores pixel values: a frame with 4 million pixels takes 2 us here."""
-    pixels = np.zeros((2048, 2048), np.uint8)
-    assert min(timeit.repeat(lambda: Frame(0, 0.0, pixels), number=100, repeat=5)) / 100 < 50e-6
+def test_check_reads_no_pixels() -> None:
+    Frame(0, 0.0, np.broadcast_to(np.zeros((), np.uint8), (1 << 20, 1 << 20)))  # an hour of reading
 
 
 def shrunk(frame: Frame) -> Frame:

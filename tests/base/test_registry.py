@@ -1,17 +1,19 @@
 """Component registries, and registered components in worker processes."""
 
-import subprocess
+import importlib
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
-from waiting import HANG_S
 
+from heliograph.base import registry
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
-from heliograph.base.registry import Registry, _entries, digest, load_parts, registered
+from heliograph.base.registry import Registry, _entries, digest, load_parts, register_again, registered
 from heliograph.receive import ReceiveSettings, make_receiver
 from heliograph.receive.registry import RECEIVERS
 from heliograph.signal.settings import SignalSettings
@@ -19,17 +21,13 @@ from heliograph.signal.settings import SignalSettings
 COLOURS: Registry[str] = Registry("colour", "test.colours", {"red": "string:digits"})
 
 
-def test_a_part_of_the_package_is_imported_when_asked_for() -> None:
+def test_built_in_and_registered_parts_are_found() -> None:
     assert COLOURS["red"] == "0123456789"
-    assert COLOURS.is_built_in("red")
-
-
-def test_a_registered_part_is_found_and_can_be_replaced() -> None:
     COLOURS.register("blue", "first", str)
     COLOURS.register("blue", "second", str)
     assert COLOURS["blue"] == "second"
     assert COLOURS.names() == ["red", "blue"]
-    assert not COLOURS.is_built_in("blue")
+    assert [COLOURS.is_built_in(name) for name in COLOURS.names()] == [True, False]
 
 
 @pytest.mark.parametrize(
@@ -41,16 +39,18 @@ def test_a_registered_part_is_found_and_can_be_replaced() -> None:
         ("é/", "name has letters"),
     ],
 )
-def test_names_that_are_refused(name: str, message: str) -> None:
+def test_invalid_names_are_refused(name: str, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         COLOURS.register(name, "x", str)
 
 
-def test_an_unknown_name_is_an_error_that_names_the_nearest() -> None:
-    with pytest.raises(SettingsError, match="unknown colour 'rad'; did you mean 'red'"):
-        COLOURS.check("rad")
-    with pytest.raises(SettingsError, match="unknown colour 'zzzz'; there are red"):
-        COLOURS.check("zzzz")
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("rad", "unknown colour 'rad'; did you mean 'red'"), ("zzzz", "unknown colour 'zzzz'; there are red")],
+)
+def test_unknown_name_is_an_error_with_the_nearest_name(name: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        COLOURS.check(name)
 
 
 @pytest.mark.parametrize(
@@ -67,14 +67,7 @@ def test_a_file_of_parts_that_cannot_be_run_is_one_line(tmp_path: Path, content:
     assert "loaded_broken_parts" not in sys.modules
 
 
-PARTS = """
-import heliograph
-from beside import Nothing
-
-heliograph.register_receiver("nothing", Nothing)
-"""
-
-BESIDE = """
+NOTHING = """
 class Nothing:
     detections = 0
 
@@ -87,58 +80,67 @@ class Nothing:
     finish = push
 """
 
-PROGRAM = """
-import pickle, sys
-from heliograph import load_parts
-from heliograph.base.registry import registered
-load_parts("parts.py")
-sys.stdout.buffer.write(pickle.dumps(registered()))
-"""
 
-WORKER = """
-import pickle, sys
-from heliograph.base.registry import register_again
-register_again(pickle.load(sys.stdin.buffer))
-import heliograph
-receiver = heliograph.make_receiver(heliograph.SignalSettings(), heliograph.ReceiveSettings(receiver=sys.argv[1]))
-print(type(receiver).__name__)
-"""
+def forget(patch: pytest.MonkeyPatch) -> None:
+    """Reset the registered parts, as in a new process."""
+    patch.setattr(registry, "_files", {})
+    patch.setattr(registry, "_failures", None)
+    for parts in registry._registries.values():
+        patch.setattr(parts, "_registered", {})
+        patch.setattr(parts, "origins", {})
+    patch.delitem(sys.modules, "neighbour", raising=False)
+    register_again.cache_clear()
 
 
-def run(program: str, *arguments: str, folder: Path, given: bytes = b"") -> subprocess.CompletedProcess[bytes]:
-    command = [sys.executable, "-c", program, *arguments]
-    return subprocess.run(command, cwd=folder, input=given, capture_output=True, timeout=HANG_S)
+@pytest.fixture
+def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, ...]]:
+    """Load a file that imports a neighbour, and return the sources for a new process, here without parts."""
+    forget(monkeypatch)
+    (tmp_path / "neighbour.py").write_text(NOTHING)
+    code = "import heliograph\nfrom neighbour import Nothing\nheliograph.register_receiver('nothing', Nothing)\n"
+    (tmp_path / "parts.py").write_text(code)
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    load_parts(tmp_path / "parts.py")
+    sources = registered()
+    forget(monkeypatch)
+    yield sources
+    register_again.cache_clear()
+    importlib.invalidate_caches()
 
 
-@pytest.mark.slow
-def test_another_process_runs_the_file_again(tmp_path: Path) -> None:
-    (tmp_path / "beside.py").write_text(BESIDE)
-    (tmp_path / "parts.py").write_text(PARTS)
-    parts = run(PROGRAM, folder=tmp_path).stdout
-    assert run(WORKER, "nothing", folder=tmp_path, given=parts).stdout == b"Nothing\n"
+def make_nothing() -> str:
+    return type(make_receiver(SignalSettings(), ReceiveSettings(receiver="nothing"))).__name__
 
 
-@pytest.mark.slow
-def test_what_does_not_come_by_running_a_file_again_is_an_error_once_it_is_asked_for(tmp_path: Path) -> None:
-    (tmp_path / "beside.py").write_text(BESIDE)
-    (tmp_path / "parts.py").write_text(PARTS)
-    parts = run(PROGRAM, folder=tmp_path).stdout
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    assert run(WORKER, "nothing", folder=elsewhere, given=parts).stdout == b"Nothing\n"
-    (tmp_path / "beside.py").unlink()
-    assert run(WORKER, "plain", folder=elsewhere, given=parts).stdout == b"StreamReceiver\n"
-    wrong = run(WORKER, "nothing", folder=elsewhere, given=parts)
-    assert b"'nothing' is not registered in this worker process" in wrong.stderr
-    assert b"No module named 'beside'" in wrong.stderr
+def test_worker_runs_the_file_again(sources: tuple[str, ...]) -> None:
+    register_again(sources)
+    assert make_nothing() == "Nothing"
 
 
-@pytest.mark.slow
-def test_what_is_registered_by_hand_cannot_go_elsewhere(tmp_path: Path) -> None:
-    (tmp_path / "beside.py").write_text(BESIDE)
-    program = PROGRAM.replace('load_parts("parts.py")', PARTS)
-    wrong = run(WORKER, "nothing", folder=tmp_path, given=run(program, folder=tmp_path).stdout)
-    assert b"write it into a file" in wrong.stderr
+def test_failed_registration_in_a_worker_is_reported_with_the_first_use(
+    sources: tuple[str, ...], tmp_path: Path
+) -> None:
+    (tmp_path / "neighbour.py").unlink()
+    shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
+    importlib.invalidate_caches()
+    register_again(sources)
+    assert RECEIVERS["plain"]
+    message = "'nothing' is not registered in this worker process: .*No module named 'neighbour'"
+    with pytest.raises(SettingsError, match=message):
+        make_nothing()
+
+
+@pytest.mark.usefixtures("sources")
+def test_part_of_an_interactive_session_cannot_reach_a_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "__main__", ModuleType("__main__"))
+    maker: Any = lambda *_: None  # noqa: E731 - the attribute of a function is set
+    maker.__module__ = "__main__"
+    RECEIVERS.register("nothing", maker, maker)
+    assert registered() == ()
+    forget(monkeypatch)
+    register_again(())
+    with pytest.raises(SettingsError, match="write it into a file"):
+        make_nothing()
 
 
 def test_files_of_one_name_are_different_modules(tmp_path: Path) -> None:
@@ -213,55 +215,41 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     _entries.cache_clear()
 
 
+def offered(name: str, **groups: Any) -> Any:
+    settings = from_mapping(ReceiveSettings, {"receiver": f"offered{name}", **groups})
+    return make_receiver(SignalSettings(), settings)
+
+
 @pytest.mark.usefixtures("installed")
-def test_an_installed_package_offers_receivers() -> None:
+def test_installed_receivers_get_the_settings_that_they_declare() -> None:
     assert {"offered", "offered-reader"} <= {*RECEIVERS.names()}
     assert not RECEIVERS.is_built_in("offered")
-    receiver = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, {"receiver": "offered"}))
-    assert type(receiver).__name__ == "Offered"
+    assert type(offered("")).__name__ == "Offered"
+    assert offered("").own is None
+    calibration = {"exposure_s": 5e-4}
+    assert offered("-reader", calibration=calibration).exposure_s == 5e-4
+    for own, patience in (({}, 0.5), ({"patience": 2.0}, 2.0)):
+        receiver = offered("-patient", custom=own, calibration=calibration)
+        assert (receiver.own.patience, receiver.exposure_s) == (patience, 5e-4)
 
 
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize(
-    ("name", "message"),
+    ("name", "groups", "message"),
     [
-        (
-            "offered-broken",
-            "the receiver 'offered-broken' of offered_broken:Nothing cannot be loaded: division by zero",
-        ),
-        ("offered-gone", "the receiver 'offered-gone' of offered_parts:Gone cannot be loaded: .*'Gone'"),
+        ("-broken", {}, "the receiver 'offered-broken' of offered_broken:Nothing cannot be loaded: division by zero"),
+        ("-gone", {}, "the receiver 'offered-gone' of offered_parts:Gone cannot be loaded: .*'Gone'"),
+        ("-reader", {"detect": {"score": 0.8}}, r"receive\.detect\.score has no effect"),
+        ("", {"calibration": {"exposure_s": 5e-4}}, r"receive\.calibration\.exposure_s has no effect"),
+        ("-patient", {"custom": {"patiense": 2.0}}, r"unknown .*patiense.*; did you mean 'patience'"),
+        ("", {"custom": {"patience": 2.0}}, r"receive\.custom\.patience has no effect"),
     ],
 )
-def test_a_part_that_cannot_be_loaded_is_one_line(name: str, message: str) -> None:
+def test_faults_of_installed_receivers_and_their_settings_are_one_line(
+    name: str, groups: dict[str, Any], message: str
+) -> None:
     with pytest.raises(SettingsError, match=message) as caught:
-        RECEIVERS[name]
+        offered(name, **groups)
     assert "\n" not in str(caught.value)
     # a broken entry point leaves built-in receivers usable
     assert RECEIVERS["plain"]
-
-
-@pytest.mark.usefixtures("installed")
-def test_an_offered_receiver_reads_the_groups_that_it_names() -> None:
-    calibration = {"calibration": {"exposure_s": 5e-4}}
-    settings = from_mapping(ReceiveSettings, {"receiver": "offered-reader", **calibration})
-    assert make_receiver(SignalSettings(), settings).exposure_s == 5e-4  # type: ignore[attr-defined]
-    with pytest.raises(SettingsError, match=r"receive\.detect\.score has no effect"):
-        from_mapping(ReceiveSettings, {"receiver": "offered-reader", "detect": {"score": 0.8}})
-    with pytest.raises(SettingsError, match=r"receive\.calibration\.exposure_s has no effect"):
-        from_mapping(ReceiveSettings, {"receiver": "offered", **calibration})
-
-
-@pytest.mark.usefixtures("installed")
-def test_an_offered_receiver_has_the_settings_of_its_own_that_it_names() -> None:
-    for own, patience in (({}, 0.5), ({"patience": 2.0}, 2.0)):
-        given = {"receiver": "offered-patient", "custom": own, "calibration": {"exposure_s": 5e-4}}
-        receiver: Any = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, given))
-        assert receiver.own.patience == patience
-        assert receiver.exposure_s == 5e-4
-    with pytest.raises(SettingsError, match=r"unknown .*patiense.*; did you mean 'patience'"):
-        from_mapping(ReceiveSettings, {"receiver": "offered-patient", "custom": {"patiense": 2.0}})
-    # a bare class has no settings
-    receiver = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, {"receiver": "offered"}))
-    assert receiver.own is None
-    with pytest.raises(SettingsError, match=r"receive\.custom\.patience has no effect"):
-        from_mapping(ReceiveSettings, {"receiver": "offered", "custom": {"patience": 2.0}})

@@ -7,7 +7,7 @@ import pytest
 
 import heliograph
 from heliograph.base.errors import SettingsError
-from heliograph.link.budget import Budgets, detection_range_m
+from heliograph.link.budget import budgets, detection_range_m
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
@@ -64,8 +64,7 @@ def test_formats_that_are_sent_are_those_that_count() -> None:
 
 @pytest.mark.slow
 def test_distances_of_one_link_have_one_range() -> None:
-    made = Budgets(LightSettings())
-    near, far = (made.of(small(distance_m=at)).layers for at in (30.0, 90.0))
+    near, far = (one.layers for one in budgets([small(distance_m=30.0), small(distance_m=90.0)], LightSettings()))
     assert [(one.range_m, one.most_m) for one in near] == [(one.range_m, one.most_m) for one in far]
     assert all(a.here >= b.here for a, b in zip(near, far, strict=True))
 

@@ -1,5 +1,6 @@
 """End-to-end messages through films, including truncated films."""
 
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 from small_links import SMALL, small
 
-from heliograph.base.errors import HeliographError, MediaError, SettingsError
+from heliograph.base.errors import MediaError, SettingsError
 from heliograph.link import film as link_film
 from heliograph.link.film import packet_row, read_packets, write_film
 from heliograph.link.settings import LinkSettings, load_settings
@@ -23,16 +24,14 @@ LONG = bytes(np.random.default_rng(5).integers(0, 256, 500, dtype=np.uint8))
 """Longer than four codewords of 116 bytes."""
 
 
-def through(
-    path: Path, settings: LinkSettings, messages: Sequence[Messages], truth: bool = True
-) -> tuple[list[Message], Reception]:
+def through(path: Path, settings: LinkSettings, messages: Sequence[Messages]) -> tuple[list[Message], Reception]:
     """Return the messages decoded from a film, and the reception."""
     write_film(path, settings, messages, seed=3)
-    return read(path, settings, truth)
+    return read(path, settings)
 
 
-def read(path: Path, settings: LinkSettings, truth: bool = True) -> tuple[list[Message], Reception]:
-    reception = Reception(open_truth(truth_path(path)) if truth else None)
+def read(path: Path, settings: LinkSettings) -> tuple[list[Message], Reception]:
+    reception = Reception(open_truth(truth_path(path)))
     with open_film(path) as source:
         signal, _ = signal_of(source, settings.signal)
         packets = list(receive_film(source, signal, settings, reception))
@@ -69,24 +68,56 @@ def test_messages_come_back_byte_for_byte_in_all_layers(tmp_path: Path) -> None:
     assert (row["from_m"], row["to_m"]) == (50, 55)
 
 
-def test_an_empty_layer_stays_empty(tmp_path: Path) -> None:
-    found, reception = through(tmp_path / "a.nut", small("channel.duration_s=0.2"), [{"middle": [b"only this"]}])
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a film of three packets with a message in "middle", and one in "high" that takes more packets."""
+    path = tmp_path_factory.mktemp("film") / "a.mkv"
+    write_film(path, small("channel.duration_s=0.3"), [{"high": [LONG], "middle": [b"only this"]}], seed=3)
+    return path
+
+
+@pytest.mark.slow
+def test_layers_are_empty_or_unfinished_without_a_whole_message(film: Path) -> None:
+    found, reception = read(film, small())
     assert by_place(found) == {(0, "middle", 0): b"only this"}
-    tally = reception.arrays[0].layers
-    assert (tally["high"].ok, tally["high"].bytes, tally["low"].ok, tally["low"].bytes) == (2, 0, 2, 0)
-
-
-@pytest.mark.slow
-def test_a_message_of_more_codewords_than_the_film_has_is_unfinished(tmp_path: Path) -> None:
-    found, reception = through(tmp_path / "a.mkv", small("channel.duration_s=0.3"), [{"high": [LONG]}])
-    assert found == []
     assert reception.unfinished() == [(0, "high", 0, 348, 500)]
+    tally = reception.arrays[0].layers
+    assert (tally["low"].ok, tally["low"].bytes) == (3, 0)
 
 
 @pytest.mark.slow
-def test_a_film_may_start_within_a_packet(tmp_path: Path) -> None:
-    settings = small("channel.arrays.0.start_s=-0.0371", "channel.duration_s=0.4")
-    found, reception = through(tmp_path / "a.mkv", settings, [{"high": [b"odd"], "low": [LONG[:300]]}])
+def test_packets_are_read_without_counts_and_become_rows_of_plain_values(film: Path) -> None:
+    settings = small()
+    with open_film(film) as source:
+        packets = list(read_packets(source, settings.signal, make_receiver(settings.signal, settings.receive)))
+    assert [(packet.first_frame, packet.status) for packet in packets] == [(0, "ok"), (100, "ok"), (200, "ok")]
+    row = packet_row(packets[0])
+    assert json.loads(json.dumps(row)) == row
+    assert (row["id"], row["status"], row["first_frame"], row["last_frame"]) == (0, "ok", 0, 99)
+    assert row["distance_m"] == pytest.approx(50, rel=0.02)
+    assert row["layers"]["high"][0]["sequence"] == 0
+
+
+@pytest.mark.slow
+def test_truncated_film_gives_all_packets_before_the_end(film: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mkv"
+    cut.write_bytes(film.read_bytes()[: int(film.stat().st_size * 0.99)])
+    reception, found = Reception(), list[Message]()
+    with open_film(cut) as source, pytest.raises(MediaError, match="ends in the middle"):
+        found.extend(m for _, whole in receive_film(source, small().signal, small(), reception) for m in whole)
+    assert 280 < reception.frames < 300
+    assert by_place(found) == {(0, "middle", 0): b"only this"}
+    # a partial packet counts
+    assert reception.arrays[0].packets == 3
+
+
+@pytest.mark.slow
+def test_film_may_start_within_a_packet_and_has_a_note_of_the_signal(tmp_path: Path) -> None:
+    settings = small(
+        "channel.arrays.0.start_s=-0.0371", "channel.duration_s=0.4", "signal.data_pairs=40", "signal.rate.low=1/2"
+    )
+    write_film(tmp_path / "a.mkv", settings, [{"high": [b"odd"], "low": [LONG[:300]]}], seed=3)
+    found, reception = read(tmp_path / "a.mkv", small())
     assert by_place(found) == {(0, "high", 0): b"odd", (0, "low", 0): LONG[:300]}
     assert reception.errors is not None
     assert reception.errors.false_codewords == 0
@@ -95,16 +126,8 @@ def test_a_film_may_start_within_a_packet(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_another_signal_is_noted_in_the_film(tmp_path: Path) -> None:
-    settings = small("signal.data_pairs=64", "signal.rate.low=1/2", "channel.duration_s=0.3")
-    write_film(tmp_path / "a.mkv", settings, [{"high": [b"other"], "low": [b"rate"]}], seed=1)
-    found, _ = read(tmp_path / "a.mkv", small())
-    assert by_place(found) == {(0, "high", 0): b"other", (0, "low", 0): b"rate"}
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["n" * 252 + ".h5", "caf\udce9\n.h5"])
-def test_a_film_of_any_name_has_its_truth_beside_it(tmp_path: Path, name: str) -> None:
+def test_film_of_any_name_has_a_truth_file(tmp_path: Path, name: str) -> None:
     settings = load_settings(
         "static", None, ["channel.camera.width=64", "channel.camera.height=64", "channel.duration_s=0.01"]
     )
@@ -129,16 +152,6 @@ def test_the_same_seed_gives_the_same_film(tmp_path: Path) -> None:
     films = [[frame.pixels for frame, _ in simulate(settings, [{}], seed)] for seed in (4, 4, 5)]
     assert np.array_equal(films[0], films[1])
     assert not np.array_equal(films[0], films[2])
-
-
-def test_packets_become_rows_of_plain_values(tmp_path: Path) -> None:
-    write_film(tmp_path / "a.mkv", small("channel.duration_s=0.1"), [{"high": [b"row"]}], seed=1)
-    with open_film(tmp_path / "a.mkv") as source:
-        ((packet, _),) = receive_film(source, small().signal, small(), Reception())
-    row = packet_row(packet)
-    assert (row["id"], row["status"], row["first_frame"], row["last_frame"]) == (0, "ok", 0, 99)
-    assert row["distance_m"] == pytest.approx(50, rel=0.02)
-    assert row["layers"]["high"][0]["sequence"] == 0
 
 
 def interrupted_after(monkeypatch: pytest.MonkeyPatch, frames: int, error: BaseException) -> None:
@@ -194,52 +207,12 @@ def test_a_message_too_long_is_refused(data: bytes) -> None:
         simulate(small(), [{"high": [data]}], 0)
 
 
-def cut(path: Path, share: float) -> Path:
-    out = path.with_name("cut.mkv")
-    out.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
-    return out
-
-
-@pytest.mark.slow
-def test_a_film_that_breaks_off_gives_all_packets_before(tmp_path: Path) -> None:
-    settings = small("channel.duration_s=0.3")
-    write_film(tmp_path / "a.mkv", settings, [{"high": [b"before"]}], seed=1)
-    reception, found = Reception(), []
-
-    def receive() -> None:
-        with open_film(cut(tmp_path / "a.mkv", 0.99)) as source:
-            for _, whole in receive_film(source, settings.signal, settings, reception):
-                found.extend(whole)
-
-    with pytest.raises(MediaError, match="ends in the middle"):
-        receive()
-    assert 280 < reception.frames < 300
-    assert by_place(found) == {(0, "high", 0): b"before"}
-    # a partial packet counts
-    assert reception.arrays[0].packets == 3
-
-
 def test_a_film_shorter_than_a_packet_is_reported(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match="has 99 frames; a packet takes 100"):
         through(tmp_path / "a.mkv", small("channel.duration_s=0.099"), [{}])
-
-
-def test_a_film_out_of_step_is_refused(tmp_path: Path) -> None:
-    settings = small("channel.camera.fps=500", "channel.duration_s=0.3")
-    with pytest.raises(HeliographError, match=r"500\.0 frames/s, the light 1000\.0"):
-        through(tmp_path / "a.mkv", settings, [{}])
 
 
 def test_missing_recordings_are_reported() -> None:
     for change in ("channel.background.kind=footage", "channel.shake=imu"):
         with pytest.raises(SettingsError, match="needs"):
             next(simulate(load_settings("static", None, [*SMALL, change]), [{}], 0, Recordings()))
-
-
-@pytest.mark.slow
-def test_packets_are_read_without_being_counted(tmp_path: Path) -> None:
-    settings = small("channel.duration_s=0.2")
-    write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
-    with open_film(tmp_path / "a.mkv") as film:
-        packets = list(read_packets(film, settings.signal, make_receiver(settings.signal, settings.receive)))
-    assert [(packet.first_frame, packet.status) for packet in packets] == [(0, "ok"), (100, "ok")]

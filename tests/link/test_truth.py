@@ -129,8 +129,6 @@ def test_rows_come_as_a_stream(path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_an_aborted_or_failed_file_leaves_nothing(path: Path) -> None:
     writer = TruthWriter(path, SETTINGS, MESSAGES, 0)
-    writer.abort()
-    writer = TruthWriter(path, SETTINGS, MESSAGES, 0)
 
     def fail() -> None:
         with writer.finishing():

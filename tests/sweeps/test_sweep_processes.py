@@ -1,48 +1,109 @@
-"""The sweep command with real processes: worker counts, killed workers, Ctrl-C, a cluster."""
+"""Sweeps in worker processes and on a cluster: custom components, killed workers, Ctrl-C."""
 
 import json
+import multiprocessing
 import os
 import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_runs import called, heed_ctrl_c
+from cli_runs import COMMAND, called, heed_ctrl_c
+from processes import HAS_PROC, is_running, worker_processes
 from waiting import HANG_S, wait_until
 
+from heliograph.base import registry
+from heliograph.sweeps.plan import merge_changes, plan
 from heliograph.sweeps.store import NAME
+from heliograph.sweeps.sweep import count
+from heliograph.sweeps.tally import PointTally, StopRule
 
-pytestmark = pytest.mark.slow
+OWN = '''
+from dataclasses import dataclass, replace
 
-BIN = Path(sys.executable).parent
-CODEWORDS = 12
-"""Stop rule: high-priority codewords per point."""
-POINTS = ("--vary", "channel.distance_m=60:70:10", "--set", "signal.data_pairs=8", "--max-codewords", str(CODEWORDS))
-BLOCKS = 2 * CODEWORDS
-"""Blocks for both points, with a packet each, since high-priority errors are rare."""
-
-
-def command(*more: str) -> list[str]:
-    return [str(BIN / "heliograph"), "sweep", *POINTS, "--json", *more]
+import heliograph
+from heliograph.signal.code import CODES
 
 
-def start(*more: str) -> "subprocess.Popen[str]":
-    pipe = subprocess.PIPE
-    return subprocess.Popen(
-        command(*more), stdout=pipe, stderr=pipe, text=True, start_new_session=True, preexec_fn=heed_ctrl_c
-    )
+@dataclass(frozen=True)
+class Renaming:
+    """Settings."""
+
+    identity: int = 7
+
+
+class Renamed:
+    """The plain receiver; its packets get another identity."""
+
+    def __init__(self, signal, settings, observe):
+        self._plain = heliograph.make_receiver(signal, replace(settings, receiver="plain", custom={}), observe)
+        self._identity = heliograph.own_settings(settings).identity
+
+    @property
+    def detections(self):
+        return self._plain.detections
+
+    def push(self, frame):
+        for packet in self._plain.push(frame):
+            yield replace(packet, identity=self._identity)
+
+    def finish(self):
+        for packet in self._plain.finish():
+            yield replace(packet, identity=self._identity)
+
+
+heliograph.register_receiver("renamed", Renamed, Renaming)
+heliograph.register_motion("still", lambda drive: None)
+heliograph.register_code("turbo-again", CODES["turbo"])
+'''
+VARY = {"receiver": ["plain", "renamed"], "signal.code": ["turbo", "turbo-again"]}
+SMALL = ["signal.data_pairs=8", "channel.shake=still", "channel.distance_m=20", "channel.duration_s=0.05"]
+
+Kill = Callable[[], object]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def parts_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Load custom components from a file, as --load does, without those of other tests."""
+    file = tmp_path_factory.mktemp("parts") / "own.py"
+    file.write_text(OWN)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registry, "_files", {})
+        for parts in registry._registries.values():
+            patch.setattr(parts, "_registered", {})
+            patch.setattr(parts, "origins", {})
+        registry.load_parts(file)
+        yield file
+
+
+def counted(kill: Kill = lambda: None, output: Path | None = None, **crew: Any) -> list[dict[str, Any]]:
+    """Count errors at each point, and call `kill` once after some blocks."""
+    pending = [kill]
+
+    def progress(tallies: Sequence[PointTally]) -> None:
+        if pending and sum(tally.blocks for tally in tallies) >= 2:
+            pending.pop()()
+
+    tallies = tallies_of(VARY, 6)
+    count(tallies, output, progress=progress, **crew)
+    assert not pending
+    return [tally.report() for tally in tallies]
+
+
+def tallies_of(vary: Mapping[str, Any], max_codewords: int) -> list[PointTally]:
+    points = plan(vary, "static", merge_changes(SMALL))
+    return [PointTally(point, StopRule(max_codewords=max_codewords)) for point in points]
 
 
 @pytest.fixture(scope="module")
-def reference() -> Any:
-    """Return the points from an uninterrupted run with a single worker."""
-    done = subprocess.run(command("--workers", "1"), capture_output=True, text=True, check=True, timeout=HANG_S)
-    return json.loads(done.stdout)
+def reference(parts_file: Path) -> list[dict[str, Any]]:
+    """Return the points from an uninterrupted run in this process."""
+    return counted(workers=1)
 
 
 def stored(folder: Path) -> list[int]:
@@ -55,64 +116,71 @@ def stored(folder: Path) -> list[int]:
         return [row[0] for row in db.execute("SELECT computed FROM blocks").fetchall()]
 
 
-def worker_processes(parent: int) -> list[int]:
-    """Return child processes except the pool's resource tracker."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        try:
-            fields = (entry / "stat").read_text().rpartition(")")[2].split()
-            if int(fields[1]) == parent and b"spawn_main" in (entry / "cmdline").read_bytes():
-                found.append(int(entry.name))
-        except (OSError, ValueError, IndexError):
-            continue
-    return found
+@pytest.mark.slow
+def test_custom_receiver_code_and_motion_run_in_this_process(reference: list[dict[str, Any]]) -> None:
+    high = [point["layers"]["high"] for point in reference]
+    plain, plain_again, renamed, renamed_again = ((layer["codewords"], layer["codeword_errors"]) for layer in high)
+    assert plain == plain_again
+    assert plain[0] >= 6
+    assert plain[1] == 0
+    assert renamed == renamed_again == (plain[0], plain[0])  # no packet from array 0 arrives
 
 
-def runs(pid: int) -> bool:
-    try:
-        return (Path("/proc") / str(pid) / "stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
-    except OSError:
-        return False
+@pytest.mark.slow
+def test_killed_worker_is_replaced_and_results_stay_the_same(reference: list[dict[str, Any]], tmp_path: Path) -> None:
+    killed, remaining = list[int](), list[int]()
 
+    def kill() -> None:
+        first, other = multiprocessing.active_children()
+        killed.append(first.pid or 0)
+        remaining.append(other.pid or 0)
+        first.kill()
 
-needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to find worker processes")
-
-
-def test_points_stop_where_they_should(reference: Any) -> None:
-    assert [p["settings"]["channel.distance_m"] for p in reference] == [60, 70]
-    for point in reference:
-        for layer in point["layers"].values():
-            assert layer["codeword_errors"] >= 50 or layer["codewords"] >= CODEWORDS
-            assert layer["fer_ci"][0] <= layer["fer"] <= layer["fer_ci"][1]
-    assert reference[0]["net_bits_per_second"] > reference[-1]["net_bits_per_second"] > 0
-
-
-@needs_proc
-def test_killed_workers_are_replaced_and_a_killed_sweep_goes_on(reference: Any, tmp_path: Path) -> None:
-    process = start("--workers", "2", "--output", str(tmp_path))
-    wait_until(lambda: len(stored(tmp_path)) >= 2)
-    (first, *_) = before = worker_processes(process.pid)
-    os.kill(first, signal.SIGKILL)
-    wait_until(lambda: len(stored(tmp_path)) >= 6)
-    wait_until(lambda: not set(worker_processes(process.pid)) & set(before))
-    workers = worker_processes(process.pid)
-    process.kill()
-    process.communicate(timeout=HANG_S)
-    wait_until(lambda: not any(map(runs, workers)))  # workers end with their parent
-    assert len(stored(tmp_path)) >= 6
-    done = subprocess.run(command("--workers", "1", "--output", str(tmp_path)), capture_output=True, text=True,
-                          check=True, timeout=HANG_S)  # fmt: skip
-    assert json.loads(done.stdout) == reference
+    assert counted(kill, tmp_path, workers=2) == reference
     assert json.loads((tmp_path / "points.json").read_text()) == reference
     assert set(stored(tmp_path)) == {1}
-    assert BLOCKS <= len(stored(tmp_path)) <= BLOCKS + 2
+    assert len(stored(tmp_path)) >= sum(point["blocks"] for point in reference) == 12
+    assert not any(map(is_running, killed + remaining))
 
 
-@needs_proc
-def test_ctrl_c_shows_the_results_so_far(tmp_path: Path) -> None:
+@contextmanager
+def dask_worker(address: str, folder: Path) -> "Iterator[subprocess.Popen[bytes]]":
+    options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(folder))
+    process = subprocess.Popen(
+        [Path(sys.executable).with_name("dask"), "worker", address, *options],
+        env={**os.environ, "PYTHONWARNINGS": "ignore"}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.slow
+def test_cluster_survives_a_killed_worker_and_has_the_custom_components(
+    reference: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=":0") as cluster:
+        address = cluster.scheduler_address
+        with dask_worker(address, tmp_path) as one, dask_worker(address, tmp_path):
+            wait_until(lambda: len(cluster.scheduler.workers) == 2)
+            assert counted(one.kill, tmp_path, scheduler=address) == reference
+    assert set(stored(tmp_path)) == {1}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not HAS_PROC, reason="needs /proc to find worker processes")
+def test_ctrl_c_shows_the_results_so_far_and_the_sweep_resumes(parts_file: Path, tmp_path: Path) -> None:
+    changes = [word for change in SMALL for word in ("--set", change)]
     # long enough to be interrupted
-    process = start("--workers", "2", "--max-codewords", "20000", "--output", str(tmp_path))
-    wait_until(lambda: len(stored(tmp_path)) >= 2)
+    options = ["--vary", "channel.distance_m=60:70:10", "--max-codewords", "20000", "--workers", "2", "--json"]
+    process = subprocess.Popen(
+        [*COMMAND, "--load", str(parts_file), "sweep", *options, *changes, "--output", str(tmp_path)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=heed_ctrl_c,
+    )  # fmt: skip
+    wait_until(lambda: len(stored(tmp_path)) >= 2 or process.poll() is not None)
     workers = worker_processes(process.pid)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=HANG_S)
@@ -122,11 +190,28 @@ def test_ctrl_c_shows_the_results_so_far(tmp_path: Path) -> None:
     points = json.loads(out)
     assert sum(point["blocks"] for point in points) >= 1
     assert json.loads((tmp_path / "points.json").read_text()) == points
-    assert not any(map(runs, workers))
+    assert len(workers) == 2
+    assert not any(map(is_running, workers))
+
+    reports = []
+    for output in (tmp_path, None):
+        tallies = tallies_of({"channel.distance_m": [60, 70]}, 6)
+        count(tallies, output, workers=1)
+        reports.append([tally.report() for tally in tallies])
+    resumed, uninterrupted = reports
+    assert resumed == uninterrupted
+    with closing(sqlite3.connect(tmp_path / NAME)) as db:
+        assert db.execute("SELECT count(*) FROM points").fetchone() == (2,), "the resumed sweep has the same points"
+    assert set(stored(tmp_path)) == {1}
+    for point in resumed:
+        for layer in point["layers"].values():
+            assert layer["codeword_errors"] >= 50 or layer["codewords"] >= 6
+            assert layer["fer_ci"][0] <= layer["fer"] <= layer["fer_ci"][1]
+    assert resumed[0]["net_bits_per_second"] > resumed[1]["net_bits_per_second"] > 0
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--vary", "channel.distanc_m=1"], "did you mean 'channel.distance_m'"),
         (["--vary", "channel.distance_m=1:2"], "first:last:step"),
@@ -137,42 +222,10 @@ def test_ctrl_c_shows_the_results_so_far(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_input_is_one_line(
-    options: list[str], said: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    options: list[str], message: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done = called("sweep", *options, capfd=capfd, monkeypatch=monkeypatch)
     assert done.returncode in (1, 2)
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
-    assert said in done.stderr
-
-
-@contextmanager
-def dask(*arguments: str) -> "Iterator[subprocess.Popen[bytes]]":
-    environment = {**os.environ, "PYTHONWARNINGS": "ignore"}
-    process = subprocess.Popen(
-        [BIN / "dask", *arguments, "--no-dashboard"], env=environment, stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-
-
-def test_a_cluster_survives_a_killed_worker(reference: Any, tmp_path: Path) -> None:
-    pytest.importorskip("distributed")
-    about = tmp_path / "scheduler.json"
-    with dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about)):
-        wait_until(lambda: about.exists() and about.read_text().rstrip().endswith("}"))
-        address = json.loads(about.read_text())["address"]
-        workers = ("worker", address, "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
-        with dask(*workers) as one, dask(*workers):
-            process = start("--scheduler", address, "--output", str(tmp_path))
-            wait_until(lambda: len(stored(tmp_path)) >= 3)
-            one.kill()
-            out, err = process.communicate(timeout=HANG_S)
-    assert process.returncode == 0, err
-    assert json.loads(out) == reference
-    assert set(stored(tmp_path)) == {1}
-    assert len(stored(tmp_path)) >= BLOCKS
+    assert message in done.stderr

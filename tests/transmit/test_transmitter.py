@@ -12,7 +12,7 @@ from heliograph.signal.formats import Format
 from heliograph.signal.header import header_levels, signalling_levels
 from heliograph.signal.message import Message, Reassembler, Updates
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
-from heliograph.transmit import TimedPattern, TransmitSettings, Transmitter
+from heliograph.transmit import Content, TimedPattern, TransmitSettings, Transmitter
 
 SMALL = SignalSettings(side=8, header_pairs=2, data_pairs=21, pattern_period_s=2e-3)
 MESSAGES = {"high": [b"stop line in 40 m", b"red, 12 s left"], "low": [bytes(range(256))]}
@@ -26,29 +26,21 @@ def segments(sender: Transmitter, packet: int, layer: str) -> list[Block]:
     return [block for block in sender.blocks(packet)[layer] if isinstance(block, Block)]
 
 
-def test_endless_and_on_time() -> None:
-    shown = patterns(3 * 46 + 5)
+def test_patterns_are_on_time_with_part_and_inverse() -> None:
+    shown, lit = patterns(3 * 46 + 5), header_levels(0, 8)
     assert [p.index for p in shown] == list(range(len(shown)))
     # multiplied, not accumulated, so a long transmission does not drift
     assert [p.time_s for p in shown] == [i * 2e-3 for i in range(len(shown))]
-    assert all(p.levels.shape == (8, 8) and p.levels.dtype == np.uint8 for p in shown)
-
-
-def test_parts_and_inverses() -> None:
-    shown = patterns(3 * 46)
     for p in shown:
+        assert p.levels.shape == (8, 8)
+        assert p.levels.dtype == np.uint8
         assert p.part == ("header" if p.index % 46 < 4 else "data")
         assert p.inverted == bool(p.index % 2)
+        if p.part == "header":
+            assert np.array_equal(p.levels, 4 - lit if p.inverted else lit)
     for first, second in pairwise(shown):
         if second.inverted:
             assert np.all(first.levels + second.levels == 4)
-
-
-def test_header_alternates() -> None:
-    lit = header_levels(0, 8)
-    for p in patterns(3 * 46):
-        if p.part == "header":
-            assert np.array_equal(p.levels, 4 - lit if p.inverted else lit)
 
 
 def test_two_identities_differ() -> None:
@@ -59,19 +51,14 @@ def test_two_identities_differ() -> None:
     assert differing > 0.5
 
 
-def test_streams_of_packets_levels_and_patterns_agree() -> None:
+def test_packets_levels_patterns_and_single_packets_agree() -> None:
     sender = Transmitter(SMALL, 3, MESSAGES)
-    packets = np.concatenate(list(islice(sender.packets(), 3)))
-    assert np.array_equal(packets, list(islice(sender.levels(), len(packets))))
-    assert np.array_equal(packets, [p.levels for p in islice(sender.patterns(), len(packets))])
-
-
-def test_any_packet_alone_equals_that_of_the_sequence() -> None:
-    sender = Transmitter(SMALL, 3, MESSAGES)
-    sequence = list(islice(sender.packets(), 12))
+    packets = list(islice(sender.packets(), 12))
+    levels = np.concatenate(packets)
+    assert np.array_equal(levels, list(islice(sender.levels(), len(levels))))
+    assert np.array_equal(levels, [p.levels for p in islice(sender.patterns(), len(levels))])
     for number in (11, 0, 5):
-        alone = sender.format.patterns(3, sender.blocks(number))
-        assert np.array_equal(alone, sequence[number])
+        assert np.array_equal(sender.format.patterns(3, sender.blocks(number)), packets[number])
 
 
 def test_blocks_bring_the_messages_from_any_packet_on() -> None:
@@ -126,15 +113,23 @@ def test_every_size_of_block_brings_the_messages() -> None:
         assert found == [i % count for i in range(len(found))]
 
 
-def test_refusals() -> None:
-    with pytest.raises(SettingsError, match="layers are high, middle, low, not top"):
-        Transmitter(SMALL, 0, {"top": [b""]})
-    with pytest.raises(SettingsError, match="identity is a whole number, 0 to 29, not 30"):
-        Transmitter(SMALL, 30, {})
-    with pytest.raises(SettingsError, match="at most 65536 bytes, not 65537"):
-        Transmitter(SignalSettings(side=8, data_pairs=20), 0, {"high": [bytes(65537)]})
-    with pytest.raises(SettingsError, match=r"raise signal\.data_pairs"):
-        Transmitter(SignalSettings(side=4, data_pairs=10), 0, {})
+@pytest.mark.parametrize(
+    ("settings", "identity", "messages", "message"),
+    [
+        (SMALL, 0, {"top": [b""]}, "layers are high, middle, low, not top"),
+        (SMALL, 30, {}, "identity is a whole number, 0 to 29, not 30"),
+        (SignalSettings(side=8, data_pairs=20), 0, {"high": [bytes(65537)]}, "at most 65536 bytes, not 65537"),
+        (SignalSettings(side=4, data_pairs=10), 0, {}, r"raise signal\.data_pairs"),
+        (SMALL, 3, {"high": [Updates(())]}, "in order"),
+        (SMALL, 3, {"high": [Updates(((1.0, b"b"), (0.0, b"a")))]}, "in order"),
+        (SMALL, 3, {"high": [Updates(((0.0, "text"),))]}, "in order"),  # type: ignore[arg-type]
+    ],
+)
+def test_invalid_arguments_are_refused(
+    settings: SignalSettings, identity: int, messages: dict[str, list[Content]], message: str
+) -> None:
+    with pytest.raises(SettingsError, match=message):
+        Transmitter(settings, identity, messages)
 
 
 def test_settings() -> None:
@@ -163,9 +158,3 @@ def test_a_message_that_changes_has_a_stream_number_for_each_content() -> None:
         assert message.data == times[number][1]
     # more contents than stream numbers
     assert len(newest) == len({m.data for m in newest.values()}) > 300
-
-
-@pytest.mark.parametrize("contents", [(), ((1.0, b"b"), (0.0, b"a")), ((0.0, "text"),)])
-def test_updates_without_order_are_refused(contents: tuple[tuple[float, bytes], ...]) -> None:
-    with pytest.raises(SettingsError, match="in order"):
-        Transmitter(SMALL, 3, {"high": [Updates(contents)]})

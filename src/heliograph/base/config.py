@@ -101,8 +101,8 @@ def _to_settings_error(error: ValidationError, cls: type) -> SettingsError:
     if not key:
         return SettingsError(text)
     named = isinstance(value, Mapping) or (isinstance(value, str) and repr(value) in text)
-    shown = "" if named else f", not {brief(value) if not isinstance(value, str) else repr(brief(value))}"
-    return SettingsError(f"setting '{key}': {text[0].lower()}{text[1:]}{shown}")
+    given = repr(brief(value)) if isinstance(value, str) else brief(value)
+    return SettingsError(f"setting '{key}': {text[0].lower()}{text[1:]}" + ("" if named else f", not {given}"))
 
 
 def _unknown_key(key: str, cls: type) -> SettingsError:

@@ -141,9 +141,10 @@ def digest() -> str:
     for source in registered():
         file = _find_file(source)
         about.update(_files.get(source) or (Path(file).read_bytes() if file else b""))
-    for group, registry in _registries.items():
+    for group, registry in sorted(_registries.items()):
         offered = [(entry.name, entry.value, entry.dist and entry.dist.version) for entry in _entries(group)]
-        about.update(repr((group, sorted(registry.origins), offered)).encode())
+        if registry.origins or offered:  # which other registries exist depends on the imported modules
+            about.update(repr((group, sorted(registry.origins), offered)).encode())
     return about.hexdigest()[:12]
 
 

@@ -16,7 +16,7 @@ from heliograph.cli import console, options
 from heliograph.cli.options import option
 from heliograph.experiments.flicker import metrics
 from heliograph.experiments.flicker.metrics import Flicker
-from heliograph.link.budget import Budget, Budgets, Spot
+from heliograph.link.budget import Budget, Spot, budgets
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import transmitters
@@ -49,33 +49,33 @@ def budget(
     overlay, values = settings.overlay(), options.parse_vary_options(vary)
     if not values and "distance_m" not in overlay.get("channel", {}):
         values = {DISTANCE: [25, 40, 60, 80, 100, 125, 150, 200]}
-    choices, budgets_of = grid(values), Budgets(light)
+    choices = grid(values)
     # at rest, the end of a drive does not limit distances
     overlay = merge(overlay, {"channel": {"speed_m_s": 0.0, "speed_profile": []}})
     links = [varied(settings.preset, overlay, choice) for choice in choices]
-    budgets, flickers = [], []
+    rows, flickers = list[Budget](), []
     with console.progress("points", len(links)) as advance:
-        for number, link in enumerate(links, 1):
-            budgets.append(budgets_of.of(link))
+        for link, row in zip(links, budgets(links, light), strict=True):
+            rows.append(row)
             flickers.append(_flicker(replace(link, channel=links[0].channel)))
-            advance(number)
+            advance(len(rows))
     if as_json:
         points = []
-        for choice, point, flicker in zip(choices, budgets, flickers, strict=True):
+        for choice, point, flicker in zip(choices, rows, flickers, strict=True):
             modes = {mode: {**array.plain(), "led_period_s": led_s} for mode, (array, led_s) in flicker.items()}
             points.append({"settings": choice, **point.plain(), "flicker": modes})
         console.say_json(points)
         return
-    _show_spots(choices, [point.spot for point in budgets])
-    _show_ranges(choices, budgets)
-    intensities = ", ".join(dict.fromkeys(f"{point.candela:.3g} cd" for point in budgets))
+    _show_spots(choices, [point.spot for point in rows])
+    _show_ranges(choices, rows)
+    intensities = ", ".join(dict.fromkeys(f"{point.candela:.3g} cd" for point in rows))
     console.say_prose(
         f"light: {intensities} an LED, f/{light.f_number:g}, {light.efficiency:g} electrons a photon, "
         f"{light.wavelength_nm:g} nm"
     )
     for text in dict.fromkeys(line for flicker in flickers for line in _flicker_lines(flicker)):
         console.say_prose(text)
-    for text in _notes(budgets):
+    for text in _notes(rows):
         console.say_prose(f"note: {text}")
 
 

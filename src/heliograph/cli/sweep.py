@@ -10,7 +10,7 @@ from heliograph.cli import console, options
 from heliograph.cli.options import option
 from heliograph.measure.statistics import Count
 from heliograph.sweeps.executors import fewer_workers
-from heliograph.sweeps.plan import not_looked_for, plan
+from heliograph.sweeps.plan import plan, size_warning
 from heliograph.sweeps.runner import bar
 from heliograph.sweeps.sweep import count
 from heliograph.sweeps.tally import PointTally, StopRule
@@ -35,7 +35,7 @@ def sweep(
     points = plan(options.parse_vary_options(vary), settings.preset, overlay, scene.seed, scene.background, scene.imu)
     stop_rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
     tallies = [PointTally(point, stop_rule) for point in points]
-    for text in filter(None, (not_looked_for(points), fewer_workers(crew.workers))):
+    for text in filter(None, (size_warning(points), fewer_workers(crew.workers))):
         console.complain(text)
     logging.disable(logging.CRITICAL)  # hides the messages of lost clusters; an error follows
 

@@ -14,9 +14,10 @@ sampled  Luminance at the LED positions, as in the receiver "plain". Other symbo
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -163,38 +164,31 @@ class Budget:
         return asdict(self)
 
 
-class Budgets:
-    """Budgets of related links; range estimates are cached."""
-
-    def __init__(self, light: LightSettings):
-        self.light = light
-        self._estimators: dict[LinkSettings, RangeEstimator] = {}
-
-    def of(self, settings: LinkSettings) -> Budget:
-        """Return the budget of a link."""
-        channel, light, formats = settings.channel, self.light, _received_formats(settings)
-        all_on = light.all_on(channel)
+def budgets(links: Iterable[LinkSettings], light: LightSettings) -> Iterator[Budget]:
+    """Yield the budget of each link; links that differ in distance and speed share the renderings."""
+    estimators: dict[LinkSettings, RangeEstimator] = {}
+    for settings in links:
+        channel, formats, all_on = settings.channel, _received_formats(settings), light.all_on(settings.channel)
         spot = _spot(settings, light, all_on)
         found = {name: detection_range_m(settings, name) for name in ("plain", "soft")}
         layers: tuple[LayerReach, ...] = ()
         if 0 < spot.light <= MAX_LIGHT:
-            layers = tuple(self._layers(settings, formats, all_on, found))
-        return Budget(spot, light.candela_of(channel), found, layers, tuple(_notes(settings, light, spot)))
+            key = replace(settings, channel=replace(channel, distance_m=1e4, speed_m_s=0.0, speed_profile=()))
+            estimator = estimators.setdefault(key, RangeEstimator(settings, all_on))
+            layers = tuple(_layers(settings, formats, estimator, found))
+        yield Budget(spot, light.candela_of(channel), found, layers, tuple(_notes(settings, light, spot)))
 
-    def _layers(
-        self, settings: LinkSettings, formats: list[tuple[str, Format]], all_on: float, found: dict[str, float]
-    ) -> Iterator[LayerReach]:
-        # cache key: the link at a fixed distance and speed
-        key = replace(settings, channel=replace(settings.channel, distance_m=1e4, speed_m_s=0.0, speed_profile=()))
-        if key not in self._estimators:
-            self._estimators[key] = RangeEstimator(settings, all_on)
-        estimator, at_m = self._estimators[key], settings.channel.distance_m + settings.channel.arrays[0].z_offset_m
-        for receiver, form in formats:
-            kind: Kind = "linear" if receiver == "soft" else "sampled"
-            for layer, rate in zip(LAYERS, form.rates(settings.signal.rate), strict=True):
-                reach, bound = (estimator.range_m(k, form.mode, layer, rate, found[receiver]) for k in (kind, "bound"))
-                here = estimator.information(kind, form.mode, layer, at_m)
-                yield LayerReach(receiver, form.mode, layer, rate, reach, bound, here, required_information(rate))
+
+def _layers(
+    settings: LinkSettings, formats: list[tuple[str, Format]], estimator: "RangeEstimator", found: dict[str, float]
+) -> Iterator[LayerReach]:
+    at_m = settings.channel.distance_m + settings.channel.arrays[0].z_offset_m
+    for receiver, form in formats:
+        kind: Kind = "linear" if receiver == "soft" else "sampled"
+        for layer, rate in zip(LAYERS, form.rates(settings.signal.rate), strict=True):
+            reach, bound = (estimator.range_m(k, form.mode, layer, rate, found[receiver]) for k in (kind, "bound"))
+            here = estimator.information(kind, form.mode, layer, at_m)
+            yield LayerReach(receiver, form.mode, layer, rate, reach, bound, here, required_information(rate))
 
 
 def budget(settings: LinkSettings, light: LightSettings | None = None) -> Budget:
@@ -217,7 +211,7 @@ def budget(settings: LinkSettings, light: LightSettings | None = None) -> Budget
         raise SettingsError(f"a budget is of heliograph.load_settings(...), not {shown(settings)}")
     if not isinstance(light, LightSettings | None):
         raise SettingsError(f"light is a heliograph.LightSettings, not {shown(light)}")
-    return Budgets(light or LightSettings()).of(settings)
+    return next(budgets([settings], light or LightSettings()))
 
 
 def _received_formats(settings: LinkSettings) -> list[tuple[str, Format]]:
@@ -262,7 +256,7 @@ def _spot(settings: LinkSettings, light: LightSettings, all_on: float) -> Spot:
         electrons_led=electrons_px * pitch_px**2,
         electrons_px=electrons_px,
         light=all_on * image.light,
-        peak=all_on * image.peak,
+        peak=all_on * float(image.leds.sum((2, 3)).max()),
         noise=noise_share(channel, all_on * image.light),
         blur_px=blur_px,
         blur_pitches=blur_px / pitch_px,
@@ -323,11 +317,6 @@ class ArrayImages:
     pitch_px: float
     # Light with all LEDs on, relative to the on-axis value; below 1 for an oblique view
     light: float
-
-    @property
-    def peak(self) -> float:
-        """Light of the brightest pixel with all LEDs on; above 1 for resolved LEDs."""
-        return float(self.leds.sum((2, 3)).max())
 
 
 def array_images(channel: ChannelSettings, side: int, distance_m: float, shift_px: tuple[float, float]) -> ArrayImages:
@@ -453,21 +442,20 @@ class RangeEstimator:
     def __init__(self, settings: LinkSettings, all_on: float):
         channel = settings.channel
         light = all_on * channel.arrays[0].brightness
-        snr = light / noise_share(channel, light)
+        self._snr = light / noise_share(channel, light)
         # a pitch of 4 px separates the LEDs; nearer arrays have at least the same information
         self._nearest_m = channel.camera.focal_px * channel.emitter.pitch_m / 4.0
-        images = cache(lambda distance_m: symbol_images(channel, settings.signal, distance_m))
-
-        @cache
-        def information(kind: Kind, mode: Mode, layer: str, distance_m: float) -> float:
-            gain = 1.0 if mode == "single" else math.sqrt(2)
-            return images(distance_m).information(kind, LAYERS.index(layer), snr * gain)
-
-        self._information = information
+        self._images = cache(partial(symbol_images, channel, settings.signal))
+        self._information: dict[tuple[object, ...], float] = {}
 
     def information(self, kind: Kind, mode: Mode, layer: str, distance_m: float) -> float:
         """Return the information in bit per coded bit."""
-        return self._information(kind, mode, layer, max(distance_m, self._nearest_m))
+        key = (kind, mode, layer, distance_m)
+        if key not in self._information:
+            snr = self._snr * (1.0 if mode == "single" else math.sqrt(2))
+            images = self._images(max(distance_m, self._nearest_m))
+            self._information[key] = images.information(kind, LAYERS.index(layer), snr)
+        return self._information[key]
 
     def range_m(self, kind: Kind, mode: Mode, layer: str, rate: float, max_m: float) -> float:
         """Return the range of a layer in m, at most `max_m`; 0 for an unreadable layer."""
@@ -476,18 +464,13 @@ class RangeEstimator:
         step = 1.08
         steps = max(0, math.ceil(math.log(max_m / self._nearest_m) / math.log(step)))
         grid = [min(self._nearest_m * step**k, max_m) for k in range(steps + 1)]
-        return _crossing(lambda distance_m: self.information(kind, mode, layer, distance_m) - required, grid)
 
+        def margin(distance_m: float) -> float:
+            return self.information(kind, mode, layer, distance_m) - required
 
-def _crossing(margin: Callable[[float], float], grid: list[float]) -> float:
-    """Interpolate the zero of a falling function on a grid; the last point if positive, 0 if all are negative."""
-    if margin(grid[-1]) >= 0:
-        return grid[-1]
-    if margin(grid[0]) < 0:
-        return 0.0
-    low, high = 0, len(grid) - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if margin(grid[middle]) >= 0 else (low, middle)
-    above, below = margin(grid[low]), margin(grid[high])
-    return grid[low] + (grid[high] - grid[low]) * above / (above - below)
+        if margin(grid[-1]) >= 0:
+            return grid[-1]
+        if not (end := bisect_left(grid, True, key=lambda distance_m: margin(distance_m) < 0)):
+            return 0.0
+        above, below = margin(grid[end - 1]), margin(grid[end])
+        return grid[end - 1] + (grid[end] - grid[end - 1]) * above / (above - below)

@@ -41,7 +41,8 @@ def encode(
     """
     if not isinstance(messages, Mapping):
         raise HeliographError(f'messages are bytes by layer, such as {{"high": b"..."}}, not {type(messages).__name__}')
-    sender = Transmitter(_checked(settings), identity, {name: [data] for name, data in messages.items()})
+    signal = SignalSettings() if settings is None else settings
+    sender = Transmitter(signal, identity, {name: [data] for name, data in messages.items()})
     layers = sender.format.layers
     counts = [-(-len(data) // (layers[n].payload_bytes * layers[n].codewords)) for n, data in messages.items()]
     return np.concatenate(list(islice(sender.packets(), max([1, *counts]))))
@@ -63,14 +64,15 @@ def decode(luminances: ArrayLike, settings: SignalSettings | None = None) -> Ite
     HeliographError
         The luminances are no real numbers or no complete packets, or the settings are no `SignalSettings`.
     """
-    form = PacketFormat(_checked(settings))
-    side, size = form.settings.side, form.settings.packet_patterns
-    return _messages(_normalise(luminances, side, size).reshape(-1, size, side, side), form)
+    signal = SignalSettings() if settings is None else settings
+    check_signal(signal)
+    form = PacketFormat(signal)
+    return _messages(_normalise(luminances, form.settings.side, form.settings.packet_patterns), form)
 
 
-def _messages(packets: NDArray[np.float64], form: PacketFormat) -> Iterator[Message]:
+def _messages(x: NDArray[np.float64], form: PacketFormat) -> Iterator[Message]:
     reassembler = Reassembler()
-    for packet in packets:
+    for packet in x.reshape(-1, form.settings.packet_patterns, *x.shape[1:]):
         change = packet[0::2] - packet[1::2]
         known = np.isfinite(change)
         # erased LEDs have a neutral value
@@ -79,13 +81,6 @@ def _messages(packets: NDArray[np.float64], form: PacketFormat) -> Iterator[Mess
         words = decode_packet(data, received, form, _identify(header), Decoding())
         blocks = [word.block for layer in words.values() for word in layer if word.block]
         yield from filter(None, map(reassembler.add, blocks))
-
-
-def _checked(settings: SignalSettings | None) -> SignalSettings:
-    if settings is None:
-        return SignalSettings()
-    check_signal(settings)
-    return settings
 
 
 def _normalise(luminances: ArrayLike, side: int, size: int) -> NDArray[np.float64]:

@@ -66,7 +66,6 @@ def write_film(
     with contextlib.ExitStack() as undo:
         undo.callback(film.abort)  # no effect on a finished film
         truth = TruthWriter(truth_path(path), settings, messages, seed, film_id)
-        undo.callback(truth.abort)
         try:
             for frame, row in simulate(settings, messages, seed, recordings):
                 film.write(frame)

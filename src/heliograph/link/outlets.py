@@ -8,7 +8,7 @@ import socket
 import threading
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import urlsplit
 
 from heliograph.base.errors import MediaError, SettingsError, shown
 
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
 MOST_DATAGRAM = 65507
 """Largest payload of a UDP datagram over IPv4, in bytes."""
-
-MAX_QUEUED = 1000
-"""Queued rows per client; a slower client is disconnected."""
 
 CLOSE_TIMEOUT_S = 2.0
 """Time in s for clients to receive queued rows at the end."""
@@ -50,11 +47,15 @@ def open_outlet(address: str) -> Outlet:
         raise SettingsError(f"{shown(address)} is no address to send to: write udp://HOST:PORT or ws://127.0.0.1:PORT")
     if parts.scheme == "udp" and port == 0:
         raise SettingsError(f"{shown(address)} names port 0, which has no listener: name a port from 1 to 65535")
+    if parts.scheme == "ws" and parts.hostname not in ("127.0.0.1", "localhost", "::1"):
+        raise SettingsError(
+            f"a WebSocket is only for this machine: write ws://127.0.0.1:{port}, not ws://{parts.hostname}:{port}"
+        )
     try:
-        return Datagrams(parts.hostname, port) if parts.scheme == "udp" else _web_socket(parts, port)
+        return Datagrams(parts.hostname, port) if parts.scheme == "udp" else WebSocket(parts.hostname, port)
+    except ImportError:
+        raise MediaError("a WebSocket needs the library websockets: pip install websockets") from None
     except OSError as error:
-        if isinstance(error, MediaError):
-            raise
         raise MediaError(f"cannot send to {address}: {error.strerror or error}") from None
 
 
@@ -81,14 +82,17 @@ class Datagrams:
 
 
 class WebSocket:
-    """Local WebSocket server that sends each row to all clients; input from clients is ignored."""
+    """Local WebSocket server that sends each row to all clients; input from clients is ignored.
 
-    def __init__(self, host: str, port: int):
+    A client with `max_queued` waiting rows is disconnected.
+    """
+
+    def __init__(self, host: str, port: int, max_queued: int = 1000):
         from websockets.sync.server import serve
 
+        self._max_queued = max_queued
         self._queues: dict[ServerConnection, queue.Queue[str | None]] = {}
-        self._lock = threading.Lock()
-        self._disconnected = threading.Condition(self._lock)
+        self._is_open, self._changed = True, threading.Condition()
         local_pages = re.compile(r"http://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
         self._server: Server = serve(self._serve_client, host, port, compression=None, origins=[None, local_pages])
         port = self._server.socket.getsockname()[1]
@@ -99,7 +103,7 @@ class WebSocket:
     def send(self, row: Mapping[str, Any]) -> None:
         """Queue a row for each client; disconnect slow clients with a full queue."""
         text = _line(row).decode()
-        with self._lock:
+        with self._changed:
             for client, rows in list(self._queues.items()):
                 try:
                     rows.put_nowait(text)
@@ -111,13 +115,13 @@ class WebSocket:
 
     def close(self) -> None:
         """Send the queued rows, then stop the server."""
-        with self._lock:
-            queues = list(self._queues.values())
+        with self._changed:
+            self._is_open, queues = False, list(self._queues.values())
         for rows in queues:
             with contextlib.suppress(queue.Full):
                 rows.put(None, timeout=CLOSE_TIMEOUT_S)
-        with self._lock:  # shutdown aborts pending sends
-            self._disconnected.wait_for(lambda: not self._queues, CLOSE_TIMEOUT_S)
+        with self._changed:  # shutdown aborts pending sends
+            self._changed.wait_for(lambda: not self._queues, CLOSE_TIMEOUT_S)
         ended = threading.Thread(target=self._server.shutdown, daemon=True)
         ended.start()
         ended.join(CLOSE_TIMEOUT_S)
@@ -127,26 +131,17 @@ class WebSocket:
         """Send queued rows to a client, in the client thread."""
         from websockets.exceptions import ConnectionClosed
 
-        rows: queue.Queue[str | None] = queue.Queue(MAX_QUEUED)
-        with self._lock:
+        rows: queue.Queue[str | None] = queue.Queue(self._max_queued)
+        with self._changed:
+            if not self._is_open:  # a late client would wait for rows forever
+                return
             self._queues[client] = rows
         with contextlib.suppress(ConnectionClosed, OSError):
-            while (text := rows.get()) is not None:
+            while client in self._queues and (text := rows.get()) is not None:
                 client.send(text)
-        with self._lock:
+        with self._changed:
             self._queues.pop(client, None)
-            self._disconnected.notify_all()
-
-
-def _web_socket(parts: SplitResult, port: int) -> WebSocket:
-    if parts.hostname not in ("127.0.0.1", "localhost", "::1"):
-        raise SettingsError(
-            f"a WebSocket is only for this machine: write ws://127.0.0.1:{port}, not ws://{parts.hostname}:{port}"
-        )
-    try:
-        return WebSocket(parts.hostname, port)
-    except ImportError:
-        raise MediaError("a WebSocket needs the library websockets: pip install websockets") from None
+            self._changed.notify_all()
 
 
 def _line(row: Mapping[str, Any]) -> bytes:

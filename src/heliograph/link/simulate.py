@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,18 +37,6 @@ def load_footage(path: Path) -> Footage:
 
 def load_imu(path: Path) -> ImuTrace:
     """Load vehicle motion from a CSV file."""
-    table = _table(path)
-    lacking = [name for name in IMU_COLUMNS if name not in (table.dtype.names or ())]
-    if lacking:
-        raise MediaError(f"{path} lacks the column '{lacking[0]}'; a motion file has {', '.join(IMU_COLUMNS)}")
-    try:
-        return ImuTrace.from_columns(*(np.atleast_1d(table[name]) for name in IMU_COLUMNS))
-    except ValueError as error:
-        raise MediaError(f"{path}: {error}") from None
-
-
-def _table(path: Path) -> Any:
-    """Read the columns of a CSV file by name; invalid numbers are NaN."""
     try:
         text = read_bounded(path, 1 << 28).decode()  # an hour at 1000 samples/s takes 220 MB
     except OSError as error:
@@ -58,12 +46,20 @@ def _table(path: Path) -> Any:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an empty table; the length is checked later
-            return np.genfromtxt(text.splitlines(), delimiter=",", names=True, dtype=np.float64)
+            # invalid numbers become NaN
+            table: Any = np.genfromtxt(text.splitlines(), delimiter=",", names=True, dtype=np.float64)
     except IndexError:  # all lines are blank or comments
         raise MediaError(f"the motion file {path} is empty; a motion file has {', '.join(IMU_COLUMNS)}") from None
     except ValueError as error:
         reason = str(error).splitlines()[:2][-1].strip()  # the second line names the incomplete row
         raise MediaError(f"cannot read the motion file {path}: {reason}") from None
+    lacking = [name for name in IMU_COLUMNS if name not in (table.dtype.names or ())]
+    if lacking:
+        raise MediaError(f"{path} lacks the column '{lacking[0]}'; a motion file has {', '.join(IMU_COLUMNS)}")
+    try:
+        return ImuTrace.from_columns(*(np.atleast_1d(table[name]) for name in IMU_COLUMNS))
+    except ValueError as error:
+        raise MediaError(f"{path}: {error}") from None
 
 
 Messages = Mapping[str, Sequence[Content]]
@@ -97,16 +93,12 @@ def transmitters(settings: LinkSettings, messages: Sequence[Messages]) -> list[T
     """Return a transmitter for each array."""
     identities = settings.transmit.identities
     if isinstance(messages, Mapping) or not isinstance(messages, Sequence) or len(messages) != len(identities):
+        given = len(messages) if isinstance(messages, (list, tuple)) else f"a {type(messages).__name__}"
         raise SettingsError(
-            f"messages are a list, one entry for each of the {len(identities)} in transmit.identities, "
-            f"not {_size_or_type(messages)}"
+            f"messages are a list, one entry for each of the {len(identities)} in transmit.identities, not {given}"
         )
     signal, formats = settings.signal, settings.transmit.formats
     return [Transmitter(signal, who, content, formats) for who, content in zip(identities, messages, strict=True)]
-
-
-def _size_or_type(messages: object) -> str:
-    return f"{len(messages)}" if isinstance(messages, (list, tuple)) else f"a {type(messages).__name__}"
 
 
 def simulate(
@@ -136,7 +128,14 @@ def simulate(
     SettingsError
         The arguments are no settings, messages, seed or recordings, do not fit each other, or lack a recording.
     """
-    _check(settings, seed, recordings, roi_margin_px)
+    if not isinstance(settings, LinkSettings):
+        raise SettingsError(f"settings are the result of load_settings(...), not {shown(settings)}")
+    if not (isinstance(seed, (int, np.integer)) and seed >= 0):
+        raise SettingsError(f"a seed is a whole number, at least 0, not {shown(seed)}")
+    if not isinstance(recordings, Recordings | None):
+        raise SettingsError(f"recordings are heliograph.link.simulate.Recordings, not {type(recordings).__name__}")
+    if not isinstance(roi_margin_px, int | np.integer | None):
+        raise SettingsError(f"roi_margin_px is a whole number of pixels, not {shown(roi_margin_px)}")
     recordings = recordings or Recordings()
     return film(
         settings.channel,
@@ -149,18 +148,3 @@ def simulate(
         imu=recordings.imu,
         roi_margin_px=roi_margin_px,
     )
-
-
-def _check(settings: object, seed: object, recordings: object, roi_margin_px: object) -> None:
-    if not isinstance(settings, LinkSettings):
-        raise SettingsError(f"settings are the result of load_settings(...), not {shown(settings)}")
-    if not (_is_whole(seed) and seed >= 0):
-        raise SettingsError(f"a seed is a whole number, at least 0, not {shown(seed)}")
-    if not isinstance(recordings, Recordings | None):
-        raise SettingsError(f"recordings are heliograph.link.simulate.Recordings, not {type(recordings).__name__}")
-    if roi_margin_px is not None and not _is_whole(roi_margin_px):
-        raise SettingsError(f"roi_margin_px is a whole number of pixels, not {shown(roi_margin_px)}")
-
-
-def _is_whole(value: object) -> TypeGuard[int]:
-    return isinstance(value, (int, np.integer))

@@ -5,12 +5,15 @@ import hashlib
 import io
 import json
 import os
+import shutil
 import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import reduce
+from itertools import accumulate, pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import IO, Any
 
@@ -79,57 +82,54 @@ class TruthWriter:
         with clear_write_errors(path):
             if path.is_dir():
                 raise MediaError(f"{path} is a folder: move it away to make room for the truth file")
-            self._rows = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115 - closed by abort()
-        self._count = 0
+            path.parent.stat()
+            # on the disk above 16 MB, 160,000 frames of an array
+            self._rows = tempfile.SpooledTemporaryFile(1 << 24, dir=path.parent)  # noqa: SIM115 - closed in `finishing`
 
     def add(self, truth: Truth) -> None:
         """Append a frame."""
         row = np.zeros(1, self._type)
         row["index"], row["time_s"] = truth.index, truth.time_s
+        ends = [(*a.patterns[:1], *a.patterns[-1:]) or (-1, -1) for a in truth.arrays]
         row["arrays"][0] = [
-            (a.x, a.y, a.pitch_px, a.roll_rad, a.distance_m, a.visible, *_ends(a.patterns), a.homography)
-            for a in truth.arrays
+            (a.x, a.y, a.pitch_px, a.roll_rad, a.distance_m, a.visible, *end, a.homography)
+            for a, end in zip(truth.arrays, ends, strict=True)
         ]
         with clear_write_errors(self._path):
             self._rows.write(row.tobytes())
-        self._count += 1
 
     @contextlib.contextmanager
     def finishing(self) -> Iterator[None]:
         """Write the file, and publish it if the block succeeds: finish the film in the block."""
-        try:
-            with whole_file(self._path) as partial:
-                self._write(partial)
-                yield
-        finally:
-            self.abort()
-
-    def abort(self) -> None:
-        """Remove temporary data."""
-        with contextlib.suppress(OSError):  # buffered data may exceed the disk
-            self._rows.close()
+        with self._rows, whole_file(self._path) as partial:
+            self._write(partial)
+            yield
 
     def _write(self, partial: Path) -> None:
         sigma = float(NoiseModel(self._settings.channel.sensor).sigma(NOISE_LEVEL))
-        about = {
-            "settings": to_mapping(self._settings),
-            "seed": self._seed,
-            "messages": _describe(self._messages),
-            "film_id": self._film_id,
-            "noise": {"level": NOISE_LEVEL, "sigma": sigma},  # both in full scales
-        }
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            messages = [
+                {
+                    layer: [_add_message(archive, f"messages/{k}/{layer}/{i}", content)
+                            for i, content in enumerate(by_layer.get(layer, ()))]
+                    for layer in LAYERS
+                }
+                for k, by_layer in enumerate(self._messages)
+            ]  # fmt: skip
+            about = {
+                "settings": to_mapping(self._settings),
+                "seed": self._seed,
+                "messages": messages,
+                "film_id": self._film_id,
+                "noise": {"level": NOISE_LEVEL, "sigma": sigma},  # both in full scales
+            }
             archive.writestr("about.json", json.dumps(about))
-            for _, _, member, content in _members(self._messages):
-                archive.writestr(member, _bytes_of(content))
             with archive.open("frames.npy", "w", force_zip64=True) as out:
-                header = {"descr": np.lib.format.dtype_to_descr(self._type), "fortran_order": False}
-                np.lib.format.write_array_header_2_0(out, {**header, "shape": (self._count,)})
+                shape = (self._rows.tell() // self._type.itemsize,)
+                header = {"descr": np.lib.format.dtype_to_descr(self._type), "fortran_order": False, "shape": shape}
+                np.lib.format.write_array_header_2_0(out, header)
                 self._rows.seek(0)
-                left = self._count * self._type.itemsize  # Ctrl-C may leave an uncounted row
-                while block := self._rows.read(min(left, 1 << 20)):
-                    out.write(block)
-                    left -= len(block)
+                shutil.copyfileobj(self._rows, out)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +176,9 @@ class TruthFile:
                     raise _broken(self.path, "it ends within a row")
                 rows = np.frombuffer(block, kind)
                 left -= len(rows)
-                _check_rows(rows)
+                numbers = (rows["time_s"], *(rows["arrays"][name] for name in ("x", "y", "pitch_px", "distance_m")))
+                if not all(np.isfinite(column).all() for column in numbers):
+                    raise _broken(self.path, "a time, place or distance is no number")
                 yield from rows
             if left:
                 raise _broken(self.path, f"it should have {count} rows, not {count - left}")
@@ -241,51 +243,26 @@ def _media_errors(path: Path) -> Iterator[None]:
         raise _broken(path, getattr(error, "strerror", None) or "") from None
 
 
-def _check_rows(rows: NDArray[Any]) -> None:
-    numbers = (rows["time_s"], *(rows["arrays"][name] for name in ("x", "y", "pitch_px", "distance_m")))
-    if not all(np.isfinite(column).all() for column in numbers):
-        raise HeliographError("a time, place or distance is no number")
-
-
 def _broken(path: Path, detail: str) -> MediaError:
     reason = f" ({detail})" if detail else ""
     return MediaError(f"{path} is no truth file, or damaged{reason}; simulate the film again")
 
 
-def _ends(patterns: Sequence[int]) -> tuple[int, int]:
-    return (patterns[0], patterns[-1]) if patterns else (-1, -1)
-
-
-def _members(messages: Sequence[Messages]) -> Iterator[tuple[int, str, str, Content]]:
-    """Yield array, layer, archive member and content of each message."""
-    for k, by_layer in enumerate(messages):
-        for layer in LAYERS:
-            for i, content in enumerate(by_layer.get(layer, ())):
-                yield k, layer, f"messages/{k}/{layer}/{i}", content
-
-
-def _describe(messages: Sequence[Messages]) -> list[dict[str, list[Any]]]:
-    """Return the archive member of each message, with the name of a file and the times of updates."""
-    out: list[dict[str, list[Any]]] = [{layer: [] for layer in LAYERS} for _ in messages]
-    for k, layer, member, content in _members(messages):
-        entry: Any = member
-        if isinstance(content, SentFile):
-            entry = {"file": member, "name": content.name, "code": content.code}
-        elif isinstance(content, Updates):
-            times, parts = zip(*content.contents, strict=True)
-            entry = {"updates": member, "times_s": list(times), "lengths": [len(data) for data in parts]}
-        out[k][layer].append(entry)
-    return out
-
-
-def _bytes_of(content: Content) -> bytes:
+def _add_message(archive: zipfile.ZipFile, member: str, content: Content) -> Any:
+    """Add the bytes of a message to the archive; return the member, with the name of a file or the times of updates."""
     if isinstance(content, SentFile):
-        return content.data
-    return b"".join(data for _, data in content.contents) if isinstance(content, Updates) else content
+        archive.writestr(member, content.data)
+        return {"file": member, "name": content.name, "code": content.code}
+    if isinstance(content, Updates):
+        times, parts = zip(*content.contents, strict=True)
+        archive.writestr(member, b"".join(parts))
+        return {"updates": member, "times_s": list(times), "lengths": [len(data) for data in parts]}
+    archive.writestr(member, content)
+    return member
 
 
 def _content(archive: zipfile.ZipFile, entry: Any) -> Content:
-    """Return the content of an entry by `_describe`."""
+    """Return the content of an entry by `_add_message`."""
     if isinstance(entry, str):
         return _read(archive, entry, MAX_MESSAGE)
     if "file" in entry:
@@ -293,7 +270,7 @@ def _content(archive: zipfile.ZipFile, entry: Any) -> Content:
             raise HeliographError(f"it names a code {entry['code']!r:.40}")
         return SentFile(str(entry["name"]), _read(archive, entry["file"], MAX_MESSAGE), entry["code"])
     data, ends = _read(archive, entry["updates"], MAX_ABOUT), list(accumulate(map(int, entry["lengths"])))
-    parts = [data[start:end] for start, end in zip([0, *ends], ends, strict=False)]
+    parts = [data[start:end] for start, end in pairwise([0, *ends])]
     return Updates(tuple(zip(map(float, entry["times_s"]), parts, strict=True)))
 
 
@@ -311,16 +288,12 @@ def signal_note(signal: SignalSettings) -> dict[str, str]:
 
 def noted_signal(film: FilmReader) -> dict[str, Any]:
     """Return the signal settings in the film metadata as nested mappings; empty if absent."""
-    text = film.metadata.get(SIGNAL_TAG)
-    if text is None:
-        return {}
     try:
-        note = json.loads(text)
+        note = json.loads(film.metadata.get(SIGNAL_TAG, "{}"))
         from_mapping(SignalSettings, note)
     except (ValueError, RecursionError) as error:  # invalid JSON or settings
-        raise MediaError(
-            f"the film's note on its signal is unreadable ({brief(error)}); set signal.* explicitly"
-        ) from None
+        reason = brief(error)
+        raise MediaError(f"the film's note on its signal is unreadable ({reason}); set signal.* explicitly") from None
     return dict(note)
 
 
@@ -335,10 +308,7 @@ def signal_of(
             raise
         note = {}
     noted = merge(to_mapping(preset), note)
-    tree = noted
-    for change in changes:
-        tree = merge(tree, change)
-    signal = from_mapping(SignalSettings, tree)
+    signal = from_mapping(SignalSettings, reduce(merge, changes, noted))
     departures = _differences(signal, from_mapping(SignalSettings, noted)) if note else []
     listed = ", ".join(f"{key}={ours} instead of {theirs}" for key, ours, theirs in departures)
     return signal, f"not as the film's note says: {listed}" if listed else ""
@@ -355,27 +325,24 @@ def departures(film: object, signal: SignalSettings) -> list[tuple[str, Any, Any
 
 def _differences(signal: SignalSettings, other: SignalSettings) -> list[tuple[str, Any, Any]]:
     """Return dotted key and both values of differing settings."""
-    pairs = [(key, _value(signal, key), _value(other, key)) for key in keys_of(SignalSettings)]
-    return [(f"signal.{key}", a, b) for key, a, b in pairs if a != b]
+    pairs = [(key, attrgetter(key)(signal), attrgetter(key)(other)) for key in keys_of(SignalSettings)]
+    return [(f"signal.{key}", _plain(ours), _plain(theirs)) for key, ours, theirs in pairs if ours != theirs]
 
 
-def _value(settings: Any, key: str) -> Any:
-    for part in key.split("."):
-        settings = getattr(settings, part)
-    return list(settings) if isinstance(settings, tuple) else settings
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
 
 
 def check_truth(film: FilmReader, truth: TruthFile, signal: SignalSettings) -> None:
     """Check that the truth belongs to the film and to the signal settings."""
     camera, film_id = truth.settings.channel.camera, film.metadata.get(TRUTH_TAG)
-    size, rate = (camera.width, camera.height), camera.fps
     if film_id and truth.film_id and film_id != truth.film_id:
         differs = "they come from different simulations"
-    elif size != (film.width, film.height):
-        differs = f"it has frames of {size[0]}x{size[1]} pixels, the film of {film.width}x{film.height}"
+    elif (camera.width, camera.height) != (film.width, film.height):
+        differs = f"it has frames of {camera.width}x{camera.height} pixels, the film of {film.width}x{film.height}"
     # containers round the frame rate
-    elif abs(rate / film.rate_hz - 1) > 1e-3:
-        differs = f"it has {rate:g} frames/s, the film {film.rate_hz:g}"
+    elif abs(camera.fps / film.rate_hz - 1) > 1e-3:
+        differs = f"it has {camera.fps:g} frames/s, the film {film.rate_hz:g}"
     elif departures := _differences(signal, truth.settings.signal):
         key, ours, sent = departures[0]
         raise MediaError(

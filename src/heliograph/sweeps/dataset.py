@@ -1,7 +1,7 @@
 """Sweep results as an xarray Dataset with units and provenance."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from heliograph import __version__
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import HeliographError
 from heliograph.signal.settings import LAYERS
-from heliograph.sweeps.tally import PointTally
+from heliograph.sweeps.tally import PointTally, flat_report
 
 if TYPE_CHECKING:
     import xarray
@@ -76,36 +76,32 @@ def to_dataset(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally])
     import xarray
 
     reports = [tally.report() for tally in tallies]
+    layers = [[flat_report(layer) for layer in report["layers"].values()] for report in reports]
     shape = tuple(len(values) for values in vary.values())
-    variables = {
-        name: ((*vary, "layer"), values.reshape(*shape, len(LAYERS)), {"units": "1", "long_name": text})
-        for name, values, text in _layer_variables([list(report["layers"].values()) for report in reports])
-    }
+    variables = {}
+    for name, text in _layer_variables().items():
+        values = np.array([[np.nan if layer[name] is None else layer[name] for layer in row] for row in layers])
+        attributes = {"units": "1", "long_name": text}
+        variables[name] = ((*vary, "layer"), values.reshape(*shape, len(LAYERS)), attributes)
     for name, units, text in POINT_VALUES:
-        values = np.array([np.nan if r[name] is None else r[name] for r in reports]).reshape(shape)
-        variables[name] = (tuple(vary), values, {"units": units, "long_name": text})
+        values = np.array([np.nan if report[name] is None else report[name] for report in reports])
+        variables[name] = (tuple(vary), values.reshape(shape), {"units": units, "long_name": text})
     coordinates = {key: (key, _values(values), {"units": unit(key)}) for key, values in vary.items()}
     return xarray.Dataset(variables, {**coordinates, "layer": list(LAYERS)}, _provenance(vary, tallies))
 
 
-def _layer_variables(rows: Sequence[Sequence[Mapping[str, Any]]]) -> Iterator[tuple[str, Any, str]]:
-    """Yield the variables of layers: name, values (points, layers) and meaning."""
-
-    def table(pick: Any) -> Any:
-        return np.array([[pick(layer) for layer in row] for row in rows])
-
-    for name, text in COUNTS.items():
-        yield name, table(lambda r, n=name: r[n]), text
+def _layer_variables() -> dict[str, str]:
+    """Return the meaning of each variable of a layer by name."""
+    variables = dict(COUNTS)
     for name, text in ERROR_RATES.items():
         method = "Clopper-Pearson"
         if name != "fer":
             method += " at the effective number of bits, as bits of a packet fail together"
-        yield name, table(lambda r, n=name: np.nan if r[n] is None else r[n]), text
-        for position, end in enumerate(("low", "high")):
-            bound = table(lambda r, n=name, p=position: r[f"{n}_ci"][p])
-            yield f"{name}_{end}", bound, f"{text}, {end} end of the 95 % interval ({method})"
-        is_bound = table(lambda r, n=name: r[f"{n}_is_bound"])
-        yield f"{name}_is_bound", is_bound, f"true if no error occurred and {name}_high is an upper bound"
+        variables[name] = text
+        for end in ("low", "high"):
+            variables[f"{name}_{end}"] = f"{text}, {end} end of the 95 % interval ({method})"
+        variables[f"{name}_is_bound"] = f"true if no error occurred and {name}_high is an upper bound"
+    return variables
 
 
 def _values(values: Sequence[Any]) -> Any:

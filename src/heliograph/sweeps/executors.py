@@ -75,10 +75,8 @@ def each(
 class Workers:
     """Sequential jobs in this process; the base class of other workers."""
 
-    @property
-    def slots(self) -> int:
-        """Number of concurrent jobs."""
-        return 1
+    # Number of concurrent jobs
+    slots = 1
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
         """Submit a job."""
@@ -100,13 +98,8 @@ class Pool(Workers):
     """Spawned worker processes."""
 
     def __init__(self, count: int):
-        self._count = count
+        self.slots = count
         self._executor = worker_processes(count)
-
-    @property
-    def slots(self) -> int:
-        """Number of processes."""
-        return self._count
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
         """Submit a job; the first job starts the processes."""
@@ -121,7 +114,7 @@ class Pool(Workers):
     def restart(self) -> None:
         """Replace the pool: a lost process breaks the executor."""
         self.close()
-        self._executor = worker_processes(self._count)
+        self._executor = worker_processes(self.slots)
 
     def close(self) -> None:
         """Terminate the processes."""
@@ -154,7 +147,7 @@ class Cluster(Workers):
         self._parts = registered()
 
     @property
-    def slots(self) -> int:
+    def slots(self) -> int:  # type: ignore[override]  # the workers of a cluster come and go
         """Number of threads of the current workers, at least 1."""
         try:
             return max(1, sum(self._client.nthreads().values()))  # type: ignore[no-untyped-call]  # dask has no types

@@ -3,8 +3,9 @@
 import itertools
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
+from functools import reduce
 from numbers import Integral
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,6 @@ from heliograph.link.simulate import load_footage, load_imu, transmitters
 from heliograph.receive.detect.alternation import size_limits
 from heliograph.receive.registry import RECEIVERS
 from heliograph.sweeps.points import Point, Recorded
-
-SHORT = {"receiver": "receive.receiver"}
-"""Short names of keys."""
 
 MAX_VALUES = 10_000
 """Maximum number of values of a key, and of points in a grid."""
@@ -52,27 +50,23 @@ def value_lists(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
         raise SettingsError(f'a sweep varies lists, such as {{"channel.distance_m": [40, 60]}}, not {shown(vary)}')
     for key in vary:
         _check_key(key)
-    for short, key in SHORT.items():
-        if short in vary and key in vary:
-            raise SettingsError(f"'{short}' is short for '{key}', which varies as well")
+    if {"receiver", "receive.receiver"} <= vary.keys():
+        raise SettingsError("'receiver' is short for 'receive.receiver', which varies as well")
     return {key: _plain(key, values) for key, values in vary.items()}
 
 
 def varied(preset: str, over: Mapping[str, Any], choice: Mapping[str, Any]) -> LinkSettings:
     """Return the settings of a point."""
-    for key, value in choice.items():
-        if key != "preset":
-            over = merge(over, nested(SHORT.get(key, key), value))
-    return load_settings(str(choice.get("preset", preset)), over)
+    changes = {"receive.receiver" if key == "receiver" else key: value for key, value in choice.items()}
+    preset = str(changes.pop("preset", preset))
+    return load_settings(preset, merge(over, merge_changes(changes)))
 
 
 def nested(key: str, value: Any) -> Any:
     """Return a value under a dotted key as nested mappings."""
     _check_key(key)
     parse_assignment(f"{key}=0")  # reports invalid keys
-    for part in reversed(key.split(".")):
-        value = {part.strip(): value}
-    return value
+    return reduce(lambda tree, part: {part.strip(): tree}, reversed(key.split(".")), value)
 
 
 def _check_key(key: object) -> None:
@@ -110,30 +104,17 @@ def _hashable(value: Any) -> Any:
         return tuple(map(_hashable, value))
     if isinstance(value, Mapping):
         return frozenset((key, _hashable(item)) for key, item in value.items())
-    try:
-        hash(value)
-    except TypeError:
-        return repr(value)
-    return value
+    return value if isinstance(value, Hashable) else repr(value)
 
 
 def _split(text: str) -> Iterator[str]:
     """Split at commas outside brackets and quotes."""
-    depth, quote, start, escaped = 0, "", 0, False
-    for i, letter in enumerate(text):
-        if escaped:
-            escaped = False
-        elif quote == '"' and letter == "\\":
-            escaped = True
-        elif quote or letter in "\"'":
-            quote = "" if letter == quote else quote or letter
-        elif letter in "[{":
-            depth += 1
-        elif letter in "]}":
-            depth -= 1
-        elif letter == "," and not depth:
-            yield text[start:i]
-            start = i + 1
+    depth, start = 0, 0
+    for token in re.finditer(r"""[][{},]|"(?:\\.|[^"\\])*+"?|'[^']*+'?""", text, re.DOTALL):
+        depth += (token[0] in "[{") - (token[0] in "]}")
+        if token[0] == "," and not depth:
+            yield text[start : token.start()]
+            start = token.end()
     yield text[start:]
 
 
@@ -162,12 +143,12 @@ def _range(first: str, last: str, step: str, text: str) -> Iterator[int | float]
         yield int(value) if all(x == x.to_integral_value() for x in (a, h)) else float(value)
 
 
-def not_looked_for(points: Sequence[Point]) -> str:
+def size_warning(points: Sequence[Point]) -> str:
     """Return a warning about points with arrays outside the size range of the receiver, or an empty text."""
-    excluded = [(point, text) for point in points if (text := _size_conflict(point.settings))]
+    excluded = [f"{point.text}: {text}" for point in points if (text := _size_conflict(point.settings))]
     if not excluded:
         return ""
-    named = "; ".join(f"{point.text}: {text}" for point, text in excluded[:3])
+    named = "; ".join(excluded[:3])
     more = f"; and {len(excluded) - 3} more" if len(excluded) > 3 else ""
     return (
         f"{len(excluded)} of {len(points)} points have an array outside the detection range ({named}{more}); change "
@@ -204,16 +185,16 @@ def plan(
     """Return the validated points of a sweep."""
     if not isinstance(seed, Integral) or not 0 <= seed < 2**63:
         raise SettingsError(f"the seed is a whole number from 0 to 2^63 - 1, not {shown(seed)}")
-    recordings, tree = {}, dict[str, Any]()
+    recordings, channel_changes = {}, dict[str, Any]()
     if background is not None:
         load_footage(background)
         recordings["footage"] = Recorded.of(background)
-        tree = merge(tree, {"channel": {"background": {"kind": "footage"}}})
+        channel_changes["background"] = {"kind": "footage"}
     if imu is not None:
         load_imu(imu)
         recordings["imu"] = Recorded.of(imu)
-        tree = merge(tree, {"channel": {"shake": "imu"}})
-    tree = merge(tree, over or {})
+        channel_changes["shake"] = "imu"
+    tree = merge({"channel": channel_changes}, over or {})
     points = []
     for choice in grid(vary):
         try:
@@ -233,15 +214,10 @@ def plan(
 
 def merge_changes(changes: Mapping[str, Any] | Sequence[str]) -> Mapping[str, Any]:
     """Return changes of settings, by key or as texts, as a nested mapping."""
-    if isinstance(changes, str):
-        changes = [changes]
     if isinstance(changes, Mapping):
         parts = [nested(key, value) for key, value in changes.items()]
     elif isinstance(changes, Iterable):
-        parts = [parse_assignment(text) for text in changes]
+        parts = [parse_assignment(text) for text in ([changes] if isinstance(changes, str) else changes)]
     else:
         raise SettingsError(f'changes are values by key, such as {{"signal.side": 8}}, not {shown(changes)}')
-    tree: Any = {}
-    for part in parts:
-        tree = merge(tree, part)
-    return tree
+    return reduce(merge, parts, {})

@@ -99,18 +99,14 @@ def _recall(tally: PointTally, store: Store) -> bool:
     return bool(new)
 
 
-def on_a_terminal() -> bool:
-    """Return True if standard error is a terminal."""
-    return sys.stderr is not None and sys.stderr.isatty()
-
-
 @contextlib.contextmanager
 def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
     """Show a progress bar on standard error with the completed points and the remaining time."""
-    if not (on_a_terminal() if shown is None else shown):
+    if shown is None:
+        shown = sys.stderr is not None and sys.stderr.isatty()
+    if not shown:
         yield silent
         return
-
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     screen = Console(stderr=True, force_terminal=True)
     # the default period of 30 s is too short for long blocks

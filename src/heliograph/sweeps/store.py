@@ -39,29 +39,23 @@ class Store:
             if folder:
                 folder.mkdir(parents=True, exist_ok=True)
             self._db = sqlite3.connect(self.path or ":memory:", timeout=60.0, isolation_level=None)
-            try:
-                self._open()
-            except BaseException:  # includes Ctrl-C
-                self._db.close()
-                raise
+            with contextlib.ExitStack() as undo:
+                undo.callback(self._db.close)
+                self._create_tables()
+                undo.pop_all()
 
-    def _open(self) -> None:
+    def _create_tables(self) -> None:
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = NORMAL")
-        (found,) = self._db.execute("PRAGMA user_version").fetchone()
-        (tables,) = self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()
-        if found not in (0, FORMAT) or (not found and tables):
-            raise MediaError(f"{self.path} holds no results of this version of heliograph; choose another folder")
-        with self._transaction():
+        with self._db:  # a transaction
+            self._db.execute("BEGIN IMMEDIATE")
+            (found,) = self._db.execute("PRAGMA user_version").fetchone()
+            (tables,) = self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            if found not in (0, FORMAT) or (not found and tables):
+                raise MediaError(f"{self.path} holds no results of this version of heliograph; choose another folder")
             for statement in _TABLES.split(";"):
                 self._db.execute(statement)
             self._db.execute(f"PRAGMA user_version = {FORMAT}")
-
-    def __enter__(self) -> "Store":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the file."""
@@ -77,13 +71,13 @@ class Store:
             json.dumps(to_mapping(point.settings)),
             json.dumps({name: [one.path, one.digest] for name, one in point.recordings.items()}),
         )
-        with self._media_errors(), self._transaction():
+        with self._media_errors():
             self._db.execute("INSERT OR IGNORE INTO points VALUES (?, ?, ?, ?, ?, ?)", about)
 
     def add(self, point: Point, block: int, counts: BlockCounts, seconds: float) -> None:
         """Store a block; an existing row of another sweep is kept."""
         row = (point.key, block, json.dumps(counts.to_plain()), seconds)
-        with self._media_errors(), self._transaction():
+        with self._media_errors():
             self._db.execute(
                 "INSERT INTO blocks (key, block, counts, seconds) VALUES (?, ?, ?, ?) "
                 "ON CONFLICT (key, block) DO UPDATE SET computed = computed + 1",
@@ -112,22 +106,12 @@ class Store:
             ) from None
 
     @contextlib.contextmanager
-    def _transaction(self) -> Iterator[None]:
-        self._db.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-        except BaseException:  # includes Ctrl-C
-            self._db.execute("ROLLBACK")
-            raise
-        self._db.execute("COMMIT")
-
-    @contextlib.contextmanager
     def _media_errors(self) -> Iterator[None]:
         """Convert errors of SQLite and the system."""
         try:
             yield
+        except MediaError:
+            raise
         except (sqlite3.Error, OSError, ValueError, TypeError, KeyError) as error:
-            if isinstance(error, MediaError):
-                raise
             reason = getattr(error, "strerror", None) or error
             raise MediaError(f"cannot use {self.path or 'the store'}: {reason}; choose another folder") from None

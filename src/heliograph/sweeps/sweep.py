@@ -1,12 +1,12 @@
 """Sweeps: error rates over a grid of settings, as a Dataset and as files."""
 
-import contextlib
 import csv
 import io
 import json
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.files import write_whole
 from heliograph.sweeps.executors import fewer_workers, open_workers
-from heliograph.sweeps.plan import merge_changes, not_looked_for, plan, value_lists
+from heliograph.sweeps.plan import merge_changes, plan, size_warning, value_lists
 from heliograph.sweeps.runner import PointProgress, bar, recall_all, run, silent
 from heliograph.sweeps.store import Store
-from heliograph.sweeps.tally import PointTally, StopRule
+from heliograph.sweeps.tally import PointTally, StopRule, flat_report
 
 if TYPE_CHECKING:
     import xarray
@@ -89,7 +89,7 @@ def sweep(
     grid = value_lists(vary)
     points = plan(grid, preset, merge_changes(set), seed, _path(background), _path(imu))
     tallies = [PointTally(point, rule) for point in points]
-    for text in filter(None, (not_looked_for(points), fewer_workers(workers))):
+    for text in filter(None, (size_warning(points), fewer_workers(workers))):
         warnings.warn(text, stacklevel=2)
     with bar(len(tallies), progress) as advance:
         count(tallies, _path(output), None if scheduler and workers == 1 else workers, scheduler, advance)
@@ -105,7 +105,7 @@ def count(
 ) -> None:
     """Open store and workers, `run`, and write the results, also after an interruption."""
     # if the workers fail to open, no folder is created
-    with contextlib.closing(open_workers(workers, scheduler)) as crew, Store(output) as store:
+    with closing(open_workers(workers, scheduler)) as crew, closing(Store(output)) as store:
         recall_all(tallies, store)
         try:
             run(tallies, store, crew, progress)
@@ -119,29 +119,15 @@ def write_results(folder: Path, tallies: Sequence[PointTally]) -> None:
     reports = [tally.report() for tally in tallies]
     write_whole(folder / "points.json", (json.dumps(reports, indent=1) + "\n").encode())
     rows = [
-        {
-            **point["settings"],
-            "layer": name,
-            **_flat(layer),
-            **{key: point[key] for key in ("packets", "detected", "net_bits_per_second")},
-        }
-        for point in reports
-        for name, layer in point["layers"].items()
-    ]
+        point["settings"] | {"layer": name} | flat_report(layer)
+        | {key: point[key] for key in ("packets", "detected", "net_bits_per_second")}
+        for point in reports for name, layer in point["layers"].items()
+    ]  # fmt: skip
     text = io.StringIO()
     table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     table.writeheader()
     table.writerows(rows)
     write_whole(folder / "points.csv", text.getvalue().encode())
-
-
-def _flat(layer: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the report of a layer with two columns per interval."""
-    flat = {name: value for name, value in layer.items() if not name.endswith("_ci")}
-    for name in [name for name in layer if name not in flat]:
-        rate = name.removesuffix("_ci")
-        flat[f"{rate}_low"], flat[f"{rate}_high"] = layer[name]
-    return flat
 
 
 def _path(path: Path | str | None) -> Path | None:

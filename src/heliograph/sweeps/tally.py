@@ -1,40 +1,30 @@
 """Counts of a point, and the stop rule."""
 
-import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Annotated, Any
 
-import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from heliograph import __version__
-from heliograph.base.errors import SettingsError, shown
+from heliograph.base.config import CONFIG, clear_errors
 from heliograph.measure.bench import is_static
 from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.sweeps.points import Point
 
-_NUMBER = (int, float, np.integer, np.floating)
 
-
-@dataclass(frozen=True, kw_only=True)
+@clear_errors
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
 class StopRule:
     """Rule for the completion of a point."""
 
     # Wrong codewords that complete a layer
-    min_errors: int = 50
+    min_errors: Annotated[int, Field(ge=1)] = 50
     # Codewords that complete a layer; a point is complete with all layers
-    max_codewords: int = 1000
+    max_codewords: Annotated[int, Field(ge=1)] = 1000
     # Limit of the total computing time of a point in s
-    max_seconds: float | None = None
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        for name in ("min_errors", "max_codewords"):
-            count = getattr(self, name)
-            if not (isinstance(count, _NUMBER) and count >= 1):
-                raise SettingsError(f"{name} is at least 1, not {shown(count)}")
-        limit = self.max_seconds
-        if limit is not None and not (isinstance(limit, _NUMBER) and 0 < limit < math.inf):
-            raise SettingsError(f"max_seconds is above 0, not {shown(limit)}")
+    max_seconds: Annotated[float, Field(gt=0)] | None = None
 
 
 class PointTally:
@@ -138,3 +128,11 @@ def layer_report(counts: LayerCounts) -> dict[str, Any]:
         out[f"{name}_ci"] = list(count.interval())
         out[f"{name}_is_bound"] = count.trials > 0 and not count.errors
     return out
+
+
+def flat_report(layer: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the report of a layer with two values per interval, such as "ber_low" and "ber_high"."""
+    flat = {name: value for name, value in layer.items() if not name.endswith("_ci")}
+    for rate in [name for name in layer if f"{name}_ci" in layer]:
+        flat[f"{rate}_low"], flat[f"{rate}_high"] = layer[f"{rate}_ci"]
+    return flat

@@ -1,6 +1,5 @@
 """Transmitter: messages by layer to an infinite sequence of timed LED patterns (section 12 of the air interface)."""
 
-import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
@@ -13,12 +12,11 @@ from pydantic.dataclasses import dataclass as checked
 
 from heliograph.base.config import CONFIG, clear_errors
 from heliograph.base.errors import SettingsError, shown
-from heliograph.signal.block import AnyBlock, AnyFileBlock
+from heliograph.signal.block import AnyBlock
 from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.fountain.cauchy import NUMBERS
 from heliograph.signal.fountain.files import FileCarousel, SentFile
 from heliograph.signal.header import IDENTITIES
-from heliograph.signal.header import identity as identity_of
 from heliograph.signal.message import Carousel, Updates
 from heliograph.signal.packet import LayerFormat, PacketFormat
 from heliograph.signal.pwm import SLOTS
@@ -101,14 +99,12 @@ class Transmitter:
     ):
         check_signal(settings)
         _check_messages(messages)
-        _check_formats(formats)
+        if not isinstance(formats, Sequence) or not all(isinstance(form, Format) for form in formats):
+            raise SettingsError(f"formats are a list of heliograph.signal.formats.Format, not {shown(formats)}")
         self.formats = tuple(PacketFormat(settings, form) for form in formats or (AGREED,))
-        try:
-            self.identity = identity_of(operator.index(identity)).number
-        except (TypeError, ValueError):
-            raise SettingsError(
-                f"an identity is a whole number, 0 to {IDENTITIES - 1}, not {shown(identity)}"
-            ) from None
+        if not isinstance(identity, (int, np.integer)) or not 0 <= identity < IDENTITIES:
+            raise SettingsError(f"an identity is a whole number, 0 to {IDENTITIES - 1}, not {shown(identity)}")
+        self.identity = int(identity)
         # a carousel for each block size (section 8)
         self._carousels = {
             (name, layer.payload_bytes): self._carousel(name, messages.get(name, ()), layer.payload_bytes)
@@ -164,19 +160,13 @@ class Transmitter:
     def _block(self, packet: int, name: str, layer: LayerFormat, codeword: int) -> AnyBlock:
         """Return a block of a layer; messages and files alternate."""
         number = self._sent_before(packet, name, layer.payload_bytes) + codeword
-        mixed = name in self._mixed
-        if name in self._files and (not mixed or number % 2):
-            return self._file_block(packet, name, layer, codeword)
-        time_s = packet * self.format.settings.packet_s + 1e-7  # 1e-7: rounding
-        return self._carousels[name, layer.payload_bytes].block(number // 2 if mixed else number, time_s)
-
-    def _file_block(self, packet: int, name: str, layer: LayerFormat, codeword: int) -> AnyFileBlock:
         turns = 2 if name in self._mixed else 1
-        rooms = {form.layers[name].code.k: form.layers[name].payload_bytes for form in self.formats}
-        # previous blocks of other sizes
-        number = sum(self._sent_before(packet, name, size) // turns for k, size in rooms.items() if k != layer.code.k)
-        number += (self._sent_before(packet, name, layer.payload_bytes) + codeword) // turns
-        return self._files[name].block(number, layer.code.k)
+        if name in self._files and (turns == 1 or number % 2):
+            sizes = {form.layers[name].code.k: form.layers[name].payload_bytes for form in self.formats}
+            others = [self._sent_before(packet, name, size) for k, size in sizes.items() if k != layer.code.k]
+            return self._files[name].block(sum(sent // turns for sent in (*others, number)), layer.code.k)
+        time_s = packet * self.format.settings.packet_s + 1e-7  # 1e-7: rounding
+        return self._carousels[name, layer.payload_bytes].block(number // turns, time_s)
 
     def _sent_before(self, packet: int, name: str, size: int) -> int:
         """Return the number of codewords of a layer with blocks of `size` bytes before a packet."""
@@ -210,11 +200,6 @@ class Transmitter:
             yield TimedPattern(index, index * settings.pattern_period_s, part, inverted, levels)
 
 
-def _check_formats(formats: object) -> None:
-    if not isinstance(formats, Sequence) or not all(isinstance(form, Format) for form in formats):
-        raise SettingsError(f"formats are a list of heliograph.signal.formats.Format, not {shown(formats)}")
-
-
 def _check_messages(messages: Any) -> None:
     if not isinstance(messages, Mapping):
         raise SettingsError(
@@ -227,17 +212,16 @@ def _check_messages(messages: Any) -> None:
             raise SettingsError(f"the {name} layer has a list of messages, not {type(listed).__name__}; write [b'...']")
         for data in listed:
             if isinstance(data, Updates):
-                _check_updates(name, data)
+                times = [time_s for time_s, _ in data.contents]
+                is_bytes = all(isinstance(content, bytes) for _, content in data.contents)
+                if not times or times != sorted(times) or not is_bytes:
+                    raise SettingsError(
+                        f"updates of the {name} layer are times in s, in order, each with bytes, at least one"
+                    )
             elif not isinstance(data, (bytes, bytearray, memoryview, SentFile)):
                 raise SettingsError(
                     f"a message of the {name} layer is bytes, not {type(data).__name__}; text.encode() makes them"
                 )
-
-
-def _check_updates(name: str, data: Updates) -> None:
-    times = [time_s for time_s, _ in data.contents]
-    if not times or times != sorted(times) or not all(isinstance(content, bytes) for _, content in data.contents):
-        raise SettingsError(f"updates of the {name} layer are times in s, in order, each with bytes, at least one")
 
 
 def _files(messages: Sequence[Content]) -> list[SentFile]:
