@@ -93,7 +93,7 @@ def region_picture(stretch: Stretch, report: RegionReport) -> Figure:
     axes, numbers = figure.add_subplot(grid[1, :]), np.array([frame.index for frame in frames])
     axes.plot(numbers, region.brightness, color=BLUE, lw=0.9, label="mean gray level of the region")
     axes.axvspan(numbers[k] - 0.5, numbers[k + 1] + 0.5, color=ORANGE, alpha=0.35, lw=0, label="the frames above")
-    if report.header is not None and report.like_array:
+    if report.header is not None and report.header.starts and report.like_array:
         step = max(report.rate.frames, 1.0) if report.rate is not None else 1.0
         starts = [numbers[min(round(start * step), count - 1)] for start in report.header.starts]
         axes.vlines(starts, *axes.get_ylim(), color=GREEN, lw=1.1, ls="--", label="a header begins")
