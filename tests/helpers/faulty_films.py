@@ -24,10 +24,6 @@ class KeptFilm:
     path: Path = Path("the film")
 
     @property
-    def claimed_hz(self) -> float:
-        return self.rate_hz
-
-    @property
     def frame_count(self) -> int:
         return len(self.frames)
 

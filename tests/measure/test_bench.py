@@ -10,14 +10,7 @@ from heliograph.link.film import frames_of, write_film
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import transmitters
 from heliograph.link.truth import open_truth, truth_path
-from heliograph.measure.bench import (
-    block_settings,
-    dithered,
-    is_static,
-    random_messages,
-    run_block,
-    window_margin_px,
-)
+from heliograph.measure.bench import block_settings, dithered, is_static, random_messages, run_block, window_margin_px
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import open_film
 
@@ -49,17 +42,14 @@ def by_film(settings: LinkSettings, seed: int, path: Path) -> Reception:
 @pytest.mark.parametrize(
     ("preset", "changes"),
     [
-        ("static", ("channel.distance_m=40",)),
-        ("static", ("channel.distance_m=70",)),
         ("static", ("channel.distance_m=40", "receive.receiver=soft", *OUT_OF_STEP)),
-        ("paper", ("channel.distance_m=60", "channel.duration_s=0.4")),
+        ("paper", ("channel.distance_m=60", "channel.duration_s=0.2")),
         ("static", ("channel.distance_m=100", "receive.receiver=soft")),
-        ("motorway", ("channel.distance_m=90", "channel.duration_s=0.1", "receive.receiver=soft")),
         ("two-arrays", ("channel.distance_m=45", "channel.duration_s=0.16", "channel.arrays.1.start_s=0.02")),
     ],
 )
 @pytest.mark.slow
-def test_bench_and_films_give_the_same(preset: str, changes: tuple[str, ...], tmp_path: Path) -> None:
+def test_bench_and_film_give_equal_counts(preset: str, changes: tuple[str, ...], tmp_path: Path) -> None:
     settings = link(preset, *changes)
     film = by_film(settings, 2, tmp_path / "film.h5")
     counts = run_block(settings, 2)
@@ -73,7 +63,7 @@ def test_bench_and_films_give_the_same(preset: str, changes: tuple[str, ...], tm
     assert counts.false_codewords == film.errors.false_codewords == 0
 
 
-def test_a_clean_block_is_equal_to_the_film_in_every_count(tmp_path: Path) -> None:
+def test_clean_block_has_the_counts_of_its_film(tmp_path: Path) -> None:
     settings = link("static", "channel.distance_m=30")
     film, counts = by_film(settings, 1, tmp_path / "film.h5"), run_block(settings, 1)
     assert film.errors is not None
@@ -84,7 +74,7 @@ def test_a_clean_block_is_equal_to_the_film_in_every_count(tmp_path: Path) -> No
     assert (counts.false_packets, counts.duplicates) == (film.errors.false_packets, film.errors.duplicates) == (0, 0)
 
 
-def test_the_result_depends_on_settings_and_seed_alone() -> None:
+def test_counts_depend_only_on_settings_and_seed() -> None:
     settings = link("static", "channel.distance_m=70")
     one = run_block(settings, 5)
     assert run_block(settings, 5) == one
@@ -101,7 +91,7 @@ def test_no_codeword_is_sent_twice() -> None:
         assert len({len(p) for p in payloads}) == 1
 
 
-def test_a_packet_cut_off_by_the_films_end_is_not_counted() -> None:
+def test_packet_cut_by_the_end_of_the_film_is_not_counted() -> None:
     late = link("two-arrays", "channel.speed_m_s=0.0", "channel.shake='none'", "channel.distance_m=40",
                 "channel.arrays.1.start_s=0.013")  # fmt: skip
     counts = run_block(late, 1)
@@ -109,7 +99,7 @@ def test_a_packet_cut_off_by_the_films_end_is_not_counted() -> None:
     assert counts.layers["high"].codeword_errors == 0
 
 
-def test_static_blocks_have_a_packet_and_drives_their_length() -> None:
+def test_static_blocks_last_a_packet_and_drives_their_duration() -> None:
     static, drive = link("static"), link("paper", "channel.duration_s=0.5")
     assert is_static(static)
     assert not is_static(drive)
@@ -122,7 +112,7 @@ def test_static_blocks_have_a_packet_and_drives_their_length() -> None:
     assert frames_of(block_settings(load_settings("static", None, ["signal.data_pairs=998"]))) == 2000
 
 
-def test_arrays_at_rest_stand_anywhere_within_a_pixel() -> None:
+def test_static_arrays_are_placed_within_a_pixel() -> None:
     static = link("static", "channel.distance_m=50")
     places = np.array([(p.x_m, p.y_m) for s in range(200) for p in dithered(static, s).channel.arrays])
     px = (places - places.mean(0)) * static.channel.camera.focal_px / 50
@@ -133,13 +123,13 @@ def test_arrays_at_rest_stand_anywhere_within_a_pixel() -> None:
     assert dithered(drive, 3) == drive
 
 
-def test_what_stands_still_is_the_larger_part_of_a_window() -> None:
+def test_window_margin_is_half_an_array() -> None:
     assert window_margin_px(link("static", "channel.distance_m=80")) == 12
     assert window_margin_px(link("static", "channel.distance_m=20")) == 24
     assert window_margin_px(link("static", "channel.distance_m=1")) == 256
 
 
-def test_settings_that_do_not_fit_are_one_line() -> None:
+def test_unsuitable_settings_raise_an_error_in_one_line() -> None:
     with pytest.raises(HeliographError, match="one frame a pattern") as caught:
         run_block(link("static", "channel.camera.fps=500"), 1)
     assert "\n" not in str(caught.value)

@@ -1,6 +1,7 @@
 """Error counter: exact counts, assigned to the correct packet and distance."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from link_packets import LAYERS, perfect, small, sums, tampered, watch
@@ -15,13 +16,15 @@ SETTINGS = small()
 K = 1024
 
 
-def counter_of(settings: LinkSettings = SETTINGS) -> ErrorCounter:
-    return ErrorCounter(settings, default_messages(settings))
+def counter_of(settings: LinkSettings = SETTINGS, frames: range = range(0)) -> ErrorCounter:
+    """Return a counter that has the truth of some frames."""
+    counter = ErrorCounter(settings, default_messages(settings))
+    watch(counter, frames)
+    return counter
 
 
 def test_perfect_packets_have_no_error() -> None:
-    counter = counter_of()
-    watch(counter, range(300))
+    counter = counter_of(frames=range(300))
     for number in range(3):
         counter.received(perfect(SETTINGS, number))
     assert list(sums(counter)) == [
@@ -40,9 +43,8 @@ def test_dropped_frames_count_as_filmed() -> None:
     assert next(sums(counter)) == ("high", 0, 0, 0, 2, 2, 2)
 
 
-def test_turned_bits_are_counted_one_by_one() -> None:
-    counter = counter_of()
-    watch(counter, range(200))
+def test_wrong_bits_are_counted() -> None:
+    counter = counter_of(frames=range(200))
     packet = tampered(perfect(SETTINGS, 0), "middle", 1, [0, 5, 1023], raw=[7, 8], status="crc_fail", block=None)
     counter.received(tampered(packet, "low", 0, [3], status="crc_fail", block=None))
     counter.received(perfect(SETTINGS, 1))
@@ -54,55 +56,37 @@ def test_turned_bits_are_counted_one_by_one() -> None:
     assert counter.false_codewords == 0
 
 
-def test_a_failed_codeword_is_an_error_even_with_all_bits_right() -> None:
-    counter = counter_of()
-    watch(counter, range(100))
-    counter.received(tampered(perfect(SETTINGS, 0), "high", 0, [], status="crc_fail", block=None))
-    assert next(sums(counter)) == ("high", K, 0, 0, 1, 1, 0)
+@pytest.mark.parametrize(("bits", "changes", "errors", "n_false"), [
+    ([], {"status": "crc_fail", "block": None}, 0, 0), ([9], {}, 1, 1),
+], ids=["failed with correct bits", "accepted with wrong bits"])  # fmt: skip
+def test_failed_and_false_codewords_are_errors(bits: list[int], changes: Any, errors: int, n_false: int) -> None:
+    counter = counter_of(frames=range(100))
+    counter.received(tampered(perfect(SETTINGS, 0), "high", 0, bits, **changes))
+    assert counter.false_codewords == n_false
+    assert next(sums(counter)) == ("high", K, errors, 0, 1, 1, 0)
 
 
-def test_wrong_bits_that_pass_for_right_are_a_false_codeword() -> None:
-    counter = counter_of()
-    watch(counter, range(100))
-    counter.received(tampered(perfect(SETTINGS, 0), "high", 0, [9]))
-    assert counter.false_codewords == 1
-    assert next(sums(counter)) == ("high", K, 1, 0, 1, 1, 0)
-
-
-def test_erased_bits_are_no_raw_bits() -> None:
-    counter = counter_of()
-    watch(counter, range(100))
-    packet = perfect(SETTINGS, 0)
-    word = packet.layers["high"][0]
-    raw = word.raw.copy()
-    raw[:100] = ERASED
-    raw[100] ^= 1
-    counter.received(replace(packet, layers={**packet.layers, "high": (replace(word, raw=raw),)}))
-    high = counter.total()["high"]
-    assert (high.raw_bits, high.raw_errors) == (raw.size - 100, 1)
-    # a single equalisation has no other raw bits
-    assert (high.final_raw_bits, high.final_raw_errors) == (raw.size - 100, 1)
-
-
-def test_raw_bits_of_the_last_equalisation_are_counted_apart() -> None:
-    counter = counter_of()
-    watch(counter, range(100))
+def test_raw_bits_of_both_equalisations_are_counted_without_erasures() -> None:
     packet = perfect(SETTINGS, 0)
     word = packet.layers["high"][0]
     first, last = word.raw.copy(), word.raw.copy()
     first[:7] ^= 1
+    first[100:110] = ERASED
     last[:2] ^= 1
     last[5:8] = ERASED
-    words = (replace(word, raw=first, final_raw=last),)
-    counter.received(replace(packet, layers={**packet.layers, "high": words}))
-    high = counter.total()["high"]
-    assert (high.raw_bits, high.raw_errors, high.raw_squares) == (first.size, 7, 49)
-    assert (high.final_raw_bits, high.final_raw_errors, high.final_raw_squares) == (first.size - 3, 2, 4)
+    known = first.size - 10
+    # a single equalisation has no other raw bits
+    for final_raw, expected in ((None, (known, 7, 49)), (last, (first.size - 3, 2, 4))):
+        counter = counter_of(frames=range(100))
+        words = (replace(word, raw=first, final_raw=final_raw),)
+        counter.received(replace(packet, layers={**packet.layers, "high": words}))
+        high = counter.total()["high"]
+        assert (high.raw_bits, high.raw_errors, high.raw_squares) == (known, 7, 49)
+        assert (high.final_raw_bits, high.final_raw_errors, high.final_raw_squares) == expected
 
 
-def test_missed_packets_count_as_codeword_errors_not_as_bits() -> None:
-    counter = counter_of()
-    watch(counter, range(300))
+def test_missed_packets_are_codeword_errors_without_bits() -> None:
+    counter = counter_of(frames=range(300))
     counter.received(perfect(SETTINGS, 1))
     assert list(sums(counter)) == [
         ("high", K, 0, 0, 3, 2, 2),
@@ -112,30 +96,21 @@ def test_missed_packets_count_as_codeword_errors_not_as_bits() -> None:
     assert next(sums(counter)) == ("high", K, 0, 0, 3, 2, 2), "asking twice changes nothing"
 
 
-def test_a_packet_may_still_come_after_it_was_reported_missed() -> None:
-    counter = counter_of()
-    watch(counter, range(100))
+def test_late_packet_is_no_longer_missed() -> None:
+    counter = counter_of(frames=range(100))
     assert next(sums(counter))[4:] == (1, 1, 1)
     counter.received(perfect(SETTINGS, 0))
     assert next(sums(counter))[4:] == (1, 0, 0)
     assert counter.false_codewords == 0
 
 
-def test_packets_not_filmed_whole_or_out_of_view_are_not_missed() -> None:
+def test_partly_filmed_and_hidden_packets_are_not_missed() -> None:
     counter = counter_of()
     watch(counter, range(50, 250), visible=lambda frame: (frame != 150,))
     assert counter.bins() == {}
 
 
-def test_a_packet_filmed_in_part_is_left_out() -> None:
-    """Packets cut off by the film's ends do not count, nor fall into the 0 m bin."""
-    counter = counter_of()
-    watch(counter, range(70, 100), distances=(62.0,))
-    counter.received(perfect(SETTINGS, 0))
-    assert counter.bins() == {}
-
-
-def test_a_packet_handed_out_early_counts_once_it_is_filmed_whole() -> None:
+def test_early_packet_counts_once_its_last_frame_is_known() -> None:
     """A lost array emits a packet before the packet's last frame."""
     counter = counter_of()
     watch(counter, range(70), distances=(62.0,))
@@ -146,47 +121,27 @@ def test_a_packet_handed_out_early_counts_once_it_is_filmed_whole() -> None:
     assert counter.total()["high"].codewords == 1
 
 
-@pytest.mark.parametrize("what", ["identity", "early", "late"])
-def test_a_packet_that_was_not_sent_is_false(what: str) -> None:
-    counter = counter_of()
-    watch(counter, range(200))
-    packet = perfect(SETTINGS, 1)
-    if what == "identity":
-        packet = replace(packet, identity=5)
-    elif what == "early":
-        packet = replace(packet, start_time_s=-0.9)
-    else:
-        packet = replace(packet, start_time_s=7.0)
+@pytest.mark.parametrize("change", [{"identity": 5}, {"start_time_s": -0.9}, {"start_time_s": 7.0}])
+def test_packet_that_was_not_sent_is_false(change: dict[str, Any]) -> None:
+    counter = counter_of(frames=range(200))
     before = list(sums(counter))
-    counter.received(packet)
+    counter.received(replace(perfect(SETTINGS, 1), **change))
     assert (counter.false_packets, counter.false_codewords, counter.duplicates) == (1, 4, 0)
     assert list(sums(counter)) == before, "a false packet is no packet sent"
 
 
-def test_a_false_packet_without_a_right_codeword_is_false_all_the_same() -> None:
-    counter = counter_of()
-    watch(counter, range(200))
-    packet = replace(perfect(SETTINGS, 1), identity=5)
-    for layer, word in (("high", 0), ("middle", 0), ("middle", 1), ("low", 0)):
-        packet = tampered(packet, layer, word, [1], status="crc_fail", block=None)
+def test_repeated_packet_is_a_duplicate() -> None:
+    counter, packet = counter_of(frames=range(200)), perfect(SETTINGS, 1)
     counter.received(packet)
-    assert (counter.false_packets, counter.false_codewords) == (1, 0)
-
-
-def test_the_same_packet_again_is_a_duplicate_and_nothing_false() -> None:
-    counter = counter_of()
-    watch(counter, range(200))
-    counter.received(perfect(SETTINGS, 1))
     before = list(sums(counter))
-    counter.received(perfect(SETTINGS, 1))
+    counter.received(packet)
     assert (counter.duplicates, counter.false_packets, counter.false_codewords) == (1, 0, 0)
     assert list(sums(counter)) == before
 
 
 @pytest.mark.parametrize("better_first", [True, False])
-def test_of_duplicates_the_better_counts(better_first: bool) -> None:
-    counter = counter_of()
-    watch(counter, range(100))
+def test_better_duplicate_counts(better_first: bool) -> None:
+    counter = counter_of(frames=range(100))
     better = tampered(perfect(SETTINGS, 0), "low", 0, [3], status="crc_fail", block=None)
     worse = tampered(better, "high", 0, [5, 6], status="crc_fail", block=None)
     for packet in (better, worse) if better_first else (worse, better):
@@ -196,24 +151,22 @@ def test_of_duplicates_the_better_counts(better_first: bool) -> None:
     assert [row[2] for row in sums(counter)] == [0, 0, 1]
 
 
-def test_a_duplicate_with_false_content_is_false() -> None:
-    counter = counter_of()
-    watch(counter, range(100))
+def test_duplicate_with_false_content_is_false() -> None:
+    counter = counter_of(frames=range(100))
     counter.received(perfect(SETTINGS, 0))
     counter.received(tampered(perfect(SETTINGS, 0), "high", 0, [9]))
     assert (counter.duplicates, counter.false_packets, counter.false_codewords) == (1, 0, 1)
     assert next(sums(counter)) == ("high", K, 0, 0, 1, 0, 0), "the first is the better"
 
 
-def test_a_packet_of_another_moment_has_wrong_content() -> None:
+def test_packet_of_another_time_has_wrong_content() -> None:
     """The array and the time are correct, but the packet was sent at another time."""
-    counter = counter_of()
-    watch(counter, range(200))
+    counter = counter_of(frames=range(200))
     counter.received(replace(perfect(SETTINGS, 1), start_time_s=0.0))
     assert (counter.false_packets, counter.false_codewords) == (0, 4)
 
 
-def test_errors_go_to_the_bin_of_the_packets_middle() -> None:
+def test_errors_are_binned_by_the_middle_of_the_packet() -> None:
     counter = counter_of()
     # 80 m at the start, 10 m nearer per packet: packet centres at 75, 65 and 55 m, less one frame
     watch(counter, range(300), distances=lambda frame: (80.0 - frame * 0.1 - 0.05,))
@@ -232,15 +185,14 @@ def test_errors_go_to_the_bin_of_the_packets_middle() -> None:
     assert pooled(bins.values())["high"].codewords == 3
 
 
-def test_an_array_that_starts_late_sends_nothing_before() -> None:
+def test_array_sends_no_packet_before_its_start() -> None:
     settings = small("channel.arrays.0.start_s=0.05")
-    counter = counter_of(settings)
-    watch(counter, range(150))
+    counter = counter_of(settings, range(150))
     counter.received(perfect(settings, 0))
     assert next(sums(counter)) == ("high", K, 0, 0, 1, 0, 0)
 
 
-def test_two_arrays_are_counted_apart() -> None:
+def test_two_arrays_are_counted_separately() -> None:
     settings = load_settings("two-arrays")
     counter = counter_of(settings)
     watch(counter, range(240), distances=(52.0, 33.0), visible=(True, True))
@@ -255,18 +207,17 @@ def test_two_arrays_are_counted_apart() -> None:
 
 
 @pytest.mark.parametrize("ppm", [-10_000, 10_000])
-def test_the_cameras_clock_is_not_the_arrays(ppm: int) -> None:
+def test_camera_clock_differs_from_the_array_clock(ppm: int) -> None:
     """A 1 % clock error exceeds half a packet after a few seconds."""
     settings = small(f"channel.camera.clock_ppm={ppm}", "channel.duration_s=10")
-    counter = counter_of(settings)
-    watch(counter, range(8000, 9000))
+    counter = counter_of(settings, range(8000, 9000))
     sent = perfect(settings, 85)
     counter.received(replace(sent, start_time_s=sent.start_time_s / (1 + ppm * 1e-6)))
     assert counter.false_codewords == 0
     assert counter.total()["high"].codeword_errors == 9
 
 
-def test_a_packet_read_in_another_format_is_wrong_not_a_fault() -> None:
+def test_packet_in_another_format_is_wrong() -> None:
     sent = small("transmit.formats=[{high='9/10'}]")
     counter = ErrorCounter(sent, default_messages(sent))
     watch(counter, range(100))
@@ -279,7 +230,7 @@ def test_a_packet_read_in_another_format_is_wrong_not_a_fault() -> None:
 
 
 @pytest.mark.parametrize("packet", [3, 6])
-def test_the_first_frame_of_a_packet_is_not_taken_for_the_last_of_the_one_before(packet: int) -> None:
+def test_first_frame_of_a_packet_belongs_to_this_packet(packet: int) -> None:
     """Rounding puts the frame slightly early. The packet hidden only in this frame is not missed; the others are."""
     first = 100 * packet
     # 0.3 / 0.1 is 2.9999999999999996

@@ -21,49 +21,41 @@ from heliograph.receive.packet import Status
 from heliograph.receive.receiver import StreamReceiver
 
 
-@pytest.mark.slow
-def test_a_report_may_be_asked_for_at_any_time(tmp_path: Path) -> None:
-    settings = small("channel.duration_s=0.2")
-    write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
-    reception = Reception(open_truth(truth_path(tmp_path / "a.mkv")))
-    with open_film(tmp_path / "a.mkv") as source:
-        for _ in receive_film(source, settings.signal, settings, reception, progress=lambda _: asked(reception)):
-            pass
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Film of three packets, with the truth."""
+    path = tmp_path_factory.mktemp("film") / "a.mkv"
+    write_film(path, small("channel.duration_s=0.3"), [{}], seed=1)
+    return path
+
+
+def test_report_is_available_at_any_time(film: Path) -> None:
+    settings, reception = small(), Reception(open_truth(truth_path(film)))
+
+    def check_report(_: int) -> None:
+        assert reception.report(1.0)["frames"] == reception.frames
+
+    with open_film(film) as source:
+        (packet, *_), *_ = receive_film(source, settings.signal, settings, reception, progress=check_report)
     assert reception.errors is not None
     high = reception.errors.total()["high"]
-    assert (high.codewords, high.codeword_errors, reception.errors.false_codewords) == (2, 0, 0)
-
-
-def asked(reception: Reception) -> None:
-    assert reception.report(1.0)["frames"] == reception.frames
-
-
-def test_packets_of_nobody_are_not_counted(tmp_path: Path) -> None:
-    settings = small("channel.duration_s=0.1")
-    write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
-    with open_film(tmp_path / "a.mkv") as source:
-        ((packet, _),) = receive_film(source, settings.signal, settings, Reception())
-    reception = Reception()
-    assert list(reception.add(replace(packet, identity=9, status="no_header"))) == []
-    assert reception.arrays == {}
+    assert (high.codewords, high.codeword_errors, reception.errors.false_codewords) == (3, 0, 0)
+    other = Reception()
+    assert list(other.add(replace(packet, identity=9, status="no_header"))) == []
+    assert other.arrays == {}
 
 
 @pytest.mark.parametrize("status", ["no_header", "no_array"])
-@pytest.mark.slow
-def test_what_is_no_packet_is_neither_handed_on_nor_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: Status
-) -> None:
+def test_results_without_a_packet_are_not_counted(film: Path, monkeypatch: pytest.MonkeyPatch, status: Status) -> None:
     """A false packet from a known array is excluded too; the sent packet counts as missed."""
-    settings = small("channel.duration_s=0.3")
-    write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
     push = StreamReceiver.push
     monkeypatch.setattr(
         StreamReceiver,
         "push",
         lambda *a: [replace(p, status=status) if p.first_frame == 100 else p for p in push(*a)],
     )
-    reception = Reception(open_truth(truth_path(tmp_path / "a.mkv")))
-    with open_film(tmp_path / "a.mkv") as source:
+    settings, reception = small(), Reception(open_truth(truth_path(film)))
+    with open_film(film) as source:
         found = [packet.first_frame for packet, _ in receive_film(source, settings.signal, settings, reception)]
     assert found == [0, 200]
     assert reception.arrays[0].packets == 2
@@ -101,7 +93,7 @@ def without_codewords(packet: Packet) -> Packet:
     return replace(packet, status="crc_fail", layers=words)
 
 
-def test_an_identity_without_a_decoded_codeword_is_reported_as_uncertain() -> None:
+def test_identity_without_a_decoded_codeword_is_uncertain() -> None:
     settings = small()
     reception = Reception(TruthOf(settings))
     for frame in range(300):

@@ -5,24 +5,21 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import beta, binomtest
+from scipy.stats import binomtest
 
 from heliograph.measure.statistics import Clustered, Count, clopper_pearson
 
 
 @pytest.mark.parametrize(("errors", "trials"), [(1, 10), (5, 10), (9, 10), (1, 10**6), (37, 12345), (999, 1000)])
-@pytest.mark.parametrize("confidence", [0.9, 0.95, 0.99])
+@pytest.mark.parametrize("confidence", [0.9, 0.99])
 def test_two_sided_intervals_agree_with_scipy(errors: int, trials: int, confidence: float) -> None:
     with np.errstate(divide="ignore"):  # SciPy < 1.11 divides by zero in its test
         known = binomtest(errors, trials).proportion_ci(confidence, "exact")
     assert clopper_pearson(errors, trials, confidence) == pytest.approx((known.low, known.high), rel=1e-9)
-    tail = (1 - confidence) / 2
-    quantiles = beta.ppf(tail, errors, trials - errors + 1), beta.ppf(1 - tail, errors + 1, trials - errors)
-    assert clopper_pearson(errors, trials, confidence) == pytest.approx(quantiles, rel=1e-9)
 
 
 @pytest.mark.parametrize("trials", [1, 10, 1000, 10**7])
-def test_without_errors_the_whole_risk_lies_above(trials: int) -> None:
+def test_interval_without_errors_is_one_sided(trials: int) -> None:
     low, high = clopper_pearson(0, trials)
     assert low == 0
     assert high == pytest.approx(1 - 0.05 ** (1 / trials), rel=1e-9)
@@ -33,13 +30,13 @@ def test_without_errors_the_whole_risk_lies_above(trials: int) -> None:
 
 
 @pytest.mark.parametrize("trials", [100, 5120, 10**6])
-def test_the_bound_without_errors_is_three_by_n(trials: int) -> None:
+def test_bound_without_errors_is_three_over_n(trials: int) -> None:
     assert Count(trials, 0).interval()[1] == pytest.approx(3 / trials, rel=0.02)
     assert Count(trials, 0).text() == f"< {3 / trials:.1e}"
     assert Count(trials, 0).interval()[1] <= 3 / trials
 
 
-def test_the_interval_covers_as_often_as_it_says() -> None:
+def test_coverage_is_at_least_the_confidence() -> None:
     rate, trials = 0.1, 40
     chance = sum(
         math.comb(trials, k) * rate**k * (1 - rate) ** (trials - k)
@@ -49,7 +46,7 @@ def test_the_interval_covers_as_often_as_it_says() -> None:
     assert chance >= 0.95
 
 
-def test_a_count_adds_up_and_shows_its_rate() -> None:
+def test_count_adds_up_and_shows_its_rate() -> None:
     count = Count()
     assert math.isnan(count.rate)
     assert count.text() == "no data"
@@ -61,37 +58,33 @@ def test_a_count_adds_up_and_shows_its_rate() -> None:
 
 
 @pytest.mark.parametrize(("errors", "trials"), [(-1, 5), (6, 5), (1, 0)])
-def test_impossible_counts_are_refused(errors: int, trials: int) -> None:
+def test_impossible_counts_are_errors(errors: int, trials: int) -> None:
     with pytest.raises(ValueError, match=f"0 to {trials}"):
         clopper_pearson(errors, trials)
 
 
 def clustered(errors: NDArray[np.int64], size: int, scattered: bool = False) -> Clustered:
-    count = Clustered(scattered=scattered)
-    for wrong in errors:
-        count.add(size, int(wrong))
-    return count
+    trials, squares = size * len(errors), int((errors**2).sum())
+    return Clustered(trials, int(errors.sum()), len(errors), squares, scattered)
 
 
 @pytest.mark.parametrize("packets", [10, 100, 1000])
 @pytest.mark.parametrize("bad", [0.01, 0.1, 1.0])
-@pytest.mark.slow
-def test_the_interval_of_bits_that_fail_together_covers_the_rate(packets: int, bad: float) -> None:
+def test_interval_of_clustered_bit_errors_covers_the_rate(packets: int, bad: float) -> None:
     """Bad packets have 5 % to 20 % bit errors, others none; the binomial interval is far too narrow."""
     rng = np.random.default_rng([packets, round(100 * bad)])
     size, runs, true = 512, 600, bad * 0.125
-    hits = binomial_hits = 0
+    hits = np.zeros(2)
     for _ in range(runs):
         share = np.where(rng.random(packets) < bad, rng.uniform(0.05, 0.2, packets), 0.0)
         count = clustered(rng.binomial(size, share), size)
-        for scope, (low, high) in enumerate((count.interval(), Count(count.trials, count.errors).interval())):
-            hits += scope == 0 and low <= true <= high
-            binomial_hits += scope == 1 and low <= true <= high
-    assert hits >= 0.93 * runs
-    assert binomial_hits <= 0.6 * runs
+        intervals = count.interval(), Count(count.trials, count.errors).interval()
+        hits += [low <= true <= high for low, high in intervals]
+    assert hits[0] >= 0.93 * runs
+    assert hits[1] <= 0.6 * runs
 
 
-def test_independent_bits_keep_about_the_binomial_interval() -> None:
+def test_independent_bits_keep_the_binomial_interval() -> None:
     count = clustered(np.random.default_rng(1).binomial(1000, 0.02, 200), 1000)
     low, high = count.interval()
     plain = Count(count.trials, count.errors).interval()
@@ -99,18 +92,18 @@ def test_independent_bits_keep_about_the_binomial_interval() -> None:
     assert 1 <= (high - low) / (plain[1] - plain[0]) < 1.15
 
 
-def test_packets_all_right_or_all_wrong_count_as_one_trial_each() -> None:
+def test_packets_that_fail_completely_count_as_trials() -> None:
     count = clustered(np.array([256] * 10 + [0] * 90), 256)
     assert count.design_effect == pytest.approx(256)
     assert count.interval() == pytest.approx(clopper_pearson(10, 100))
 
 
-def test_a_single_packet_tells_nothing_of_others() -> None:
+def test_interval_of_a_single_packet_is_wide() -> None:
     assert clustered(np.array([30]), 1000).interval() == pytest.approx(clopper_pearson(0.03, 1))
     assert clustered(np.array([0]), 1000).interval() == pytest.approx(clopper_pearson(0, 1))
 
 
-def test_without_errors_packets_are_the_trials_unless_errors_scatter() -> None:
+def test_packets_without_errors_are_the_trials_unless_errors_scatter() -> None:
     none = np.zeros(100, np.int64)
     together, scattered = clustered(none, 512), clustered(none, 512, scattered=True)
     assert together.interval() == pytest.approx(clopper_pearson(0, 100))
@@ -123,9 +116,11 @@ def test_without_errors_packets_are_the_trials_unless_errors_scatter() -> None:
 
 def test_clusters_add_up() -> None:
     errors = np.array([0, 3, 40, 0, 7])
-    whole, one, other = (clustered(errors[part], 100) for part in (slice(None), slice(2), slice(2, None)))
-    one.include(other)
-    assert one == whole
+    whole, first, rest = Clustered(), *(clustered(errors[part], 100) for part in (slice(2), slice(2, None)))
+    for wrong in errors:
+        whole.add(100, int(wrong))
+    first.include(rest)
+    assert first == whole
     assert (whole.clusters, whole.squares) == (5, 9 + 1600 + 49)
     whole.add(0, 0)
     assert whole.clusters == 5

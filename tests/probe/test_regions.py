@@ -38,7 +38,7 @@ def regions(film: list[Frame]) -> list[Region]:
     return regions_of(stretch_of(film), 255)[0]
 
 
-def test_each_region_is_told_with_its_place_size_and_contrast() -> None:
+def test_place_size_and_contrast_of_regions_are_measured() -> None:
     def draw(k: int, picture: Picture) -> None:
         blink(k, picture, 20, 30, 5)
         blink(k + 7, picture, 90, 60, 3, 30.0)
@@ -55,32 +55,32 @@ def test_each_region_is_told_with_its_place_size_and_contrast() -> None:
     assert large.saturated == 0
 
 
-def test_motion_is_told_in_pixels_a_frame() -> None:
+def test_motion_is_measured_in_pixels_per_frame() -> None:
     film = frames(lambda k, picture: blink(k, picture, 10 + k // 2, 70 - k // 4, 4))
-    (seen,) = regions(film)
-    assert seen.speed == pytest.approx((0.5, -0.25), abs=0.03)
+    (region,) = regions(film)
+    assert region.speed == pytest.approx((0.5, -0.25), abs=0.03)
 
 
-def test_what_touches_the_border_is_told() -> None:
-    (seen,) = regions(frames(lambda k, picture: blink(k, picture, 0, 40, 5)))
-    assert seen.at_border
+def test_region_at_the_border_is_marked() -> None:
+    (region,) = regions(frames(lambda k, picture: blink(k, picture, 0, 40, 5)))
+    assert region.at_border
 
 
-def test_a_shadow_that_drifts_does_not_blink() -> None:
+def test_drifting_shadow_does_not_blink() -> None:
     def draw(k: int, picture: Picture) -> None:
         x = np.arange(picture.shape[1])
         picture += 60 / (1 + np.exp(-(x - 20 - 0.7 * k) / 3))
 
-    assert all(seen.blinks < 0.45 for seen in regions(frames(draw)))
+    assert all(region.blinks < 0.45 for region in regions(frames(draw)))
     assert regions(frames(lambda k, picture: blink(k, picture, 20, 30, 5)))[0].blinks > 0.6
 
 
-def test_noise_alone_makes_no_region() -> None:
+def test_noise_makes_no_region() -> None:
     found, count = regions_of(stretch_of(frames(lambda _, __: None)), 255)
     assert (found, count) == ([], 0)
 
 
-def test_of_a_long_film_the_stretch_is_kept_in_which_most_blinks() -> None:
+def test_stretch_with_the_most_blinking_light_is_kept() -> None:
     watch = Stretches()
     for frame in frames(lambda k, picture: blink(k, picture, 20, 30, 5) if 600 <= k < 700 else None, 1100):
         watch.add(frame)

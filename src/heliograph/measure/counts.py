@@ -3,10 +3,18 @@
 import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, astuple, dataclass, field
-from typing import Any, Self
+from typing import Annotated, Any, Self
+
+from pydantic import Field, TypeAdapter, ValidationError
 
 from heliograph.measure.statistics import Clustered, Count
 from heliograph.signal.settings import LAYERS
+
+MAX_NUMBER = 1e12
+"""Upper bound of seconds and metres in a file."""
+
+Number = Annotated[int, Field(strict=True, ge=0, lt=2**63)]
+Amount = Annotated[float, Field(strict=True, ge=0, lt=MAX_NUMBER)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,29 +22,29 @@ class LayerCounts:
     """Counts of a layer; codeword errors include missed codewords."""
 
     # Information bits of received packets after the turbo decoder
-    bits: int = 0
-    bit_errors: int = 0
+    bits: Number = 0
+    bit_errors: Number = 0
     # Coded bits of received packets by the first equalisation
-    raw_bits: int = 0
-    raw_errors: int = 0
+    raw_bits: Number = 0
+    raw_errors: Number = 0
     # Sent codewords, wrong codewords, and codewords of missed packets
-    codewords: int = 0
-    codeword_errors: int = 0
-    missed: int = 0
+    codewords: Number = 0
+    codeword_errors: Number = 0
+    missed: Number = 0
     # Received packets with counted bits; packets decoded in a wrong format are excluded
-    packets: int = 0
+    packets: Number = 0
     # Sums of squared errors per packet, for the clustering of errors
-    bit_squares: int = 0
-    raw_squares: int = 0
+    bit_squares: Number = 0
+    raw_squares: Number = 0
     # Coded bits by the last equalisation, see `Codeword.final_raw`
-    final_raw_bits: int = 0
-    final_raw_errors: int = 0
-    final_raw_squares: int = 0
+    final_raw_bits: Number = 0
+    final_raw_errors: Number = 0
+    final_raw_squares: Number = 0
 
     @classmethod
     def of_packet(cls, bits: Count, raw: Count, words: Count, final_raw: Count | None = None) -> Self:
         """Return the counts of a received packet."""
-        last = raw if final_raw is None else final_raw
+        last = final_raw or raw
         trials = (bits.trials, bits.errors, raw.trials, raw.errors, words.trials, words.errors, 0)
         squares = (bits.errors**2, raw.errors**2)
         return cls(*trials, int(bits.trials > 0), *squares, last.trials, last.errors, last.errors**2)
@@ -87,9 +95,6 @@ class LayerCounts:
 Layers = Mapping[str, LayerCounts]
 """Counts by layer."""
 
-MAX_NUMBER = 1e12
-"""Upper bound of seconds and metres in a file."""
-
 
 def no_errors() -> dict[str, LayerCounts]:
     """Return zero counts for each layer."""
@@ -112,21 +117,21 @@ class BlockCounts:
     # Counts of bits and codewords by layer
     layers: Layers = field(default_factory=no_errors)
     # Counts by the lower edge of the distance bin in m
-    bins: Mapping[float, Layers] = field(default_factory=dict)
+    bins: Mapping[Amount, Layers] = field(default_factory=dict)
     # Payload of decoded codewords in bits by layer
-    payload_bits: Mapping[str, int] = field(default_factory=lambda: dict.fromkeys(LAYERS, 0))
+    payload_bits: Mapping[str, Number] = field(default_factory=lambda: dict.fromkeys(LAYERS, 0))
     # Complete packets in the film, and packets with a detected header or decoded data
-    packets: int = 0
-    detected: int = 0
+    packets: Number = 0
+    detected: Number = 0
     # Accepted codewords that were not sent
-    false_codewords: int = 0
+    false_codewords: Number = 0
     # Received packets that were not sent, and packets received again
-    false_packets: int = 0
-    duplicates: int = 0
+    false_packets: Number = 0
+    duplicates: Number = 0
     # Length of the film in s
-    film_s: float = 0.0
+    film_s: Amount = 0.0
     # Received frames, dropped frames excluded
-    frames: int = 0
+    frames: Number = 0
 
     @property
     def codewords(self) -> int:
@@ -135,17 +140,12 @@ class BlockCounts:
 
     def __add__(self, other: "BlockCounts") -> "BlockCounts":
         starts = dict.fromkeys([*self.bins, *other.bins])
+        numbers = ("packets", "detected", "false_codewords", "false_packets", "duplicates", "film_s", "frames")
         return BlockCounts(
             pooled([self.layers, other.layers]),
             {start: pooled(part.bins[start] for part in (self, other) if start in part.bins) for start in starts},
             {name: bits + other.payload_bits[name] for name, bits in self.payload_bits.items()},
-            self.packets + other.packets,
-            self.detected + other.detected,
-            self.false_codewords + other.false_codewords,
-            self.false_packets + other.false_packets,
-            self.duplicates + other.duplicates,
-            self.film_s + other.film_s,
-            self.frames + other.frames,
+            **{name: getattr(self, name) + getattr(other, name) for name in numbers},
         )
 
     def to_plain(self) -> dict[str, Any]:
@@ -153,41 +153,30 @@ class BlockCounts:
         plain = asdict(self)
         return {**plain, "bins": [[start, layers] for start, layers in sorted(plain["bins"].items())]}
 
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Self:
+    @staticmethod
+    def from_plain(plain: Mapping[str, Any]) -> "BlockCounts":
         """Return counts from the result of `to_plain`; raise ValueError for invalid counts."""
         try:
-            block = cls(
-                **{
-                    **plain,
-                    "layers": {name: LayerCounts(**plain["layers"][name]) for name in LAYERS},
-                    "bins": {
-                        start: {name: LayerCounts(**layers[name]) for name in LAYERS} for start, layers in plain["bins"]
-                    },
-                    "payload_bits": {name: plain["payload_bits"][name] for name in LAYERS},
-                }
-            )
+            block = _BLOCK.validate_python({**plain, "bins": dict(plain["bins"])})
+            parts = [block.layers, *block.bins.values()]
+            # a missing or unknown name changes the plain values
             names_match = block.to_plain() == plain
-        except (TypeError, LookupError, AttributeError):
+            names_match &= all(set(names) == set(LAYERS) for names in (block.payload_bits, *parts))
+        except ValidationError as error:
+            raise ValueError(f"{error.errors()[0]['loc'][-1]}: {error.errors()[0]['msg']}") from None
+        except (TypeError, LookupError):
             names_match = False
         if not names_match:
             raise ValueError("the counts have missing or unknown names")
-        block._check()
+        if block.detected > block.packets:
+            raise ValueError("more packets are detected than were sent")
+        for counts in (layer for part in parts for layer in part.values()):
+            kinds = (counts.decoded, counts.raw, counts.final_raw)
+            errors_fit = all(kind.errors <= kind.trials and kind.squares <= kind.errors**2 for kind in kinds)
+            words_fit = counts.missed <= counts.codeword_errors <= counts.codewords
+            if not (errors_fit and words_fit and counts.packets <= counts.bits):
+                raise ValueError("more errors than trials")
         return block
 
-    def _check(self) -> None:
-        """Raise ValueError for impossible counts."""
-        layers = [layer for part in (self.layers, *self.bins.values()) for layer in part.values()]
-        numbers = [self.packets, self.detected, self.false_codewords, self.false_packets, self.duplicates, self.frames]
-        numbers += [*self.payload_bits.values(), *(number for layer in layers for number in astuple(layer))]
-        if any(type(number) is not int or not 0 <= number < 2**63 for number in numbers):
-            raise ValueError("a count is no whole number from 0")
-        if any(type(x) not in (int, float) or not 0 <= x < MAX_NUMBER for x in (self.film_s, *self.bins)):
-            raise ValueError("a time or distance is no number from 0")
-        if self.detected > self.packets:
-            raise ValueError("more packets are detected than were sent")
-        for c in layers:
-            kinds = (c.decoded, c.raw, c.final_raw)
-            errors_fit = all(k.errors <= k.trials and k.squares <= k.errors**2 for k in kinds)
-            if not errors_fit or not c.missed <= c.codeword_errors <= c.codewords or c.packets > c.bits:
-                raise ValueError("more errors than trials")
+
+_BLOCK = TypeAdapter(BlockCounts)

@@ -95,21 +95,22 @@ class ErrorCounter:
         """
         bins: dict[int, list[Layers]] = {}
         for array, number, sent in self._counted():
-            layers = sent.counts or self._missed(array, number)
+            formats = self._senders[array].format_of(number).layers.items()
+            layers = sent.counts or {name: LayerCounts.of_missed(form.codewords) for name, form in formats}
             bins.setdefault(int(sent.distance_m // BIN_M), []).append(layers)
         return {key * BIN_M: pooled(bins[key]) for key in sorted(bins)}
 
     def detected(self) -> tuple[int, int]:
         """Return the number of counted packets, and of packets with a detected header or decoded data."""
-        found = [bool(sent.counts) or sent.found for _, _, sent in self._counted()]
+        found = [bool(sent.counts or sent.found) for _, _, sent in self._counted()]
         return len(found), sum(found)
 
     def report(self) -> list[dict[str, Any]]:
         """Return the bins as plain values for JSON."""
-        rows = []
-        for start, layers in self.bins().items():
-            rows.append({"from_m": start, "to_m": start + BIN_M, **{n: _plain(c) for n, c in layers.items()}})
-        return rows
+        return [
+            {"from_m": start, "to_m": start + BIN_M, **{name: _plain(counts) for name, counts in layers.items()}}
+            for start, layers in self.bins().items()
+        ]
 
     def total(self) -> Layers:
         """Return the sum of the bins by layer."""
@@ -154,11 +155,6 @@ class ErrorCounter:
                 self.false_codewords += word.status == "ok" and wrong > 0
             layers[name] = LayerCounts.of_packet(bits, raw, sent_words, final_raw)
         return layers, right
-
-    def _missed(self, array: int, number: int) -> Layers:
-        """Return the counts of a missed packet."""
-        layers = self._senders[array].format_of(number).layers
-        return {name: LayerCounts.of_missed(layer.codewords) for name, layer in layers.items()}
 
     def _count_false(self, packet: Packet) -> None:
         if not packet.has_codeword and packet.identity not in self._settings.transmit.identities:

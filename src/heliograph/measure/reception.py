@@ -1,8 +1,7 @@
 """Reception of a film: codewords by array and layer, messages, and errors if the truth is known."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any, Protocol
 
 from heliograph.base.frames import Frame
@@ -11,7 +10,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
 from heliograph.link.truth import FrameTruth
 from heliograph.measure.errors import ErrorCounter
-from heliograph.receive import Codeword, Packet, make_receiver
+from heliograph.receive import Packet, make_receiver
 from heliograph.receive.api import AnyObserver
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
@@ -117,17 +116,16 @@ class Reception:
             self.errors.received(packet)
         new = ArrayTally(packet.first_frame, packet.distance_m)
         self.arrays.setdefault(packet.identity, new).add(packet)
-        for words in packet.layers.values():
-            yield from _completed(self._reassembler, words)
-        self.progress = tuple(self._update_files(packet))
-
-    def _update_files(self, packet: Packet) -> Iterator[FileProgress]:
-        """Yield the progress of each file with new symbols in a packet."""
-        blocks = (word.block for words in packet.layers.values() for word in words)
-        updates = [self.files.add(block) for block in blocks if block is not None and not isinstance(block, Block)]
-        for progress in {update.key: update for update in updates if update is not None}.values():
-            self.file_rows[progress.key] = file_counts(progress)
-            yield progress
+        files: dict[FileKey, FileProgress] = {}
+        for word in (word for words in packet.layers.values() for word in words):
+            if isinstance(word.block, Block):
+                message = self._reassembler.add(word.block, payload_bytes(word.bits.size))
+                if message is not None:
+                    yield message
+            elif word.block is not None and (update := self.files.add(word.block)) is not None:
+                files[update.key] = update
+        self.progress = tuple(files.values())
+        self.file_rows |= {key: file_counts(progress) for key, progress in files.items()}
 
     @property
     def confirmed(self) -> set[int]:
@@ -183,42 +181,25 @@ def receive_film(
         if observe is not None:
             observe(event)
 
+    class CountedFilm:
+        path = film.path
+
+        def __iter__(self) -> Iterator[Frame]:
+            for frame in film:
+                reception.saw(frame.index)
+                yield frame
+                progress(reception.frames)
+
     receiver = make_receiver(signal, settings.receive, count_event)
-    for packet in read_packets(_CountedFilm(film, reception, progress), signal, receiver):
+    for packet in read_packets(CountedFilm(), signal, receiver):
         yield packet, list(reception.add(packet))
-
-
-@dataclass(frozen=True, slots=True)
-class _CountedFilm:
-    """Film that counts the frames."""
-
-    film: FrameSource
-    reception: Reception
-    progress: FrameProgress
-
-    @property
-    def path(self) -> Path | str:
-        return self.film.path
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frame in self.film:
-            self.reception.saw(frame.index)
-            yield frame
-            self.progress(self.reception.frames)
-
-
-def _completed(reassembler: Reassembler, words: Iterable[Codeword]) -> Iterator[Message]:
-    for word in words:
-        message = reassembler.add(word.block, payload_bytes(word.bits.size)) if word.block else None
-        if message is not None:
-            yield message
 
 
 def file_counts(progress: FileProgress) -> dict[str, Any]:
     """Return the progress of a file as plain values."""
-    key, complete = progress.key, progress.whole is not None
+    key = progress.key
     counts = {"bytes": key.length, "symbols": progress.had, "needed": key.count}
-    return {"file": str(key), **counts, "whole": complete}
+    return {"file": str(key), **counts, "whole": progress.whole is not None}
 
 
 def _plain(identity: int, tally: ArrayTally) -> dict[str, Any]:

@@ -75,20 +75,15 @@ class Stretches:
         self._every = every
         self._number = 0
         self._frames: list[Frame] = []
-        self._length = 0
         self._best: Stretch | None = None
 
     def add(self, frame: Frame) -> None:
         """Add the next frame."""
-        last = self._frames[-1] if self._frames else None
-        if last is not None and (last.pixels.shape != frame.pixels.shape or last.origin != frame.origin):
+        last = self._frames[-1] if self._frames else frame
+        if last.pixels.shape != frame.pixels.shape or last.origin != frame.origin:
             self._end()
-        if not self._frames:
-            # memory bound: 192 MB for each of two stretches, or 380 frames of 1024 x 512 pixels of 8 bits
-            limit = (192 << 20) // max(frame.pixels.nbytes, 1)
-            self._length = max(LEAST_FRAMES, min(MOST_FRAMES, limit))
         self._frames.append(frame)
-        if len(self._frames) >= self._length:
+        if len(self._frames) >= _length(frame):
             self._end()
 
     def best(self) -> Stretch | None:
@@ -99,14 +94,18 @@ class Stretches:
     def _end(self) -> None:
         """Compare the finished stretch with the best one."""
         frames, self._frames = self._frames, []
-        number, self._number = self._number, self._number + 1
-        if len(frames) < 4 or number % self._every or min(frames[0].pixels.shape) < 1:
-            return
-        if self._best is not None and len(frames) < 0.25 * self._length:  # a short rest at the film's end
+        self._number += 1
+        is_short = len(frames) < 4 or (self._best is not None and len(frames) < 0.25 * _length(frames[0]))
+        if is_short or (self._number - 1) % self._every or min(frames[0].pixels.shape) < 1:
             return
         stretch = stretch_of(frames)
         if self._best is None or stretch.score * len(frames) > self._best.score * len(self._best.frames):
             self._best = stretch
+
+
+def _length(frame: Frame) -> int:
+    """Return the frames of a stretch: 192 MB for each of two, or 380 frames of 1024 x 512 pixels of 8 bits."""
+    return max(LEAST_FRAMES, min(MOST_FRAMES, (192 << 20) // max(frame.pixels.nbytes, 1)))
 
 
 def stretch_of(frames: Sequence[Frame]) -> Stretch:
@@ -123,16 +122,15 @@ def stretch_of(frames: Sequence[Frame]) -> Stretch:
     detail = np.mean([finest_detail(frames[k], frames[k + 1], shape) for k in pairs], axis=0)
     middle = frames[len(frames) // 2].pixels.astype(np.float32)
     gray = np.asarray(cv2.resize(middle, shape[::-1], interpolation=cv2.INTER_AREA), np.float64)
-    parts = np.array(alternation), np.array(change)
-    return Stretch(frames, tuple(map(int, bounds)), *parts, block_noise(detail, gray))
+    noise = block_noise(detail, gray)
+    return Stretch(frames, tuple(map(int, bounds)), np.array(alternation), np.array(change), noise)
 
 
 def block_noise(detail: Floats, gray: Floats) -> Floats:
     """Estimate the noise of blocks by the finest detail, limited to the usual noise at this gray level."""
-    order = np.argsort(gray, axis=None)
-    groups = [group for group in np.array_split(order, 16) if group.size]
-    levels = np.array([float(np.median(gray.ravel()[group])) for group in groups])
-    variances = np.array([float(np.quantile(detail.ravel()[group], QUIET)) ** 2 for group in groups])
+    groups = np.array_split(np.argsort(gray, axis=None), min(16, gray.size))
+    levels = np.array([np.median(gray.ravel()[group]) for group in groups])
+    variances = np.array([np.quantile(detail.ravel()[group], QUIET) ** 2 for group in groups])
     # shot noise: the variance rises linearly; the median slope (Theil-Sen) ignores a few blinking groups
     i, j = np.triu_indices(len(groups), 1)
     distance = levels[j] - levels[i]
@@ -153,11 +151,8 @@ def finest_detail(first: Frame, second: Frame, shape: tuple[int, ...]) -> Floats
     # 2 x 2 pixels of white noise with the deviation s in each frame have the deviation sqrt(2) s
     detail = np.abs(0.5 * (d[::2, ::2] - d[::2, 1::2] - d[1::2, ::2] + d[1::2, 1::2])) / CHANGE_NOISE
     half = BLOCK_PX // 2
-    padded = np.pad(detail, [(0, -size % half) for size in detail.shape], mode="edge")
-    means = padded.reshape(padded.shape[0] // half, half, padded.shape[1] // half, half).mean((1, 3))
-    out = np.full(shape, float(means.mean()))
-    out[: means.shape[0], : means.shape[1]] = means[: shape[0], : shape[1]]
-    return out
+    size = [(0, half * blocks - pixels) for blocks, pixels in zip(shape, detail.shape, strict=True)]
+    return np.asarray(np.pad(detail, size, mode="edge").reshape(shape[0], half, shape[1], half).mean((1, 3)))
 
 
 def blinking(alternation: Floats, change: Floats, noise: Floats) -> float:

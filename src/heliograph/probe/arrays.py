@@ -1,8 +1,8 @@
 """Decoded arrays of a film: identity, position, clock, noise and packets, from a receiver with given settings."""
 
 from collections import defaultdict, deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DecodeEvent, DetectEvent, TrackEvent
 from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
+from heliograph.receive.observe.noise import Noise, measure_noise
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.receive.track.track import Track
 from heliograph.signal.settings import SignalSettings
@@ -30,15 +30,15 @@ class Clock:
     """Clock of the light relative to the camera."""
 
     # Delay of patterns after frames in patterns, -0.5 to 0.5; 0 in step
-    phase: float
+    phase_patterns: float
     # Excess duration of a pattern over the settings in ppm, and standard error; None if unknown
-    rate_ppm: float | None
-    rate_error_ppm: float | None
+    rate_ppm: float | None = None
+    rate_error_ppm: float | None = None
 
     @property
     def in_step(self) -> bool:
         """True if each frame shows a single pattern, for one frame per pattern."""
-        return abs(self.phase) <= 0.1
+        return abs(self.phase_patterns) <= 0.1
 
 
 def clock_of(packets: Sequence[Packet], frames: Sequence[Frame], signal: SignalSettings) -> Clock:
@@ -48,13 +48,11 @@ def clock_of(packets: Sequence[Packet], frames: Sequence[Frame], signal: SignalS
     delay = (starts[0] - frames[0].time_s) / period_s
     phase = float((delay - round(delay)) * period_s / signal.pattern_period_s)
     numbers = np.round((starts - starts[0]) / signal.packet_s)
-    if len(starts) < 2 or numbers[-1] < 1:
-        return Clock(phase, None, None)
     # the soft receiver's start of a packet has a standard error of 0.005 to 0.02 patterns
     spread = float(np.sqrt(((numbers - numbers.mean()) ** 2).sum()))
-    error_ppm = 0.02 * signal.pattern_period_s / (spread * signal.packet_s) * 1e6
+    error_ppm = 0.02 * signal.pattern_period_s / (spread * signal.packet_s) * 1e6 if spread else np.inf
     if error_ppm > 200.0:  # quartz clocks differ by less
-        return Clock(phase, None, None)
+        return Clock(phase)
     return Clock(phase, (float(np.polyfit(numbers, starts, 1)[0]) / signal.packet_s - 1) * 1e6, error_ppm)
 
 
@@ -87,58 +85,50 @@ class Setup:
         return Setup(from_mapping(SignalSettings, signal), from_mapping(ReceiveSettings, receive), self.rate_hz)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Trial:
     """Output of a receiver for some frames."""
 
     # Signal of the settings
     signal: SignalSettings
     # Detected arrays
-    detections: tuple[Detection, ...]
-    # Packets
-    packets: tuple[Packet, ...]
+    detections: list[Detection] = field(default_factory=list)
+    # Packets with a decoded codeword
+    packets: list[Packet] = field(default_factory=list)
     # Pairs of patterns as the soft receiver decoded them
-    cutouts: tuple[Cutout, ...]
-    # Gray levels of the array with all LEDs on for each pair, by identity
-    gains: Mapping[int, Sequence[float]]
+    cutouts: list[Cutout] = field(default_factory=list)
+    # Tracks of each pair, by identity
+    tracks: dict[int, list[Track]] = field(default_factory=lambda: defaultdict(list))
     # Bounds of the exposure in T_b from the light, by identity
-    exposures: Mapping[int, tuple[float, float]]
+    exposures: dict[int, tuple[float, float]] = field(default_factory=dict)
 
-    @property
-    def decoded(self) -> list[Packet]:
-        """Packets with a decoded codeword."""
-        return [packet for packet in self.packets if packet.has_codeword]
+    def observe(self, event: object) -> None:
+        """Collect the values of an event."""
+        if isinstance(event, DetectEvent):
+            self.detections.append(event.detection)
+        elif isinstance(event, TrackEvent):
+            self.tracks[event.identity].append(event.tracked.track)
+        elif isinstance(event, DecodeEvent):
+            cutouts = [cutout for cutout in event.cutouts if cutout is not None]
+            if tracks := self.tracks[event.identity]:
+                cutouts = [cutout.motion_compensated(tracks[-1].gain, tracks[-1].led_gains) for cutout in cutouts]
+            self.cutouts += cutouts
+            if event.exposure_range is not None:
+                self.exposures[event.identity] = event.exposure_range
 
 
 def run_receiver(frames: Sequence[Frame], setup: Setup) -> Trial:
     """Run a receiver on some frames; an error ends the run."""
-    detections, packets, cutouts = list[Detection](), list[Packet](), list[Cutout]()
-    gains: dict[int, list[float]] = defaultdict(list)
-    exposures, tracks = dict[int, tuple[float, float]](), dict[int, Track]()
-
-    def observe(event: Any) -> None:
-        if isinstance(event, DetectEvent):
-            detections.append(event.detection)
-        if isinstance(event, DecodeEvent):
-            track = tracks.get(event.identity)
-            seen = [cutout for cutout in event.cutouts if cutout is not None]
-            cutouts.extend(cut.motion_compensated(track.gain, track.led_gains) if track else cut for cut in seen)
-            if event.exposure_range is not None:
-                exposures[event.identity] = event.exposure_range
-        if isinstance(event, TrackEvent):
-            tracks[event.identity] = event.tracked.track
-            gains[event.identity].append(event.tracked.track.gain)
-
+    trial, watch = Trial(setup.signal), list[Packet]()
     try:
-        receiver = make_receiver(setup.signal, setup.settings, observe)
+        receiver = make_receiver(setup.signal, setup.settings, trial.observe)
         for frame in frames:
-            packets += receiver.push(frame)
-        packets += receiver.finish()
+            watch += receiver.push(frame)
+        watch += receiver.finish()
     except HeliographError:
         pass
-    return Trial(
-        setup.signal, tuple(detections), tuple(filter(is_packet, packets)), tuple(cutouts), gains, exposures
-    )  # fmt: skip
+    trial.packets = [packet for packet in watch if is_packet(packet) and packet.has_codeword]
+    return trial
 
 
 SLACK = 0.85
@@ -157,28 +147,14 @@ class ArrayReport:
 
     Attributes
     ----------
-    identity
-        Identity, 0 to 29.
-    orientation
-        Orientation in the image: "upright", "mirrored", "turned 90" and so on.
-    packets
-        Number of packets, decoded or not.
-    first_frame, last_frame
-        First frame of the first packet, and last frame of the last packet.
-    first_distance_m, last_distance_m
-        Distance in m at the first and at the last packet, by the optics in the settings.
-    x, y
-        Centre on the sensor in px at the last packet.
-    pitch_px
-        Pitch of the LEDs in px at the last packet.
-    blur_px
-        Standard deviation of an LED's blur in px at the last packet.
+    packet
+        Latest packet with a decoded codeword: identity, orientation and pose.
+    tally
+        Number of packets and codewords, frames and distances.
     contrast
         Light of the array with all LEDs on, over full scale.
     score
         Correlation with the header's image.
-    ok, failed
-        Number of decoded and of failed codewords, by layer.
     clock
         Clock of the light relative to the camera; None if unknown.
     noise
@@ -192,119 +168,110 @@ class ArrayReport:
         same part of a pattern.
     """
 
-    identity: int
-    orientation: str
-    packets: int
-    first_frame: int
-    last_frame: int
-    first_distance_m: float
-    last_distance_m: float
-    x: float
-    y: float
-    pitch_px: float
-    blur_px: float
+    packet: Packet
+    tally: ArrayTally
     contrast: float
     score: float
-    ok: dict[str, int]
-    failed: dict[str, int]
     clock: Clock | None = None
     noise: Noise | None = None
     clipped: bool = False
-    reach: tuple[Reach, ...] = ()
+    reach: Reach = field(default_factory=dict)
     exposure: tuple[float, float] | None = None
 
 
-MOST_PLACES = 20_000
-"""Number of stored packet positions: half an hour of the reference link."""
-
-
 class ArrayWatch:
-    """Statistics of a receiver's packets by array, in bounded memory."""
+    """Receiver, and statistics of its packets by array in bounded memory."""
 
-    def __init__(self) -> None:
+    def __init__(self, signal: SignalSettings, settings: ReceiveSettings | None):
+        # Receiver error; empty for no error
+        self.error = ""
+        # identity, first and last frame, position (x, y) on the sensor in px: half an hour of the reference link
+        self.places: deque[tuple[int, int, int, float, float]] = deque(maxlen=20_000)
+        self._receiver = make_receiver(signal, settings, self._observe) if settings is not None else None
         self._tallies: dict[int, ArrayTally] = {}
-        self._last: dict[int, Packet] = {}
-        self._headers: dict[int, Detection] = {}
-        # identity, first and last frame, position (x, y) on the sensor in px
-        self._places: deque[tuple[int, int, int, float, float]] = deque(maxlen=MOST_PLACES)
+        self._packets: dict[int, Packet] = {}
+        self._detections: dict[int, Detection] = {}
 
-    def found(self, detection: Detection) -> None:
-        """Add a detection."""
-        for hypothesis in detection.hypotheses:
-            best = self._headers.setdefault(hypothesis.identity, detection)
-            if detection.score > best.score:
-                self._headers[hypothesis.identity] = detection
+    def push(self, frame: Frame) -> None:
+        """Pass the next frame to the receiver."""
+        if self._receiver is not None:
+            self._collect(self._receiver.push(frame))
+
+    def finish(self) -> None:
+        """Collect the remaining packets."""
+        if self._receiver is not None:
+            self._collect(self._receiver.finish())
 
     def add(self, packet: Packet) -> None:
         """Add a packet."""
         if not is_packet(packet):
             return
-        tally = self._tallies.setdefault(packet.identity, ArrayTally(packet.first_frame, packet.distance_m))
-        tally.add(packet)
+        self._tallies.setdefault(packet.identity, ArrayTally(packet.first_frame, packet.distance_m)).add(packet)
         if packet.has_codeword:
-            self._last[packet.identity] = packet
-            self._places.append((packet.identity, packet.first_frame, packet.last_frame, packet.pose.x, packet.pose.y))
+            self._packets[packet.identity] = packet
+            self.places.append((packet.identity, packet.first_frame, packet.last_frame, packet.pose.x, packet.pose.y))
 
-    def arrays(self, full_scale: int) -> list[ArrayReport]:
+    def reports(self, full_scale: int) -> dict[int, ArrayReport]:
         """Report the arrays with decoded codewords, by identity."""
-        return [self._report(identity, full_scale) for identity in sorted(self._last)]
+        reports = {}
+        for identity, packet in sorted(self._packets.items()):
+            header = self._detections.get(identity)
+            contrast, score = (header.fit.gain / full_scale, header.score) if header else (0.0, 0.0)
+            reports[identity] = ArrayReport(packet, self._tallies[identity], contrast, score)
+        return reports
 
-    def at(self, region: Region, frames: Sequence[Frame]) -> int | None:
+    def identity_at(self, region: Region, frames: Sequence[Frame]) -> int | None:
         """Return the identity of the decoded array in a region; None if no decoded array matches."""
         begin, end = frames[0].index, frames[-1].index
-        radius = 0.5 * max(region.width, region.height)
-        for identity, first, last, x, y in self._places:
-            if last < begin or first > end:
-                continue
-            late = (0.5 * (first + last) - begin) / max(end - begin, 1) * (len(frames) - 1)
-            centre = region.centre_at(late, len(frames))
-            if abs(x - centre[0]) < radius and abs(y - centre[1]) < radius:
-                return identity
+        for identity, first, last, x, y in self.places:
+            if begin <= last and first <= end:
+                late = (0.5 * (first + last) - begin) / max(end - begin, 1) * (len(frames) - 1)
+                centre = region.centre_at(late, len(frames))
+                if max(abs(x - centre[0]), abs(y - centre[1])) < 0.5 * max(region.width, region.height):
+                    return identity
         return None
 
-    def _report(self, identity: int, full_scale: int) -> ArrayReport:
-        tally, last, header = self._tallies[identity], self._last[identity], self._headers.get(identity)
-        return ArrayReport(
-            identity, str(last.orientation), tally.packets, tally.first_frame, tally.last_frame,
-            tally.first_distance_m, tally.last_distance_m, last.pose.x, last.pose.y, last.pose.pitch, last.pose.blur,
-            contrast=header.fit.gain / full_scale if header else 0.0, score=header.score if header else 0.0,
-            ok={name: layer.ok for name, layer in tally.layers.items()},
-            failed={name: layer.failed for name, layer in tally.layers.items()},
-        )  # fmt: skip
+    def _collect(self, packets: Iterator[Packet]) -> None:
+        try:
+            for packet in packets:
+                self.add(packet)
+        except HeliographError as error:
+            self._receiver, self.error = None, str(error)
+
+    def _observe(self, event: object) -> None:
+        if isinstance(event, DetectEvent):
+            for hypothesis in event.detection.hypotheses:
+                best = self._detections.setdefault(hypothesis.identity, event.detection)
+                self._detections[hypothesis.identity] = max(best, event.detection, key=lambda found: found.score)
 
 
 def measure_array(array: ArrayReport, frames: Sequence[Frame], setup: Setup) -> ArrayReport:
     """Measure clock, exposure, noise and reach of an array in some frames."""
-    if setup.signal.modulation != "haar" or setup.signal.header != "m_sequence":
+    signal, full_scale, identity = setup.signal, frames[0].full_scale, array.packet.identity
+    if signal.modulation != "haar" or signal.header != "m_sequence":
         return array
-    signal, full_scale, identity = setup.signal, frames[0].full_scale, array.identity
-    near = search_near(array.pitch_px * signal.side)
+    near = search_near(array.packet.pose.pitch * signal.side)
     trial = run_receiver(frames, setup.changed({"receive": {"receiver": "soft", "detect": near}}))
-    packets = [packet for packet in trial.decoded if packet.identity == identity]
+    packets = [packet for packet in trial.packets if packet.identity == identity]
     if not packets:
         return array
     clock, gain, pose = clock_of(packets, frames, signal), array.contrast * full_scale, packets[-1].pose
-    if not clock.in_step and identity in trial.gains:  # the header shows less of the light
-        gain = float(np.median(trial.gains[identity]))
+    if not clock.in_step and trial.tracks[identity]:  # the header shows less of the light
+        gain = float(np.median([track.gain for track in trial.tracks[identity]]))
+    array = replace(array, contrast=gain / full_scale, clock=clock)
+    duration, exposure = setup.frames_a_pattern, trial.exposures.get(identity)
+    # for an integer duration all frames show the same parts
+    if exposure is not None and abs(duration - round(duration)) >= STEP_TOLERANCE:
+        array = replace(array, exposure=(exposure[0] * duration, exposure[1] * duration))
     # reduced frames show less noise
     cutouts = [cut for cut in trial.cutouts if len(cut.poses) == 2 and cut.middle.pitch > 0.75 * pose.pitch]
-    cutouts = cutouts if gain > 0 else []
-    clipped = any(_clips(cutout, full_scale) for cutout in cutouts)
-    noise: Noise | None = None
+    if not cutouts or gain <= 0:
+        return array
+    noise, clipped = measure_noise(cutouts, gain, signal.side), any(_clips(cutout, full_scale) for cutout in cutouts)
     if clipped:  # sums of clipped levels vary by more than the noise
-        noise = Noise(beside := noise_beside(cutouts, signal.side), beside)
-    elif cutouts:
-        noise = measure_noise(cutouts, gain, signal.side)
-    smallest, reach = setup.settings.detect.min_side_px, tuple[Reach, ...]()
-    if noise is not None:
-        reach = reaches(pose, gain, noise, packets[-1].distance_m, signal, smallest)
-    duration, exposure = setup.frames_a_pattern, trial.exposures.get(identity)
-    if exposure is not None:  # for an integer duration all frames show the same parts
-        is_whole = abs(duration - round(duration)) < STEP_TOLERANCE
-        exposure = None if is_whole else (exposure[0] * duration, exposure[1] * duration)
-    return replace(
-        array, contrast=gain / full_scale, clock=clock, noise=noise, clipped=clipped, reach=reach, exposure=exposure
-    )
+        noise = replace(noise, lit=noise.dark)
+    reach = reaches(pose, gain, noise, packets[-1].distance_m, signal, setup.settings.detect.min_side_px)
+    return replace(array, noise=noise, clipped=clipped, reach=reach)
 
 
 def _clips(cutout: Cutout, full_scale: int) -> bool:

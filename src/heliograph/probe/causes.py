@@ -2,8 +2,8 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Generic, Literal, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -17,17 +17,9 @@ from heliograph.probe.reach import Reach
 from heliograph.probe.regions import Region
 from heliograph.probe.trials import TUNING as TRIALS
 from heliograph.probe.trials import Remedy, is_blurred, options
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
-
-Kind = Literal[
-    "array", "other rate", "other side", "other packets", "too small", "too large", "too dim", "saturated",
-    "out of focus", "moving", "cut", "hidden", "out of step", "search", "elsewhere",
-    "turned", "lamp", "no header", "unread", "moves",
-    "slow camera", "lost frames", "repeated frames", "overexposed", "dark", "other bits", "short", "still",
-    "other settings", "screen", "sight", "angle", "motion", "exposure", "glare", "resolution", "focus", "cells", "rate",
-]  # fmt: skip
-"""Short name of a cause; "array" for a decoded array. The last line has the causes of screens."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +29,7 @@ class Cause:
     Attributes
     ----------
     kind
-        Short name.
+        Short name; "array" for a decoded array.
     why
         A sentence with the measured values.
     advice
@@ -46,7 +38,7 @@ class Cause:
         True if codewords were decoded with the remedy.
     """
 
-    kind: Kind
+    kind: str
     why: str
     advice: tuple[str, ...] = ()
     proven: bool = False
@@ -56,15 +48,21 @@ M = TypeVar("M")
 
 
 class Rule(Generic[M]):
-    """Row of a table of causes: a condition on the measured values m, and texts with fields {m.name}."""
+    """Row of a table of causes: a condition on the measured values m, and texts with fields {m.name}.
 
-    def __init__(self, kind: Kind, applies: Callable[[M], object], why: str, *advice: str):
-        self.kind, self.applies, self.why, self.advice = kind, applies, why, advice
+    A remedy is a text, or a condition and a text.
+    """
+
+    def __init__(
+        self, kind: str, applies: Callable[[M], object], why: str, *advice: str | tuple[Callable[[M], object], str]
+    ):
+        self.kind, self.applies, self.why = kind, applies, why
+        self.advice = [(lambda _: True, remedy) if isinstance(remedy, str) else remedy for remedy in advice]
 
     def cause(self, measured: M, proven: bool) -> Cause:
-        """Fill in the measured values; empty remedies are omitted."""
-        why, *advice = (text.format(m=measured) for text in (self.why, *self.advice))
-        return Cause(self.kind, why, tuple(filter(None, advice)), proven)
+        """Fill in the measured values."""
+        advice = tuple(text.format(m=measured) for applies, text in self.advice if applies(measured))
+        return Cause(self.kind, self.why.format(m=measured), advice, proven)
 
 
 def diagnose(rules: Sequence[Rule[M]], measured: M, proven: bool = False) -> tuple[Cause, ...]:
@@ -76,16 +74,14 @@ def diagnose(rules: Sequence[Rule[M]], measured: M, proven: bool = False) -> tup
 class ArrayLike:
     """A region, described as an array."""
 
-    # Pitch of the LEDs in px
-    pitch_px: float
-    # Standard deviation of an LED's blur in px
-    blur_px: float
+    # Pose, with the pitch of the LEDs and the blur of an LED in px
+    pose: Pose
     # Light with all LEDs on, over full scale
     contrast: float
     # Clock of the light; None if no packet was decoded
     clock: Clock | None
     # Estimated reach by receiver; empty for overexposed regions, and beyond the limits of the model
-    reach: tuple[Reach, ...]
+    reach: Reach = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -115,12 +111,12 @@ class RegionReport:
     """
 
     region: Region
-    rate: LightRate | None
-    lamp_frames: float | None
-    pattern_part: float
-    header: HeaderMatch | None
-    remedy: Remedy | None
-    array: ArrayReport | None
+    rate: LightRate | None = None
+    lamp_frames: float | None = None
+    pattern_part: float = 1.0
+    header: HeaderMatch | None = None
+    remedy: Remedy | None = None
+    array: ArrayReport | None = None
     causes: tuple[Cause, ...] = ()
     would_be: ArrayLike | None = None
 
@@ -142,8 +138,7 @@ class RegionReport:
     @property
     def size_px(self) -> float:
         """Side in px of the region as an array."""
-        header = self.clear_header
-        return header.size_px if header is not None else self.region.side
+        return self.clear_header.size_px if self.clear_header else self.region.side
 
 
 @dataclass(frozen=True)
@@ -209,90 +204,90 @@ FILM: tuple[Rule[FilmMeasures], ...] = (
 )  # fmt: skip
 """Causes of a film."""
 
-SIGNAL_INDEPENDENT = ("lost frames", "repeated frames", "overexposed", "dark", "other bits")
-"""Cause kinds independent of the signal settings."""
 
-
-def still_film(setup: Setup) -> Cause:
-    """Return the cause for a film with no blinking region."""
-    return Cause(
+def film_causes(measured: FilmMeasures, is_still: bool) -> tuple[Cause, ...]:
+    """Return the causes of a film, without a blinking region if `is_still`."""
+    causes = diagnose(FILM, measured)
+    period_ms = 1e3 * measured.setup.signal.pattern_period_s
+    still = Cause(
         "still", "no region blinks: all changes are within the noise",
         ("check that the array is switched on and in the image",
-         f"expose no longer than a pattern of {1e3 * setup.signal.pattern_period_s:.3g} ms: the sum of a pattern and "
-         "the inverse is uniform"),
+         f"expose no longer than a pattern of {period_ms:.3g} ms: the sum of a pattern and the inverse is uniform"),
     )  # fmt: skip
+    return (still, *causes) if is_still else causes
 
 
-def other_settings(differing: Sequence[tuple[str, Any, Any]]) -> Cause:
-    """Return the cause for settings other than in the film's note."""
+def other_settings(differing: Sequence[tuple[str, Any, Any]], causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """Return the cause for settings other than in the film's note, and causes independent of the settings."""
     why = ", ".join(f"{key} is {ours}, and the film's note says {noted}" for key, ours, noted in differing)
     advice = tuple(f"leave {key} out, or write --set '{key}={json.dumps(noted)}'" for key, _, noted in differing)
-    return Cause("other settings", why, advice)
+    independent = ("lost frames", "repeated frames", "overexposed", "dark", "other bits")
+    return (Cause("other settings", why, advice), *(cause for cause in causes if cause.kind in independent))
 
 
 SATURATED = 0.3
 """Maximum overexposed part of a region's pixels; resolved LEDs cover a fifth."""
 
 
-@dataclass(frozen=True)
-class RegionMeasures:
-    """Measured values of a region, and the settings of the remedy."""
+@dataclass(frozen=True, kw_only=True)
+class RegionMeasures(RegionReport):
+    """Measured values of a region, and the settings of the reception and of the remedy."""
 
-    report: RegionReport
     setup: Setup
     full_scale: int
 
-    region = property(lambda self: self.report.region)
-    size_px = property(lambda self: self.report.size_px)
+    duration = property(lambda self: self.rate.frames if self.rate else None)
     pitch_px = property(lambda self: self.size_px / self.setup.signal.side)
-    enlarge = property(lambda self: self.smallest / self.size_px)
-    duration = property(lambda self: self.report.rate.frames if self.report.rate else None)
-    score = property(lambda self: self.report.header.score if self.report.header else 0.0)
-    pose = property(lambda self: self.report.header.fit.pose)
+    score = property(lambda self: self.header.score if self.header else 0.0)
+    pose = property(lambda self: self.header.fit.pose)
     blur = property(lambda self: self.pose.blur / self.pose.pitch)
-    saturated = property(lambda self: 100 * self.region.saturated)
     percent = property(lambda self: 100 * self.gain)
+    saturated = property(lambda self: 100 * self.region.saturated)
+    # on-off light has half of the LEDs at the highest level
+    max_saturated = property(lambda self: SATURATED * (1 if self.setup.signal.modulation == "haar" else 2))
+    # motion blur of a header, which lasts four frames, makes detection unreliable
+    is_fast = property(lambda self: self.region.speed_px > 0.5)
+    has_other_rate = property(lambda self: self.duration and abs(self.duration / self.expected - 1) > STEP_TOLERANCE)
     window = property(lambda self: ",".join(map(str, self.region.window)))
     # settings and texts
     expected = property(lambda self: self.setup.frames_a_pattern)
     detect = property(lambda self: self.setup.settings.detect)
     smallest = property(lambda self: self.setup.settings.smallest_side_px)
+    speed_up = property(lambda self: 1 / self.duration)
+    enlarge = property(lambda self: self.smallest / self.size_px)
     min_percent = property(lambda self: 100 * self.detect.min_contrast)
     is_plain = property(lambda self: self.setup.settings.receiver == "plain")
     given_name = property(lambda self: "region" if self.detect.region else "corners")
     given = property(lambda self: ",".join(f"{n:g}" for n in self.detect.region or self.detect.corners))
     # remedy: changed settings, clock and detections
-    remedy = property(lambda self: self.report.remedy)
     signal = property(lambda self: self.remedy.changes.get("signal", {}))
     receive = property(lambda self: self.remedy.changes.get("receive", {}) if self.remedy else {})
     new = property(lambda self: self.receive.get("detect", {}))
     options = property(lambda self: " ".join(options(self.remedy.changes)))
     new_region = property(lambda self: ",".join(map(str, self.new["region"])))
     only_soft = property(lambda self: self.receive.get("receiver") == "soft")
-    phase = property(lambda self: abs(self.remedy.clock.phase))
-    delay = property(lambda self: "after" if self.remedy.clock.phase > 0 else "before")
+    is_retimed = property(lambda self: self.remedy.retimed)
+    clock = property(lambda self: self.remedy.clock)
+    phase = property(lambda self: abs(self.clock.phase_patterns))
+    delay = property(lambda self: "after" if self.clock.phase_patterns > 0 else "before")
     poses = property(lambda self: [found.fit.pose for found in self.remedy.trial.detections])
     is_tilted = property(lambda self: any(np.hypot(pose.stretch, pose.shear) > 0.05 for pose in self.poses))
     has_dark_leds = property(lambda self: any((found.led_gains == 0).any() for found in self.remedy.trial.detections))
+    # settings for the size and light of the region
+    wanted_px = property(lambda self: min(16 * np.ceil(self.size_px / SLACK / 16), 4096))
+    max_side_px = property(lambda self: self.new.get("max_side_px", self.wanted_px))
+    min_contrast = property(lambda self: self.new.get("min_contrast", float(f"{SLACK * self.gain:.1g}")))
+    # frame rate for a pattern as long as in the settings, and duration of a pattern for the frame rate of the stamps
+    camera_hz = property(lambda self: _rounded(self.duration / self.setup.signal.pattern_period_s))
+    period_s = property(lambda self: _rounded(self.duration / self.setup.rate_hz))
 
     @property
     def gain(self) -> float:
         """Light over full scale."""
-        header = self.report.clear_header
-        return header.fit.gain / self.full_scale if header else self.region.contrast
+        return self.clear_header.fit.gain / self.full_scale if self.clear_header else self.region.contrast
 
-    # on-off light has half of the LEDs at the highest level
-    max_saturated = property(lambda self: SATURATED * (1 if self.setup.signal.modulation == "haar" else 2))
-    # motion blur of a header, which lasts four frames, makes detection unreliable
-    is_fast = property(lambda self: self.region.speed_px > 0.5)
-    has_other_rate = property(lambda self: self.duration and abs(self.duration / self.expected - 1) > STEP_TOLERANCE)
-
-    @property
-    def is_oblong(self) -> bool:
-        """True for an oblong region that is neither cut nor fast; the limit is an array turned by 42 degrees."""
-        low, high = sorted((self.region.width, self.region.height))
-        return high / max(low, 1.0) > 1.35 and not self.region.at_border and not self.is_fast
-
+    # neither cut nor fast
+    is_oblong = property(lambda self: self.region.is_oblong and not self.region.at_border and not self.is_fast)
     # a part of an array of sufficient size
     is_part = property(lambda self: self.is_oblong and max(self.region.width, self.region.height) >= self.smallest)
 
@@ -307,39 +302,13 @@ class RegionMeasures:
         """Corners of the remedy."""
         return ",".join(f"{n:g}" for n in self.new["corners"]) + (", without --region" if self.detect.region else "")
 
-    # settings for the size and light of the region
-    wanted_px = property(lambda self: min(16 * np.ceil(self.size_px / SLACK / 16), 4096))
-    max_side_px = property(lambda self: self.new.get("max_side_px", self.wanted_px))
-    min_contrast = property(lambda self: self.new.get("min_contrast", float(f"{SLACK * self.gain:.1g}")))
-    # frame rate for a pattern as long as in the settings, and duration of a pattern for the frame rate of the stamps
-    camera_hz = property(lambda self: _rounded(self.duration / self.setup.signal.pattern_period_s))
-    period_s = property(lambda self: _rounded(self.duration / self.setup.rate_hz))
-
-    @property
-    def faster(self) -> str:
-        """Advice for patterns shorter than a frame."""
-        if self.duration >= 1 - STEP_TOLERANCE:
-            return ""
-        return f"film {1 / self.duration:.2g} times as fast at least: receivers need a frame per pattern at least"
-
-    @property
-    def also_soft(self) -> str:
-        """Advice for patterns of several frames."""
-        is_long = self.is_plain and self.duration > 1 + STEP_TOLERANCE
-        return "and read it by --receiver soft: plain needs one frame per pattern" if is_long else ""
-
-    @property
-    def soft_for_size(self) -> str:
-        """Advice for small arrays."""
-        is_possible = self.is_plain and self.size_px >= SMALLEST_SIDE_PX["soft"]
-        return "or read it by --receiver soft, which finds smaller arrays and reads farther" if is_possible else ""
-
     @property
     def flashes(self) -> str:
         """Period of a lamp."""
-        frames = self.report.lamp_frames
-        rate = f"{self.setup.rate_hz / frames:.4g} times a second as stamped" if frames else ""
-        return f", every {frames:.1f} frames ({rate})" if frames else ""
+        if not self.lamp_frames:
+            return ""
+        rate_hz = self.setup.rate_hz / self.lamp_frames
+        return f", every {self.lamp_frames:.1f} frames ({rate_hz:.4g} times a second as stamped)"
 
 
 def _rounded(value: float) -> str:
@@ -349,9 +318,13 @@ def _rounded(value: float) -> str:
 
 
 OTHER_RATE = (
-    "a pattern lasts {m.duration:.2f} frames, but {m.expected:.2f} frames by stamps and settings", "{m.faster}",
+    "a pattern lasts {m.duration:.2f} frames, but {m.expected:.2f} frames by stamps and settings",
+    (lambda m: m.duration < 1 - STEP_TOLERANCE,
+     "film {m.speed_up:.2g} times as fast at least: receivers need a frame per pattern at least"),
     "if the time stamps are wrong, give the frame rate of the camera: --fps {m.camera_hz}",
-    "if they are right, give the duration of a pattern: --set signal.pattern_period_s={m.period_s}", "{m.also_soft}",
+    "if they are right, give the duration of a pattern: --set signal.pattern_period_s={m.period_s}",
+    (lambda m: m.is_plain and m.duration > 1 + STEP_TOLERANCE,
+     "and read it by --receiver soft: plain needs one frame per pattern"),
 )  # fmt: skip
 TOO_SMALL = "{m.size_px:.1f} px a side, {m.pitch_px:.2g} px from LED to LED; the minimum is {m.smallest:g} px"
 TOO_LARGE = (
@@ -376,11 +349,11 @@ OVEREXPOSED: Rule[RegionMeasures] = Rule(
 
 NO_ARRAY: tuple[Rule[RegionMeasures], ...] = (
     # arrays have a pattern part of 0.06 and more
-    Rule("lamp", lambda m: m.report.pattern_part < 0.05 and not (m.report.like_array and m.report.has_header),
+    Rule("lamp", lambda m: m.pattern_part < 0.05 and not (m.like_array and m.has_header),
          "all of it goes on and off together{m.flashes}: a header is missing",
          "no change is needed if it is a lamp; an array sends headers"),
     # a passing edge has about 0.2
-    Rule("moves", lambda m: m.region.blinks < 0.45 and not m.report.like_array,
+    Rule("moves", lambda m: m.region.blinks < 0.45 and not m.like_array,
          "it moves or changes slowly, and does not blink", "no change is needed if it is no array"),
 )  # fmt: skip
 """Regions that are no array; the first rule that applies counts."""
@@ -395,25 +368,27 @@ MEASURED: tuple[Rule[RegionMeasures], ...] = (
          "a part, or the view is oblique",
          "see that the complete array is in view; --receiver soft reads arrays hidden by a third at most"),
     Rule("too small", lambda m: not m.is_part and m.size_px < m.smallest, TOO_SMALL,
-         "come nearer or use a longer lens: {m.enlarge:.1f} times as large at least", "{m.soft_for_size}"),
+         "come nearer or use a longer lens: {m.enlarge:.1f} times as large at least",
+         (lambda m: m.is_plain and m.size_px >= SMALLEST_SIDE_PX["soft"],
+          "or read it by --receiver soft, which finds smaller arrays and reads farther")),
     Rule("too large", lambda m: not m.is_part and m.size_px > m.detect.max_side_px, *TOO_LARGE),
     Rule("too dim", lambda m: m.gain < m.detect.min_contrast, *TOO_DIM),
     Rule("cut", lambda m: m.region.at_border, "it reaches the frame's border, and a part of it is outside the image",
          "turn the camera so that the array and a margin around it are visible; check --crop"),
     Rule("moving", lambda m: m.is_fast, "it moves by {m.region.speed_px:.1f} px a frame, and is blurred by as much",
          "expose shorter, film faster, follow it with the camera, or use a wider lens"),
-    Rule("out of focus", lambda m: m.report.clear_header and not m.is_oblong and is_blurred(m.pose),
+    Rule("out of focus", lambda m: m.clear_header and not m.is_oblong and is_blurred(m.pose),
          *OUT_OF_FOCUS),
 )  # fmt: skip
 """Regions like an array, the most important cause first."""
 
 UNCLEAR: tuple[Rule[RegionMeasures], ...] = (
     OVEREXPOSED,
-    Rule("unread", lambda m: m.report.has_header and m.report.like_array,
+    Rule("unread", lambda m: m.has_header and m.like_array,
          "a header is found (correlation {m.score:.2f}), but no codeword is decoded",
          "check that the settings of the signal match the transmitter: signal.rate, signal.code, signal.slot_order, "
          "signal.modulation", "come nearer or expose longer if the light is weak compared with the noise"),
-    Rule("no header", lambda m: m.report.rate,
+    Rule("no header", lambda m: m.rate,
          "patterns and inverses are visible, but no header: the best correlation is {m.score:.2f}, the threshold "
          "{m.detect.score:g}",
          "check that the transmitter sends headers (signal.header), and film longer than a packet"),
@@ -425,7 +400,7 @@ UNCLEAR: tuple[Rule[RegionMeasures], ...] = (
 """Other regions; the first rule that applies counts."""
 
 PROVEN: tuple[Rule[RegionMeasures], ...] = (
-    Rule("other rate", lambda m: m.remedy.retimed and m.report.rate, *OTHER_RATE),
+    Rule("other rate", lambda m: m.is_retimed and m.rate, *OTHER_RATE),
     Rule("other side", lambda m: "side" in m.signal,
          "a header is found, and codewords are decoded with {m.signal[side]} LEDs in a row, not with "
          "{m.setup.signal.side}",
@@ -451,7 +426,7 @@ PROVEN: tuple[Rule[RegionMeasures], ...] = (
 FOUND: tuple[Rule[RegionMeasures], ...] = (
     Rule("out of step", lambda m: m.only_soft and m.duration and abs(m.duration - 1) > STEP_TOLERANCE,
          "a pattern lasts {m.duration:.2f} frames, but the receiver plain needs a frame per pattern", BY_SOFT),
-    Rule("out of step", lambda m: m.only_soft and not m.remedy.clock.in_step,
+    Rule("out of step", lambda m: m.only_soft and not m.clock.in_step,
          "patterns begin {m.phase:.2f} of a pattern {m.delay} the frames: each frame shows two", BY_SOFT),
     Rule("hidden", lambda m: m.only_soft and m.has_dark_leds,
          "a part of it is hidden, but the receiver plain needs complete arrays", BY_SOFT),
@@ -469,8 +444,9 @@ FOUND: tuple[Rule[RegionMeasures], ...] = (
 def region_causes(report: RegionReport, setup: Setup, full_scale: int) -> tuple[Cause, ...]:
     """Return the causes of a region, the most important first."""
     if report.array is not None:
-        return (Cause("array", f"array {report.array.identity}, {report.array.orientation}", proven=True),)
-    measured = RegionMeasures(report, setup, full_scale)
+        packet = report.array.packet
+        return (Cause("array", f"array {packet.identity}, {packet.orientation}", proven=True),)
+    measured = RegionMeasures(setup=setup, full_scale=full_scale, **vars(report))
     if report.remedy is None:
         causes = diagnose(NO_ARRAY, measured)[:1]
         if not causes and report.like_array:

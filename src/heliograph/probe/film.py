@@ -1,43 +1,38 @@
 """Diagnosis of a film: one pass over all frames, then a close analysis of the stretch with the most blinking light."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from heliograph.base.errors import HeliographError, MediaError
+from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.link.film import FrameProgress, silent
+from heliograph.link.film import FrameProgress, FrameSource, silent
 from heliograph.link.truth import departures
 from heliograph.probe.activity import Stretch, Stretches
 from heliograph.probe.arrays import ArrayReport, ArrayWatch, Setup, measure_array
 from heliograph.probe.causes import (
-    FILM,
     SATURATED,
-    SIGNAL_INDEPENDENT,
     ArrayLike,
     Cause,
     FilmMeasures,
     RegionReport,
-    diagnose,
+    film_causes,
     other_settings,
     region_causes,
-    still_film,
 )
 from heliograph.probe.frames import FrameTimes, FrameWatch
-from heliograph.probe.headers import find_header
+from heliograph.probe.headers import HeaderMatch, find_header
 from heliograph.probe.levels import Levels, LevelWatch
 from heliograph.probe.light import LightRate, lamp_period, light_rate, pattern_part
 from heliograph.probe.noise import NoiseEstimate, NoiseWatch
-from heliograph.probe.reach import Reach, reaches
+from heliograph.probe.reach import reaches
 from heliograph.probe.regions import Region, regions_of
-from heliograph.probe.screens import MISSING, SCREEN_FILM, area_of, regions_in, screen_cause, screen_causes
+from heliograph.probe.screens import area_of, regions_in, screen_cause, screen_causes, screen_film_causes
 from heliograph.probe.trials import find_remedy, find_turned_remedy, is_blurred, other_packets
-from heliograph.receive import Packet, ReceiveSettings, make_receiver
-from heliograph.receive.events import DetectEvent
+from heliograph.receive import ReceiveSettings
 from heliograph.receive.geometry.window import Window
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.settings import DetectSettings
@@ -45,12 +40,8 @@ from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
 
-class Film(Protocol):
+class Film(FrameSource, Protocol):
     """Open film, or frames with the same interface."""
-
-    @property
-    def path(self) -> Path | str:
-        """Name of the film."""
 
     @property
     def rate_hz(self) -> float:
@@ -59,8 +50,6 @@ class Film(Protocol):
     @property
     def frame_count(self) -> int | None:
         """Expected number of frames; None if unknown."""
-
-    def __iter__(self) -> Iterator[Frame]: ...
 
 
 @dataclass(frozen=True)
@@ -139,8 +128,7 @@ class Findings:
 
 
 def _best_rate(reports: Sequence[RegionReport]) -> LightRate | None:
-    rates = [report.rate for report in reports if report.rate is not None]
-    return max(rates, key=lambda rate: rate.explained, default=None)
+    return max((report.rate for report in reports if report.rate), key=lambda rate: rate.explained, default=None)
 
 
 def probe_film(
@@ -196,15 +184,15 @@ def probe_film(
         broken = error
     if watch.last is None:
         raise broken or MediaError(f"{film.path} holds no frames: record it again")
+    watch.arrays.finish()
     setup = Setup(signal, settings, watch.frames.times().rate_hz)
     differing = departures(film, signal)
-    found = _diagnose(watch, watch.last, film, setup, broken, trials and not differing)
+    found = _diagnose(watch, watch.last, str(film.path), setup, broken, trials and not differing)
     if not differing or found.read:
         return found
     # other causes follow from the wrong settings
-    causes = [cause for cause in found.causes if cause.kind in SIGNAL_INDEPENDENT]
     regions = tuple(replace(report, causes=(), would_be=None) for report in found.regions)
-    return replace(found, regions=regions, causes=(other_settings(differing), *causes))
+    return replace(found, regions=regions, causes=other_settings(differing, found.causes))
 
 
 class _Watch:
@@ -213,83 +201,61 @@ class _Watch:
     def __init__(self, film: Film, signal: SignalSettings, settings: ReceiveSettings | None, every: int):
         self.frames, self.stretches = FrameWatch(film.rate_hz), Stretches(every)
         self.levels, self.noise = LevelWatch(film.frame_count), NoiseWatch(film.frame_count)
-        self.arrays, self.error = ArrayWatch(), ""
-        self._receiver = make_receiver(signal, settings, self._observe) if settings is not None else None
+        self.arrays = ArrayWatch(signal, settings)
         self.last: Frame | None = None
 
     def add(self, frame: Frame) -> None:
         """Add the next frame."""
-        repeated = self.frames.add(frame)
+        self.last, repeated = frame, self.frames.add(frame)
         self.levels.add(frame)
         self.noise.add(frame, repeated)
         if not repeated:
             self.stretches.add(frame)
-        self.last = frame
-        if self._receiver is not None:
-            self._take(self._receiver.push(frame))
-
-    def finish(self) -> None:
-        """Take the remaining packets of the receiver."""
-        if self._receiver is not None:
-            self._take(self._receiver.finish())
-
-    def _take(self, packets: Iterator[Packet]) -> None:
-        try:
-            for packet in packets:
-                self.arrays.add(packet)
-        except HeliographError as error:
-            self._receiver, self.error = None, str(error)
-
-    def _observe(self, event: Any) -> None:
-        if isinstance(event, DetectEvent):
-            self.arrays.found(event.detection)
+        self.arrays.push(frame)
 
 
 def _diagnose(
-    watch: _Watch, last: Frame, film: Film, setup: Setup, broken: BaseException | None, trials: bool
+    watch: _Watch, last: Frame, path: str, setup: Setup, broken: BaseException | None, trials: bool
 ) -> Findings:
-    watch.finish()
-    times, levels = watch.frames.times(), watch.levels.levels()
-    noise = watch.noise.noise(levels.ceiling)
-    arrays = {array.identity: array for array in watch.arrays.arrays(last.full_scale)}
+    times, levels, error = watch.frames.times(), watch.levels.levels(), watch.arrays.error
+    noise, arrays = watch.noise.noise(levels.ceiling), watch.arrays.reports(last.full_scale)
     stretch, is_screen = watch.stretches.best(), setup.settings.receiver == "screen"
-    reports, area, count = list[RegionReport](), None, 0
-    unexpected: Cause | None = None
-    if stretch is not None:
-        regions = list[Region]()
-        if not is_screen and not arrays:
-            unexpected = screen_cause(stretch.frames, times.rate_hz)
-        if unexpected is None:
-            regions, count = regions_of(stretch, levels.ceiling)
-        if is_screen:  # all other changes belong to the same screen
-            area = area_of(stretch.frames)
-            regions = [] if arrays else regions_in(area, regions)
+    regions, reports, count = list[Region](), list[RegionReport](), 0
+    area, unexpected = None, None
+    if stretch is not None and not arrays:
+        area = area_of(stretch.frames) if is_screen else None
+        unexpected = None if is_screen else screen_cause(stretch.frames, times.rate_hz)
+    if stretch is not None and unexpected is None and not (is_screen and area is None):
+        regions, count = regions_of(stretch, levels.ceiling)
+        if area is not None:  # all other changes belong to the same screen
+            regions = regions_in(area, regions)
             count = len(regions)
+    for region in regions:
+        assert stretch is not None
         analysis = _Analysis(stretch, setup, noise, levels, trials and not is_screen)
-        for region in regions:
-            identity = watch.arrays.at(region, stretch.frames)
-            try:
-                report = analysis.report(region, None if identity is None else arrays[identity])
-            except (MemoryError, KeyboardInterrupt) as error:
-                broken = error
-                break
-            if report.array is not None:
-                arrays[report.array.identity] = report.array
-            if area is None:
-                report = replace(report, causes=region_causes(report, setup, last.full_scale))
-            else:
-                report = replace(report, causes=screen_causes(report, area, stretch.frames, setup), would_be=None)
-            reports.append(report)
-    causes = diagnose(FILM, FilmMeasures(times, levels, setup, watch.error, _best_rate(reports)))
+        identity = watch.arrays.identity_at(region, stretch.frames)
+        try:
+            report = analysis.report(region, None if identity is None else arrays[identity])
+            report = replace(report, would_be=analysis.describe_array(report) if area is None else None)
+        except (MemoryError, KeyboardInterrupt) as interruption:
+            broken = interruption
+            break
+        if identity is not None and report.array is not None:
+            arrays[identity] = report.array
+        if area is None:
+            report = replace(report, causes=region_causes(report, setup, last.full_scale))
+        else:
+            report = replace(report, causes=screen_causes(report, area, stretch.frames, setup))
+        reports.append(report)
+    is_blank = stretch is not None and not reports and not arrays
+    causes = film_causes(FilmMeasures(times, levels, setup, error, _best_rate(reports)), is_blank and not is_screen)
     if is_screen:
-        causes = tuple(cause for cause in causes if cause.kind in SCREEN_FILM)
+        causes = screen_film_causes(causes, levels, is_blank)
     if unexpected is not None:
         causes = (unexpected,)
-    elif not reports and not arrays and stretch is not None:
-        causes = (*(diagnose(MISSING, levels) if is_screen else (still_film(setup),)), *causes)
     return Findings(
-        str(film.path), last.pixels.shape[1], last.pixels.shape[0], last.bits, setup, times, levels, noise,
-        tuple(arrays.values()), tuple(reports), count, causes, watch.error, broken, stretch,
+        path, last.pixels.shape[1], last.pixels.shape[0], last.bits, setup, times, levels, noise,
+        tuple(arrays.values()), tuple(reports), count, causes, error, broken, stretch,
     )  # fmt: skip
 
 
@@ -310,29 +276,35 @@ class _Analysis:
         frames = [_crop(frame, region.window) for frame in all_frames]
         rate = light_rate(all_frames, region, quiet, self.levels.ceiling, setup.signal.slot_order)
         if array is not None:
-            return RegionReport(region, rate, None, 1.0, None, None, measure_array(array, frames, setup))
-        header, remedy, centre = None, None, (region.x, region.y)
-        patterns, step = _one_frame_each(frames, rate.frames if rate is not None else setup.frames_a_pattern)
-        # larger regions are changes of the scene
-        limit_px = 1.5 * max(setup.settings.detect.max_side_px, DetectSettings().max_side_px)
-        if region.side < limit_px and len(patterns) >= 4:
-            speed = step * region.speed[0], step * region.speed[1]
-            header = find_header(patterns, centre, region.side, setup.signal.side, speed)
-        is_complete = not region.at_border and region.speed_px < 1
+            return RegionReport(region, rate, array=measure_array(array, frames, setup))
+        part, lamp_frames = pattern_part(all_frames, region, quiet), lamp_period(region.brightness)
+        report = RegionReport(region, rate, lamp_frames, part, self._header(region, frames, rate))
+        header, is_complete = report.header, not region.at_border and region.speed_px < 1
         if header is not None and self.trials:
             noise = self._difference_noise(region, header.fit.gain)
-            remedy = find_remedy(frames, setup, rate, header, noise, is_complete and region.saturated < 0.5)
-        part = pattern_part(all_frames, region, quiet)
-        report = RegionReport(region, rate, lamp_period(region.brightness), part, header, remedy, None)
+            is_square = is_complete and region.saturated < 0.5 and not region.is_oblong
+            remedy = find_remedy(frames, setup, rate, header, noise, is_square)
+            report = replace(report, remedy=remedy)
         # the outline of a defocused array is round and shows no turn
         is_round = header is not None and report.has_header and is_blurred(header.fit.pose)
-        if remedy is None and self.trials and rate is not None and is_complete and not is_round:
+        if report.remedy is None and self.trials and rate is not None and is_complete and not is_round:
             form = other_packets(header, setup.signal, rate.frames) if header is not None else {}
-            report = replace(report, remedy=find_turned_remedy(frames, setup, rate, centre, form))
-        return replace(report, would_be=self._array_like(report))
+            report = replace(report, remedy=find_turned_remedy(frames, setup, rate, (region.x, region.y), form))
+        return report
 
-    def _array_like(self, report: RegionReport) -> ArrayLike | None:
-        """Describe a region as an array, by the decoded packet or by the header."""
+    def _header(self, region: Region, frames: Sequence[Frame], rate: LightRate | None) -> HeaderMatch | None:
+        """Search a header in a frame of each pattern; larger regions are changes of the scene."""
+        step, detect = rate.frames if rate is not None else self.setup.frames_a_pattern, self.setup.settings.detect
+        if step >= 1 + STEP_TOLERANCE:
+            frames = [frames[k] for k in np.arange(0, len(frames) - 0.5, step).round().astype(int) if k < len(frames)]
+        limit_px = 1.5 * max(detect.max_side_px, DetectSettings().max_side_px)
+        if region.side >= limit_px or len(frames) < 4:
+            return None
+        speed = max(step, 1.0) * region.speed[0], max(step, 1.0) * region.speed[1]
+        return find_header(frames, (region.x, region.y), region.side, self.setup.signal.side, speed)
+
+    def describe_array(self, report: RegionReport) -> ArrayLike | None:
+        """Describe an undecoded region as an array, by the packet of a trial or by the header."""
         signal, remedy, header = self.setup.signal, report.remedy, report.clear_header
         if remedy is not None and remedy.trial.detections:
             fit, signal = remedy.trial.detections[0].fit, remedy.trial.signal
@@ -340,14 +312,13 @@ class _Analysis:
             fit = header.fit
         else:
             return None
-        settings, reach = self.setup.settings, tuple[Reach, ...]()
-        if report.region.saturated <= SATURATED and signal.header == "m_sequence":
-            noise = self._difference_noise(report.region, fit.gain)
-            distance_m = settings.calibration.distance_m(fit.pose)
-            reach = reaches(fit.pose, fit.gain, noise, distance_m, signal, settings.detect.min_side_px)
-        clock = remedy.clock if remedy is not None else None
-        contrast = fit.gain / self.stretch.frames[0].full_scale
-        return ArrayLike(fit.pose.pitch, fit.pose.blur, contrast, clock, reach)
+        settings, clock = self.setup.settings, remedy.clock if remedy is not None else None
+        array = ArrayLike(fit.pose, fit.gain / self.stretch.frames[0].full_scale, clock)
+        if report.region.saturated > SATURATED:
+            return array
+        noise, distance_m = self._difference_noise(report.region, fit.gain), settings.calibration.distance_m(fit.pose)
+        reach = reaches(fit.pose, fit.gain, noise, distance_m, signal, settings.detect.min_side_px)
+        return replace(array, reach=reach)
 
     def _difference_noise(self, region: Region, gain: float) -> Noise:
         """Return the noise of the difference of two frames by photon transfer, or by the quiet blocks."""
@@ -360,11 +331,3 @@ def _crop(frame: Frame, window: Window) -> Frame:
     x, y, width, height = window
     left, top = x - frame.origin[0], y - frame.origin[1]
     return replace(frame, pixels=frame.pixels[top : top + height, left : left + width], origin=(x, y))
-
-
-def _one_frame_each(frames: Sequence[Frame], step: float) -> tuple[Sequence[Frame], float]:
-    """Return a frame of each pattern, and the step in frames."""
-    if step < 1 + STEP_TOLERANCE:
-        return frames, 1.0
-    numbers = np.arange(0, len(frames) - 0.5, step).round().astype(int)
-    return [frames[k] for k in numbers if k < len(frames)], step

@@ -88,8 +88,5 @@ class FrameWatch:
 
 
 def _equal_pixels(first: Frame, second: Frame) -> bool:
-    if first.pixels.shape != second.pixels.shape:
-        return False
     # every 16th row already differs in nearly all frames
-    few = slice(None, None, 16)
-    return np.array_equal(first.pixels[few], second.pixels[few]) and np.array_equal(first.pixels, second.pixels)
+    return np.array_equal(first.pixels[::16], second.pixels[::16]) and np.array_equal(first.pixels, second.pixels)

@@ -15,14 +15,8 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.detect.alternation import (
-    ALTERNATION,
-    DETECT,
-    SearchParameters,
-    SearchRegion,
-    alternation_of,
-    coarse_search,
-)
+from heliograph.probe.regions import alternation
+from heliograph.receive.detect.alternation import DETECT, SearchParameters, SearchRegion, alternation_of, coarse_search
 from heliograph.receive.detect.candidate import cell_weights, fit_near
 from heliograph.receive.detect.header_bank import Hypothesis, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
@@ -115,14 +109,13 @@ def find_header(
     pad = int(np.ceil(size * (0.6 + DETECT.ring))) + 2
     late = np.arange(len(frames) - 3) + 1.5 - 0.5 * (len(frames) - 1)
     places = _search(frames, np.array(centre) / scale + late[:, None] * np.array(speed), size, pad)
-    matches = list[tuple[HeaderMatch, _Place]]()
-    for place in places:
-        fit = _fit(frames, place, side, level, pad, speed)
-        if fit is not None and TUNING.min_size < fit.pose.pitch * side / size < TUNING.max_size:
-            matches.append((HeaderMatch(side, fit, headers(ORIENTATIONS).hypotheses[place.header]), place))
-    if not matches:
+    candidates = [(place, _fit(frames, place, side, level, pad, speed)) for place in places]
+    limits = TUNING.min_size * size / side, TUNING.max_size * size / side
+    fits = [(place, fit) for place, fit in candidates if fit is not None and limits[0] < fit.pose.pitch < limits[1]]
+    if not fits:
         return None
-    best, place = max(matches, key=lambda match: match[0].score)
+    place, fit = max(fits, key=lambda found: found[1].score)
+    best = HeaderMatch(side, fit, headers(ORIENTATIONS).hypotheses[place.header])
     if best.score >= TUNING.min_timed:
         best = _find_starts(frames, best, place, speed)
     return replace(best, fit=View(level).fit_out(best.fit))
@@ -135,14 +128,11 @@ def _search(frames: Sequence[Frame], centres: Floats, size: float, pad: int) -> 
         score=0.0, regularity=0.0, candidates=1, blur_px=TUNING.blurs[0],
     )  # fmt: skip
     cells, sizes = headers(ORIENTATIONS).cells, np.maximum(size * np.array(TUNING.sizes), 2.5)
-    side, strength = max(round(size), 1), np.zeros(len(centres))
-    for k, (x, y) in enumerate(centres):
-        box = round(x - 0.5 * size), round(y - 0.5 * size), side, side
-        four = zip(ALTERNATION, frames[k : k + 4], strict=True)
-        strength[k] = float(np.square(sum(weight * cut_out(frame, box) for weight, frame in four)).mean())
-    found = list[_Place]()
+    side, found = max(round(size), 1), list[_Place]()
+    boxes = [(round(x - 0.5 * size), round(y - 0.5 * size), side, side) for x, y in centres]
+    power = [np.square(alternation(frames[k : k + 4], box)).mean() for k, box in enumerate(boxes)]
     # a header has more than twice the light of data
-    for k in np.argsort(-strength)[: TUNING.n_searched]:
+    for k in np.argsort(-np.array(power))[: TUNING.n_searched]:
         change = _padded(alternation_of(frames[k : k + 4]), pad)
         x, y = frames[k].origin[0] - pad, frames[k].origin[1] - pad
         busy = np.zeros([-(-length // BLOCK_PX) + 1 for length in change.shape], bool)

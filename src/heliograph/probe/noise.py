@@ -7,7 +7,7 @@ the quiet quarter of the blocks of a gray level. Motion and blinking differ from
 pixel to pixel.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -58,32 +58,29 @@ class NoiseEstimate:
 
     Attributes
     ----------
-    gain
+    untold
+        Reason for unknown gain and dark noise; empty if they are known.
+    level
+        Median gray level of the quiet blocks; None if the film has none.
+    deviation
+        Standard deviation of a pixel in quiet blocks in gray levels; None if the film has none.
+    points
+        (groups, 2) gray level and variance of a pixel of each group of quiet blocks, for figures.
+    gain_dn_per_e
         K in gray levels per electron; None if unknown.
     gain_error
         Standard error of the gain; None if unknown.
     dark_e
         Dark noise in electrons; None if unknown.
-    level
-        Median gray level of the quiet blocks; None if the film has none.
-    deviation
-        Standard deviation of a pixel in quiet blocks in gray levels; None if the film has none.
-    untold
-        Reason for unknown gain and dark noise; empty if they are known.
-    points
-        (groups, 2) gray level and variance of a pixel of each group of quiet blocks, for figures.
-    line
-        Variance at gray level 0, and slope; None if unknown.
     """
 
-    gain: float | None
-    gain_error: float | None
-    dark_e: float | None
-    level: float | None
-    deviation: float | None
     untold: Obstacle
+    level: float | None = None
+    deviation: float | None = None
     points: tuple[tuple[float, float], ...] = ()
-    line: tuple[float, float] | None = None
+    gain_dn_per_e: float | None = None
+    gain_error: float | None = None
+    dark_e: float | None = None
 
     def variance_at(self, level: float) -> float | None:
         """Return the variance of a pixel in squared gray levels; None if unknown.
@@ -93,16 +90,9 @@ class NoiseEstimate:
         level
             Mean gray level of the pixel.
         """
-        if self.line is not None:
-            return max(self.line[0] + self.line[1] * level, ROUNDING)
+        if self.gain_dn_per_e is not None and self.dark_e is not None:
+            return self.gain_dn_per_e * level + (self.gain_dn_per_e * self.dark_e) ** 2 + ROUNDING
         return None if self.deviation is None else max(self.deviation**2, ROUNDING)
-
-
-def _unknown(
-    reason: Obstacle, level: float | None = None, deviation: float | None = None,
-    points: tuple[tuple[float, float], ...] = (),
-) -> NoiseEstimate:  # fmt: skip
-    return NoiseEstimate(None, None, None, level, deviation, reason, points)
 
 
 class NoiseWatch:
@@ -127,7 +117,7 @@ class NoiseWatch:
 
     def noise(self, ceiling: int) -> NoiseEstimate:
         """Estimate the noise from the frames so far."""
-        return photon_transfer(np.concatenate(self._blocks), ceiling) if self._blocks else _unknown("few")
+        return photon_transfer(np.concatenate(self._blocks), ceiling) if self._blocks else NoiseEstimate("few")
 
 
 def block_statistics(first: Frame, second: Frame) -> Floats:
@@ -138,15 +128,14 @@ def block_statistics(first: Frame, second: Frame) -> Floats:
     lines = (used[:, None] * BLOCK_PX + np.arange(BLOCK_PX)).ravel()
     a, b = (frame.pixels[lines, : cols * BLOCK_PX].astype(np.float32) for frame in (first, second))
     d, size, pixels = b - a, (cols, len(used)), BLOCK_PX**2
-    mean = cv2.resize(a + b, size, interpolation=cv2.INTER_AREA) / 2
-    squares = cv2.resize(d * d, size, interpolation=cv2.INTER_AREA)
-    shift = cv2.resize(d, size, interpolation=cv2.INTER_AREA)
+    # 2 x 2 pixels minus mean and slopes along rows and columns
+    fine = 0.5 * (d[::2, ::2] - d[::2, 1::2] - d[1::2, ::2] + d[1::2, 1::2])
+    mean, squares, shift, detail = (
+        cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in ((a + b) / 2, d * d, d, fine * fine / 2)
+    )
     variance = (squares - shift**2) * pixels / (pixels - 1) / 2
     shape = len(used), BLOCK_PX, cols, BLOCK_PX
     lowest, highest = np.minimum(a, b).reshape(shape).min((1, 3)), np.maximum(a, b).reshape(shape).max((1, 3))
-    # 2 x 2 pixels minus mean and slopes along rows and columns
-    fine = 0.5 * (d[::2, ::2] - d[::2, 1::2] - d[1::2, ::2] + d[1::2, 1::2])
-    detail = cv2.resize(fine * fine, size, interpolation=cv2.INTER_AREA) / 2
     columns = [part.ravel() for part in (mean, variance, lowest, highest, detail)]
     return np.stack(columns, axis=1).astype(np.float64)
 
@@ -155,32 +144,34 @@ def photon_transfer(blocks: Floats, ceiling: int) -> NoiseEstimate:
     """Estimate gain and dark noise from the blocks of many pairs of frames."""
     exposed = blocks[(blocks[:, 2] > 0) & (blocks[:, 3] < ceiling)]
     if len(exposed) < 2 * TUNING.min_blocks:
-        return _unknown("few")
+        return NoiseEstimate("few")
     if np.mean(exposed[:, 1] < ROUNDING / 2) > TUNING.max_wiped:
         level, variance = np.median(exposed[:, :2], axis=0)
-        return _unknown("wiped", float(level), float(np.sqrt(max(variance, 0.0))))
+        return NoiseEstimate("wiped", float(level), float(np.sqrt(max(variance, 0.0))))
     fine = exposed[exposed[:, 1] <= TUNING.max_coarseness * exposed[:, 4]]
     points, errors = _static_groups(fine, TUNING.group_range * ceiling)
     if not len(points):
-        return _unknown("moving")
-    level, deviation = float(np.median(points[:, 0])), float(np.median(points[:, 1])) ** 0.5
-    kept = tuple((float(x), float(y)) for x, y in points)
+        return NoiseEstimate("moving")
+    level, variance = np.median(points, axis=0)
+    estimate = NoiseEstimate("", float(level), float(variance) ** 0.5, tuple((float(x), float(y)) for x, y in points))
     if len(points) < 2 or float(np.ptp(points[:, 0])) < TUNING.min_range * ceiling:
-        return _unknown("one level", level, deviation, kept)
-    base, slope, slope_error = _fit_line(points, errors)
-    if not (slope > TUNING.min_slope * slope_error and base > 0):
-        return _unknown("no slope", level, deviation, kept)
-    dark_e = max(base - ROUNDING, 0.0) ** 0.5 / slope
-    return NoiseEstimate(slope, slope_error, dark_e, level, deviation, "", kept, (base, slope))
+        return replace(estimate, untold="one level")
+    (slope, base), covariance = np.polyfit(points[:, 0], points[:, 1], 1, w=1 / errors, cov="unscaled")
+    chi_square = float((((points @ (-slope, 1) - base) / errors) ** 2).sum()) / max(len(points) - 2, 1)
+    error = float(covariance[0, 0] * max(chi_square, 1.0)) ** 0.5
+    if not (slope > TUNING.min_slope * error and base > 0):
+        return replace(estimate, untold="no slope")
+    dark_e = float(max(base - ROUNDING, 0.0) ** 0.5 / slope)
+    return replace(estimate, gain_dn_per_e=float(slope), gain_error=error, dark_e=dark_e)
 
 
 def _static_groups(blocks: Floats, max_range: float) -> tuple[Floats, Floats]:
     """Group blocks by gray level; return level and variance (groups, 2) of static groups, and standard errors."""
     blocks = blocks[np.argsort(blocks[:, 0], kind="stable")]
     points, errors = list[tuple[float, float]](), list[float]()
-    level, first = blocks[:, 0], 0
+    first = 0
     while first < len(blocks):
-        end = int(np.searchsorted(level, level[first] + max_range, "right"))
+        end = int(np.searchsorted(blocks[:, 0], blocks[first, 0] + max_range, "right"))
         end = min(first + max(len(blocks) // 16, TUNING.min_blocks), end)
         group, first = blocks[first:end], end
         if len(group) < TUNING.min_blocks:
@@ -194,15 +185,3 @@ def _static_groups(blocks: Floats, max_range: float) -> tuple[Floats, Floats]:
         # the quarter of n variances with the spread 0.18 has the error 1.36 * 0.18 / sqrt(n)
         errors.append(variance * 0.25 / len(group) ** 0.5)
     return np.array(points).reshape(-1, 2), np.array(errors)
-
-
-def _fit_line(points: Floats, errors: Floats) -> tuple[float, float, float]:
-    """Fit a weighted line; return the value at 0, the slope, and the standard error of the slope."""
-    x, y = points.T
-    weight = 1 / errors**2
-    design = np.stack([np.ones_like(x), x], axis=1)
-    normal = design.T @ (weight[:, None] * design)
-    base, slope = np.linalg.solve(normal, design.T @ (weight * y))
-    chi_square = float((weight * (y - base - slope * x) ** 2).sum()) / max(len(x) - 2, 1)
-    error = float(np.linalg.inv(normal)[1, 1] * max(chi_square, 1.0)) ** 0.5
-    return float(base), float(slope), error

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from heliograph.base.files import shown_name
 from heliograph.base.frames import Frame
+from heliograph.base.words import counted
 from heliograph.experiments.plots import BLUE, DARK_GRAY, GRAY, GREEN, ORANGE, RED, tidy
 from heliograph.experiments.report import Report
 from heliograph.probe.activity import Stretch
@@ -18,19 +20,10 @@ from heliograph.probe.causes import RegionReport
 from heliograph.probe.film import Findings
 from heliograph.probe.noise import NoiseEstimate
 from heliograph.probe.regions import alternation
-from heliograph.probe.words import cause_words, lines, noise_words, place, would_be_lines
+from heliograph.probe.words import array_lines, cause_words, film_lines, noise_words, place, size_words, would_be_lines
 from heliograph.receive.geometry.window import Window, cut_out
 
 WIDTH_INCHES = 11.0
-
-
-def _colour(report: RegionReport) -> str:
-    """Colour of a region: green for decoded, orange for decoded with a remedy, red for like an array."""
-    if report.array is not None:
-        return GREEN
-    if report.remedy is not None:
-        return ORANGE
-    return RED if report.like_array else GRAY
 
 
 def frame_picture(stretch: Stretch, reports: Sequence[RegionReport]) -> Figure:
@@ -44,30 +37,29 @@ def frame_picture(stretch: Stretch, reports: Sequence[RegionReport]) -> Figure:
     extent = (left - 0.5, left + cols - 0.5, top + rows - 0.5, top - 0.5)
     axes.imshow(frame.pixels[::step, ::step], cmap="gray", vmin=0, vmax=_white(frame), extent=extent)
     for number, report in enumerate(reports, 1):
-        _mark(axes, report, number, len(stretch.frames), (left, top, cols, rows))
+        _mark(axes, report, number, report.region.box_at(len(stretch.frames) // 2, len(stretch.frames)))
     axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="x (px)", ylabel="y (px)")
     axes.set_title(f"frame {frame.index}", fontsize=10)
     figure.tight_layout()
     return figure
 
 
-def _mark(axes: Axes, report: RegionReport, number: int, frames: int, frame: Window) -> None:
-    """Draw the outline and the label of a region, within the frame."""
-    left, top, cols, rows = frame
-    x, y, width, height = report.region.box_at(frames // 2, frames)
-    pad = max(2.0, 0.006 * cols)
-    x0, x1 = max(x - pad, left), min(x + width - 1 + pad, left + cols - 1)
-    y0, y1 = max(y - pad, top), min(y + height - 1 + pad, top + rows - 1)
-    colour = _colour(report)
+def _mark(axes: Axes, report: RegionReport, number: int, box: Window) -> None:
+    """Draw the outline and the label of a region: green if decoded, orange with a remedy, red if like an array."""
+    like = RED if report.like_array else GRAY
+    colour = GREEN if report.array is not None else ORANGE if report.remedy is not None else like
+    x, y, width, height = box
     for line, paint in ((3.2, "white"), (1.6, colour)):
-        axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=paint, lw=line)
+        outline = Rectangle((x - 2.5, y - 2.5), width + 4, height + 4, fill=False, edgecolor=paint, linewidth=line)
+        axes.add_patch(outline)
     kind = report.causes[0].kind if report.causes else ""
-    name = f"array {report.array.identity}" if report.array is not None else kind
-    is_right, is_upper = x1 > left + 0.85 * cols, y0 < top + 0.15 * rows
+    name = f"array {report.array.packet.identity}" if report.array is not None else kind
+    # the label stays within the frame
+    is_right, is_lower = x > np.mean(axes.get_xlim()), y > np.mean(axes.get_ylim())
     axes.annotate(
-        f"{number}: {name}", (x1, y1 if is_upper else y0), xytext=(-3 if is_right else 3, -3 if is_upper else 3),
-        textcoords="offset points", fontsize=9, color="white", ha="right" if is_right else "left",
-        va="top" if is_upper else "bottom",
+        f"{number}: {name}", (x + width if is_right else x, y if is_lower else y + height),
+        xytext=(-3 if is_right else 3, 6 if is_lower else -6), textcoords="offset points", fontsize=9, color="white",
+        ha="right" if is_right else "left", va="bottom" if is_lower else "top",
         bbox={"boxstyle": "round,pad=0.2", "fc": colour, "ec": "white", "lw": 0.6},
     )  # fmt: skip
 
@@ -77,10 +69,10 @@ def region_picture(stretch: Stretch, report: RegionReport) -> Figure:
     frames, region = stretch.frames, report.region
     count = len(frames)
 
-    def alternating(k: int) -> float:
+    def power(k: int) -> float:
         return float(np.square(alternation(frames[k : k + 4], region.box_at(k + 1.5, count))).mean())
 
-    k = max(range(0, count - 3, max(1, count // 128)), key=alternating)
+    k = max(range(0, count - 3, max(1, count // 128)), key=power)
     window = region.box_at(k + 1.5, count, max(1.8, 24 / region.side))
     first, second = (cut_out(frame, window) for frame in frames[k : k + 2])
     change = alternation(frames[k : k + 4], window)
@@ -98,36 +90,30 @@ def region_picture(stretch: Stretch, report: RegionReport) -> Figure:
         axes.imshow(image, cmap=colours, vmin=low, vmax=max(high, low + 1e-6), interpolation="nearest")
         axes.set_title(title, fontsize=9)
         axes.set_axis_off()
-    _draw_brightness(figure.add_subplot(grid[1, :]), frames, report, k)
-    figure.tight_layout()
-    return figure
-
-
-def _draw_brightness(axes: Axes, frames: Sequence[Frame], report: RegionReport, k: int) -> None:
-    numbers = np.array([frame.index for frame in frames])
-    axes.plot(numbers, report.region.brightness, color=BLUE, lw=0.9, label="mean gray level of the region")
+    axes, numbers = figure.add_subplot(grid[1, :]), np.array([frame.index for frame in frames])
+    axes.plot(numbers, region.brightness, color=BLUE, lw=0.9, label="mean gray level of the region")
     axes.axvspan(numbers[k] - 0.5, numbers[k + 1] + 0.5, color=ORANGE, alpha=0.35, lw=0, label="the frames above")
-    if report.header is not None and report.like_array:
-        step = report.rate.frames if report.rate is not None and report.rate.frames > 1.02 else 1.0
-        for number, start in enumerate(report.header.starts):
-            at = numbers[min(round(start * step), len(numbers) - 1)]
-            axes.axvline(at, color=GREEN, lw=1.1, ls="--", label="a header begins" if number == 0 else None)
+    if report.header is not None and report.header.starts and report.like_array:
+        step = max(report.rate.frames, 1.0) if report.rate is not None else 1.0
+        starts = [numbers[min(round(start * step), count - 1)] for start in report.header.starts]
+        axes.vlines(starts, *axes.get_ylim(), color=GREEN, lw=1.1, ls="--", label="a header begins")
     tidy(axes)
     axes.set(xlabel="frame", ylabel="gray level", xlim=(numbers[0], max(numbers[-1], numbers[0] + 1)))
     axes.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3)
+    figure.tight_layout()
+    return figure
 
 
 def noise_picture(noise: NoiseEstimate) -> Figure:
     """Draw the variance of static pixels against gray level."""
     figure = Figure(figsize=(5.6, 3.4))
     axes = figure.add_subplot()
-    points = np.array(noise.points)
-    axes.plot(points[:, 0], points[:, 1], "o", color=BLUE, ms=4, label="static blocks")
-    if noise.line is not None:
-        x = np.array([0.0, points[:, 0].max()])
-        axes.plot(x, noise.line[0] + noise.line[1] * x, color=DARK_GRAY, lw=1, label="fitted line")
-        axes.set_xlim(left=0)
-    axes.set(xlabel="gray level", ylabel="variance of a pixel", ylim=(0, 1.15 * points[:, 1].max()))
+    levels, variances = np.array(noise.points).T
+    axes.plot(levels, variances, "o", color=BLUE, ms=4, label="static blocks")
+    if noise.gain_dn_per_e is not None:
+        ends = np.array([0.0, levels.max()])
+        axes.plot(ends, [noise.variance_at(level) or 0.0 for level in ends], color=DARK_GRAY, lw=1, label="fitted line")
+    axes.set(xlabel="gray level", ylabel="variance of a pixel", ylim=(0, 1.15 * variances.max()))
     axes.legend(frameon=False, fontsize=8, loc="lower right")
     tidy(axes)
     figure.tight_layout()
@@ -148,7 +134,12 @@ def write_page(path: Path, found: Findings) -> None:
         page.heading("What to change")
         page.table(["advice"], [[line] for line in found.advice], prose=True)
     page.heading("The film")
-    page.code("\n".join(lines(found)))
+    causes = [f"cause: {cause_words(cause)}" for cause in found.causes]
+    rows = [line.partition(": ") for line in (*list(film_lines(found))[1:], *causes)]
+    page.table(["", size_words(found)], [row[::2] for row in rows], prose=True)
+    for array in found.arrays:
+        head, *lines = array_lines(array)
+        page.table([head], [[line.strip()] for line in lines], prose=True)
     if found.stretch is not None:
         page.heading("Where something blinks")
         if found.regions:
@@ -163,12 +154,13 @@ def write_page(path: Path, found: Findings) -> None:
 
 def _verdict(found: Findings) -> str:
     if found.read:
-        names = ", ".join(f"array {array.identity} ({array.orientation})" for array in found.arrays)
+        packets = [array.packet for array in found.arrays]
+        names = ", ".join(f"array {packet.identity} ({packet.orientation})" for packet in packets)
         return f"Read with the settings as they are: {names}."
+    if found.error:
+        return f"No array was read; the receiver reports an error: {found.error}."
     if found.regions:
-        single = "One region blinks or moves"
-        several = f"{found.regions_in_all} regions blink or move" if found.regions_in_all > 1 else single
-        return f"No array was read. {several}; the reasons are below."
+        return f"No array was read. {counted(found.regions_in_all, 'region')} with blinking or motion; reasons below."
     return "No array was read, and no region blinks."
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
@@ -24,10 +23,6 @@ Blocks = NDArray[np.bool_]
 class RegionTuning:
     """Thresholds and limits of regions."""
 
-    # Minimum spots of an array with LEDs far apart
-    min_spots: int = 9
-    # Maximum gap between such spots in sides of a spot: LEDs of the reference link cover a quarter of the pitch
-    max_gap: float = 4.0
     # Maximum rows and columns of pixels per region: larger regions are subsampled
     max_side_px: int = 256
     # Maximum pixels per region over all frames: fewer frames of large regions are used
@@ -99,6 +94,15 @@ class Region:
         """Magnitude of the motion in px per frame."""
         return float(np.hypot(*self.speed))
 
+    @property
+    def is_oblong(self) -> bool:
+        """True for a part of an array, or an oblique view; the limit is an array turned by 42 degrees."""
+        return max(self.width, self.height) > 1.35 * max(min(self.width, self.height), 1.0)
+
+    def is_within(self, other: "Region") -> bool:
+        """Return True if the centre is in another region."""
+        return abs(self.x - other.x) < 0.5 * other.width and abs(self.y - other.y) < 0.5 * other.height
+
     def centre_at(self, frame: float, frames: int) -> tuple[float, float]:
         """Return the centre on the sensor in px at another time.
 
@@ -138,38 +142,16 @@ def regions_of(stretch: Stretch, ceiling: int) -> tuple[list[Region], int]:
     for blocks in groups[:6]:
         region = _measure(stretch, blocks, ceiling)
         # smaller regions are single pixels: hot pixels, or artefacts of compression
-        if region is not None and region.side > 1.5 and not any(_is_within(region, other) for other in regions):
+        if region is not None and region.side > 1.5 and not any(map(region.is_within, regions)):
             regions.append(region)
     return regions, len(groups)
 
 
-def _is_within(region: Region, other: Region) -> bool:
-    return abs(region.x - other.x) < 0.5 * other.width and abs(region.y - other.y) < 0.5 * other.height
-
-
 def group_blocks(busy: Blocks) -> list[Blocks]:
-    """Group adjacent busy blocks, and chains of many similar spots."""
+    """Group adjacent busy blocks, over gaps of up to two blocks."""
     closed = cv2.morphologyEx(busy.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
-    if count <= 1:
-        return []
-    chains = np.arange(count - 1)
-    if TUNING.min_spots <= count - 1 <= 4096:  # the distances of all pairs are computed
-        chains = _chain(stats[1:, :4].astype(float), np.sqrt(stats[1:, cv2.CC_STAT_AREA]))
-    groups = list[Blocks]()
-    for chain in np.unique(chains):
-        spots = np.flatnonzero(chains == chain) + 1
-        groups += [labels == spot for spot in spots] if len(spots) < TUNING.min_spots else [np.isin(labels, spots)]
-    return groups
-
-
-def _chain(boxes: Floats, sizes: Floats) -> NDArray[np.intp]:
-    """Return the chain number (spots,) of spots of similar size near each other."""
-    first, end = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
-    gaps = np.maximum(np.maximum(first[:, None] - end[None], first[None] - end[:, None]), 0.0).max(-1)
-    smaller, larger = np.minimum(sizes[:, None], sizes), np.maximum(sizes[:, None], sizes)
-    linked = (gaps <= TUNING.max_gap * smaller) & (larger <= 2 * smaller)
-    return np.asarray(connected_components(linked, directed=False)[1], np.intp)
+    count, labels = cv2.connectedComponents(closed, connectivity=8)
+    return [labels == number for number in range(1, count)]
 
 
 def _measure(stretch: Stretch, blocks: Blocks, ceiling: int) -> Region | None:
@@ -236,18 +218,16 @@ def _expose(region: Region, frames: Sequence[Frame], ceiling: int) -> Region:
         pixels = subsample(frames[k], region.box_at(k, count), step)
         means[number] = pixels.mean()
         levels += np.bincount(pixels.astype(np.intp).ravel(), minlength=levels.size)
-    half = 0.5 * np.array([region.width, region.height])
-    low = np.array(frames[0].origin)
-    high = low + np.array([cols, rows])
-    centre = np.array([region.x, region.y])
-    inside = (centre - half >= low - 0.5 + TUNING.border_px) & (centre + half <= high - 0.5 - TUNING.border_px)
+    half, low = 0.5 * np.array([region.width, region.height]), np.array(frames[0].origin)
+    high, corners = np.add(low, (cols, rows)), region.corners
+    inside = (corners >= low - 0.5 + TUNING.border_px) & (corners <= high - 0.5 - TUNING.border_px)
     ends = np.array([region.centre_at(0, count), region.centre_at(count - 1, count)])
     margin = half + max(16.0, 0.6 * region.side)
-    x0, y0 = np.maximum(ends.min(0) - margin, low).astype(int).tolist()
-    x1, y1 = np.minimum(ends.max(0) + margin, high).astype(int).tolist()
+    corner = np.maximum(ends.min(0) - margin, low).astype(int)
+    size = np.maximum(np.minimum(ends.max(0) + margin, high).astype(int) - corner, 1)
     return replace(
         region, brightness=np.interp(np.arange(count), used, means), saturated=overexposed_part(levels, ceiling),
-        at_border=not bool(inside.all()), window=(x0, y0, max(x1 - x0, 1), max(y1 - y0, 1)),
+        at_border=not bool(inside.all()), window=(*corner.tolist(), *size.tolist()),
     )  # fmt: skip
 
 

@@ -1,8 +1,7 @@
 """Diagnosis of a filmed screen: number of cells, pattern rate, and causes of a failed reception."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -13,7 +12,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import PRESETS
 from heliograph.probe.activity import LEAST_FRAMES, stretch_of
 from heliograph.probe.arrays import Setup
-from heliograph.probe.causes import Cause, RegionReport, Rule, diagnose
+from heliograph.probe.causes import Cause, RegionMeasures, RegionReport, Rule, diagnose
 from heliograph.probe.levels import Levels
 from heliograph.probe.light import light_rate
 from heliograph.probe.regions import Region, regions_of
@@ -73,60 +72,37 @@ def sharpen_corners(changes: NDArray[np.float32], corners: Floats, factor: int) 
     """Refine corners by the edges of the changes at full resolution."""
     reach = 2.5 * factor + 1
     for _ in range(3):
-        lines = [_edge(changes, corners[k], corners[(k + 1) % 4], corners.mean(0), reach) for k in range(4)]
-        moved = np.array([_crossing(lines[k - 1], lines[k]) for k in range(4)])
-        if not np.isfinite(moved).all() or np.abs(moved - corners).max() > 2 * reach:
+        edges = [_edge(changes, corners[k], corners[(k + 1) % 4], corners.mean(0), reach) for k in range(4)]
+        crossings = np.array([np.cross(edges[k - 1], edges[k]) for k in range(4)])
+        moved = crossings[:, :2] / (crossings[:, 2:] + TINY)
+        if np.abs(moved - corners).max() > 2 * reach:
             return corners
-        is_done = np.abs(moved - corners).max() < 0.1
-        corners = moved
-        if is_done:
+        shift, corners = np.abs(moved - corners).max(), moved
+        if shift < 0.1:
             break
     return corners
 
 
-def _edge(
-    changes: NDArray[np.float32], start: Floats, end: Floats, middle: Floats, reach: float
-) -> tuple[Floats, Floats]:
-    """Fit the edge near a side; return a point and the direction."""
-    length = float(np.linalg.norm(end - start))
-    along = (end - start) / max(length, TINY)
-    out = np.array([along[1], -along[0]])
-    if (start - middle) @ out < 0:
-        out = -out
+def _edge(changes: NDArray[np.float32], start: Floats, end: Floats, middle: Floats, reach: float) -> Floats:
+    """Fit the edge near a side as homogeneous line (a, b, c) with a x + b y + c = 0."""
+    out = np.array([end[1] - start[1], start[0] - end[0]]) / max(float(np.linalg.norm(end - start)), TINY)
+    out *= np.copysign(1.0, (start - middle) @ out)
     across = np.linspace(-reach, reach, 2 * int(4 * reach) + 1)
-    places = np.linspace(0.06, 0.94, 32) * length
-    points = start + places[:, None, None] * along + across[:, None] * out
-    x, y = (np.asarray(points[..., k], np.float32) for k in (0, 1))
-    profiles = np.asarray(cv2.remap(changes, x, y, cv2.INTER_LINEAR), np.float64)
+    base = start + np.linspace(0.06, 0.94, 32)[:, None] * (end - start)
+    points = (base[:, None] + across[:, None] * out).astype(np.float32)
+    profiles = cv2.remap(changes, points[..., 0], points[..., 1], cv2.INTER_LINEAR)
     inside = np.median(profiles[:, : len(across) // 3], axis=1)
     outside = np.median(profiles[:, -len(across) // 4 :], axis=1)
     strong = inside - outside > 0.4 * np.median(inside)
     if strong.sum() < 8:
-        return start, along
+        return np.cross([*start, 1], [*end, 1])
     # a blurred edge is at half the height
     over = profiles > ((inside + outside) / 2)[:, None]
-    last = len(across) - 1 - np.argmax(over[:, ::-1], axis=1)
-    offsets = across[last] + (across[1] - across[0]) / 2
-    weight = strong.astype(float)
-    fit = np.array([np.median(offsets[strong]), 0.0])
-    columns = np.column_stack([np.ones(len(places)), places / length - 0.5])
-    for _ in range(8):
-        far = np.abs(offsets - columns @ fit)
-        # an edge 2 px off counts a quarter
-        w = weight / (1 + (far / 2) ** 2) ** 2
-        fit = np.linalg.lstsq(columns * w[:, None], offsets * w, rcond=None)[0]
-    a, b = (start + s * length * along + (fit[0] + fit[1] * (s - 0.5)) * out for s in (0.0, 1.0))
-    return a, b - a
-
-
-def _crossing(first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> Floats:
-    """Intersect two lines, each a point and a direction."""
-    (p, d), (q, e) = first, second
-    across = d[0] * e[1] - d[1] * e[0]
-    if abs(across) < TINY:
-        return np.full(2, np.nan)
-    t = ((q[0] - p[0]) * e[1] - (q[1] - p[1]) * e[0]) / across
-    return p + t * d
+    offsets = across[len(across) - 1 - np.argmax(over[:, ::-1], axis=1)] + (across[1] - across[0]) / 2
+    edge = (base + offsets[:, None] * out)[strong].astype(np.float32)
+    # an edge 2 px off counts little
+    dx, dy, x, y = cv2.fitLine(edge, cv2.DIST_WELSCH, 2.0, 0.01, 0.01).ravel().astype(np.float64)
+    return np.array([dy, -dx, dx * y - dy * x])
 
 
 # Refresh rates of displays, the most usual first, and the pattern rates of page *Transmit*
@@ -137,21 +113,16 @@ OFFERED_HZ = (1, 2, 5, 10, 15, 20, 30, 60, 120)
 def patterns_per_s(frames: Sequence[Frame]) -> float | None:
     """Return the pattern rate of some frames of 8 bits; None if they show no patterns."""
     # every fourth frame: a pattern of 1 s lasts 30 frames, above the limit of `light_rate`
-    rates = [rate for step in (1, 4) for rate in _region_rates(frames[::step])]
+    rates = []
+    for part in (frames, frames[::4]):
+        if len(part) < LEAST_FRAMES:
+            break
+        stretch, period_s = stretch_of(part), frame_period(np.diff([frame.time_s for frame in part]))
+        for region in regions_of(stretch, 255)[0]:
+            found = light_rate(part, region, float(np.median(stretch.noise)), 255, SLOT_ORDER)
+            if found is not None:
+                rates.append((found.explained, 1 / (found.frames * period_s)))
     return usual(max(rates)[1]) if rates else None
-
-
-def _region_rates(frames: Sequence[Frame]) -> Iterator[tuple[float, float]]:
-    """Yield the explained part and the pattern rate of each region with patterns."""
-    if len(frames) < LEAST_FRAMES:
-        return
-    stretch = stretch_of(frames)
-    regions, _ = regions_of(stretch, 255)
-    period_s = frame_period(np.array([b.time_s - a.time_s for a, b in pairwise(frames)]))
-    for region in regions:
-        found = light_rate(stretch.frames, region, float(np.median(stretch.noise)), 255, SLOT_ORDER)
-        if found is not None:
-            yield found.explained, 1 / (found.frames * period_s)
 
 
 def usual(rate_hz: float) -> float:
@@ -198,34 +169,28 @@ class ScreenTuning:
 TUNING = ScreenTuning()
 
 
-@dataclass(frozen=True)
-class ScreenMeasures:
+@dataclass(frozen=True, kw_only=True)
+class ScreenMeasures(RegionMeasures):
     """Measured values of a screen's array."""
 
     corners: Floats
-    report: RegionReport
-    setup: Setup
     rate_hz: float | None
     cells: int | None
     size: tuple[int, int]
-    full_scale: int
 
     side = property(lambda self: self.setup.signal.side)
-    saturated = property(lambda self: 100 * self.report.region.saturated)
-    percent = property(lambda self: 100 * self.light)
-    blur = property(lambda self: self.report.header.fit.pose.blur / self.report.header.fit.pose.pitch)
     area_px = property(lambda self: _side_px(self.corners))
+    # mean side in px, by a reliable header fit, or by the changing area
+    side_px = property(lambda self: self.header.size_px if self.is_reliable else self.area_px)
     cell_px = property(lambda self: self.side_px / self.side)
-    is_burnt = property(lambda self: self.report.region.saturated > TUNING.saturated)
+    percent = property(lambda self: 100 * self.light)
+    is_burnt = property(lambda self: self.region.saturated > TUNING.saturated)
     is_weak = property(lambda self: self.light < TUNING.light)
-    period_s = property(lambda self: 1 / self.rate_hz)
+    is_bright = property(lambda self: np.mean(self.region.brightness) / self.full_scale > TUNING.glare)
+    # the changing area is larger than the array due to motion of the hand
+    moves = property(lambda self: self.is_reliable and self.side_px < TUNING.motion * self.area_px)
+    pattern_s = property(lambda self: 1 / self.rate_hz)
     frames = property(lambda self: self.setup.rate_hz / self.rate_hz if self.rate_hz else np.inf)
-
-    @property
-    def side_px(self) -> float:
-        """Mean side in px, by a reliable header fit, or by the changing area."""
-        header = self.report.header
-        return header.size_px if header is not None and self.is_reliable else self.area_px
 
     @property
     def slant(self) -> float:
@@ -237,7 +202,7 @@ class ScreenMeasures:
     @property
     def is_reliable(self) -> bool:
         """True if the header's fit gives blur and size of the array."""
-        header = self.report.header
+        header = self.header
         if header is None or header.score < TUNING.header or header.fit.gain > TUNING.header_light * self.full_scale:
             return False
         return self.slant < TUNING.slant and header.size_px < TUNING.size * self.area_px
@@ -245,33 +210,28 @@ class ScreenMeasures:
     @property
     def light(self) -> float:
         """Light over full scale; frames with two patterns show less in the header than in the data."""
-        header = self.report.header
-        gain = header.fit.gain / self.full_scale if header is not None and self.is_reliable else 0.0
-        return max(gain, self.report.region.contrast)
-
-    is_bright = property(lambda self: np.mean(self.report.region.brightness) / self.full_scale > TUNING.glare)
-    # the changing area is larger than the array due to motion of the hand
-    moves = property(lambda self: self.is_reliable and self.side_px < TUNING.motion * self.area_px)
+        gain = self.header.fit.gain / self.full_scale if self.header is not None and self.is_reliable else 0.0
+        return max(gain, self.region.contrast)
 
     @property
     def is_cut(self) -> bool:
         """True if the array is less than a cell from the image's border, which must not change."""
         rim = self.area_px / self.side
         inside = (self.corners > rim) & (self.corners < np.array(self.size) - 1 - rim)
-        return self.report.region.at_border or not bool(inside.all())
+        return self.region.at_border or not bool(inside.all())
 
     @property
     def is_expected_rate(self) -> bool:
         """True if the receiver tries the rate of the patterns."""
-        rate_hz, settings = self.rate_hz or 0.0, self.setup.settings.screen
+        rate_hz = self.rate_hz or 0.0
         is_given = abs(rate_hz * self.setup.signal.pattern_period_s - 1) < TUNING.rate
         is_tried = (1 - TUNING.rate) * ANY_RATES[0] < rate_hz < (1 + TUNING.rate) * ANY_RATES[-1]
-        return is_given or (settings.find_rate and is_tried)
+        return is_given or (self.setup.settings.screen.find_rate and is_tried)
 
 
-BURNT: Rule[ScreenMeasures] = Rule(  # neither outline nor header of the array show
-    "exposure", lambda m: m.is_burnt, "{m.saturated:.0f} % of the patterns are white blots, levels are lost",
-    "lower the brightness of the screen, or the exposure by touching the patterns in the phone's picture",
+BURNT: tuple[Rule[ScreenMeasures], ...] = (  # neither outline nor header of the array show
+    Rule("exposure", lambda m: m.is_burnt, "{m.saturated:.0f} % of the patterns are white blots, levels are lost",
+         "lower the brightness of the screen, or the exposure by touching the patterns in the phone's picture"),
 )  # fmt: skip
 
 SCREEN: tuple[Rule[ScreenMeasures], ...] = (
@@ -304,7 +264,7 @@ SCREEN: tuple[Rule[ScreenMeasures], ...] = (
          "choose fewer patterns a second, or film at more frames a second"),
     Rule("rate", lambda m: m.rate_hz is not None and m.frames >= TUNING.frames and not m.is_expected_rate,
          "the screen shows {m.rate_hz:.3g} patterns a second, a rate out of range",
-         "change the setting: on page Receive, or by --set signal.pattern_period_s={m.period_s:.3g}",
+         "change the setting: on page Receive, or by --set signal.pattern_period_s={m.pattern_s:.3g}",
          "or, for slow motion that plays slower than it was filmed, by --fps RATE"),
 )  # fmt: skip
 """Causes of a visible screen, the most important first."""
@@ -331,22 +291,23 @@ MISSING: tuple[Rule[Levels], ...] = (
 )  # fmt: skip
 """Causes of films with no visible screen."""
 
-SCREEN_FILM = ("lost frames", "repeated frames", "still", "other bits", "short")
-"""Kinds of causes of films for screens, too."""
+
+def screen_film_causes(causes: Sequence[Cause], levels: Levels, is_blank: bool) -> tuple[Cause, ...]:
+    """Return the causes of a film that apply to screens; more if no screen is visible."""
+    kinds = ("lost frames", "repeated frames", "still", "other bits", "short")
+    missing = diagnose(MISSING, levels) if is_blank else ()
+    return (*missing, *(cause for cause in causes if cause.kind in kinds))
 
 
-def regions_in(area: Floats | None, regions: Sequence[Region]) -> list[Region]:
+def regions_in(area: Floats, regions: Sequence[Region]) -> list[Region]:
     """Return the region of the screen, at most one."""
-    if area is None:
-        return []
     (x, y), outline = area.mean(axis=0), area.astype(np.float32)
-
-    def is_inside(region: Region) -> bool:
+    for region in regions:
         # in strong noise only a part of the array may show
         holds = 2 * abs(region.x - x) < region.width and 2 * abs(region.y - y) < region.height
-        return holds or cv2.pointPolygonTest(outline, (region.x, region.y), False) >= 0
-
-    return [region for region in regions if is_inside(region)][:1]
+        if holds or cv2.pointPolygonTest(outline, (region.x, region.y), False) >= 0:
+            return [region]
+    return []
 
 
 def screen_causes(report: RegionReport, area: Floats, frames: Sequence[Frame], setup: Setup) -> tuple[Cause, ...]:
@@ -355,8 +316,11 @@ def screen_causes(report: RegionReport, area: Floats, frames: Sequence[Frame], s
     corners = report.region.corners if _side_px(area) < 0.6 * report.region.side else area
     rate_hz = patterns_per_s(frames) if frames[0].bits == 8 else None
     size, full_scale = (frames[0].pixels.shape[1], frames[0].pixels.shape[0]), frames[0].full_scale
-    measured = ScreenMeasures(corners, report, setup, rate_hz, cells_of_a_side(frames), size, full_scale)
-    return diagnose((BURNT,), measured) or diagnose(SCREEN, measured) or diagnose(UNREAD, measured)
+    measured = ScreenMeasures(
+        setup=setup, full_scale=full_scale, corners=corners, rate_hz=rate_hz, cells=cells_of_a_side(frames), size=size,
+        **vars(report),
+    )  # fmt: skip
+    return diagnose(BURNT, measured) or diagnose(SCREEN, measured) or diagnose(UNREAD, measured)
 
 
 def screen_cause(frames: Sequence[Frame], rate_hz: float) -> Cause | None:

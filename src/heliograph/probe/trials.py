@@ -1,7 +1,7 @@
 """Trials of receivers with estimated settings on the frames of a region, also with the corners of a turned array."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil, floor
 from typing import Any
@@ -14,8 +14,7 @@ from heliograph.base.frames import Frame
 from heliograph.probe.arrays import SLACK, Clock, Setup, Trial, clock_of, run_receiver, search_near
 from heliograph.probe.headers import HeaderMatch
 from heliograph.probe.light import LightRate
-from heliograph.probe.reach import TUNING as REACH
-from heliograph.probe.reach import layer_information
+from heliograph.probe.reach import MAX_PITCH_PX, MAX_SIDE, high_information
 from heliograph.receive import ReceiveSettings
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.noise import Noise
@@ -63,39 +62,35 @@ class Remedy:
     clock: Clock
 
 
-def _try(frames: Sequence[Frame], tried: Setup, changes: Mapping[str, Any], retimed: bool) -> Remedy | None:
-    trial = run_receiver(frames, tried)
-    decoded = trial.decoded
-    return Remedy(trial, changes, retimed, clock_of(decoded, frames, tried.signal)) if decoded else None
-
-
 def find_remedy(
-    frames: Sequence[Frame], setup: Setup, rate: LightRate | None, header: HeaderMatch, noise: Noise, complete: bool
+    frames: Sequence[Frame], setup: Setup, rate: LightRate | None, header: HeaderMatch, noise: Noise, is_square: bool
 ) -> Remedy | None:
-    """Try settings for the header of a region; other numbers of LEDs only if the region is `complete`."""
+    """Try settings for the header of a region; other numbers of LEDs only for a complete, square region."""
     if header.score < TUNING.min_header or setup.signal.header != "m_sequence":
         return None
-    is_retimed, seen = _retimed(frames, setup, rate)
     duration = rate.frames if rate is not None else setup.frames_a_pattern
     form = other_packets(header, setup.signal, duration)
-    packet = _one_packet(seen, header, duration, setup.changed({"signal": form}).signal)
     pose, size = header.fit.pose, header.fit.pose.pitch * setup.signal.side
     sides = list[int]()
-    if complete and header.score >= TUNING.sure_header and not is_blurred(pose):
+    if is_square and header.score >= TUNING.sure_header and not is_blurred(pose):
         sides = [n for n in TUNING.sides if n != setup.signal.side and size / n > TUNING.min_pitch_px]
     # a frame of each pattern may miss a pair of a header: if the period is right, the form may be right too
     as_long = bool(form) and round(header.period / duration) == setup.signal.packet_patterns
     forms = [*([{}] if as_long else []), form, *({**form, "side": side} for side in sides)]
-    for place, signal in itertools.product(_places(frames, setup.settings), forms):
-        for receiver in _receivers(setup.settings, duration):
-            receive = merge(_needed(setup.settings, receiver, header, size, frames[0].full_scale), place)
-            changes = {"signal": signal, "receive": receive}
-            tried = setup.changed(merge(changes, {"receive": {"detect": search_near(size)}}))
-            if not _is_hopeless(header, receiver, noise, tried.signal):
-                remedy = _try(packet, tried, changes, is_retimed)
-                if remedy is not None:
-                    return remedy
-    return None
+    settings, (rows, columns) = setup.settings, frames[0].pixels.shape
+    places: list[dict[str, Any]] = [{}]
+    if settings.detect.corners or settings.detect.region:  # the array may be elsewhere
+        places.append({"detect": {"corners": (), "region": (*frames[0].origin, columns, rows)}})
+    trials = _Trials(frames, setup, rate)
+    packet = _first_packet(frames, header, duration, setup.changed({"signal": form}).signal)
+
+    def candidates() -> Iterator[Mapping[str, Any]]:
+        for place, signal, receiver in itertools.product(places, forms, trials.receivers):
+            if not _is_hopeless(header, receiver, noise, setup.changed({"signal": signal}).signal):
+                receive = _needed(settings, receiver, header, size, frames[0].full_scale)
+                yield {"signal": signal, "receive": merge(receive, place)}
+
+    return trials.find(candidates(), packet, {"receive": {"detect": search_near(size)}})
 
 
 def find_turned_remedy(
@@ -108,14 +103,44 @@ def find_turned_remedy(
     corners, turn, skew = found
     if abs(turn) < TUNING.min_turn_deg and skew < TUNING.min_skew:
         return None
-    is_retimed, seen = _retimed(frames, setup, rate)
-    for receiver in _receivers(setup.settings, rate.frames):
-        receive = {**_other_receiver(setup.settings, receiver), "detect": {"corners": corners, "region": ()}}
-        changes = {"signal": form, "receive": receive}
-        remedy = _try(seen, setup.changed(changes), changes, is_retimed)
-        if remedy is not None:
-            return remedy
-    return None
+    trials = _Trials(frames, setup, rate)
+    place = {"detect": {"corners": corners, "region": ()}}
+    receivers = [{**_other_receiver(setup.settings, receiver), **place} for receiver in trials.receivers]
+    return trials.find({"signal": form, "receive": receive} for receive in receivers)
+
+
+class _Trials:
+    """Receivers on the frames of a region, with time stamps corrected to the duration of a pattern."""
+
+    def __init__(self, frames: Sequence[Frame], setup: Setup, rate: LightRate | None):
+        self._setup, self._frames = setup, frames
+        duration = rate.frames if rate is not None else setup.frames_a_pattern
+        # plain needs a frame per pattern
+        is_stepped = abs(duration - 1) < STEP_TOLERANCE and setup.settings.receiver != "soft"
+        self.receivers = ["plain", "soft"] if is_stepped else ["soft"]
+        self._retimed = rate is not None and abs(rate.frames / setup.frames_a_pattern - 1) > STEP_TOLERANCE
+        if self._retimed:
+            every = max(1, min((b.index - a.index for a, b in itertools.pairwise(frames)), default=1))
+            step_s = setup.signal.pattern_period_s / (1.0 if abs(duration - 1) < STEP_TOLERANCE else duration)
+            numbers = [(frame.index - frames[0].index) / every for frame in frames]
+            self._frames = [
+                replace(frame, index=int(number), time_s=number * step_s)
+                for frame, number in zip(frames, numbers, strict=True)
+            ]
+
+    def find(
+        self,
+        candidates: Iterable[Mapping[str, Any]],
+        part: slice = slice(None),
+        limits: Mapping[str, Any] | None = None,
+    ) -> Remedy | None:
+        """Return the first changes of the settings that decode a part of the frames, with a limited search."""
+        for changes in candidates:
+            frames, setup = self._frames[part], self._setup.changed(merge(changes, limits or {}))
+            trial = run_receiver(frames, setup)
+            if trial.packets:
+                return Remedy(trial, changes, self._retimed, clock_of(trial.packets, frames, setup.signal))
+        return None
 
 
 def is_blurred(pose: Pose) -> bool:
@@ -123,38 +148,16 @@ def is_blurred(pose: Pose) -> bool:
     return pose.blur > max(TUNING.blurred * pose.pitch, TUNING.blurred_px)
 
 
-def _places(frames: Sequence[Frame], settings: ReceiveSettings) -> list[dict[str, Any]]:
-    """Return changes of the search's place: none, and the region's window if the settings name a place."""
-    if not (settings.detect.corners or settings.detect.region):
-        return [{}]
-    rows, columns = frames[0].pixels.shape
-    return [{}, {"detect": {"corners": (), "region": (*frames[0].origin, columns, rows)}}]
-
-
-def _retimed(frames: Sequence[Frame], setup: Setup, rate: LightRate | None) -> tuple[bool, Sequence[Frame]]:
-    """Correct the time stamps if a pattern has another duration in frames than by stamps and settings."""
-    if rate is None or abs(rate.frames / setup.frames_a_pattern - 1) <= STEP_TOLERANCE:
-        return False, frames
-    every = max(1, min((b.index - a.index for a, b in itertools.pairwise(frames)), default=1))
-    step_s = setup.signal.pattern_period_s / (1.0 if abs(rate.frames - 1) < STEP_TOLERANCE else rate.frames)
-    numbers = [frame.index - frames[0].index for frame in frames]
-    return True, [
-        replace(frame, index=number // every, time_s=number / every * step_s)
-        for frame, number in zip(frames, numbers, strict=True)
-    ]
-
-
 def _is_hopeless(header: HeaderMatch, receiver: str, noise: Noise, signal: SignalSettings) -> bool:
     """Return True if size, blur and noise leave too little information even for the high layer."""
     pose = header.fit.pose
     pose = replace(pose, pitch=pose.pitch * header.side / signal.side)
-    if signal.side > REACH.max_side or signal.modulation != "haar":
-        too_large = receiver == "soft" and signal.side > REACH.max_side  # the matrices take minutes
-        return pose.pitch < TUNING.min_unknown_pitch_px or too_large
-    while pose.pitch > REACH.max_pitch_px:
+    if signal.side > MAX_SIDE or signal.modulation != "haar":
+        return pose.pitch < TUNING.min_unknown_pitch_px or (receiver == "soft" and signal.side > MAX_SIDE)
+    while pose.pitch > MAX_PITCH_PX:
         pose = replace(pose, pitch=pose.pitch / 2, blur=pose.blur / 2)
-    information = layer_information(receiver, pose, header.fit.gain, noise, signal)
-    return information["high"] < TUNING.min_information * signal.rate.high
+    information = high_information(receiver, pose, header.fit.gain, noise, signal.side)
+    return information < TUNING.min_information * signal.rate.high
 
 
 def other_packets(header: HeaderMatch, signal: SignalSettings, duration: float) -> dict[str, int]:
@@ -166,16 +169,12 @@ def other_packets(header: HeaderMatch, signal: SignalSettings, duration: float) 
     return {"header_pairs": header.pairs, "data_pairs": patterns // 2 - header.pairs}
 
 
-def _one_packet(
-    frames: Sequence[Frame], header: HeaderMatch, duration: float, signal: SignalSettings
-) -> Sequence[Frame]:
+def _first_packet(frames: Sequence[Frame], header: HeaderMatch, duration: float, signal: SignalSettings) -> slice:
     """Return the frames of the first complete packet and of 8 patterns on both sides; all if no start is known."""
     margin, length = round(8 * duration), round(signal.packet_patterns * duration)
-    for start in header.starts:
-        first = round(start * duration)
-        if first + length <= len(frames):
-            return frames[max(first - margin, 0) : first + length + margin]
-    return frames
+    firsts = (round(start * duration) for start in header.starts)
+    parts = (slice(max(k - margin, 0), k + length + margin) for k in firsts if k + length <= len(frames))
+    return next(parts, slice(None))
 
 
 def _other_receiver(settings: ReceiveSettings, receiver: str) -> dict[str, Any]:
@@ -200,12 +199,6 @@ def _needed(
     if pose.blur > max(2.5 * settings.calibration.blur_px, 0.5 * pose.pitch):
         out["calibration"] = {"blur_px": min(round(pose.blur, 1), 5.0)}
     return out
-
-
-def _receivers(settings: ReceiveSettings, duration: float) -> list[str]:
-    """Return the receivers to try: plain needs a frame per pattern."""
-    stepped = abs(duration - 1) < STEP_TOLERANCE and settings.receiver != "soft"
-    return ["plain", "soft"] if stepped else ["soft"]
 
 
 def options(changes: Mapping[str, Any]) -> tuple[str, ...]:

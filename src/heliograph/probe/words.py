@@ -11,24 +11,13 @@ from heliograph.probe.arrays import ArrayReport, Clock
 from heliograph.probe.causes import Cause, RegionReport
 from heliograph.probe.film import Findings
 from heliograph.probe.noise import NoiseEstimate
-from heliograph.probe.reach import Reach
 from heliograph.probe.trials import options
-
-OBSTACLES = {
-    "one level": "all static parts have about one gray level",
-    "moving": "no part of the image is static",
-    "wiped": "compression has wiped the noise out",
-    "no slope": "the noise is about the same at all gray levels",
-    "few": "too few static parts lie between black and full scale",
-}
-"""Reasons for unknown gain and dark noise."""
+from heliograph.receive.geometry.pose import Pose
 
 
 def lines(found: Findings) -> Iterator[str]:
     """Yield the complete diagnosis line by line."""
-    size = f"{found.width}x{found.height} px, {found.bits} bits"
-    yield f"{printable(found.path)}: {counted(found.times.count, 'frame')} of {size}"
-    yield from _film_lines(found)
+    yield from film_lines(found)
     for array in found.arrays:
         yield from array_lines(array)
     for number, report in enumerate(found.regions, 1):
@@ -64,9 +53,10 @@ def in_sentences(found: Findings) -> Iterator[str]:
         yield f"{cause.kind.capitalize()}: {cause.why}. {remedies}".rstrip()
 
 
-def _film_lines(found: Findings) -> Iterator[str]:
-    """Describe time stamps, light, levels and noise of a film."""
+def film_lines(found: Findings) -> Iterator[str]:
+    """Describe size, time stamps, light, levels and noise of a film, each with a name and a colon."""
     times, levels, rate, setup = found.times, found.levels, found.rate, found.setup
+    yield f"{printable(found.path)}: {size_words(found)}"
     claimed = "" if abs(times.claimed_hz / times.rate_hz - 1) < 1e-3 else f" ({times.claimed_hz:.6g} claimed)"
     every = f", every {times.every}th of the camera's" if times.every > 1 else ""
     jitter = f"jitter {1e6 * times.jitter_s:.1f} us" if times.jitter_s >= 5e-8 else "no jitter"
@@ -85,9 +75,13 @@ def _film_lines(found: Findings) -> Iterator[str]:
         yield f"light: {unknown}"
     parts = [f"{level:.0f} ({'median' if p == 50 else f'{p} %'})" for p, level in levels.percentiles.items()]
     clipped = f"{100 * levels.at_full_scale:.3g} % of the pixels" if levels.at_full_scale else "none"
-    highest = f"{levels.brightest} at most, of {levels.full_scale}"
-    yield f"levels: {', '.join(parts)}, {highest}; {clipped} at full scale"
+    yield f"levels: {', '.join(parts)}, {levels.brightest} at most, of {levels.full_scale}; {clipped} at full scale"
     yield f"noise: {noise_words(found.noise)}"
+
+
+def size_words(found: Findings) -> str:
+    """Describe number and size of the frames."""
+    return f"{counted(found.times.count, 'frame')} of {found.width}x{found.height} px, {found.bits} bits"
 
 
 def place(report: RegionReport) -> str:
@@ -107,28 +101,31 @@ def cause_words(cause: Cause) -> str:
 
 def noise_words(noise: NoiseEstimate) -> str:
     """Describe noise and gain."""
-    if noise.gain is not None and noise.dark_e is not None:
+    if noise.gain_dn_per_e is not None:
         return (
-            f"{noise.gain:.3g} gray levels an electron (standard error {noise.gain_error:.1g}), {noise.dark_e:.0f} "
-            "electrons in the dark, if black is 0"
+            f"{noise.gain_dn_per_e:.3g} gray levels an electron (standard error {noise.gain_error:.1g}), "
+            f"{noise.dark_e:.0f} electrons in the dark, if black is 0"
         )
-    obstacle = OBSTACLES.get(noise.untold, "too few frames")
-    if noise.level is None or noise.deviation is None:
+    obstacle = {
+        "one level": "all static parts have about one gray level",
+        "moving": "no part of the image is static",
+        "wiped": "compression has wiped the noise out",
+        "no slope": "the noise is about the same at all gray levels",
+        "few": "too few static parts lie between black and full scale",
+    }[noise.untold]
+    if noise.level is None:
         return f"unknown: {obstacle}"
     return f"{noise.deviation:.2f} gray levels at level {noise.level:.0f}; the gain is unknown, as {obstacle}"
 
 
 def array_lines(array: ArrayReport) -> Iterator[str]:
     """Describe a decoded array line by line."""
-    away = " to ".join(dict.fromkeys(f"{d:.1f} m" for d in (array.first_distance_m, array.last_distance_m)))
-    frames = f"frames {array.first_frame} to {array.last_frame}"
-    packets = counted(array.packets, "packet")
-    yield f"array {array.identity}: {array.orientation}, {packets}, {frames}, {away} away by the settings' optics"
-    yield (
-        f"  {array.pitch_px:.2f} px from LED to LED, contrast {array.contrast:.2f}, blur {array.blur_px:.2f} px, "
-        f"correlation with the header {array.score:.2f}"
-    )
-    read = (f"{name} {array.ok[name]} of {array.ok[name] + array.failed[name]}" for name in array.ok)
+    packet, tally = array.packet, array.tally
+    away = " to ".join(dict.fromkeys(f"{d:.1f} m" for d in (tally.first_distance_m, tally.last_distance_m)))
+    frames = f"{counted(tally.packets, 'packet')}, frames {tally.first_frame} to {tally.last_frame}"
+    yield f"array {packet.identity}: {packet.orientation}, {frames}, {away} away by the settings' optics"
+    yield f"  {_optics_words(packet.pose, array.contrast)}, correlation with the header {array.score:.2f}"
+    read = (f"{name} {layer.ok} of {layer.ok + layer.failed}" for name, layer in tally.layers.items())
     yield f"  codewords read: {', '.join(read)}"
     if array.clock is not None:
         yield f"  {clock_words(array.clock)}"
@@ -141,8 +138,8 @@ def array_lines(array: ArrayReport) -> Iterator[str]:
         inside = "unknown within, as some are at full scale" if array.clipped else f"{lit} within"
         yield f"  noise of a pixel: {inside}, {dark} outside"
     noise = "the noise outside" if array.clipped else "noise"
-    for reach in array.reach:
-        yield f"  {reach.receiver} expected to read {reach_words(reach)} (an estimate by light, blur and {noise})"
+    for receiver, distances_m in array.reach.items():
+        yield f"  {receiver} expected to read {reach_words(distances_m)} (an estimate by light, blur and {noise})"
 
 
 def would_be_lines(report: RegionReport) -> Iterator[str]:
@@ -150,17 +147,20 @@ def would_be_lines(report: RegionReport) -> Iterator[str]:
     array = report.would_be
     if array is None:
         return
-    size = f"{array.pitch_px:.2f} px from LED to LED"
-    yield f"  as an array: {size}, contrast {array.contrast:.2f}, blur {array.blur_px:.2f} px"
+    yield f"  as an array: {_optics_words(array.pose, array.contrast)}"
     if array.clock is not None:
         yield f"  {clock_words(array.clock)}"
-    for reach in array.reach:
-        yield f"  {reach.receiver} would read {reach_words(reach)} (an estimate by light, noise and blur)"
+    for receiver, distances_m in array.reach.items():
+        yield f"  {receiver} would read {reach_words(distances_m)} (an estimate by light, noise and blur)"
+
+
+def _optics_words(pose: Pose, contrast: float) -> str:
+    return f"{pose.pitch:.2f} px from LED to LED, contrast {contrast:.2f}, blur {pose.blur:.2f} px"
 
 
 def clock_words(clock: Clock) -> str:
     """Describe the clock of the light."""
-    text = f"patterns begin {clock.phase:+.2f} of a pattern after frames"
+    text = f"patterns begin {clock.phase_patterns:+.2f} of a pattern after frames"
     if clock.rate_ppm is None:
         return f"{text}; the rate of the light is unknown"
     longer = "longer" if clock.rate_ppm >= 0 else "shorter"
@@ -168,26 +168,24 @@ def clock_words(clock: Clock) -> str:
     return f"{text}, and last {abs(clock.rate_ppm):.0f} ppm {longer} than in the settings {error}"
 
 
-def reach_words(reach: Reach) -> str:
+def reach_words(distances_m: Mapping[str, float]) -> str:
     """Describe the reach of each layer."""
-    return ", ".join(f"{layer} {_distance(distance_m)}" for layer, distance_m in reach.distance_m.items())
+    return ", ".join(f"{layer} {_end_words(end_m)}" for layer, end_m in distances_m.items())
 
 
-def _distance(distance_m: float) -> str:
-    if not isfinite(distance_m):
+def _end_words(end_m: float) -> str:
+    if not isfinite(end_m):
         return "at all distances"
-    return f"to {distance_m:.0f} m" if distance_m > 0 else "nowhere"
+    return f"to {end_m:.0f} m" if end_m > 0 else "nowhere"
 
 
 def as_mapping(found: Findings) -> dict[str, Any]:
     """Return the diagnosis as plain values for JSON."""
-    noise, rate = found.noise, found.rate
+    rate = found.rate
     return _plain({
         "film": found.path,
         "array_read": found.read,
-        "width": found.width,
-        "height": found.height,
-        "bits": found.bits,
+        **_fields(found, "width", "height", "bits"),
         "frames": asdict(found.times),
         "light": rate and {
             "frames_a_pattern": rate.frames, "explained": rate.explained,
@@ -195,10 +193,7 @@ def as_mapping(found: Findings) -> dict[str, Any]:
             "camera_hz": rate.frames / found.setup.signal.pattern_period_s,
         },
         "levels": asdict(found.levels),
-        "noise": {
-            "gain_dn_per_e": noise.gain, "gain_error": noise.gain_error, "dark_e": noise.dark_e,
-            "level": noise.level, "deviation": noise.deviation, "untold": noise.untold,
-        },
+        "noise": _fields(found.noise, "gain_dn_per_e", "gain_error", "dark_e", "level", "deviation", "untold"),
         "arrays": [_array(array) for array in found.arrays],
         "regions": [_region(report) for report in found.regions],
         "regions_in_all": found.regions_in_all,
@@ -209,47 +204,51 @@ def as_mapping(found: Findings) -> dict[str, Any]:
 
 
 def _array(array: ArrayReport) -> dict[str, Any]:
-    clock, noise = array.clock, array.noise
-    names = (
-        "orientation", "packets", "first_frame", "last_frame", "first_distance_m", "last_distance_m", "x", "y",
-        "pitch_px", "blur_px", "contrast", "score",
-    )  # fmt: skip
+    packet, tally, noise = array.packet, array.tally, array.noise
     return {
-        "id": array.identity,
-        **{name: getattr(array, name) for name in names},
-        "codewords": {name: {"ok": array.ok[name], "failed": array.failed[name]} for name in array.ok},
-        "clock": clock and {
-            "phase_patterns": clock.phase, "rate_ppm": clock.rate_ppm, "rate_error_ppm": clock.rate_error_ppm,
-        },
+        "id": packet.identity,
+        "orientation": str(packet.orientation),
+        **_fields(tally, "packets", "first_frame", "last_frame", "first_distance_m", "last_distance_m"),
+        **_fields(packet.pose, "x", "y"),
+        **_optics(packet.pose, array.contrast),
+        "score": array.score,
+        "codewords": {name: _fields(layer, "ok", "failed") for name, layer in tally.layers.items()},
+        "clock": array.clock and asdict(array.clock),
         "noise": noise and {"lit": None if array.clipped else noise.lit, "dark": noise.dark},
         "exposure_frames": array.exposure,
-        "expected_m": {reach.receiver: reach.distance_m for reach in array.reach},
-    }  # fmt: skip
+        "expected_m": array.reach,
+    }
 
 
 def _region(report: RegionReport) -> dict[str, Any]:
-    region, header, array = report.region, report.header, report.would_be
-    names = ("x", "y", "width", "height", "contrast", "saturated", "blinks", "at_border")
+    header, array = report.header, report.would_be
     return {
-        **{name: getattr(region, name) for name in names},
-        "speed_px": region.speed,
+        **_fields(report.region, "x", "y", "width", "height", "contrast", "saturated", "blinks", "at_border"),
+        "speed_px": report.region.speed,
         "pattern_part": report.pattern_part,
         "frames_a_pattern": report.rate and report.rate.frames,
         "lamp_frames": report.lamp_frames,
         "header": header and {
-            "score": header.score, "size_px": header.size_px, "blur_px": header.fit.pose.blur,
-            "pairs": header.pairs, "period_frames": header.period,
+            **_fields(header, "score", "size_px", "pairs"),
+            "blur_px": header.fit.pose.blur, "period_frames": header.period,
             "may_be": [{"id": number, "orientation": str(seen_as)} for number, seen_as in header.hypotheses],
         },
         "would_be": array and {
-            **{name: getattr(array, name) for name in ("pitch_px", "blur_px", "contrast")},
-            "phase_patterns": array.clock and array.clock.phase,
-            "expected_m": {reach.receiver: reach.distance_m for reach in array.reach},
+            **_optics(array.pose, array.contrast), "phase_patterns": array.clock and array.clock.phase_patterns,
+            "expected_m": array.reach,
         },
-        "array": None if report.array is None else report.array.identity,
+        "array": report.array and report.array.packet.identity,
         "reads_with": report.remedy and options(report.remedy.changes),
         "causes": [asdict(cause) for cause in report.causes],
     }  # fmt: skip
+
+
+def _optics(pose: Pose, contrast: float) -> dict[str, float]:
+    return {"pitch_px": pose.pitch, "blur_px": pose.blur, "contrast": contrast}
+
+
+def _fields(value: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in names}
 
 
 def _plain(value: Any) -> Any:
