@@ -36,7 +36,7 @@ def told_nothing(told: Run) -> str:
 
 def test_probe_describes_a_readable_film(films: Path, call: Call, tmp_path: Path) -> None:
     out = succeeded(call("probe", films / "right.h5", "--output", tmp_path / "seen"))
-    for word in ("1000 frames a second", "array 0: upright", "contrast 0.80", "codewords read: high 1 of 1", "to 62 m"):
+    for word in ("1000 frames a second", "array 0: upright", "contrast 0.80", "codewords read: high 1 of 1", "to 63 m"):
         assert word in out
     assert names(tmp_path / "seen") == ["probe.html"]
 

@@ -84,7 +84,7 @@ class TruthWriter:
                 raise MediaError(f"{path} is a folder: move it away to make room for the truth file")
             path.parent.stat()
             # on the disk above 16 MB, 160,000 frames of an array
-            self._rows = tempfile.SpooledTemporaryFile(1 << 24, dir=path.parent)  # noqa: SIM115 - closed in `finishing`
+            self._rows = tempfile.SpooledTemporaryFile(1 << 24, dir=str(path.parent))  # noqa: SIM115 - closed in `finishing`
 
     def add(self, truth: Truth) -> None:
         """Append a frame."""

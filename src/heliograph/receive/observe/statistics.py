@@ -49,16 +49,10 @@ class PairStatistics:
 
     def scaled(self, weight: float, gain: float = 1.0) -> "PairStatistics":
         """Scale the weights and the light of the LEDs."""
-        return PairStatistics(
-            np.float32(weight * gain**2) * self.gram,
-            weight * gain * self.matched,
-            weight * gain**2 * self.offset,
-            weight * gain * self.cross,
-            weight * gain**2 * self.offset_power,
-            weight * self.power,
-            self.pixels,
-            self.combination,
-        )
+        linear, square = weight * gain, weight * gain**2
+        gram, matched, offset = np.float32(square) * self.gram, linear * self.matched, square * self.offset
+        cross, offset_power, power = linear * self.cross, square * self.offset_power, weight * self.power
+        return PairStatistics(gram, matched, offset, cross, offset_power, power, self.pixels, self.combination)
 
     def plus(self, other: "PairStatistics") -> "PairStatistics":
         """Add the statistics of another observation of the same pattern."""
