@@ -15,7 +15,7 @@ from heliograph.media.live.reader import is_camera
 NAMES = [
     b"caf\xe9", b"\xff\xfe", b"a\nb\tc", b"\x1b[31mred\x7f", b"-x", b" a b ", b"a#b?c=d&e%20", b"100%d", b"%04d",
     b"it's \"q\" `$HOME`", "\N{GRINNING FACE}\u202eabc سلام".encode(), b"[ab]*{x}", b"camera:played", b"file:x",
-    b"a\\b", b"concat:a|b", b"..x.", b"~", b"n" * 251, "試".encode() * 83,
+    b"a\\b", b"concat:a|b", b"..x.", b"~", b"n" * 251, "試".encode() * 83, b"12:30 a%d",
 ]  # fmt: skip
 
 

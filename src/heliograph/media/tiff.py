@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
-from heliograph.media import images
-from heliograph.media.reader import Reading, camera_rate, checked_size
+from heliograph.media import images, planes
+from heliograph.media.reader import Reading, checked_size
 from heliograph.media.stamps import TimedReader
 
 if TYPE_CHECKING:
@@ -35,6 +35,12 @@ SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR, _MOSAIC = 0, 1, 2, 3, 6, 32803
 _SAMPLES = {_WHITE_IS_ZERO: 1, _BLACK_IS_ZERO: 1, _RGB: 3, _PALETTE: 1, _YCBCR: 3, _MOSAIC: 1}
 """Samples of a pixel for gray or colour; further samples may be opacity."""
+
+_TURNS = {
+    2: (False, False, True), 3: (False, True, True), 4: (False, True, False), 5: (True, False, False),
+    6: (True, False, True), 7: (True, True, True), 8: (True, True, False),
+}  # fmt: skip
+"""Parameters of `planes.upright` by the tag Orientation (TIFF 6.0, section 8)."""
 
 _SPLIT = "save one channel, in ImageJ by Image > Color > Split Channels"
 
@@ -174,14 +180,6 @@ def _stored(page: "TiffPage", plane: int) -> NDArray[Any]:
     return np.frombuffer(data, kind.newbyteorder(page.parent.byteorder)).reshape(shape).astype(kind, copy=False)
 
 
-def _upright(levels: Pixels, orientation: int) -> Pixels:
-    """Turn and mirror levels by the tag Orientation (TIFF 6.0, section 8)."""
-    turned: Pixels = levels.T if orientation in (5, 6, 7, 8) else levels
-    turned = turned[:, ::-1] if orientation in (2, 3, 6, 7) else turned
-    turned = turned[::-1] if orientation in (3, 4, 7, 8) else turned
-    return turned.copy() if turned is not levels else levels
-
-
 def is_stack(path: Path) -> bool:
     """True if a TIFF file has more than one frame, and so is a film; False if damaged."""
     try:
@@ -198,26 +196,19 @@ class TiffReader(TimedReader):
     faster = ("HDF5",)
 
     def __init__(self, path: Path, reading: Reading) -> None:
-        super().__init__(path, reading.rate_hz)
-        self._channel = reading.channel
-        self._number_frames(camera_rate(path, reading.rate_hz))
+        super().__init__(path, reading)
+        self._number_frames()
         with _Stack(path) as stack:
             stack.check_axes()
             first, self.bits = stack.first_levels(self._channel)
             self.frame_count = stack.count()
         self.height, self.width = first.shape
-        self.metadata = {}
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         count = 0
         with _Stack(self.path) as stack:
             for page, plane in stack.frames():
-                pixels, bits = stack.levels(page, plane, count, self._channel)
-                if pixels.shape != (self.height, self.width) or bits != self.bits:
-                    got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {bits} bits"
-                    form = f"{self.width}x{self.height} of {self.bits}"
-                    raise MediaError(f"{self.path} has a page of {got} after {count} of {form}: remove it")
-                yield count / self.claimed_hz, pixels, bits
+                yield count / self.claimed_hz, *stack.levels(page, plane, count, self._channel)
                 count += 1
             stack.check_end(count)
 
@@ -312,8 +303,8 @@ class _Stack:
             if _end(page, plane) > self._file.size:
                 raise MediaError(f"{self._path} ends in the middle, after {count} whole frames: copy it again")
             picture = images.checked_form(self._path, _colours(page, _stored(page, plane)))
-            orientation = int(page.tags.valueof("Orientation", default=1))
-            pixels = _upright(images.to_gray(picture, channel), orientation)
+            turn = _TURNS.get(int(page.tags.valueof("Orientation", default=1)), planes.NO_TURN)
+            pixels = planes.upright(images.to_gray(picture, channel), *turn)
             return pixels, _bits(page, pixels, self._stated().bits)
         except MediaError:
             raise

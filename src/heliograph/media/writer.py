@@ -124,12 +124,10 @@ class FilmWriter:
             raise MediaError(
                 f"a film takes heliograph.Frame, not {shown(frame)}; write Frame(index, time_s, pixels, bits)"
             )
-        pixels, spec, dtype = frame.pixels, self.spec, np.dtype(np.uint8 if self.spec.bits == 8 else np.uint16)
+        pixels, spec = frame.pixels, self.spec
         if pixels.shape != (spec.height, spec.width):
             size = f"{pixels.shape[1]}x{pixels.shape[0]}"
             raise MediaError(f"the film is {spec.width}x{spec.height} pixels, the frame is {size}")
-        if pixels.dtype != dtype:
-            raise MediaError(f"a film of {spec.bits} bits takes {dtype} pixels, got {pixels.dtype}")
         if frame.bits != spec.bits:
             raise MediaError(f"the film has {spec.bits} bits, the frame {frame.bits}: they must be the same")
         if spec.bits not in (8, 16) and int(pixels.max()) >> spec.bits:

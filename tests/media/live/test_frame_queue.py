@@ -23,6 +23,8 @@ def test_frames_come_in_their_order() -> None:
     queue.end()
     got = [queue.get(0) for _ in range(5)]
     assert [one and one.index for one in got] == [0, 1, 2, 3, 4]
+    assert len(queue) == 0
+    assert queue.get(0) is None
     assert queue.over
     assert queue.dropped == 0
 
