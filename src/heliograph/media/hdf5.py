@@ -21,7 +21,7 @@ from heliograph.base.frames import BITS, Frame, Pixels
 from heliograph.media.reader import Reading, checked_size, clear_read_errors
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ, FilmSpec
 from heliograph.media.stamps import TimedReader, agrees, check_times
-from heliograph.media.writer import write_error
+from heliograph.media.writer import clear_errors
 
 SUFFIXES = (".h5", ".hdf5")
 """Suffixes of HDF5 films."""
@@ -365,8 +365,9 @@ class Hdf5Sink:
 
         self._target = target
         self._count = 0
-        with self._clear_errors():
+        with clear_errors(target):
             self._disk = PatientFile(partial)
+        with self._clear_errors():
             self._file = h5py.File(self._disk, "w")
             shape, dtype = (spec.height, spec.width), "u1" if spec.bits == 8 else "<u2"
             limits = {"maxshape": (None, *shape), "chunks": (1, *shape)}
@@ -407,9 +408,9 @@ class Hdf5Sink:
 
     @contextmanager
     def _clear_errors(self) -> Iterator[None]:
-        try:
-            yield
-            if self._disk.error is not None:
-                raise self._disk.error
-        except (OSError, RuntimeError) as error:  # HDF5 raises either
-            raise write_error(error, self._target) from error
+        with clear_errors(self._target, RuntimeError):
+            try:
+                yield
+            finally:
+                if self._disk.error is not None:
+                    raise self._disk.error
