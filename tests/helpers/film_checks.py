@@ -1,4 +1,4 @@
-"""Read whole and damaged films."""
+"""Read whole, damaged and live films."""
 
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,8 @@ import pytest
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import open_film
+from heliograph.media.live.grabber import CameraCounts
+from heliograph.media.live.reader import LiveReader
 
 
 def read(path: Path, **options: Any) -> list[Frame]:
@@ -33,3 +35,8 @@ def same(frames: list[Frame], levels: Any) -> bool:
 def starts(frames: list[Frame], levels: Any) -> bool:
     """Return True if the frames have the first levels."""
     return same(frames, levels[: len(frames)])
+
+
+def counts_of(film: LiveReader) -> CameraCounts:
+    assert film.counts is not None
+    return film.counts

@@ -330,7 +330,7 @@ def test_a_rate_that_no_camera_has_is_refused(rate_hz: float, tmp_path: Path) ->
         open_film(tmp_path / "a.mkv", rate_hz=rate_hz)
 
 
-def test_a_folder_without_rights_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_without_rights_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(path: Path) -> bool:
         raise PermissionError(errno.EACCES, "Permission denied")
 

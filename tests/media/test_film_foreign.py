@@ -31,7 +31,7 @@ def test_dashcam_footage(data: Path, name: str, size: tuple[int, int], rate: flo
 
 
 @pytest.mark.real_data
-def test_luma_is_plane_0_and_expands_only_if_asked(data: Path) -> None:
+def test_luma_is_plane_0_and_expands_on_request(data: Path) -> None:
     path = data / "driving" / "day-motorway.mp4"
     with av.open(str(path)) as container:
         luma = next(container.decode(video=0)).to_ndarray()[:540, :960]  # yuv420p: luma rows come first
@@ -139,7 +139,7 @@ def test_raw_h264_has_the_rate_of_its_stream(tmp_path: Path) -> None:
         assert levels == sorted(levels)
 
 
-def test_pictures_alone_of_no_rate_need_one(tmp_path: Path) -> None:
+def test_raw_pictures_without_a_rate_need_one(tmp_path: Path) -> None:
     coded(tmp_path / "a.mjpeg", "mjpeg", "mjpeg", "yuvj420p")
     with pytest.raises(MediaError, match="has no clock: say how many frames a second the camera took, by --fps"):
         open_film(tmp_path / "a.mjpeg")

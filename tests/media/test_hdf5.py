@@ -132,7 +132,7 @@ def filtered(path: Path, number: int, dataset: str = "frames") -> Path:
 
 @pytest.mark.parametrize("dataset", ["frames", "times_s"])
 @pytest.mark.parametrize(("number", "name"), FILTERS)
-def test_a_filter_that_is_not_installed_is_named(
+def test_a_missing_filter_is_named(
     tmp_path: Path, number: int, name: str, dataset: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
@@ -216,7 +216,7 @@ def test_a_system_without_locks_needs_none(tmp_path: Path, number: int, monkeypa
     assert has_all(path)
 
 
-def test_a_cause_that_hdf5_does_not_tell_is_not_made_up(tmp_path: Path) -> None:
+def test_an_unknown_cause_is_reported_as_unknown(tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + b"x" * 1000)
     says = "HDF5 reports only 'bad superblock version number': it may be damaged, or of a newer"
     assert says in refused(tmp_path / "a.h5")[1]

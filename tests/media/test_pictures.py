@@ -71,7 +71,7 @@ def test_equal_colours_are_their_gray_level(tmp_path: Path) -> None:
     assert same(read(write_pictures(tmp_path / "a", np.stack([levels] * 3, axis=-1)), rate_hz=10), levels)
 
 
-def test_without_a_rate_one_line_says_so(tmp_path: Path) -> None:
+def test_a_missing_rate_is_named(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", noise(2, 4, 4, 8))
     folder = write_pictures(tmp_path / "a", noise(2, 4, 4, 8))
     write_tiff(tmp_path / "a.tif", noise(2, 4, 4, 8))
@@ -81,7 +81,7 @@ def test_without_a_rate_one_line_says_so(tmp_path: Path) -> None:
         assert says == f"{path} has no clock: say how many frames a second the camera took, {cure}"
 
 
-def test_folders_that_are_no_film(tmp_path: Path) -> None:
+def test_other_folders_than_films_are_named(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     assert "is a folder without pictures" in refused(tmp_path / "empty")[1]
     write_pictures(tmp_path / "two", noise(2, 4, 4, 8), "%d.png")
@@ -105,7 +105,7 @@ def test_a_damaged_picture_comes_after_those_before(tmp_path: Path, capfd: pytes
     assert capfd.readouterr().err == ""
 
 
-def test_a_picture_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_among_pictures_does_not_block(tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "a", noise(3, 20, 30, 8))
     (folder / "img0002.png").unlink()
     os.mkfifo(folder / "img0002.png")
@@ -183,7 +183,7 @@ def headed(path: Path, header: str) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["()", "('|u1',)", "(('|u1',), (2,))", "'>a2'"])
-def test_arrays_of_kinds_that_are_none(tmp_path: Path, kind: str) -> None:
+def test_arrays_of_invalid_types_are_refused(tmp_path: Path, kind: str) -> None:
     """NumPy raises an IndexError, or warns."""
     path = headed(tmp_path / "a.npy", f"{{'descr': {kind}, 'fortran_order': False, 'shape': (2, 3, 4), }}")
     assert "a.npy" in refused(path)[1]
@@ -208,7 +208,7 @@ def test_a_pattern_selects_one_name_of_a_number(tmp_path: Path) -> None:
         assert same(got, sent)
 
 
-def test_a_stack_in_a_folder_is_not_taken_for_its_first_page(tmp_path: Path) -> None:
+def test_a_stack_among_pictures_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     write_tiff(tmp_path / "a" / "1.tif", noise(3, 6, 10, 8))
     for path in (tmp_path / "a", tmp_path / "a" / "%d.tif"):
@@ -419,6 +419,6 @@ def test_a_cut_animation_is_one_line(tmp_path: Path, name: str, capfd: pytest.Ca
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.webp"])
-def test_an_animation_in_a_folder_is_not_taken_for_its_first_picture(tmp_path: Path, name: str) -> None:
+def test_an_animation_among_pictures_is_refused(tmp_path: Path, name: str) -> None:
     animated(tmp_path / name, noise(6, 16, 24, 8), [20] * 6, "RGB")
     assert f"{name} holds 6 pictures, not one: give the file's name" in refused(tmp_path)[1]

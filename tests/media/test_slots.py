@@ -1,7 +1,6 @@
 """LED driver registers show the written slots; truncated or foreign files raise a one-line error."""
 
-import tracemalloc
-from itertools import islice, repeat
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
-from waiting import run_alone
 
 from heliograph.base.errors import MediaError
 from heliograph.media import open_slots
@@ -192,27 +190,6 @@ def test_a_period_is_rounded_to_ns_and_no_further() -> None:
         SlotForm.of(16, 4, 250.25e-9, 9)
 
 
-@pytest.mark.slow
-def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
-    for kind, (short, long) in run_alone(write_and_trace, tmp_path, (20, 300)).items():
-        assert long < short + 100_000, kind
-
-
-def write_and_trace(folder: Path, counts: tuple[int, ...]) -> dict[str, list[int]]:
-    """Return the peak memory in bytes for writing and reading each number of slots of 512 bytes."""
-    slot, peaks = drawn(64, 1)[0], dict[str, list[int]]()
-    for kind in SUFFIXES:
-        peaks[kind] = []
-        for count in counts:
-            path = folder / f"a{kind}"
-            tracemalloc.start()
-            write_slots(path, repeat(slot, count), SlotForm(64, 4, 250_000, count))
-            assert sum(1 for _ in open_slots(path)) == count
-            peaks[kind].append(tracemalloc.get_traced_memory()[1])
-            tracemalloc.stop()
-    return peaks
-
-
 @given(side=st.integers(1, 8).map(lambda n: 4 * n), count=st.integers(2, 9), slots=st.booleans())
 @examples(20)
 def test_a_table_of_text_is_read_as_it_was_written(
@@ -239,7 +216,7 @@ TABLE = "slot_s," + ",".join(f"led_{u}_{v}" for u in range(4) for v in range(4))
     (TABLE + "0," + "1," * 15 + "1\n0.001," + "1," * 15 + "2\n", "line 3 of .*a.csv is cut or damaged"),
     (TABLE + "0," + "1," * 15 + "1\n" + ("0.001," + "1," * 15 + "1\n") * 2, "line 4 of .*a.csv is late or early"),
 ])  # fmt: skip
-def test_a_table_that_is_none_or_damaged_is_one_line(text: str, says: str, tmp_path: Path) -> None:
+def test_a_foreign_or_damaged_table_is_one_line(text: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(MediaError, match=says):
         list(open_slots(tmp_path / "a.csv"))

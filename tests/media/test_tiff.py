@@ -47,7 +47,7 @@ def test_stacks_of_opencv_are_read(tmp_path: Path, compression: int, bits: int) 
         assert film.frame_count == 7
 
 
-def test_a_page_costs_the_same_wherever_it_stands(tmp_path: Path) -> None:
+def test_late_pages_cost_no_more_than_early_pages(tmp_path: Path) -> None:
     """Reading a compressed stack does not restart at its first page for each frame."""
     path = by_opencv(tmp_path / "a.tif", noise(300, 8, 8, 8), 5)
     with open_film(path, rate_hz=10) as film:
@@ -293,7 +293,7 @@ def test_packed_levels_in_a_compression_are_read(tmp_path: Path, bits: int) -> N
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.int16, np.uint32, np.complex64])
-def test_numbers_that_are_no_levels_are_named(tmp_path: Path, kind: Any) -> None:
+def test_other_numbers_than_levels_are_named(tmp_path: Path, kind: Any) -> None:
     says = refused(write(tmp_path / "a.tif", np.zeros((2, 8, 8), kind)))[1]
     assert f"pixels of {np.dtype(kind)} in 1 channels: save gray or RGB of 8 or 16 bits" in says
 

@@ -7,7 +7,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from film_checks import refused
+from film_checks import read, refused
 from made_recordings import Y4M_FORMS, noise, write_y4m
 
 from heliograph.base.errors import MediaError
@@ -130,20 +130,21 @@ def test_mirrored_videos_are_put_upright(tmp_path: Path, flip: str, expected: li
         assert quarters(next(iter(seen)).pixels) == expected
 
 
-@pytest.mark.parametrize(("channel", "expected"), [
-    ("red", [[255, 0], [0, 90]]), ("green", [[0, 255], [0, 90]]), ("blue", [[0, 0], [255, 90]]),
-    ("luma", [[76, 150], [29, 90]]),  # Rec. 601: 0.299, 0.587 and 0.114 of 255
-])  # fmt: skip
+CHANNELS = {
+    "red": [[255, 0], [0, 90]], "green": [[0, 255], [0, 90]], "blue": [[0, 0], [255, 90]],
+    "luma": [[76, 150], [29, 90]],  # Rec. 601: 0.299, 0.587 and 0.114 of 255
+}  # fmt: skip
+"""Levels of the quadrants of `coded`."""
+
+
 @pytest.mark.parametrize(("pixel_format", "codec", "tolerance"), [
     ("bgr0", "ffv1", 1), ("bgra", "ffv1", 1), ("yuv444p", "ffv1", 2), ("yuv420p", "mpeg4", 8),
 ])  # fmt: skip
-def test_a_channel_of_colours(
-    tmp_path: Path, pixel_format: str, codec: str, tolerance: int, channel: str, expected: list[list[int]]
-) -> None:
+def test_a_channel_of_colours(tmp_path: Path, pixel_format: str, codec: str, tolerance: int) -> None:
     path = coded(tmp_path / "a.mkv", pixel_format, codec=codec)
-    with open_film(path, channel=channel, expand_range=True) as seen:
-        got = quarters(next(iter(seen)).pixels)
-    assert np.abs(np.subtract(got, expected)).max() <= tolerance
+    for channel, expected in CHANNELS.items():
+        got = quarters(read(path, channel=channel, expand_range=True)[0].pixels)
+        assert np.abs(np.subtract(got, expected)).max() <= tolerance
 
 
 def test_colours_by_the_matrix_that_the_file_states() -> None:
