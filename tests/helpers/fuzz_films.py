@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import tifffile
 from made_recordings import noise, write_cine, write_mraw, write_tiff, write_y4m
 
 from heliograph.base.frames import Frame
@@ -142,10 +143,11 @@ def foreign(folder: Path) -> dict[str, list[bytes]]:
     colours = noise(3, 6, 24, 8).reshape(3, 6, 8, 3)
     cines.append(write_cine(path, list(colours), 24, 8, times_s, settings=SETTINGS_BYTES).read_bytes())
     stacks = [
-        write_tiff(path, noise(3, 6, 8, bits), byteorder=order, bigtiff=big).read_bytes()
+        write_tiff(path, noise(3, 6, 8, bits), order, big).read_bytes()
         for bits, order, big in ((8, "<", False), (16, ">", False), (16, "<", True))
     ]
-    stacks.append(write_tiff(path, noise(4, 6, 10, 16), imagej=True, truncate=True, metadata={}).read_bytes())
+    tifffile.imwrite(path, noise(4, 6, 10, 16), imagej=True, truncate=True)
+    stacks.append(path.read_bytes())
     cv2.imwritemulti(str(folder / "c.tif"), list(noise(3, 16, 24, 8)))  # compressed
     stacks.append((folder / "c.tif").read_bytes())
     raw = [write_y4m(path, form).read_bytes() for form in ("mono", "420jpeg", "420p10")]

@@ -117,10 +117,12 @@ def write_pictures(folder: Path, levels: Levels, name: str = "img%04d.png", firs
     return folder
 
 
-def write_tiff(path: Path, levels: Levels, **options: Any) -> Path:
-    """Write a TIFF stack with two strips per page."""
-    rows = max(1, levels.shape[1] // 2)
-    tifffile.imwrite(path, levels, **{"rowsperstrip": rows, "metadata": None, "photometric": "minisblack", **options})
+def write_tiff(path: Path, levels: Levels, order: Any = "<", big: bool = False, **options: Any) -> Path:
+    """Write a TIFF stack page by page, with two strips per page."""
+    form = {"rowsperstrip": max(1, levels.shape[1] // 2), "metadata": None, "photometric": "minisblack", **options}
+    with tifffile.TiffWriter(path, byteorder=order, bigtiff=big) as stack:
+        for picture in levels:
+            stack.write(picture, contiguous=False, **form)
     return path
 
 

@@ -31,7 +31,7 @@ def by_opencv(path: Path, levels: Levels, compression: int) -> Path:
 @pytest.mark.parametrize(("bits", "order", "big"), [(8, "<", False), (16, ">", False), (16, "<", True)])
 def test_pages_of_either_byte_order(tmp_path: Path, bits: int, order: str, big: bool) -> None:
     levels = noise(5, 6, 10, bits)
-    with open_film(write_tiff(tmp_path / "a.bin", levels, byteorder=order, bigtiff=big), rate_hz=500) as film:
+    with open_film(write_tiff(tmp_path / "a.bin", levels, order, big), rate_hz=500) as film:
         got = list(film)
         assert (film.width, film.height, film.bits, film.rate_hz, film.frame_count) == (10, 6, bits, 500, 5)
     assert same(got, levels)
