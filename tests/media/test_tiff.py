@@ -184,6 +184,16 @@ def test_a_cut_stack_of_any_layout_gives_its_whole_frames(tmp_path: Path, kind: 
     assert f"ends in the middle, after {len(got)} whole frames: copy it again" in says
 
 
+def test_a_stack_cut_before_the_second_directory_is_an_error(tmp_path: Path) -> None:
+    """tifffile writes the other directories behind all pixels."""
+    levels = noise(9, 20, 30, 8)
+    path = write(tmp_path / "a.tif", levels, metadata=None)
+    os.truncate(path, path.stat().st_size * 2 // 3)
+    got, says = refused(path)
+    assert same(got, levels[:1])
+    assert "ends in the middle, after 1 whole frames" in says
+
+
 @pytest.mark.parametrize(("shape", "options", "says"), [
     ((5, 2, 8, 8), {"imagej": True, "metadata": {"axes": "TCYX"}}, "several channels (channels=2, frames=5 in its"),
     ((2, 8, 8), {"imagej": True}, "several channels (channels=2 in its"),

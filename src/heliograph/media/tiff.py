@@ -307,9 +307,8 @@ class _Stack:
     def _stated(self) -> Description:
         """Return the description of the first page."""
         if self._description is None:
-            page = next(self._pages(), None)
-            self._description = Description() if page is None else read_description(page)
-        return self._description
+            next(self._pages(), None)
+        return self._description or Description()
 
     def _directories(self) -> Iterator[int]:
         """Yield the place of each page's directory; tifffile hides the reason for the end of the chain."""
@@ -343,6 +342,8 @@ class _Stack:
             try:
                 page = tifffile.TiffPage(self._tif, index=number)
                 is_reduced = int(page.subfiletype) & 1  # TIFF 6.0, section 8
+                if self._description is None and not is_reduced:
+                    self._description = read_description(page)
             except (OSError, *self._errors):
                 self._ending = "is damaged"
                 return
