@@ -7,7 +7,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from made_recordings import noise, write_cine, write_imagej, write_mraw, write_tiff, write_y4m
+import tifffile
+from made_recordings import noise, write_cine, write_mraw, write_tiff, write_y4m
 
 from heliograph.base.frames import Frame
 from heliograph.link.truth import noted_signal
@@ -145,7 +146,8 @@ def foreign(folder: Path) -> dict[str, list[bytes]]:
         write_tiff(path, noise(3, 6, 8, bits), order, big).read_bytes()
         for bits, order, big in ((8, "<", False), (16, ">", False), (16, "<", True))
     ]
-    stacks.append(write_imagej(path, noise(4, 6, 10, 16), b"ImageJ=1.54f\nimages=4\nslices=4\n").read_bytes())
+    tifffile.imwrite(path, noise(4, 6, 10, 16), imagej=True, truncate=True)
+    stacks.append(path.read_bytes())
     cv2.imwritemulti(str(folder / "c.tif"), list(noise(3, 16, 24, 8)))  # compressed
     stacks.append((folder / "c.tif").read_bytes())
     raw = [write_y4m(path, form).read_bytes() for form in ("mono", "420jpeg", "420p10")]

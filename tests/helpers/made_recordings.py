@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import tifffile
 from numpy.typing import NDArray
 
 Levels = NDArray[Any]
@@ -116,53 +117,12 @@ def write_pictures(folder: Path, levels: Levels, name: str = "img%04d.png", firs
     return folder
 
 
-def write_tiff(path: Path, levels: Levels, order: str = "<", big: bool = False) -> Path:
-    """Write an uncompressed TIFF stack with two strips per page."""
-    place, offset = ("Q", 16) if big else ("I", 8)
-    head = (b"II" if order == "<" else b"MM") + struct.pack(f"{order}H", 43 if big else 42)
-    out = bytearray(head + (struct.pack(f"{order}HHQ", 8, 0, offset) if big else struct.pack(f"{order}I", offset)))
-    room = struct.calcsize(f"={place}")
-    for number, picture in enumerate(levels):
-        rows, columns = picture.shape
-        half = rows // 2
-        strips = [picture[:half].astype(picture.dtype.newbyteorder(order)).tobytes(),
-                  picture[half:].astype(picture.dtype.newbyteorder(order)).tobytes()]  # fmt: skip
-        tags: list[tuple[int, int, list[int]]] = [
-            (256, 4, [columns]), (257, 4, [rows]), (258, 3, [8 * picture.itemsize]), (259, 3, [1]), (262, 3, [1]),
-            (273, 4, []), (277, 3, [1]), (278, 4, [half]), (279, 4, [len(strip) for strip in strips])]  # fmt: skip
-        start = len(out)
-        entries = struct.calcsize(f"={'Q' if big else 'H'}") + len(tags) * (4 + 2 * room) + room
-        data = start + entries + 16
-        tags[5][2][:] = [data, data + len(strips[0])]
-        out += struct.pack(order + ("Q" if big else "H"), len(tags))
-        outside, far = bytearray(), start + entries
-        for tag, kind, numbers in tags:
-            packed_numbers = struct.pack(f"{order}{len(numbers)}{'H' if kind == 3 else 'I'}", *numbers)
-            if len(packed_numbers) > room:
-                held = struct.pack(f"{order}{place}", far + len(outside))
-                outside += packed_numbers
-            else:
-                held = packed_numbers.ljust(room, b"\0")
-            out += struct.pack(f"{order}HH{place}", tag, kind, len(numbers)) + held
-        end = data + sum(map(len, strips))
-        out += struct.pack(order + place, end if number + 1 < len(levels) else 0)
-        out += outside.ljust(16, b"\0") + b"".join(strips)
-    path.write_bytes(out)
-    return path
-
-
-def write_imagej(path: Path, levels: Levels, description: bytes) -> Path:
-    """Write a one-page ImageJ stack; the remaining pictures follow the page."""
-    rows, columns = levels.shape[1:]
-    data = 8 + 2 + 9 * 12 + 4 + 64
-    tags = [(256, 4, 1, columns), (257, 4, 1, rows), (258, 3, 1, 16), (259, 3, 1, 1), (262, 3, 1, 1),
-            (270, 2, len(description), data - 64), (273, 4, 1, data), (277, 3, 1, 1),
-            (279, 4, 1, 2 * rows * columns)]  # fmt: skip
-    entries = b"".join(
-        struct.pack(">HHI", *tag[:3]) + struct.pack(">I" if tag[1] != 3 else ">H2x", tag[3]) for tag in tags
-    )
-    head = b"MM\0*" + struct.pack(">IH", 8, 9) + entries + bytes(4) + description.ljust(64, b"\0")
-    path.write_bytes(head + levels.astype(">u2").tobytes())
+def write_tiff(path: Path, levels: Levels, order: Any = "<", big: bool = False, **options: Any) -> Path:
+    """Write a TIFF stack page by page, with two strips per page."""
+    form = {"rowsperstrip": max(1, levels.shape[1] // 2), "metadata": None, "photometric": "minisblack", **options}
+    with tifffile.TiffWriter(path, byteorder=order, bigtiff=big) as stack:
+        for picture in levels:
+            stack.write(picture, contiguous=False, **form)
     return path
 
 

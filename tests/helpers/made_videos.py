@@ -81,24 +81,11 @@ def write_avi(
     count, rows, columns = frames.shape
     bits, line = 8 * frames.itemsize, (columns * frames.itemsize + 3) // 4 * 4
     colours = b"" if palette is None else np.pad(palette, ((0, 0), (0, 1))).astype(np.uint8).tobytes()
-    form = struct.pack(
-        "<IiiHH4sIiiII",
-        40,
-        columns,
-        rows if upwards else -rows,
-        1,
-        bits,
-        fourcc,
-        line * rows,
-        0,
-        0,
-        len(colours) // 4,
-        0,
-    )
+    form = struct.pack("<IiiHH4sIiiII", 40, columns, rows if upwards else -rows, 1, bits, fourcc, line * rows, 0, 0,
+                       len(colours) // 4, 0)  # fmt: skip
     main = struct.pack("<14I", 1000, 0, 0, 0x10, count, 0, 1, line * rows, columns, rows, 0, 0, 0, 0)
-    stream = struct.pack(
-        "<4s4s10I4h", b"vids", b"DIB ", 0, 0, 0, 1, 1000, 0, count, line * rows, 0, 0, 0, 0, columns, rows
-    )
+    stream = struct.pack("<4s4s10I4h", b"vids", b"DIB ", 0, 0, 0, 1, 1000, 0, count, line * rows, 0, 0, 0, 0,
+                         columns, rows)  # fmt: skip
     lines = [np.ascontiguousarray(frame[:: -1 if upwards else 1]).view(np.uint8) for frame in frames]
     pictures = [_chunk(b"00db", np.pad(one, ((0, 0), (0, line - one.shape[1]))).tobytes()) for one in lines]
     heads = _chunk(b"avih", main) + _list(b"strl", _chunk(b"strh", stream) + _chunk(b"strf", form + colours))

@@ -8,6 +8,7 @@ import signal
 import warnings
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -68,13 +69,20 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
     return bytes(out) if rng.random() < 0.97 else bytes(out[: rng.randrange(len(out) + 1)])
 
 
-def slots_parser(suffix: str) -> Parser:
-    def read(data: bytes, folder: Path) -> object:
+def of_file(suffix: str, read: Callable[[Path], object]) -> Parser:
+    """Return a parser of files."""
+
+    def parse(data: bytes, folder: Path) -> object:
         path = folder / f"a{suffix}"
         path.write_bytes(data)
-        return list(open_slots(path))
+        return read(path)
 
-    return read
+    return parse
+
+
+def of_text(read: Callable[[str], object]) -> Parser:
+    """Return a parser of texts."""
+    return lambda data, _: read(data.decode(errors="replace"))
 
 
 def read_truth(data: bytes, folder: Path) -> object:
@@ -97,33 +105,18 @@ def packed(data: bytes) -> bytes:
     return out.getvalue()
 
 
-def read_trace(data: bytes, folder: Path) -> object:
-    path = folder / "a.csv"
-    path.write_bytes(data)
-    return load_imu(path)
-
-
-def read_settings(data: bytes, _: Path) -> object:
-    return load_settings("paper", parse_toml(data.decode(errors="replace")))
-
-
-def read_assignment(data: bytes, _: Path) -> object:
-    text = data.decode(errors="replace")
+def read_assignment(text: str) -> object:
     parse_assignment(text)
     return load_settings("static", None, [text])
 
 
-def read_vary(data: bytes, _: Path) -> object:
-    key, values = parse_vary(data.decode(errors="replace"))
+def read_vary(text: str) -> object:
+    key, values = parse_vary(text)
     return grid({key: values})
 
 
-def read_record(data: bytes, _: Path) -> object:
-    return FilmRecord.loads(data.decode(errors="replace"))
-
-
-def read_note(data: bytes, _: Path) -> object:
-    film: Any = argparse.Namespace(metadata={"heliograph_signal": data.decode(errors="replace")})
+def read_note(text: str) -> object:
+    film: Any = argparse.Namespace(metadata={"heliograph_signal": text})
     return noted_signal(film)
 
 
@@ -154,7 +147,10 @@ def seeds(folder: Path) -> Seeds:
     found |= film_seeds(folder, note)
     for suffix in SUFFIXES:
         write_slots(folder / f"c{suffix}", slots, SlotForm(8, 4, 250_000, len(slots)))
-        found[f"slots{suffix}"] = (slots_parser(suffix), [(folder / f"c{suffix}").read_bytes()])
+        found[f"slots{suffix}"] = (
+            of_file(suffix, lambda path: list(open_slots(path))),
+            [(folder / f"c{suffix}").read_bytes()],
+        )
     trees = [to_toml(to_mapping(load_settings(name))).encode() for name in ("paper", "two-arrays")]
     keys = [b"channel.distance_m=60", b"channel.arrays.0.x_m=1.5", b"signal.rate.high=1/2",
             b"receive.receiver='soft'",
@@ -164,12 +160,12 @@ def seeds(folder: Path) -> Seeds:
     rows = [b"t_s,gyro_fwd_rad_s,gyro_right,gyro_down,speed_m_s"] + [b"%f,0,0.1,0,8" % (k / 50) for k in range(40)]
     block = pack(Block("high", 3, 1, 0, 4, b"kept"), 8 * 40)
     return found | {
-        "trace": (read_trace, [b"\n".join(rows)]),
-        "settings": (read_settings, trees),
-        "set": (read_assignment, keys),
-        "vary": (read_vary, ranges),
-        "record": (read_record, [record.dumps().encode()]),
-        "note": (read_note, [note.encode()]),
+        "trace": (of_file(".csv", load_imu), [b"\n".join(rows)]),
+        "settings": (of_text(lambda text: load_settings("paper", parse_toml(text))), trees),
+        "set": (of_text(read_assignment), keys),
+        "vary": (of_text(read_vary), ranges),
+        "record": (of_text(FilmRecord.loads), [record.dumps().encode()]),
+        "note": (of_text(read_note), [note.encode()]),
         "block": (read_block, [np.packbits(block).tobytes()[:-4]]),
         "road": (read_road, [bytes.fromhex(one) for one in ROAD]),
     }

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import logging
 import random
 import tempfile
 from collections import Counter
@@ -15,6 +16,7 @@ from parser_fuzz import mutated
 
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
+from heliograph.web.crashes import LOG
 from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Access
 from heliograph.web.sending import sending_of
@@ -272,10 +274,23 @@ async def fuzz_films(app: FastAPI, cases: int, rng: random.Random) -> Counter[st
     return found
 
 
+class Crashes(logging.Handler):
+    """Count the tracebacks that the server logs: pages learn of a crash in the same way as of a damaged film."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self.found: Counter[str] = Counter()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.found[record.getMessage()[:300]] += 1
+
+
 async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
-    """Run cases with requests, messages and damaged films; fail on leftovers from aborted cases."""
+    """Run cases with requests, messages and damaged films; fail on crashes, and on leftovers from aborted cases."""
     app, films = served(), round(cases * FILM_PART)
     part = (cases - films) // 3
+    crashes = Crashes()
+    LOG.addHandler(crashes)
     async with app.router.lifespan_context(app):
         found = {
             "requests": await fuzz_requests(app, part, random.Random(f"requests {seed}")),
@@ -289,7 +304,8 @@ async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
         many = len(kept) > LIMITS.films + 2 * LIMITS.sessions
         if left or many or shared.sessions.taken:
             found["left over"] = Counter({f"{len(left)} files, {app.state.shared.sessions.taken} sessions": 1})
-    return found
+    LOG.removeHandler(crashes)
+    return {**found, "crashes": crashes.found}
 
 
 GOOD = ("2xx", "3xx", "4xx", "5xx", "ended", "let go", "end", "failed")

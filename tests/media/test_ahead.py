@@ -5,7 +5,6 @@ import time
 from collections.abc import Generator
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from waiting import wait_until
@@ -44,7 +43,7 @@ def test_frames_keep_their_order() -> None:
     assert not readers()
 
 
-def test_few_frames_wait() -> None:
+def test_at_most_ten_frames_are_read_ahead() -> None:
     source = Source(100)
     frames = read_ahead(source.frames())
     assert next(frames).index == 0
@@ -81,7 +80,7 @@ def test_ctrl_c_ends_the_thread() -> None:
     assert not readers()
 
 
-def test_nothing_is_read_before_a_frame_is_asked_for() -> None:
+def test_reading_starts_with_the_first_request() -> None:
     source = Source(5)
     read_ahead(source.frames())
     assert source.made == 0
@@ -105,19 +104,3 @@ def test_a_film_left_early_is_closed(tmp_path: Path, suffix: str) -> None:
         first: FilmReader = read
         next(iter(first))
     assert not readers()
-
-
-@pytest.mark.parametrize("options", [{}, {"chunks": (7, 32, 48)}, {"chunks": (1, 16, 48)}, {"compression": "gzip"}])
-@pytest.mark.parametrize("dtype", ["u1", "<u2"])
-def test_hdf5_of_any_layout(tmp_path: Path, options: dict[str, object], dtype: str) -> None:
-    """Films from other software; frames 4 to 9 are unwritten."""
-    levels = np.random.default_rng(0).integers(0, 256, (20, 32, 48)).astype(dtype)
-    levels[4:10] = 3
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        frames = file.create_dataset("frames", levels.shape, dtype, fillvalue=3, **{"chunks": (1, 32, 48), **options})
-        frames[:4], frames[10:] = levels[:4], levels[10:]
-        file["times_s"] = np.arange(20) / 1000
-    with open_film(tmp_path / "a.h5") as read:
-        got = list(read)
-    assert all(np.array_equal(one.pixels, sent) for one, sent in zip(got, levels, strict=True))
-    assert not any(one.pixels.flags.writeable for one in got)

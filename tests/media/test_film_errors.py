@@ -10,10 +10,11 @@ import av
 import h5py
 import numpy as np
 import pytest
+from film_checks import read, refused, same, starts
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.media import FilmWriter, create_film, open_film, planes, whole
+from heliograph.media import FilmWriter, create_film, open_film, whole
 
 W, H = 64, 32
 ALL = [".nut", ".mkv", ".mp4", ".avi", ".h5"]
@@ -39,19 +40,6 @@ def write_frames(film: FilmWriter, count: int) -> None:
         film.write(frame(index))
 
 
-def write_at(film: FilmWriter, times: list[float]) -> None:
-    for time_s in times:
-        film.write(Frame(0, time_s, np.zeros((H, W), np.uint8)))
-
-
-def read_until_error(path: Path) -> tuple[list[Frame], str]:
-    frames: list[Frame] = []
-    with pytest.raises(MediaError) as caught, open_film(path) as film:
-        frames.extend(film)  # keeps frames before the error
-    assert "\n" not in str(caught.value)
-    return frames, str(caught.value)
-
-
 def test_missing_folder_text_and_empty(tmp_path: Path) -> None:
     (tmp_path / "text.mkv").write_text("Dear film,\nthis is a letter.\n" * 40)
     (tmp_path / "text.txt").write_text("Dear film,\nthis is a letter.\n" * 40)
@@ -65,7 +53,7 @@ def test_missing_folder_text_and_empty(tmp_path: Path) -> None:
         "text.h5": "not a readable HDF5 file",
         "empty.mp4": "is empty",
     }.items():
-        frames, message = read_until_error(tmp_path / name)
+        frames, message = refused(tmp_path / name)
         assert not frames
         assert says in message
 
@@ -74,19 +62,18 @@ def test_missing_folder_text_and_empty(tmp_path: Path) -> None:
     (".mkv", "ffv1", 10), (".mkv", "h264", 10), (".mkv", "mjpeg", 10),
     (".nut", "ffv1", 10), (".nut", "h264", 10), (".avi", None, 10), (".mp4", None, 0), (".h5", None, 0),
 ])  # fmt: skip
-@pytest.mark.parametrize("kept", [0.7, 0.731, 0.76])
-def test_a_cut_film_gives_its_whole_frames_first(
-    tmp_path: Path, suffix: str, codec: str | None, least: int, kept: float
-) -> None:
+def test_a_cut_film_gives_its_whole_frames_first(tmp_path: Path, suffix: str, codec: str | None, least: int) -> None:
     path = film_of(tmp_path / f"a{suffix}", codec=codec)
-    whole_film = [f.pixels for f in open_film(path)]
-    os.truncate(path, int(path.stat().st_size * kept))
-    frames, message = read_until_error(path)
-    assert "ends in the middle" in message
-    assert least <= len(frames) < 20
-    assert all(np.array_equal(f.pixels, p) for f, p in zip(frames, whole_film, strict=False))
-    if frames:
-        assert f"after {len(frames)} whole frames" in message
+    whole_film = [frame.pixels for frame in read(path)]
+    length = path.stat().st_size
+    for kept in (0.76, 0.731, 0.7):
+        os.truncate(path, int(length * kept))
+        frames, message = refused(path)
+        assert "ends in the middle" in message
+        assert least <= len(frames) < 20
+        assert starts(frames, whole_film)
+        if frames:
+            assert f"after {len(frames)} whole frames" in message
 
 
 @pytest.mark.parametrize(("suffix", "codec"), [(".mkv", "ffv1"), (".nut", "ffv1")])
@@ -95,10 +82,10 @@ def test_a_damaged_picture_is_found_by_its_checksum(tmp_path: Path, suffix: str,
     raw = bytearray(path.read_bytes())
     raw[len(raw) // 2] ^= 0x10
     path.write_bytes(raw)
-    frames, message = read_until_error(path)
+    frames, message = refused(path)
     assert f"damaged after {len(frames)} whole frames" in message
     assert 7 <= len(frames) <= 11
-    assert all(np.array_equal(f.pixels, frame(n).pixels) for n, f in enumerate(frames))
+    assert same(frames, [frame(number).pixels for number in range(len(frames))])
 
 
 def test_invalid_packets_of_a_lossy_codec(tmp_path: Path) -> None:
@@ -106,7 +93,7 @@ def test_invalid_packets_of_a_lossy_codec(tmp_path: Path) -> None:
     raw = bytearray(path.read_bytes())
     raw[len(raw) // 2 : len(raw) // 2 + 3000] = bytes(3000)
     path.write_bytes(raw)
-    frames, message = read_until_error(path)
+    frames, message = refused(path)
     assert f"damaged after {len(frames)} whole frames" in message
 
 
@@ -136,13 +123,14 @@ def test_whole_films_are_known_as_whole(tmp_path: Path) -> None:
 
 def test_a_film_never_finished(tmp_path: Path) -> None:
     film = create(tmp_path / "a.mkv")
-    write_frames(film, 400)
+    write_frames(film, 200)
     (left,) = tmp_path.iterdir()
-    (tmp_path / "left.mkv").write_bytes(left.read_bytes())  # as after a power cut
+    for name in ("left.mkv", "left.NUT", "left.dat"):
+        (tmp_path / name).write_bytes(left.read_bytes())  # as after a power cut
+        frames, message = refused(tmp_path / name)
+        assert "ends in the middle" in message
+        assert frames
     film.abort()
-    frames, message = read_until_error(tmp_path / "left.mkv")
-    assert "ends in the middle" in message
-    assert frames
 
 
 def fail_after_a_frame(film: FilmWriter) -> None:
@@ -164,7 +152,7 @@ def test_an_exception_leaves_nothing_and_spares_the_old_film(tmp_path: Path, suf
 
 
 @pytest.mark.parametrize("suffix", ALL)
-def test_what_is_there_can_be_kept_after_ctrl_c(tmp_path: Path, suffix: str) -> None:
+def test_frames_so_far_can_be_kept_after_ctrl_c(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
     with create(path) as film:
         try:
@@ -199,52 +187,50 @@ def test_zero_frames(tmp_path: Path, suffix: str) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("suffix", [".mkv", ".h5"])
-def test_disk_full(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    film = create(tmp_path / f"a{suffix}")
-    if suffix == ".mkv":
-        monkeypatch.setattr(planes, "to_video", full)
-    else:
-        film._sink._disk.error = OSError(errno.ENOSPC, "")  # type: ignore[attr-defined]
-    with pytest.raises(MediaError, match=f"^disk full while writing .*a{suffix}: free some space"), film:
-        write_frames(film, 50)
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_disk_full_for_real(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     partial = tmp_path / "link.nut"
     partial.symlink_to("/dev/full")
     monkeypatch.setattr("heliograph.media.film.partial_path", lambda _: partial)
-    with pytest.raises(MediaError, match="disk full"), create(tmp_path / "a.nut") as film:
+    says = r"^cannot write .*a\.nut: No space left on device; make room or choose another place$"
+    with pytest.raises(MediaError, match=says), create(tmp_path / "a.nut") as film:
         write_frames(film, 200)
     assert not list(tmp_path.iterdir())
 
 
-HDF5_AT_A_LIMIT = """
-import resource, signal, sys, numpy as np
+FAILED_WRITES = """
+import resource, signal, sys
+from pathlib import Path
+import numpy as np
+from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import create_film
+assert not {"av", "h5py", "cv2"} & sys.modules.keys()
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-with create_film(sys.argv[1], width=64, height=32, rate_hz=1000) as film:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
-    for index in range(600):
-        film.write(Frame(index, index / 1000, np.ones((32, 64), np.uint8)))
+for limit in (100, 5000, 600_001, resource.RLIM_INFINITY):
+    try:
+        with create_film(sys.argv[1], width=64, height=32, rate_hz=1000) as film:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+            for index in range(600 if limit > 0 else 1):
+                film.write(Frame(index, index / 1000, np.ones((32, 64), np.uint8)))
+    except MediaError as error:
+        print(error)
+import h5py
+from heliograph.media.hdf5 import PatientFile
+disk = PatientFile(Path(sys.argv[1]))  # closed by an interrupt
+h5py.File(disk, "w").create_dataset("frames", (10,), "f8")[3] = 1.0
+disk.close()
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits on the size of a file")
-@pytest.mark.parametrize("limit", [100, 5000, 600_001])
 @pytest.mark.slow
-def test_hdf5_survives_a_failed_write(tmp_path: Path, limit: int) -> None:
-    command = [sys.executable, "-c", HDF5_AT_A_LIMIT, str(tmp_path / "a.h5"), str(limit)]
+def test_hdf5_neither_crashes_nor_complains_after_failed_writes(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", FAILED_WRITES, str(tmp_path / "a.h5")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 1, done.stderr  # not a crash of the HDF5 library
-    assert done.stderr.splitlines()[-1].endswith("File too large")
-    assert not list(tmp_path.iterdir())
+    assert (done.returncode, done.stderr) == (0, "")
+    assert ["File too large; make room" in line for line in done.stdout.splitlines()] == [True] * 3
+    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
 
 
 def test_wrong_frames(tmp_path: Path) -> None:
@@ -252,7 +238,7 @@ def test_wrong_frames(tmp_path: Path) -> None:
         film.write(frame(1))
         for wrong, says in [
             (Frame(2, 0.002, np.zeros((H, W + 1), np.uint8)), "film is 64x32 pixels, the frame is 65x32"),
-            (Frame(2, 0.002, np.zeros((H, W), np.uint16), bits=12), "takes uint8 pixels, got uint16"),
+            (Frame(2, 0.002, np.zeros((H, W), np.uint16), bits=12), "film has 8 bits, the frame 12"),
             (Frame(2, 0.001, np.zeros((H, W), np.uint8)), "follow each other in time"),
         ]:
             with pytest.raises(MediaError, match=says):
@@ -273,8 +259,10 @@ def test_wrong_frames(tmp_path: Path) -> None:
     ("a.avi", [0.0, 0.0014], "whole frame periods only"),
 ])  # fmt: skip
 def test_times_a_container_cannot_hold(tmp_path: Path, name: str, times: list[float], says: str) -> None:
-    with pytest.raises(MediaError, match=says), create(tmp_path / name) as film:
-        write_at(film, times)
+    film = create(tmp_path / name)
+    film.write(Frame(0, times[0], np.zeros((H, W), np.uint8)))
+    with pytest.raises(MediaError, match=says), film:
+        film.write(Frame(1, times[1], np.zeros((H, W), np.uint8)))
     assert not list(tmp_path.iterdir())
 
 
@@ -296,17 +284,13 @@ def test_times_a_container_cannot_hold(tmp_path: Path, name: str, times: list[fl
     ("a.mp4", {"crf": 20.0, "lossless": True}, "not both"),
     ("a.avi", {"lossless": True}, "cannot be lossless"),
     ("a.h5", {"codec": "ffv1"}, "not coded"),
+    ("folder.mkv", {}, "is a folder"),
 ])  # fmt: skip
-def test_wrong_settings(tmp_path: Path, name: str, options: dict[str, object], says: str) -> None:
+def test_wrong_settings_are_named(tmp_path: Path, name: str, options: dict[str, object], says: str) -> None:
+    (tmp_path / "folder.mkv").mkdir()
     with pytest.raises(MediaError, match=says):
         create(tmp_path / name, **options)
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_target_is_a_folder(tmp_path: Path) -> None:
-    (tmp_path / "a.mkv").mkdir()
-    with pytest.raises(MediaError, match="is a folder"):
-        create(tmp_path / "a.mkv")
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.mkv"]
 
 
 def test_other_hdf5_files(tmp_path: Path) -> None:
@@ -316,9 +300,9 @@ def test_other_hdf5_files(tmp_path: Path) -> None:
         file["frames"], file["times_s"] = np.zeros((3, H, W), np.uint8), np.zeros(2)
     with h5py.File(tmp_path / "c.h5", "w") as file:
         file["frames"], file["times_s"] = np.zeros((0, H, W), np.uint8), np.zeros(0)
-    assert "expected the datasets 'frames'" in read_until_error(tmp_path / "a.h5")[1]
-    assert "'times_s' (2,)" in read_until_error(tmp_path / "b.h5")[1]
-    assert "holds no frames" in read_until_error(tmp_path / "c.h5")[1]
+    assert "expected the datasets 'frames'" in refused(tmp_path / "a.h5")[1]
+    assert "'times_s' (2,)" in refused(tmp_path / "b.h5")[1]
+    assert "holds no frames" in refused(tmp_path / "c.h5")[1]
 
 
 def test_a_closed_film(tmp_path: Path) -> None:
@@ -335,31 +319,9 @@ def test_a_failing_finish_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Mon
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(os, "replace", denied)
-    with pytest.raises(MediaError, match="not allowed to write"):
+    with pytest.raises(MediaError, match="Permission denied; ask for the right to write there"):
         film_of(tmp_path / "a.mkv")
     assert not list(tmp_path.iterdir())
-
-
-def test_numbers_jump_where_frames_are_missing_though_no_rate_is_noted(tmp_path: Path) -> None:
-    times = np.delete(np.arange(200) * 1e-3, [40, 41, 90, 150])
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["frames"], file["times_s"] = np.zeros((196, 4, 4), np.uint8), times
-    with open_film(tmp_path / "a.h5") as film:
-        assert film.rate_hz == pytest.approx(1000)
-        assert [frame.index for frame in film] == [round(1000 * time) for time in times]
-
-
-@pytest.mark.parametrize("name", ["slow.mp4", "slow.mkv", "slow.h5", "slow.avi"])
-def test_the_camera_s_own_rate_replaces_that_of_a_file_in_slow_motion(name: str, tmp_path: Path) -> None:
-    with create_film(tmp_path / name, width=16, height=16, rate_hz=25) as film:
-        for k in (0, 1, 2, 4, 5):
-            film.write(Frame(k, k / 25, np.full((16, 16), 20 * k, np.uint8)))
-    with open_film(tmp_path / name, rate_hz=1000) as film:
-        frames = list(film)
-        assert (film.rate_hz, film.claimed_hz) == (1000, 25)
-    numbers = [0, 1, 2, 4, 5] if name != "slow.avi" else [frame.index for frame in frames]
-    assert [frame.index for frame in frames] == numbers
-    assert [frame.time_s for frame in frames] == pytest.approx([k * 1e-3 for k in numbers], abs=1e-6)
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, -25.0, 1e300, float("inf"), float("nan")])
@@ -368,7 +330,7 @@ def test_a_rate_that_no_camera_has_is_refused(rate_hz: float, tmp_path: Path) ->
         open_film(tmp_path / "a.mkv", rate_hz=rate_hz)
 
 
-def test_a_folder_without_rights_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_without_rights_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(path: Path) -> bool:
         raise PermissionError(errno.EACCES, "Permission denied")
 

@@ -1,6 +1,7 @@
 """Films from other sources: real recordings, limited range, RGB and packed formats."""
 
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,15 +25,13 @@ def test_dashcam_footage(data: Path, name: str, size: tuple[int, int], rate: flo
     with open_film(data / "driving" / f"{name}.mp4") as film:
         assert (film.width, film.height, film.bits, film.frame_count) == (*size, 8, count)
         assert film.rate_hz == pytest.approx(rate, abs=0.01)
-        frames = film if name == "day-shade" else [f for f, _ in zip(film, range(5), strict=False)]
-        indices, times = zip(*((f.index, f.time_s) for f in frames), strict=True)
-    assert list(indices) == list(range(len(indices)))
-    assert len(indices) == (100 if name == "day-shade" else 5)
+        indices, times = zip(*((frame.index, frame.time_s) for frame in islice(film, 5)), strict=True)
+    assert list(indices) == [0, 1, 2, 3, 4]
     assert np.allclose(np.diff(times), 1 / rate, atol=2e-4)
 
 
 @pytest.mark.real_data
-def test_luma_is_plane_0_and_expands_only_if_asked(data: Path) -> None:
+def test_luma_is_plane_0_and_expands_on_request(data: Path) -> None:
     path = data / "driving" / "day-motorway.mp4"
     with av.open(str(path)) as container:
         luma = next(container.decode(video=0)).to_ndarray()[:540, :960]  # yuv420p: luma rows come first
@@ -54,7 +53,7 @@ def ramp(pixel_format: str, color_range: int) -> av.VideoFrame:
     return picture
 
 
-@pytest.mark.parametrize("pixel_format", ["yuv420p", "yuv422p", "yuv444p", "nv12", "gray", "yuyv422", "yuvj420p"])
+@pytest.mark.parametrize("pixel_format", ["yuv420p", "yuv444p", "nv12", "gray", "yuyv422", "yuvj420p"])
 @pytest.mark.parametrize("color_range", [planes.LIMITED, planes.FULL])
 def test_levels_are_read_as_stored(pixel_format: str, color_range: int) -> None:
     picture = ramp(pixel_format, color_range)
@@ -140,7 +139,7 @@ def test_raw_h264_has_the_rate_of_its_stream(tmp_path: Path) -> None:
         assert levels == sorted(levels)
 
 
-def test_pictures_alone_of_no_rate_need_one(tmp_path: Path) -> None:
+def test_raw_pictures_without_a_rate_need_one(tmp_path: Path) -> None:
     coded(tmp_path / "a.mjpeg", "mjpeg", "mjpeg", "yuvj420p")
     with pytest.raises(MediaError, match="has no clock: say how many frames a second the camera took, by --fps"):
         open_film(tmp_path / "a.mjpeg")

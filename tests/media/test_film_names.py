@@ -15,7 +15,7 @@ from heliograph.media.live.reader import is_camera
 NAMES = [
     b"caf\xe9", b"\xff\xfe", b"a\nb\tc", b"\x1b[31mred\x7f", b"-x", b" a b ", b"a#b?c=d&e%20", b"100%d", b"%04d",
     b"it's \"q\" `$HOME`", "\N{GRINNING FACE}\u202eabc سلام".encode(), b"[ab]*{x}", b"camera:played", b"file:x",
-    b"a\\b", b"concat:a|b", b"..x.", b"~", b"n" * 251, "試".encode() * 83,
+    b"a\\b", b"concat:a|b", b"..x.", b"~", b"n" * 251, "試".encode() * 83, b"12:30 a%d",
 ]  # fmt: skip
 
 
@@ -44,7 +44,7 @@ def test_a_suffix_may_have_capitals(suffix: str, tmp_path: Path) -> None:
         assert sum(1 for _ in source) == 1
 
 
-def test_a_name_that_is_too_long_is_named_as_it_was_given(tmp_path: Path) -> None:
+def test_an_error_states_a_long_name_in_full(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match=r"cannot write .*/n{253}\.h5: File name too long; choose a name"):
         write(tmp_path / ("n" * 253 + ".h5"))
     with pytest.raises(MediaError, match=r"cannot read n{253}\.h5: File name too long"):

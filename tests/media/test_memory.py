@@ -1,6 +1,7 @@
-"""Memory is independent of film length, for each format."""
+"""Memory is independent of the length of a film or a file of slots, for each format."""
 
 import tracemalloc
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -8,24 +9,38 @@ import pytest
 from made_recordings import write_kinds
 from waiting import run_alone
 
-from heliograph.media import open_film
+from heliograph.media import open_film, open_slots
+from heliograph.media.slots import SUFFIXES, SlotForm, write_slots
 
-FRAMES, ROWS, COLUMNS = 200, 64, 512
+FRAMES, ROWS, COLUMNS = 60, 64, 512
+FEW, MANY = 20, 250
 
 
-@pytest.mark.parametrize("kind", ["folder", "pattern", "tiff", "npy", "mraw", "cine"])
 @pytest.mark.slow
-def test_a_few_frames_are_held(tmp_path: Path, kind: str) -> None:
+def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
     levels = np.zeros((FRAMES, ROWS, COLUMNS), np.uint8)
-    path, _ = write_kinds(tmp_path, levels, 1000)[kind]
-    count, peak = run_alone(read_and_trace, path)
-    assert count == FRAMES
-    assert peak < 12 * ROWS * COLUMNS
+    films = {kind: path for kind, (path, _) in write_kinds(tmp_path, levels, 1000).items()}
+    peaks = run_alone(trace, films, tmp_path)
+    for kind in films:
+        assert peaks[kind] < 12 * ROWS * COLUMNS, kind
+    for kind in SUFFIXES:
+        assert peaks[f"{MANY}{kind}"] < peaks[f"{FEW}{kind}"] + 100_000
 
 
-def read_and_trace(path: Path) -> tuple[int, int]:
-    """Return the number of frames, and the peak memory in bytes while reading."""
-    with open_film(path, rate_hz=1000) as film:
-        next(iter(film))  # import modules before measuring
+def trace(films: dict[str, Path], folder: Path) -> dict[str, int]:
+    """Return the peak memory in bytes for reading films, and for writing and reading slots of 512 bytes."""
+    peaks, slot = {}, np.random.default_rng(0).integers(0, 2, (64, 64), np.uint8)
+    for kind, path in films.items():
+        with open_film(path, rate_hz=1000) as film:
+            next(iter(film))  # import modules before measuring
+            tracemalloc.start()
+            assert sum(1 for _ in film) == FRAMES
+            peaks[kind] = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+    for name, count in [(f"{count}{kind}", count) for kind in SUFFIXES for count in (FEW, MANY)]:
         tracemalloc.start()
-        return sum(1 for _ in film), tracemalloc.get_traced_memory()[1]
+        write_slots(folder / name, repeat(slot, count), SlotForm(64, 4, 250_000, count))
+        assert sum(1 for _ in open_slots(folder / name)) == count
+        peaks[name] = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    return peaks

@@ -7,24 +7,14 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from film_checks import read, refused, same, starts
 from made_recordings import Levels, noise, write_cine
 
-from heliograph.base.errors import MediaError
-from heliograph.base.frames import Frame
 from heliograph.media import open_film
 from heliograph.media.phantom import linear
 
 WORDS = [(8, 8), (16, 12), (16, 16), (12, 12)]
 """Bits per pixel in the file, and used bits."""
-
-
-def refused(path: Path) -> tuple[list[Frame], str]:
-    """Return frames before the error, and the error."""
-    got: list[Frame] = []
-    with pytest.raises(MediaError) as caught, open_film(path) as film:
-        got.extend(film)
-    assert "\n" not in str(caught.value)
-    return got, str(caught.value)
 
 
 def by_ffmpeg(path: Path) -> Levels:
@@ -45,7 +35,7 @@ def test_levels_rate_and_stamps(tmp_path: Path, word: int, depth: int, upwards: 
         assert (film.width, film.height, film.bits, film.rate_hz, film.frame_count) == (8, 6, depth, 500.0, 4)
     assert [frame.index for frame in got] == [0, 1, 5, 6]
     assert [frame.time_s for frame in got] == pytest.approx([0, 0.002, 0.01, 0.012], abs=2e-9)
-    assert all(np.array_equal(frame.pixels, sent) for frame, sent in zip(got, levels, strict=True))
+    assert same(got, levels)
 
 
 @pytest.mark.parametrize(("word", "depth"), [(8, 8), (16, 16), (24, 8), (48, 16)])
@@ -55,9 +45,7 @@ def test_ffmpeg_reads_the_same_pixels_of_a_made_recording(tmp_path: Path, word: 
     path = write_cine(tmp_path / "a.cine", list(colours), word, depth)
     theirs = by_ffmpeg(path)
     for channel, place in {"red": 2, "green": 1, "blue": 0}.items():
-        with open_film(path, channel=channel) as film:
-            ours = np.stack([frame.pixels for frame in film])
-        assert np.array_equal(ours, colours[..., place] if word in (24, 48) else colours)
+        assert same(read(path, channel=channel), colours[..., place] if word in (24, 48) else colours)
     # reference data are bgr24 and bgr48
     assert np.array_equal(theirs.reshape(colours.shape), colours)
 
@@ -76,7 +64,7 @@ def test_codes_of_ten_bits_are_on_a_curve() -> None:
 
 
 @pytest.mark.parametrize("wrong", [-5.0, 0.25, 4e6])
-def test_a_stamp_that_cannot_be_is_put_right(tmp_path: Path, wrong: float) -> None:
+def test_an_impossible_stamp_is_replaced(tmp_path: Path, wrong: float) -> None:
     times = [0.25, 0.252, wrong, 0.26]
     with open_film(write_cine(tmp_path / "a.cine", list(noise(4, 4, 4, 8)), 8, 8, times, rate=500)) as film:
         assert [frame.time_s for frame in film] == pytest.approx([0, 0.002, 0.004, 0.01], abs=2e-9)
@@ -108,7 +96,7 @@ def test_a_cut_file_gives_its_whole_frames_first(tmp_path: Path, stamped: bool) 
         os.truncate(path, len(whole) - lost)
         got, says = refused(path)
         assert len(got) == left
-        assert all(np.array_equal(frame.pixels, sent) for frame, sent in zip(got, levels, strict=False))
+        assert starts(got, levels)
         assert f"a.cine ends in the middle, after {left} whole frames" in says
 
 
@@ -134,34 +122,9 @@ def test_a_file_cut_within_its_headers(tmp_path: Path) -> None:
     (84 + 768, "<I", 0, "--fps"),
     (32, "<I", 0xFFFFFFF0, "ends in the middle, after 0 whole frames"),
 ])  # fmt: skip
-def test_headers_that_say_what_is_not_so(tmp_path: Path, place: int, form: str, value: object, says: str) -> None:
+def test_wrong_headers_are_named(tmp_path: Path, place: int, form: str, value: object, says: str) -> None:
     path = write_cine(tmp_path / "a.cine", list(noise(5, 6, 8, 8)), 8, 8)
     data = bytearray(path.read_bytes())
     struct.pack_into(form, data, place, value)
     path.write_bytes(data)
     assert says in refused(path)[1]
-
-
-def test_levels_above_the_bits_of_the_settings(tmp_path: Path) -> None:
-    levels = noise(3, 6, 8, 10)
-    levels[2, 0, 0] = 5000
-    got, says = refused(write_cine(tmp_path / "a.cine", list(levels), 16, 10))
-    assert len(got) == 2
-    assert "a gray level of 5000 after 2 whole frames" in says
-
-
-@pytest.mark.slow
-def test_bytes_changed_by_chance_give_frames_or_one_clear_line(tmp_path: Path) -> None:
-    whole = write_cine(tmp_path / "a.cine", list(noise(3, 6, 8, 12)), 16, 12, [0, 1, 2]).read_bytes()
-    rng, path = np.random.default_rng(1), tmp_path / "b.cine"
-    heads = [*range(84), *range(84 + 140, 84 + 144), *range(84 + 768, 84 + 772), *range(6084, 6160)]
-    for _ in range(1500):
-        data = bytearray(whole)
-        for place in rng.choice(heads, 2):
-            data[place] = rng.integers(256)
-        path.write_bytes(data)
-        try:
-            with open_film(path, rate_hz=10) as film:
-                list(film)
-        except MediaError as error:
-            assert "\n" not in str(error)  # noqa: PT017 - mostly there is one

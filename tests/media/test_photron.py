@@ -1,34 +1,22 @@
 """Photron .mraw recordings with .cih or .cihx headers."""
 
-import itertools
 import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from film_checks import read, refused, same, starts
 from made_recordings import noise, write_mraw
 
-from heliograph.base.errors import MediaError
-from heliograph.base.frames import Frame
 from heliograph.media import open_film
 
 
-def refused(path: Path, **options: Any) -> tuple[list[Frame], str]:
-    """Return frames before the error, and the error."""
-    got: list[Frame] = []
-    with pytest.raises(MediaError) as caught, open_film(path, **options) as film:
-        got.extend(film)
-    assert "\n" not in str(caught.value)
-    return got, str(caught.value)
-
-
-@pytest.mark.parametrize("header", [".cih", ".cihx"])
-@pytest.mark.parametrize(("word", "depth", "side"), [
-    (8, 8, "Lower"), (8, 12, "Higher"), (12, 12, "Lower"), (16, 12, "Lower"), (16, 12, "Higher"), (16, 16, "Lower"),
+@pytest.mark.parametrize(("word", "depth", "side", "header", "named"), [
+    (8, 8, "Lower", ".cih", ".mraw"), (8, 12, "Higher", ".cihx", "header"), (12, 12, "Lower", ".cih", "header"),
+    (16, 12, "Lower", ".cihx", ".mraw"), (16, 12, "Higher", ".cih", ".mraw"), (16, 16, "Lower", ".cihx", "header"),
 ])  # fmt: skip
-@pytest.mark.parametrize("named", [".mraw", "header"])
-def test_levels_rate_and_times(tmp_path: Path, header: str, word: int, depth: int, side: str, named: str) -> None:
+def test_levels_rate_and_times(tmp_path: Path, word: int, depth: int, side: str, header: str, named: str) -> None:
     bits = min(word, depth)
     levels = noise(4, 6, 10, bits)
     path = write_mraw(tmp_path / "a.b.mraw", levels, word, depth, header, side=side, rate=4000.0)
@@ -38,24 +26,21 @@ def test_levels_rate_and_times(tmp_path: Path, header: str, word: int, depth: in
         assert (film.metadata["date"], film.metadata["camera"]) == ("2024/5/6", "FASTCAM Mini")
     assert [frame.time_s for frame in got] == [0, 0.25e-3, 0.5e-3, 0.75e-3]
     assert [frame.index for frame in got] == [0, 1, 2, 3]
-    assert all(np.array_equal(frame.pixels, sent) for frame, sent in zip(got, levels, strict=True))
+    assert same(got, levels)
 
 
-def test_the_other_file_may_have_a_suffix_in_mixed_case(tmp_path: Path) -> None:
-    levels = noise(4, 6, 10, 8)
-    frames = write_mraw(tmp_path / "a.mraw", levels, 8, 8, ".cih").rename(tmp_path / "a.Mraw")
-    header = (tmp_path / "a.cih").rename(tmp_path / "a.Cih")
-    for path in (frames, header):
-        with open_film(path) as film:
-            assert len(list(film)) == 4
+@pytest.mark.parametrize(("frames", "header"), [("a.Mraw", "a.Cih"), ("a.MRAW", "a.CIH"), ("a.mraw", "a.Cih")])
+def test_suffixes_in_any_case_belong_together(tmp_path: Path, frames: str, header: str) -> None:
+    write_mraw(tmp_path / "a.mraw", noise(4, 6, 10, 8), 8, 8).rename(tmp_path / frames)
+    (tmp_path / "a.cih").rename(tmp_path / header)
+    assert [len(read(tmp_path / name)) for name in (frames, header)] == [4, 4]
 
 
 def test_an_odd_number_of_packed_levels(tmp_path: Path) -> None:
     levels = noise(1, 3, 5, 12)
     path = write_mraw(tmp_path / "a.mraw", levels, 12, 12)
     path.write_bytes(path.read_bytes().ljust(24, b"\0"))
-    with open_film(path) as film:
-        assert np.array_equal(next(iter(film)).pixels, levels[0])
+    assert same(read(path), levels)
 
 
 def test_the_rate_is_that_of_the_frames_that_were_saved(tmp_path: Path) -> None:
@@ -65,13 +50,8 @@ def test_the_rate_is_that_of_the_frames_that_were_saved(tmp_path: Path) -> None:
         assert [(frame.index, frame.time_s) for frame in film] == [(0, 0.0), (1, 0.001), (2, 0.002)]
         assert (film.metadata["rate"], film.metadata["step"]) == ("10000", "10")
     # a given rate refers to saved frames, too
-    with open_film(made, rate_hz=500) as film:
-        assert [(frame.index, frame.time_s) for frame in film] == [(0, 0.0), (1, 0.002), (2, 0.004)]
-
-
-def test_the_rate_that_is_said_wins_over_the_header(tmp_path: Path) -> None:
-    with open_film(write_mraw(tmp_path / "a.mraw", noise(3, 4, 4, 8), 8, 8), rate_hz=500) as film:
-        assert [(frame.index, frame.time_s) for frame in film] == [(0, 0.0), (1, 0.002), (2, 0.004)]
+    given = [(frame.index, frame.time_s) for frame in read(made, rate_hz=500)]
+    assert given == [(0, 0.0), (1, 0.002), (2, 0.004)]
 
 
 @pytest.mark.parametrize("word", [8, 12, 16])
@@ -81,7 +61,8 @@ def test_a_cut_file_gives_its_whole_frames_first(tmp_path: Path, word: int, lost
     path = write_mraw(tmp_path / "a.mraw", levels, word, 8 if word == 8 else 12)
     os.truncate(path, path.stat().st_size - lost)
     got, says = refused(path)
-    assert [np.array_equal(frame.pixels, sent) for frame, sent in zip(got, levels, strict=False)] == [True] * 4
+    assert len(got) == 4
+    assert starts(got, levels)
     assert "a.mraw ends in the middle, after 4 whole frames" in says
 
 
@@ -98,7 +79,7 @@ def test_a_cut_file_gives_its_whole_frames_first(tmp_path: Path, word: int, lost
     ({"depth": 6}, "levels of 6"),
     ({"kind": "Tiff"}, "its frames are Tiff files: give the folder"),
 ])  # fmt: skip
-def test_headers_that_say_what_is_not_so(tmp_path: Path, said: dict[str, Any], says: str) -> None:
+def test_wrong_headers_are_named(tmp_path: Path, said: dict[str, Any], says: str) -> None:
     path = write_mraw(tmp_path / "a.mraw", noise(5, 6, 10, 8), 8, 8)
     values = {key: value for key, value in said.items() if key != "written"}
     text = path.with_suffix(".cih").read_text()
@@ -112,8 +93,10 @@ def test_headers_that_say_what_is_not_so(tmp_path: Path, said: dict[str, Any], s
 
 
 @pytest.mark.parametrize("header", [".cih", ".cihx"])
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp932", "latin-1"])
-@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize(("encoding", "ending"), [
+    ("utf-8", "\n"), ("utf-8-sig", "\r\n"), ("utf-16", "\r"), ("utf-16-le", "\r\n"), ("utf-16-be", "\n"),
+    ("cp932", "\r\n"), ("latin-1", "\r"),
+])  # fmt: skip
 def test_headers_in_any_encoding(tmp_path: Path, header: str, encoding: str, ending: str) -> None:
     levels = noise(3, 6, 10, 8)
     name = "Gr\u00f6\u00dfe 5 \u00b5m" if encoding == "latin-1" else "\u9ad8\u901f\u30ab\u30e1\u30e9"
@@ -126,11 +109,11 @@ def test_headers_in_any_encoding(tmp_path: Path, header: str, encoding: str, end
     with open_film(path) as film:
         assert (film.width, film.height, film.rate_hz) == (10, 6, 1000)
         assert film.metadata["camera"] == name
-        assert all(np.array_equal(frame.pixels, sent) for frame, sent in zip(film, levels, strict=True))
+        assert same(list(film), levels)
 
 
 @pytest.mark.parametrize("line", ["Image Width", "Image Height", "Total Frame", "Color Bit"])
-def test_a_line_that_a_header_lacks_is_named(tmp_path: Path, line: str) -> None:
+def test_a_missing_line_of_a_header_is_named(tmp_path: Path, line: str) -> None:
     path = write_mraw(tmp_path / "a.mraw", noise(2, 6, 10, 8), 8, 8)
     text = path.with_suffix(".cih").read_text()
     path.with_suffix(".cih").write_text("".join(row for row in text.splitlines(True) if not row.startswith(line)))
@@ -150,17 +133,9 @@ def test_levels_of_other_bits_than_the_header_says(tmp_path: Path, held: int, sa
 
 
 @pytest.mark.parametrize("rate", [0, float("nan"), -5])
-def test_a_rate_that_is_none(tmp_path: Path, rate: float) -> None:
+def test_an_impossible_rate_is_refused(tmp_path: Path, rate: float) -> None:
     path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8, rate=rate)
     assert "--fps" in refused(path)[1]
-
-
-def test_levels_above_the_bits_of_the_header(tmp_path: Path) -> None:
-    levels = noise(3, 4, 4, 10)
-    levels[1, 2, 3] = 1024
-    got, says = refused(write_mraw(tmp_path / "a.mraw", levels, 16, 10))
-    assert len(got) == 1
-    assert "a gray level of 1024 after 1 whole frames, and its header says 10 bits" in says
 
 
 def test_a_file_without_its_other_half(tmp_path: Path) -> None:
@@ -173,7 +148,7 @@ def test_a_file_without_its_other_half(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", [b"Dear film,\nthis is a letter.\n", b"\0" * 100, b"<cih><a></cih>", b"<cih>&x;</cih>"]
 )
-def test_headers_that_are_none(tmp_path: Path, text: bytes) -> None:
+def test_other_files_than_headers_are_refused(tmp_path: Path, text: bytes) -> None:
     path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8)
     path.with_suffix(".cih").write_bytes(text)
     assert "copy" in refused(path)[1]
@@ -183,34 +158,7 @@ def test_headers_that_are_none(tmp_path: Path, text: bytes) -> None:
 def test_frames_that_begin_like_another_kind(tmp_path: Path, first: bytes) -> None:
     levels = noise(2, 4, 8, 8)
     levels[0, 0, : len(first)] = list(first)
-    with open_film(write_mraw(tmp_path / "a.mraw", levels, 8, 8)) as film:
-        assert np.array_equal(next(iter(film)).pixels, levels[0])
-
-
-@pytest.mark.parametrize("header", [".cih", ".cihx"])
-@pytest.mark.slow
-def test_bytes_changed_by_chance_give_frames_or_one_clear_line(tmp_path: Path, header: str) -> None:
-    path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8, header)
-    whole, rng = path.with_suffix(header).read_bytes(), np.random.default_rng(3)
-    for _ in range(700):
-        data = bytearray(whole)
-        for place in rng.integers(0, len(data), 6):
-            data[place] = rng.choice(list(b"0123456789-.eE<>&:\n\0\xff"))
-        path.with_suffix(header).write_bytes(data)
-        try:
-            with open_film(path, rate_hz=10) as film:
-                list(film)
-        except MediaError as error:
-            assert "\n" not in str(error)  # noqa: PT017 - mostly there is one
-
-
-def test_capital_suffixes(tmp_path: Path) -> None:
-    path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8)
-    path.rename(tmp_path / "a.MRAW")
-    path.with_suffix(".cih").rename(tmp_path / "a.CIH")
-    for name in ("a.MRAW", "a.CIH"):
-        with open_film(tmp_path / name) as film:
-            assert len(list(film)) == 2
+    assert same(read(write_mraw(tmp_path / "a.mraw", levels, 8, 8)), levels)
 
 
 @pytest.mark.real_data
@@ -247,12 +195,11 @@ def test_pymraw_reads_the_same(data: Path) -> None:
     pymraw = pytest.importorskip("pyMRAW")
     for name in ("ball_12bit.cihx", "beam.cihx", "data_showcase.cih"):
         images, _ = pymraw.load_video(str(data / "photron" / name))
-        with open_film(data / "photron" / name) as film:
-            assert all(np.array_equal(frame.pixels, image) for frame, image in zip(film, images, strict=True))
+        assert same(read(data / "photron" / name), images)
 
 
-def test_no_more_frames_are_expected_than_the_file_has_room_for(tmp_path: Path) -> None:
+def test_no_more_frames_are_expected_than_the_file_holds(tmp_path: Path) -> None:
     path = write_mraw(tmp_path / "a.mraw", noise(4, 6, 10, 8), 8, 8, frames=2_000_000_000)
     with open_film(path) as film:
         assert film.frame_count == 4
-        assert len(list(itertools.islice(film, 4))) == 4
+    assert len(refused(path)[0]) == 4

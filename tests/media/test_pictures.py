@@ -7,27 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import film_checks
 import numpy as np
 import pytest
+from film_checks import read, same, starts
 from made_recordings import Levels, noise, write_pictures, write_tiff
 from PIL import Image
 
-from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import open_film
 
 
-def refused(path: Path, rate_hz: float | None = 1000.0, **options: Any) -> tuple[list[Frame], str]:
-    """Return frames before the error, and the error."""
-    got: list[Frame] = []
-    with pytest.raises(MediaError) as caught, open_film(path, rate_hz=rate_hz, **options) as film:
-        got.extend(film)
-    assert "\n" not in str(caught.value)
-    return got, str(caught.value)
-
-
-def same(frames: list[Frame], levels: Levels) -> bool:
-    return all(np.array_equal(frame.pixels, sent) for frame, sent in zip(frames, levels, strict=True))
+def refused(path: Path, **options: Any) -> tuple[list[Frame], str]:
+    """Return the frames of a film of 1000 frames/s before the error, and the error."""
+    return film_checks.refused(path, **{"rate_hz": 1000.0, **options})
 
 
 @pytest.mark.parametrize("bits", [8, 16])
@@ -58,14 +51,7 @@ def test_a_pattern_takes_no_other_names(tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "a", noise(3, 6, 10, 8), "img%04d.png")
     for other in ("img5.png", "img0005.jpg", "ximg0005.png", "img0005.png.bak"):
         (folder / other).write_bytes((folder / "img0001.png").read_bytes())
-    with open_film(folder / "img%04d.png", rate_hz=100) as film:
-        assert len(list(film)) == 3
-
-
-def test_jpeg(tmp_path: Path) -> None:
-    folder = write_pictures(tmp_path / "a", np.full((3, 16, 24), 77, np.uint8), "%03d.jpg")
-    with open_film(folder, rate_hz=100) as film:
-        assert [np.unique(frame.pixels).tolist() for frame in film] == [[77]] * 3
+    assert len(read(folder / "img%04d.png", rate_hz=100)) == 3
 
 
 @pytest.mark.parametrize("bits", [8, 16])
@@ -82,21 +68,20 @@ def test_colours(tmp_path: Path, bits: int) -> None:
 
 def test_equal_colours_are_their_gray_level(tmp_path: Path) -> None:
     levels = np.arange(256, dtype=np.uint8).reshape(1, 16, 16)
-    with open_film(write_pictures(tmp_path / "a", np.stack([levels] * 3, axis=-1)), rate_hz=10) as film:
-        assert same(list(film), levels)
+    assert same(read(write_pictures(tmp_path / "a", np.stack([levels] * 3, axis=-1)), rate_hz=10), levels)
 
 
-def test_without_a_rate_one_line_says_so(tmp_path: Path) -> None:
+def test_a_missing_rate_is_named(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", noise(2, 4, 4, 8))
     folder = write_pictures(tmp_path / "a", noise(2, 4, 4, 8))
-    for path in (folder, folder / "img%04d.png", tmp_path / "a.npy"):
-        assert refused(path, None)[1] == (
-            f"{path} has no clock: say how many frames a second the camera took, by --fps (rate_hz; on page Watch "
-            "Frames/s)"
-        )
+    write_tiff(tmp_path / "a.tif", noise(2, 4, 4, 8))
+    for path in (folder, folder / "img%04d.png", tmp_path / "a.npy", tmp_path / "a.tif"):
+        cure = "by --fps (rate_hz; on page Watch Frames/s)"
+        says = refused(path, rate_hz=None)[1]
+        assert says == f"{path} has no clock: say how many frames a second the camera took, {cure}"
 
 
-def test_folders_that_are_no_film(tmp_path: Path) -> None:
+def test_other_folders_than_films_are_named(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     assert "is a folder without pictures" in refused(tmp_path / "empty")[1]
     write_pictures(tmp_path / "two", noise(2, 4, 4, 8), "%d.png")
@@ -114,12 +99,13 @@ def test_a_damaged_picture_comes_after_those_before(tmp_path: Path, capfd: pytes
     for data in (b"", b"Dear film", whole[:100], whole[: len(whole) // 2]):
         third.write_bytes(data)
         got, says = refused(folder)
-        assert same(got, levels[:2])
+        assert len(got) == 2
+        assert starts(got, levels)
         assert f"{third} is damaged or no picture, after 2 frames" in says
     assert capfd.readouterr().err == ""
 
 
-def test_a_picture_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_among_pictures_does_not_block(tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "a", noise(3, 20, 30, 8))
     (folder / "img0002.png").unlink()
     os.mkfifo(folder / "img0002.png")
@@ -138,19 +124,10 @@ def test_pictures_of_another_form(tmp_path: Path) -> None:
         assert says in message
 
 
-def test_numbers_that_are_no_gray_levels(tmp_path: Path) -> None:
+def test_other_numbers_than_gray_levels_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     cv2.imwrite(str(tmp_path / "a" / "1.tif"), np.zeros((4, 4), np.float32))
     assert "pixels of float32 in 1 channels: save gray or RGB of 8 or 16 bits" in refused(tmp_path / "a")[1]
-
-
-def test_a_picture_that_claims_more_than_any_camera_has(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    head = b"IHDR" + struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0)
-    chunk = struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
-    data = struct.pack(">I", 1) + b"IDATx" + struct.pack(">I", zlib.crc32(b"IDATx"))
-    (tmp_path / "a" / "1.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk + data)
-    assert "1.png claims more pixels than any camera has" in refused(tmp_path / "a")[1]
 
 
 @pytest.mark.parametrize("dtype", ["u1", "<u2", ">u2"])
@@ -171,7 +148,8 @@ def test_a_cut_array_gives_its_whole_frames_first(tmp_path: Path) -> None:
     np.save(path, levels)
     os.truncate(path, path.stat().st_size - 1)
     got, says = refused(path)
-    assert same(got, levels[:3])
+    assert len(got) == 3
+    assert starts(got, levels)
     assert "ends in the middle, after 3 whole frames" in says
 
 
@@ -185,14 +163,14 @@ def test_a_cut_array_gives_its_whole_frames_first(tmp_path: Path) -> None:
     (np.asfortranarray(np.zeros((4, 6, 8), np.uint8)), "Fortran's order"),
     (np.array([{}]), "holds an array (1,) of object"),
 ], ids=str)  # fmt: skip
-def test_arrays_that_are_no_film(tmp_path: Path, array: Any, says: str) -> None:
+def test_other_arrays_than_films_are_named(tmp_path: Path, array: Any, says: str) -> None:
     np.save(tmp_path / "a.npy", array)
     assert says in refused(tmp_path / "a.npy")[1]
 
 
 @pytest.mark.parametrize("data", [b"Dear film", b"\x93NUMPY\x01\x00", b"\x93NUMPY\x09\x00" + bytes(99),
                                   b"\x93NUMPY\x01\x00\x10\x00" + b"(" * 16])  # fmt: skip
-def test_files_that_are_no_array(tmp_path: Path, data: bytes) -> None:
+def test_other_files_than_arrays_are_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.npy").write_bytes(data)
     assert "is no array of NumPy, or damaged" in refused(tmp_path / "a.npy")[1]
 
@@ -205,26 +183,20 @@ def headed(path: Path, header: str) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["()", "('|u1',)", "(('|u1',), (2,))", "'>a2'"])
-def test_arrays_of_kinds_that_are_none(tmp_path: Path, kind: str) -> None:
+def test_arrays_of_invalid_types_are_refused(tmp_path: Path, kind: str) -> None:
     """NumPy raises an IndexError, or warns."""
     path = headed(tmp_path / "a.npy", f"{{'descr': {kind}, 'fortran_order': False, 'shape': (2, 3, 4), }}")
     assert "a.npy" in refused(path)[1]
 
 
-@pytest.mark.parametrize("shape", ["(2L, 3L, 4L)", "(2, 3, 4)"])
-def test_an_array_of_python_2_is_read_without_a_warning(tmp_path: Path, shape: str) -> None:
+@pytest.mark.parametrize(("shape", "size"), [("(2L, 3L, 4L)", (4, 3)), ("(2, 3, 4)", (4, 3)), ("(2, True, 4)", (4, 1))])
+def test_arrays_of_python_2_and_damaged_lengths_are_read(tmp_path: Path, shape: str, size: tuple[int, int]) -> None:
     path = headed(tmp_path / "a.npy", f"{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}")
     with open_film(path, rate_hz=10) as film:
-        assert (len(list(film)), film.width, film.height) == (2, 4, 3)
+        assert (len(list(film)), (film.width, film.height)) == (2, size)
 
 
-def test_a_length_of_an_array_that_is_no_number(tmp_path: Path) -> None:
-    path = headed(tmp_path / "a.npy", "{'descr': '|u1', 'fortran_order': False, 'shape': (2, True, 4), }")
-    with open_film(path, rate_hz=10) as film:
-        assert (len(list(film)), film.width, film.height) == (2, 4, 1)
-
-
-def test_a_number_stands_in_one_name(tmp_path: Path) -> None:
+def test_a_pattern_selects_one_name_of_a_number(tmp_path: Path) -> None:
     """Two names would give two frames with the same number and time."""
     levels = noise(3, 6, 10, 8)
     folder = write_pictures(tmp_path / "a", levels, "img%d.png")
@@ -236,14 +208,7 @@ def test_a_number_stands_in_one_name(tmp_path: Path) -> None:
         assert same(got, sent)
 
 
-def test_suffixes_in_capitals_are_the_same_kind(tmp_path: Path) -> None:
-    folder = write_pictures(tmp_path / "a", noise(3, 6, 10, 8))
-    (folder / "img0002.png").rename(folder / "img0002.PNG")
-    with open_film(folder, rate_hz=100) as film:
-        assert same(list(film), noise(3, 6, 10, 8))
-
-
-def test_a_stack_in_a_folder_is_not_taken_for_its_first_page(tmp_path: Path) -> None:
+def test_a_stack_among_pictures_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     write_tiff(tmp_path / "a" / "1.tif", noise(3, 6, 10, 8))
     for path in (tmp_path / "a", tmp_path / "a" / "%d.tif"):
@@ -264,19 +229,22 @@ def test_wrong_bytes_in_a_png_are_one_line(tmp_path: Path, capfd: pytest.Capture
     assert capfd.readouterr().err == ""
 
 
-@pytest.mark.parametrize("suffix", [".jpg", ".tif"])
-def test_a_picture_that_claims_more_pixels_than_any_camera(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize("suffix", [".jpg", ".tif", ".png"])
+def test_a_picture_of_too_many_pixels_is_refused(tmp_path: Path, suffix: str) -> None:
     folder = write_pictures(tmp_path / "a", noise(1, 16, 24, 8), f"%d{suffix}")
     path = folder / f"1{suffix}"
     data = path.read_bytes()
     if suffix == ".jpg":
         data = data.replace(struct.pack(">HH", 16, 24), struct.pack(">HH", 30000, 30000), 1)
+    elif suffix == ".png":
+        head = b"IHDR" + struct.pack(">II", 30000, 30000) + data[24:29]
+        data = data[:12] + head + struct.pack(">I", zlib.crc32(head)) + data[33:]
     else:
         for tag, number in ((256, 24), (257, 16)):
             wrong = struct.pack("<HHI", tag, 3, 1) + struct.pack("<I", 30000)
             data = data.replace(struct.pack("<HHI", tag, 3, 1) + struct.pack("<I", number), wrong, 1)
     path.write_bytes(data)
-    says = "claims more pixels than any camera has" if suffix == ".jpg" else "has frames of 30000x30000 pixels"
+    says = "has frames of 30000x30000 pixels" if suffix == ".tif" else "claims more pixels than any camera has"
     assert says in refused(folder)[1]
 
 
@@ -306,7 +274,7 @@ def test_a_jpeg_that_lacks_blocks_is_damaged(tmp_path: Path, capfd: pytest.Captu
     second = folder / "2.jpg"
     data = second.read_bytes()
     half = len(data) * 2 // 3
-    for damaged in (data[:half], data[:half] + bytes(len(data) - half)):
+    for damaged in (data[:half], data[:half] + bytes(len(data) - half), data[:half] + b"\xff\xd9"):
         second.write_bytes(damaged)
         got, says = refused(folder)
         assert len(got) == 1
@@ -326,29 +294,29 @@ def test_whole_jpegs_of_all_forms_are_read(tmp_path: Path, options: list[int], c
     notes = b"".join(bytes([0xFF, kind, 0, 9]) + b"AVI1\xff\xd8\x00" for kind in (0xE0, 0xE1, 0xED, 0xFE))
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "1.jpg").write_bytes(data[:2] + notes + data[2:] + bytes(100))
-    with open_film(tmp_path / "a", rate_hz=10, channel="green") as film:
-        (frame,) = film
+    (frame,) = read(tmp_path / "a", rate_hz=10, channel="green")
     want: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     assert np.array_equal(frame.pixels, want if want.ndim == 2 else want[..., 1])
 
 
-@pytest.mark.parametrize("name", ["one.png", "one.jpg", "lit%03d.png", "PNG"])
-def test_a_single_picture_is_one_frame(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(("name", "kind"), [
+    ("one.png", "png"), ("one.jpg", "jpeg"), ("lit%03d.png", "png"), ("PNG", "png"), ("a.bmp", "bmp"),
+    ("a.webp", "webp"), ("a.jp2", "jpeg2000"), ("lit%03d.bmp", "bmp"),
+])  # fmt: skip
+def test_a_single_picture_is_one_frame(tmp_path: Path, name: str, kind: str) -> None:
     """FFmpeg would take a name that resembles a pattern for a sequence."""
-    picture = jpeg(np.random.default_rng(2))
-    data = cv2.imencode(".jpg" if name.endswith("jpg") else ".png", picture)[1].tobytes()
-    (tmp_path / name).write_bytes(data)
+    Image.fromarray(np.full((16, 24), 77, np.uint8)).save(tmp_path / "made", kind, lossless=True)
+    (tmp_path / "made").rename(tmp_path / name)
     with open_film(tmp_path / name, rate_hz=100) as film:
         (frame,) = film
-        assert (film.width, film.height, film.frame_count) == (96, 64, 1)
-    want: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    assert np.array_equal(frame.pixels, want)
-    assert "has no clock" in refused(tmp_path / name, None)[1]
+        assert (film.width, film.height, film.frame_count) == (24, 16, 1)
+    assert np.unique(frame.pixels).tolist() == [77]
+    assert "has no clock" in refused(tmp_path / name, rate_hz=None)[1]
 
 
-@pytest.mark.parametrize("suffix", [".bmp", ".BMP", ".dib", ".pgm", ".pnm", ".pam", ".jpeg", ".png"])
+@pytest.mark.parametrize("suffix", [".bmp", ".BMP", ".dib", ".pgm", ".pnm", ".pam", ".jpeg", ".webp"])
 def test_pictures_of_all_kinds_in_a_folder(tmp_path: Path, suffix: str) -> None:
-    levels = np.full((3, 16, 24), 77, np.uint8) if suffix == ".jpeg" else noise(3, 16, 24, 8)
+    levels = np.full((3, 16, 24), 77, np.uint8) if suffix in (".jpeg", ".webp") else noise(3, 16, 24, 8)
     folder = tmp_path / "a"
     folder.mkdir()
     kind = {".dib": ".bmp", ".pnm": ".pgm"}.get(suffix, suffix.lower())
@@ -357,37 +325,24 @@ def test_pictures_of_all_kinds_in_a_folder(tmp_path: Path, suffix: str) -> None:
     for other in ("Thumbs.db", "desktop.ini", "._shot 0.png", ".DS_Store"):
         (folder / other).write_bytes(b"of the system")
     for path in (folder, folder / f"shot %d{suffix}"):
-        with open_film(path, rate_hz=100) as film:
-            assert same(list(film), levels)
-
-
-def test_webp_in_a_folder(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    picture = Image.fromarray(np.full((16, 24, 3), 77, np.uint8))
-    for number in range(3):
-        picture.save(tmp_path / "a" / f"{number}.webp", lossless=True)
-    with open_film(tmp_path / "a", rate_hz=100) as film:
-        assert same(list(film), np.full((3, 16, 24), 77, np.uint8))
+        assert same(read(path, rate_hz=100), levels)
 
 
 def test_suffixes_of_one_kind_belong_together(tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "a", np.full((4, 16, 24), 77, np.uint8), "%d.jpg")
     (folder / "2.jpg").rename(folder / "2.JPEG")
     (folder / "3.jpg").rename(folder / "3.jpe")
-    with open_film(folder, rate_hz=100) as film:
-        assert len(list(film)) == 4
+    assert len(read(folder, rate_hz=100)) == 4
 
 
-@pytest.mark.parametrize("digit", ["\u2460", "\u00b2", "\u2074", "\u0968", "\U0001d7d8", "\uff11", "\u09f4", "\u4e00"])
+@pytest.mark.parametrize("digit", ["\u2460", "\u00b2", "\u0968", "\U0001d7d8"])
 def test_digits_of_other_scripts_in_names(tmp_path: Path, digit: str) -> None:
     """`str.isdigit` accepts some digits that `int` rejects."""
     levels = noise(12, 6, 10, 8)
     for name in (f"{digit}%d.png", f"a{digit}b%d.png", f"%d{digit}.png"):
         folder = write_pictures(tmp_path / name[0:2], levels, name, first=0)
-        with open_film(folder, rate_hz=100) as film:
-            assert same(list(film), levels)
-        with open_film(folder / name, rate_hz=100) as film:
-            assert same(list(film), levels)
+        assert same(read(folder, rate_hz=100), levels)
+        assert same(read(folder / name, rate_hz=100), levels)
         for path in folder.iterdir():
             path.unlink()
 
@@ -396,8 +351,7 @@ def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "a", noise(3, 6, 10, 8), "img%d.png")
     for number in (1, 2, 3):
         os.rename(folder / f"img{number}.png", os.fsencode(folder) + b"/\xff%d.png" % number)
-    with open_film(folder, rate_hz=100) as film:
-        assert same(list(film), noise(3, 6, 10, 8))
+    assert same(read(folder, rate_hz=100), noise(3, 6, 10, 8))
 
 
 @pytest.mark.parametrize("suffix", [".bmp", ".pgm", ".webp", ".png", ".jpg", ".tif"])
@@ -429,12 +383,6 @@ def test_the_largest_level_of_a_pgm_states_its_bits(tmp_path: Path, largest: int
     assert "1.pgm holds several pictures, not one" in refused(tmp_path / "a")[1]
 
 
-def test_a_pgm_above_its_largest_level(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    (tmp_path / "a" / "1.pgm").write_bytes(b"P5 10 6 1023\n" + np.full(60, 1024, ">u2").tobytes())
-    assert "a gray level of 1024 after 0 whole frames, and its header says 10 bits" in refused(tmp_path / "a")[1]
-
-
 def animated(path: Path, levels: Levels, durations_ms: list[int], mode: str = "L") -> Path:
     images = [Image.fromarray(picture).convert(mode) for picture in levels]
     images[0].save(path, save_all=True, append_images=images[1:], duration=durations_ms, lossless=True)
@@ -454,15 +402,11 @@ def test_animated_pictures_have_all_frames_at_their_times(tmp_path: Path, name: 
     assert [frame.index for frame in got] == [0, 1, 2, 4, 5, 6]
 
 
-def test_the_rate_that_is_given_scales_the_times_of_an_animation(tmp_path: Path) -> None:
-    path = animated(tmp_path / "a.png", noise(4, 16, 24, 8), [10] * 4)
-    with open_film(path, rate_hz=1000) as film:
-        assert [frame.time_s for frame in film] == pytest.approx([0, 0.001, 0.002, 0.003])
-
-
-def test_a_gif_of_10_ms_a_frame_keeps_its_times(tmp_path: Path) -> None:
-    with open_film(animated(tmp_path / "a.gif", noise(3, 16, 24, 8), [10] * 3)) as film:
-        assert [frame.time_s for frame in film] == pytest.approx([0, 0.01, 0.02])
+def test_a_given_rate_replaces_the_delays_of_an_animation(tmp_path: Path) -> None:
+    path = animated(tmp_path / "a.gif", noise(4, 16, 24, 8), [10] * 4)
+    for rate_hz in (None, 1000):
+        times = [frame.time_s for frame in read(path, rate_hz=rate_hz)]
+        assert times == pytest.approx(np.arange(4) / (rate_hz or 100))
 
 
 @pytest.mark.parametrize("name", ["a.gif", "a.png", "a.webp"])
@@ -475,15 +419,6 @@ def test_a_cut_animation_is_one_line(tmp_path: Path, name: str, capfd: pytest.Ca
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.webp"])
-def test_an_animation_in_a_folder_is_not_taken_for_its_first_picture(tmp_path: Path, name: str) -> None:
+def test_an_animation_among_pictures_is_refused(tmp_path: Path, name: str) -> None:
     animated(tmp_path / name, noise(6, 16, 24, 8), [20] * 6, "RGB")
     assert f"{name} holds 6 pictures, not one: give the file's name" in refused(tmp_path)[1]
-
-
-@pytest.mark.parametrize("name", ["a.bmp", "a.webp", "a.jp2", "lit%03d.bmp"])
-def test_a_single_still_is_one_frame(tmp_path: Path, name: str) -> None:
-    picture = np.full((16, 24), 77, np.uint8)
-    Image.fromarray(picture).convert("RGB").save(tmp_path / name, lossless=True)
-    with open_film(tmp_path / name, rate_hz=100) as film:
-        assert same(list(film), picture[np.newaxis])
-    assert "has no clock" in refused(tmp_path / name, None)[1]

@@ -11,8 +11,10 @@ from heliograph.base.errors import MediaError
 from heliograph.media import open_film
 
 
-@pytest.mark.parametrize("suffix", [".raw", ".RAW", ".bin", ".dat", ".gray", ".y", ".img", ".rgb", ".yuv", ".nv12"])
-@pytest.mark.parametrize("content", ["noise", "black", "words"])
+@pytest.mark.parametrize(("suffix", "content"), [
+    (".raw", "noise"), (".raw", "black"), (".RAW", "words"), (".bin", "noise"), (".bin", "black"), (".dat", "words"),
+    (".gray", "black"), (".y", "noise"), (".img", "words"), (".rgb", "noise"), (".yuv", "black"), (".nv12", "noise"),
+])  # fmt: skip
 def test_a_raw_dump_is_named_with_the_way_to_npy(tmp_path: Path, suffix: str, content: str) -> None:
     levels = {"noise": noise(40, 48, 48, 8), "black": np.zeros((40, 48, 48), np.uint8), "words": noise(40, 48, 48, 12)}
     path = tmp_path / f"dump{suffix}"

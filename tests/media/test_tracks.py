@@ -66,12 +66,12 @@ def test_several_tracks_are_reported_in_one_line(tmp_path: Path, caplog: pytest.
     assert line == f"{path} has 2 video tracks: the largest is read, track 1 of 64x64 pixels"
 
 
-def test_a_cover_picture_beside_one_film_needs_no_report(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_cover_picture_next_to_a_film_needs_no_report(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with open_film(write_tracks(tmp_path / "a.mp4", ("mjpeg", 96, 1, COVER), FILM)):
         assert not caplog.messages
 
 
-def test_a_cover_picture_alone_is_no_film(tmp_path: Path) -> None:
+def test_a_cover_picture_without_a_film_is_no_film(tmp_path: Path) -> None:
     path = write_tracks(tmp_path / "a.mp4", ("mjpeg", 96, 1, COVER), ("sound", 0, 20, 0))
     with pytest.raises(MediaError, match="holds a cover picture and no film"):
         open_film(path)

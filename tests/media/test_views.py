@@ -7,11 +7,12 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+from film_checks import read, refused
 from made_recordings import Y4M_FORMS, noise, write_y4m
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.media import convert_film, create_film, open_film, planes, whole
+from heliograph.media import convert_film, create_film, open_film, planes
 
 
 def film(path: Path, bits: int = 8) -> Path:
@@ -21,9 +22,10 @@ def film(path: Path, bits: int = 8) -> Path:
     return path
 
 
-@pytest.mark.parametrize("crop", [None, (2, 1, 5, 4), (0, 0, 10, 6), (9, 5, 1, 1)])
-@pytest.mark.parametrize("rotate", [0, 90, 180, 270])
-@pytest.mark.parametrize("kind", ["a.h5", "a.mkv"])
+@pytest.mark.parametrize(("crop", "rotate", "kind"), [
+    ((2, 1, 5, 4), 0, "a.h5"), (None, 90, "a.mkv"), ((2, 1, 5, 4), 90, "a.h5"), ((0, 0, 10, 6), 180, "a.mkv"),
+    ((2, 1, 5, 4), 270, "a.mkv"), ((9, 5, 1, 1), 270, "a.h5"),
+])  # fmt: skip
 def test_crop_then_turn(tmp_path: Path, crop: Any, rotate: int, kind: str) -> None:
     x, y, width, height = crop or (0, 0, 10, 6)
     with open_film(film(tmp_path / kind, 12), crop=crop, rotate=rotate, rate_hz=200) as seen:
@@ -59,21 +61,19 @@ def test_a_turn_by_90_is_clockwise(tmp_path: Path) -> None:
     ({"binning": 7}, "is seen in 10x6 pixels, less than a square of 7: average fewer"),
     ({"channel": "alpha"}, "there is no channel 'alpha': choose one of luma, red, green, blue"),
 ])  # fmt: skip
-def test_views_that_are_none(tmp_path: Path, options: dict[str, Any], says: str) -> None:
-    with pytest.raises(MediaError) as caught:
-        open_film(film(tmp_path / "a.h5"), **options)
-    assert says in str(caught.value)
-    assert "\n" not in str(caught.value)
+def test_wrong_views_are_named(tmp_path: Path, options: dict[str, Any], says: str) -> None:
+    assert says in refused(film(tmp_path / "a.h5"), **options)[1]
 
 
 def test_a_view_is_closed_with_its_film_and_gives_the_frames_before_damage(tmp_path: Path) -> None:
     path = tmp_path / "a.npy"
     np.save(path, noise(3, 6, 10, 8))
     path.write_bytes(path.read_bytes()[:-1])
-    got: list[Frame] = []
-    with open_film(path, rate_hz=10, rotate=90) as seen, pytest.raises(MediaError, match="after 2 whole frames"):
-        got.extend(seen)
+    got, says = refused(path, rate_hz=10, rotate=90)
     assert len(got) == 2
+    assert "after 2 whole frames" in says
+    with open_film(path, rate_hz=10, rotate=90) as seen:
+        pass
     with pytest.raises(MediaError, match="is closed"):
         iter(seen)
 
@@ -130,20 +130,21 @@ def test_mirrored_videos_are_put_upright(tmp_path: Path, flip: str, expected: li
         assert quarters(next(iter(seen)).pixels) == expected
 
 
-@pytest.mark.parametrize(("channel", "expected"), [
-    ("red", [[255, 0], [0, 90]]), ("green", [[0, 255], [0, 90]]), ("blue", [[0, 0], [255, 90]]),
-    ("luma", [[76, 150], [29, 90]]),  # Rec. 601: 0.299, 0.587 and 0.114 of 255
-])  # fmt: skip
+CHANNELS = {
+    "red": [[255, 0], [0, 90]], "green": [[0, 255], [0, 90]], "blue": [[0, 0], [255, 90]],
+    "luma": [[76, 150], [29, 90]],  # Rec. 601: 0.299, 0.587 and 0.114 of 255
+}  # fmt: skip
+"""Levels of the quadrants of `coded`."""
+
+
 @pytest.mark.parametrize(("pixel_format", "codec", "tolerance"), [
     ("bgr0", "ffv1", 1), ("bgra", "ffv1", 1), ("yuv444p", "ffv1", 2), ("yuv420p", "mpeg4", 8),
 ])  # fmt: skip
-def test_a_channel_of_colours(
-    tmp_path: Path, pixel_format: str, codec: str, tolerance: int, channel: str, expected: list[list[int]]
-) -> None:
+def test_a_channel_of_colours(tmp_path: Path, pixel_format: str, codec: str, tolerance: int) -> None:
     path = coded(tmp_path / "a.mkv", pixel_format, codec=codec)
-    with open_film(path, channel=channel, expand_range=True) as seen:
-        got = quarters(next(iter(seen)).pixels)
-    assert np.abs(np.subtract(got, expected)).max() <= tolerance
+    for channel, expected in CHANNELS.items():
+        got = quarters(read(path, channel=channel, expand_range=True)[0].pixels)
+        assert np.abs(np.subtract(got, expected)).max() <= tolerance
 
 
 def test_colours_by_the_matrix_that_the_file_states() -> None:
@@ -179,25 +180,19 @@ def test_red_of_ten_bits() -> None:
 
 
 @pytest.mark.parametrize("form", Y4M_FORMS)
-def test_y4m(tmp_path: Path, form: str) -> None:
+def test_y4m_is_read_and_a_cut_is_found(tmp_path: Path, form: str) -> None:
     path = write_y4m(tmp_path / "a.y4m", form)
     with open_film(path) as seen:
         got = list(seen)
         assert (seen.width, seen.height, seen.rate_hz) == (10, 6, 1000)
     assert [frame.time_s for frame in got] == [0, 0.001, 0.002, 0.003, 0.004]
     assert [int(frame.pixels[0, 0]) & 255 for frame in got] == [0, 1, 2, 3, 4]
-    assert whole.ends_early(path) is False
-
-
-@pytest.mark.parametrize("form", Y4M_FORMS)
-@pytest.mark.parametrize("lost", [1, 30])
-def test_a_cut_y4m_gives_its_whole_frames_first(tmp_path: Path, form: str, lost: int) -> None:
-    path = write_y4m(tmp_path / "a.y4m", form)
-    path.write_bytes(path.read_bytes()[:-lost])
-    got: list[Frame] = []
-    with open_film(path) as seen, pytest.raises(MediaError, match="ends in the middle, after 4 whole frames"):
-        got.extend(seen)
-    assert len(got) == 4
+    data = path.read_bytes()
+    for lost in (1, 30):
+        path.write_bytes(data[:-lost])
+        got, says = refused(path)
+        assert len(got) == 4
+        assert "ends in the middle, after 4 whole frames" in says
 
 
 @pytest.mark.parametrize("bits", [8, 16])

@@ -7,125 +7,27 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from heliograph import __version__
+import jinja2
+
 from heliograph.base.errors import MediaError
 from heliograph.base.files import clear_write_errors, room_for, shown_name, write_whole
 from heliograph.datasets.film import write_planned
-from heliograph.datasets.plan import CUTOUT_SIDES, SPLITS, DatasetPlan, PlannedFilm, planned
+from heliograph.datasets.plan import CUTOUT_SIDES, SPLITS, DatasetPlan, planned
 from heliograph.sweeps.plan import merge_changes
 
-READ = """import h5py, pathlib
-
-for path in sorted(pathlib.Path("train").glob("*.h5")):
-    with h5py.File(path) as film:
-        for k, frame in enumerate(film["frames"]):
-            corners = film["truth/corners"][k]  # (arrays, 4, 2) px, x and y
-            cutout = film["cutouts/pixels"][k, 0]  # around the first array
-            first, last = film["truth/patterns"][k, 0]  # visible patterns of the array
-            sent = film["sent/0/levels"][first - film["sent/0"].attrs["first_pattern"]]  # (n, n), 0 to 4
-"""
-"""Example code for reading a data set with h5py."""
-
-LAYOUT = (
-    ("frames", "frame, row, column", "gray levels"),
-    ("times_s", "frame", "start of each exposure by the camera clock, s"),
-    ("truth/index, time_s", "frame", "frame number, dropped frames included; true start of the exposure, s"),
-    ("truth/corners", "frame, array, 4, 2",
-     "x and y in px of the corners of the LED area at mid-exposure: upper left, upper right, lower right, lower left "
-     "of the array; integers are pixel centres"),
-    ("truth/homography", "frame, array, 3, 3", "m in the array plane, right and down from the centre, to px"),
-    ("truth/distance_m", "frame, array", "depth of the centre, m"),
-    ("truth/visible", "frame, array", "true if the array faces the camera, with all LEDs in the frame"),
-    ("truth/patterns", "frame, array, 2", "first and last pattern during the exposure; -1 if dark"),
-    ("cutouts/pixels", "frame, array, row, column", "pixels around the true position; 0 outside the frame"),
-    ("cutouts/origin", "frame, array, 2", "x and y of the first pixel of a cut-out in the frame"),
-    ("sent/K/levels", "pattern, LED row, LED column",
-     "levels of array K, 0 to 4; attributes: identity, and first_pattern, the pattern of the first row"),
-    ("sent/K/messages/LAYER", "byte", "the message of a layer: high, middle, low"),
-)  # fmt: skip
-"""Data sets of a file: name, axes, content."""
-
-TEMPLATE = """# Datasheet
-
-Simulated films of LED arrays for training and testing detectors and decoders, with the truth of each frame and
-cut-outs.
-
-## Content
-
-{splits}
-
-{films} films, {frames:,} frames, {megabytes:,.1f} MB of pixels. `films.csv` lists the films.
-
-## Varied settings
-
-{points}
-
-The attribute `settings` of a file has all settings as JSON, `varied` the varied settings.
-
-## Splits
-
-Film N has the seed {first_seed} + N, which determines messages, noise, road, position and drawn scene. Films and splits
-share no seed. Backgrounds:
-
-{scenes}
-
-{recordings}
-
-## Generation
-
-By `heliograph dataset` of heliograph {version} with the seed {seed}. The same command, version and recordings give
-equal films.
-
-## File format
-
-HDF5, a film per file. Heliograph reads the files like other films: `heliograph receive train/000000.h5`.
-
-{layout}
-
-A cut-out has {sides:g} times the side of the largest image of the array. Gray levels range from 0 to 2^bits - 1.
-`bits`, `rate_hz`, `seed` and `split` are attributes.
-
-```python
-{read}```
-
-## Limitations
-
-- The films are simulated. Effects outside the simulator are absent.
-- Cut-outs are centred on the true position, unknown to a receiver. Shift cut-outs by a pixel or two in training.
-- Films of a row differ by seed only. Vary further settings for the diversity of real roads.
-"""
-"""Template of the datasheet."""
-
-SCENES = {
-    "flat": "uniform gray, equal in all films",
-    "footage": "recorded footage; each file is in a single split",
-}
-"""Backgrounds by kind; other kinds are drawn for each film."""
+PLAN, TABLE, SHEET = "dataset.json", "films.csv", "DATASHEET.md"
+"""Files of the data set: plan, list of films, datasheet."""
 
 
 def datasheet(plan: DatasetPlan, sources: Sequence[str]) -> str:
     """Return the datasheet."""
-    by_split = {name: [film for film in plan.films if film.split == name] for name in SPLITS}
-    splits = [(name, len(by), sum(film.frames for film in by), _seeds(by)) for name, by in by_split.items() if by]
-    kinds = sorted({point.settings.channel.background.kind for point in plan.points})
-    counts = ", ".join(map(str, plan.about["splits"].values()))
-    points = [(point.text if point.choice else "all films", counts) for point in plan.points]
-    named = f"Recordings: {', '.join(sources)}." if sources else "No recordings were used."
-    shared = " All splits use the same recorded car motion." if plan.about["imu"] else ""
-    return TEMPLATE.format(
-        splits=_table(("split", "films", "frames", "seeds"), splits),
-        films=len(plan.films),
-        frames=plan.frames,
-        megabytes=plan.bytes / 1e6,
-        points=_table(("films of", "in train, validation, test"), points),
-        first_seed=plan.films[0].seed,
-        scenes="\n".join(f"- {kind}: {SCENES.get(kind, 'drawn for each film')}" for kind in kinds),
-        recordings=named + shared,
-        version=__version__,
-        seed=plan.about["seed"],
-        layout=_table(("data set", "axes", "content"), LAYOUT),
+    template = (Path(__file__).parent / "datasheet.md.j2").read_text(encoding="utf-8")
+    return jinja2.Template(template, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True).render(
+        plan=plan,
+        splits={name: [film for film in plan.films if film.split == name] for name in SPLITS},
+        kinds=sorted({point.settings.channel.background.kind for point in plan.points}),
+        sources=sources,
         sides=CUTOUT_SIDES,
-        read=READ,
     )
 
 
@@ -138,19 +40,6 @@ def film_table(plan: DatasetPlan) -> str:
     for film in plan.films:
         rows.writerow([film.number, film.name, film.split, film.seed, film.frames, *film.point.choice.values()])
     return out.getvalue()
-
-
-def _seeds(films: Sequence[PlannedFilm]) -> str:
-    return ", ".join(str(film.seed) for film in films[:3]) + (", ..." if len(films) > 3 else "")
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    cells = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in cells)
-
-
-PLAN, TABLE, SHEET = "dataset.json", "films.csv", "DATASHEET.md"
-"""Files of the data set: plan, list of films, datasheet."""
 
 
 def write_dataset(
@@ -234,21 +123,13 @@ def write(plan: DatasetPlan, folder: Path, progress: Callable[[float], None] = l
         for split in {film.split for film in plan.films}:
             (folder / split).mkdir(parents=True, exist_ok=True)
     write_whole(folder / PLAN, json.dumps(_plain(plan)).encode())
-    count = len(kept)
-    for film in plan.films:
-        if film.number in kept:
-            continue
-        write_planned(folder / film.name, film, _film_progress(film, count, progress))
-        count += 1
-        progress(count)
+    missing = [film for film in plan.films if film.number not in kept]
+    for count, film in enumerate(missing, len(kept)):
+        write_planned(folder / film.name, film, count, progress)
+        progress(count + 1)
     sources = sorted({shown_name(r.path) for film in plan.films for r in film.point.recordings.values()})
     write_whole(folder / TABLE, film_table(plan).encode())
     write_whole(folder / SHEET, datasheet(plan, sources).encode())
-
-
-def _film_progress(film: PlannedFilm, before: int, progress: Callable[[float], None]) -> Callable[[int], None]:
-    """Convert the frames of a film to the progress of all films."""
-    return lambda frames: progress(before + min(frames / max(film.frames, 1), 1.0))
 
 
 def _plain(plan: DatasetPlan) -> Any:

@@ -12,8 +12,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.config import to_mapping
-from heliograph.base.errors import MediaError
-from heliograph.base.files import whole_file
+from heliograph.base.files import clear_write_errors, whole_file
 from heliograph.base.frames import Frame, Pixels
 from heliograph.channel import Truth
 from heliograph.datasets.plan import PlannedFilm
@@ -23,20 +22,14 @@ from heliograph.measure.bench import dithered, random_messages
 from heliograph.media.hdf5 import PatientFile
 from heliograph.sweeps.points import load_recording
 
-CORNERS = 0.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-"""Corners of the LED area in units of the side: upper left, upper right, lower right, lower left of the array."""
 
-NONE = -1
-"""Pattern number of a dark frame."""
-
-
-def write_planned(path: Path, film: PlannedFilm, progress: Callable[[int], None]) -> None:
-    """Simulate a film and write the file atomically."""
+def write_planned(path: Path, film: PlannedFilm, before: int, progress: Callable[[float], None]) -> None:
+    """Simulate a film and write the file atomically; report progress in films, `before` of which are finished."""
     settings = dithered(film.settings, film.seed)
     messages = random_messages(settings, film.seed)
     recordings = Recordings(**{kind: load_recording(kind, file) for kind, file in film.point.recordings.items()})
     with whole_file(path) as partial, _open(partial, path) as file:
-        first, last = [10**9] * len(messages), [NONE] * len(messages)
+        first, last = [10**9] * len(messages), [-1] * len(messages)
         side_m = settings.signal.side * settings.channel.emitter.pitch_m
         for count, (frame, truth) in enumerate(simulate(settings, messages, film.seed, recordings), 1):
             row = {"frames": frame.pixels, "times_s": np.float64(frame.time_s), **_truth_row(truth, side_m)}
@@ -45,7 +38,7 @@ def write_planned(path: Path, film: PlannedFilm, progress: Callable[[int], None]
             for k, array in enumerate(truth.arrays):
                 first[k] = min([first[k], *array.patterns])
                 last[k] = max([last[k], *array.patterns])
-            progress(count)
+            progress(before + min(count / max(film.frames, 1), 1.0))
         for k, sender in enumerate(transmitters(settings, messages)):
             begin = min(first[k], last[k] + 1)
             group = file.create_group(f"sent/{k}")
@@ -81,7 +74,7 @@ def _append(group: Any, name: str, value: Any) -> None:
 
 def _truth_row(truth: Truth, side_m: float) -> dict[str, Any]:
     arrays = truth.arrays
-    ends = [(array.patterns[0], array.patterns[-1]) if array.patterns else (NONE, NONE) for array in arrays]
+    ends = [(array.patterns[0], array.patterns[-1]) if array.patterns else (-1, -1) for array in arrays]  # -1: dark
     return {
         "truth/index": np.int64(truth.index),
         "truth/time_s": np.float64(truth.time_s),
@@ -94,8 +87,9 @@ def _truth_row(truth: Truth, side_m: float) -> dict[str, Any]:
 
 
 def corners(homography: Floats, side_m: float) -> Floats:
-    """Return the corners of an array in the image; NaN behind the camera."""
-    points = np.column_stack([side_m * CORNERS, np.ones(4)]) @ homography.T
+    """Return the corners of an array in the image, upper left first, then clockwise; NaN behind the camera."""
+    square = side_m / 2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    points = np.column_stack([square, np.ones(4)]) @ homography.T
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(points[:, 2:] > 0, points[:, :2] / points[:, 2:], np.nan)
 
@@ -123,17 +117,12 @@ def cut_out(pixels: Pixels, x: float, y: float, size: int) -> tuple[Pixels, tupl
 @contextlib.contextmanager
 def _open(partial: Path, target: Path) -> Iterator[Any]:
     """Create an HDF5 file; convert errors."""
-    disk = None
-    try:
+    with clear_write_errors(target):
         disk = PatientFile(partial)
-        with h5py.File(disk, "w") as file:
-            yield file
-        if disk.error is not None:
-            raise disk.error
-    except OSError as error:
-        cause = (disk.error if disk is not None else None) or error
-        reason = cause.strerror or cause
-        raise MediaError(f"cannot write {target}: {reason}; make room or choose another place") from None
-    finally:
-        if disk is not None:
+        try:
+            with h5py.File(disk, "w") as file:
+                yield file
+        finally:
             disk.close()
+            if disk.error is not None:
+                raise disk.error

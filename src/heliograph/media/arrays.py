@@ -2,7 +2,6 @@
 
 import mmap
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
@@ -11,28 +10,23 @@ import numpy as np
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
-from heliograph.media.reader import Reading, camera_rate, checked_size, expected_frames, read_blocks
-from heliograph.media.stamps import TimedReader
+from heliograph.media.reader import Reading
+from heliograph.media.stamps import BlockReader
 
 
-class ArrayReader(TimedReader):
+class ArrayReader(BlockReader):
     """A film in an .npy file; see `FilmReader`. The format has no clock, so the rate is needed."""
 
     def __init__(self, path: Path, reading: Reading) -> None:
-        super().__init__(path, reading.rate_hz)
-        (self._claimed, self.height, self.width), self._dtype, self._start = _header(path)
+        super().__init__(path, reading)
+        (frames, self.height, self.width), self._dtype, self._start = _header(path)
         self.bits = 8 * self._dtype.itemsize
-        checked_size(path, self.width, self.height)
-        self._frame_bytes = self.width * self.height * self._dtype.itemsize
-        self.frame_count = expected_frames(path, self._claimed, self._frame_bytes)
-        self._number_frames(camera_rate(path, reading.rate_hz))
-        self.metadata = {}
+        self._set_blocks(frames, self.width * self.height * self._dtype.itemsize)
+        self._number_frames()
 
-    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
-        places = (self._start + count * self._frame_bytes for count in range(self._claimed))
-        for number, data in enumerate(read_blocks(self.path, places, self._frame_bytes)):
-            levels: Any = np.frombuffer(data, self._dtype).reshape(self.height, self.width)
-            yield number / self.claimed_hz, levels.astype(self._dtype.newbyteorder("="), copy=False), self.bits
+    def _levels(self, data: bytearray) -> Pixels:
+        levels: Any = np.frombuffer(data, self._dtype).reshape(self.height, self.width)
+        return levels.astype(self._dtype.newbyteorder("="), copy=False)
 
 
 def _header(path: Path) -> tuple[tuple[int, int, int], np.dtype[np.uint8] | np.dtype[np.uint16], int]:

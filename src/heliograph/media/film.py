@@ -20,7 +20,7 @@ from heliograph.media.reader import FilmReader, Reading, clear_read_errors
 from heliograph.media.record import FilmSpec
 from heliograph.media.tiff import TiffReader
 from heliograph.media.view import ViewReader, check_view
-from heliograph.media.writer import FilmWriter, ThreadedSink, partial_path, write_error
+from heliograph.media.writer import FilmWriter, ThreadedSink, partial_path
 
 FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
 """Suffixes of new films."""
@@ -242,9 +242,9 @@ def create_film(
             return FilmWriter(target, partial, spec, hdf5.Hdf5Sink(partial, target, spec))
         sink = video_write.VideoSink(partial, target, spec, name, crf=crf, lossless=lossless, mbit_s=mbit_s)
         return FilmWriter(target, partial, spec, ThreadedSink(sink))
-    except (MediaError, OSError) as error:
+    except MediaError:
         partial.unlink(missing_ok=True)
-        raise error if isinstance(error, MediaError) else write_error(error, target) from error
+        raise
 
 
 def checked_path(path: object) -> Path:

@@ -21,7 +21,7 @@ from heliograph.base.frames import BITS, Frame, Pixels
 from heliograph.media.reader import Reading, checked_size, clear_read_errors
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ, FilmSpec
 from heliograph.media.stamps import TimedReader, agrees, check_times
-from heliograph.media.writer import write_error
+from heliograph.media.writer import clear_errors
 
 SUFFIXES = (".h5", ".hdf5")
 """Suffixes of HDF5 films."""
@@ -45,7 +45,7 @@ class Hdf5Reader(TimedReader):
     """An HDF5 film; see `FilmReader`."""
 
     def __init__(self, path: Path, reading: Reading) -> None:
-        super().__init__(path, reading.rate_hz)
+        super().__init__(path, reading)
         with _opened(path) as file, _clear_damage(path, 0):
             frames, times = file["frames"], file["times_s"]
             self.frame_count, *shape = frames.shape
@@ -54,7 +54,8 @@ class Hdf5Reader(TimedReader):
             self.height, self.width = reversed(shape) if self._by_columns else shape
             checked_size(path, self.width, self.height)
             _check_chunks(path, frames, times)
-            self.bits = int(_number(path, file.attrs, "bits", *BITS[frames.dtype]) or 8 * frames.dtype.itemsize)
+            dtype = frames.dtype.newbyteorder("=")
+            self.bits = int(_number(path, file.attrs, "bits", *BITS[dtype]) or 8 * dtype.itemsize)
             self.metadata = _read_metadata(file.attrs)
             stated_hz = _number(path, file.attrs, "rate_hz", SLOWEST_HZ, FASTEST_HZ)
             first = _read_times(times, 0)
@@ -103,8 +104,8 @@ def _frame_reader(file: Any, frames: Any) -> Callable[[int], Pixels]:
     with suppress(OSError, AttributeError, ValueError):  # some systems lack this call
         # the system reads ahead: a thread would cost more than reading
         os.posix_fadvise(file.id.get_vfd_handle(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
-    shape, dtype = frames.shape[1:], frames.dtype
-    plain = frames.chunks == (1, *shape) and dtype.isnative and not frames.id.get_create_plist().get_nfilters()
+    shape, dtype = frames.shape[1:], frames.dtype.newbyteorder("=")
+    plain = frames.chunks == (1, *shape) and frames.dtype.isnative and not frames.id.get_create_plist().get_nfilters()
     plain = plain and h5py.version.version_tuple[:2] >= (3, 9)  # which reads into an array
     # decompress a chunk of several frames once, up to 67 MB
     chunk_frames = frames.chunks[0] if frames.chunks else 1
@@ -119,7 +120,7 @@ def _frame_reader(file: Any, frames: Any) -> Callable[[int], Pixels]:
         place, pixels = (number, 0, 0), np.empty(shape, dtype)
         # a missing or damaged chunk has another size
         if not plain or frames.id.get_chunk_info_by_coord(place).size != pixels.nbytes:
-            return block(number // at_once)[number % at_once].copy()
+            return block(number // at_once)[number % at_once].astype(dtype)
         frames.id.read_direct_chunk(place, out=pixels.reshape(-1).view(np.uint8))
         return pixels
 
@@ -254,15 +255,15 @@ def _check_form(path: Path, file: Any) -> None:
     import h5py
 
     try:
-        external = any(_is_external(file, name) for name in (b"frames", b"times_s"))
-        datasets: list[Any] = [] if external else [file.get("frames"), file.get("times_s")]
+        datasets = [_find_dataset(file, name) for name in ("frames", "times_s")]
     except _BROKEN as error:
         raise MediaError(f"{path} is not a film: its links lead nowhere; expected the datasets {_EXPECTED}") from error
-    if not all(isinstance(dataset, h5py.Dataset) for dataset in datasets):
+    is_external = any(dataset is False for dataset in datasets)
+    if not is_external and not all(isinstance(dataset, h5py.Dataset) for dataset in datasets):
         held = ", ".join(sorted(file)) or "nothing"
         raise MediaError(f"{path} is not a film: expected the datasets {_EXPECTED}, it holds {held}")
     # the shape of a virtual dataset opens other files
-    if external or any(dataset.is_virtual or dataset.external for dataset in datasets):
+    if is_external or any(dataset.is_virtual or dataset.external for dataset in datasets):
         raise MediaError(f"{path} is no complete film, its pictures lie in other files: copy them into one")
     frames, times = datasets
     shape: tuple[int, ...] = frames.shape or ()  # None for an empty dataset
@@ -273,34 +274,28 @@ def _check_form(path: Path, file: Any) -> None:
         raise MediaError(f"{path}: 'frames' {shape} counts its frames along the last axis: {cure}")
     # a running writer may have written a frame and no time yet
     fits = is_list and len(shape) == 3 and (max(lengths) == shape[0] or file.swmr_mode)
-    if not fits or frames.dtype not in BITS or times.dtype.kind not in "fiu":
+    if not fits or frames.dtype.newbyteorder("=") not in BITS or times.dtype.kind not in "fiu":
         got = f"'frames' {shape} of {frames.dtype} and 'times_s' {lengths} of {times.dtype}"
         raise MediaError(f"{path} is not a film: expected {_EXPECTED}, got {got}")
 
 
-def _is_external(file: Any, name: bytes) -> bool:
-    """True if a name leads out of a file. h5py would open the target of a link, even a pipe, so go step by step."""
+def _find_dataset(group: Any, path: str) -> Any:
+    """Return a dataset by its path, None if missing, or False in another file: h5py would open even a pipe."""
     import h5py
 
-    group, parts = file.id, [name]
-    for _ in range(100):
-        if not parts:
-            return False
-        part = parts.pop(0)
-        if part in (b"", b"."):
+    found = group.file if path.startswith("/") else group
+    for name in path.split("/"):
+        if name in ("", ".") or not isinstance(found, h5py.Group):
             continue
-        if not (isinstance(group, h5py.h5g.GroupID) and group.links.exists(part)):
-            return False
-        kind = group.links.get_info(part).type
+        links = found.id.links
+        kind = links.get_info(name.encode()).type if links.exists(name.encode()) else None
+        if kind is None:
+            return None
         if kind == h5py.h5l.TYPE_SOFT:
-            target = group.links.get_val(part)
-            group = file.id if target.startswith(b"/") else group
-            parts = target.split(b"/") + parts
-        elif kind == h5py.h5l.TYPE_HARD:
-            group = h5py.h5o.open(group, part)
+            found = _find_dataset(found, links.get_val(name.encode()).decode())
         else:
-            return True
-    raise KeyError(name)  # a circle of links
+            found = found[name] if kind == h5py.h5l.TYPE_HARD else False
+    return found
 
 
 def _check_chunks(path: Path, *datasets: Any) -> None:
@@ -370,8 +365,9 @@ class Hdf5Sink:
 
         self._target = target
         self._count = 0
-        with self._clear_errors():
+        with clear_errors(target):
             self._disk = PatientFile(partial)
+        with self._clear_errors():
             self._file = h5py.File(self._disk, "w")
             shape, dtype = (spec.height, spec.width), "u1" if spec.bits == 8 else "<u2"
             limits = {"maxshape": (None, *shape), "chunks": (1, *shape)}
@@ -412,9 +408,9 @@ class Hdf5Sink:
 
     @contextmanager
     def _clear_errors(self) -> Iterator[None]:
-        try:
-            yield
-            if self._disk.error is not None:
-                raise self._disk.error
-        except (OSError, RuntimeError) as error:  # HDF5 raises either
-            raise write_error(error, self._target) from error
+        with clear_errors(self._target, RuntimeError):
+            try:
+                yield
+            finally:
+                if self._disk.error is not None:
+                    raise self._disk.error

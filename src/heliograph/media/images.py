@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
 from heliograph.media import tiff
-from heliograph.media.reader import Reading, camera_rate, checked_size, clear_read_errors
+from heliograph.media.reader import Reading, checked_size, clear_read_errors
 from heliograph.media.stamps import TimedReader
 
 if TYPE_CHECKING:
@@ -69,27 +69,23 @@ class ImagesReader(TimedReader):
     faster = ("HDF5",)
 
     def __init__(self, path: Path, reading: Reading) -> None:
-        super().__init__(path, reading.rate_hz)
+        super().__init__(path, reading)
         self._folder, self._names = _find_pictures(path)
-        self._channel = reading.channel
-        self._number_frames(camera_rate(path, reading.rate_hz))
-        first, self.bits = self._picture(self._names[0][1], 0)
+        self._number_frames()
+        first, self.bits = self._picture(0)
         self.height, self.width = first.shape
         self.frame_count = len(self._names)
-        self.metadata = {}
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
-        for count, (number, name) in enumerate(self._names):
-            pixels, bits = self._picture(name, count)
-            if pixels.shape != (self.height, self.width) or bits != self.bits:
-                got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {bits} bits"
-                wanted = f"{self.width}x{self.height} of {self.bits}"
-                raise MediaError(f"{self._folder / name} has {got}, those before {wanted}: give each film a folder")
-            yield number / self.claimed_hz, pixels, bits
+        for count, (number, _) in enumerate(self._names):
+            yield number / self.claimed_hz, *self._picture(count)
 
-    def _picture(self, name: str, count: int) -> tuple[Pixels, int]:
+    def _frame_name(self, count: int) -> str:
+        return str(self._folder / self._names[count][1])
+
+    def _picture(self, count: int) -> tuple[Pixels, int]:
         """Return the gray levels of a picture, and the bits."""
-        path = self._folder / name
+        path = self._folder / self._names[count][1]
         try:
             # OpenCV reads less than 2 GiB
             data = path.read_bytes() if path.is_file() and path.stat().st_size < 1 << 31 else b""
@@ -141,7 +137,7 @@ def _decode(data: bytes) -> NDArray[np.generic] | None:
 
 
 def _is_sound(path: Path, data: bytes) -> bool:
-    """Check a picture by Pillow, as OpenCV fills missing parts of PNG and JPEG; True for kinds unknown to Pillow."""
+    """Check a PNG or JPEG picture, as OpenCV fills missing parts; True for other kinds."""
     from PIL import Image, UnidentifiedImageError
 
     with warnings.catch_warnings(action="ignore"):  # the size is checked here
@@ -152,10 +148,10 @@ def _is_sound(path: Path, data: bytes) -> bool:
                     raise MediaError(
                         f"{path} holds {several} pictures, not one: give the file's name, not the folder's"
                     )
+                if image.format == "JPEG":
+                    return _has_all_blocks(data)
                 if image.format == "PNG":
                     image.verify()
-                elif image.format == "JPEG":
-                    image.load()
         except Image.DecompressionBombError:
             raise MediaError(f"{path} claims more pixels than any camera has: it is no frame, or damaged") from None
         except UnidentifiedImageError:
@@ -164,6 +160,25 @@ def _is_sound(path: Path, data: bytes) -> bool:
             raise
         except _BROKEN:
             return False
+    return True
+
+
+def _has_all_blocks(data: bytes) -> bool:
+    """True if FFmpeg decodes all blocks of a JPEG picture, or does not know the form (ITU-T T.81, annex B)."""
+    import av
+
+    kept, place = [_JPEG], len(_JPEG)
+    while place + 4 <= len(data) and data[place + 1] != 0xDA:  # up to the first scan
+        end = place + 2 + int.from_bytes(data[place + 2 : place + 4], "big")
+        if not (0xE0 <= data[place + 1] <= 0xEF or data[place + 1] == 0xFE):  # FFmpeg may misread notes of cameras
+            kept.append(data[place:end])
+        place = end
+    decoder = av.CodecContext.create("mjpeg", "r")
+    decoder.options, decoder.thread_count = {"err_detect": "explode"}, 1
+    try:
+        decoder.decode(av.Packet(b"".join([*kept, data[place:]])))
+    except av.error.FFmpegError as error:
+        return not isinstance(error, av.error.InvalidDataError)
     return True
 
 
@@ -228,15 +243,13 @@ class AnimationReader(TimedReader):
     faster = ("HDF5",)
 
     def __init__(self, path: Path, reading: Reading) -> None:
-        super().__init__(path, reading.rate_hz)
-        self._channel = reading.channel
+        super().__init__(path, reading)
         self.claimed_hz = 1 / statistics.median(delay_s for _, delay_s in islice(self._decoded(), 100))
         with _opened(path) as image:
             self.width, self.height = image.size
             self.frame_count = getattr(image, "n_frames", 1)
         first, _ = next(self._decoded())
         self.bits = 8 * first.itemsize
-        self.metadata = {}
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         time_s = 0.0

@@ -1,5 +1,6 @@
 """Read recordings of Phantom cameras: .cine files of gray levels, with the camera's time stamps."""
 
+import math
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
@@ -14,16 +15,8 @@ from numpy.typing import NDArray
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
 from heliograph.media.images import to_gray
-from heliograph.media.reader import (
-    Reading,
-    camera_rate,
-    checked_size,
-    clear_read_errors,
-    expected_frames,
-    read_blocks,
-    truncated,
-)  # fmt: skip
-from heliograph.media.stamps import LIMITS, TimedReader, measure_pace
+from heliograph.media.reader import Reading, clear_read_errors, read_blocks, truncated
+from heliograph.media.stamps import LIMITS, BlockReader, measure_pace
 
 SIGNATURE = b"CI\x2c\0"
 """First bytes of a recording: the mark, and the length 44 of the file header."""
@@ -32,7 +25,7 @@ _TICKS = 1 << 32
 """Ticks of a stamp in a second."""
 
 
-class PhantomReader(TimedReader):
+class PhantomReader(BlockReader):
     """A Phantom recording; see `FilmReader`.
 
     Times are the camera's stamps since the first frame, or follow from the rate if the file has no stamps. A stamp not
@@ -41,15 +34,13 @@ class PhantomReader(TimedReader):
     """
 
     def __init__(self, path: Path, reading: Reading) -> None:
-        super().__init__(path, reading.rate_hz)
-        self._channel, self.metadata = reading.channel, {}
+        super().__init__(path, reading)
         with clear_read_errors(path), path.open("rb") as file:
             try:
                 record_hz = self._read_header(file)
             except struct.error:
                 raise MediaError(f"{path} ends in the middle of its headers: copy it again") from None
-        self.claimed_hz = camera_rate(path, reading.rate_hz, record_hz)
-        self.frame_count = expected_frames(path, self._count, self._frame_bytes)
+        self._set_rate(record_hz)
         with suppress(MediaError):  # reading reports a cut file after the last good frame
             self._pace = measure_pace([*islice(self._times(), LIMITS.sample_frames)])
 
@@ -65,8 +56,6 @@ class PhantomReader(TimedReader):
         mark, length, rate, levels = _unpack_at(file, settings, "<140x2sH624xI124xI")
         if mark != b"ST":
             raise MediaError(f"{path} has no camera settings where its header points: copy the file again")
-        height = abs(rows)
-        checked_size(path, width, height)
         if compression == 1 or packing not in (0, 256, 1024):  # JPEG pictures, or an unknown packing
             raise MediaError(f"{path} is compressed (kinds {compression}, {packing}): save it as raw .cine or as TIFF")
         if frames > min(1 << 28, size):  # the table of 2^28 frames takes 2 GB
@@ -75,21 +64,15 @@ class PhantomReader(TimedReader):
         bits = {8: 8, 24: 8, 10: 12, 12: 12}.get(word, levels if 8 < levels <= 16 else 16)
         if word not in (8, 10, 12, 16, 24, 48):
             raise MediaError(f"{path} has pixels of {word} bits, not 8, 10, 12 or 16: save it as raw or as TIFF")
-        self.width, self.height, self.bits = width, height, bits
-        self._word, self._upwards = word, packing == 0 and rows > 0
-        self._frame_bytes = packed_size(width * height, word)
-        self._count, self._table = frames, table
+        self.width, self.height, self.bits = width, abs(rows), bits
+        self._word, self._upwards, self._table = word, packing == 0 and rows > 0, table
+        self._set_blocks(frames, packed_size(width * self.height, word))
         self._stamps = _find_stamps(file, settings + length, table, frames)
         return float(rate)
 
-    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
-        frames = read_blocks(self.path, self._places(), self._frame_bytes)
-        for data, elapsed_s in zip(frames, self._times(), strict=False):
-            yield elapsed_s, self._levels(data), self.bits
-
     def _places(self) -> Iterator[int]:
         """Yield the place of each frame's pixels, behind an annotation."""
-        table = (self._table + 8 * count for count in range(self._count))
+        table = (self._table + 8 * count for count in range(self._claimed))
         with self.path.open("rb") as file:
             for count, entry in enumerate(read_blocks(self.path, table, 8)):
                 place = int.from_bytes(entry, "little")
@@ -102,9 +85,9 @@ class PhantomReader(TimedReader):
     def _times(self) -> Iterator[float]:
         """Yield the time of each frame since the first in s."""
         if self._stamps is None:
-            yield from (count / self.claimed_hz for count in range(self._count))
+            yield from super()._times()
             return
-        places = (self._stamps + 8 * count for count in range(self._count))
+        places = (self._stamps + 8 * count for count in range(self._claimed))
         period, first, last = max(1, round(_TICKS / self.claimed_hz)), None, 0
         for data in read_blocks(self.path, places, 8):
             stamp = int.from_bytes(data, "little") & ~3  # clears two flags of the camera
@@ -116,14 +99,11 @@ class PhantomReader(TimedReader):
             yield (stamp - first) / _TICKS
 
     def _levels(self, data: bytearray) -> Pixels:
-        shape = (self.height, self.width)
-        if self._word in (10, 12):
-            levels = unpack_levels(data, self._word)[: self.height * self.width].reshape(shape)
-            return linear(levels) if self._word == 10 else levels
-        kind: Any = np.uint8 if self.bits == 8 else np.uint16
-        values = np.frombuffer(data, np.dtype(kind).newbyteorder("<")).astype(kind)
-        picture = values.reshape(*shape, 3) if self._word in (24, 48) else values.reshape(shape)
-        return to_gray(picture[::-1] if self._upwards else picture, self._channel)
+        shape = (self.height, self.width, 3) if self._word in (24, 48) else (self.height, self.width)
+        levels = read_levels(data, {24: 8, 48: 16}.get(self._word, self._word))[: math.prod(shape)].reshape(shape)
+        if self._word == 10:
+            return linear(levels)
+        return to_gray(levels[::-1] if self._upwards else levels, self._channel)
 
 
 def linear(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -145,12 +125,13 @@ def _curve() -> NDArray[np.uint16]:
     return levels
 
 
-def unpack_levels(data: bytes | bytearray, bits: int) -> NDArray[np.uint16]:
-    """Return densely packed gray levels, the upper bits first."""
-    from imagecodecs import packints_decode
+def read_levels(data: bytearray, word: int) -> Any:
+    """Return gray levels in words of 8 or 16 bits, or densely packed with the upper bits first."""
+    if word % 8:
+        from imagecodecs import packints_decode
 
-    levels: NDArray[np.uint16] = packints_decode(bytes(data), np.uint16, bits)
-    return levels
+        return packints_decode(bytes(data), np.uint16, word)
+    return np.frombuffer(data, np.dtype(f"<u{word // 8}")).astype(f"u{word // 8}", copy=False)
 
 
 def packed_size(levels: int, bits: int) -> int:

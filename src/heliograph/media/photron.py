@@ -4,7 +4,7 @@ import codecs
 import math
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,10 +13,11 @@ import numpy as np
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.files import read_bounded
 from heliograph.base.frames import Pixels
-from heliograph.media.phantom import packed_size, unpack_levels
-from heliograph.media.reader import Reading, camera_rate, checked_size, clear_read_errors, expected_frames, read_blocks
-from heliograph.media.stamps import TimedReader
+from heliograph.media.phantom import packed_size, read_levels
+from heliograph.media.reader import Reading, clear_read_errors
+from heliograph.media.stamps import BlockReader
 
+_BLANK = " \t\r\n\0"
 SUFFIXES = (".mraw", ".cihx", ".cih")
 """Suffixes of the frames, and of headers in XML and in lines of text."""
 
@@ -40,7 +41,7 @@ _PLACES = {
 """Name of each value's line in .cih, in small letters, and the path in .cihx."""
 
 
-class PhotronReader(TimedReader):
+class PhotronReader(BlockReader):
     """A Photron recording; see `FilmReader`.
 
     The rate counts saved frames: the record rate over the save step. A recording of 10,000 frames a second with
@@ -49,16 +50,13 @@ class PhotronReader(TimedReader):
 
     def __init__(self, path: Path, reading: Reading) -> None:
         frames, header = _find_pair(path)
-        super().__init__(frames, reading.rate_hz)
+        super().__init__(frames, reading)
         texts = _read_header(header)
         self._check_kind(header, texts)
         self.width, self.height = _whole(header, texts, "width"), _whole(header, texts, "height")
-        checked_size(header, self.width, self.height)
-        self._claimed = _whole(header, texts, "frames")
-        self._frame_bytes = packed_size(self.width * self.height, self._word)
-        self.frame_count = expected_frames(frames, self._claimed, self._frame_bytes)
+        self._set_blocks(_whole(header, texts, "frames"), packed_size(self.width * self.height, self._word))
         saved_hz = _rate(header, texts["rate"]) / max(1, _whole(header, texts, "step", 1))
-        self._number_frames(camera_rate(header, reading.rate_hz, saved_hz))
+        self._number_frames(saved_hz, header)
         notes = ("camera", "date", "time", "shutter", "comment", "rate", "step")
         self.metadata = {name: texts[name] for name in notes if texts[name]}
         self._check_length(header)
@@ -80,27 +78,18 @@ class PhotronReader(TimedReader):
 
     def _check_length(self, header: Path) -> None:
         """Refuse a file longer than in the header, or with levels of other bits; a cut file is read."""
-        claimed, size = self._claimed * self._frame_bytes, self.path.stat().st_size
-        if size > claimed:
-            held = f"{self._claimed} frames of {self._frame_bytes}"
-            raise MediaError(f"{self.path} has {size} bytes, and {header.name} says {held}: give the matching header")
+        size, frames = self.path.stat().st_size, self._claimed
+        stated, actual = f"{frames} frames of {self._frame_bytes}", ""
         for word in {8, 12, 16} - {self._word}:
-            if size == self._claimed * packed_size(self.width * self.height, word):
-                held = f"{size} bytes, which are {self._claimed} frames of {word} bits"
-                said = f"{header.name} says {self._word} bits"
-                raise MediaError(f"{self.path} has {held}, and {said}: give the matching header")
-
-    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
-        places = (count * self._frame_bytes for count in range(self._claimed))
-        for count, data in enumerate(read_blocks(self.path, places, self._frame_bytes)):
-            yield count / self.claimed_hz, self._levels(data), self.bits
+            if size == frames * packed_size(self.width * self.height, word):
+                stated, actual = f"{self._word} bits", f", which are {frames} frames of {word} bits"
+        if actual or size > frames * self._frame_bytes:
+            held = f"{size} bytes{actual}, and {header.name} says {stated}"
+            raise MediaError(f"{self.path} has {held}: give the matching header")
 
     def _levels(self, data: bytearray) -> Pixels:
-        shape, pixels = (self.height, self.width), self.height * self.width
-        if self._word == 8:
-            return np.frombuffer(data, np.uint8).reshape(shape)
-        levels = unpack_levels(data, 12)[:pixels] if self._word == 12 else np.frombuffer(data, "<u2").astype(np.uint16)
-        return np.right_shift(levels, np.uint16(self._shift)).reshape(shape)
+        levels = read_levels(data, self._word)[: self.width * self.height]
+        return np.right_shift(levels, levels.dtype.type(self._shift)).reshape(self.height, self.width)
 
 
 def _find_pair(path: Path) -> tuple[Path, Path]:
@@ -149,31 +138,26 @@ def _parse_xml(path: Path, data: bytes) -> dict[str, str]:
     # the element <cih> has no declarations, so no entity can expand
     wrong: Exception | None = None
     for name in ("ascii", "utf-16-le", "utf-16-be"):
-        first, last = "<cih>".encode(name), "</cih>".encode(name)
-        if first in data:
-            cut = data[data.find(first) : data.rfind(last) + len(last)]
-            try:
-                root = ElementTree.fromstring(_decode(cut) if name == "ascii" else cut.decode(name, "replace"))
-                return {name: (root.findtext(place) or "").strip(" \t\r\n\0") for name, (_, place) in _PLACES.items()}
-            except (ElementTree.ParseError, ValueError) as error:
-                wrong = error
+        place, end = data.find("<cih>".encode(name)), data.rfind("</cih>".encode(name)) + len("</cih>".encode(name))
+        text = _decode(data[place:end]) if name == "ascii" else data[place:end].decode(name, "replace")
+        try:
+            root = ElementTree.fromstring(text if place >= 0 else "")
+            return {name: (root.findtext(place) or "").strip(_BLANK) for name, (_, place) in _PLACES.items()}
+        except (ElementTree.ParseError, ValueError) as error:
+            wrong = error if place >= 0 else wrong
     raise MediaError(f"{path} cannot be read, the XML is wrong ({brief(wrong)}): copy the header again") from None
 
 
 def _parse_lines(text: str) -> dict[str, str]:
-    values: dict[str, str] = {}
-    for line in text.splitlines():
-        name, colon, value = line.partition(":")
-        if colon:
-            values.setdefault(name.strip(" \t\r\n\0").lower(), value.strip(" \t\r\n\0"))
+    lines = [line.partition(":") for line in text.splitlines() if ":" in line]
+    # the first of several lines of a name counts
+    values = {name.strip(_BLANK).lower(): value.strip(_BLANK) for name, _, value in reversed(lines)}
     return {name: values.get(line, "") for name, (line, _) in _PLACES.items()}
 
 
 def _whole(path: Path, texts: Mapping[str, str], name: str, missing: int | None = None) -> int:
     """Return an integer of the header."""
-    text, line = texts[name], _PLACES[name][0]
-    if not text and missing is not None:
-        return missing
+    text, line = texts[name] or ("" if missing is None else str(missing)), _PLACES[name][0]
     if not text:
         raise MediaError(f"{path} does not state its {line}: copy the header saved with the frames, or add the line")
     with suppress(ValueError):

@@ -11,6 +11,9 @@ from heliograph.base.frames import Pixels
 if TYPE_CHECKING:
     import av
 
+NO_TURN = (False, False, False)
+"""Parameters of `upright` that change nothing."""
+
 LIMITED, FULL = 1, 2
 """FFmpeg's AVCOL_RANGE_MPEG (levels 16 to 235) and AVCOL_RANGE_JPEG (levels 0 to 255)."""
 
@@ -101,6 +104,12 @@ def _plane(picture: "av.VideoFrame", index: int, bits: int) -> Pixels:
     if bits == 8:
         return np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
     return np.frombuffer(plane, np.uint16).reshape(-1, plane.line_size // 2)
+
+
+def upright(pixels: Pixels, is_transposed: bool, rows_reversed: bool, columns_reversed: bool) -> Pixels:
+    """Transpose levels, then reverse the order of rows and columns."""
+    turned: Any = pixels.T if is_transposed else pixels
+    return np.ascontiguousarray(turned[:: -1 if rows_reversed else 1, :: -1 if columns_reversed else 1])
 
 
 @functools.lru_cache

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.base.frames import LATEST_S, Frame
+from heliograph.base.frames import Frame
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ
 
 Frames = Generator[Frame, None, None]
@@ -62,7 +62,7 @@ class FilmReader(ABC):
 
     def __init__(self, path: Path, rate_hz: float | None = None) -> None:
         self.path, self._true_hz = path, rate_hz
-        self.read_s = 0.0
+        self.frame_count, self.metadata, self.read_s = None, {}, 0.0
         self._running: Frames | None = None
         self._closed = False
 
@@ -141,22 +141,6 @@ def checked_size(path: Path, width: int, height: int) -> None:
         raise MediaError(f"{path} has frames of {width}x{height} pixels: it is no film, or damaged; copy it again")
 
 
-def checked_time(path: Path, time_s: float, count: int) -> float:
-    """Return the time of a frame, or refuse it."""
-    if not abs(time_s) <= LATEST_S:
-        raise MediaError(f"{path} has a frame at {time_s:g} s after {count} whole frames: times are in seconds")
-    return time_s
-
-
-def camera_rate(path: Path, given_hz: float | None, stated_hz: float | None = None) -> float:
-    """Return the rate of a file, or the given rate."""
-    rate = stated_hz or given_hz
-    if not rate:
-        cure = "by --fps (rate_hz; on page Watch Frames/s)"
-        raise MediaError(f"{path} has no clock: say how many frames a second the camera took, {cure}")
-    return rate
-
-
 @contextmanager
 def clear_read_errors(path: Path | str) -> Iterator[None]:
     """Turn an OSError into a MediaError."""
@@ -171,11 +155,6 @@ def clear_read_errors(path: Path | str) -> Iterator[None]:
 def truncated(path: Path, count: int) -> MediaError:
     """Return the error for a truncated file."""
     return MediaError(f"{path} ends in the middle, after {count} whole frames: copy it again")
-
-
-def expected_frames(path: Path, claimed: int, frame_bytes: int) -> int:
-    """Return the number of claimed frames, limited by the size of the file."""
-    return min(claimed, path.stat().st_size // frame_bytes)
 
 
 def read_blocks(path: Path, places: Iterable[int], size: int) -> Iterator[bytearray]:

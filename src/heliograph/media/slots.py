@@ -4,7 +4,6 @@ import os
 import re
 import struct
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.files import whole_file
+from heliograph.media.reader import clear_read_errors
 from heliograph.signal import pwm
 
 Slot = NDArray[np.uint8]
@@ -31,7 +31,6 @@ HEAD = struct.Struct("<8sHHIQII")
 
 _MACROS = ("SIDE", "SLOTS_PER_PATTERN", "SLOT_NS", "SLOTS", "BYTES_PER_SLOT")
 _C_ARRAY = b"static const uint8_t heliograph_slots[HELIOGRAPH_SLOTS * HELIOGRAPH_BYTES_PER_SLOT] = {\n"
-_C_END = b"};\n\n#endif\n"
 
 _RGB = 0b111  # R1, G1 and B1 of a row scan; R2, G2 and B2 are the next three bits
 _AGAIN = "write it again by 'heliograph transmit'"
@@ -112,24 +111,24 @@ class SlotFile:
 
     def __iter__(self) -> Iterator[Slot]:
         """Yield the slots in order of time; raise a MediaError after the last good slot of a damaged file."""
-        kind, form, number = self.path.suffix.lower(), self.form, 0
-        with _clear_errors(self.path), self.path.open("rb") as file:
+        kind, form = self.path.suffix.lower(), self.form
+        with clear_read_errors(self.path), self.path.open("rb") as file:
             if kind == ".csv":
                 yield from _read_rows(self.path, file, form)
                 return
-            size = _slot_bytes(kind, form.side)
-            try:
-                for data in _read_c_rows(file, size) if kind == ".h" else _read_blocks(file, size):
-                    if number == form.count:
-                        raise MediaError(f"{self.path} has more than its {form.count} slots; {_AGAIN}")
-                    yield _unpack(kind, data, form.side)
-                    number += 1
-            except ValueError as error:
-                raise MediaError(f"slot {number} of {self.path} is damaged: {error}; {_AGAIN}") from None
-            if number < form.count:
-                raise MediaError(f"{self.path} ends after {number} of {form.count} slots; {_AGAIN}")
-            if os.fstat(file.fileno()).st_size > file_size(self.path, form):
-                raise MediaError(f"{self.path} has more than its {form.count} slots; {_AGAIN}")
+            length, end = _record(kind, form.side)
+            file.seek(len(_head(kind, form)))
+            for number in range(form.count):
+                record = file.read(length)
+                if len(record) < length:
+                    raise MediaError(f"{self.path} ends after {number} of {form.count} slots; {_AGAIN}")
+                try:
+                    slot = _unpack(kind, record, form.side)
+                except ValueError as error:
+                    raise MediaError(f"slot {number} of {self.path} is damaged: {error}; {_AGAIN}") from None
+                yield slot
+            if file.read(len(end) + 1) != end:
+                raise MediaError(f"{self.path} does not end after its {form.count} slots; {_AGAIN}")
 
     def levels(self) -> Iterator[NDArray[np.uint8]]:
         """Yield the patterns: (n, n) uint8, the slots of each in which an LED is on."""
@@ -155,18 +154,22 @@ def open_slots(path: str | os.PathLike[str]) -> SlotFile:
         raise MediaError(f"the path of slots is text or a pathlib.Path, not {shown(path)}")
     file = Path(path)
     kind = _checked_kind(file, (*SUFFIXES, ".csv"))
-    with _clear_errors(file):
+    with clear_read_errors(file):
         if not file.is_file():
             raise MediaError(f"there is no file {file}: check the name")
         try:
             if kind == ".csv":
                 return SlotFile(file, _read_table_form(file))
-            *values, size = _read_c_head(file)[0] if kind == ".h" else _read_head(file, kind)
+            with file.open("rb") as opened:
+                head = opened.read(1 << 12)
+            *values, size = _read_head(kind, head)
         except (ValueError, KeyError, struct.error):
             raise MediaError(f"{file} is no {kind} file of LED patterns; see 'heliograph transmit'") from None
     form = SlotForm(*values)
     if not _is_side(form.side) or min(form.slots_per_pattern, form.slot_ns) < 1 or size != _slot_bytes(kind, form.side):
         raise MediaError(f"{file} is damaged: no slots are {form.side} LEDs a side in {size} bytes; {_AGAIN}")
+    if not head.startswith(_head(kind, form)):
+        raise MediaError(f"{file} has a changed or damaged header; {_AGAIN}")
     return SlotFile(file, form)
 
 
@@ -178,21 +181,18 @@ def write_slots(path: Path, slots: Iterable[NDArray[np.uint8]], form: SlotForm) 
         for slot in slots:
             if slot.shape != (form.side, form.side):
                 raise MediaError(f"{path} takes slots of shape ({form.side}, {form.side}), not {slot.shape}")
-            data = _pack(kind, slot)
-            file.write(_c_row(data) if kind == ".h" else data)
+            file.write(_pack(kind, slot))
             written += 1
         if written != form.count:
             raise MediaError(f"{path} takes {form.count} slots, not {written}")
-        if kind == ".h":
-            file.write(_C_END)
+        file.write(_record(kind, form.side)[1])
 
 
 def file_size(path: Path, form: SlotForm) -> int:
     """Return the length of a file of slots in bytes."""
     kind = _checked_kind(path, SUFFIXES)
-    size = _slot_bytes(kind, form.side)
-    size, end = (len(_c_row(bytes(size))), len(_C_END)) if kind == ".h" else (size, 0)
-    return len(_head(kind, form)) + form.count * size + end
+    length, end = _record(kind, form.side)
+    return len(_head(kind, form)) + form.count * length + len(end)
 
 
 def _checked_kind(path: Path, suffixes: tuple[str, ...]) -> str:
@@ -206,18 +206,18 @@ def _is_side(side: int) -> bool:
     return side in range(4, 65, 4)
 
 
-@contextmanager
-def _clear_errors(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except MediaError:
-        raise
-    except OSError as error:
-        raise MediaError(f"cannot read {path}: {error.strerror or error}") from None
-
-
 def _slot_bytes(kind: str, side: int) -> int:
     return side // 2 * (1 + side) if kind == ".hub75" else side * side // 8
+
+
+def _record(kind: str, side: int) -> tuple[int, bytes]:
+    """Return the length of a slot in the file, and the bytes behind all slots."""
+    size = _slot_bytes(kind, side)
+    return (len(_c_row(bytes(size))), b"};\n\n#endif\n") if kind == ".h" else (size, b"")
+
+
+def _c_row(data: bytes) -> bytes:
+    return b"  " + b"".join(b"0x%02x," % byte for byte in data) + b"\n"
 
 
 def _pack(kind: str, slot: Slot) -> bytes:
@@ -226,10 +226,15 @@ def _pack(kind: str, slot: Slot) -> bytes:
         lit = _RGB * slot[:half] | _RGB * slot[half:] << 3
         return np.insert(lit, 0, np.arange(half), axis=1).tobytes()
     # the first bit in a chain of registers ends at the far end
-    return np.packbits(slot.ravel()[::-1] if kind == ".shift" else slot).tobytes()
+    data = np.packbits(slot.ravel()[::-1] if kind == ".shift" else slot).tobytes()
+    return _c_row(data) if kind == ".h" else data
 
 
 def _unpack(kind: str, data: bytes, side: int) -> Slot:
+    if kind == ".h":
+        if not re.fullmatch(rb"  (?:0x[0-9a-f]{2},)+\n", data):
+            raise ValueError("its line is cut")
+        data = bytes.fromhex(data.decode().replace("0x", "").replace(",", ""))
     held = np.frombuffer(data, np.uint8)
     if kind == ".hub75":
         rows = held.reshape(side // 2, 1 + side)
@@ -256,43 +261,15 @@ def _head(kind: str, form: SlotForm) -> bytes:
     return text.encode() + _C_ARRAY
 
 
-def _read_head(path: Path, kind: str) -> tuple[int, ...]:
-    with path.open("rb") as file:
-        signature, *values, _ = HEAD.unpack(file.read(HEAD.size))
+def _read_head(kind: str, head: bytes) -> tuple[int, ...]:
+    """Return the values of `SlotForm`, and the bytes of a slot."""
+    if kind == ".h":
+        values = dict(re.findall(rb"#define HELIOGRAPH_([A-Z_]+) (\d{1,19})u\s", head))
+        return tuple(int(values[name.encode()]) for name in _MACROS)
+    signature, *numbers, _ = HEAD.unpack(head[: HEAD.size])
     if signature != SIGNATURES[kind]:
         raise ValueError
-    return tuple(values)
-
-
-def _read_blocks(file: BinaryIO, size: int) -> Iterator[bytes]:
-    """Yield the bytes of each complete slot."""
-    file.seek(HEAD.size)
-    while block := file.read(max(1, (1 << 14) // size) * size):
-        yield from (block[start : start + size] for start in range(0, len(block) // size * size, size))
-
-
-def _c_row(data: bytes) -> bytes:
-    return b"  " + b"".join(b"0x%02x," % byte for byte in data) + b"\n"
-
-
-def _read_c_head(path: Path) -> tuple[tuple[int, ...], int]:
-    """Return the values of the macros and the place of the array."""
-    with path.open("rb") as file:
-        head, array, _ = file.read(1 << 13).partition(_C_ARRAY)
-    if not array:
-        raise ValueError
-    values = dict(re.findall(rb"#define HELIOGRAPH_([A-Z_]+) (\d{1,19})u\s", head))
-    return tuple(int(values[name.encode()]) for name in _MACROS), len(head) + len(array)
-
-
-def _read_c_rows(file: BinaryIO, size: int) -> Iterator[bytes]:
-    """Yield the bytes of each slot up to the end of the array."""
-    file.seek(_read_c_head(Path(file.name))[1])
-    length = len(_c_row(bytes(size)))
-    while re.fullmatch(rb"  (?:0x[0-9a-f]{2},)+\n", line := file.read(length)):
-        yield bytes.fromhex(line.decode().replace("0x", "").replace(",", ""))
-    if line + file.read(len(_C_END)) not in (_C_END, _C_END + b"\n"):  # a longer file is reported after the slots
-        raise ValueError("its line is cut")
+    return tuple(numbers)
 
 
 def write_table(path: Path, patterns: Iterable[NDArray[np.uint8]], side: int, period_s: float, slots: bool) -> None:

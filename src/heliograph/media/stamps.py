@@ -12,7 +12,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import LATEST_S, Frame, Pixels
-from heliograph.media.reader import FilmReader, Frames, checked_time
+from heliograph.media.reader import FilmReader, Frames, Reading, checked_size, read_blocks
 from heliograph.media.record import FASTEST_HZ
 
 
@@ -69,34 +69,94 @@ class TimedReader(FilmReader):
     # Frame rate of the stamps; None if they show none
     _pace: Pace | None = None
 
-    def _number_frames(self, rate_hz: float) -> None:
+    def __init__(self, path: Path, reading: Reading) -> None:
+        super().__init__(path, reading.rate_hz)
+        self._channel = reading.channel
+
+    def _set_rate(self, stated_hz: float | None = None, source: Path | None = None) -> None:
+        """Set the stated rate, or else the given rate."""
+        rate_hz = stated_hz or self._true_hz
+        if not rate_hz:
+            cure = "by --fps (rate_hz; on page Watch Frames/s)"
+            raise MediaError(
+                f"{source or self.path} has no clock: say how many frames a second the camera took, {cure}"
+            )
+        self.claimed_hz = rate_hz
+
+    def _number_frames(self, stated_hz: float | None = None, source: Path | None = None) -> None:
         """Set the rate of a film with frame numbers in place of stamps."""
-        self.claimed_hz, self._pace, self._states_numbers = rate_hz, Pace(rate_hz, is_even=True), True
+        self._set_rate(stated_hz, source)
+        self._pace, self._states_numbers = Pace(self.claimed_hz, is_even=True), True
 
     def _frames(self) -> Frames:
         index, last_s, count = -1, -math.inf, 0
-        for count, (stamp_s, pixels, bits) in enumerate(self._pictures(), 1):
+        for stamp_s, pixels, bits in self._pictures():
+            self._check_form(pixels, bits, count)
+            time_s = stamp_s
             if self._true_hz is not None:
-                if count > 1:
+                if count:
                     index += self._pace.steps(stamp_s - last_s) if self._pace else 1
                 else:
                     index = max(0, round(stamp_s * self.claimed_hz)) if self._states_numbers else 0
-                time_s = checked_time(self.path, index / self._true_hz, count - 1)
-            else:
-                time_s = checked_time(self.path, stamp_s, count - 1)
+                time_s = index / self._true_hz
+            if not abs(time_s) <= LATEST_S:
+                reason = f"a frame at {time_s:g} s after {count} whole frames"
+                raise MediaError(f"{self.path} has {reason}: times are in seconds")
+            if self._true_hz is None:
                 if time_s < last_s:
                     cure = "times must rise; correct them, or number the frames by --fps (rate_hz)"
-                    place = f"at {time_s:.6f} s after one at {last_s:.6f} s, after {count - 1} whole frames"
+                    place = f"at {time_s:.6f} s after one at {last_s:.6f} s, after {count} whole frames"
                     raise MediaError(f"{self.path} has a frame {place}: {cure}")
                 index = max(index + 1, round(time_s * self.claimed_hz))
             last_s = stamp_s
             yield Frame(index, time_s, pixels, bits)
+            count += 1
         if not count:
             raise MediaError(f"{self.path} holds no frames: record it again")
+
+    def _check_form(self, pixels: Pixels, bits: int, count: int) -> None:
+        """Refuse a frame of another size or other bits."""
+        if pixels.shape != (self.height, self.width) or bits != self.bits:
+            got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {bits} bits after {count} whole frames"
+            form = f"{self.width}x{self.height} of {self.bits}"
+            raise MediaError(f"{self._frame_name(count)} has {got}, the film {form}: make a film of each size")
+
+    def _frame_name(self, count: int) -> str:  # noqa: ARG002 - pictures have files
+        """Return the name of a frame's file."""
+        return str(self.path)
 
     @abstractmethod
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         """Yield each frame's time stamp in s, gray levels and bits."""
+
+
+class BlockReader(TimedReader):
+    """A film with a block of bytes of the same size for each frame; see `FilmReader`."""
+
+    _start = 0
+
+    def _set_blocks(self, frames: int, frame_bytes: int) -> None:
+        """Set the number of frames stated by the header, and the bytes of each."""
+        checked_size(self.path, self.width, self.height)
+        self._claimed, self._frame_bytes = frames, frame_bytes
+        self.frame_count = min(frames, self.path.stat().st_size // frame_bytes)
+
+    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
+        blocks = read_blocks(self.path, self._places(), self._frame_bytes)
+        for data, time_s in zip(blocks, self._times(), strict=False):
+            yield time_s, self._levels(data), self.bits
+
+    def _places(self) -> Iterator[int]:
+        """Yield the place of each frame's bytes in the file."""
+        return (self._start + number * self._frame_bytes for number in range(self._claimed))
+
+    def _times(self) -> Iterator[float]:
+        """Yield the time stamp of each frame in s."""
+        return (number / self.claimed_hz for number in range(self._claimed))
+
+    @abstractmethod
+    def _levels(self, data: bytearray) -> Pixels:
+        """Return the gray levels of a frame's bytes."""
 
 
 def measure_pace(stamps_s: Sequence[float] | Floats, limits: StampLimits = LIMITS) -> Pace | None:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
-from heliograph.media import images
-from heliograph.media.reader import Reading, camera_rate, checked_size
+from heliograph.media import images, planes
+from heliograph.media.reader import Reading, checked_size
 from heliograph.media.stamps import TimedReader
 
 if TYPE_CHECKING:
@@ -35,6 +35,12 @@ SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR, _MOSAIC = 0, 1, 2, 3, 6, 32803
 _SAMPLES = {_WHITE_IS_ZERO: 1, _BLACK_IS_ZERO: 1, _RGB: 3, _PALETTE: 1, _YCBCR: 3, _MOSAIC: 1}
 """Samples of a pixel for gray or colour; further samples may be opacity."""
+
+_TURNS = {
+    2: (False, False, True), 3: (False, True, True), 4: (False, True, False), 5: (True, False, False),
+    6: (True, False, True), 7: (True, True, True), 8: (True, True, False),
+}  # fmt: skip
+"""Parameters of `planes.upright` by the tag Orientation (TIFF 6.0, section 8)."""
 
 _SPLIT = "save one channel, in ImageJ by Image > Color > Split Channels"
 
@@ -95,34 +101,33 @@ def _check_kind(path: Path, page: "TiffPage") -> None:
     if wanted is None or page.samplesperpixel < wanted:
         kind = getattr(page.photometric, "name", page.photometric)
         raise MediaError(f"{path} has pixels of kind {kind}: save gray or RGB of 8 or 16 bits")
-    if page.imagedepth > 1 and not _is_plain(page):
+    if page.imagedepth > 1 and not _is_raw(page):
         raise MediaError(f"{path} has {page.imagedepth} pictures in one page that is compressed or tiled: save pages")
     # values 1 and 2 of ExtraSamples are opacity
     if page.samplesperpixel > wanted == 1 and not all(extra in (1, 2) for extra in page.extrasamples or (0,)):
         raise MediaError(f"{path} has several channels ({page.samplesperpixel} samples a pixel): {_SPLIT}")
 
 
-def _is_plain(page: "TiffPage") -> bool:
-    """True if the levels lie in the file uncompressed, row after row."""
-    places, sizes = page.dataoffsets, page.databytecounts
+def _is_raw(page: "TiffPage") -> bool:
+    """True if the numbers lie in the file as words, row after row."""
+    places, sizes, bits = page.dataoffsets, page.databytecounts, page.bitspersample
     in_one_piece = all(place + size == end for place, size, end in zip(places, sizes, places[1:], strict=False))
-    return page.compression == 1 and not page.is_tiled and in_one_piece
-
-
-def _plane_bytes(page: "TiffPage") -> int:
-    """Return the bytes of a frame of an uncompressed page."""
-    rows, row, bits = page.shaped[0] * page.shaped[2], page.shaped[3] * page.shaped[4], page.bitspersample
-    words = 2 * rows * row
     # some programs write levels of 9 to 15 bits as words of 16 and state the bits of the level
-    return words if 8 < bits < 16 and sum(page.databytecounts) == words else rows * -(-row * bits // 8)
+    in_words = page.dtype is not None and (bits % 8 == 0 or (bits > 8 and sum(sizes) == page.nbytes))
+    return page.compression == page.fillorder == 1 and not page.is_tiled and in_one_piece and in_words
+
+
+def _frame_bytes(page: "TiffPage") -> int:
+    """Return the bytes of a frame in a page of words."""
+    return int(page.nbytes) // page.imagedepth
 
 
 def _end(page: "TiffPage", plane: int) -> int:
     """Return the place behind the last byte of a frame."""
     if not page.dataoffsets or not all(page.dataoffsets) or not all(page.databytecounts):
         raise ValueError("a strip or tile is missing")
-    if _is_plain(page):
-        return int(page.dataoffsets[0]) + _plane_bytes(page) * (plane + 1)
+    if _is_raw(page):
+        return int(page.dataoffsets[0]) + _frame_bytes(page) * (plane + 1)
     return int(max(place + size for place, size in zip(page.dataoffsets, page.databytecounts, strict=True)))
 
 
@@ -155,31 +160,16 @@ def _colours(page: "TiffPage", stored: NDArray[Any]) -> NDArray[Any]:
 
 def _stored(page: "TiffPage", plane: int) -> NDArray[Any]:
     """Return the numbers of a frame as stored, (planar samples, rows, columns, samples)."""
-    bits = page.bitspersample
-    if not _is_plain(page) or bits == 1 or page.fillorder != 1:
+    if _is_raw(page):
+        shape = (page.shaped[0], *page.shaped[2:])
+        dtype = np.dtype(page.dtype).newbyteorder(page.parent.byteorder)
+        place = page.dataoffsets[0] + plane * _frame_bytes(page)
+        stored = page.parent.filehandle.read_array(dtype, math.prod(shape), place).reshape(shape)
+    else:
         stored = page.asarray(squeeze=False, maxworkers=1)[:, 0]
-        return stored.view(np.uint8) if stored.dtype == np.bool_ else stored.astype(stored.dtype.newbyteorder("="))
-    size, shape = _plane_bytes(page), (page.shaped[0], *page.shaped[2:])
-    if page.dtype is None:
-        raise ValueError(f"numbers of {bits} bits and kind {page.sampleformat}")
-    page.parent.filehandle.seek(page.dataoffsets[0] + plane * size)
-    data = bytearray(size)  # writable, as kernels are compiled for writable arrays
-    if page.parent.filehandle.readinto(data) < size:
-        raise ValueError(f"its pixels take {size} bytes")
-    if bits % 8 and size < 2 * math.prod(shape):
-        from imagecodecs import packints_decode
-
-        return packints_decode(bytes(data), page.dtype, bits, runlen=shape[2] * shape[3]).reshape(shape)
-    kind = np.dtype(np.uint16) if bits % 8 else np.dtype(page.dtype)
-    return np.frombuffer(data, kind.newbyteorder(page.parent.byteorder)).reshape(shape).astype(kind, copy=False)
-
-
-def _upright(levels: Pixels, orientation: int) -> Pixels:
-    """Turn and mirror levels by the tag Orientation (TIFF 6.0, section 8)."""
-    turned: Pixels = levels.T if orientation in (5, 6, 7, 8) else levels
-    turned = turned[:, ::-1] if orientation in (2, 3, 6, 7) else turned
-    turned = turned[::-1] if orientation in (3, 4, 7, 8) else turned
-    return turned.copy() if turned is not levels else levels
+    return (
+        stored.view(np.uint8) if stored.dtype == np.bool_ else stored.astype(stored.dtype.newbyteorder("="), copy=False)
+    )
 
 
 def is_stack(path: Path) -> bool:
@@ -198,26 +188,19 @@ class TiffReader(TimedReader):
     faster = ("HDF5",)
 
     def __init__(self, path: Path, reading: Reading) -> None:
-        super().__init__(path, reading.rate_hz)
-        self._channel = reading.channel
-        self._number_frames(camera_rate(path, reading.rate_hz))
+        super().__init__(path, reading)
+        self._number_frames()
         with _Stack(path) as stack:
             stack.check_axes()
             first, self.bits = stack.first_levels(self._channel)
             self.frame_count = stack.count()
         self.height, self.width = first.shape
-        self.metadata = {}
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         count = 0
         with _Stack(self.path) as stack:
             for page, plane in stack.frames():
-                pixels, bits = stack.levels(page, plane, count, self._channel)
-                if pixels.shape != (self.height, self.width) or bits != self.bits:
-                    got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {bits} bits"
-                    form = f"{self.width}x{self.height} of {self.bits}"
-                    raise MediaError(f"{self.path} has a page of {got} after {count} of {form}: remove it")
-                yield count / self.claimed_hz, pixels, bits
+                yield count / self.claimed_hz, *stack.levels(page, plane, count, self._channel)
                 count += 1
             stack.check_end(count)
 
@@ -312,8 +295,8 @@ class _Stack:
             if _end(page, plane) > self._file.size:
                 raise MediaError(f"{self._path} ends in the middle, after {count} whole frames: copy it again")
             picture = images.checked_form(self._path, _colours(page, _stored(page, plane)))
-            orientation = int(page.tags.valueof("Orientation", default=1))
-            pixels = _upright(images.to_gray(picture, channel), orientation)
+            turn = _TURNS.get(int(page.tags.valueof("Orientation", default=1)), planes.NO_TURN)
+            pixels = planes.upright(images.to_gray(picture, channel), *turn)
             return pixels, _bits(page, pixels, self._stated().bits)
         except MediaError:
             raise
@@ -324,9 +307,8 @@ class _Stack:
     def _stated(self) -> Description:
         """Return the description of the first page."""
         if self._description is None:
-            page = next(self._pages(), None)
-            self._description = Description() if page is None else read_description(page)
-        return self._description
+            next(self._pages(), None)
+        return self._description or Description()
 
     def _directories(self) -> Iterator[int]:
         """Yield the place of each page's directory; tifffile hides the reason for the end of the chain."""
@@ -360,6 +342,8 @@ class _Stack:
             try:
                 page = tifffile.TiffPage(self._tif, index=number)
                 is_reduced = int(page.subfiletype) & 1  # TIFF 6.0, section 8
+                if self._description is None and not is_reduced:
+                    self._description = read_description(page)
             except (OSError, *self._errors):
                 self._ending = "is damaged"
                 return
@@ -377,9 +361,9 @@ class _Stack:
                 series = self._tif.series[0]  # forms of other programs, such as MetaMorph
                 if series.dataoffset == page.dataoffsets[0] and not series.size % page.size:
                     frames = series.size // page.size
-            if frames == 1 or not _is_plain(page):
+            if frames == 1 or not _is_raw(page):
                 return 1
-            start, size = page.dataoffsets[0], _plane_bytes(page)
+            start, size = page.dataoffsets[0], _frame_bytes(page)
             if following is None:
                 # a picture cut out of a stack may keep the description of the stack
                 return frames if self._file.size >= start + 2 * size or page.imagedepth > 1 else 1

@@ -12,12 +12,10 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
 from heliograph.media import planes, whole
-from heliograph.media.reader import Reading, camera_rate, checked_size
+from heliograph.media.reader import Reading, checked_size
 from heliograph.media.record import from_tags, restored_time
 from heliograph.media.stamps import LIMITS, StampClock, TimedReader
 
@@ -32,8 +30,7 @@ class VideoReader(TimedReader):
     _decodes = True
 
     def __init__(self, path: Path, reading: Reading) -> None:
-        super().__init__(path, reading.rate_hz)
-        self._reading = reading
+        super().__init__(path, reading)
         self._make_clock: Callable[[], StampClock] | None = None
         with _opened(path) as container:
             stream = _film_stream(path, container)
@@ -56,17 +53,17 @@ class VideoReader(TimedReader):
                 clock = self._make_clock()
                 self.claimed_hz, self._pace = clock.rate_hz, clock.pace
             else:
-                self.claimed_hz = camera_rate(path, reading.rate_hz, float(context.framerate or 0))
-            bits = max(8, context.format.components[0].bits) if context.format else 8
+                self._set_rate(float(context.framerate or 0))
+            form = first.format if first is not None else context.format
+            bits = min(max(8, form.components[0].bits), 16) if form else 8
             self.bits = self._record.bits if self._record else bits
             self.frame_count = None if self._unstamped else _frame_count(container, stream, self.claimed_hz)
             is_gray = first is not None and first.format.name.startswith("gray")
             self._checks_levels = self._record is not None or is_gray
             # films of this package in limited range had all levels before
             self._expanded = reading.expand_range or self._record is not None
-            self._turn = (False, False, False) if self._record or first is None else _orientation(first)
-            is_transposed = self._turn[0]
-            self.width, self.height = (context.width, context.height)[:: -1 if is_transposed else 1]
+            self._turn = planes.NO_TURN if self._record or first is None else _orientation(first)
+            self.width, self.height = (context.width, context.height)[:: -1 if self._turn[0] else 1]
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         with _opened(self.path) as container:
@@ -79,25 +76,18 @@ class VideoReader(TimedReader):
                 else:
                     time_s = stamp_s
                 pixels, bits = self._gray(picture, count)
-                self._check_form(pixels, bits, count)
-                yield time_s, pixels, self.bits if self._record else bits
+                is_noted = self._record is not None and (bits > 8) == (self.bits > 8)
+                yield time_s, pixels, self.bits if is_noted else bits
 
     def _gray(self, picture: "av.VideoFrame", count: int) -> tuple[Pixels, int]:
         import av
 
         try:
-            pixels, bits = planes.to_gray(picture, self._expanded, self._reading.channel)
+            pixels, bits = planes.to_gray(picture, self._expanded, self._channel)
         except (av.error.FFmpegError, ValueError) as error:
             text = f"pictures of the form {picture.format.name}, which give no gray levels"
             raise MediaError(f"{self.path} has {text}, after {count} whole frames: convert it") from error
-        return (_upright(pixels, *self._turn) if any(self._turn) else pixels), bits
-
-    def _check_form(self, pixels: Pixels, bits: int, count: int) -> None:
-        if self._record and (bits > 8) != (self.bits > 8):
-            raise MediaError(f"{self.path} has pictures of {bits} bits, but notes {self.bits}: drop its metadata")
-        if pixels.shape != (self.height, self.width):
-            sizes = f"{self.width}x{self.height} to {pixels.shape[1]}x{pixels.shape[0]}"
-            raise MediaError(f"{self.path} changes its size from {sizes} pixels after {count} frames: cut it there")
+        return planes.upright(pixels, *self._turn), bits
 
     def _stream(self, container: "InputContainer") -> "av.VideoStream":
         return next(stream for stream in container.streams.video if stream.index == self._track)
@@ -113,9 +103,10 @@ class VideoReader(TimedReader):
             context.options = {"err_detect": "explode"}
         crc = zlib.crc32(context.extradata or b"")
         has_checksums = self._record is not None and context.name == "ffv1" and self._record.codec_crc == crc
-        count, damaged = 0, False
+        count, damaged, picture_bytes = 0, False, 0
         try:
             for packet in container.demux(stream):
+                picture_bytes = packet.size or picture_bytes
                 if has_checksums and packet.size and not whole.slices_whole(bytes(packet)):
                     damaged = True
                 # flush the decoder at the first damaged picture
@@ -126,7 +117,7 @@ class VideoReader(TimedReader):
                     break
         except av.error.FFmpegError:
             damaged = True
-        is_cut = whole.ends_early(self.path)
+        is_cut = whole.ends_early(self.path, picture_bytes)
         if is_cut or (is_cut is None and self._record and self._has_end):
             raise MediaError(f"{self.path} ends in the middle, after {count} whole frames: copy or record it again")
         if damaged:
@@ -166,19 +157,12 @@ def _orientation(picture: "av.VideoFrame") -> tuple[bool, bool, bool]:
     side_data: Any = picture.side_data
     matrix = side_data.get(Type.DISPLAYMATRIX)
     if matrix is None or len(bytes(matrix)) < 36:
-        return False, False, False
+        return planes.NO_TURN
     # the place on the display, y down: x' = a x + c y, y' = b x + d y
     a, b, _, c, d, *_ = struct.unpack_from("<9i", bytes(matrix))
     if not b and not c:
         return False, d < 0, a < 0
-    return (True, b < 0, c < 0) if not a and not d else (False, False, False)
-
-
-def _upright(pixels: Any, transposed: bool, rows_back: bool, columns_back: bool) -> Pixels:
-    turned = pixels.T if transposed else pixels
-    turned = turned[:: -1 if rows_back else 1, :: -1 if columns_back else 1]
-    upright: Pixels = np.ascontiguousarray(turned)
-    return upright
+    return (True, b < 0, c < 0) if not a and not d else planes.NO_TURN
 
 
 @contextmanager

@@ -4,8 +4,7 @@ With a bit rate H.264 and H.265 are written as by phones: 4:2:0, limited range, 
 """
 
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
 from numbers import Real
 from pathlib import Path
@@ -15,7 +14,7 @@ from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Frame
 from heliograph.media import planes
 from heliograph.media.record import FilmRecord, FilmSpec, fine_time_base, rational_rate, to_tags
-from heliograph.media.writer import write_error
+from heliograph.media.writer import clear_errors
 
 if TYPE_CHECKING:
     import av
@@ -139,16 +138,10 @@ class VideoSink:
         self._last_tick = tick
         return tick
 
-    @contextmanager
-    def _clear_errors(self) -> Iterator[None]:
+    def _clear_errors(self) -> AbstractContextManager[None]:
         import av
 
-        try:
-            yield
-        except MediaError:
-            raise
-        except (av.error.FFmpegError, OSError) as error:
-            raise write_error(error, self._target) from error
+        return clear_errors(self._target, av.error.FFmpegError)
 
 
 def _time_base(suffix: str, rate_hz: float) -> Fraction:

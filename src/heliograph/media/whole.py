@@ -1,7 +1,6 @@
 """Detection of truncated and damaged video files; FFmpeg ends silently at a cut."""
 
 import os
-import re
 import zlib
 from pathlib import Path
 from typing import BinaryIO
@@ -10,8 +9,11 @@ _MIRROR = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 """Each byte with reversed bits."""
 
 
-def ends_early(path: Path) -> bool | None:
-    """Return True if a Matroska, NUT, MP4, AVI or YUV4MPEG file is cut short; None if the bytes do not show it."""
+def ends_early(path: Path, picture_bytes: int = 0) -> bool | None:
+    """Return True if a Matroska, NUT, MP4, AVI or YUV4MPEG file is cut short; None if the bytes do not show it.
+
+    For YUV4MPEG all pictures have `picture_bytes`.
+    """
     size = os.path.getsize(path)
     with path.open("rb") as file:
         head = file.read(32)
@@ -23,8 +25,11 @@ def ends_early(path: Path) -> bool | None:
             return _boxes_cut(file, size)
         if head.startswith(b"RIFF"):
             return _riff_cut(file, size)
-        if head.startswith(b"YUV4MPEG2 "):
-            return _y4m_cut(file, size)
+        if head.startswith(b"YUV4MPEG2 ") and picture_bytes:
+            file.seek(0)
+            start = len(file.readline(4096))
+            # pictures with parameters are left to FFmpeg
+            return (size - start) % (6 + picture_bytes) != 0 if file.read(6) == b"FRAME\n" else None
     return None
 
 
@@ -101,23 +106,3 @@ def _riff_cut(file: BinaryIO, size: int) -> bool:
         length = int.from_bytes(head[4:], "little")
         place += 8 + length + (length & 1)
     return place > size
-
-
-def _y4m_cut(file: BinaryIO, size: int) -> bool | None:
-    """Return True if the last frame of a YUV4MPEG file is incomplete (mjpegtools, yuv4mpeg(5))."""
-    file.seek(0)
-    line = file.readline(4096)
-    fields = {word[:1]: word[1:] for word in line.split()[1:]}
-    form = re.fullmatch(
-        rb"(mono|420|411|422|444)(alpha|jpeg|mpeg2|paldv)?p?(9|1[0-6])?", fields.get(b"C", b"420")
-    )  # more bits than 8 come last
-    try:
-        width, height = int(fields[b"W"]), int(fields[b"H"])
-    except (KeyError, ValueError):
-        return None
-    if not form or file.read(6) != b"FRAME\n":  # frames with parameters are left to FFmpeg
-        return None
-    across, down = {b"mono": (0, 0), b"420": (2, 2), b"411": (4, 1), b"422": (2, 1), b"444": (1, 1)}[form[1]]
-    colours = 2 * -(-width // across) * -(-height // down) if across else 0
-    levels = width * height * (2 if form[2] == b"alpha" else 1) + colours
-    return (size - len(line)) % (6 + levels * (2 if form[3] else 1)) != 0

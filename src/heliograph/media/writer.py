@@ -1,16 +1,17 @@
 """Common interface for writing films: checks, atomic replacement of the file, encoding in a thread."""
 
-import errno
 import os
 from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol, Self
 
 import numpy as np
 
 from heliograph.base import files
-from heliograph.base.errors import MediaError, shown
+from heliograph.base.errors import MediaError, brief, shown
 from heliograph.base.frames import Frame
 from heliograph.media.record import FilmSpec
 
@@ -96,7 +97,10 @@ class FilmWriter:
             raise MediaError(f"no frames were written to {self.path}: a film needs at least one")
         try:
             self._sink.close()
-            _publish(self._partial, self.path)
+            with files.clear_write_errors(self.path):
+                with self._partial.open("rb+") as file:
+                    os.fsync(file.fileno())  # a power cut could otherwise leave the new name on an empty file
+                os.replace(self._partial, self.path)
         except BaseException:
             self.abort()
             raise
@@ -124,12 +128,10 @@ class FilmWriter:
             raise MediaError(
                 f"a film takes heliograph.Frame, not {shown(frame)}; write Frame(index, time_s, pixels, bits)"
             )
-        pixels, spec, dtype = frame.pixels, self.spec, np.dtype(np.uint8 if self.spec.bits == 8 else np.uint16)
+        pixels, spec = frame.pixels, self.spec
         if pixels.shape != (spec.height, spec.width):
             size = f"{pixels.shape[1]}x{pixels.shape[0]}"
             raise MediaError(f"the film is {spec.width}x{spec.height} pixels, the frame is {size}")
-        if pixels.dtype != dtype:
-            raise MediaError(f"a film of {spec.bits} bits takes {dtype} pixels, got {pixels.dtype}")
         if frame.bits != spec.bits:
             raise MediaError(f"the film has {spec.bits} bits, the frame {frame.bits}: they must be the same")
         if spec.bits not in (8, 16) and int(pixels.max()) >> spec.bits:
@@ -148,21 +150,13 @@ def partial_path(target: Path) -> Path:
         return files.partial_path(target, target.suffix)
 
 
-def write_error(error: Exception, target: Path) -> MediaError:
-    """Turn an error of a codec or a file library into a MediaError."""
-    code = getattr(error, "errno", None)
-    if code in (errno.ENOSPC, errno.EDQUOT) or "No space left" in str(error):
-        return MediaError(f"disk full while writing {target}: free some space or write elsewhere (nothing was kept)")
-    if code in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return MediaError(f"not allowed to write {target}: check the rights of the folder")
-    reason = " ".join(str(getattr(error, "strerror", None) or error).split())
-    return MediaError(f"cannot write {target}: {reason}")
-
-
-def _publish(partial: Path, target: Path) -> None:
-    try:
-        with partial.open("rb+") as file:
-            os.fsync(file.fileno())  # a power cut could otherwise leave the new name on an empty file
-        os.replace(partial, target)
-    except OSError as error:
-        raise write_error(error, target) from error
+@contextmanager
+def clear_errors(target: Path, *kinds: type[Exception]) -> Iterator[None]:
+    """Turn errors of the system, and of codecs and libraries of these kinds, into a MediaError."""
+    with files.clear_write_errors(target):
+        try:
+            yield
+        except OSError:
+            raise
+        except kinds as error:
+            raise MediaError(f"cannot write {target}: {brief(error)}") from error

@@ -23,11 +23,13 @@ def test_frames_come_in_their_order() -> None:
     queue.end()
     got = [queue.get(0) for _ in range(5)]
     assert [one and one.index for one in got] == [0, 1, 2, 3, 4]
+    assert len(queue) == 0
+    assert queue.get(0) is None
     assert queue.over
     assert queue.dropped == 0
 
 
-def test_a_full_queue_drops_in_one_run_until_half_of_it_is_taken() -> None:
+def test_a_full_queue_drops_a_run_of_frames_until_half_empty() -> None:
     queue = FrameQueue(8)
     kept: list[int] = []
     for index in range(60):
@@ -53,7 +55,7 @@ def test_waiting_is_bounded_and_ends_with_the_queue() -> None:
 
 
 @pytest.mark.parametrize("most", [1, 2, 3])
-def test_a_small_queue_goes_on_after_it_was_full(most: int) -> None:
+def test_a_small_queue_accepts_frames_after_it_was_full(most: int) -> None:
     queue = FrameQueue(most)
     for index in range(10):
         queue.put(frame(index))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from film_checks import counts_of
 
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.media import open_film
@@ -32,7 +33,7 @@ def opened(producer: str, address: str = "", **asked: Any) -> LiveReader:
     return reader
 
 
-def test_its_cameras_are_listed_and_found_by_what_is_listed(producer: str) -> None:
+def test_listed_cameras_are_found_by_their_addresses(producer: str) -> None:
     found = genicam.find(camera_settings({"producer": producer}))
     assert len(found) == 3
     for camera in found:
@@ -48,8 +49,7 @@ def test_frames_are_numbered_without_a_gap(producer: str) -> None:
             frames.append(frame)
             if len(frames) == 8:
                 film.stop()
-        counts = film.counts
-    assert counts is not None
+        counts = counts_of(film)
     assert len(frames) == counts.frames - counts.waiting >= 8
     assert [frame.index for frame in frames] == list(range(frames[-1].index + 1))
     assert all(one.time_s < other.time_s for one, other in itertools.pairwise(frames))
@@ -68,7 +68,7 @@ def test_colours_become_gray(producer: str) -> None:
     assert not np.array_equal(levels["red"], levels["green"]), "this camera's ball is red"
 
 
-def test_what_the_camera_made_of_it_is_read_back(producer: str) -> None:
+def test_settings_are_read_back(producer: str) -> None:
     with opened(producer, **MONO, BouncingBallSize="7") as film:
         settings = film.form.settings
     assert settings["pixel_format"] == "Mono8"
@@ -89,26 +89,26 @@ def test_what_the_camera_made_of_it_is_read_back(producer: str) -> None:
     ({"trigger": "Line1"}, "it has no feature TriggerSource"),
     ({"Nonsense": 3}, "the camera does not take Nonsense=3: it has no feature Nonsense"),
 ])  # fmt: skip
-def test_what_it_does_not_take(producer: str, asked: dict[str, Any], says: str) -> None:
+def test_refused_settings_are_named(producer: str, asked: dict[str, Any], says: str) -> None:
     with pytest.raises(HeliographError) as caught:
         opened(producer, **asked)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_camera_that_is_not_there(producer: str) -> None:
+def test_a_missing_camera_is_named(producer: str) -> None:
     with pytest.raises(MediaError, match="no producer has a camera 'nobody'"):
         opened(producer, ":nobody")
 
 
-def test_a_file_that_is_no_producer(producer: str, tmp_path: Path) -> None:
+def test_a_damaged_producer_is_named(producer: str, tmp_path: Path) -> None:
     file = tmp_path / "broken.cti"
     file.write_bytes(b"no library")
     with pytest.raises(MediaError, match=r"the producer .*broken.cti cannot be loaded"):
         opened(str(file))
 
 
-def test_where_producers_are_looked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_producers_are_found_in_the_folders_of_the_standard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(genicam.FOLDERS, raising=False)
     with pytest.raises(MediaError, match="GENICAM_GENTL64_PATH is not set: install the maker's driver, or give"):
         genicam.producers(CameraSettings())

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import played_camera
 import pytest
+from film_checks import counts_of
 from played_camera import PlayedCamera, find
 
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
@@ -68,8 +69,7 @@ def test_all_frames_come_with_numbers_times_and_form(film: Path) -> None:
     assert reader.metadata["camera"] == "Played"
     assert reader.metadata["camera_gain"] == "1"
     assert said == []
-    counts = reader.counts
-    assert counts is not None
+    counts = counts_of(reader)
     assert (counts.frames, counts.lost, counts.dropped) == (FRAMES, 0, 0)
     assert counts.rate_hz == pytest.approx(100)
 
@@ -78,24 +78,21 @@ def test_lost_and_incomplete_frames_leave_gaps_and_are_counted(film: Path) -> No
     frames, _, reader = told(film, Lost=10, Lost2=11, Broken=30)
     assert [frame.index for frame in frames] == [k for k in range(FRAMES) if k not in (10, 11, 30)]
     assert all(frame.pixels[0, 0] == frame.index for frame in frames)
-    counts = reader.counts
-    assert counts is not None
+    counts = counts_of(reader)
     assert (counts.lost, counts.incomplete, counts.skipped) == (2, 1, 0)
 
 
-def test_without_numbers_the_stamps_tell(film: Path) -> None:
+def test_stamps_show_lost_frames_without_numbers(film: Path) -> None:
     frames, _, reader = told(film, Lost=40, Numbers=0)
     assert [frame.index for frame in frames] == [k for k in range(FRAMES) if k != 40]
-    counts = reader.counts
-    assert counts is not None
+    counts = counts_of(reader)
     assert (counts.lost, counts.skipped, counts.host_clock) == (0, 1, False)
 
 
-def test_without_stamps_times_are_the_hosts_and_it_says_so(film: Path) -> None:
+def test_the_host_clock_replaces_missing_stamps(film: Path) -> None:
     frames, _, reader = told(film, Stamps=0, Speed=400)
     assert [frame.index for frame in frames] == list(range(FRAMES))
-    counts = reader.counts
-    assert counts is not None
+    counts = counts_of(reader)
     assert counts.host_clock
 
 
@@ -109,12 +106,11 @@ def test_a_camera_comes_back_after_its_cable_was_pulled(film: Path, back: int) -
     assert len(said) == 2 + back
     assert "is lost after 25 frames (the cable was pulled); try 1 of 6 in 0.02 s" in said[0]
     assert "is back after" in said[-1]
-    counts = reader.counts
-    assert counts is not None
+    counts = counts_of(reader)
     assert (counts.reconnections, counts.frames) == (1, 25 + FRAMES)
 
 
-def test_a_camera_that_stays_away_ends_the_film_after_its_frames(film: Path) -> None:
+def test_a_lost_camera_ends_the_film_after_the_frames(film: Path) -> None:
     said: list[str] = []
     got: list[Frame] = []
     with live(film, Unplugged=25, Back=9, reconnect=3) as reader:
@@ -126,33 +122,32 @@ def test_a_camera_that_stays_away_ends_the_film_after_its_frames(film: Path) -> 
     assert tries == ["try 1 of 3 in 0.02 s", "try 2 of 3 in 0.03 s", "try 3 of 3 in 0.03 s"]
 
 
-def test_a_slow_receiver_loses_runs_of_frames_and_is_told(film: Path) -> None:
+def test_frames_dropped_by_a_slow_receiver_are_counted(film: Path) -> None:
     got = []
     with live(film, Speed=400, Times=4, queue_s=0.2) as reader:
         for frame in reader:
             got.append(frame.index)
             time.sleep(0.01)
-    counts = reader.counts
-    assert counts is not None
+    counts = counts_of(reader)
     assert counts.dropped > 0
     assert len(got) + counts.dropped == counts.frames == 4 * FRAMES
     assert counts.lost == 0
 
 
-def test_it_ends_after_its_duration(film: Path) -> None:
+def test_a_live_film_ends_after_its_duration(film: Path) -> None:
     began = time.monotonic()
     frames, _, _ = told(film, Speed=100, Times=0, duration_s=0.4)
     assert time.monotonic() - began > 0.3
     assert frames  # the film is endless without a duration
 
 
-def test_it_ends_when_it_is_stopped(film: Path) -> None:
+def test_stop_ends_a_live_film(film: Path) -> None:
     with live(film, Speed=100, Times=0) as reader:
         threading.Timer(0.3, reader.stop).start()
         assert list(reader)  # the film is endless without a duration
 
 
-def test_it_can_be_left_at_any_frame_and_taken_again(film: Path) -> None:
+def test_a_live_film_can_be_left_and_iterated_again(film: Path) -> None:
     with live(film, Speed=100, Times=0) as reader:
         for _ in range(2):
             first = next(iter(reader))
@@ -162,7 +157,7 @@ def test_it_can_be_left_at_any_frame_and_taken_again(film: Path) -> None:
         iter(reader)
 
 
-def test_it_is_cropped_and_turned_like_a_film(film: Path) -> None:
+def test_a_live_film_is_cropped_and_rotated(film: Path) -> None:
     with open_film(f"camera:played:{film}", crop=(2, 1, 8, 4), rotate=90) as seen:
         first = next(iter(seen))
         behind = live_of(seen)
@@ -207,23 +202,23 @@ register_camera("odd", Odd)
     ("rateless", "camera:odd:rateless: it does not say its rate; give it by --fps"),
     ("large", "has frames of 32768x32768 pixels"),
 ])  # fmt: skip
-def test_a_camera_that_cannot_be_used(address: str, says: str) -> None:
+def test_unusable_cameras_are_named(address: str, says: str) -> None:
     with pytest.raises(MediaError, match=says):
         open_film(f"camera:odd:{address}")
 
 
-def test_the_rate_may_be_said() -> None:
+def test_a_given_rate_replaces_a_missing_rate() -> None:
     with open_film("camera:odd:rateless", rate_hz=200) as reader:
         assert reader.rate_hz == 200
 
 
-def test_a_fault_of_the_camera_is_told_in_one_line() -> None:
+def test_an_exception_of_a_camera_is_one_line() -> None:
     with open_film("camera:odd:broken") as reader, pytest.raises(MediaError) as caught:
         list(reader)
     assert str(caught.value) == "camera:odd:broken ended by RuntimeError: a fault of its own"
 
 
-def test_a_camera_that_cannot_be_closed_is_told() -> None:
+def test_a_failed_close_is_reported() -> None:
     said: list[str] = []
     with open_film("camera:odd:clinging", camera={"duration_s": 0.1}) as reader:
         assert isinstance(reader, LiveReader)
@@ -232,7 +227,7 @@ def test_a_camera_that_cannot_be_closed_is_told() -> None:
     assert said == ["camera:odd:clinging could not be closed: RuntimeError: no"]
 
 
-def test_silence_of_a_camera_that_runs_freely_is_an_error() -> None:
+def test_silence_of_a_free_running_camera_is_an_error() -> None:
     with open_film("camera:odd:silent") as reader:
         assert isinstance(reader, LiveReader)
         reader.timing = CameraTiming(silent_s=0.2)
@@ -240,7 +235,7 @@ def test_silence_of_a_camera_that_runs_freely_is_an_error() -> None:
             list(reader)
 
 
-def test_silence_of_a_trigger_is_said_once() -> None:
+def test_silence_of_a_trigger_is_reported_once() -> None:
     said: list[str] = []
     asked = {"trigger": "Line1", "duration_s": 0.8}
     with open_film("camera:odd:silent", rate_hz=50, camera=asked) as reader:
@@ -250,7 +245,7 @@ def test_silence_of_a_trigger_is_said_once() -> None:
     assert said == ["camera:odd:silent: no pulse of Line1 for 0.2 s; still waiting"]
 
 
-def test_the_rate_of_a_trigger_must_be_said() -> None:
+def test_a_triggered_camera_needs_a_given_rate() -> None:
     with pytest.raises(MediaError, match="its trigger sets its rate; give it by --fps"):
         open_film("camera:odd:silent", camera={"trigger": "Line1"})
 
@@ -318,7 +313,7 @@ class RefilledCamera(PlayedCamera):
         return [Picture(self._pixels, self._next)]
 
 
-def test_a_camera_may_fill_its_array_again(film: Path) -> None:
+def test_a_camera_may_reuse_its_array(film: Path) -> None:
     register_camera("refilled", RefilledCamera)
     with open_film(f"camera:refilled:{film}") as reader:
         levels = [int(frame.pixels[0, 0]) for frame in reader]

@@ -35,7 +35,7 @@ def test_frames_lost_on_the_way_leave_gaps() -> None:
     assert (numbering.lost, numbering.skipped) == (2, 0)
 
 
-def test_an_incomplete_frame_is_not_lost_besides() -> None:
+def test_an_incomplete_frame_does_not_count_as_lost() -> None:
     numbering = Numbering(100, even=True)
     placed(numbering, (1, 0, 0))
     numbering.broke()
@@ -43,7 +43,7 @@ def test_an_incomplete_frame_is_not_lost_besides() -> None:
     assert (numbering.lost, numbering.incomplete, numbering.skipped) == (1, 1, 0)
 
 
-def test_frames_that_were_not_taken_show_in_stamps_alone() -> None:
+def test_skipped_frames_show_only_in_stamps() -> None:
     numbering = Numbering(100, even=True)
     before = [(k + 1, 10 * k, 10 * k) for k in range(20)]
     assert placed(numbering, *before, (21, 220, 220), (22, 230, 230))[-2:] == [(22, 0.22), (23, 0.23)]
@@ -57,7 +57,7 @@ def test_a_late_stamp_is_not_a_lost_frame() -> None:
     assert numbering.skipped == 0
 
 
-def test_pulses_of_a_trigger_come_when_they_come() -> None:
+def test_irregular_pulses_of_a_trigger_are_no_loss() -> None:
     numbering = Numbering(100, even=False)
     assert placed(numbering, (1, 0, 0), (2, 500, 500), (3, 510, 510)) == [(0, 0), (1, 0.5), (2, 0.51)]
     assert numbering.skipped == 0
@@ -90,7 +90,7 @@ def test_frames_without_stamps_have_the_hosts_time() -> None:
     assert (numbering.lost, numbering.skipped) == (1, 0)
 
 
-def test_the_frame_period_is_that_of_the_stamps_not_of_the_cameras_word() -> None:
+def test_stamps_correct_the_stated_frame_period() -> None:
     numbering = Numbering(1000, even=True)
     # at a requested 1000 frames/s the camera delivers 487, with no frame missing
     places = [numbering.place(k, 2_053_000 * k, 2_053_000 * k) for k in range(60)]
@@ -99,7 +99,7 @@ def test_the_frame_period_is_that_of_the_stamps_not_of_the_cameras_word() -> Non
     assert numbering.skipped == 0
 
 
-def test_the_frame_period_is_found_where_most_gaps_hold_frames_that_were_not_taken() -> None:
+def test_the_frame_period_is_found_although_most_gaps_are_long() -> None:
     numbering = Numbering(100, even=True)
     gaps = [10, 20, 20, 10, 30, 20, 20, 20, 10, 30] * 8
     stamps = [sum(gaps[:k]) for k in range(len(gaps))]
@@ -111,7 +111,7 @@ def test_the_frame_period_is_found_where_most_gaps_hold_frames_that_were_not_tak
 
 
 @pytest.mark.parametrize("to", [0, 3_600_000])
-def test_a_clock_that_is_set_is_followed_by_the_hosts(to: int) -> None:
+def test_the_host_clock_bridges_a_jump_of_the_camera_clock(to: int) -> None:
     numbering = Numbering(100, even=True)
     before = [(k + 1, 100_000 + 10 * k, 10 * k) for k in range(20)]
     after = [(k + 21, to + 10 * k, 200 + 10 * k) for k in range(20)]
@@ -133,12 +133,12 @@ def test_a_busy_host_is_no_jump_of_the_cameras_clock() -> None:
 @pytest.mark.parametrize("ppm", [-200, 200])
 def test_clocks_that_drift_do_not_jump(ppm: int) -> None:
     numbering = Numbering(1, even=True)
-    for k in range(20_000):
+    for k in range(10_000):
         numbering.place(k, round(k * 1e9 * (1 + ppm * 1e-6)), k * 10**9)
     assert (numbering.jumps, numbering.skipped) == (0, 0)
 
 
-def test_a_camera_that_comes_back_goes_on_in_the_hosts_time() -> None:
+def test_the_host_clock_bridges_a_reconnection() -> None:
     numbering = Numbering(100, even=True)
     placed(numbering, *[(k + 1, 7000 + 10 * k, 10 * k) for k in range(20)])
     numbering.restart()
@@ -148,7 +148,7 @@ def test_a_camera_that_comes_back_goes_on_in_the_hosts_time() -> None:
     assert (numbering.lost, numbering.skipped, numbering.jumps) == (0, 0, 0)
 
 
-def test_a_camera_that_counts_anew_is_numbered_by_its_stamps() -> None:
+def test_a_restarted_counter_is_bridged_by_stamps() -> None:
     numbering = Numbering(100, even=True)
     frames = [(500 + k, 10 * k, 10 * k) for k in range(5)] + [(k, 50 + 10 * k, 50 + 10 * k) for k in range(5)]
     indices = [place and place[0] for place in placed(numbering, *frames)]

@@ -33,7 +33,7 @@ PACKED = {"p": bit_stream, "Packed": pairs}
 
 @pytest.mark.parametrize("kind", ["Mono", "BayerRG", "BayerGR", "BayerGB", "BayerBG"])
 @pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
-def test_levels_of_their_own_bytes(kind: str, bits: int) -> None:
+def test_levels_in_whole_bytes(kind: str, bits: int) -> None:
     sent = levels(5, 7, bits)
     form = pixel_format(f"{kind}{bits}")
     data = sent.astype(np.uint8 if bits == 8 else "<u2").view(np.uint8).ravel()
@@ -87,7 +87,7 @@ def test_colours(name: str, order: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "place"), [("YUV422_8", 0), ("YCbCr422_8", 0), ("YUV422_8_UYVY", 1)])
-def test_luma_beside_chroma(name: str, place: int) -> None:
+def test_luma_is_read_between_chroma(name: str, place: int) -> None:
     luma = levels(2, 4, 8).astype(np.uint8)
     data = np.full(16, 128, np.uint8)
     data[place::2] = luma.ravel()

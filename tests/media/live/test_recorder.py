@@ -31,7 +31,7 @@ def kept(path: Path) -> list[int]:
     return [one.index for one in got]
 
 
-def test_nothing_is_written_where_nothing_failed(tmp_path: Path, source: FilmReader) -> None:
+def test_no_film_is_written_without_a_failure(tmp_path: Path, source: FilmReader) -> None:
     recorder = Recorder(tmp_path / "kept.h5", 0.2, source, {"note": "x"})
     for number in range(100):
         recorder.saw(frame(number))
@@ -78,12 +78,12 @@ def test_memory_is_bounded(tmp_path: Path, source: FilmReader) -> None:
     ("kept.mkv", "is recorded as HDF5, so its name ends in one of .h5, .hdf5"),
     ("nowhere/kept.h5", "name a file in a folder that exists"),
 ])  # fmt: skip
-def test_where_it_cannot_be_written(tmp_path: Path, source: FilmReader, name: str, says: str) -> None:
+def test_wrong_targets_are_named(tmp_path: Path, source: FilmReader, name: str, says: str) -> None:
     with pytest.raises(MediaError, match=says):
         Recorder(tmp_path / name, 1, source, {})
 
 
-def test_a_film_that_cannot_be_written_is_told_and_leaves_nothing(tmp_path: Path, source: FilmReader) -> None:
+def test_a_failed_write_is_reported_and_leaves_no_file(tmp_path: Path, source: FilmReader) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
     recorder = Recorder(folder / "kept.h5", 1, source, {})

@@ -1,5 +1,6 @@
 """Thread for the pictures of a camera, with numbers, times and reconnection."""
 
+import queue
 import threading
 import time
 from collections import deque
@@ -20,43 +21,36 @@ class FrameQueue:
     """
 
     def __init__(self, most: int):
-        self.dropped = 0
-        self._most, self._frames = most, deque[Frame]()
-        self._changed = threading.Condition()
+        self.dropped, self.over = 0, False
+        self._most, self._frames = most, queue.SimpleQueue[Frame | None]()
         self._full = self._ended = False
 
     def put(self, frame: Frame) -> None:
         """Queue a frame, or drop it."""
-        with self._changed:
-            waiting = len(self._frames)
-            self._full = waiting >= self._most or (self._full and waiting > self._most / 2)
-            if self._full:
-                self.dropped += 1
-                return
-            self._frames.append(frame)
-            self._changed.notify()
+        self._full = len(self) >= self._most or (self._full and len(self) > self._most / 2)
+        if self._full:
+            self.dropped += 1
+        else:
+            self._frames.put(frame)
 
     def end(self) -> None:
         """Mark the end of the frames."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify()
-
-    @property
-    def over(self) -> bool:
-        """True after the last frame."""
-        with self._changed:
-            return self._ended and not self._frames
+        self._ended = True
+        self._frames.put(None)
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return max(0, self._frames.qsize() - self._ended)
 
     def get(self, wait_s: float) -> Frame | None:
-        """Take the oldest frame; None if none comes in time."""
-        with self._changed:
-            if not self._frames and not self._ended:
-                self._changed.wait(wait_s)
-            return self._frames.popleft() if self._frames else None
+        """Take the oldest frame; None if none comes in time, and after the last frame, when the queue is over."""
+        if self.over:
+            return None
+        try:
+            frame = self._frames.get(timeout=wait_s)
+        except queue.Empty:
+            return None
+        self.over = frame is None
+        return frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,12 +112,12 @@ class Grabber:
 
     def __init__(
         self, name: str, make: Callable[[], Camera], camera: Camera, form: CameraForm, settings: CameraSettings,
-        rate_hz: float, queue: FrameQueue, timing: CameraTiming,
+        rate_hz: float, frames: FrameQueue, timing: CameraTiming,
     ):  # fmt: skip
         self.error: MediaError | None = None
         self.news: deque[str] = deque()
         self._name, self._make, self._camera, self._form = name, make, camera, form
-        self._settings, self._queue, self._timing = settings, queue, timing
+        self._settings, self._queue, self._timing = settings, frames, timing
         self._numbering = Numbering(rate_hz, even=not settings.triggered)
         self._frames = self._reconnections = self._tries = 0
         self._stopping = threading.Event()

@@ -89,32 +89,23 @@ def camera_settings(given: Mapping[str, Any] | Iterable[str] = ()) -> CameraSett
         raise SettingsError(f"settings of a camera are by name, such as {{'exposure_us': 500}}, not {shown(given)}")
     known: dict[str, Any] = {}
     features: dict[str, str] = {}
-    for name, value, text in _pairs(given):
-        if value is None:
-            continue
-        if name[:1].isupper():
-            features[name] = text
-        elif name in ("pixel_format", "trigger", "producer", "region") and not isinstance(value, (tuple, list)):
-            known[name] = text
-        else:
-            known[name] = value
+    for name, value in (given if isinstance(given, Mapping) else dict(map(_split, given))).items():
+        if not isinstance(name, str):
+            raise SettingsError(f"a camera's setting is named by text, not {shown(name)}")
+        if name[:1].isupper() and value is not None:
+            features[name] = str(value).lower() if isinstance(value, bool) else str(value)
+        elif value is not None:
+            known[name] = value if isinstance(value, (int, float, tuple, list)) else str(value)
     return from_mapping(CameraSettings, known | ({"features": features} if features else {}))
 
 
-def _pairs(given: Mapping[str, Any] | Iterable[str]) -> Iterable[tuple[str, Any, str]]:
-    """Yield each name with the value, and the value as text."""
-    if isinstance(given, Mapping):
-        for name, value in given.items():
-            if not isinstance(name, str):
-                raise SettingsError(f"a camera's setting is named by text, not {shown(name)}")
-            yield name, value, str(value).lower() if isinstance(value, bool) else str(value)
-        return
-    for text in given:
-        parsed = parse_assignment(text)
-        name, value = next(iter(parsed.items()))
-        if isinstance(value, Mapping):
-            raise SettingsError(f"a camera has no setting '{brief(text.partition('=')[0])}'; its names have no dots")
-        yield name, value, text.partition("=")[2].strip().strip("\"'")
+def _split(text: str) -> tuple[str, str]:
+    """Return the name and the value of a text such as "exposure_us=500"."""
+    parse_assignment(text)  # refuses other texts
+    name, _, value = text.partition("=")
+    if "." in name:
+        raise SettingsError(f"a camera has no setting '{brief(name)}'; its names have no dots")
+    return name.strip(), value.strip().strip("\"'")
 
 
 Value = str | float | Sequence[int]
