@@ -50,6 +50,7 @@ def test_repeated_packet_is_decoded_with_a_buffer() -> None:
     assert right(decoded(third, buffer=buffer), blocks)[:3] == [True, True, True]
 
 
+@pytest.mark.slow
 def test_rejected_codeword_is_not_used() -> None:
     """Only the earlier packet supports the low layer: rejected bits must not refine poses or LED brightness."""
     blocks = random_blocks(0)
@@ -67,6 +68,7 @@ def test_rejected_codeword_is_not_used() -> None:
     assert max(packet.known) == FORM.settings.side**2 - FORM.layers["low"].symbols
 
 
+@pytest.mark.slow
 def test_packet_with_known_codewords_is_combined() -> None:
     """LED-by-LED codewords are known from the start; combining adds the others."""
     blocks, buffer = random_blocks(0), SoftBuffer()

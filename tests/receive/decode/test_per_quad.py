@@ -57,6 +57,7 @@ def test_equaliser_decodes_the_same_codewords() -> None:
 
 
 @pytest.mark.parametrize("misplaced", [0.0, 3.0])
+@pytest.mark.slow
 def test_decoding_depends_on_the_pose_and_hardly_on_the_gain(misplaced: float) -> None:
     settings, recorder = unsynchronised(40.0, 0.4), Recorder()
     received(film(settings, PACKET + 5, roi_margin_px=20), settings, recorder)

@@ -238,6 +238,7 @@ def test_near_packets_are_equalised_only_to_learn_the_brightness(monkeypatch: py
         assert [word.block for word in words_of(sampled)] == [word.block for word in words_of(other)]
 
 
+@pytest.mark.slow
 def test_leds_are_learnt_from_packets_that_are_not_equalised(monkeypatch: pytest.MonkeyPatch) -> None:
     learnt, learn = list[int](), LedGains.learn_data
 

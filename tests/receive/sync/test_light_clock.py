@@ -50,11 +50,17 @@ def header_view(start: float, exposure: float, period: float, seed: int = 0, for
     return HeaderAmplitudes(1e-3 * times, alternation, brightness)
 
 
+def measured(view: HeaderAmplitudes, period: float = 1.0, exposure_s: float | None = None) -> LightClock:
+    """Return the clock after the first header."""
+    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, exposure_s)
+    assert clock.measure(view, 0)
+    return clock
+
+
 @pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37), (0.25, 0.25)])
 @pytest.mark.parametrize("start", [0.3, -0.37, 0.12])
 def test_header_gives_start_and_exposure(start: float, exposure: float, period: float) -> None:
-    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY)
-    clock.measure(header_view(start, exposure, period), 0)
+    clock = measured(header_view(start, exposure, period), period)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
     assert clock.exposure == pytest.approx(exposure, abs=0.04)
     assert clock.gain == pytest.approx(200, rel=0.04)
@@ -65,8 +71,7 @@ def test_header_gives_start_and_exposure(start: float, exposure: float, period: 
 def test_later_header_gives_starts_finer_than_the_grid(period: float) -> None:
     late, found = np.linspace(-0.02, 0.02, 17), []
     for start in late:
-        clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY)
-        clock.measure(header_view(0.0, period, period), 0)
+        clock = measured(header_view(0.0, period, period), period)
         view = header_view(float(start), period, period)
         # the same header 100 patterns later
         clock.measure(replace(view, times_s=view.times_s + 0.1), 100)
@@ -81,8 +86,7 @@ def test_brightness_with_less_trust_counts_less() -> None:
     view, other = header_view(0.3, 1.0, 1.0), header_view(-0.1, 1.0, 1.0)
     wrong, off = replace(view, brightness=other.brightness), []
     for trust in (1.0, 0.1):
-        clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
-        clock.measure(replace(wrong, trust=trust), 0)
+        clock = measured(replace(wrong, trust=trust))
         off.append(abs(clock.start_s * 1e3 - 0.3))
     assert off[1] < 0.5 * off[0]
 
@@ -92,8 +96,7 @@ def test_clipped_brightness_is_ignored() -> None:
     view, other = header_view(0.3, 1.0, 1.0), header_view(-0.4, 1.0, 1.0)
     wrong, starts = replace(view, brightness=3 * other.brightness), []
     for clipped in (True, False):
-        clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
-        clock.measure(replace(wrong, clipped=clipped), 0)
+        clock = measured(replace(wrong, clipped=clipped))
         starts.append(clock.start_s * 1e3)
     assert starts[0] == pytest.approx(0.3, abs=0.01)
     # unclipped brightness counts
@@ -111,8 +114,7 @@ def distinct_formats() -> list[int]:
 @pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37)])
 @pytest.mark.parametrize("start", [0.0, 0.3, -0.37])
 def test_dimmed_cells_do_not_mislead_the_clock(start: float, exposure: float, period: float, form: int) -> None:
-    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY)
-    clock.measure(header_view(start, exposure, period, form=form), 0)
+    clock = measured(header_view(start, exposure, period, form=form), period)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
     assert clock.exposure == pytest.approx(exposure, abs=0.04)
     assert clock.gain == pytest.approx(200, rel=0.05)
@@ -122,21 +124,18 @@ def test_dimmed_cells_do_not_mislead_the_clock(start: float, exposure: float, pe
 @pytest.mark.parametrize(("exposure", "period"), [(0.9, 1.0), (0.5, 1.0), (0.3, 2 / 3)])
 @pytest.mark.parametrize("start", [0.3, -0.37, 0.12])
 def test_header_with_known_exposure_gives_the_start(start: float, exposure: float, period: float) -> None:
-    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, exposure * 1e-3)
-    clock.measure(header_view(start, exposure, period), 0)
+    clock = measured(header_view(start, exposure, period), period, exposure_s=exposure * 1e-3)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=5e-5)
 
 
 def test_longest_of_equivalent_exposures_is_chosen() -> None:
     # the central 60 % of a pattern and the full pattern give equal header amplitudes
-    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
-    clock.measure(header_view(-0.2, 0.6, 1.0), 0)
+    clock = measured(header_view(-0.2, 0.6, 1.0))
     assert clock.exposure == pytest.approx(1, abs=0.05)
 
 
 def test_known_exposure_is_not_estimated() -> None:
-    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY, 0.45e-3)
-    clock.measure(header_view(0.2, 0.45, 1.0), 0)
+    clock = measured(header_view(0.2, 0.45, 1.0), exposure_s=0.45e-3)
     assert clock.exposure == pytest.approx(0.45)
 
 
@@ -202,8 +201,7 @@ def test_start_at_any_phase_is_within_five_deviations(
 
 
 def test_unseen_header_leaves_the_clock_unchanged() -> None:
-    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
-    assert clock.measure(header_view(0.2, 1.0, 1.0), 0)
+    clock = measured(header_view(0.2, 1.0, 1.0))
     before = clock.time_s(50), clock.gain, clock.exposure
     rng = np.random.default_rng(0)
     times = (50.0 + np.arange(-2, 7)) * np.float64(1e-3)
@@ -230,8 +228,7 @@ def test_known_rate_wanders_as_quartz_does() -> None:
 
 def test_start_uncertainty_grows_without_headers() -> None:
     """The initial rate deviation, 250 ppm, accumulates to one pattern after 4000 patterns."""
-    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
-    assert clock.measure(header_view(0.2, 1.0, 1.0), 0)
+    clock = measured(header_view(0.2, 1.0, 1.0))
     assert not clock.measure(unseen(4000), 4000)
     assert clock.deviation == pytest.approx(1.0, rel=0.05)
 
