@@ -180,6 +180,14 @@ def test_complete_header_gives_the_gain_and_a_uniform_sum() -> None:
         assert np.std(total[middle]) < 0.05 * np.mean(total[middle])
 
 
+def test_header_without_frames_is_not_measured() -> None:
+    fps, start_s = RATES[2]
+    # the second header lasts from 14 to 18 ms
+    frames = [frame for frame in filmed(fps, start_s) if not 13e-3 < frame.time_s - start_s < 19e-3]
+    due = due_pairs(pairing_of(start_s), frames)
+    assert [number for number, pair in due if isinstance(pair, MeasuredHeader)] == [2, 16]
+
+
 def test_synchronous_header_is_not_measured() -> None:
     fps, start_s = RATES[0]
     due = list(due_pairs(pairing_of(start_s), filmed(fps, start_s)))
