@@ -175,7 +175,7 @@ def test_two_arrays_are_read_in_parallel() -> None:
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_film() -> None:
-    """Twelve packets, 432 frames with 19,200 bytes each."""
+    """Six packets, 216 frames with 19,200 bytes each."""
     # repeat two packets with new numbers, so that the film needs no further memory
     frames, signal = film(link("signal.data_pairs=16"), 72), SignalSettings(data_pairs=16)
     receiver = make_receiver(signal)
@@ -193,7 +193,7 @@ def test_memory_does_not_grow_with_the_film() -> None:
         run(72 * 2, 72 * 3)
         gc.collect()  # collect reference cycles
         early = tracemalloc.get_traced_memory()[0]
-        assert run(72 * 3, 72 * 9) == 12
+        assert run(72 * 3, 72 * 6) == 6
         gc.collect()
         assert tracemalloc.get_traced_memory()[0] - early < 100_000
     finally:
