@@ -34,7 +34,7 @@ def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_a_turned_array_is_read_by_its_corners(turned: Path, call: Call) -> None:
-    """`tests/receive/test_by_hand.py` reads the same film with both receivers."""
+    """`tests/receive/test_corners_and_region.py` reads the same film with both receivers."""
     read = ("receive", turned, "--preset", "static", "--json", "--output", "out")
     assert arrays(call(*read, "--corners", CORNERS)) == [0]
     assert Path("out", "array-0-high-0.bin").read_bytes() == b"mind the gap"

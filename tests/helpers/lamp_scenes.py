@@ -1,9 +1,7 @@
 """Films with an array among flickering lamps, as in a city at night."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,91 +15,37 @@ REACH_PX = 7
 """Half side of a lamp's window in px."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LampScene:
-    """Lamps with random position, size, rate, duty cycle, phase and waveform, with or without an array.
-
-    Attributes
-    ----------
-    lamps
-        Number of lamps.
-    seed
-        Seed for lamps, array, shake and noise.
-    distance_m
-        Array distance; None for a dark array.
-    start_s
-        Time when the array appears.
-    duration_s
-        Film length.
-    shaking
-        True if the camera shakes, by some px at 5 to 40 Hz.
-    size
-        Camera columns and rows.
-    sizes_px, rates_hz
-        Ranges for lamp diameters and flicker rates.
-    drifting
-        Fraction of moving lamps, by up to 60 px/s along each axis.
-    """
-
-    lamps: int
-    seed: int
-    distance_m: float | None = 50.0
-    start_s: float = 0.0
-    duration_s: float = 1.0
-    shaking: bool = False
-    size: tuple[int, int] = (1024, 512)
-    sizes_px: tuple[float, float] = (2.0, 8.0)
-    rates_hz: tuple[float, float] = (100.0, 500.0)
-    drifting: float = 0.2
-
-    def link(self) -> LinkSettings:
-        """Return link settings with a random array position and a start within a packet."""
-        rng, (columns, rows) = np.random.default_rng((self.seed, 0)), self.size
-        distance_m = self.distance_m or 50.0
-        px_m = 0.035 / 12e-6 / distance_m
-        reach_px = 8 * 0.02 * px_m + 16
-        x_m, y_m = (float(rng.uniform(-1, 1)) * (n / 2 - reach_px) / px_m for n in (columns, rows))
-        begin_s = self.start_s - float(rng.integers(0, 100)) * 1e-3
-        # the array is dark until it appears
-        off_s = [(0.0, self.start_s)] if self.start_s else []
-        place = {"x_m": x_m, "y_m": y_m, "start_s": begin_s if self.distance_m else 1e3, "off_s": off_s}
-        channel = {
-            "distance_m": distance_m,
-            "duration_s": self.duration_s,
-            "camera": {"width": columns, "height": rows},
-            "arrays": [place],
-        }
-        sent = {"identities": [int(rng.integers(30))]}
-        return load_settings("static", {"channel": channel, "transmit": sent})
-
-    def frames(self) -> Iterator[Frame]:
-        link, rng = self.link(), np.random.default_rng((self.seed, 1))
-        lamps, shift = _Lamps(self, rng), _shake(rng) if self.shaking else None
-        for frame, truth in simulate(link, default_messages(link), self.seed):
-            lit = lamps.light(frame.time_s)
-            if self.distance_m and frame.time_s >= self.start_s:
-                # the panel occludes lamps behind it
-                array = truth.arrays[0]
-                reach = 8.5 * array.pitch_px
-                (left, right), (top, low) = ((round(c - reach), round(c + reach) + 1) for c in (array.x, array.y))
-                lit[top:low, left:right] = 0
-            light = frame.pixels + lit
-            if shift is not None:
-                map_ = np.column_stack([np.eye(2), shift(frame.time_s)])
-                light = np.asarray(cv2.warpAffine(light, map_, self.size, borderMode=cv2.BORDER_REFLECT), np.float64)
-            yield replace(frame, pixels=np.clip(np.rint(light), 0, 255).astype(np.uint8))
+def lamp_film(lamps: int, seed: int, duration_s: float, size: tuple[int, int]) -> tuple[LinkSettings, list[Frame]]:
+    """Film an array at 50 m at a random place and phase; `size` is columns and rows of the camera."""
+    rng, (columns, rows) = np.random.default_rng((seed, 0)), size
+    px_m = 0.035 / 12e-6 / 50.0
+    reach_px = 8 * 0.02 * px_m + 16
+    x_m, y_m = (float(rng.uniform(-1, 1)) * (n / 2 - reach_px) / px_m for n in size)
+    place = {"x_m": x_m, "y_m": y_m, "start_s": -float(rng.integers(0, 100)) * 1e-3}
+    camera = {"width": columns, "height": rows}
+    channel = {"distance_m": 50.0, "duration_s": duration_s, "camera": camera, "arrays": [place]}
+    link = load_settings("static", {"channel": channel, "transmit": {"identities": [int(rng.integers(30))]}})
+    light, frames = _Lamps(lamps, size, np.random.default_rng((seed, 1))).light, list[Frame]()
+    for frame, truth in simulate(link, default_messages(link), seed):
+        lit, array = light(frame.time_s), truth.arrays[0]
+        # the panel occludes lamps behind it
+        reach = 8.5 * array.pitch_px
+        (left, right), (top, low) = ((round(c - reach), round(c + reach) + 1) for c in (array.x, array.y))
+        lit[top:low, left:right] = 0
+        frames.append(replace(frame, pixels=np.clip(np.rint(frame.pixels + lit), 0, 255).astype(np.uint8)))
+    return link, frames
 
 
 class _Lamps:
-    """Lamp light integrated over 1 ms frames."""
+    """Lamps with random position, size, rate, duty cycle, phase and waveform; a fifth of them moves."""
 
-    def __init__(self, scene: LampScene, rng: np.random.Generator):
-        (columns, rows), n = scene.size, scene.lamps
+    def __init__(self, n: int, size: tuple[int, int], rng: np.random.Generator):
+        columns, rows = size
         self._shape = rows, columns
         self._place = rng.uniform(0, [columns, rows], (n, 2))
-        self._moves = (rng.random(n) < scene.drifting)[:, None] * rng.uniform(-60, 60, (n, 2))
-        self._radius = rng.uniform(*scene.sizes_px, n) / 2
-        self._level, self._rate = rng.uniform(40, 255, n), rng.uniform(*scene.rates_hz, n)
+        self._moves = (rng.random(n) < 0.2)[:, None] * rng.uniform(-60, 60, (n, 2))
+        self._radius = rng.uniform(2, 8, n) / 2
+        self._level, self._rate = rng.uniform(40, 255, n), rng.uniform(100, 500, n)
         self._duty, self._phase = rng.uniform(0.1, 0.9, n), rng.random(n)
         self._is_sine = rng.random(n) < 0.5
         self._depth = rng.uniform(0.3, 1, n)
@@ -130,15 +74,3 @@ class _Lamps:
         """Integrate a square wave from phase 0, in periods."""
         whole = np.floor(phase)
         return np.asarray(whole * self._duty + np.minimum(phase - whole, self._duty))
-
-
-def _shake(rng: np.random.Generator) -> Callable[[float], Floats]:
-    """Return the image displacement (x, y) in px as a function of time in s."""
-    rates, phases = rng.uniform(5, 40, (4, 2)), rng.random((4, 2))
-    # displacement falls with the square of the rate
-    sizes = 2.0 * (10 / rates) ** 2 * rng.uniform(0.3, 1, (4, 2))
-
-    def shift(time_s: float) -> Floats:
-        return np.asarray((sizes * np.sin(2 * np.pi * (rates * time_s + phases))).sum(0))
-
-    return shift

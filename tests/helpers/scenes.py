@@ -1,6 +1,6 @@
 """Receiver test films: an array rendered from the equations, and small simulated films."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -13,7 +13,9 @@ from heliograph.base.frames import Frame
 from heliograph.base.threads import one_thread
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
-from heliograph.receive import Pose
+from heliograph.measure.bench import run_block
+from heliograph.receive import Codeword, Packet, Pose, receive_frames
+from heliograph.receive.api import AnyObserver
 from heliograph.signal.pwm import lit_slots
 
 Floats = NDArray[np.float64]
@@ -64,6 +66,32 @@ def film(settings: LinkSettings, frames: int, seed: int = 1, roi_margin_px: int 
     channel = replace(settings.channel, duration_s=frames * 1e-3)
     timed = simulate(replace(settings, channel=channel), default_messages(settings), seed, None, roi_margin_px)
     return [frame for frame, _ in timed]
+
+
+def received(frames: Iterable[Frame], settings: LinkSettings, observe: AnyObserver | None = None) -> list[Packet]:
+    """Return the packets received from frames."""
+    return list(receive_frames(frames, settings.signal, settings.receive, observe))
+
+
+def statuses(packets: Iterable[Packet]) -> list[str]:
+    return [packet.status for packet in packets]
+
+
+def words_of(packet: Packet) -> list[Codeword]:
+    """Return the codewords of a packet: high, middle and low layer."""
+    return [word for words in packet.layers.values() for word in words]
+
+
+def codewords(settings: LinkSettings, seed: int = 1, max_packets: int | None = None) -> list[tuple[int, int]]:
+    """Simulate a link; return the numbers of sent and lost codewords by layer. No codeword may be false."""
+    counts = run_block(settings, seed, max_packets=max_packets)
+    assert counts.false_codewords == counts.false_packets == 0
+    return [(layer.codewords, layer.codeword_errors) for layer in counts.layers.values()]
+
+
+def at_rest(t: Floats) -> Floats:
+    """Return the path of an array at rest; see `drawn_film`."""
+    return np.full((len(t), 2), (47.3, 48.8))
 
 
 def levels(settings: LinkSettings) -> Iterator[NDArray[np.uint8]]:

@@ -5,11 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
-from scenes import film, link
+from scenes import film, link, received, words_of
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from heliograph.base.threads import in_one_thread, one_thread
-from heliograph.receive import Packet, receive_frames
+from heliograph.receive import Packet
 
 
 def blas_threads() -> int:
@@ -24,7 +24,7 @@ def two_threads() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_who_leaves_first_takes_no_thread_from_those_that_stay() -> None:
+def test_overlapping_limits_end_in_any_order() -> None:
     """Blocks in different threads may end in any order."""
     first, second = one_thread(), one_thread()
     with first:
@@ -36,36 +36,35 @@ def test_who_leaves_first_takes_no_thread_from_those_that_stay() -> None:
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_blas_is_given_back_after_an_error() -> None:
+def test_limit_ends_after_an_error() -> None:
     with pytest.raises(ZeroDivisionError), one_thread():
         _ = 1 / 0
     assert blas_threads() == 2
 
 
 def content(packet: Packet) -> list[Any]:
-    words = [(layer, w.status, w.bits.tobytes(), w.raw.tobytes()) for layer, by in packet.layers.items() for w in by]
+    words = [(w.status, w.bits.tobytes(), w.raw.tobytes()) for w in words_of(packet)]
     return [packet.identity, packet.status, packet.first_frame, packet.last_frame, packet.pose, words]
 
 
 @pytest.mark.usefixtures("two_threads")
 @pytest.mark.slow
-def test_four_receivers_in_four_threads_read_what_one_after_the_other_reads() -> None:
+def test_receivers_in_four_threads_read_the_same_as_in_sequence() -> None:
     """Two plain and two soft receivers with separate films."""
     settings = [link(f"receive.receiver={name}", "signal.data_pairs=16") for name in ("plain", "soft") * 2]
-    films = [film(one, 100, seed) for seed, one in enumerate(settings)]
+    films = [film(one, 76, seed, roi_margin_px=20) for seed, one in enumerate(settings)]
 
     def read(number: int) -> list[list[Any]]:
-        one = settings[number]
-        return [content(packet) for packet in receive_frames(films[number], one.signal, one.receive)]
+        return [content(packet) for packet in received(films[number], settings[number])]
 
-    alone = [read(number) for number in range(4)]
-    assert all(len(packets) >= 2 for packets in alone)
+    sequential = [read(number) for number in range(4)]
+    assert all(len(packets) >= 2 for packets in sequential)
     with ThreadPoolExecutor(4) as threads:
-        assert list(threads.map(read, range(4))) == alone
+        assert list(threads.map(read, range(4))) == sequential
     assert blas_threads() == 2
 
 
-def test_ctrl_c_amid_machine_code_is_ctrl_c() -> None:
+def test_ctrl_c_in_compiled_code_raises_keyboard_interrupt() -> None:
     """In compiled code, KeyboardInterrupt appears as the cause of a (possibly nested) SystemError."""
 
     def interrupted() -> Iterator[int]:
@@ -81,7 +80,7 @@ def test_ctrl_c_amid_machine_code_is_ctrl_c() -> None:
         next(items)
 
 
-def test_other_system_errors_stay_what_they_are() -> None:
+def test_other_system_errors_are_unchanged() -> None:
     def broken() -> Iterator[int]:
         raise SystemError("broken")
         yield 1

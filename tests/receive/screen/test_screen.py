@@ -1,11 +1,17 @@
-"""Screen films: phone rates, rotation, wrong nominal rates and tracking loss."""
+"""Screen reception: phone rates, rotation, unknown rates, tracking loss, other sources, and films without a screen."""
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
+import av
+import cv2
 import numpy as np
 import pytest
+from scenes import received, statuses, words_of
+from screen_films import Grabs, Phone, phone_frames
+from screen_light import shown
 
 import heliograph
 from heliograph.base.arrays import Floats
@@ -14,28 +20,38 @@ from heliograph.base.frames import Frame, Pixels
 from heliograph.link.film import write_film
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.receive import Packet
-from heliograph.receive.events import DecodeEvent, DetectEvent, ExtractEvent, LostEvent, TrackEvent
+from heliograph.media.live.camera import register_camera
+from heliograph.media.live.webcam import Webcam
+from heliograph.receive.events import (
+    DecodeEvent,
+    DetectEvent,
+    Event,
+    ExtractEvent,
+    LostEvent,
+    TrackEvent,
+    UnseenEvent,
+)
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import AnyFrame
+from heliograph.receive.screen.cells import SAMPLES_PER_S, SearchBudget
 from heliograph.signal.block import Block
 from heliograph.signal.fountain.files import FileGatherer, SentFile, WholeFile
-from heliograph.signal.settings import SignalSettings
+from heliograph.web.sending import sending_of
 
 SMALL = (
-    "channel.camera.width=480",
-    "channel.camera.height=270",
-    "channel.camera.pixel_m=1.1e-5",
+    "channel.camera.width=320",
+    "channel.camera.height=180",
+    "channel.camera.pixel_m=1.65e-5",
     "channel.distance_m=0.75",
-    "receive.calibration.pixel_m=1.1e-5",
+    "receive.calibration.pixel_m=1.65e-5",
 )
-"""A 155 px array in a small frame, for speed; the readout time for all rows is unchanged."""
+"""A 103 px array in a small frame, for speed; the readout time for all rows is unchanged."""
 
 
 def link(preset: str, packets: float, *changes: str) -> LinkSettings:
     base = load_settings(preset)
     readout = base.channel.camera.row_time_s * base.channel.camera.height
-    rows = f"channel.camera.row_time_s={readout / 270}"
+    rows = f"channel.camera.row_time_s={readout / 180}"
     return load_settings(preset, None, [*SMALL, rows, f"channel.duration_s={packets * base.signal.packet_s}", *changes])
 
 
@@ -43,16 +59,17 @@ def frames(settings: LinkSettings, seed: int = 3) -> list[Frame]:
     return [frame for frame, _ in simulate(settings, default_messages(settings), seed)]
 
 
-def read(settings: LinkSettings, film: list[Frame], signal: SignalSettings | None = None) -> list[Packet]:
-    return list(heliograph.receive_frames(film, signal or settings.signal, settings.receive))
+@cache
+def phone_60() -> tuple[LinkSettings, list[Frame]]:
+    settings = link("phone-60", 1.2)
+    return settings, frames(settings)
 
 
 @pytest.mark.parametrize("preset", ["phone", "phone-15", "phone-60", "phone-240"])
 @pytest.mark.slow
-def test_phones_read_at_their_rates(preset: str) -> None:
+def test_phones_of_any_rate_read_a_screen(preset: str) -> None:
     settings = link(preset, 2.2 if preset == "phone-240" else 1.2)
-    packets = read(settings, frames(settings))
-    assert packets
+    packets = received(phone_60()[1] if preset == "phone-60" else frames(settings), settings)
     assert packets[0].status == "ok"
     assert packets[0].format.mode == "short"
     assert packets[0].distance_m == pytest.approx(0.75, rel=0.1)
@@ -62,46 +79,50 @@ def test_phones_read_at_their_rates(preset: str) -> None:
     ("turn", "said"), [(lambda p: p.T[::-1], "turned 270"), (lambda p: p[::-1, ::-1], "turned 180")]
 )
 @pytest.mark.slow
-def test_a_turned_phone_reads_columns_as_rows(turn: Callable[[Pixels], Pixels], said: str) -> None:
-    settings = link("phone-60", 1.2)
-    turned = [replace(one, pixels=turn(one.pixels).copy()) for one in frames(settings)]
-    packets = read(settings, turned)
-    assert [packet.status for packet in packets] == ["ok"]
+def test_turned_phone_reads_the_screen(turn: Callable[[Pixels], Pixels], said: str) -> None:
+    settings, film = phone_60()
+    packets = received([replace(frame, pixels=turn(frame.pixels).copy()) for frame in film], settings)
+    assert statuses(packets) == ["ok"]
     assert str(packets[0].orientation) == said
 
 
 @pytest.mark.slow
-def test_the_rate_and_the_length_are_found() -> None:
+def test_rate_and_packet_length_are_estimated() -> None:
     settings = link("phone-60", 1.3, "signal.side=8", "channel.emitter.pitch_m=0.04")
-    other = replace(settings.signal, pattern_period_s=0.1, data_pairs=48)
-    packets = read(settings, frames(settings), other)
-    assert [packet.status for packet in packets] == ["ok"]
+    other = replace(settings, signal=replace(settings.signal, pattern_period_s=0.1, data_pairs=48))
+    assert statuses(received(frames(settings), other)) == ["ok"]
 
 
 @pytest.mark.slow
-def test_a_file_of_8_by_8_cells_comes_by_packets_of_30_patterns() -> None:
+def test_file_is_received_from_8_by_8_cells() -> None:
     file = SentFile("a.txt", bytes(range(70)))
     form = "transmit.formats.0.high=3/4", "transmit.formats.0.middle=3/4", "transmit.formats.0.low=3/4"
     settings = link("phone-60", 4.3, "signal.side=8", "channel.emitter.pitch_m=0.04", *form)
     content = {layer: [file] for layer in ("high", "middle", "low")}
     film = [frame for frame, _ in simulate(settings, [content], 3)]
     files, whole = FileGatherer(), list[WholeFile]()
-    for packet in read(settings, film):
-        for word in (word for words in packet.layers.values() for word in words):
+    for packet in received(film, settings):
+        for word in words_of(packet):
             if word.block is not None and not isinstance(word.block, Block):
                 progress = files.add(word.block)
                 whole += [progress.whole] if progress is not None and progress.whole is not None else []
-    assert [(one.name, one.data) for one in whole] == [(file.name, file.data)]
+    assert [(found.name, found.data) for found in whole] == [(file.name, file.data)]
+
+
+@pytest.fixture(scope="module")
+def compressed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    settings = link("phone-60", 1.2, "channel.emitter.backlight_hz=240", "channel.emitter.backlight_duty=0.6")
+    path = tmp_path_factory.mktemp("films") / "phone.mp4"
+    write_film(path, settings, default_messages(settings), 3, mbit_s=4)
+    return path
 
 
 @pytest.mark.slow
-def test_a_film_as_phones_write_it(tmp_path: Path) -> None:
-    settings = link("phone-60", 1.2, "channel.emitter.backlight_hz=240", "channel.emitter.backlight_duty=0.6")
+def test_compressed_phone_film_is_read(compressed: Path) -> None:
     events: list[object] = []
-    write_film(tmp_path / "phone.mp4", settings, default_messages(settings), 3, mbit_s=4)
-    with heliograph.open_film(tmp_path / "phone.mp4") as film:
-        packets = list(heliograph.receive_frames(film, settings.signal, settings.receive, events.append))
-    assert [packet.status for packet in packets] == ["ok"]
+    with heliograph.open_film(compressed) as film:
+        packets = received(film, link("phone-60", 1.2), events.append)
+    assert statuses(packets) == ["ok"]
     assert [type(event) for event in events if not isinstance(event, TrackEvent | ExtractEvent)] == [
         DetectEvent,
         DecodeEvent,
@@ -109,7 +130,7 @@ def test_a_film_as_phones_write_it(tmp_path: Path) -> None:
     ]
     boxes = [event for event in events if isinstance(event, TrackEvent)]
     assert len(boxes) > 30
-    assert all(one.tracked.state.pose.pitch == pytest.approx(155 / 16, rel=0.1) for one in boxes)
+    assert all(box.tracked.state.pose.pitch == pytest.approx(103 / 16, rel=0.1) for box in boxes)
     cuts = [event for event in events if isinstance(event, ExtractEvent)]
     # the first pairs may end before the header is decoded
     assert [cut.number for cut in cuts][-9:] == list(range(4, 13))
@@ -128,29 +149,101 @@ def _cells(frame: AnyFrame, pose: Pose) -> Floats:
 
 
 @pytest.mark.slow
-def test_any_chunks_give_the_same_packets_and_copies_do_no_harm() -> None:
-    settings = link("phone-60", 1.2)
-    film = frames(settings)
-    twice = [one for k, frame in enumerate(film) for one in ([frame] if k % 9 else [frame, _copy(frame)])]
-    receiver = heliograph.make_receiver(settings.signal, settings.receive)
-    packets = [packet for frame in twice for packet in receiver.push(frame)] + list(receiver.finish())
-    assert [packet.status for packet in packets] == ["ok"]
-
-
-def _copy(frame: Frame) -> Frame:
-    return replace(frame, time_s=frame.time_s + 0.003)
+def test_repeated_frames_cost_no_packet() -> None:
+    settings, film = phone_60()
+    copies = [replace(frame, time_s=frame.time_s + 0.003) for frame in film[::9]]
+    repeated = sorted([*film, *copies], key=lambda frame: frame.time_s)
+    assert statuses(received(repeated, settings)) == ["ok"]
 
 
 @pytest.mark.slow
-def test_noise_is_no_array() -> None:
+def test_noise_is_not_taken_for_an_array() -> None:
     rng, settings = np.random.default_rng(1), load_settings("phone")
     film = [Frame(k, k / 30, rng.integers(90, 110, (120, 160), dtype=np.uint8)) for k in range(40)]
-    assert read(settings, film) == []
+    assert received(film, settings) == []
 
 
-def test_what_it_cannot_read_is_refused() -> None:
+def test_unreadable_signal_is_refused() -> None:
     settings = load_settings("phone")
     with pytest.raises(SettingsError, match="the receiver screen reads"):
         heliograph.make_receiver(replace(settings.signal, modulation="ook"), settings.receive)
     with pytest.raises(SettingsError, match="has no effect"):
         load_settings("paper", None, ["receive.screen.gamma=2.0"])
+
+
+def filmed(display_hz: float, lasts: int, skipped: float, seconds: float, seed: int = 1) -> list[Frame]:
+    """Film a display at 30 frames/s; each pattern lasts `lasts` refreshes and a fraction of refreshes is skipped."""
+    rng = np.random.default_rng(seed)
+    grabs = shown(sending_of(rng.bytes(3000), "a.bin", 16, display_hz / lasts), seconds, cell_px=8)
+    refreshes = np.flatnonzero(rng.random(int(seconds * display_hz)) >= skipped)
+    patterns, first = np.unique(refreshes // lasts, return_index=True)
+    times_s = grabs.times_s[0] + refreshes[first] / display_hz
+    phone = Phone(width=240, height=240, side_px=200, blur_px=0.8, seed=seed)
+    seen = phone_frames(Grabs(times_s, grabs.pictures[patterns]), phone)
+    return [Frame(k, time_s, pixels) for k, (time_s, pixels) in enumerate(seen)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("display_hz", "lasts", "skipped"), [(72, 5, 0.2), (77, 7, 0.0)])
+def test_any_rate_is_found_with_skipped_refreshes(display_hz: float, lasts: int, skipped: float) -> None:
+    settings = load_settings("phone")
+    film = filmed(display_hz, lasts, skipped, 2.3 * 30 * lasts / display_hz)
+    assert statuses(received(film, settings))[:2] == ["ok", "ok"]
+
+
+class FilterCamera(Webcam):
+    """FFmpeg's lavfi device: a filter graph as a real-time webcam."""
+
+    device = "lavfi"
+
+
+register_camera("screen-drawn", FilterCamera)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["{}.png", "IMG_{:04d}.JPG"])
+def test_folder_of_pictures_is_read(tmp_path: Path, name: str) -> None:
+    settings, film = phone_60()
+    for frame in film:
+        picture = frame.pixels if "png" in name else cv2.cvtColor(frame.pixels, cv2.COLOR_GRAY2BGR)
+        assert cv2.imwrite(str(tmp_path / name.format(frame.index)), picture)
+    with heliograph.open_film(tmp_path, rate_hz=60) as pictures:
+        assert statuses(received(pictures, settings)) == ["ok"]
+
+
+@pytest.mark.slow
+def test_webcam_is_read(compressed: Path) -> None:
+    if "lavfi" not in av.formats_available:
+        pytest.skip("this PyAV has no device lavfi")
+    with heliograph.open_film(f"camera:screen-drawn:movie={compressed},format=gray,realtime") as film:
+        assert statuses(received(film, link("phone-60", 1.2))) == ["ok"]
+
+
+def flickering(seconds: float, seed: int = 1) -> list[Frame]:
+    """Return a hand-held film with uniformly blinking squares in noise."""
+    rng, out = np.random.default_rng(seed), list[Frame]()
+    squares = [(rng.integers(5, 180), rng.integers(5, 60), rng.integers(40, 90), rng.uniform(1, 6)) for _ in range(3)]
+    for k in range(int(seconds * 30)):
+        light = np.full((160, 280), 60.0)
+        for x, y, side, rate_hz in squares:
+            x += round(3 * np.sin(k / 7))
+            light[y : y + side, x : x + side] = 60 + 150 * (np.sin(2 * np.pi * rate_hz * k / 30) > 0)
+        pixels = np.clip(light + rng.normal(0, 3, light.shape), 0, 255).astype(np.uint8)
+        out.append(Frame(k, k / 30, pixels))
+    return out
+
+
+@pytest.mark.slow
+def test_film_without_a_screen_costs_a_fraction_of_its_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    spent_s, events, seconds, limits = [0.0], list[Event](), 6.0, SearchBudget()
+    spend = SearchBudget.spend
+
+    def counted(budget: SearchBudget, samples: float) -> None:
+        spent_s[0] += samples / SAMPLES_PER_S
+        spend(budget, samples)
+
+    monkeypatch.setattr(SearchBudget, "spend", counted)
+    settings = load_settings("phone")
+    assert received(flickering(seconds), settings, events.append) == []
+    assert limits.first_s < spent_s[0] < limits.first_s + limits.share * seconds + 2 * limits.debt_s
+    assert [event.searched_s for event in events if isinstance(event, UnseenEvent)] == pytest.approx([5.0], abs=0.1)

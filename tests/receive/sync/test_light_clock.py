@@ -1,5 +1,6 @@
-"""Light clock estimation from headers."""
+"""Header amplitudes in frames, and light clock estimation from headers."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
 
-from heliograph.receive.sync.light_clock import HeaderAmplitudes, LightClock
+from heliograph.base.frames import Frame
+from heliograph.receive.geometry.footprint import image_of
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.sync.light_clock import HeaderAmplitudes, LightClock, measure_amplitudes
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_cells
 from heliograph.signal.settings import SignalSettings
@@ -39,19 +43,24 @@ def header_view(start: float, exposure: float, period: float, seed: int = 0, for
         lit = (levels > np.arange(4)[:, None]).astype(float)
         here = pattern == k
         wave[here], bright[here] = (2 * lit @ cells / 16)[slot[here]], lit.mean(1)[slot[here]]
-    shown = []
-    for t in times:
-        part = (steps >= t - start) & (steps < t - start + exposure)
-        shown.append((100 * wave[part].mean(), 200 * bright[part].mean() + 31))
-    alternation, brightness = (np.array(column, np.float64) for column in zip(*shown, strict=True))
+    first, last = (np.searchsorted(steps, times - start + offset) for offset in (0, exposure))
+    waves, lights = (np.concatenate([[0], np.cumsum(light)]) for light in (wave, bright))
+    alternation, brightness = ((total[last] - total[first]) / (last - first) for total in (waves, lights))
+    alternation, brightness = 100 * alternation, 200 * brightness + 31
     return HeaderAmplitudes(1e-3 * times, alternation, brightness)
+
+
+def measured(view: HeaderAmplitudes, period: float = 1.0, exposure_s: float | None = None) -> LightClock:
+    """Return the clock after the first header."""
+    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, exposure_s)
+    assert clock.measure(view, 0)
+    return clock
 
 
 @pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37), (0.25, 0.25)])
 @pytest.mark.parametrize("start", [0.3, -0.37, 0.12])
-def test_one_header_gives_start_and_exposure(start: float, exposure: float, period: float) -> None:
-    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY)
-    clock.measure(header_view(start, exposure, period), 0)
+def test_header_gives_start_and_exposure(start: float, exposure: float, period: float) -> None:
+    clock = measured(header_view(start, exposure, period), period)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
     assert clock.exposure == pytest.approx(exposure, abs=0.04)
     assert clock.gain == pytest.approx(200, rel=0.04)
@@ -59,11 +68,10 @@ def test_one_header_gives_start_and_exposure(start: float, exposure: float, peri
 
 
 @pytest.mark.parametrize("period", [0.37, 2 / 3])
-def test_a_later_header_gives_starts_between_those_of_its_grid(period: float) -> None:
+def test_later_header_gives_starts_finer_than_the_grid(period: float) -> None:
     late, found = np.linspace(-0.02, 0.02, 17), []
     for start in late:
-        clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY)
-        clock.measure(header_view(0.0, period, period), 0)
+        clock = measured(header_view(0.0, period, period), period)
         view = header_view(float(start), period, period)
         # the same header 100 patterns later
         clock.measure(replace(view, times_s=view.times_s + 0.1), 100)
@@ -74,23 +82,21 @@ def test_a_later_header_gives_starts_between_those_of_its_grid(period: float) ->
     assert np.array(found) == pytest.approx(slope * late + zero, abs=1e-3)
 
 
-def test_brightness_that_is_not_trusted_counts_less() -> None:
+def test_brightness_with_less_trust_counts_less() -> None:
     view, other = header_view(0.3, 1.0, 1.0), header_view(-0.1, 1.0, 1.0)
     wrong, off = replace(view, brightness=other.brightness), []
     for trust in (1.0, 0.1):
-        clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
-        clock.measure(replace(wrong, trust=trust), 0)
+        clock = measured(replace(wrong, trust=trust))
         off.append(abs(clock.start_s * 1e3 - 0.3))
     assert off[1] < 0.5 * off[0]
 
 
-def test_the_brightness_of_a_clipped_array_is_not_used() -> None:
+def test_clipped_brightness_is_ignored() -> None:
     """At 25 m some LEDs saturate; clipped brightness shifted the clock by 0.3 T_b."""
     view, other = header_view(0.3, 1.0, 1.0), header_view(-0.4, 1.0, 1.0)
     wrong, starts = replace(view, brightness=3 * other.brightness), []
     for clipped in (True, False):
-        clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
-        clock.measure(replace(wrong, clipped=clipped), 0)
+        clock = measured(replace(wrong, clipped=clipped))
         starts.append(clock.start_s * 1e3)
     assert starts[0] == pytest.approx(0.3, abs=0.01)
     # unclipped brightness counts
@@ -108,8 +114,7 @@ def distinct_formats() -> list[int]:
 @pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37)])
 @pytest.mark.parametrize("start", [0.0, 0.3, -0.37])
 def test_dimmed_cells_do_not_mislead_the_clock(start: float, exposure: float, period: float, form: int) -> None:
-    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY)
-    clock.measure(header_view(start, exposure, period, form=form), 0)
+    clock = measured(header_view(start, exposure, period, form=form), period)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
     assert clock.exposure == pytest.approx(exposure, abs=0.04)
     assert clock.gain == pytest.approx(200, rel=0.05)
@@ -118,26 +123,23 @@ def test_dimmed_cells_do_not_mislead_the_clock(start: float, exposure: float, pe
 
 @pytest.mark.parametrize(("exposure", "period"), [(0.9, 1.0), (0.5, 1.0), (0.3, 2 / 3)])
 @pytest.mark.parametrize("start", [0.3, -0.37, 0.12])
-def test_with_a_short_exposure_known_one_header_gives_the_start(start: float, exposure: float, period: float) -> None:
-    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, exposure * 1e-3)
-    clock.measure(header_view(start, exposure, period), 0)
+def test_header_with_known_exposure_gives_the_start(start: float, exposure: float, period: float) -> None:
+    clock = measured(header_view(start, exposure, period), period, exposure_s=exposure * 1e-3)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=5e-5)
 
 
-def test_of_exposures_that_look_alike_the_longest_is_taken() -> None:
+def test_longest_of_equivalent_exposures_is_chosen() -> None:
     # the central 60 % of a pattern and the full pattern give equal header amplitudes
-    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
-    clock.measure(header_view(-0.2, 0.6, 1.0), 0)
+    clock = measured(header_view(-0.2, 0.6, 1.0))
     assert clock.exposure == pytest.approx(1, abs=0.05)
 
 
-def test_an_exposure_that_is_given_is_not_estimated() -> None:
-    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY, 0.45e-3)
-    clock.measure(header_view(0.2, 0.45, 1.0), 0)
+def test_known_exposure_is_not_estimated() -> None:
+    clock = measured(header_view(0.2, 0.45, 1.0), exposure_s=0.45e-3)
     assert clock.exposure == pytest.approx(0.45)
 
 
-def test_what_is_no_header_is_not_explained() -> None:
+def test_noise_is_not_explained() -> None:
     rng = np.random.default_rng(3)
     clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
     alternation, brightness = (rng.normal(0, 50, 9) for _ in range(2))
@@ -145,7 +147,7 @@ def test_what_is_no_header_is_not_explained() -> None:
     assert clock.explained < 0.7
 
 
-def test_the_rate_is_learnt_from_header_to_header() -> None:
+def test_rate_is_estimated_from_successive_headers() -> None:
     clock, rate = LightClock(0.0, 0.66e-3, SIGNAL, IDENTITY), -400e-6
     for packet in range(12):
         first = packet * 0.1 * (1 + rate)
@@ -176,7 +178,7 @@ def normed_error(
 @pytest.mark.parametrize("period", [1.0, 0.5])
 @pytest.mark.parametrize("clipped", [False, True])
 @pytest.mark.slow
-def test_a_header_is_as_sure_as_it_says(period: float, clipped: bool, again: bool) -> None:
+def test_start_errors_match_the_stated_deviation(period: float, clipped: bool, again: bool) -> None:
     """Start errors match the stated deviation, also after repeated measurement."""
     errors = [normed_error(0.3, period, seed, clipped=clipped, again=again) for seed in range(60)]
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
@@ -190,7 +192,7 @@ def test_a_header_is_as_sure_as_it_says(period: float, clipped: bool, again: boo
     seed=st.integers(0, 99),
 )
 @pytest.mark.slow
-def test_a_header_at_any_phase_starts_within_the_deviation_stated(
+def test_start_at_any_phase_is_within_five_deviations(
     start: float, period: float, part: float | None, seed: int
 ) -> None:
     """Full exposure or a known fraction."""
@@ -198,9 +200,8 @@ def test_a_header_at_any_phase_starts_within_the_deviation_stated(
     assert abs(normed_error(start, period, seed, exposure=exposure)) < 5
 
 
-def test_a_header_that_is_not_seen_leaves_the_clock_alone() -> None:
-    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
-    assert clock.measure(header_view(0.2, 1.0, 1.0), 0)
+def test_unseen_header_leaves_the_clock_unchanged() -> None:
+    clock = measured(header_view(0.2, 1.0, 1.0))
     before = clock.time_s(50), clock.gain, clock.exposure
     rng = np.random.default_rng(0)
     times = (50.0 + np.arange(-2, 7)) * np.float64(1e-3)
@@ -212,7 +213,7 @@ def unseen(pattern: int) -> HeaderAmplitudes:
     return HeaderAmplitudes(1e-3 * (pattern + np.arange(-2.0, 7.0)), np.full(9, 1e-3), np.zeros(9))
 
 
-def test_a_rate_well_known_wanders_as_quartz_does() -> None:
+def test_known_rate_wanders_as_quartz_does() -> None:
     """The rate random walk is 6.3e-8 per square root of a pattern, which limits rate accuracy to 3.5e-6."""
     clock, view = LightClock(0.0, 1e-3, SIGNAL, IDENTITY), header_view(0.2, 1.0, 1.0)
     for packet in range(60):
@@ -225,9 +226,52 @@ def test_a_rate_well_known_wanders_as_quartz_does() -> None:
     assert clock.deviation == pytest.approx(np.hypot(3.5e-6 * 30_000, walk), rel=0.1)
 
 
-def test_without_headers_the_start_grows_uncertain() -> None:
+def test_start_uncertainty_grows_without_headers() -> None:
     """The initial rate deviation, 250 ppm, accumulates to one pattern after 4000 patterns."""
-    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
-    assert clock.measure(header_view(0.2, 1.0, 1.0), 0)
+    clock = measured(header_view(0.2, 1.0, 1.0))
     assert not clock.measure(unseen(4000), 4000)
     assert clock.deviation == pytest.approx(1.0, rel=0.05)
+
+
+SIDE, POSE = 16, Pose(20.3, 19.6, 1.6, 0.0, 0.55)
+SHAPE = 40, 40
+
+
+def frames_of(light: Floats, header: Floats, amplitudes: Sequence[float]) -> list[Frame]:
+    """Render frames with array light and header amplitudes on a uniform background."""
+    on, sign = (image_of(levels, POSE, (0, 0), SHAPE) for levels in (light, light * header))
+    return [Frame(k, 1e-3 * k, np.round(30 + 90 * on + a * sign).astype(np.uint8)) for k, a in enumerate(amplitudes)]
+
+
+@pytest.mark.parametrize("dead", [0.0, 0.3])
+def test_amplitudes_match_the_rendered_ones(dead: float) -> None:
+    rng = np.random.default_rng(1)
+    header = np.where(rng.random((SIDE, SIDE)) < 0.5, -1.0, 1.0)
+    gains = np.where(rng.random((SIDE, SIDE)) < dead, 0.0, 1.0)
+    drawn = [40.0, -40.0, 10.0, 0.0]
+    seen = measure_amplitudes(frames_of(gains, header, drawn), [POSE] * 4, header * gains)
+    assert seen.alternation == pytest.approx(drawn, abs=0.5)
+    assert np.ptp(seen.brightness) < 2
+    assert not seen.clipped
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_amplitudes_stay_bounded_with_only_lit_or_dark_leds(sign: float) -> None:
+    header = np.full((SIDE, SIDE), sign)
+    seen = measure_amplitudes(frames_of(np.ones((SIDE, SIDE)), header, [0.0, 20.0]), [POSE] * 2, header)
+    assert np.abs(seen.alternation).max() < 120
+    assert np.isfinite(seen.brightness).all()
+
+
+def test_amplitudes_without_leds_are_zero() -> None:
+    dark = np.zeros((SIDE, SIDE))
+    seen = measure_amplitudes(frames_of(dark, dark, [0.0, 0.0]), [POSE] * 2, dark)
+    assert seen.alternation == pytest.approx([0, 0])
+
+
+def test_frame_at_full_scale_marks_clipping() -> None:
+    header = np.where(np.arange(SIDE**2).reshape(SIDE, SIDE) % 2, 1.0, -1.0)
+    frames = frames_of(np.ones((SIDE, SIDE)), header, [10.0, 10.0])
+    assert not measure_amplitudes(frames, [POSE] * 2, header).clipped
+    frames[1].pixels[10:30, 10:30] = 255
+    assert measure_amplitudes(frames, [POSE] * 2, header).clipped

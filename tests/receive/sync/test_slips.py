@@ -40,37 +40,30 @@ def numbers(frames: list[Frame], watch: SlipWatch, off_px: float) -> list[int]:
     return [round(frame.time_s * 1e3) for frame in [*released, *watch.flush()]]
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_poses_that_are_off_before_a_bright_sky_are_no_slips(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(4))
+def test_pose_errors_before_a_bright_sky_are_no_slips(seed: int) -> None:
     watch = SlipWatch(3, SIGNAL)
     assert numbers(before_a_sky(120, seed), watch, 0.5) == list(range(120))
     assert watch.lost == 0
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_poses_wrong_for_two_pairs_are_no_slips(seed: int) -> None:
-    watch = SlipWatch(3, SIGNAL)
-    found: list[Frame] = []
+@pytest.mark.parametrize("error", ["wrong for two pairs", "back at once"])
+def test_wrong_poses_are_no_slips(error: str, seed: int) -> None:
+    watch, found = SlipWatch(3, SIGNAL), list[Frame]()
     for k, frame in enumerate(before_a_sky(80, seed)):
-        # as for a fast passing array with unknown velocity
-        wrong = POSE.moved(1.8 * (-1) ** k, 1.2) if 24 <= k < 28 else POSE
-        found += watch.push(frame, 0.0, lambda _, pose=wrong: pose, False)  # type: ignore[misc]
-    assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_pose_that_comes_back_at_once_is_no_slip(seed: int) -> None:
-    watch = SlipWatch(3, SIGNAL)
-    found: list[Frame] = []
-    for k, frame in enumerate(before_a_sky(80, seed)):
-        # as after an occlusion: the drifted pose jumps back within a pair
-        at = POSE.moved(1.8, -1.2) if 28 <= k <= 40 else POSE
-        found += watch.push(frame, 0.0, lambda _, pose=at: pose, False)  # type: ignore[misc]
+        if error == "wrong for two pairs":
+            # as for a fast passing array with unknown velocity
+            pose = POSE.moved(1.8 * (-1) ** k, 1.2) if 24 <= k < 28 else POSE
+        else:
+            # as after an occlusion: the drifted pose jumps back within a pair
+            pose = POSE.moved(1.8, -1.2) if 28 <= k <= 40 else POSE
+        found += watch.push(frame, 0.0, lambda _, pose=pose: pose, False)  # type: ignore[misc]
     assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
 
 
 @pytest.mark.parametrize("gone", [41, 50, 63])
-def test_a_frame_lost_without_a_gap_is_missed_at_once(gone: int) -> None:
+def test_frame_lost_without_a_gap_is_detected_at_once(gone: int) -> None:
     frames = before_a_sky(120, 1)
     shifted = [*frames[:gone], *(replace(frame, time_s=frame.time_s - 1e-3) for frame in frames[gone + 1 :])]
     # the pair's other frame is dropped too
@@ -78,7 +71,7 @@ def test_a_frame_lost_without_a_gap_is_missed_at_once(gone: int) -> None:
     assert numbers(shifted, SlipWatch(3, SIGNAL), 0.0) == [k for k in range(120) if k not in (gone, other)]
 
 
-def test_a_header_that_comes_late_undoes_a_slip_that_was_none() -> None:
+def test_late_header_undoes_a_false_slip() -> None:
     watch = SlipWatch(3, SIGNAL)
     watch.lost = 2
     found = numbers(before_a_sky(120, 2), watch, 0.0)
@@ -87,7 +80,7 @@ def test_a_header_that_comes_late_undoes_a_slip_that_was_none() -> None:
 
 
 @pytest.mark.parametrize("width", [1, 3, 5])
-def test_the_kernel_does_what_the_reference_does(width: int) -> None:
+def test_kernel_matches_the_oracle(width: int) -> None:
     rng = np.random.default_rng(width)
     # array partly outside the image
     image, pose = rng.uniform(0, 255, (25, 24)), Pose(11.3, 12.9, 1.7, 0.06, 0.5, 0.03, -0.02)

@@ -3,17 +3,14 @@
 import math
 
 import pytest
-from scenes import film, link
-
-from heliograph.receive import receive_frames
+from scenes import film, link, received, words_of
 
 
 @pytest.mark.parametrize(("distance_m", "lacks"), [(40.0, []), (95.0, ["middle", "low"])])
-def test_a_packet_explains_which_codewords_lack_information(distance_m: float, lacks: list[str]) -> None:
+def test_packet_explains_which_codewords_lack_information(distance_m: float, lacks: list[str]) -> None:
     settings = link("receive.receiver=plain", distance_m=distance_m)
-    packet, *_ = receive_frames(film(settings, 101, roi_margin_px=30), settings.signal, settings.receive)
-    words = [word for by in packet.layers.values() for word in by]
-    assert all(0 <= word.information <= 1 for word in words)
+    (packet,) = received(film(settings, 101, roi_margin_px=30), settings)
+    assert all(0 <= word.information <= 1 for word in words_of(packet))
     failed = [name for name, by in packet.layers.items() if any(word.status != "ok" for word in by)]
     assert failed == lacks
     first, *lines = packet.explain().splitlines()

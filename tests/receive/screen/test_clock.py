@@ -46,7 +46,7 @@ def search_clocks(samples: Samples, periods: list[float], row_s: float | None) -
     return ClockFitter(samples, FRAME_S, HEIGHT, row_s, SearchBudget()).search(periods)
 
 
-def test_a_clock_is_found_among_rates() -> None:
+def test_clock_is_found_among_periods() -> None:
     samples = seen(TRUE, 48)
     found = search_clocks(samples, [0.1, 1 / 15, 0.2], None)
     left, clock = found[0]
@@ -59,7 +59,7 @@ def test_a_clock_is_found_among_rates() -> None:
     assert middle == pytest.approx(true, abs=0.012)
 
 
-def test_pairs_are_solved() -> None:
+def test_pairs_are_solved_with_a_known_clock() -> None:
     got, _ = solve_pairs(seen(TRUE, 48), TRUE)
     data = change(1, 40)
     for k, pair in enumerate(got.pairs):
@@ -67,12 +67,12 @@ def test_pairs_are_solved() -> None:
             assert got.change[k] == pytest.approx(data[pair], abs=0.15)
 
 
-def test_a_known_row_time_is_kept() -> None:
+def test_known_row_time_is_kept() -> None:
     found = search_clocks(seen(TRUE, 48), [0.1], TRUE.row_s)
     assert found[0][1].row_s == TRUE.row_s
     assert found[0][0] < 0.02
 
 
-def test_too_few_frames_tell_nothing() -> None:
+def test_too_few_frames_give_no_clock() -> None:
     assert search_clocks(seen(TRUE, 10), [0.1], None) == []
     assert search_clocks(seen(TRUE, 48), [0.02], None) == []

@@ -1,4 +1,4 @@
-"""Pairing for arbitrary camera timing: increasing, unique pair numbers despite dropped frames."""
+"""Pairing for synchronous cameras and arbitrary timing: increasing, unique pair numbers despite dropped frames."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -20,8 +20,11 @@ from heliograph.receive.sync.pairing import (
     DuePair,
     FramePair,
     MeasuredHeader,
+    Pairing,
+    SynchronousPairing,
 )
 from heliograph.signal.header import header_levels
+from heliograph.signal.settings import SignalSettings
 
 SETTINGS = link("signal.data_pairs=5")
 SIGNAL = SETTINGS.signal
@@ -45,7 +48,7 @@ def pairing_of(start_s: float, exposure_s: float | None = None) -> AsynchronousP
     return AsynchronousPairing(start_s + 2.5e-4, start_s + 2e-3, POSE, 0, np.ones((16, 16)), SIGNAL, exposure_s)
 
 
-def taken(pairing: AsynchronousPairing, frames: Iterable[Frame], single: bool = False) -> Iterator[DuePair]:
+def due_pairs(pairing: Pairing, frames: Iterable[Frame], single: bool = False) -> Iterator[DuePair]:
     """Yield pairs and measured headers frame by frame, as a receiver does."""
     for frame in frames:
         pairing.push(frame, lambda _: POSE, single)
@@ -53,10 +56,8 @@ def taken(pairing: AsynchronousPairing, frames: Iterable[Frame], single: bool = 
             yield due
 
 
-def paired(
-    pairing: AsynchronousPairing, frames: list[Frame], single: bool = False
-) -> list[tuple[int, FramePair | None]]:
-    due = list(taken(pairing, frames, single))
+def paired(pairing: Pairing, frames: Iterable[Frame], single: bool = False) -> list[tuple[int, FramePair | None]]:
+    due = list(due_pairs(pairing, frames, single))
     pairing.flush()
     while (last := pairing.next_pair(lambda _: POSE, np.ones((16, 16)), single)) is not None:
         due.append(last)
@@ -66,7 +67,7 @@ def paired(
 @examples(40)
 @given(rate=st.sampled_from(RATES), dropped=st.sets(st.integers(0, 124), max_size=40))
 @pytest.mark.slow
-def test_each_pair_comes_once_in_order_with_frames_of_its_time(rate: tuple[float, float], dropped: set[int]) -> None:
+def test_asynchronous_pairs_come_once_in_order_with_their_frames(rate: tuple[float, float], dropped: set[int]) -> None:
     fps, start_s = rate
     pairing = pairing_of(start_s)
     frames = [frame for frame in filmed(fps, start_s) if frame.index not in dropped]
@@ -92,9 +93,9 @@ def test_each_pair_comes_once_in_order_with_frames_of_its_time(rate: tuple[float
 
 
 @pytest.mark.parametrize(("fps", "start_s"), RATES)
-def test_whole_films_give_every_pair(fps: float, start_s: float) -> None:
+def test_complete_films_give_every_pair(fps: float, start_s: float) -> None:
     pairing = pairing_of(start_s)
-    got = paired(pairing, list(filmed(fps, start_s)))
+    got = paired(pairing, filmed(fps, start_s))
     assert not pairing.lost
     assert [number for number, _ in got] == list(range(int((50 - 1e3 * start_s) / 2)))
     pairs = [pair for _, pair in got]
@@ -119,17 +120,19 @@ def test_whole_films_give_every_pair(fps: float, start_s: float) -> None:
     assert pairing.origin_s == pytest.approx(start_s, abs=1e-4 if in_step else 2e-5)
 
 
-def test_before_the_header_is_over_no_pair_is_read() -> None:
+def test_no_pair_comes_before_the_end_of_the_header() -> None:
     pairing, frames = pairing_of(2.0e-3), filmed(1000.0, 2.0e-3)
     assert (pairing.now_s, pairing.origin_s) == pytest.approx((4.0e-3, 2.25e-3))
-    counts = [sum(not isinstance(pair, MeasuredHeader) for _, pair in taken(pairing, [frame])) for frame in frames[:16]]
+    counts = [
+        sum(not isinstance(pair, MeasuredHeader) for _, pair in due_pairs(pairing, [frame])) for frame in frames[:16]
+    ]
     # four header patterns, three more, and a frame for slip detection
     assert counts == [0] * 10 + [3, 0, 1, 1, 0, 1]
     # middle of the last pattern in six pairs
     assert pairing.now_s == pytest.approx(13e-3, abs=1e-4)
 
 
-def test_a_header_from_before_the_film_is_lost() -> None:
+def test_header_from_before_the_film_is_lost() -> None:
     start_s = 2.0e-3
     pairing = pairing_of(start_s)
     late = [frame for frame in filmed(1000.0, start_s) if frame.time_s > start_s + 3e-3]
@@ -137,7 +140,7 @@ def test_a_header_from_before_the_film_is_lost() -> None:
     assert pairing.lost
 
 
-def test_what_is_no_header_is_lost() -> None:
+def test_noise_is_no_header() -> None:
     rng, start_s = np.random.default_rng(0), 2.0e-3
     noise = [
         replace(frame, pixels=rng.integers(0, 255, frame.pixels.shape).astype(np.uint8))
@@ -149,9 +152,9 @@ def test_what_is_no_header_is_lost() -> None:
 
 
 @pytest.mark.parametrize("single", [False, True])
-def test_data_without_inverses_are_read_frame_by_frame(single: bool) -> None:
+def test_data_without_inverses_are_not_combined(single: bool) -> None:
     """With exposure 0.7 T_b, pairs are combined although each frame shows a single pattern."""
-    frames = list(filmed(1000.0, 2.0e-3, 0.7e-3))
+    frames = filmed(1000.0, 2.0e-3, 0.7e-3)
     got = paired(pairing_of(2.0e-3, 0.7e-3), frames, single)
     assert len(got) == 23
     for number, pair in got:
@@ -159,9 +162,11 @@ def test_data_without_inverses_are_read_frame_by_frame(single: bool) -> None:
         assert isinstance(pair.pattern, Frame) == (single and number % 7 >= 2)
 
 
-def test_a_whole_header_gives_the_gain_and_an_even_sum() -> None:
+def test_complete_header_gives_the_gain_and_a_uniform_sum() -> None:
     fps, start_s = RATES[2]
-    measured = [due for due in taken(pairing_of(start_s), filmed(fps, start_s)) if isinstance(due[1], MeasuredHeader)]
+    measured = [
+        due for due in due_pairs(pairing_of(start_s), filmed(fps, start_s)) if isinstance(due[1], MeasuredHeader)
+    ]
     assert [number for number, _ in measured] == [2, 9, 16]
     for _, header in measured:
         assert isinstance(header, MeasuredHeader)
@@ -175,8 +180,74 @@ def test_a_whole_header_gives_the_gain_and_an_even_sum() -> None:
         assert np.std(total[middle]) < 0.05 * np.mean(total[middle])
 
 
-def test_a_header_in_step_gives_no_more() -> None:
+def test_header_without_frames_is_not_measured() -> None:
+    fps, start_s = RATES[2]
+    # the second header lasts from 14 to 18 ms
+    frames = [frame for frame in filmed(fps, start_s) if not 13e-3 < frame.time_s - start_s < 19e-3]
+    due = due_pairs(pairing_of(start_s), frames)
+    assert [number for number, pair in due if isinstance(pair, MeasuredHeader)] == [2, 16]
+
+
+def test_synchronous_header_is_not_measured() -> None:
     fps, start_s = RATES[0]
-    due = list(taken(pairing_of(start_s), filmed(fps, start_s)))
+    due = list(due_pairs(pairing_of(start_s), filmed(fps, start_s)))
     assert len(due) > 15
     assert not any(isinstance(pair, MeasuredHeader) for _, pair in due)
+
+
+SHORT = SignalSettings(data_pairs=3)
+"""Packets with five pairs, two of which are headers."""
+
+
+def dark(number: int, start_s: float = 0.0) -> Frame:
+    return Frame(number, start_s + number * 1e-3, np.zeros((4, 4), np.uint8))
+
+
+@examples(150)
+@given(
+    dropped=st.sets(st.integers(0, 59)),
+    before=st.integers(0, 5),
+    start_s=st.sampled_from([0.0, 0.0371, 2.0]),
+    jitter=st.floats(0, 0.4),
+)
+@pytest.mark.slow
+def test_synchronous_pairs_come_once_in_order_with_their_frames(
+    dropped: set[int], before: int, start_s: float, jitter: float
+) -> None:
+    frames = [
+        Frame(k + before, start_s + 1e-3 * (k + jitter * np.sin(k)), np.zeros((4, 4), np.uint8))
+        for k in range(-before, 60)
+        if k not in dropped
+    ]
+    got = paired(SynchronousPairing(start_s, start_s + 1.5e-3, 0, SHORT), frames)
+    kept = sorted(set(range(60)) - dropped)
+    # a pair is complete as soon as its last or a later frame arrives
+    assert [number for number, _ in got] == list(range((max(kept, default=-1) + 1) // 2))
+    for number, pair in got:
+        there = {2 * number, 2 * number + 1} - dropped
+        if len(there) < 2:
+            assert pair is None
+        else:
+            assert isinstance(pair, FramePair)
+            assert (pair.pattern.index, pair.inverted.index) == (2 * number + before, 2 * number + 1 + before)
+            assert pair.combination is None
+
+
+def test_data_light_is_early_and_header_light_is_not() -> None:
+    got = paired(SynchronousPairing(0.0, 1.5e-3, 0, SHORT), [dark(k) for k in range(20)])
+    late = [pair.late_s for _, pair in got if pair is not None]
+    # (15 1/2 + 11 3/2 + 5 5/2 + 1 7/2) / 32 slots, each 0.25 ms, minus half a pattern
+    data = (15 * 0.5 + 11 * 1.5 + 5 * 2.5 + 3.5) / 32 * 0.25e-3 - 0.5e-3
+    assert late == pytest.approx([0, 0, data, data, data] * 2)
+
+
+def test_synchronous_pairing_times() -> None:
+    pairing = SynchronousPairing(0.1, 0.1015, 0, SHORT)
+    assert (pairing.origin_s, pairing.now_s) == (0.1, 0.1015)
+    paired(pairing, [dark(0, 0.1)])
+    assert pairing.now_s == 0.1015
+    assert len(paired(pairing, [dark(7, 0.1)])) == 4
+    assert pairing.now_s == pytest.approx(0.107)
+    assert (pairing.lost, pairing.first_gain) == (False, None)
+    pairing.flush()
+    assert pairing.next_pair(lambda _: POSE, np.ones((8, 8)), False) is None

@@ -40,7 +40,7 @@ def test_jitter_is_smoothed(fps: float) -> None:
     assert np.sqrt(np.mean(error[300:] ** 2)) < 1.2e-5
 
 
-def test_even_stamps_stay() -> None:
+def test_uniform_stamps_stay() -> None:
     true = np.arange(200) * 1e-3 + 0.3
     assert [f.time_s for f in timed(stamped(list(true)))] == pytest.approx(list(true), abs=1e-9)
 
@@ -60,7 +60,7 @@ def test_dropped_frames_leave_a_gap_in_time(numbered: bool) -> None:
     seed=st.integers(0, 99),
 )
 @pytest.mark.slow
-def test_whatever_is_dropped_times_rise_and_the_period_is_right(
+def test_times_increase_and_the_period_is_right_with_dropped_frames(
     period_s: float, jitter: float, gaps: list[int], seed: int
 ) -> None:
     """Drop two of three frames on average after the first 16, with timestamp jitter up to 15 % of a period."""
@@ -78,7 +78,7 @@ def test_whatever_is_dropped_times_rise_and_the_period_is_right(
     assert clock.period_s == pytest.approx(period_s, rel=0.03)
 
 
-def test_copies_are_left_out() -> None:
+def test_repeated_frames_are_skipped() -> None:
     frames = stamped([k * 1e-3 for k in range(60)])
     for k in (5, 30, 31):
         frames[k] = replace(frames[k], pixels=frames[k - 1].pixels.copy())
@@ -89,7 +89,7 @@ def test_copies_are_left_out() -> None:
     assert [f.time_s for f in out] == pytest.approx([f.index * 1e-3 for f in out], abs=1e-9)
 
 
-def test_frames_without_noise_are_no_copies() -> None:
+def test_frames_without_noise_are_not_repeated_frames() -> None:
     """Dark or saturated frames may equal their predecessors."""
     even = [replace(f, pixels=np.full((8, 8), 255, np.uint8)) for f in stamped([k * 1e-3 for k in range(30)])]
     assert [f.index for f in timed(even)] == list(range(30))
@@ -110,24 +110,15 @@ def test_frames_are_held_until_the_rate_is_known() -> None:
     assert list(single.flush()) == []
 
 
-def test_frames_that_go_back_are_refused() -> None:
-    clock, frames = CameraClock(), stamped([0.0, 1e-3, 0.5e-3, 2e-3])
-    assert list(clock.push(frames[0])) + list(clock.push(frames[1])) == []
-    with pytest.raises(HeliographError, match="must follow in time") as error:
-        list(clock.push(frames[2]))
-    assert "\n" not in str(error.value)
-    assert list(clock.push(frames[3])) == []
-
-
-@pytest.mark.parametrize(("fps", "message"), [(979.0, "979.0 frames/s"), (1021.0, "1021.0 frames/s")])
-def test_a_camera_out_of_step_is_refused_by_the_plain_receivers_clock(fps: float, message: str) -> None:
+@pytest.mark.parametrize("fps", [979.0, 1021.0, 2000.0])
+def test_synchronous_clock_refuses_another_rate(fps: float) -> None:
     clock = SynchronousClock(1e-3)
-    with pytest.raises(HeliographError, match=message):
+    with pytest.raises(HeliographError, match=rf"has {fps:.1f} frames/s.*--fps"):
         timed(stamped([k / fps for k in range(40)]), clock)
 
 
 @pytest.mark.parametrize("late_s", [0.4e-3, -0.4e-3, 1e-3, 5e-3])
-def test_one_stamp_is_no_rate(late_s: float) -> None:
+def test_single_late_stamp_is_accepted(late_s: float) -> None:
     """The timestamp is early or late, or frames are missing although numbers run on."""
     clock, times = SynchronousClock(1e-3), 1e-3 * np.arange(40)
     times[20:] += late_s if late_s >= 1e-3 else 0
@@ -136,13 +127,13 @@ def test_one_stamp_is_no_rate(late_s: float) -> None:
     assert timed(frames, clock) == frames
 
 
-def test_a_number_that_was_rounded_the_other_way_is_no_rate() -> None:
+def test_frame_number_rounded_down_is_accepted() -> None:
     """Frames at 0.5, 1.5, 2.5 ms get numbers 0, 2, 3 if 0.5 rounds down."""
     frames = stamped([(k + 0.5) * 1e-3 for k in range(20)], [0, *range(2, 21)])
     assert timed(frames, SynchronousClock(1e-3)) == frames
 
 
-def test_a_short_film_is_judged_at_its_end() -> None:
+def test_short_film_is_checked_at_its_end() -> None:
     clock = SynchronousClock(1e-3)
     timed(stamped([0.0, 2e-3, 4e-3]), clock)
     with pytest.raises(HeliographError, match=r"500\.0 frames/s"):
@@ -150,7 +141,7 @@ def test_a_short_film_is_judged_at_its_end() -> None:
 
 
 @pytest.mark.parametrize("fps", [981.0, 1019.0])
-def test_frames_in_step_pass_as_they_are(fps: float) -> None:
+def test_synchronous_frames_pass_unchanged(fps: float) -> None:
     clock, numbers = SynchronousClock(1e-3), [0, 1, 2, 7, 8]
     frames = stamped([k / fps for k in numbers], numbers)
     assert timed(frames, clock) == frames
@@ -159,7 +150,7 @@ def test_frames_in_step_pass_as_they_are(fps: float) -> None:
 
 @pytest.mark.parametrize("pause", [3.5, 10.5, 7000.4])
 @pytest.mark.parametrize("at", [3, 8, 20, 200])
-def test_a_camera_may_go_on_at_any_phase_after_a_pause(pause: float, at: int) -> None:
+def test_camera_may_resume_at_any_phase_after_a_pause(pause: float, at: int) -> None:
     stamps = 1e-3 * (np.arange(300) + pause * (np.arange(300) >= at))
     clock = CameraClock()
     out = timed(stamped(list(stamps)), clock)
@@ -169,7 +160,7 @@ def test_a_camera_may_go_on_at_any_phase_after_a_pause(pause: float, at: int) ->
     assert timed(frames, SynchronousClock(1e-3)) == frames
 
 
-def test_pauses_between_all_of_the_first_frames_leave_a_period() -> None:
+def test_pauses_between_all_first_frames_leave_a_period() -> None:
     clock = CameraClock()
     timed(stamped(list(np.cumsum([0.01 * 3.0**k for k in range(FIRST)]))), clock)
     assert clock.period_s > 0

@@ -1,4 +1,4 @@
-"""Competing receivers for one array: the first valid codeword selects a receiver."""
+"""Competing hypotheses for the header of an array: the first valid codeword selects one."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -39,36 +39,36 @@ class Scripted:
 
 
 def array_of(*receivers: Scripted, settled: bool = False) -> HeaderHypotheses:
-    return HeaderHypotheses([cast(ArrayReceiver, one) for one in receivers], settled)
+    return HeaderHypotheses([cast(ArrayReceiver, receiver) for receiver in receivers], settled)
 
 
 def pushed(array: HeaderHypotheses) -> list[Any]:
     return list(array.push(FRAME))
 
 
-def test_until_its_first_packet_the_first_reads_alone() -> None:
+def test_others_follow_after_the_first_packet_of_the_first() -> None:
     a, b = Scripted("a", UPRIGHT, every=3), Scripted("b", ORIENTATIONS[2], every=3, proves_at=6)
     array = array_of(a, b)
     frames = [Frame(k, 1e-3 * k, np.zeros((4, 4), np.uint8)) for k in range(7)]
-    told = []
+    packets = []
     for k, frame in enumerate(frames):
-        told += list(array.push(frame))
+        packets += list(array.push(frame))
         assert len(a.frames) == min(k + 1, 6)
         assert len(b.frames) == (k + 1 if k >= 2 else 0)
-    assert cast(list[Any], told) == ["a3", "b6"]
+    assert cast(list[Any], packets) == ["a3", "b6"]
     # the other receivers get each frame exactly once
-    assert [one.index for one in b.frames] == list(range(7))
+    assert [frame.index for frame in b.frames] == list(range(7))
 
 
-def test_the_others_get_no_frame_where_its_first_packet_is_right() -> None:
+def test_others_get_no_frame_if_the_first_packet_is_right() -> None:
     a, b = Scripted("a", UPRIGHT, every=3, proves_at=3), Scripted("b", ORIENTATIONS[2])
     array = array_of(a, b)
-    told = [packet for _ in range(6) for packet in pushed(array)]
-    assert told == ["a3", "a6"]
+    packets = [packet for _ in range(6) for packet in pushed(array)]
+    assert packets == ["a3", "a6"]
     assert not b.frames
 
 
-def test_the_others_read_what_they_missed_when_all_ends_before_its_first_packet() -> None:
+def test_others_read_the_missed_frames_at_the_end_of_the_film() -> None:
     a, b = Scripted("a", UPRIGHT, every=9), Scripted("b", ORIENTATIONS[2], every=9, proves_at=2)
     array = array_of(a, b)
     for _ in range(2):
@@ -77,7 +77,7 @@ def test_the_others_read_what_they_missed_when_all_ends_before_its_first_packet(
     assert (len(a.frames), len(b.frames)) == (2, 2)
 
 
-def test_one_that_leads_by_the_cameras_orientation_reads_what_it_missed() -> None:
+def test_settled_hypothesis_reads_the_missed_frames() -> None:
     a, b = Scripted("a", UPRIGHT, every=9), Scripted("b", ORIENTATIONS[2], every=4)
     array = array_of(a, b)
     for _ in range(3):
@@ -88,7 +88,7 @@ def test_one_that_leads_by_the_cameras_orientation_reads_what_it_missed() -> Non
     assert (len(a.frames), len(b.frames)) == (3, 5)
 
 
-def test_until_a_codeword_is_right_the_first_speaks_and_all_read() -> None:
+def test_first_gives_the_packets_until_a_codeword_is_right() -> None:
     a, b = Scripted("a", UPRIGHT), Scripted("b", ORIENTATIONS[2])
     array = array_of(a, b)
     assert pushed(array) == ["a1"]
@@ -98,7 +98,7 @@ def test_until_a_codeword_is_right_the_first_speaks_and_all_read() -> None:
     assert [*cast(Any, array.flush())] == ["a at the end"]
 
 
-def test_the_one_whose_codeword_is_right_is_left_alone() -> None:
+def test_hypothesis_with_a_right_codeword_is_selected() -> None:
     a, b, c = (Scripted(name, way) for name, way in zip("abc", ORIENTATIONS[:3], strict=True))
     b.proves_at = 2
     array = array_of(a, b, c)
@@ -110,7 +110,7 @@ def test_the_one_whose_codeword_is_right_is_left_alone() -> None:
     assert array.leading is cast(Any, b)
 
 
-def test_of_two_that_are_right_at_once_the_more_plausible_stays() -> None:
+def test_more_plausible_of_two_right_hypotheses_is_selected() -> None:
     a, b = Scripted("a", ORIENTATIONS[1], proves_at=1), Scripted("b", ORIENTATIONS[2], proves_at=1)
     array = array_of(a, b)
     assert pushed(array) == ["a1"]
@@ -126,7 +126,7 @@ def test_of_two_that_are_right_at_once_the_more_plausible_stays() -> None:
         (ORIENTATIONS[3], False, True, True),
     ],
 )
-def test_turned_arrays_are_believed_by_a_right_codeword(
+def test_turned_arrays_are_credible_with_a_right_codeword(
     orientation: Orientation, settled: bool, proven: bool, credible: bool
 ) -> None:
     array = array_of(Scripted("a", orientation, has_codeword=proven), settled=settled)
@@ -135,23 +135,23 @@ def test_turned_arrays_are_believed_by_a_right_codeword(
     assert pushed(array) == (["a1"] if credible else [])
 
 
-def test_settling_leaves_out_other_orientations_in_order() -> None:
+def test_settling_drops_other_orientations() -> None:
     receivers = [Scripted(name, way) for name, way in zip("abcd", (*ORIENTATIONS[:3], ORIENTATIONS[1]), strict=True)]
     array = array_of(*receivers)
     assert array.settle(ORIENTATIONS[1])
     assert array.is_credible
     assert pushed(array) == ["b1"]
-    assert [len(one.frames) for one in receivers] == [0, 1, 0, 1]
+    assert [len(receiver.frames) for receiver in receivers] == [0, 1, 0, 1]
 
 
-def test_settling_on_what_no_receiver_has_changes_nothing() -> None:
+def test_settling_on_another_orientation_changes_nothing() -> None:
     array = array_of(Scripted("a", ORIENTATIONS[1]), Scripted("b", ORIENTATIONS[2]))
     assert not array.settle(ORIENTATIONS[5])
     assert not array.is_credible
     assert array.leading.orientation == ORIENTATIONS[1]
 
 
-def test_what_gave_up_is_read_no_longer_and_the_first_says_when_all_is_over() -> None:
+def test_ended_hypotheses_get_no_frame_and_the_first_ends_all() -> None:
     a, b, c = Scripted("a", UPRIGHT), Scripted("b", ORIENTATIONS[1], done=True), Scripted("c", ORIENTATIONS[2])
     array = array_of(a, b, c)
     for _ in range(2):
@@ -165,7 +165,7 @@ def test_what_gave_up_is_read_no_longer_and_the_first_says_when_all_is_over() ->
 
 
 @pytest.mark.parametrize("confidence", Confidence)
-def test_its_confidence_is_that_of_its_first(confidence: Confidence) -> None:
+def test_confidence_is_that_of_the_first(confidence: Confidence) -> None:
     other = Confidence.HEADER if confidence == Confidence.CANDIDATE else Confidence.CANDIDATE
     first, second = Scripted("a", UPRIGHT, confidence=confidence), Scripted("b", UPRIGHT, confidence=other)
     assert array_of(first, second).confidence == confidence

@@ -1,0 +1,178 @@
+"""Plain packets, samples at the LEDs, and the channel inverse against the explicit matrix."""
+
+from dataclasses import replace
+
+import numpy as np
+import per_led_oracle as reference
+import pytest
+from numpy.typing import NDArray
+from recorder import Recorder
+from render_oracle import blur_matrix
+from scenes import SIDE, at_rest, draw, drawn_film, film, levels, link, pitch_at, received, statuses
+
+from heliograph.base.config import from_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.base.frames import Frame
+from heliograph.receive import Pose, ReceiveSettings
+from heliograph.receive.decode import kernels
+from heliograph.receive.decode.codeword import Decoding
+from heliograph.receive.decode.per_led import decode_per_led, luminances, pair_luminances, unblurred
+from heliograph.receive.events import DecodeEvent, ExtractEvent
+from heliograph.receive.geometry.window import CombinedFrame
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.settings import Equaliser, PlainSettings
+from heliograph.signal.formats import Format
+from heliograph.signal.packet import PacketFormat
+
+Floats = NDArray[np.float64]
+
+EQUALISERS: tuple[Equaliser, ...] = ("none", "inverse")
+GAIN = 200.0
+SIZE = 44
+
+
+def shown(pose: Pose, x: Floats, index: int = 0) -> CombinedFrame:
+    """Render a noiseless frame without quantisation."""
+    light = 30.0 + GAIN * draw(pose, x, (0, 0), (SIZE, SIZE))
+    return CombinedFrame(index, index * 1e-3, light.astype(np.float32), (0, 0), 255)
+
+
+def pair(poses: tuple[Pose, Pose], x: Floats) -> tuple[CombinedFrame, CombinedFrame]:
+    return shown(poses[0], x), shown(poses[1], 1 - x, 1)
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.05])
+def test_inverse_restores_luminances_without_noise(roll: float) -> None:
+    pose = Pose(21.2, 20.7, pitch_at(60), roll, 0.52)
+    x = np.random.default_rng(1).integers(0, 5, (SIDE, SIDE)) / 4
+    found = unblurred(pair((pose, pose), x), (pose, pose), GAIN, SIDE, loading=1e-10)
+    assert np.allclose(found, 4 * x - 2, atol=1e-4)
+
+
+def test_inverse_solves_the_normal_equations() -> None:
+    pose = Pose(21.2, 20.7, pitch_at(70), 0.02, 0.52)
+    rng = np.random.default_rng(2)
+    first, second = (Frame(k, 0.0, rng.integers(0, 255, (SIZE, SIZE)).astype(np.uint8)) for k in range(2))
+    found = unblurred((first, second), (pose, pose), GAIN, SIDE, loading=1e-3)
+    # receiver window: 2.5 px beyond the array
+    half = 8 * pose.pitch * (np.cos(0.02) + np.sin(0.02)) + 2.5
+    x0, y0 = int(np.floor(pose.x - half)), int(np.floor(pose.y - half))
+    w, h = int(np.ceil(pose.x + half)) - x0 + 1, int(np.ceil(pose.y + half)) - y0 + 1
+    a = blur_matrix(pose, SIDE, (x0, y0), (h, w))
+    change = (first.pixels.astype(float) - second.pixels)[y0 : y0 + h, x0 : x0 + w].ravel() / GAIN
+    expected = np.linalg.solve(a.T @ a + 1e-3 * np.eye(SIDE * SIDE), a.T @ change)
+    assert np.allclose(found.ravel(), 2 * expected, atol=1e-5)
+
+
+def test_inverse_compensates_motion_between_the_frames() -> None:
+    poses = Pose(21.2, 20.7, pitch_at(50), 0.0, 0.52), Pose(21.25, 21.0, pitch_at(50), 0.0, 0.52)
+    x = np.random.default_rng(3).integers(0, 5, (SIDE, SIDE)) / 4
+    found = unblurred(pair(poses, x), poses, GAIN, SIDE, loading=1e-8)
+    assert np.allclose(found, 4 * x - 2, atol=0.05)
+
+
+def test_inverse_of_dark_frames_is_zero() -> None:
+    pose = Pose(21.2, 20.7, pitch_at(50), 0.0, 0.52)
+    dark = Frame(0, 0.0, np.zeros((SIZE, SIZE), np.uint8))
+    assert not unblurred((dark, dark), (pose, pose), 0.0, SIDE).any()
+
+
+def test_leds_are_sampled_at_their_positions_by_default() -> None:
+    assert ReceiveSettings().plain.equaliser == "none"
+    pose = Pose(21.2, 20.7, pitch_at(50), 0.0, 0.52)
+    frames = pair((pose, pose), np.random.default_rng(4).integers(0, 5, (SIDE, SIDE)) / 4)
+    plain = 2 * (luminances(frames[0], pose, SIDE) - luminances(frames[1], pose, SIDE)) / GAIN
+    assert np.array_equal(pair_luminances(frames, (pose, pose), GAIN, SIDE), plain)
+    assert np.array_equal(pair_luminances(frames, (pose, pose), GAIN, SIDE, "none"), plain)
+    inverse = unblurred(frames, (pose, pose), GAIN, SIDE)
+    assert np.array_equal(pair_luminances(frames, (pose, pose), GAIN, SIDE, "inverse"), inverse)
+
+
+def test_unknown_equaliser_is_refused() -> None:
+    with pytest.raises(SettingsError, match="equaliser"):
+        from_mapping(ReceiveSettings, {"plain": {"equaliser": "zero-forcing"}})
+
+
+@pytest.mark.slow
+def test_inverse_has_fewer_led_errors_than_sampling() -> None:
+    """Full link: estimated pose and blur, sensor noise."""
+    settings = link("signal.modulation=ook", distance_m=57.0)
+    sent = [pattern > 2 for pattern, _ in zip(levels(settings), range(60), strict=False)]
+    frames = film(settings, len(sent), roi_margin_px=20)
+    wrong = dict[str, float]()
+    for equaliser in EQUALISERS:
+        recorder, plain = Recorder(), PlainSettings(equaliser=equaliser)
+        received(frames, replace(settings, receive=replace(settings.receive, plain=plain)), recorder)
+        events = recorder.of(ExtractEvent)
+        assert len(events) > 20
+        read = [event.luminances > 0 for event in events if event.luminances is not None]
+        wrong[equaliser] = float(np.mean(np.array(read) != [sent[event.frames[0].index] for event in events]))
+    assert wrong["none"] > 5e-3
+    assert wrong["inverse"] < wrong["none"] / 20
+
+
+def test_plain_receiver_samples_leds_at_the_pose_of_each_frame() -> None:
+    """Pattern and inverse have poses one pattern apart in motion."""
+
+    def even(t: Floats) -> Floats:
+        return np.stack([40.3 + 300 * t, 48.8 - 200 * t], -1)
+
+    settings, recorder = link("signal.data_pairs=24"), Recorder()
+    packets = received(drawn_film(settings, 53, even, distance_m=40.0), settings, recorder)
+    assert statuses(packets) == ["ok"]
+    # skip the velocity transient
+    events = recorder.of(ExtractEvent)[8:]
+    times = np.array([frame.time_s + 0.5e-3 for event in events for frame in event.frames])
+    places = np.array([(pose.x, pose.y) for event in events for pose in event.poses])
+    assert np.abs((places - even(times)).reshape(-1, 2, 2).mean(0)).max() < 0.03
+    (decode,) = recorder.of(DecodeEvent)
+    assert decode.luminances is not None
+    assert all(event.luminances is not None for event in events)
+    assert np.array_equal(decode.luminances[8:], np.array([event.luminances for event in events]))
+
+
+def test_sampling_decodes_only_synchronous_pairs() -> None:
+    form = PacketFormat(link().signal)
+    cutout = Cutout(np.zeros((9, 9)), np.zeros((9, 9)), (0, 0), (Pose(4.0, 4.0, 1.0, 0.0, 0.5),))
+    pairs = form.settings.data_pairs
+    single = PacketFormat(form.settings, Format(mode="single"))
+    assert decode_per_led([None] * pairs, form, 0, Decoding()) is None
+    assert decode_per_led([cutout] * pairs, single, 0, Decoding()) is None
+    words = decode_per_led([cutout] * pairs, form, 0, Decoding())
+    assert words is not None
+    assert {word.status for by in words.values() for word in by} == {"crc_fail"}
+
+
+@pytest.mark.parametrize("misplaced", [0.0, 3.0])
+def test_sampling_decodes_only_at_the_right_pose(misplaced: float) -> None:
+    settings, recorder = link("signal.data_pairs=24", "receive.receiver=soft"), Recorder()
+    received(drawn_film(settings, 53, at_rest, distance_m=40.0), settings, recorder)
+    (event,) = recorder.of(DecodeEvent)
+    cutouts = [cutout and cutout.moved(np.array([misplaced, 0.0, 0.0, 0.0])) for cutout in event.cutouts or ()]
+    words = decode_per_led(cutouts, PacketFormat(settings.signal), event.identity, Decoding())
+    assert words is not None
+    assert all(word.status == ("crc_fail" if misplaced else "ok") for by in words.values() for word in by)
+
+
+def test_cubic_samples() -> None:
+    rng = np.random.default_rng(0)
+    image, points = rng.normal(size=(9, 12)), rng.uniform(-2.5, 13, (200, 2))
+    got = np.empty(200)
+    kernels.sample_cubic(image, points, got)
+    assert got == pytest.approx(reference.sample_cubic(image, points), abs=1e-12)
+
+
+def test_cubic_samples_of_a_parabola_are_exact() -> None:
+    y, x = np.mgrid[:12, :14].astype(float)
+    points = np.random.default_rng(0).uniform(2, 9, (50, 2))
+    got = np.empty(50)
+    kernels.sample_cubic(2 + x - 0.3 * y + 0.2 * x * y + 0.1 * x * x - 0.05 * y * y, points, got)
+    px, py = points.T
+    assert got == pytest.approx(2 + px - 0.3 * py + 0.2 * px * py + 0.1 * px * px - 0.05 * py * py)
+
+
+def test_cubic_samples_at_leds() -> None:
+    image, pose = np.random.default_rng(0).normal(size=(19, 22)), Pose(9.3, 10.8, 1.3, 0.05, 0.5, 0.02, -0.03)
+    got = np.empty((16, 16))
+    kernels.cubic_at_leds(image, pose.x, pose.y, pose.axes, got)
+    assert got.ravel() == pytest.approx(reference.sample_cubic(image, pose.leds(16).reshape(-1, 2)), abs=1e-12)

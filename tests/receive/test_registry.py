@@ -1,0 +1,166 @@
+"""Receiver registry and settings: built-in and custom receivers, and rejection of settings without effect."""
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic.dataclasses import dataclass
+
+from heliograph.base.config import CONFIG, from_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.base.frames import Frame
+from heliograph.receive import Packet, Pose, ReceiveSettings, make_receiver, own_settings, receive_frames
+from heliograph.receive.api import register_receiver
+from heliograph.receive.registry import RECEIVERS
+from heliograph.signal.settings import SignalSettings
+
+SIGNAL = SignalSettings()
+FRAMES = [Frame(k, k * 1e-3, np.zeros((4, 4), np.uint8)) for k in range(7)]
+NUMBERS = itertools.count()
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class Every:
+    frames: int = 3
+
+
+class Counting:
+    """Return a packet every few frames, and the remainder at the end."""
+
+    def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Any):
+        assert signal == SIGNAL
+        self._every, self._seen = own_settings(settings).frames, list[Frame]()
+        self._observe = observe
+
+    def push(self, frame: Frame) -> Iterator[Packet]:
+        self._seen.append(frame)
+        if len(self._seen) == self._every:
+            yield from self.finish()
+
+    def finish(self) -> Iterator[Packet]:
+        if self._seen:
+            first, last = self._seen[0], self._seen[-1]
+            self._seen = []
+            self._observe(first)
+            yield Packet(0, "ok", first.time_s, first.index, last.index, Pose(0, 0, 1), 1.0, 1.0, 1.0, 1.0, {})
+
+
+def counting() -> str:
+    name = f"counting-{next(NUMBERS)}"
+    register_receiver(name, Counting, Every)
+    return name
+
+
+def test_custom_receiver_is_chosen_by_name() -> None:
+    settings, shown = ReceiveSettings(receiver=counting()), list[Any]()
+    packets = list(receive_frames(FRAMES, SIGNAL, settings, shown.append))
+    assert [(p.first_frame, p.last_frame) for p in packets] == [(0, 2), (3, 5), (6, 6)]
+    assert shown == FRAMES[::3]
+    assert isinstance(make_receiver(SIGNAL, settings), Counting)
+    assert settings.receiver in RECEIVERS.names()
+
+
+def test_custom_receiver_has_settings() -> None:
+    settings = ReceiveSettings(receiver=counting(), custom={"frames": 5})
+    assert own_settings(settings) == Every(frames=5)
+    assert len(list(receive_frames(FRAMES, SIGNAL, settings))) == 2
+    with pytest.raises(SettingsError, match=r"'frmes'; did you mean 'frames'"):
+        from_mapping(ReceiveSettings, {"receiver": settings.receiver, "custom": {"frmes": 5}})
+    name = f"plain-{next(NUMBERS)}"
+    register_receiver(name, Counting)
+    assert own_settings(ReceiveSettings(receiver=name)) is None
+    with pytest.raises(SettingsError, match=r"custom\.frames has no effect"):
+        from_mapping(ReceiveSettings, {"receiver": name, "custom": {"frames": 5}})
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("plian", "did you mean 'plain'"), ("soft2", "did you mean 'soft'"), ("", "there are plain")]
+)
+def test_unknown_receiver_is_refused_in_one_line(name: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=message) as error:
+        from_mapping(ReceiveSettings, {"receiver": name})
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        *((name, "one of the package") for name in ("plain", "soft")),
+        *((name, "letters, digits") for name in ("", "a b", "a=b")),
+    ],
+)
+def test_reserved_and_invalid_names_are_refused(name: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        register_receiver(name, Counting)
+
+
+@pytest.fixture
+def mine() -> None:
+    register_receiver("mine", lambda *_: pytest.fail("the settings make no receiver"), Every, ["calibration"])
+
+
+@pytest.mark.parametrize(
+    ("settings", "key"),
+    [
+        ({"soft": {"feedback": "none"}}, "receive.soft.feedback"),
+        ({"soft": {"combining": False}}, "receive.soft.combining"),
+        ({"calibration": {"exposure_s": 5e-4}}, "receive.calibration.exposure_s"),
+        ({"receiver": "soft", "plain": {"equaliser": "inverse"}}, "receive.plain.equaliser"),
+        ({"receiver": "soft", "custom": {"frames": 3}}, "receive.custom.frames"),
+        ({"receiver": "mine", "soft": {"combining": False}}, "receive.soft.combining"),
+        ({"receiver": "mine", "detect": {"score": 0.8}}, "receive.detect.score"),
+        ({"receiver": "mine", "track": {"coast_patterns": 9}}, "receive.track.coast_patterns"),
+        ({"receiver": "mine", "decode": {"algorithm": "log-map"}}, "receive.decode.algorithm"),
+    ],
+)
+@pytest.mark.usefixtures("mine")
+def test_key_without_effect_is_refused(settings: dict[str, Any], key: str) -> None:
+    with pytest.raises(SettingsError, match=f"{key} has no effect") as error:
+        from_mapping(ReceiveSettings, settings)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"plain": {"equaliser": "inverse"}},
+        {"receiver": "soft", "soft": {"feedback": "none", "combining": False}},
+        {"receiver": "soft", "calibration": {"exposure_s": 5e-4}},
+        {"receiver": "mine", "custom": {"frames": 3}, "calibration": {"exposure_s": 5e-4}},
+        # an explicit default value has no effect
+        {"receiver": "soft", "plain": {"equaliser": "none"}},
+    ],
+)
+@pytest.mark.usefixtures("mine")
+def test_keys_of_the_chosen_receiver_are_accepted(settings: dict[str, Any]) -> None:
+    assert from_mapping(ReceiveSettings, settings).receiver == settings.get("receiver", "plain")
+
+
+@pytest.mark.parametrize(
+    ("settings", "side_px"),
+    [
+        ({}, 8),
+        ({"receiver": "soft"}, 4),
+        ({"receiver": "mine"}, 4),
+        ({"detect": {"min_side_px": 5}}, 5),
+        ({"receiver": "soft", "detect": {"min_side_px": 12}}, 12),
+    ],
+)
+@pytest.mark.usefixtures("mine")
+def test_smallest_array_depends_on_the_receiver_unless_it_is_set(settings: dict[str, Any], side_px: float) -> None:
+    assert from_mapping(ReceiveSettings, settings).smallest_side_px == side_px
+
+
+@pytest.mark.parametrize("settings", [{"max_side_px": 8}, {"min_side_px": 20, "max_side_px": 20}])
+def test_smallest_array_must_be_below_the_largest(settings: dict[str, Any]) -> None:
+    with pytest.raises(SettingsError, match="must be below"):
+        from_mapping(ReceiveSettings, {"detect": settings})
+
+
+@pytest.mark.usefixtures("mine")
+def test_settings_are_hashable() -> None:
+    one, other = (from_mapping(ReceiveSettings, {"receiver": "mine", "custom": {"frames": k}}) for k in (3, 3))
+    assert {one: 1}[other] == 1
