@@ -9,7 +9,8 @@ from scenes import SIDE, draw, frame_of, pitch_at
 
 from heliograph.base.arrays import Floats
 from heliograph.receive import Pose
-from heliograph.receive.detect.candidate import cell_weights, estimate_drift, find_lit_cells, fit_near
+from heliograph.receive.detect.alternation import DETECT
+from heliograph.receive.detect.candidate import cell_weights, estimate_drift, find_lit_cells, fit_header, fit_near
 from heliograph.signal.header import header_cells, header_levels
 
 HEADER = header_levels(11) / 2.0 - 1.0
@@ -45,6 +46,22 @@ def test_a_fit_near_a_candidate_finds_it() -> None:
     assert found.pose.blur == pytest.approx(np.hypot(POSE.blur, 0.5 * POSE.pitch), rel=0.1)
     assert found.gain == pytest.approx(150, rel=0.05)
     assert found.score > 0.97
+
+
+@pytest.mark.parametrize(
+    ("columns", "hidden", "is_level"), [(slice(0, 0), 0, False), (slice(0, 4), 4, True), (slice(6, 10), 0, True)]
+)
+def test_a_partly_hidden_header_is_fitted_without_tilt(columns: slice, hidden: int, is_level: bool) -> None:
+    """Hidden cells are left out of the fit; a thin post hides only parts of cells."""
+    visible, rng = np.ones((SIDE, SIDE)), np.random.default_rng(0)
+    visible[:, columns] = 0
+    lit = [0.1 + 0.6 * draw(POSE, visible * (1 + sign * HEADER) / 2, (0, 0), (70, 80)) for sign in (1, -1, 1, -1)]
+    header = [frame_of(light, k, rng) for k, light in enumerate(lit)]
+    fit, led_gains, was_level = fit_header(header, POSE, HEADER, DETECT.upright_sigma, 0.9, True)
+    assert fit is not None
+    assert np.count_nonzero(led_gains == 0) == hidden * SIDE
+    assert was_level == is_level
+    assert fit.vector[:2] == pytest.approx([POSE.x, POSE.y], abs=0.05)
 
 
 @pytest.mark.parametrize("pose", [Pose(22.0, 31.0, 1.0), Pose(40.0, 52.0, 1.0), Pose(60.0, 31.0, 1.0)])

@@ -167,6 +167,14 @@ def test_equal_leds_have_equal_brightness(known: int, pulled: float) -> None:
     assert (learnt_from_data("equal", known, pulled=pulled).brightness == 1).all()
 
 
+@pytest.mark.parametrize("kind", ["equal", "unequal"])
+def test_only_unequal_leds_change_the_brightness_of_a_packet(kind: str) -> None:
+    cutouts, symbols = drawn_packet(kind)
+    with one_thread():
+        observed = ObservedPacket(cutouts, NOISE, FORM, LedGains.sound(SIDE))
+        assert observed.apply_brightness(symbols, np.zeros_like(symbols), GAIN, NOISE.lit) == (kind == "unequal")
+
+
 def test_packets_add_up_and_fade() -> None:
     first = fully_learnt()
     both = learnt_from_data("unequal", 256, first, seed=1)

@@ -10,7 +10,7 @@ from scenes import draw
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.geometry.fit import Fit, fit_array
-from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
+from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, rim_distance
 from heliograph.receive.geometry.view import CAMERA, View
 
 
@@ -67,6 +67,7 @@ def test_the_frontal_pitch_is_the_longest_step_less_its_bias(pose: Pose) -> None
 def test_moved_and_midway(a: Pose, b: Pose, dx: float, dy: float) -> None:
     assert a.moved(dx, dy).leds(4) == pytest.approx(a.leds(4) + np.array([dx, dy]), abs=1e-9)
     assert a.moved(dx, dy).pitch == a.pitch
+    assert rim_distance(a, a.moved(dx, dy), 4) == pytest.approx(np.hypot(dx, dy), abs=1e-9)
     middle = Pose.midway(a, b)
     assert values(middle) == pytest.approx(values(Pose.midway(b, a)), rel=1e-12, abs=1e-12)
     assert (middle.x, middle.y) == pytest.approx(((a.x + b.x) / 2, (a.y + b.y) / 2), abs=1e-9)
