@@ -8,9 +8,11 @@ import pytest
 from recorder import Recorder
 from scenes import ALL_ON, SIDE, draw, drawn_film, frame_of, link, pitch_at
 from scipy.ndimage import gaussian_filter1d
+from search_scenes import shown_patterns
 
 from heliograph.base.arrays import Floats
-from heliograph.receive import Pose, receive_frames
+from heliograph.base.frames import Frame
+from heliograph.receive import Packet, Pose, ReceiveSettings, make_receiver, receive_frames
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.sync.pairing import FramePair
@@ -18,6 +20,7 @@ from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.track import Track, average_around_leds, contrast
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.header import header_levels
+from heliograph.signal.settings import SignalSettings
 
 MODEL = MotionModel(1e-3, 0.1)
 HEADER = header_levels(7, SIDE) / 4.0
@@ -52,6 +55,21 @@ def test_an_array_is_followed_at_rest_and_in_strong_shake(
     places = path(np.array([state.time_s for state in states]) + 0.5e-3)
     errors = np.array([(state.pose.x, state.pose.y) for state in states]) - places
     assert np.sqrt(np.mean(errors[3:] ** 2)) < error_px
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["plain", "soft"])
+def test_an_array_with_undecodable_data_stays_tracked(kind: str) -> None:
+    """Random data fail the CRC in each packet; the next header is due and does not start another array."""
+    recorder, rng, packets = Recorder(), np.random.default_rng(6), list[Packet]()
+    receiver = make_receiver(SignalSettings(data_pairs=24), ReceiveSettings(receiver=kind), recorder)
+    for k, shown in zip(range(170), shown_patterns(lambda k: (k - 10) % 52 < 4, rng), strict=False):
+        pixels = rng.integers(40, 44, (96, 96)).astype(np.uint8)
+        pixels[32:64, 32:64] = 40 + (100 * shown).astype(np.uint8)
+        packets += receiver.push(Frame(k, 1e-3 * k, pixels))
+    packets += receiver.finish()
+    assert [packet.status for packet in packets] == ["crc_fail"] * 3
+    assert recorder.found_s == pytest.approx([0.01])
 
 
 @pytest.mark.parametrize(("pitch", "blur"), [(0.3, 0.5), (0.7, 0.5), (4.0, 0.2)])
