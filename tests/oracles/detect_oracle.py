@@ -77,24 +77,25 @@ def _places(
 
 def _scores(image: Floats, cells: Floats, x: float, y: float, side: float, grid: Grid) -> list[tuple[int, float]]:
     """Correlate a square with each header; light in the ring lowers the score."""
-    cell, ring = side / 4, grid.ring * side
-    energy = _box(image**2, x - ring, y - ring, side + 2 * ring)
+    ring = grid.ring * side
+    energy = _box_sums(image**2, x - ring, y - ring, side + 2 * ring, 1)[0]
     if energy < grid.contrast**2 * side**2:
         return []
-    sums = np.array([_box(image, x + j * cell, y + i * cell, cell) for i in range(4) for j in range(4)])
     # <D, T> / (|D| |T|) with |T| = side
-    return [(k, float(row @ sums / (side * np.sqrt(energy)))) for k, row in enumerate(cells)]
+    scores = cells @ _box_sums(image, x, y, side / 4, 4) / (side * np.sqrt(energy))
+    return list(enumerate(scores.tolist()))
 
 
-def _box(image: Floats, x: float, y: float, size: float) -> float:
-    """Integrate over a square with fractional pixels; pixel (0, 0) begins at 0."""
-    return float(_overlap(y, size, image.shape[0]) @ image @ _overlap(x, size, image.shape[1]))
+def _box_sums(image: Floats, x: float, y: float, size: float, count: int) -> Floats:
+    """Integrate over adjacent squares with fractional pixels, row by row; pixel (0, 0) begins at 0."""
+    starts, (rows, columns) = size * np.arange(count, dtype=np.float64), image.shape
+    return np.asarray(_overlap(y + starts, size, rows) @ image @ _overlap(x + starts, size, columns).T).ravel()
 
 
-def _overlap(start: float, size: float, count: int) -> Floats:
-    """Return the fraction of each pixel within [start, start + size]."""
-    first = np.arange(count)
-    return np.clip(np.minimum(start + size, first + 1) - np.maximum(start, first), 0, 1)
+def _overlap(starts: Floats, size: float, count: int) -> Floats:
+    """Return the fraction of each pixel within [start, start + size], (starts, pixels)."""
+    first, starts = np.arange(count), starts[:, None]
+    return np.clip(np.minimum(starts + size, first + 1) - np.maximum(starts, first), 0, 1)
 
 
 def _merge(kept: list[ScoredSquare], new: ScoredSquare, grid: Grid) -> list[ScoredSquare]:

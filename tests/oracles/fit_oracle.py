@@ -19,8 +19,8 @@ def fit(
     steps: int,
 ) -> tuple[Floats, Floats, Floats]:
     """Return the most probable pose by robust Gauss-Newton."""
-    vector, free = prior.copy(), len(precision)
-    shapes = _shapes(vector, weights, margins, corner, image.shape)
+    vector, free, size = prior.copy(), len(precision), (image.shape[0], image.shape[1])
+    shapes = _shapes(vector, weights, margins, corner, size)
     linear = _first(image, shapes, gain)
     for _ in range(steps):
         values, slopes = shapes[:, 0], np.tensordot(linear[: len(shapes)], shapes[:, 1:], 1)
@@ -50,15 +50,12 @@ def fit(
         moved = (np.abs(step[:2]).max() + rim, abs(step[4]), abs(step[free] / linear[0]))
         if margins and np.less(moved, (0.02, 0.02, 0.1)).all():
             break
-        shapes = _shapes(vector, weights, margins, corner, image.shape)
+        shapes = _shapes(vector, weights, margins, corner, size)
     return vector, matrix, linear
 
 
-def _shapes(
-    vector: Floats, weights: Floats, margins: Sequence[float], corner: Corner, shape: tuple[int, ...]
-) -> Floats:
+def _shapes(vector: Floats, weights: Floats, margins: Sequence[float], corner: Corner, size: tuple[int, int]) -> Floats:
     """Return images and derivatives for LEDs and enclosing squares."""
-    size = (shape[0], shape[1])
     boxes = [render_box(vector, 0.5 * len(weights) + margin, corner, size) for margin in margins]
     return np.stack([render(vector, weights, corner, size), *boxes])
 

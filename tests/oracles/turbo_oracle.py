@@ -94,13 +94,16 @@ def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> Co
     alpha[0, :, 0] = 0.0
     for step in range(k):
         branches = (alpha[step][:, :, None] + gamma[step]).reshape(blocks, -1)
-        alpha[step + 1] = _centred(add(branches[:, _INTO], axis=-1))
+        metrics = add(branches[:, _INTO], axis=-1)
+        # the largest metric is subtracted to keep sums bounded
+        alpha[step + 1] = metrics - metrics.max(axis=-1, keepdims=True)
 
     # beta(s) = ln sum over s -> s' of exp(gamma + beta'(s')); the tail ends in state 0
     beta = np.empty_like(alpha)
     beta[k] = tail @ (1.0 - TAIL.T)
     for step in reversed(range(k)):
-        beta[step] = _centred(add(beta[step + 1][:, NEXT_STATE] + gamma[step], axis=-1))
+        metrics = add(beta[step + 1][:, NEXT_STATE] + gamma[step], axis=-1)
+        beta[step] = metrics - metrics.max(axis=-1, keepdims=True)
 
     # L(b) = ln sum over branches with b = 0 of alpha gamma beta, less the same with b = 1
     joint = alpha[:-1, :, :, None] + gamma + beta[1:][:, :, NEXT_STATE]
@@ -112,17 +115,8 @@ def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> Co
     )
 
 
-def _centred(metrics: Floats) -> Floats:
-    """Subtract the largest metric to keep sums bounded."""
-    centred: Floats = metrics - np.max(metrics, axis=-1, keepdims=True)
-    return centred
-
-
 def decode(
-    mother_llr: Floats,
-    order: NDArray[np.int64],
-    options: DecoderOptions,
-    check: Check | None = None,
+    mother_llr: Floats, order: NDArray[np.int64], options: DecoderOptions, check: Check | None = None
 ) -> ReferenceResult:
     """Decode mother codewords by exchanging extrinsic LLRs between both constituent decoders.
 
@@ -136,13 +130,10 @@ def decode(
         (mother_llr[:, 2 : 3 * k : 3], mother_llr[:, 3 * k + TAIL_BITS :]),
     ]
     orders = [np.arange(k), order]
-    extrinsic_nat = np.zeros((blocks, k))
-    llr_nat = np.zeros((blocks, k))
-    iterations = np.zeros(blocks, dtype=np.int32)
-    stopped = np.zeros(blocks, dtype=np.bool_)
+    extrinsic_nat, llr_nat = np.zeros((blocks, k)), np.zeros((blocks, k))
+    iterations, stopped = np.zeros(blocks, dtype=np.int32), np.zeros(blocks, dtype=np.bool_)
     for _ in range(options.iterations):
-        active = ~stopped
-        halves = []
+        active, halves = ~stopped, []
         for half_order, (parity, tail) in zip(orders, inputs, strict=True):
             lu_nat = info_nat + extrinsic_nat
             posterior = siso(lu_nat[:, half_order], parity, tail, options.algorithm)
@@ -152,40 +143,20 @@ def decode(
             halves.append(half_nat)
         llr_nat[active] = halves[1][active]
         iterations += active
-        stopped |= _may_stop(halves, options, check)
+        if options.stop == "agreement":
+            stopped |= ((halves[0] < 0) == (halves[1] < 0)).all(axis=-1)
+        elif options.stop == "crc" and check is not None:
+            stopped |= check((halves[1] < 0).astype(np.uint8))
         if stopped.all():
             break
-    mother = _mother_posterior(llr_nat, extrinsic_nat, info_nat, inputs, orders, options)
-    return ReferenceResult(llr_nat, mother, iterations, stopped)
-
-
-def _may_stop(halves: list[Floats], options: DecoderOptions, check: Check | None) -> NDArray[np.bool_]:
-    decisions = [half < 0 for half in halves]
-    if options.stop == "agreement":
-        agree: NDArray[np.bool_] = (decisions[0] == decisions[1]).all(axis=-1)
-        return agree
-    if options.stop == "crc" and check is not None:
-        return check(decisions[1].astype(np.uint8))
-    return np.zeros(len(halves[0]), dtype=np.bool_)
-
-
-def _mother_posterior(
-    llr_nat: Floats,
-    extrinsic_nat: Floats,
-    info_nat: Floats,
-    inputs: list[tuple[Floats, Floats]],
-    orders: list[NDArray[np.int64]],
-    options: DecoderOptions,
-) -> Floats:
-    """Run both decoders again for parity and tail LLRs."""
-    k = llr_nat.shape[-1]
-    mother = np.empty((len(llr_nat), 3 * k + 2 * TAIL_BITS))
+    # both decoders run again for parity and tail LLRs
+    mother = np.empty((blocks, 3 * k + 2 * TAIL_BITS))
     mother[:, : 3 * k : 3] = llr_nat
-    for code, (order, (parity, tail)) in enumerate(zip(orders, inputs, strict=True)):
+    for code, (half_order, (parity, tail)) in enumerate(zip(orders, inputs, strict=True)):
         lu_nat = info_nat + extrinsic_nat
-        posterior = siso(lu_nat[:, order], parity, tail, options.algorithm)
+        posterior = siso(lu_nat[:, half_order], parity, tail, options.algorithm)
         mother[:, 1 + code : 3 * k : 3] = posterior.parity
         mother[:, 3 * k + code * TAIL_BITS :][:, :TAIL_BITS] = posterior.tail
         extrinsic_nat = np.empty_like(lu_nat)
-        extrinsic_nat[:, order] = options.factor * (posterior.info - lu_nat[:, order])
-    return mother
+        extrinsic_nat[:, half_order] = options.factor * (posterior.info - lu_nat[:, half_order])
+    return ReferenceResult(llr_nat, mother, iterations, stopped)

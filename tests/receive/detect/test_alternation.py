@@ -1,47 +1,83 @@
-"""Detection of alternating blocks."""
+"""Alternation of frames, busy blocks and the coarse search against the NumPy reference."""
+
+from collections.abc import Sequence
+from typing import Any
 
 import detect_oracle as reference
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scenes import SIDE
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.detect.alternation import DETECT, busy_blocks
+from heliograph.receive.detect import alternation, kernels
+from heliograph.receive.detect.alternation import ALTERNATION, DETECT, DIFFERENCE, FrameWeights
+from heliograph.signal.header import all_header_cells
 
-FRAME = Frame(0, 0.0, np.zeros((160, 320), np.uint8))
+
+@pytest.mark.parametrize("weights", [ALTERNATION, DIFFERENCE, (2.0, -4.0, 4.0, -2.0)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_frames_are_combined_as_by_the_reference(dtype: type, weights: FrameWeights) -> None:
+    frames: NDArray[Any] = np.random.default_rng(0).integers(0, np.iinfo(dtype).max + 1, (4, 13, 21)).astype(dtype)
+    got, means = np.empty((13, 21), np.float32), np.empty((2, 3), np.float32)
+    kernels.combined(*frames, np.array(weights, np.float32), got)
+    kernels.combined_means(*frames, np.array(weights, np.float32), 8, means)
+    want = reference.combined(frames.astype(float), np.array(weights))
+    assert np.array_equal(got, want.astype(np.float32))
+    padded = np.pad(want, ((0, 3), (0, 3)))
+    assert means == pytest.approx(reference.block_means(padded, 8), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "weights", [ALTERNATION, DIFFERENCE, (2.0, -4.0, 4.0, -2.0), (2.0, -2.5, 2.5, -2.0), (9.0, 9.0, 9.0, 9.0)]
+)
+@pytest.mark.parametrize("lit", [(255, 0, 255, 0), (0, 255, 0, 255), (255, 255, 255, 255), None])
+def test_integer_means_equal_float_means(weights: FrameWeights, lit: tuple[int, ...] | None) -> None:
+    pixels = np.random.default_rng(1).integers(0, 256, (4, 21, 29), np.uint8)
+    if lit:
+        pixels[:] = np.reshape(lit, (4, 1, 1))
+    got = alternation.alternation_means([Frame(k, k * 1e-3, one) for k, one in enumerate(pixels)], weights)
+    want = np.empty((3, 4), np.float32)
+    kernels.combined_means(*pixels, np.array(weights, np.float32), 8, want)
+    assert np.array_equal(got, want)
+
+
+def test_alternation_cancels_even_acceleration() -> None:
+    base, rate = np.random.default_rng(0).integers(0, 40, (2, 9, 11))
+    frames = [Frame(t, t * 1e-3, np.asarray(base + rate * t + 3 * t * t, np.uint8)) for t in range(4)]
+    assert not alternation.alternation_of(frames).any()
+    assert alternation.alternation_of(frames[:2]).any()
+
+
 BLOCKS = (20, 40)
 LARGE = Pose(100.0, 80.0, 12.0, 0.0, 0.6)
 """An array spanning the frame height, with more than half the blocks."""
 
 
-def busy(means: np.ndarray, taken: list[Pose]) -> np.ndarray:
-    return busy_blocks(means.astype(np.float32), FRAME, taken, SIDE, 0.03)
+def busy(means: np.ndarray, tracked: list[Pose]) -> np.ndarray:
+    frame = Frame(0, 0.0, np.zeros((160, 320), np.uint8))
+    return alternation.busy_blocks(means.astype(np.float32), frame, tracked, SIDE, 0.03)
 
 
-def test_what_a_large_array_lights_all_over_is_not_searched() -> None:
+@pytest.mark.parametrize(("around", "tracked"), [(12.0, [LARGE]), (60.0, [LARGE, Pose(260.0, 80.0, 12.0, 0.0, 0.6)])])
+def test_light_of_large_tracked_arrays_is_not_busy(around: float, tracked: list[Pose]) -> None:
     # bright region seen through the windscreen
-    means = np.full(BLOCKS, 12.0)
+    means = np.full(BLOCKS, around)
     means[:, :25] = 60.0
-    assert not busy(means, [LARGE]).any()
+    assert not busy(means, tracked).any()
 
 
-def test_another_array_beside_a_large_one_is() -> None:
+def test_an_array_near_a_large_tracked_array_is_busy() -> None:
     means = np.full(BLOCKS, 1.0)
     means[:, :25] = 60.0
     means[10, 35] = 30.0
-    found = np.argwhere(busy(means, [LARGE]))
-    assert len(found) == 9
-    assert found.mean(0).tolist() == [10, 35]
-
-
-def test_a_frame_full_of_followed_arrays_has_no_busy_blocks() -> None:
-    assert not busy(np.full(BLOCKS, 60.0), [LARGE, Pose(260.0, 80.0, 12.0, 0.0, 0.6)]).any()
+    assert np.argwhere(busy(means, [LARGE])).tolist() == [[i, j] for i in (9, 10, 11) for j in (34, 35, 36)]
 
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(
-    ("taken", "followed"),
+    ("tracked", "covered"),
     [
         ([], []),
         ([Pose(60.0, 60.0, 1.0)], [(slice(5, 10), slice(5, 10))]),
@@ -49,14 +85,122 @@ def test_a_frame_full_of_followed_arrays_has_no_busy_blocks() -> None:
         ([LARGE, Pose(4.0, 80.0, 3.0)], [(slice(0, 20), slice(0, 26)), (slice(5, 15), slice(0, 5))]),
     ],
 )
-def test_busy_blocks_are_those_of_the_reference(
-    taken: list[Pose], followed: list[tuple[slice, slice]], seed: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    means = rng.gamma(4.0, 0.6, BLOCKS).astype(np.float32)
-    free = np.ones(BLOCKS, bool)
-    for blocks in followed:
+def test_busy_blocks_equal_the_reference(tracked: list[Pose], covered: list[tuple[slice, slice]], seed: int) -> None:
+    means, free = np.random.default_rng(seed).gamma(4.0, 0.6, BLOCKS).astype(np.float32), np.ones(BLOCKS, bool)
+    for blocks in covered:
         free[blocks] = False
     want = reference.busy(means.astype(float), free, DETECT.busy_contrast * 0.03 * 255, DETECT.busy_ratio)
     assert want.any()
-    assert np.array_equal(busy(means, taken), want)
+    assert np.array_equal(busy(means, tracked), want)
+
+
+def last_pixels(part: Sequence[Frame]) -> NDArray[np.float32]:
+    return part[-1].pixels.astype(np.float32)
+
+
+@pytest.mark.parametrize("place", [(0, 0), (9, 12), (4, 6)])
+def test_a_region_holds_the_surroundings_of_a_busy_block(place: tuple[int, int]) -> None:
+    rng = np.random.default_rng(3)
+    frames = [Frame(k, k * 1e-3, rng.integers(0, 256, (77, 101), np.uint8), origin=(5, 7)) for k in range(4)]
+    busy = np.zeros((10, 13), bool)
+    busy[place] = True
+    [(change, blocks, first)] = alternation.search_regions(frames, busy, 16.0, last_pixels)
+    x, y = first.origin[0] - 5, first.origin[1] - 7
+    assert (x % 8, y % 8) == (0, 0)
+    rows, columns = first.pixels.shape
+    assert np.array_equal(first.pixels, frames[0].pixels[y : y + rows, x : x + columns])
+    assert np.array_equal(change, frames[-1].pixels[y : y + rows, x : x + columns])
+    assert blocks[place[0] - y // 8, place[1] - x // 8]
+    assert blocks.sum() == 1
+    # at least 16 px around the block, clipped to the frame
+    for first_px, count, block, size in ((y, rows, place[0], 77), (x, columns, place[1], 101)):
+        assert first_px <= max(8 * block - 16, 0)
+        assert first_px + count >= min(8 * block + 24, size)
+
+
+def test_distant_blocks_have_separate_regions() -> None:
+    frame, busy = Frame(0, 0.0, np.zeros((512, 1024), np.uint8), origin=(3, 1)), np.zeros((64, 128), bool)
+    busy[2, 3] = busy[4, 4] = busy[40, 120] = busy[60, 60] = True
+    regions = alternation.search_regions([frame], busy, 32.0, last_pixels)
+    assert sorted(int(region.busy.sum()) for region in regions) == [1, 1, 2]
+    found = np.zeros((64, 128), int)
+    for region in regions:
+        x, y = (region.first.origin[0] - 3) // 8, (region.first.origin[1] - 1) // 8
+        down, across = region.busy.shape
+        found[y : y + down, x : x + across] += region.busy
+        assert region.change.shape == region.first.pixels.shape
+    assert np.array_equal(found, busy)
+    assert sum(region.change.size for region in regions) < 0.1 * frame.pixels.size
+    # with busy blocks everywhere, regions would cost as much as the full frame
+    busy[::6, ::6] = True
+    assert len(alternation.search_regions([frame], busy, 32.0, last_pixels)) == 1
+
+
+CELLS = all_header_cells().reshape(-1, 16).astype(float)
+RING, GRID = DETECT.ring, 0.1
+
+
+def noisy_headers(pixels: int) -> NDArray[np.float32]:
+    """Return two noisy headers, the second inverted; the first has identity 9 and its corner at (8, 10)."""
+    image = np.random.default_rng(1).normal(0, 4, (44, 52)).astype(np.float32)
+    size, unit = 4 * pixels, np.ones((pixels, pixels))
+    image[10 : 10 + size, 8 : 8 + size] += 30 * np.kron(all_header_cells()[9], unit)
+    image[24 : 24 + size, 31 : 31 + size] -= 22 * np.kron(all_header_cells()[11], unit)
+    return image
+
+
+def searched(
+    image: NDArray[np.float32], busy: NDArray[np.bool_], grid: reference.Grid, corner: tuple[float, float] = (0.0, 0.0)
+) -> NDArray[np.float64]:
+    """Return the candidate table of a search with no limit of work."""
+    best, sums = np.zeros((grid.count, 5)), alternation.integral_images(image)
+    limits = grid.contrast, grid.threshold, 2.0, grid.ring, grid.step, grid.apart
+    found, _, passed, _ = kernels.search(
+        sums, busy, 8.0, CELLS, grid.sides, *limits, np.array(corner), 0, 1 << 60, best
+    )
+    assert passed == busy.size
+    return best[:found]
+
+
+def grid_of(
+    *sides: float, count: int, contrast: float = 3.0, threshold: float = 0.35, apart: float = 0.5
+) -> reference.Grid:
+    return reference.Grid(
+        sides=np.array(sides), contrast=contrast, threshold=threshold, ring=RING, step=GRID, apart=apart, count=count
+    )
+
+
+# half the side is no multiple of the step; otherwise rounding decides overlaps
+@pytest.mark.parametrize(("pixels", "sides", "count"), [(2, (8.3, 9.1), 5), (4, (11.3, 15.8), 1)])
+@pytest.mark.parametrize("quiet", [(0, slice(None)), (slice(None), 4), (slice(2, 4), slice(3, None))])
+@pytest.mark.parametrize("apart", [DETECT.min_distance, DETECT.min_distance_turned])
+def test_search_finds_the_candidates_of_the_reference(
+    apart: float, quiet: tuple[int | slice, ...], pixels: int, sides: tuple[float, ...], count: int
+) -> None:
+    image, busy, grid = noisy_headers(pixels), np.ones((6, 7), bool), grid_of(*sides, count=count, apart=apart)
+    busy[quiet] = False
+    best = searched(image, busy, grid)
+    want = reference.search(image.astype(float), busy, 8, CELLS, grid)
+    assert len(best) == len(want)
+    # enough busy blocks give all requested candidates
+    assert len(best) == count or quiet[0] != 0
+    assert best == pytest.approx(np.array(want), rel=1e-6)
+    assert best[0, 4] == 9
+    assert np.abs(best[0, 1:3] - (8 + 2 * pixels, 10 + 2 * pixels)).max() < 1
+
+
+@pytest.mark.parametrize(("busy", "contrast", "count"), [(False, 1.0, 0), (True, 200.0, 0), (True, 1.0, 5)])
+def test_only_busy_blocks_with_contrast_are_searched(busy: bool, contrast: float, count: int) -> None:
+    image = np.random.default_rng(0).normal(0, 30, (40, 48)).astype(np.float32)
+    grid = grid_of(12.0, count=5, contrast=contrast, threshold=0.0)
+    assert len(searched(image, np.full((5, 6), busy), grid)) == count
+
+
+@pytest.mark.parametrize(("left", "top"), [(0, 0), (3, 2), (5, 7)])
+def test_the_search_grid_is_fixed_to_the_sensor(left: int, top: int) -> None:
+    """Search positions stay fixed on the sensor when a window moves."""
+    image, side = noisy_headers(4)[top:, left:].copy(), 15.8
+    ((_, x, y, *_),) = searched(image, np.ones((6, 7), bool), grid_of(side, count=1), (left, top))
+    # the ring corner lies on the sensor grid
+    corner = (np.array([x + left, y + top]) - side / 2 - RING * side) / (GRID * side)
+    assert corner == pytest.approx(np.round(corner), abs=1e-6)

@@ -45,7 +45,7 @@ def frame(index: int, x: int, y: int, rows: int, columns: int) -> Frame:
     return Frame(index, index * 1e-3, pixels.astype(np.uint8), 8, (x, y))
 
 
-def test_frames_are_cut_to_what_all_show_and_gaps_stay() -> None:
+def test_frames_are_cropped_to_the_common_part_and_gaps_stay() -> None:
     slots: Sequence[Frame | None] = [None, frame(1, 0, 2, 6, 8), None, frame(3, 3, 0, 5, 9)]
     cut = crop_to_common(slots)
     assert [one and one.index for one in cut] == [None, 1, None, 3]
@@ -55,7 +55,7 @@ def test_frames_are_cut_to_what_all_show_and_gaps_stay() -> None:
             assert one.origin == (3, 2)
 
 
-def test_copies_before_a_film_are_numbered_backwards_and_long_past() -> None:
+def test_copies_before_a_film_have_earlier_numbers_and_times() -> None:
     first = frame(5, 0, 0, 4, 4)
     copies = copies_before(first, 3)
     assert [one.index for one in copies] == [2, 3, 4]
@@ -66,7 +66,7 @@ def test_copies_before_a_film_are_numbered_backwards_and_long_past() -> None:
     assert copies_before(first, 0) == []
 
 
-def test_frames_are_alike_that_have_one_kind_of_pixels() -> None:
+def test_frames_of_one_pixel_type_have_the_same_format() -> None:
     one = frame(0, 0, 0, 4, 4)
     assert have_same_format(one, frame(1, 3, 2, 6, 7))
     wide = replace(one, pixels=one.pixels.astype(np.uint16), bits=10)

@@ -1,31 +1,41 @@
-"""Header bank: unique hypotheses, most plausible first."""
+"""Header bank: unique hypotheses, the most plausible first; and the header's amplitude in a frame pair."""
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scenes import SIDE, draw, pitch_at
 
-from heliograph.receive.detect.header_bank import ALL_ON, headers
+from heliograph.base.arrays import Floats
+from heliograph.receive import Pose
+from heliograph.receive.detect.header_bank import ALL_ON, header_score, header_weights, headers
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
-from heliograph.signal.header import header_cells
+from heliograph.receive.geometry.window import CombinedFrame
+from heliograph.receive.sync.combine import combine_header
+from heliograph.receive.sync.pairing import FramePair
+from heliograph.signal.formats import words
+from heliograph.signal.header import header_cells, header_levels
 
-NUMBERS = range(30)
+IDENTITIES = range(30)
 
 
 @pytest.mark.parametrize(("orientations", "other"), [((UPRIGHT,), ORIENTATIONS[1:]), (ORIENTATIONS[1:], ())])
-def test_a_header_means_what_looks_like_it(
+def test_hypotheses_of_a_header_are_all_arrays_with_equal_cells(
     orientations: tuple[Orientation, ...], other: tuple[Orientation, ...]
 ) -> None:
-    looked_for = headers(orientations, other)
-    assert len({cells.tobytes() for cells in looked_for.cells}) == len(looked_for.cells) == len(looked_for.hypotheses)
-    every = [(number, orientation) for orientation in (*orientations, *other) for number in NUMBERS]
+    bank = headers(orientations, other)
+    assert len({cells.tobytes() for cells in bank.cells}) == len(bank.cells) == len(bank.hypotheses)
+    every = [(number, orientation) for orientation in (*orientations, *other) for number in IDENTITIES]
     looks = np.array([orientation.turned(header_cells(number)).ravel() for number, orientation in every])
-    for cells, meant in zip(looked_for.cells, looked_for.hypotheses, strict=True):
-        # the hypotheses are exactly the identities and orientations with equal cells
+    for cells, meant in zip(bank.cells, bank.hypotheses, strict=True):
         assert set(meant) == {every[k] for k in np.flatnonzero((looks == cells).all(1))}
+    meant_by_all = [one for each in bank.hypotheses for one in each]
+    assert len(meant_by_all) == len(set(meant_by_all))
+    assert UPRIGHT in orientations or len(meant_by_all) == 7 * 30
 
 
-def test_upright_headers_are_looked_for_alone_and_stand_first() -> None:
+def test_upright_headers_come_first() -> None:
     upright = headers((UPRIGHT,), ORIENTATIONS[1:])
-    assert [meant[0] for meant in upright.hypotheses] == [(number, UPRIGHT) for number in NUMBERS]
+    assert [meant[0] for meant in upright.hypotheses] == [(number, UPRIGHT) for number in IDENTITIES]
     # some match rotated headers from other identities, sorted by orientation
     others = [meant for meant in upright.hypotheses if len(meant) > 1]
     assert others
@@ -33,23 +43,54 @@ def test_upright_headers_are_looked_for_alone_and_stand_first() -> None:
     assert places == [sorted(place) for place in places]
 
 
-def test_known_orientations_alone_leave_each_header_one_meaning() -> None:
+def test_a_known_orientation_leaves_each_header_one_meaning() -> None:
     for orientation in ORIENTATIONS:
-        assert [*headers((orientation,)).hypotheses] == [((number, orientation),) for number in NUMBERS]
+        assert [*headers((orientation,)).hypotheses] == [((number, orientation),) for number in IDENTITIES]
 
 
-def test_all_orientations_are_looked_for_each_identity_once_a_way() -> None:
-    turned = headers(ORIENTATIONS[1:])
-    meant = [one for each in turned.hypotheses for one in each]
-    assert len(meant) == len(set(meant)) == 7 * 30
-    # a shifted rotated header resembles others, so the minimum distance decreases
-    assert (
-        turned.min_distance
-        < headers((UPRIGHT,), ORIENTATIONS[1:]).min_distance
-        == headers((ORIENTATIONS[3],)).min_distance
-    )
+def test_turned_headers_have_a_smaller_minimum_distance() -> None:
+    """A shifted rotated header resembles others."""
+    upright, known = headers((UPRIGHT,), ORIENTATIONS[1:]), headers((ORIENTATIONS[3],))
+    assert headers(ORIENTATIONS[1:]).min_distance < upright.min_distance == known.min_distance
 
 
 def test_a_blinking_square_is_lit_all_over_and_upright() -> None:
     assert ALL_ON.cells.tolist() == [[1.0] * 16]
     assert ALL_ON.hypotheses == (((0, UPRIGHT),),)
+
+
+SIGNS = header_levels(7) / 2.0 - 1.0
+FORM = 0o765
+DIMMED = np.kron(words()[FORM].reshape(4, 4), np.ones((4, 4))) > 0
+
+
+def test_dimmed_cells_have_half_of_their_contrast() -> None:
+    assert np.array_equal(header_weights(7, 0, SIDE), SIGNS)
+    assert np.array_equal(header_weights(7, FORM, SIDE), np.where(DIMMED, 0.5 * SIGNS, SIGNS))
+
+
+def test_combined_frames_show_dimmed_cells_by_contrast_and_light() -> None:
+    shown = np.array([0.4, -0.4, 0.7, 0.1])
+    combination = combine_header(np.arange(4.0), 1.0, shown, (0.6 * shown, np.array([0.5, 0.5, 0.7, 0.5])))
+    assert combination is not None
+    contrast, light = combination.dimmed
+    assert contrast == pytest.approx(0.6)
+    assert light > 0.1
+    weights = header_weights(7, FORM, SIDE, combination)
+    assert np.array_equal(weights[~DIMMED], SIGNS[~DIMMED])
+    # light adds to lit cells and reduces dark cells
+    assert weights[DIMMED & (SIGNS > 0)] == pytest.approx(0.6 + light)
+    assert weights[DIMMED & (SIGNS < 0)] == pytest.approx(-0.6 + light)
+
+
+@pytest.mark.parametrize("part", [1.0, 0.5, 0.0, -1.0])
+def test_the_score_is_the_amplitude_over_the_arrays_light(part: float) -> None:
+    pose = Pose(30.2, 29.7, pitch_at(60.0), 0.01, 0.55)
+
+    def light(levels: Floats) -> NDArray[np.float32]:
+        return (20 + 100 * draw(pose, levels, (0, 0), (60, 60))).astype(np.float32)
+
+    up, down = (
+        CombinedFrame(k, k * 1e-3, light(1 + sign * part * SIGNS), (0, 0), 255) for k, sign in enumerate((1, -1))
+    )
+    assert header_score(FramePair(up, down), pose, SIGNS, 200.0) == pytest.approx(part, abs=0.01)

@@ -1,22 +1,32 @@
-"""LED gains estimated from headers."""
+"""LED gains estimated from headers, and brightness estimated from decoded data."""
+
+from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scenes import SIDE, draw, frame_of, pitch_at
+from drawn_packets import GAIN, LED_GAINS, NOISE, UNEQUAL, drawn_packet
+from known_packets import FORM
+from scenes import ALL_ON, SIDE, draw, film, frame_of, link, pitch_at
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
-from heliograph.receive import Pose
+from heliograph.base.threads import one_thread
+from heliograph.receive import Pose, receive_frames
+from heliograph.receive.equalise import led_gains
 from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal.header import header_levels
 
-Floats = NDArray[np.float64]
-
 POSE = Pose(30.2, 29.7, pitch_at(60.0), 0.01, 0.55)
 HEADER = header_levels(5, SIDE) / 2.0 - 1.0
-SOUND = np.ones((SIDE, SIDE))
+NO_LED = np.zeros((SIDE, SIDE))
+FAILED, STUCK = ALL_ON.copy(), NO_LED.copy()
+FAILED[2, 3] = FAILED[10, 12] = 0.0
+FAILED[12:, :4] = 0.0
+STUCK[10, 12] = 1.0
+"""Gains with a dead LED, a stuck LED and a hidden corner, and the stuck LED's light."""
 
 
 def shot(light: Floats, index: int, rng: np.random.Generator) -> Frame:
@@ -25,12 +35,12 @@ def shot(light: Floats, index: int, rng: np.random.Generator) -> Frame:
 
 
 def learnt(
-    gains: Floats,
-    stuck: Floats,
-    expected: float,
+    gains: Floats = ALL_ON,
+    stuck: Floats = NO_LED,
+    expected: float = 190.0,
     before: LedGains | None = None,
     seed: int = 4,
-    in_sight: Floats = SOUND,
+    visible: Floats = ALL_ON,
 ) -> tuple[LedGains, float, bool]:
     """Learn gains from a header of gain 200; stuck LEDs are lit in both frames."""
     rng = np.random.default_rng(seed)
@@ -39,61 +49,43 @@ def learnt(
         for k, sign in enumerate((1, -1))
     ]
     cutout = take_cutout(FramePair(frames[0], frames[1]), (POSE, POSE), SIDE)
-    return (before or LedGains.sound(SIDE)).learn_header(cutout, HEADER, expected, in_sight)
-
-
-def failed() -> tuple[Floats, Floats]:
-    """Return gains with a dead LED, a stuck LED and a hidden corner, and the stuck LED's light."""
-    gains, stuck = SOUND.copy(), np.zeros((SIDE, SIDE))
-    gains[2, 3] = gains[10, 12] = 0.0
-    gains[12:, :4] = 0.0
-    stuck[10, 12] = 1.0
-    return gains, stuck
+    return (before or LedGains.sound(SIDE)).learn_header(cutout, HEADER, expected, visible)
 
 
 def test_failed_leds_are_found() -> None:
-    gains, stuck = failed()
-    led_gains, gain, changed = learnt(gains, stuck, 190.0)
+    led_gains, gain, changed = learnt(FAILED, STUCK)
     assert changed
     assert gain == pytest.approx(200, rel=0.02)
-    values = led_gains.values
-    assert values[gains == 0] == pytest.approx(0, abs=0.3)
-    assert values[gains == 1].mean() > 0.99
+    assert led_gains.values[FAILED == 0] == pytest.approx(0, abs=0.3)
+    assert led_gains.values[FAILED == 1].mean() > 0.99
 
 
-def test_hidden_array_leaves_the_gains() -> None:
-    before = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0)[0]
-    result = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0, before, in_sight=np.zeros((SIDE, SIDE)))
-    assert result == (before, 190.0, False)
-
-
-def test_sound_leds_are_sound() -> None:
-    led_gains, _, changed = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0)
+def test_a_hidden_array_keeps_the_gains() -> None:
+    before, _, changed = learnt()
     assert not changed
-    assert (led_gains.values == 1).all()
+    assert (before.values == 1).all()
+    assert learnt(before=before, visible=NO_LED) == (before, 190.0, False)
 
 
 @pytest.mark.parametrize("factor", [0.3, 0.6, 1.6, 3.5])
 def test_gains_are_relative_to_the_median_led(factor: float) -> None:
     """For any expected gain, intact LEDs have gain 1 and define the array gain."""
-    gains, stuck = failed()
-    led_gains, gain, _ = learnt(gains, stuck, factor * 200)
+    led_gains, gain, _ = learnt(FAILED, STUCK, factor * 200)
     assert gain == pytest.approx(200, rel=0.06)
-    assert led_gains.values[gains == 1].min() > 0.9
-    assert led_gains.values[gains == 0].max() < 0.4
+    assert led_gains.values[FAILED == 1].min() > 0.9
+    assert led_gains.values[FAILED == 0].max() < 0.4
 
 
 def test_headers_add_up_and_fade() -> None:
     """Header statistics add up; each packet halves the weight of earlier headers."""
-    first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0)[0]
-    both = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, first, seed=5)[0]
-    assert first.headers is not None
-    assert both.headers is not None
-    single = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0, seed=5)[0].headers
-    assert single is not None
-    assert both.headers.matched == pytest.approx(first.headers.matched + single.matched)
+    first, single = learnt()[0], learnt(seed=5)[0]
+    both = learnt(before=first, seed=5)[0]
     faded = both.faded()
+    assert first.headers is not None
+    assert single.headers is not None
+    assert both.headers is not None
     assert faded.headers is not None
+    assert both.headers.matched == pytest.approx(first.headers.matched + single.headers.matched)
     assert np.array_equal(faded.values, both.values)
     assert faded.headers.matched == pytest.approx(0.5 * both.headers.matched)
     assert LedGains.sound(SIDE).faded().headers is None
@@ -101,20 +93,18 @@ def test_headers_add_up_and_fade() -> None:
 
 def test_a_change_forgets_earlier_headers() -> None:
     """The pose came from an incorrect image, so the pair is evaluated again."""
-    gains, stuck = failed()
-    first = learnt(SOUND, np.zeros((SIDE, SIDE)), 200.0)[0]
     # three faded packets let a new header override the history at once
-    led_gains, _, changed = learnt(gains, stuck, 200.0, first.faded().faded().faded())
+    led_gains, _, changed = learnt(FAILED, STUCK, before=learnt()[0].faded().faded().faded())
     assert changed
     assert led_gains.headers is None
-    again, _, changed = learnt(gains, stuck, 200.0, led_gains, seed=6)
+    again, _, changed = learnt(FAILED, STUCK, before=led_gains, seed=6)
     assert not changed
     assert again.headers is not None
 
 
 @pytest.mark.parametrize("motion", [0.0, 0.3])
 @pytest.mark.parametrize("pulled", [(0.3, 0.0), (-0.2, 0.25)])
-def test_a_pose_pulled_away_makes_no_led_dead(pulled: tuple[float, float], motion: float) -> None:
+def test_a_wrong_pose_makes_no_led_dead(pulled: tuple[float, float], motion: float) -> None:
     rng, header = np.random.default_rng(3), header_levels(7) / 2.0 - 1.0
     pose = Pose(30.3, 29.8, pitch_at(95), 0.0, 0.51)
     poses = pose, pose.moved(motion, -motion)
@@ -123,9 +113,112 @@ def test_a_pose_pulled_away_makes_no_led_dead(pulled: tuple[float, float], motio
         for k, (p, sign) in enumerate(zip(poses, (1, -1), strict=True))
     )
     wrong = poses[0].moved(*pulled), poses[1].moved(*pulled)
-    led_gains, _, changed = LedGains.sound(SIDE).learn_header(
-        take_cutout(FramePair(up, down), wrong, SIDE), header, 0.7 * 255, np.ones((SIDE, SIDE))
-    )
+    cutout = take_cutout(FramePair(up, down), wrong, SIDE)
+    led_gains, _, changed = LedGains.sound(SIDE).learn_header(cutout, header, 0.7 * 255, ALL_ON)
     assert not changed
     assert led_gains.values.mean() > 0.99
     assert led_gains.values.min() > (0.5 if motion else 0.99)
+
+
+def learnt_from_data(
+    kind: str, known: int, before: LedGains | None = None, pulled: float = 0.0, seed: int = 0
+) -> LedGains:
+    """Estimate brightness with poses `pulled` px off and the first `known` symbols of each pair decoded."""
+    cutouts, symbols = drawn_packet(kind, seed)
+    moved = [cutout.moved(np.array([pulled, -pulled, 0.0, 0.0])) for cutout in cutouts]
+    variance = np.broadcast_to(np.where(np.arange(symbols.shape[1]) < known, 0.0, 1.0), symbols.shape)
+    with one_thread():
+        observed = ObservedPacket(moved, NOISE, FORM, before or LedGains.sound(SIDE))
+        return observed.learn_gains(np.where(variance == 0, symbols, 0.0), variance, GAIN, NOISE.lit)
+
+
+@cache
+def fully_learnt() -> LedGains:
+    """Return the brightness of unequal LEDs after a packet with all layers decoded."""
+    return learnt_from_data("unequal", 256)
+
+
+def error(found: LedGains) -> float:
+    return float(np.sqrt(np.mean((found.brightness - UNEQUAL) ** 2)))
+
+
+def information_of(found: LedGains) -> float:
+    """Return the brightness information, summed over LEDs."""
+    assert found.data is not None
+    return float(found.data[0].sum(0).trace())
+
+
+def test_brightness_of_unequal_leds_is_estimated() -> None:
+    """Eight pairs reduce a spread of 0.2, with all layers known or without the low layer."""
+    assert error(learnt_from_data("unequal", 192)) < 0.16
+    assert error(fully_learnt()) < 0.08
+
+
+def test_dead_leds_are_dark() -> None:
+    found, gains = learnt_from_data("dead", 256).brightness, LED_GAINS["dead"]
+    assert found[gains == 0].max() < 0.35
+    assert found[gains == 1].min() > 0.7
+    assert found.min() >= 0.02
+
+
+@pytest.mark.parametrize(("known", "pulled"), [(64, 0.0), (256, 0.0), (64, 0.1), (256, 0.1), (256, 0.3)])
+def test_equal_leds_have_equal_brightness(known: int, pulled: float) -> None:
+    """Noise, and poses biased by a bright background, leave brightness at 1."""
+    assert (learnt_from_data("equal", known, pulled=pulled).brightness == 1).all()
+
+
+@pytest.mark.parametrize("kind", ["equal", "unequal"])
+def test_only_unequal_leds_change_the_brightness_of_a_packet(kind: str) -> None:
+    cutouts, symbols = drawn_packet(kind)
+    with one_thread():
+        observed = ObservedPacket(cutouts, NOISE, FORM, LedGains.sound(SIDE))
+        assert observed.apply_brightness(symbols, np.zeros_like(symbols), GAIN, NOISE.lit) == (kind == "unequal")
+
+
+def test_packets_add_up_and_fade() -> None:
+    first = fully_learnt()
+    both = learnt_from_data("unequal", 256, first, seed=1)
+    assert error(both) < 0.85 * error(first)
+    assert information_of(both) > 1.8 * information_of(first)
+    faded = both.faded()
+    assert np.array_equal(faded.brightness, both.brightness)
+    assert information_of(faded) == pytest.approx(0.9 * information_of(both))
+
+
+def test_learning_restarts_without_evidence() -> None:
+    complete = fully_learnt()
+    values_only = complete.without_evidence
+    assert np.array_equal(values_only.brightness, complete.brightness)
+    assert information_of(complete)
+    assert values_only.data is None
+    assert not values_only.known
+    assert not LedGains.sound(SIDE).known
+    assert np.array_equal(values_only.faded().brightness, complete.brightness)
+    again = learnt_from_data("unequal", 256, values_only)
+    assert np.corrcoef(again.brightness.ravel(), UNEQUAL.ravel())[0, 1] > 0.9
+
+
+def test_brightness_stays_without_evidence_of_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: float) -> None:
+        raise np.linalg.LinAlgError
+
+    values_only = fully_learnt().without_evidence
+    monkeypatch.setattr(led_gains, "_without_nuisance", fail)
+    after = learnt_from_data("unequal", 256, values_only)
+    assert np.array_equal(after.brightness, values_only.brightness)
+    # the packet still counts, so that learning ends
+    assert after.packets == 1
+
+
+def test_undecoded_packets_give_no_brightness() -> None:
+    found = learnt_from_data("unequal", 0)
+    assert (found.brightness == 1).all()
+    assert found.data is None
+
+
+@pytest.mark.slow
+def test_the_low_layer_of_unequal_leds_is_decoded() -> None:
+    """With gains from headers only, the low layer fails in all packets."""
+    settings = link("receive.receiver=soft", distance_m=95.0, arrays=[{"x_m": 0.0, "y_m": 0.0, "spread": 0.2}])
+    packets = list(receive_frames(film(settings, 301, roi_margin_px=24), settings.signal, settings.receive))
+    assert [packet.status for packet in packets] == ["ok"] * 3

@@ -1,14 +1,17 @@
-"""Pose: vector form, axes and LED positions are consistent."""
+"""Pose, orientation of an array, and oriented views: vectors, axes and LED positions are consistent."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples, poses
+from scenes import draw
 
+from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-
-SIDES = st.sampled_from([4, 8, 16, 32])
+from heliograph.receive.geometry.fit import Fit, fit_array
+from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, rim_distance
+from heliograph.receive.geometry.view import CAMERA, View
 
 
 def values(pose: Pose) -> list[float]:
@@ -27,7 +30,7 @@ def test_a_vector_and_back(pose: Pose) -> None:
 
 
 @examples(100)
-@given(pose=poses(), side=SIDES)
+@given(pose=poses(), side=st.sampled_from([4, 8, 16, 32]))
 def test_leds_are_an_axis_apart_about_the_centre(pose: Pose, side: int) -> None:
     leds = pose.leds(side)
     assert leds.shape == (side, side, 2)
@@ -51,7 +54,7 @@ def test_axes_are_a_rotated_symmetric_map(pose: Pose) -> None:
 
 @examples(200)
 @given(pose=poses())
-def test_the_frontal_pitch_is_the_longest_step_less_what_noise_makes_of_it(pose: Pose) -> None:
+def test_the_frontal_pitch_is_the_longest_step_less_its_bias(pose: Pose) -> None:
     longest = np.linalg.svd(pose.axes, compute_uv=False)[0]
     # header fits have a tilt bias of 0.004
     assert pose.pitch <= pose.frontal_pitch <= longest + 1e-12
@@ -64,6 +67,7 @@ def test_the_frontal_pitch_is_the_longest_step_less_what_noise_makes_of_it(pose:
 def test_moved_and_midway(a: Pose, b: Pose, dx: float, dy: float) -> None:
     assert a.moved(dx, dy).leds(4) == pytest.approx(a.leds(4) + np.array([dx, dy]), abs=1e-9)
     assert a.moved(dx, dy).pitch == a.pitch
+    assert rim_distance(a, a.moved(dx, dy), 4) == pytest.approx(np.hypot(dx, dy), abs=1e-9)
     middle = Pose.midway(a, b)
     assert values(middle) == pytest.approx(values(Pose.midway(b, a)), rel=1e-12, abs=1e-12)
     assert (middle.x, middle.y) == pytest.approx(((a.x + b.x) / 2, (a.y + b.y) / 2), abs=1e-9)
@@ -71,3 +75,110 @@ def test_moved_and_midway(a: Pose, b: Pose, dx: float, dy: float) -> None:
     assert middle.pitch**2 == pytest.approx(a.pitch * b.pitch)
     assert middle.blur**2 == pytest.approx(a.blur * b.blur)
     assert values(Pose.midway(a, a)) == pytest.approx(values(a), rel=1e-12, abs=1e-12)
+
+
+ANY = st.sampled_from(ORIENTATIONS)
+IMAGE = np.arange(12).reshape(3, 4)
+
+
+def test_there_are_eight_orientations_and_upright_comes_first() -> None:
+    assert len({one.matrix.tobytes() for one in ORIENTATIONS}) == len(set(ORIENTATIONS)) == 8
+    assert ORIENTATIONS[0] == UPRIGHT == Orientation(0, False)
+    assert np.array_equal(UPRIGHT.turned(IMAGE), IMAGE)
+
+
+def test_turns_are_clockwise_and_come_after_the_mirror() -> None:
+    corner = np.array([[1, 2], [0, 0]])
+    assert Orientation(1).turned(corner).tolist() == [[0, 1], [0, 2]]
+    assert Orientation(0, True).turned(corner).tolist() == [[2, 1], [0, 0]]
+    assert Orientation(1, True).turned(corner).tolist() == [[0, 2], [0, 1]]
+    # y points down: a clockwise rotation moves right to below
+    assert (Orientation(1).matrix @ [1, 0]).tolist() == [0, 1]
+
+
+def test_orientations_have_names() -> None:
+    assert [str(one) for one in ORIENTATIONS[:3]] == ["upright", "turned 90", "turned 180"]
+    assert [str(one) for one in ORIENTATIONS[4:6]] == ["mirrored", "mirrored, turned 90"]
+
+
+@examples(60)
+@given(one=ANY, other=ANY)
+def test_orientations_are_a_group(one: Orientation, other: Orientation) -> None:
+    (both,) = [found for found in ORIENTATIONS if np.array_equal(found.matrix, one.matrix @ other.matrix)]
+    assert np.array_equal(one.turned(other.turned(IMAGE)), both.turned(IMAGE))
+    # rotations add; a preceding reflection reverses the first
+    turns = one.turns + (-other.turns if one.mirrored else other.turns)
+    assert both == Orientation(turns % 4, one.mirrored != other.mirrored)
+    (back,) = [found for found in ORIENTATIONS if np.array_equal(found.matrix @ one.matrix, np.eye(2))]
+    assert np.array_equal(back.turned(IMAGE), one.upright(IMAGE))
+    assert np.array_equal(one.upright(one.turned(IMAGE)), IMAGE)
+
+
+@examples(100)
+@given(orientation=ANY, level=st.integers(0, 2), pose=poses())
+def test_a_view_maps_the_leds_of_a_pose_to_the_camera_and_back(
+    orientation: Orientation, level: int, pose: Pose
+) -> None:
+    """Vectors map from the upright to the rotated image, and LEDs permute as pixels do."""
+    view = View(level, orientation)
+    out = view.pose_out(pose)
+    places = 2**level * pose.leds(4) @ orientation.matrix.T
+    np.testing.assert_allclose(out.leds(4), orientation.turned(places), atol=1e-9)
+    np.testing.assert_allclose(view.pose_in(out).leds(4), pose.leds(4), atol=1e-9)
+
+
+@pytest.mark.parametrize("orientation", ORIENTATIONS, ids=str)
+def test_motions_turn_with_the_poses(orientation: Orientation) -> None:
+    view, pose, step = View(1, orientation), Pose(30.2, 21.7, 1.4), (0.7, -0.3)
+    before, after = view.pose_out(pose), view.pose_out(pose.moved(*step))
+    assert view.motion_out(step) == pytest.approx((after.x - before.x, after.y - before.y))
+    assert view.motion_in(view.motion_out(step)) == pytest.approx(step)
+
+
+POSE = Pose(60.3, 51.8, 4.4, 0.03, 0.55, 0.02, -0.015)
+
+
+def shot(pose: Pose, weights: np.ndarray) -> Frame:
+    pixels = 10 + 2000 * draw(pose, weights, (0, 0), (110, 121))
+    return Frame(0, 0.0, pixels.astype(np.uint16), bits=12)
+
+
+@pytest.mark.parametrize("orientation", ORIENTATIONS, ids=str)
+@pytest.mark.parametrize("level", [0, 1])
+def test_frames_of_a_view_show_the_array_at_its_pose(orientation: Orientation, level: int) -> None:
+    rng = np.random.default_rng(5)
+    upright = rng.integers(0, 2, (16, 16)).astype(float)
+    view = View(level, orientation)
+    frame, expected = view.frame(shot(POSE, orientation.turned(upright)), POSE, 16), view.pose_in(POSE)
+    spread = np.diag(np.array([0.5, 0.5, 0.05, 0.02, 0.2, 0.01, 0.01]) ** 2)
+    fit = fit_array(frame.pixels.astype(float), frame.origin, Fit(expected.full_vector(), spread), upright, 8)
+    assert fit.score > 0.995
+    np.testing.assert_allclose(view.pose_out(expected).full_vector(), POSE.full_vector(), atol=1e-9)
+    np.testing.assert_allclose(fit.vector[:4], expected.full_vector()[:4], atol=0.02)
+    assert fit.pose.blur == pytest.approx(expected.blur, rel=0.05)
+
+
+def test_the_reference_blur_is_the_same_on_all_levels() -> None:
+    assert [View(k).pose_in(Pose(0, 0, 20, 0, 0.5)).blur for k in range(4)] == pytest.approx([0.5] * 4)
+
+
+def test_a_far_array_is_read_in_the_frames_of_the_camera() -> None:
+    frame = shot(POSE, np.ones((16, 16)))
+    assert View.of(Pose(0, 0, 2.9)) == CAMERA
+    assert CAMERA.frame(frame, POSE, 16) is frame
+
+
+def test_the_nearest_arrays_are_not_reduced_further() -> None:
+    view = View.of(Pose(0, 0, 31.0))
+    assert view.pose_in(Pose(0, 0, 31.0)).pitch == pytest.approx(31.0 / 8)
+    assert view.suits(view.pose_in(Pose(0, 0, 40.0)))
+    assert not view.suits(view.pose_in(Pose(0, 0, 10.0)))
+
+
+@pytest.mark.parametrize("pitch", [3.5, 7.0, 9.0])
+def test_the_view_chosen_suits(pitch: float) -> None:
+    pose = Pose(0, 0, pitch)
+    view = View.of(pose)
+    assert view.suits(view.pose_in(pose))
+    assert not view.suits(view.pose_in(Pose(0, 0, 2.5 * pitch)))
+    assert not view.suits(view.pose_in(Pose(0, 0, pitch / 2.5)))

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_packets import FORM, random_blocks, symbols_of
-from numpy.typing import NDArray
 from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
 from scipy.special import erf
 from whole_pairs import moving, pair_of, random_levels
@@ -16,8 +15,6 @@ from heliograph.receive.geometry.window import window_around
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal import haar
-
-Floats = NDArray[np.float64]
 
 
 def test_a_cutout_holds_sum_and_difference_about_the_array() -> None:
@@ -45,7 +42,7 @@ def test_pixels_beyond_a_frame_are_not_covered() -> None:
     assert rows.all()
 
 
-def test_slopes_are_those_of_the_image() -> None:
+def test_slopes_and_corrected_poses_follow_the_image() -> None:
     poses = moving(60, 0.02, (0.12, -0.2))
     cutout = take_cutout(pair_of(poses, random_levels()[1]), poses, SIDE)
     levels = np.random.default_rng(1).uniform(-1, 1, (SIDE, SIDE))
@@ -56,11 +53,6 @@ def test_slopes_are_those_of_the_image() -> None:
         )
         want = (plus - minus) / 2e-4
         assert np.abs(slope - want).max() < 0.01 * np.abs(want).max()
-
-
-def test_poses_are_corrected_by_an_error() -> None:
-    poses = moving(60, 0.02, (0.12, -0.2))
-    cutout = take_cutout(pair_of(poses, random_levels()[1]), poses, SIDE)
     moved = cutout.moved(np.array([0.1, -0.2, 0.01, 0.02]))
     for before, after in zip(poses, moved.poses, strict=True):
         assert after.full_vector() - before.full_vector() == pytest.approx([0.1, -0.2, 0.01, 0.02, 0, 0, 0])

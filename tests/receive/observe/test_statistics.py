@@ -1,20 +1,74 @@
-"""Sufficient pair statistics against dense matrices."""
+"""Sufficient pair statistics and images of symbols against dense matrices."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from known_packets import by_matrices
-from numpy.typing import NDArray
-from scenes import ALL_ON, SIDE
-from whole_pairs import CUT, GAIN, MOTIONS, ROLLS, SYMBOLS, WholePair, moving, pair_of, random_levels
+from render_oracle import blur_matrix
+from scenes import ALL_ON, SIDE, pitch_at
+from whole_pairs import CUT, GAIN, MOTIONS, ROLLS, SYMBOLS, T, WholePair, moving, pair_of, random_levels
 
-from heliograph.receive.geometry.footprint import image_of
+from heliograph.receive import Pose
+from heliograph.receive.geometry.footprint import footprints, image_of, sum_of_leds
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.observe.statistics import PairStatistics, whiten
+from heliograph.receive.observe.statistics import (
+    PairStatistics,
+    WhitenedCutout,
+    gram_of,
+    leds_of,
+    light_of_symbols,
+    transform_quarters,
+    whiten,
+)
 from heliograph.receive.sync.combine import combine_pair
+from heliograph.signal import haar
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import SignalSettings
 
-Floats = NDArray[np.float64]
+NOISE = Noise(4.0, 1.5)
+
+
+def test_the_transform_is_that_of_the_signal() -> None:
+    rng, form = np.random.default_rng(0), PacketFormat(SignalSettings(data_pairs=8))
+    symbols = rng.choice(np.array([-1, 1], np.int8), (8, SYMBOLS))
+    levels = haar.encode(form.join(symbols))
+    assert np.allclose(symbols @ T.T, levels.reshape(8, -1) / 2.0 - 1.0)
+    assert np.allclose(T.T @ T, np.eye(SYMBOLS) / 4)
+    # and back
+    leds = leds_of(symbols[0].astype(float))
+    squares = (T @ symbols[0]).reshape(SIDE // 2, 2, SIDE // 2, 2).transpose(1, 3, 0, 2)
+    assert leds == pytest.approx(squares.ravel())
+    assert transform_quarters(leds) == pytest.approx(symbols[0])
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        Pose(21.3, 19.6, pitch_at(100), 0.0, 0.51),
+        Pose(20.8, 20.2, pitch_at(60), 0.03, 0.53),
+        Pose(21.0, 18.9, 1.9, -0.4, 0.9),
+        # partly outside the window
+        Pose(3.0, 38.0, 1.1, 0.1, 0.6),
+    ],
+)
+def test_images_of_symbols_and_their_products_equal_the_matrix(pose: Pose) -> None:
+    b, light = blur_matrix(pose, SIDE, (0, 0), (40, 44)) @ T, footprints(pose, (0, 0), (40, 44), SIDE)
+    symbols = np.random.default_rng(2).normal(size=SYMBOLS)
+    assert sum_of_leds(leds_of(symbols), light).ravel() == pytest.approx(b @ symbols, abs=CUT * np.abs(symbols).max())
+    assert np.abs(light_of_symbols(light).T - b).max() < CUT
+    gram, want = gram_of(light), b.T @ b
+    assert np.abs(gram - want).max() < 4 * CUT * want.max()
+    assert np.abs(gram - gram.T).max() < 1e-6 * want.max()
+
+
+def example(
+    motion: tuple[float, float] = (0.12, -0.2), noise: Noise = NOISE, pixel_noise: float = 0.0
+) -> tuple[WholePair, WhitenedCutout]:
+    """Return a pair at 80 m with full matrices, and its whitened difference."""
+    poses = moving(80, 0.02, motion)
+    whole = WholePair(poses, pair_of(poses, random_levels()[1], noise=pixel_noise), noise)
+    return whole, whiten(whole.cutout, noise, SIDE)
 
 
 def assert_equal(got: PairStatistics, want: PairStatistics, rel: float = 1e-6) -> None:
@@ -28,7 +82,7 @@ def assert_equal(got: PairStatistics, want: PairStatistics, rel: float = 1e-6) -
 
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("roll", ROLLS)
-def test_the_difference_of_a_pair_is_that_of_the_model(roll: float, motion: tuple[float, float]) -> None:
+def test_the_difference_of_a_pair_follows_the_model(roll: float, motion: tuple[float, float]) -> None:
     symbols, x = random_levels()
     poses = moving(80, roll, motion)
     whole = WholePair(poses, pair_of(poses, x), Noise(4.0, 4.0))
@@ -38,7 +92,7 @@ def test_the_difference_of_a_pair_is_that_of_the_model(roll: float, motion: tupl
 @pytest.mark.parametrize("noise", [Noise(4.5, 4.5), Noise(4.5, 1.4), Noise(3.0, 9.0)])
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("roll", ROLLS)
-def test_statistics_are_those_of_all_pixels(roll: float, motion: tuple[float, float], noise: Noise) -> None:
+def test_statistics_equal_sums_over_all_pixels(roll: float, motion: tuple[float, float], noise: Noise) -> None:
     _, x = random_levels()
     poses = moving(80, roll, motion)
     whole = WholePair(poses, pair_of(poses, x, noise=2.0), noise)
@@ -57,7 +111,7 @@ def test_statistics_are_those_of_all_pixels(roll: float, motion: tuple[float, fl
 
 
 @pytest.mark.parametrize("motion", [(0.3, 0.0), (0.1, -0.6), (0.7, 0.8)])
-def test_far_motion_makes_two_images(motion: tuple[float, float]) -> None:
+def test_large_motion_gives_two_images(motion: tuple[float, float]) -> None:
     """Pothole: the array moves by up to a pixel between pattern and inverse."""
     _, x = random_levels()
     poses, noise = moving(95, 0.0, motion), Noise(4.5, 4.5)
@@ -67,7 +121,7 @@ def test_far_motion_makes_two_images(motion: tuple[float, float]) -> None:
 
 
 @pytest.mark.parametrize(("weight", "gain"), [(0.5, 1.0), (1.0, 0.7), (3.0, 1.8)])
-def test_scaled_statistics_are_those_of_scaled_weights_and_light(weight: float, gain: float) -> None:
+def test_scaled_statistics_have_scaled_weights_and_light(weight: float, gain: float) -> None:
     rng = np.random.default_rng(0)
     b, d, o, w = rng.normal(size=(40, 12)), rng.normal(size=40), rng.normal(size=40), rng.uniform(0.5, 2, 40)
     got = by_matrices(b, d, o, w).scaled(weight, gain)
@@ -75,20 +129,16 @@ def test_scaled_statistics_are_those_of_scaled_weights_and_light(weight: float, 
     assert_equal(by_matrices(b, d, o, w).scaled(1.0), by_matrices(b, d, o, w))
 
 
-def test_added_statistics_are_those_of_both_together() -> None:
+def test_added_statistics_are_those_of_both_pairs() -> None:
     rng = np.random.default_rng(1)
-    b, d, o, w = rng.normal(size=(2, 40, 12)), rng.normal(size=(2, 40)), rng.normal(size=(2, 40)), np.ones((2, 40))
-    first, second = (by_matrices(b[k], d[k], o[k], w[k]) for k in range(2))
-    both = by_matrices(b.reshape(80, 12), d.ravel(), o.ravel(), w.ravel())
-    assert_equal(first.plus(second), both)
+    b, d, o = rng.normal(size=(2, 40, 12)), rng.normal(size=(2, 40)), rng.normal(size=(2, 40))
+    first, second = (by_matrices(*parts) for parts in zip(b, d, o, strict=True))
+    assert_equal(first.plus(second), by_matrices(b.reshape(80, 12), d.ravel(), o.ravel()))
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_the_residual_is_the_difference_less_the_light_of_the_symbols(motion: tuple[float, float]) -> None:
-    rng, noise = np.random.default_rng(2), Noise(4.5, 1.4)
-    poses = moving(80, 0.02, motion)
-    whole = WholePair(poses, pair_of(poses, random_levels()[1]), noise)
-    whitened, mean = whiten(whole.cutout, noise, SIDE), rng.uniform(-1, 1, SYMBOLS)
+    (whole, whitened), mean = example(motion, Noise(4.5, 1.4)), np.random.default_rng(2).uniform(-1, 1, SYMBOLS)
     want = np.sqrt(whole.w) * (whole.d - GAIN * (whole.b @ mean + whole.o))
     assert whitened.residual(GAIN, mean).ravel() == pytest.approx(want, abs=0.01 * np.abs(want).max())
     # transmitted symbols leave no residual
@@ -97,10 +147,8 @@ def test_the_residual_is_the_difference_less_the_light_of_the_symbols(motion: tu
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_images_are_correlated_with_those_of_the_symbols(motion: tuple[float, float]) -> None:
-    poses, noise = moving(80, 0.02, motion), Noise(4.0, 1.5)
-    whole = WholePair(poses, pair_of(poses, random_levels()[1]), noise)
-    whitened = whiten(whole.cutout, noise, SIDE)
+def test_images_are_correlated_with_the_images_of_symbols(motion: tuple[float, float]) -> None:
+    whole, whitened = example(motion)
     images = np.random.default_rng(3).normal(size=(5, *whole.cutout.shape))
     want = (np.sqrt(whole.w)[:, None] * whole.b).T @ images.reshape(5, -1).T
     assert np.abs(whitened.correlate(images) - want).max() < 20 * CUT
@@ -108,9 +156,7 @@ def test_images_are_correlated_with_those_of_the_symbols(motion: tuple[float, fl
 
 def test_other_images_are_marginalised() -> None:
     """d = g (B c + o + H e) + n with prior covariance P for e: noise covariance s^2 + g^2 H P H^T."""
-    rng, noise, poses = np.random.default_rng(4), Noise(4.0, 1.5), moving(80, 0.02, (0.12, -0.2))
-    whole = WholePair(poses, pair_of(poses, random_levels()[1], noise=1.5), noise)
-    whitened = whiten(whole.cutout, noise, SIDE)
+    rng, (whole, whitened) = np.random.default_rng(4), example(pixel_noise=1.5)
     # scale the images so that prior and data contribute about equally
     slopes = whitened.root * whole.cutout.slopes(rng.uniform(-1, 1, (SIDE, SIDE)))[:3]
     slopes *= 1.5 / np.sqrt((slopes**2).sum((1, 2), keepdims=True))
@@ -141,12 +187,11 @@ def test_led_gains_scale_the_light() -> None:
 
 
 def test_pixels_outside_a_frame_have_no_weight() -> None:
-    poses, noise = moving(80, 0.0, (0.0, 0.0)), Noise(4.0, 1.5)
-    cutout = WholePair(poses, pair_of(poses, random_levels()[1]), noise).cutout
+    (whole_pair, whitened), noise = example((0.0, 0.0)), NOISE
+    cutout, whole = whole_pair.cutout, whitened.root
     rows, cols = cutout.shape
     there = (np.arange(cols) < cols - 5).astype(float), (np.arange(rows) >= 6).astype(float)
     root = whiten(replace(cutout, covered=there), noise, SIDE).root
-    whole = whiten(cutout, noise, SIDE).root
     assert np.array_equal(root, whole * np.outer(there[1], there[0]))
     spoilt = cutout.difference + 1e3 * (1 - np.outer(there[1], there[0]))
     parts = [
@@ -159,19 +204,16 @@ def test_pixels_outside_a_frame_have_no_weight() -> None:
 
 def test_combined_frames_have_other_noise_and_levels() -> None:
     """Weights use pair-difference units; mean light in pattern and inverse need not be 1/2."""
-    poses, noise = moving(80, 0.02, (0.12, -0.2)), Noise(4.0, 4.0)
-    cutout = WholePair(poses, pair_of(poses, random_levels()[1]), noise).cutout
+    whole, separate = example(noise=Noise(4.0, 4.0))
     combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, (0, 1, 2, 3))
     assert combination is not None
     assert abs(combination.noise - 1) > 0.2
-    got = whiten(replace(cutout, combination=combination), noise, SIDE).statistics
-    apart = whiten(cutout, noise, SIDE).statistics
+    whitened = whiten(replace(whole.cutout, combination=combination), Noise(4.0, 4.0), SIDE)
+    got, apart = whitened.statistics, separate.statistics
     assert got.combination is combination
-    assert np.allclose(got.gram, apart.gram / combination.noise)
-    assert got.matched == pytest.approx(apart.matched / combination.noise)
-    assert got.power == pytest.approx(apart.power / combination.noise)
+    for name in ("gram", "matched", "power"):
+        assert np.allclose(getattr(got, name), getattr(apart, name) / combination.noise)
     # o = l_1 A_1 1 - l_2 A_2 1
-    first, second = (image_of(ALL_ON, pose, cutout.corner, cutout.shape) for pose in poses)
-    whitened = whiten(replace(cutout, combination=combination), noise, SIDE)
+    first, second = (image_of(ALL_ON, pose, whole.cutout.corner, whole.cutout.shape) for pose in whole.cutout.poses)
     want = combination.levels[0] * first - combination.levels[1] * second
     assert whitened.offset == pytest.approx(whitened.root * want, abs=1e-9)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
     POSE,
@@ -16,8 +16,6 @@ from heliograph.receive.track.kalman import (
     PoseState,
     sum_observation,
 )
-
-Floats = NDArray[np.float64]
 
 PERIOD_S, ACCELERATION_PX = 1e-3, 0.1
 MODEL = MotionModel(PERIOD_S, ACCELERATION_PX)
@@ -33,61 +31,52 @@ def random_covariance(rng: np.random.Generator, scale: float = 0.1) -> Floats:
     return np.asarray(root @ root.T + 1e-3 * np.eye(5))
 
 
-def beside(state: PoseState) -> KalmanFilter:
-    """Return a filterpy filter with the same state."""
-    other = KalmanFilter(dim_x=10, dim_z=5)
-    other.x, other.P = state.mean.reshape(-1, 1).copy(), state.covariance.copy()
-    return other
-
-
-def predict(other: KalmanFilter, dt: float, period_s: float = PERIOD_S) -> None:
+def predict(other: KalmanFilter, dt: float) -> None:
     other.F, other.Q = np.eye(10), np.zeros((10, 10))
     for k, spread in enumerate([ACCELERATION_PX, ACCELERATION_PX, EXPANSION]):
         other.F[k, 5 + k] = dt
-        density = 2 * (spread / period_s**2) ** 2 * ACCELERATION_PATTERNS * period_s
+        density = 2 * (spread / PERIOD_S**2) ** 2 * ACCELERATION_PATTERNS * PERIOD_S
         other.Q[np.ix_([k, 5 + k], [k, 5 + k])] = Q_continuous_white_noise(2, dt, density)
-    walked = dt / (WALK_PATTERNS * period_s)
+    walked = dt / (WALK_PATTERNS * PERIOD_S)
     other.Q[3, 3], other.Q[4, 4] = ROLL_WALK**2 * walked, BLUR_WALK**2 * walked
     other.Q[8, 8], other.Q[9, 9] = SUM_WALKS[0] ** 2 * walked, SUM_WALKS[1] ** 2 * walked
     other.predict()
 
 
-def fitted(state: PoseState, z: Floats, noise: Floats, observation: Observation) -> tuple[Floats, Floats]:
-    """Return the posterior of a linear fit to z with `expected` as prior."""
+def updated(state: PoseState, z: Floats, noise: Floats, observation: Observation = POSE) -> PoseState:
+    """Condition a state on a linear fit to z with the expected pose as prior."""
     mean, spread = state.expected(observation)
     prior = np.linalg.inv(spread)
     covariance = np.linalg.inv(prior + np.linalg.inv(noise))
-    return covariance @ (prior @ mean + np.linalg.solve(noise, z)), covariance
+    return state.condition(covariance @ (prior @ mean + np.linalg.solve(noise, z)), covariance, observation)
 
 
 @pytest.mark.parametrize("observation", [POSE, sum_observation(-2e-4), HEADER_OBSERVATION])
 def test_same_as_filterpy(observation: Observation) -> None:
     rng = np.random.default_rng(1)
     state = PoseState.start(0.0, rng.normal(size=5), random_covariance(rng), MODEL)
-    other = beside(state)
+    other = KalmanFilter(dim_x=10, dim_z=5)
+    other.x, other.P = state.mean.reshape(-1, 1).copy(), state.covariance.copy()
     for step in range(1, 40):
         time_s = 0.002 * step + 0.0005 * rng.random()
         predict(other, time_s - state.time_s)
         state = state.predict(time_s, MODEL)
         z, noise = rng.normal(size=5), random_covariance(rng)
-        vector, covariance = fitted(state, z, noise, observation)
         # model error acts as additional measurement noise
         other.update(z.reshape(-1, 1), R=noise + observation[1], H=observation[0])
-        state = state.condition(vector, covariance, observation)
+        state = updated(state, z, noise, observation)
         assert state.time_s == time_s
         assert state.mean == pytest.approx(other.x.ravel(), rel=1e-6, abs=1e-6)
         assert state.covariance == pytest.approx(other.P, rel=1e-6, abs=1e-9)
 
 
-def test_errors_of_the_model_keep_the_state_from_trusting_a_sharp_fit() -> None:
+def test_model_errors_limit_the_trust_in_a_sharp_fit() -> None:
     state = PoseState.start(0.0, np.zeros(5), 0.04 * np.eye(5), MODEL)
     sharp = 1e-8 * np.eye(5)
-    vector, covariance = fitted(state, np.ones(5), sharp, POSE)
-    trusting = state.condition(vector, covariance, POSE)
+    trusting = updated(state, np.ones(5), sharp)
     assert trusting.mean[:5] == pytest.approx(np.ones(5), abs=1e-4)
     doubtful = POSE[0], np.diag([0, 0, 0.2, 0, 0]) ** 2
-    vector, covariance = fitted(state, np.ones(5), sharp, doubtful)
-    careful = state.condition(vector, covariance, doubtful)
+    careful = updated(state, np.ones(5), sharp, doubtful)
     # equal state and model variances: half the innovation, half the variance
     assert careful.mean[:5] == pytest.approx([1, 1, 0.5, 1, 1], abs=1e-4)
     assert careful.covariance[2, 2] == pytest.approx(0.02, rel=1e-3)
@@ -99,14 +88,13 @@ def test_covariance_stays_symmetric_and_positive() -> None:
     for step in range(1, 400):
         state = state.predict(0.002 * step, MODEL)
         noise = np.diag(10.0 ** rng.uniform(-10, 2, 5))
-        vector, covariance = fitted(state, rng.normal(size=5), noise, POSE)
-        state = state.condition(vector, covariance, POSE)
+        state = updated(state, rng.normal(size=5), noise)
         assert np.array_equal(state.covariance, state.covariance.T)
         scale = np.sqrt(np.diag(state.covariance))
         assert np.linalg.eigvalsh(state.covariance / np.outer(scale, scale)).min() > 0
 
 
-def test_rates_of_an_even_motion_are_learnt() -> None:
+def test_rates_of_an_even_motion_are_estimated() -> None:
     rates = np.array([300.0, -150.0, 0.4])
     start = np.array([50.0, 40.0, 0.1, 0.0, -0.6])
     state = PoseState.start(0.0, start, 1e-4 * np.eye(5), MODEL)
@@ -114,8 +102,7 @@ def test_rates_of_an_even_motion_are_learnt() -> None:
         state = state.predict(0.002 * step, MODEL)
         z = start.copy()
         z[:3] += rates * state.time_s
-        vector, covariance = fitted(state, z, np.diag([1e-4, 1e-4, 1e-6, 1e-6, 1e-4]), POSE)
-        state = state.condition(vector, covariance, POSE)
+        state = updated(state, z, np.diag([1e-4, 1e-4, 1e-6, 1e-6, 1e-4]))
     assert state.mean[5:8] == pytest.approx(rates, rel=0.02)
     later = state.pose_at(state.time_s + 0.001)
     assert later.x - state.pose.x == pytest.approx(0.3, rel=0.02)
@@ -134,8 +121,7 @@ def test_a_slower_light_gives_the_same_filter_from_pattern_to_pattern(period_s: 
         state = PoseState.start(0.0, rng.normal(size=5), random_covariance(rng), model)
         for step in range(1, 20):
             state = state.predict(2 * step * period, model)
-            vector, covariance = fitted(state, rng.normal(size=5), random_covariance(rng), POSE)
-            state = state.condition(vector, covariance, POSE)
+            state = updated(state, rng.normal(size=5), random_covariance(rng))
         states.append(state)
     fast, slow = states
     assert slow.mean * scale == pytest.approx(fast.mean, rel=1e-6, abs=1e-9)
@@ -143,7 +129,7 @@ def test_a_slower_light_gives_the_same_filter_from_pattern_to_pattern(period_s: 
     assert slow.tilt_covariance == pytest.approx(fast.tilt_covariance)
 
 
-def test_a_sum_shows_the_pose_late_and_with_errors_of_its_own() -> None:
+def test_a_sum_shows_the_pose_late_and_with_a_bias() -> None:
     state = PoseState.start(0.0, np.array([50.0, 40.0, 0.1, 0.02, -0.6]), 1e-4 * np.eye(5), MODEL)
     mean = state.mean.copy()
     mean[5:] = [300.0, -150.0, 0.4, 0.03, 0.2]
@@ -154,7 +140,7 @@ def test_a_sum_shows_the_pose_late_and_with_errors_of_its_own() -> None:
     assert moving.expected(HEADER_OBSERVATION)[0] == pytest.approx(mean[:5])
 
 
-def test_the_tilt_is_kept_apart_and_grows_uncertain() -> None:
+def test_the_tilt_is_separate_and_grows_uncertain() -> None:
     covariance = np.diag([1e-4] * 5 + [1e-5, 2e-5])
     vector = np.array([50.0, 40.0, 0.1, 0.02, -0.6, -0.1, 0.05])
     state = PoseState.start(0.0, vector, covariance, MODEL)

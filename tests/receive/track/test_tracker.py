@@ -5,21 +5,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from recorder import Recorder
 from scenes import ALL_ON, SIDE, draw, drawn_film, frame_of, link, pitch_at
 from scipy.ndimage import gaussian_filter1d
+from search_scenes import shown_patterns
 
-from heliograph.receive import Pose, receive_frames
+from heliograph.base.arrays import Floats
+from heliograph.base.frames import Frame
+from heliograph.receive import Packet, Pose, ReceiveSettings, make_receiver, receive_frames
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import MotionModel, PoseState
-from heliograph.receive.track.track import Track, TrackedPair, average_around_leds, contrast
+from heliograph.receive.track.track import Track, average_around_leds, contrast
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.header import header_levels
+from heliograph.signal.settings import SignalSettings
 
-Floats = NDArray[np.float64]
+MODEL = MotionModel(1e-3, 0.1)
+HEADER = header_levels(7, SIDE) / 4.0
 
 
 def at_rest(t: Floats) -> Floats:
@@ -32,36 +36,44 @@ def shaking(t: Floats) -> Floats:
     return np.stack([47.3 + reach * np.sin(2 * np.pi * 40 * t), 48.8 + 0.5 * reach * np.cos(2 * np.pi * 40 * t)], -1)
 
 
-def errors(tracked: list[TrackedPair], path: Callable[[Floats], Floats]) -> Floats:
-    """Return position errors (pairs, 2) in px; timestamps mark the start of a 1 ms exposure."""
-    times = np.array([t.state.time_s for t in tracked])
-    places = np.array([(t.state.pose.x, t.state.pose.y) for t in tracked])
-    return np.asarray(places - path(times + 0.5e-3), np.float64)
-
-
-@pytest.mark.parametrize("distance_m", [25.0, 40.0, 80.0])
+@pytest.mark.parametrize(
+    ("path", "distance_m", "error_px"),
+    [(shaking, 25.0, 0.1), (shaking, 40.0, 0.1), (shaking, 80.0, 0.1), (at_rest, 40.0, 0.02), (at_rest, 80.0, 0.02)],
+)
 @pytest.mark.slow
-def test_hard_shake_is_followed(distance_m: float) -> None:
-    settings, recorder = link(), Recorder()
-    frames = drawn_film(settings, 200, shaking, distance_m=distance_m)
+def test_an_array_is_followed_at_rest_and_in_strong_shake(
+    path: Callable[[Floats], Floats], distance_m: float, error_px: float
+) -> None:
+    settings, recorder = link("signal.data_pairs=16"), Recorder()
+    frames = drawn_film(settings, 72, path, distance_m=distance_m)
     packets = list(receive_frames(frames, settings.signal, settings.receive, recorder))
     assert [all(word.status == "ok" for word in p.layers["high"]) for p in packets] == [True, True]
     assert recorder.lost_s == []
-    assert all(t.seen for t in recorder.tracked)
-    assert np.sqrt(np.mean(errors(recorder.tracked, shaking)[3:] ** 2)) < 0.1
+    states = [pair.state for pair in recorder.tracked if pair.seen]
+    assert len(states) == len(recorder.tracked)
+    # timestamps mark the start of a 1 ms exposure
+    places = path(np.array([state.time_s for state in states]) + 0.5e-3)
+    errors = np.array([(state.pose.x, state.pose.y) for state in states]) - places
+    assert np.sqrt(np.mean(errors[3:] ** 2)) < error_px
 
 
-@pytest.mark.parametrize("distance_m", [40.0, 80.0])
 @pytest.mark.slow
-def test_at_rest_the_position_is_sharp(distance_m: float) -> None:
-    settings, recorder = link("signal.data_pairs=16"), Recorder()
-    frames = drawn_film(settings, 72, at_rest, distance_m=distance_m)
-    list(receive_frames(frames, settings.signal, settings.receive, recorder))
-    assert np.sqrt(np.mean(errors(recorder.tracked, at_rest)[3:] ** 2)) < 0.02
+@pytest.mark.parametrize("kind", ["plain", "soft"])
+def test_an_array_with_undecodable_data_stays_tracked(kind: str) -> None:
+    """Random data fail the CRC in each packet; the next header is due and does not start another array."""
+    recorder, rng, packets = Recorder(), np.random.default_rng(6), list[Packet]()
+    receiver = make_receiver(SignalSettings(data_pairs=24), ReceiveSettings(receiver=kind), recorder)
+    for k, shown in zip(range(170), shown_patterns(lambda k: (k - 10) % 52 < 4, rng), strict=False):
+        pixels = rng.integers(40, 44, (96, 96)).astype(np.uint8)
+        pixels[32:64, 32:64] = 40 + (100 * shown).astype(np.uint8)
+        packets += receiver.push(Frame(k, 1e-3 * k, pixels))
+    packets += receiver.finish()
+    assert [packet.status for packet in packets] == ["crc_fail"] * 3
+    assert recorder.found_s == pytest.approx([0.01])
 
 
 @pytest.mark.parametrize(("pitch", "blur"), [(0.3, 0.5), (0.7, 0.5), (4.0, 0.2)])
-def test_contrast_is_what_blur_leaves_of_a_square_of_leds(pitch: float, blur: float) -> None:
+def test_contrast_is_the_power_of_a_blurred_square_of_leds(pitch: float, blur: float) -> None:
     x = np.linspace(-20, 20, 40001)
     sharp = (np.abs(x) < pitch).astype(float)
     sigma = np.hypot(blur, 12**-0.5)
@@ -71,73 +83,62 @@ def test_contrast_is_what_blur_leaves_of_a_square_of_leds(pitch: float, blur: fl
     assert contrast(Pose(0, 0, pitch, 0, blur)) == pytest.approx(np.sqrt(left), rel=1e-2)
 
 
-def followed(gain: float, expected: float, seed: int = 0) -> tuple[Tracker, Track, FramePair]:
-    """Return a tracker, a new array with an expected gain, and header frames with another gain."""
-    tracker, rng = Tracker(SIDE, MotionModel(1e-3, 0.1)), np.random.default_rng(seed)
-    pose, header = Pose(40.2, 39.7, pitch_at(50.0), 0.01, 0.53), header_levels(7) / 4.0
-    up, down = (
-        frame_of(0.1 + gain / 255 * draw(pose, x, (0, 0), (80, 80)), 2 + k, rng)
-        for k, x in enumerate((header, 1 - header))
-    )
-    fit = Fit(pose.full_vector(), 1e-6 * np.eye(7), expected, 1.0)
-    return tracker, tracker.start(Detection(7, 0.0, fit, 1.5e-3, 1.0, 1.0, ALL_ON)), FramePair(up, down)
+def pair_of(lights: tuple[Floats, Floats], rng: np.random.Generator, first: int = 0) -> FramePair:
+    up, down = (frame_of(light, first + k, rng) for k, light in enumerate(lights))
+    return FramePair(up, down)
 
 
-def moving_header(drift: float) -> tuple[FramePair, Floats]:
-    """Return a moving header pair in front of a bright sky with noise 2; drift in px per frame."""
-    header, rng = header_levels(7, SIDE) / 2.0 - 1.0, np.random.default_rng(4)
-    frames = []
-    for k, sign in enumerate((1, -1)):
-        pose = Pose(30.2, 29.7 + drift * (k - 0.5), 0.61, 0.0, 0.5)
-        # a dark panel, half a pitch wider than the LEDs, hides the sky
-        panel = draw(replace(pose, pitch=0.61 * 17 / 16), ALL_ON, (0, 0), (60, 60))
-        frames.append(
-            frame_of(0.78 * (1 - panel) + 0.8 * draw(pose, 0.5 + 0.5 * sign * header, (0, 0), (60, 60)), k, rng)
-        )
-    return FramePair(frames[0], frames[1]), header
+SKY = Pose(30.2, 29.7, 0.61, 0.0, 0.5)
+"""Pose of a far array in front of a bright sky; a dark panel hides the sky around the LEDs."""
+
+
+def track_in_the_sky(time_s: float, drift: float = 0.0) -> Track:
+    """Return the track of an array with a drift in px per frame."""
+    spread = np.diag([0.1, 0.1, 0.01, 0.01, 0.05]) ** 2
+    state = PoseState.start(time_s, SKY.vector(), spread, MODEL, (0.0, drift / 1e-3))
+    return Track(state, 204.0, 204.0, ALL_ON, 0.0, ALL_ON)
 
 
 @pytest.mark.parametrize("drift", [-0.8, -0.4, 0.0, 0.4, 0.8])
-def test_a_header_that_moves_is_where_it_is(drift: float) -> None:
+def test_a_moving_header_gives_an_unbiased_pose(drift: float) -> None:
     """Header motion leaves a residual in the sum, which resembled blur and biased the filter under a bright sky."""
-    pair, header = moving_header(drift)
-    tracker, model = Tracker(SIDE, MotionModel(1e-3, 0.1)), MotionModel(1e-3, 0.1)
-    vector = np.array([30.2, 29.7, np.log(0.61), 0.0, np.log(0.5)])
-    covariance = np.diag([0.1, 0.1, 0.01, 0.01, 0.05]) ** 2
-    state = PoseState.start(0.5e-3, vector, covariance, model, (0.0, drift / 1e-3))
-    track = Track(state, 204.0, 204.0, ALL_ON, 0.0, ALL_ON)
-    found = tracker.follow(track, pair, header)
+    lights, rng = [], np.random.default_rng(4)
+    for k, shown in enumerate((HEADER, 1 - HEADER)):
+        pose = SKY.moved(0.0, drift * (k - 0.5))
+        # the panel is half a pitch wider than the LEDs
+        panel = draw(replace(pose, pitch=0.61 * 17 / 16), ALL_ON, (0, 0), (60, 60))
+        lights.append(0.78 * (1 - panel) + 0.8 * draw(pose, shown, (0, 0), (60, 60)))
+    pair = pair_of((lights[0], lights[1]), rng)
+    found = Tracker(SIDE, MODEL).follow(track_in_the_sky(0.5e-3, drift), pair, 2 * HEADER - 1)
     assert found.fit.score > 0.995
-    assert found.state.pose.y == pytest.approx(29.7, abs=0.03)
+    assert found.state.pose.y == pytest.approx(SKY.y, abs=0.03)
     assert abs(found.state.mean[9]) < 0.25
 
 
-def test_a_sum_that_looks_blurred_does_not_lead_astray() -> None:
+def test_a_blurred_sum_does_not_mislead_the_tracker() -> None:
     """In strong shake in front of a bright sky, the estimated blur grew until the track was lost."""
-    tracker, model = Tracker(SIDE, MotionModel(1e-3, 0.1)), MotionModel(1e-3, 0.1)
-    vector = np.array([30.2, 29.7, np.log(0.61), 0.0, np.log(0.5)])
-    state = PoseState.start(0.0, vector, np.diag([0.1, 0.1, 0.01, 0.01, 0.05]) ** 2, model)
-    track, rng = Track(state, 204.0, 204.0, ALL_ON, 0.0, ALL_ON), np.random.default_rng(4)
-    panel = gaussian_filter1d(
-        gaussian_filter1d(draw(Pose(30.2, 29.7, 0.66, 0.0, 0.5), ALL_ON, (0, 0), (60, 60)), 0.9, 0), 0.9, 1
-    )
+    tracker, track, rng = Tracker(SIDE, MODEL), track_in_the_sky(0.0), np.random.default_rng(4)
+    panel = draw(replace(SKY, pitch=0.66), ALL_ON, (0, 0), (60, 60))
+    panel = gaussian_filter1d(gaussian_filter1d(panel, 0.9, 0), 0.9, 1)
     for k in range(60):
-        levels = rng.choice([0.0, 0.25, 0.5, 0.75, 1.0], (SIDE, SIDE), p=np.array([1, 4, 6, 4, 1]) / 16)
-        frames = [
-            frame_of(
-                0.78 * (1 - panel) + 0.8 * draw(Pose(30.2, 29.7, 0.61, 0.0, 0.5), shown, (0, 0), (60, 60)),
-                2 * k + j,
-                rng,
-            )
-            for j, shown in enumerate((levels, 1 - levels))
-        ]
-        track = tracker.follow(track, FramePair(frames[0], frames[1])).track
+        x = rng.binomial(4, 0.5, (SIDE, SIDE)) / 4
+        up, down = (0.78 * (1 - panel) + 0.8 * draw(SKY, shown, (0, 0), (60, 60)) for shown in (x, 1 - x))
+        track = tracker.follow(track, pair_of((up, down), rng, 2 * k)).track
     assert abs(track.state.mean[9]) < 0.35
-    assert np.hypot(track.state.pose.x - 30.2, track.state.pose.y - 29.7) < 0.1
+    assert np.hypot(track.state.pose.x - SKY.x, track.state.pose.y - SKY.y) < 0.1
 
 
-def test_the_gain_goes_a_tenth_of_its_way_with_each_sum() -> None:
-    tracker, track, pair = followed(180.0, 160.0)
+def new_array(gain: float) -> tuple[Tracker, Track, FramePair]:
+    """Return a tracker, a new array with an expected gain of 160, and header frames with another gain."""
+    tracker, pose = Tracker(SIDE, MODEL), Pose(40.2, 39.7, pitch_at(50.0), 0.01, 0.53)
+    up, down = (0.1 + gain / 255 * draw(pose, x, (0, 0), (80, 80)) for x in (HEADER, 1 - HEADER))
+    fit = Fit(pose.full_vector(), 1e-6 * np.eye(7), 160.0, 1.0)
+    track = tracker.start(Detection(7, 0.0, fit, 1.5e-3, 1.0, 1.0, ALL_ON))
+    return tracker, track, pair_of((up, down), np.random.default_rng(0), 2)
+
+
+def test_each_sum_corrects_the_gain_by_a_tenth() -> None:
+    tracker, track, pair = new_array(180.0)
     assert (track.gain, track.data_gain, track.last_seen_s) == (160.0, 160.0, 1.5e-3)
     tracked = tracker.follow(track, pair)
     assert tracked.seen
@@ -150,49 +151,41 @@ def test_the_gain_goes_a_tenth_of_its_way_with_each_sum() -> None:
 
 
 def test_a_header_gives_the_gain_of_the_data() -> None:
-    tracker, track, pair = followed(180.0, 160.0)
-    refined = tracker.refine(track, pair, header_levels(7) / 2.0 - 1.0)
+    tracker, track, pair = new_array(180.0)
+    refined = tracker.refine(track, pair, 2 * HEADER - 1)
     assert refined.data_gain == pytest.approx(180, rel=0.02)
     assert refined.gain == 160
     # a header from another array has no effect
     assert tracker.refine(track, pair, header_levels(20) / 2.0 - 1.0) is track
 
 
-def test_a_hidden_array_leaves_the_gain_as_it_is() -> None:
-    tracker, track, pair = followed(0.0, 160.0)
+def test_a_hidden_array_keeps_the_gain() -> None:
+    tracker, track, pair = new_array(0.0)
     tracked = tracker.follow(track, pair)
     assert not tracked.seen
     assert (tracked.track.gain, tracked.track.last_seen_s) == (160, 1.5e-3)
     assert tracked.track.state.time_s == pair.time_s
 
 
-def worst_error(led_gains: Floats, shown: Floats) -> tuple[float, bool]:
-    """Return the largest error in px over thirty random data pairs, for a tracker assuming other LED gains."""
+DEAD = (np.random.default_rng(5).random((SIDE, SIDE)) > 0.15).astype(np.float64)
+
+
+@pytest.mark.parametrize(
+    ("assumed", "shown", "error_px"),
+    [(np.where(np.arange(SIDE) < columns, 0.0, ALL_ON), ALL_ON, 0.15) for columns in (2, 3, 5)] + [(DEAD, DEAD, 0.1)],
+    ids=["2 columns", "3 columns", "5 columns", "dead LEDs"],
+)
+def test_leds_hidden_in_the_header_and_dead_leds_do_not_pull_the_pose(
+    assumed: Floats, shown: Floats, error_px: float
+) -> None:
+    """The tracker follows thirty random data pairs with the gains of a header."""
     rng, pose = np.random.default_rng(2), Pose(40.2, 39.7, pitch_at(47.0), 0.0, 0.52)
-    tracker, model = Tracker(SIDE, MotionModel(1e-3, 0.1)), MotionModel(1e-3, 0.1)
-    state = PoseState.start(0.0, pose.full_vector(), np.eye(7) * 1e-3, model)
-    track, worst, seen = Track(state, 204.0, 204.0, led_gains, 0.0, average_around_leds(led_gains, pose)), 0.0, True
+    tracker, state = Tracker(SIDE, MODEL), PoseState.start(0.0, pose.full_vector(), np.eye(7) * 1e-3, MODEL)
+    track = Track(state, 204.0, 204.0, assumed, 0.0, average_around_leds(assumed, pose))
     for k in range(30):
-        levels = rng.binomial(4, 0.5, (SIDE, SIDE)) / 4
-        light = [0.1 + 0.8 * draw(pose, shown * x, (0, 0), (80, 80)) for x in (levels, 1 - levels)]
-        frames = [frame_of(one, 2 * k + i, rng) for i, one in enumerate(light)]
-        tracked = tracker.follow(track, FramePair(frames[0], frames[1]))
-        track, seen = tracked.track, seen and tracked.seen
-        worst = max(worst, float(np.hypot(track.state.pose.x - pose.x, track.state.pose.y - pose.y)))
-    return worst, seen
-
-
-@pytest.mark.parametrize("columns", [2, 3, 5])
-def test_leds_that_were_hidden_in_the_header_pull_no_pose_once_they_are_in_sight(columns: int) -> None:
-    taken = ALL_ON.copy()
-    taken[:, :columns] = 0
-    worst, seen = worst_error(taken, ALL_ON)
-    assert seen
-    assert worst < 0.15
-
-
-def test_leds_that_are_dead_here_and_there_hide_no_others() -> None:
-    dead = (np.random.default_rng(5).random((SIDE, SIDE)) > 0.15).astype(np.float64)
-    worst, seen = worst_error(dead, dead)
-    assert seen
-    assert worst < 0.1
+        x = rng.binomial(4, 0.5, (SIDE, SIDE)) / 4
+        up, down = (0.1 + 0.8 * draw(pose, shown * levels, (0, 0), (80, 80)) for levels in (x, 1 - x))
+        tracked = tracker.follow(track, pair_of((up, down), rng, 2 * k))
+        track = tracked.track
+        assert tracked.seen
+        assert np.hypot(track.state.pose.x - pose.x, track.state.pose.y - pose.y) < error_px

@@ -1,25 +1,22 @@
-"""Rendering kernels against the NumPy reference."""
+"""Images of arrays: rendering kernels and separable footprints against the NumPy reference."""
 
 import numpy as np
 import pytest
 import render_oracle as reference
-from numpy.typing import NDArray
-from scenes import ALL_ON, draw, pitch_at
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples, poses
+from scenes import ALL_ON, SIDE, draw, pitch_at
 from scipy.special import ndtr
 
 from heliograph.receive import Pose
 from heliograph.receive.geometry import kernels
+from heliograph.receive.geometry.footprint import footprints, image_of, images_of, sum_of_leds, to_grid, to_quarters
 from heliograph.receive.geometry.kernels import median, normal, smallest
 
-Floats = NDArray[np.float64]
-
 SHAPE = (40, 44)
-
-POSES = [
-    Pose(21.3, 19.6, pitch_at(100), 0.0, 0.51),
-    Pose(20.8, 20.2, pitch_at(60), 0.03, 0.53),
-    Pose(21.0, 18.9, 1.9, -0.4, 0.9),
-]
+CUT = 5e-4
+"""Light fraction beyond 4 standard deviations in x and y."""
 
 
 def some_pose(rng: np.random.Generator) -> Pose:
@@ -34,8 +31,7 @@ def some_pose(rng: np.random.Generator) -> Pose:
 
 
 @pytest.mark.parametrize("seed", range(8))
-@pytest.mark.slow
-def test_render_is_the_sum_of_gaussians(seed: int) -> None:
+def test_images_of_leds_and_squares_equal_the_reference(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pose, weights, corner = some_pose(rng), rng.uniform(-1, 1, (16, 16)), (3.0, -5.0)
     got, want = np.empty((6, 40, 50)), reference.render(pose.vector(), weights, corner, (40, 50))
@@ -46,6 +42,12 @@ def test_render_is_the_sum_of_gaussians(seed: int) -> None:
     error = np.abs(got - want).max(axis=(1, 2)) / scale
     assert error[0] < 1e-3
     assert error[1:].max() < 1e-2
+    # and edges
+    slope = 2e-4 / np.hypot(pose.blur, np.sqrt(1 / 12))
+    for half in (8.75, 10.0):
+        kernels.render_box(pose.vector(), half, *corner, got, 0.0, 0.0)
+        error = np.abs(got - reference.render_box(pose.vector(), half, corner, (40, 50))).max(axis=(1, 2))
+        assert (error < [1e-4, 2 * slope, 2 * slope, 3 * slope * half * pose.pitch, 300 * slope, 1e-300]).all()
 
 
 @pytest.mark.parametrize("smear", [(0.0, 0.0), (1.1, 0.0), (0.2, 0.7)])
@@ -85,38 +87,12 @@ def test_render_of_odd_and_empty_windows() -> None:
     assert not far.any()
 
 
-def test_all_on_and_not_resolved_is_one() -> None:
+def test_unresolved_leds_give_an_image_of_one() -> None:
     got = np.empty((6, 60, 60))
     kernels.render(Pose(30.2, 29.7, 2.0, 0.4, 2.0).vector(), ALL_ON, 0.0, 0.0, got, 0.0, 0.0)
     assert got[0, 25:35, 25:35] == pytest.approx(1.0, abs=1e-3)
     # no light outside the array
     assert np.abs(got[0, :2]).max() < 1e-3
-
-
-@pytest.mark.parametrize(("pitch", "roll", "blur"), [(0.39, 0.0, 0.5), (1.17, 0.7, 0.6), (2.33, -2.0, 1.1)])
-def test_the_total_light_is_that_of_the_leds(pitch: float, roll: float, blur: float) -> None:
-    got = np.empty((6, 90, 90))
-    kernels.render(Pose(44.3, 45.1, pitch, roll, blur).vector(), ALL_ON, 0.0, 0.0, got, 0.0, 0.0)
-    assert got[0].sum() == pytest.approx(256 * pitch**2, rel=2e-4)
-    # total light is invariant to motion and rotation, and grows with the squared pitch
-    assert np.abs(got[[1, 2, 4, 5]].sum(axis=(1, 2))).max() < 1e-2 * 256 * pitch**2
-    assert got[3].sum() == pytest.approx(2 * 256 * pitch**2, rel=1e-2)
-
-
-@pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("half", [8.75, 10.0])
-def test_box_is_the_blurred_square(seed: int, half: float) -> None:
-    rng = np.random.default_rng(seed)
-    pose, corner = some_pose(rng), (3.0, -5.0)
-    got, want = np.empty((6, 40, 50)), reference.render_box(pose.vector(), half, corner, (40, 50))
-    kernels.render_box(pose.vector(), half, *corner, got, 0.0, 0.0)
-    # edges are truncated at 4 standard deviations too
-    slope = 2e-4 / np.hypot(pose.blur, np.sqrt(1 / 12))
-    assert np.abs(got[0] - want[0]).max() < 1e-4
-    assert np.abs(got[1:3] - want[1:3]).max() < 2 * slope
-    assert np.abs(got[3] - want[3]).max() < 3 * slope * half * pose.pitch
-    assert np.abs(got[4] - want[4]).max() < 3 * slope * 100
-    assert not got[5].any()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -131,6 +107,71 @@ def test_the_median_is_numpy_s(seed: int) -> None:
             assert smallest(values.copy(), place) == np.sort(values)[place]
 
 
-def test_median_of_nan_ends() -> None:
+def test_the_median_of_nan_terminates() -> None:
     median(np.array([np.nan, 1.0, np.nan, 0.0, 2.0]))
     median(np.full(6, np.nan))
+
+
+POSES = [
+    Pose(21.3, 19.6, pitch_at(100), 0.0, 0.51),
+    Pose(20.8, 20.2, pitch_at(60), 0.03, 0.53),
+    Pose(21.0, 18.9, 1.9, -0.4, 0.9),
+    Pose(3.0, 38.0, 1.1, 0.1, 0.6),
+]
+"""The last pose lies partly outside the window."""
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.05])
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (-0.1, 0.05)])
+def test_blur_matrix_is_the_image_of_each_led(roll: float, tilt: tuple[float, float]) -> None:
+    x, pose = np.random.default_rng(1).random((SIDE, SIDE)), Pose(20.3, 21.6, pitch_at(60), roll, 0.52, *tilt)
+    a = reference.blur_matrix(pose, SIDE, (3, 2), SHAPE)
+    assert np.allclose(a @ x.ravel(), draw(pose, x, (3, 2), SHAPE).ravel(), atol=1e-12)
+
+
+@pytest.mark.parametrize("motion", [(0.0, 0.0), (0.3, 0.0), (0.1, 0.6)])
+@pytest.mark.parametrize("pose", POSES)
+def test_footprints_equal_the_blur_matrix(pose: Pose, motion: tuple[float, float]) -> None:
+    """Motion along x and y widens the blur."""
+    across, down = light = footprints(pose, (3, 2), SHAPE, SIDE, motion)
+    got = np.einsum("ki,kj->kij", down, across).reshape(SIDE * SIDE, -1)
+    want = reference.blur_matrix(pose, SIDE, (3, 2), SHAPE, motion)
+    order = to_quarters(np.arange(SIDE * SIDE, dtype=float).reshape(SIDE, SIDE)).astype(int)
+    assert np.abs(got - want.T[order]).max() < CUT * pose.pitch**2
+    levels = np.random.default_rng(2).random((SIDE, SIDE))
+    image = (want @ levels.ravel()).reshape(SHAPE)
+    assert sum_of_leds(to_quarters(levels), light) == pytest.approx(image, abs=4 * CUT)
+
+
+@examples(60)
+@given(pose=poses(), corner=st.tuples(st.integers(-50, 50), st.integers(-50, 50)))
+def test_any_array_in_any_window(pose: Pose, corner: tuple[int, int]) -> None:
+    levels = np.random.default_rng(3).random((4, 4))
+    got = image_of(levels, pose, corner, (12, 15))
+    assert got == pytest.approx(draw(pose, levels, corner, (12, 15)), abs=CUT * max(pose.pitch**2, 1))
+
+
+@pytest.mark.parametrize("side", [4, 8, 16])
+def test_quarters_of_leds_and_back(side: int) -> None:
+    grid = np.arange(side * side, dtype=float).reshape(side, side)
+    ordered = to_quarters(grid)
+    assert np.array_equal(to_grid(ordered), grid)
+    # first the upper left LED in each 2 x 2 square, then the upper right LED
+    assert ordered[:2].tolist() == [0, 2]
+    assert ordered[side * side // 4 :][:2].tolist() == [1, 3]
+
+
+def test_footprints_are_shared_and_read_only() -> None:
+    first = footprints(POSES[0], (0, 0), SHAPE, SIDE)
+    assert footprints(POSES[0], (0, 0), SHAPE, SIDE) is first
+    for part in first:
+        with pytest.raises(ValueError, match="read-only"):
+            part[0, 0] = 0
+
+
+def test_the_image_of_a_part_has_the_other_parts_off() -> None:
+    rng, pose = np.random.default_rng(5), Pose(9.3, 8.1, 1.1, 0.03, 0.6)
+    levels, parts = rng.random((16, 16)), rng.integers(0, 3, (16, 16))
+    got = images_of(levels, parts, 3, pose, (2, 1), (17, 16))
+    for number, image in enumerate(got):
+        assert image == pytest.approx(image_of(levels * (parts == number), pose, (2, 1), (17, 16)), abs=1e-12)

@@ -4,14 +4,12 @@ from itertools import product
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.symbols import SymbolMapper
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
-
-Floats = NDArray[np.float64]
 
 SMALL = PacketFormat(SignalSettings(side=8, data_pairs=21), Format(mode="single"))
 

@@ -1,0 +1,423 @@
+"""Search for headers: phases of the camera, given places, and arrays of every size on a pyramid."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import SIDE, draw, frame_of
+from search_scenes import HEADER, search_parameters
+
+from heliograph.base.arrays import Floats
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame
+from heliograph.receive import Pose
+from heliograph.receive.detect import search as pyramid
+from heliograph.receive.detect.budget import SearchLoad, TokenBucket
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.detect.frame_window import first_present
+from heliograph.receive.detect.search import HeaderSearch, PyramidSearch, level_parameters
+from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, pose_of
+from heliograph.receive.geometry.view import View, halved
+from heliograph.receive.geometry.window import Window
+from heliograph.signal.header import header_levels
+from heliograph.signal.settings import SignalSettings
+
+SEARCH = search_parameters(regularity=0.5, max_side_px=512.0)
+
+
+@pytest.fixture
+def searched(monkeypatch: pytest.MonkeyPatch) -> dict[int, list[Frame]]:
+    """Record the frames of each `PyramidSearch`, which returns no detections."""
+    frames_of_search: dict[int, list[Frame]] = defaultdict(list)
+
+    def record(self: PyramidSearch, frame: Frame, tracked: Sequence[Pose]) -> list[Detection]:
+        frames_of_search[id(self)].append(frame)
+        return []
+
+    monkeypatch.setattr(PyramidSearch, "search", record)
+    return frames_of_search
+
+
+def search_all(fps: float, frames: list[Frame]) -> HeaderSearch:
+    search = HeaderSearch(SEARCH, SignalSettings())
+    search.start(1 / fps)
+    for frame in frames:
+        assert search.search(frame) == []
+    return search
+
+
+def dark_film(fps: float, count: int) -> list[Frame]:
+    return [Frame(k, k / fps, np.zeros((4, 4), np.uint8)) for k in range(count)]
+
+
+@pytest.mark.parametrize(("fps", "phases"), [(1300.0, 4), (1500.0, 4), (2000.0, 2), (2700.0, 2), (4000.0, 4)])
+def test_each_phase_has_the_nearest_frame_of_every_pattern(
+    fps: float, phases: int, searched: dict[int, list[Frame]]
+) -> None:
+    search, offsets = search_all(fps, dark_film(fps, 400)), []
+    assert len(searched) == phases
+    for stream in searched.values():
+        numbers = [frame.index for frame in stream]
+        # the last frame may not be the nearest yet
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+        times = 1e3 * np.array([frame.time_s for frame in stream]) - numbers
+        phase = round(phases * float(np.median(times))) / phases
+        # within half a frame period, except for the first frame
+        assert np.abs(times - phase)[1:].max() < 0.5e3 / fps + 1e-9
+        offsets.append(phase % 1)
+    assert sorted(offsets) == [k / phases for k in range(phases)]
+    if fps == 1500.0:
+        # header: four patterns, plus four on each side
+        assert [frame.index for frame in search.recent] == list(range(382, 400))
+
+
+@pytest.mark.parametrize("fps", [990.0, 1000.0, 1015.0])
+def test_every_frame_is_searched_at_the_rate_of_the_light(fps: float, searched: dict[int, list[Frame]]) -> None:
+    frames = [frame for frame in dark_film(fps, 60) if frame.index not in (20, 30, 31)]
+    search_all(fps, frames)
+    (stream,) = searched.values()
+    assert [frame.time_s for frame in stream] == [frame.time_s for frame in frames]
+    # dropped frames leave gaps
+    gaps = np.diff([frame.index for frame in stream])
+    assert gaps.tolist() == np.diff([frame.index for frame in frames]).tolist()
+
+
+def test_a_slower_camera_is_refused() -> None:
+    with pytest.raises(HeliographError, match="at least one frame a pattern"):
+        search_all(970.0, [])
+
+
+POSES = [
+    Pose(70.0, 50.0, 1.7, 0.0, 0.55),
+    Pose(70.3, 50.8, 1.7, 0.7, 0.55, 0.05, -0.03),
+    Pose(-20.0, 3.0, 4.0, -0.6, 0.55, -0.15, 0.1),
+]
+
+
+def corners_of(pose: Pose) -> Floats:
+    """Return LED area corners (4, 2) in px, clockwise from the upper left."""
+    unit = SIDE / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    return np.asarray(unit @ pose.axes.T + [pose.x, pose.y])
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("first", range(4))
+def test_corners_in_any_order_give_the_pose(pose: Pose, way: int, first: int) -> None:
+    corners = np.roll(corners_of(pose), first, axis=0)[::way]
+    found = pose_of(corners.ravel().tolist(), SIDE, 0.55)
+    np.testing.assert_allclose(found.full_vector(), pose.full_vector(), atol=1e-9)
+
+
+def test_corners_of_an_array_turned_by_more_give_a_smaller_roll() -> None:
+    """The header is turned by the rest."""
+    pose = replace(POSES[1], roll=POSES[1].roll + np.pi / 2)
+    found = pose_of(corners_of(pose).ravel().tolist(), SIDE, 0.55)
+    assert abs(found.roll) < np.pi / 4
+    same = {tuple(one) for one in corners_of(found).round(6)}
+    assert same == {tuple(one) for one in corners_of(pose).round(6)}
+
+
+def search_in(region: Window) -> HeaderSearch:
+    search = HeaderSearch(SEARCH, SignalSettings(), synchronous=True, region=region)
+    search.start(1e-3)
+    return search
+
+
+def noise_film(count: int, origin: tuple[int, int] = (0, 0)) -> list[Frame]:
+    levels = np.random.default_rng(0).integers(0, 256, (count, 100, 200), np.uint8)
+    return [Frame(k, 1e-3 * k, pixels, 8, origin) for k, pixels in enumerate(levels)]
+
+
+def test_only_the_region_is_searched(searched: dict[int, list[Frame]]) -> None:
+    search, seen = search_in((90, 70, 20, 16)), noise_film(5, (10, 20))
+    for frame in seen:
+        assert search.search(frame) == []
+    (parts,) = searched.values()
+    for part, frame in zip(parts, seen, strict=True):
+        x, y = (at - of for at, of in zip(part.origin, frame.origin, strict=True))
+        rows, columns = part.pixels.shape
+        assert 90 - 40 <= part.origin[0] < 90 < 110 <= part.origin[0] + columns < 110 + 40
+        assert 70 - 40 <= part.origin[1] < 70 < 86 <= part.origin[1] + rows < 86 + 40
+        np.testing.assert_array_equal(part.pixels, frame.pixels[y : y + rows, x : x + columns])
+    # whole frames are kept
+    assert all(kept.pixels is frame.pixels for kept, frame in zip(search.recent, seen, strict=True))
+
+
+def test_the_region_grows_with_a_tracked_array(searched: dict[int, list[Frame]]) -> None:
+    search = search_in((20, 20, 20, 20))
+    for frame, tracked in zip(noise_film(3), ([], [Pose(150.0, 60.0, 2.0)], []), strict=True):
+        search.search(frame, tracked)
+    (parts,) = searched.values()
+    before, during, after = (part.origin[0] + part.pixels.shape[1] for part in parts)
+    assert before < 100
+    # array size 2 * SIDE px, plus the same margin
+    assert during == after == 150 + SIDE + 2 * SIDE * 0.5 + 1
+    assert {part.origin for part in parts} == {parts[0].origin}
+
+
+def test_a_region_beyond_the_frames_is_refused() -> None:
+    search = search_in((300, 20, 20, 20))
+    with pytest.raises(HeliographError, match=r"the region 300,20,20,20 .* beyond the frames, which are 200x100$"):
+        search.search(noise_film(1)[0])
+
+
+def test_a_camera_window_may_leave_the_region(searched: dict[int, list[Frame]]) -> None:
+    search, (here, there, again) = search_in((20, 20, 20, 20)), noise_film(3)
+    for frame in (here, replace(there, origin=(500, 0)), again):
+        search.search(frame)
+    assert [[part.index for part in parts] for parts in searched.values()] == [[0, 2]]
+
+
+@pytest.mark.parametrize(("pitch", "blur", "off_px"), [(1.7, 0.55, 1.5), (6.0, 1.4, 4.0)])
+def test_a_header_turned_by_40_degrees_is_found_with_the_given_tilt(pitch: float, blur: float, off_px: float) -> None:
+    """The second case uses reduced frames."""
+    pose, rng = Pose(100.2, 80.9, pitch, np.radians(40.0), blur, 0.04, -0.02), np.random.default_rng(3)
+    lit = header_of(7)
+    shown = [lit, 1 - lit, lit, 1 - lit, *[np.zeros((SIDE, SIDE))] * 4]
+    seen = [frame_of(0.1 + 0.25 * draw(pose, one, (0, 0), (160, 200)), k, rng) for k, one in enumerate(shown)]
+    by_hand = corners_of(pose) + off_px * np.array([[1, -1], [0, 1], [1, 0], [-1, -1]])
+    start = pose_of(by_hand.ravel().tolist(), SIDE, 0.55)
+    parameters = replace(SEARCH, max_side_px=256.0, start=start, everywhere=True)
+    found, count = search_frames(seen, PyramidSearch(parameters, SignalSettings()))
+    assert (list(found), count) == ([7], 1)
+    np.testing.assert_allclose(corners_of(found[7].fit.pose), corners_of(pose), atol=0.05 * pitch)
+
+
+ORIGIN = (13, 7)
+SHAPE = (210, 250)
+
+NEAR = Pose(100.3, 108.7, 7.2, 0.01, 1.6)
+FAR = Pose(222.4, 40.2, 1.3, 0.0, 0.6)
+
+LIGHT = 0.25
+"""Fraction of full scale for an unresolved array; resolved LEDs are four times as bright."""
+
+
+@pytest.mark.parametrize("largest", [20.0, 64.0, 65.0, 90.0, 130.0, 512.0, 1000.0])
+@pytest.mark.parametrize("side", [8, 16, 32])
+def test_the_levels_cover_every_size(side: int, largest: float) -> None:
+    levels = level_parameters(replace(SEARCH, max_side_px=largest), side)
+    # in sensor px
+    spans = [(2**k * one.min_side_px, 2**k * one.max_side_px) for k, one in enumerate(levels)]
+    assert spans[0][0] == 8.0
+    assert max(span[1] for span in spans) == pytest.approx(largest)
+    for finer, coarser in pairwise(spans):
+        # no gaps between levels, and no redundant level
+        assert coarser[0] <= finer[1] <= coarser[1]
+    assert all(least <= most for least, most in spans)
+
+
+@pytest.mark.parametrize(("side", "finest_px"), [(8, 32.0), (16, 64.0), (32, 64.0)])
+def test_single_leds_are_hardly_visible_on_a_level(side: int, finest_px: float) -> None:
+    finest, *reduced = level_parameters(SEARCH, side)
+    assert finest.max_side_px == finest_px
+    assert reduced
+    assert all(one.max_side_px <= 0.7 * finest_px for one in reduced)
+
+
+def test_small_arrays_are_searched_in_the_camera_frames_only() -> None:
+    (only,) = level_parameters(replace(SEARCH, max_side_px=64.0), SIDE)
+    assert only == replace(SEARCH, max_side_px=64.0)
+
+
+def test_levels_start_with_their_own_blur() -> None:
+    for k, one in enumerate(level_parameters(SEARCH, SIDE)):
+        assert one.blur_px == pytest.approx(View(k).pose_in(Pose(0, 0, 20, 0, 0.55)).blur)
+        assert (one.min_contrast, one.score, one.candidates) == (0.03, 0.9, 6)
+
+
+def header_of(identity: int) -> Floats:
+    return header_levels(identity) / 4.0
+
+
+def frames_of(
+    *arrays: tuple[Pose, int], motion: tuple[float, float] = (0.0, 0.0), count: int = 8, dimmed: float = 1.0
+) -> list[Frame]:
+    """Return frames with two header pairs, then dark frames; arrays move at constant velocity."""
+    rng, out = np.random.default_rng(0), []
+    for k in range(count):
+        light = np.full(SHAPE, 0.1)
+        for pose, identity in arrays:
+            lit = header_of(identity) if k % 2 == 0 else 1 - header_of(identity)
+            if k < 4:
+                light += (
+                    dimmed * LIGHT * draw(pose.moved((k - 1.5) * motion[0], (k - 1.5) * motion[1]), lit, ORIGIN, SHAPE)
+                )
+        out.append(frame_of(light, k, rng, ORIGIN))
+    return out
+
+
+def search_frames(
+    frames: list[Frame], search: PyramidSearch | None = None, tracked: tuple[Pose, ...] = ()
+) -> tuple[dict[int, Detection], int]:
+    """Return the detections by identity, and their number."""
+    search = search or PyramidSearch(SEARCH, SignalSettings())
+    found = [detection for frame in frames for detection in search.search(frame, tracked)]
+    return {detection.identity: detection for detection in found}, len(found)
+
+
+@pytest.mark.parametrize("pose", [NEAR, FAR])
+def test_an_array_is_found_at_its_place_on_the_sensor(pose: Pose) -> None:
+    search = PyramidSearch(SEARCH, SignalSettings())
+    assert search.budget.load == SearchLoad()
+    found, count = search_frames(frames_of((pose, 11)), search)
+    assert count == 1
+    # the candidates of all levels count
+    assert search.budget.load.fitted >= 1
+    assert search.budget.load.left_out == 0
+    fit = found[11].fit
+    assert fit.vector[:2] == pytest.approx([pose.x, pose.y], abs=0.05)
+    assert fit.pose.pitch == pytest.approx(pose.pitch, rel=0.003)
+    assert fit.pose.blur == pytest.approx(pose.blur, rel=0.1)
+    assert fit.gain == pytest.approx(LIGHT * 255, rel=0.03)
+    assert found[11].start_time_s == pytest.approx(0.0)
+    # noise-limited covariance in sensor units
+    assert 1e-8 < fit.covariance[0, 0] < 0.05**2
+
+
+def test_the_drift_refers_to_the_sensor() -> None:
+    found, _ = search_frames(frames_of((NEAR, 11), motion=(0.9, -0.5)))
+    assert found[11].drift == pytest.approx((900.0, -500.0), abs=60.0)
+
+
+@pytest.mark.parametrize(("tracked", "left"), [((), {11, 20}), ((NEAR,), {20}), ((FAR,), {11}), ((NEAR, FAR), set())])
+def test_near_and_far_arrays_are_found_at_once_unless_tracked(tracked: tuple[Pose, ...], left: set[int]) -> None:
+    found, count = search_frames(frames_of((NEAR, 11), (FAR, 20)), tracked=tracked)
+    assert (set(found), count) == (left, len(left))
+    for identity in left:
+        pose = {11: NEAR, 20: FAR}[identity]
+        assert found[identity].fit.vector[:3] == pytest.approx([pose.x, pose.y, np.log(pose.pitch)], abs=0.05)
+
+
+def test_a_search_for_one_orientation_finds_no_other() -> None:
+    frames = frames_of((NEAR, 11))
+    for orientation, known in ((UPRIGHT, {11}), (ORIENTATIONS[1], set())):
+        search = PyramidSearch(SEARCH, SignalSettings())
+        search.set_orientation(orientation)
+        found, _ = search_frames(frames, search)
+        assert {one.identity for one in found.values() if one.orientation == UPRIGHT} == known
+
+
+@pytest.mark.parametrize(("side_px", "reduced"), [(3, False), (40, True)])
+def test_frames_are_reduced_if_a_large_area_alternates(
+    side_px: int, reduced: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = list[Frame]()
+
+    def noted(frame: Frame) -> Frame:
+        seen.append(frame)
+        return halved(frame)
+
+    monkeypatch.setattr(pyramid, "halved", noted)
+    frames = frames_of()
+    for frame in frames[::2]:
+        frame.pixels[70 : 70 + side_px, 90 : 90 + side_px] += 30
+    assert search_frames(frames)[0] == {}
+    assert bool(seen) == reduced
+
+
+@pytest.mark.parametrize("dimmed", [0.08, 0.12, 0.16])
+def test_dim_arrays_are_found_as_if_all_frames_were_reduced(dimmed: float) -> None:
+    found = []
+    for k in range(3):
+        frames = frames_of((replace(NEAR, x=NEAR.x + 0.7 * k), 11), dimmed=dimmed)
+        search, always_reduced = (PyramidSearch(replace(SEARCH, rolls_deg=()), SignalSettings()) for _ in range(2))
+        always_reduced._min_contrast = 0.0
+        found.append(search_frames(frames, search)[0].keys())
+        assert search_frames(frames, always_reduced)[0].keys() == found[-1]
+    assert any(found) == (dimmed > 0.1)
+
+
+@pytest.mark.parametrize("pose", [NEAR, FAR])
+def test_a_frame_after_a_gap_shows_an_array_once(pose: Pose) -> None:
+    """The search handles the gap first, then the frame."""
+    search = PyramidSearch(SEARCH, SignalSettings())
+    found = [search.search(frame) for frame in frames_of((pose, 11), count=12) if frame.index != 6]
+    assert max(map(len, found)) == 1
+
+
+def flickering_frame(k: int, rng: np.random.Generator, origin: tuple[int, int] = (0, 0)) -> Frame:
+    """Return a 256 x 192 frame that flickers in 8 px squares inside a static rim."""
+    pixels = np.full((192, 256), 40, np.uint8)
+    pixels[16:176, 16:240] = np.kron(rng.integers(0, 256, (20, 28), np.uint8), np.ones((8, 8), np.uint8))
+    return Frame(k, 1e-3 * k, pixels, origin=origin)
+
+
+class NoRefill(TokenBucket):
+    def refill(self) -> None:
+        pass
+
+
+def scarce_search() -> PyramidSearch:
+    """Return a search with less than half a budget, and no refill."""
+    budget = NoRefill(0.3, 1e-3)
+    budget.charge(0.6 * budget.capacity)
+    return PyramidSearch(SEARCH, SignalSettings(), budget)
+
+
+@pytest.mark.parametrize("level", [1, 2])
+def test_blocks_without_novelty_are_skipped_on_all_levels(level: int) -> None:
+    frame = flickering_frame(0, np.random.default_rng(2), (200, 120))
+    reduced = frame
+    for _ in range(level):
+        reduced = halved(reduced)
+    old = np.zeros((24, 32), bool)
+    old[:, :16] = True
+    searched = pyramid._without_skipped(old, ~old, [frame], [pyramid._with_rim(reduced, 16)], level)
+    # block centres in sensor px
+    x0, y0 = pyramid._with_rim(reduced, 16).origin
+    rows, columns = (8 * np.arange(n) + 3.5 for n in searched.shape)
+    x, y = 2**level * (columns + x0), 2**level * (rows + y0)
+    inside = (y > 120 + 8 * 2**level) & (y < 120 + 192 - 8 * 2**level)
+    left, right = (x > 200 + 8 * 2**level) & (x < 328 - 8 * 2**level), x > 328 + 8 * 2**level
+    assert left.any()
+    assert not searched[np.ix_(inside, left)].any()
+    assert searched[np.ix_(inside, right)].all()
+    # including the static rim
+    assert searched[0].all()
+
+
+@pytest.mark.parametrize("jump", [(64, 0), (-64, 0), (0, 96), (-96, -32), (160, 0)])
+def test_a_window_may_jump_while_blocks_are_skipped(jump: tuple[int, int]) -> None:
+    search, rng = scarce_search(), np.random.default_rng(3)
+    for k in range(44):
+        search.search(flickering_frame(k, rng, (200 + jump[0], 200 + jump[1]) if k >= 24 else (200, 200)))
+    assert search.budget.load.blocks > 0
+
+
+def test_no_level_searches_skipped_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first reduced level shows a 96 px array unless the search skips the blocks there."""
+
+    def skip_all(*slots: Sequence[Frame | None]) -> NDArray[np.bool_]:
+        return np.zeros([-(-size // 8) for size in first_present(slots[3]).pixels.shape], bool)
+
+    found = list[int]()
+    for skips_all in (False, True):
+        if skips_all:
+            monkeypatch.setattr(pyramid, "_without_skipped", skip_all)
+        search, rng = scarce_search(), np.random.default_rng(3)
+        for k in range(50):
+            frame = flickering_frame(k, rng, (200, 200))
+            pixels = np.full((400, 600), 40, np.uint8)
+            pixels[:192, :256] = frame.pixels
+            if 40 <= k < 44:
+                header = np.kron(2 * HEADER - 1, np.ones((3, 3)))
+                pixels[280:376, 400:496] = 100 + 60 * (1 - 2 * (k % 2)) * header
+            found += [one.identity for one in search.search(Frame(k, 1e-3 * k, pixels)) if one.is_clear]
+        assert search.budget.load.blocks > 0
+    assert found == [4]
+
+
+@pytest.mark.parametrize("origin", [(0, 1), (3, 2), (5, 7)])
+@pytest.mark.parametrize("rows", range(8, 14))
+def test_low_frames_are_searched(rows: int, origin: tuple[int, int]) -> None:
+    """Reduced frames start at an even row; a level may be empty."""
+    search, rng = PyramidSearch(SEARCH, SignalSettings()), np.random.default_rng(0)
+    for k in range(12):
+        pixels = rng.integers(0, 256, (rows, 300)).astype(np.uint8)
+        assert not search.search(Frame(k, 1e-3 * k, pixels, origin=origin))

@@ -1,0 +1,226 @@
+"""Pose refinement from decoded data after bias by a background, and realignment by difference power."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawn_packets import GAIN, NOISE, drawn_packet
+from known_packets import FORM
+from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
+
+from heliograph.base.arrays import Floats
+from heliograph.base.threads import one_thread
+from heliograph.receive import Pose
+from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.pose_refinement import ObservedPacket, align_by_power, is_significant, smoothed_errors
+from heliograph.receive.observe.cutout import Cutout, take_cutout
+from heliograph.receive.sync.pairing import FramePair
+from heliograph.signal.formats import Format
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import SignalSettings
+
+PAIRS, SHAPE = FORM.settings.data_pairs, (60, 60)
+
+
+class Packet:
+    """A packet at 95 m with pose errors `pulled` (pairs, 4) in x, y, ln pitch and roll, and missing pairs."""
+
+    def __init__(self, pulled: Floats, missing: tuple[int, ...] = ()):
+        cutouts, self.symbols = drawn_packet()
+        self.seen = [None if k in missing else one.moved(pulled[k]) for k, one in enumerate(cutouts)]
+        with one_thread():
+            self.observed = ObservedPacket(self.seen, NOISE, FORM, LedGains.sound(SIDE))
+
+    def refine(self, known: int) -> bool:
+        """Refine poses from the first `known` symbols in each pair; return True if a pose moved."""
+        variance = np.where(np.arange(self.symbols.shape[1]) < known, 0.0, 1.0)
+        mean = np.where(variance == 0, self.symbols, 0.0)
+        with one_thread():
+            return self.observed.refine_poses(mean, np.broadcast_to(variance, mean.shape), GAIN, NOISE.lit)
+
+    @property
+    def errors(self) -> Floats:
+        """Return accumulated corrections (pairs, 4)."""
+        corrections = np.zeros((PAIRS, 4))
+        for k, (cutout, pair) in enumerate(zip(self.seen, self.observed.pairs, strict=True)):
+            if cutout is not None and pair is not None:
+                corrections[k] = (pair.cutout.middle.vector() - cutout.middle.vector())[:4]
+        return corrections
+
+
+def pulled_by(x: float, y: float, roll: float = 0.0) -> Floats:
+    """Return equal pose errors for all pairs."""
+    return np.tile([x, y, 0.0, roll], (PAIRS, 1))
+
+
+@pytest.mark.parametrize(("known", "left"), [(64, 0.04), (192, 0.01)])
+def test_pose_errors_are_found(known: int, left: float) -> None:
+    pulled = pulled_by(0.15, -0.1, 0.01)
+    pulled[:, 0] += 0.05 * np.sin(np.arange(PAIRS) / 4)
+    packet = Packet(pulled)
+    before = list(packet.observed.statistics)
+    assert packet.refine(known)
+    # corrections are the negative pose errors
+    rest = (packet.errors + pulled)[:, :2]
+    assert np.sqrt((rest**2).mean()) < left
+    assert np.sqrt((pulled[:, :2] ** 2).mean()) > 0.12
+    assert all(one is not other for one, other in zip(packet.observed.statistics, before, strict=True))
+
+
+def test_a_refinement_corrects_the_statistics_once() -> None:
+    pulled = pulled_by(0.15, -0.1, 0.01)
+    packet, right = Packet(pulled), Packet(np.zeros((PAIRS, 4)))
+
+    def distance() -> float:
+        """Return the mean difference from statistics at true poses."""
+        pairs = zip(packet.observed.statistics, right.observed.statistics, strict=True)
+        return float(np.mean([np.abs(a.gram - b.gram).mean() for a, b in pairs if a and b]))
+
+    before = distance()
+    assert packet.refine(192)
+    assert distance() < 0.2 * before
+    # a second refinement includes earlier corrections and changes no pose
+    first = packet.errors.copy()
+    packet.refine(192)
+    assert np.abs(packet.errors - first).max() < 0.02
+    assert np.sqrt(((packet.errors + pulled)[:, :2] ** 2).mean()) < 0.01
+
+
+def test_right_poses_stay() -> None:
+    packet = Packet(np.zeros((PAIRS, 4)))
+    before = list(packet.observed.statistics)
+    assert not packet.refine(64)
+    assert not packet.errors.any()
+    assert all(one is other for one, other in zip(packet.observed.statistics, before, strict=True))
+
+
+def test_a_movement_of_a_hundredth_of_a_pixel_is_significant() -> None:
+    assert is_significant(np.array([0.0, 0.02, 0.0, 0.0]))
+    assert is_significant(np.array([0.0, 0.0, 0.0, 0.01]))
+    assert is_significant(np.array([-0.011, 0.0, 0.0, 0.0]))
+    # pitch and roll move the rim, 4 px from the centre
+    assert not is_significant(np.array([0.009, -0.009, 0.0, 0.0]))
+    assert not is_significant(np.array([0.0, 0.0, 0.002, 0.002]))
+    assert is_significant(np.array([0.0, 0.0, 0.003, 0.0]))
+
+
+def test_missing_pairs_are_replaced_in_the_sample() -> None:
+    """Refinement samples every third pair; if those are missing, others replace them."""
+    packet = Packet(pulled_by(0.1, 0.1), missing=tuple(range(0, PAIRS, 3)))
+    assert packet.refine(192)
+    seen = np.arange(PAIRS) % 3 > 0
+    assert np.abs(packet.errors[seen, :2] + 0.1).max() < 0.04
+    assert [one is None for one in packet.observed.statistics] == (~seen).tolist()
+
+
+def test_without_decoded_symbols_the_poses_stay() -> None:
+    packet = Packet(pulled_by(0.1, 0.1))
+    assert not packet.refine(0)
+    assert not packet.errors.any()
+
+
+def test_poses_of_single_mode_stay() -> None:
+    """Decision-directed tracking already used the data."""
+    single = PacketFormat(SignalSettings(data_pairs=24), Format(mode="single"))
+    observed = ObservedPacket([None] * 48, NOISE, single, LedGains.sound(SIDE))
+    assert not observed.refine_poses(np.ones((48, 256)), np.zeros((48, 256)), GAIN, NOISE.lit)
+
+
+def test_sharp_evidence_is_not_smoothed_and_adds_to_earlier_corrections() -> None:
+    rng, sharp, before = np.random.default_rng(2), 1e8 * np.eye(4), np.tile([0.06, 0.0, 0.0, 0.0], (12, 1))
+    error = np.array([0.1, -0.05, 0.002, 0.004]) + rng.normal(0, [0.02, 0.02, 1e-4, 1e-4], (12, 4))
+    evidence = {k: (sharp, sharp @ (error[k] - before[k])) for k in range(12)}
+    assert smoothed_errors(evidence, before) == pytest.approx(error, abs=1e-4)
+
+
+def test_neighbours_share_errors_and_far_pairs_do_not() -> None:
+    """Errors vary within 8 pairs or stay constant; the first ten pairs have no evidence."""
+    rng = np.random.default_rng(3)
+    quick = np.zeros((80, 4))
+    quick[40:44, 0] = 0.2
+    evidence = {k: (1e4 * np.eye(4), 1e4 * (quick[k] + rng.normal(0, 0.01, 4))) for k in range(10, 80, 3)}
+    found = smoothed_errors(evidence, np.zeros((80, 4)))
+    assert found[41:43, 0] == pytest.approx([0.2, 0.2], abs=0.07)
+    assert np.abs(found[:10, 0]).max() < 0.05
+    constant = {k: (1e4 * np.eye(4), 1e4 * np.array([0.2, 0, 0, 0])) for k in range(10, 80, 3)}
+    assert smoothed_errors(constant, np.zeros((80, 4)))[:, 0] == pytest.approx(0.2, abs=0.05)
+
+
+def test_without_evidence_the_corrections_stay() -> None:
+    before = np.random.default_rng(4).normal(size=(5, 4))
+    assert smoothed_errors({}, before) is before
+
+
+FAR = Pose(29.6, 30.3, pitch_at(95.0), 0.02, 0.53)
+
+
+def even(true: Pose, taken: Pose, led_gains: Floats = ALL_ON) -> Cutout:
+    """Return a cut-out at a possibly wrong pose; its difference shows all LEDs on."""
+    dark = frame_of(np.zeros(SHAPE), 0, np.random.default_rng(0))
+    cutout = take_cutout(FramePair(dark, dark), (taken, taken), SIDE)
+    light = 90 * draw(true, led_gains, cutout.corner, cutout.shape)
+    return Cutout(light, light, cutout.corner, cutout.poses)
+
+
+def errors(cutouts: list[Cutout | None], true: Pose = FAR) -> Floats:
+    return np.array([(one.middle.x - true.x, one.middle.y - true.y) for one in cutouts if one is not None])
+
+
+@pytest.mark.parametrize("distance_m", [50.0, 95.0])
+def test_wrong_poses_move_to_the_power_of_the_differences(distance_m: float) -> None:
+    rng, pose = np.random.default_rng(6), replace(FAR, pitch=pitch_at(distance_m))
+    wrong, cutouts = pose.moved(-1.3, 0.7), list[Cutout | None]()
+    for _ in range(24):
+        levels = rng.binomial(4, 0.5, (SIDE, SIDE)) / 4
+        up, down = (frame_of(0.1 + 0.8 * draw(pose, x, (0, 0), SHAPE), 0, rng) for x in (levels, 1 - levels))
+        cutouts.append(take_cutout(FramePair(up, down), (wrong, wrong), SIDE))
+    cutouts[5] = None
+    moved, largest = align_by_power(cutouts, ALL_ON)
+    assert largest == pytest.approx(np.hypot(1.3, 0.7), abs=0.4)
+    assert moved[5] is None
+    assert np.abs(errors(moved, pose)).max() < 0.4
+
+
+@pytest.mark.parametrize("off", [(0.4, 0.0), (0.0, -0.4), (-1.4, 2.3), (3.3, -0.6), (0.0, 0.0)])
+def test_errors_are_found_between_pixels(off: tuple[float, float]) -> None:
+    moved, largest = align_by_power([even(FAR, FAR.moved(*off))], ALL_ON)
+    assert errors(moved)[0] == pytest.approx((0, 0), abs=0.08)
+    assert largest == pytest.approx(np.hypot(*off), abs=0.1)
+
+
+def test_a_larger_error_is_corrected_by_the_search_range() -> None:
+    moved, _ = align_by_power([even(FAR, FAR.moved(6.0, 0.0))], ALL_ON)
+    # limited to 4 px grid steps plus 1 px from the parabola
+    assert 1.0 <= errors(moved)[0, 0] <= 2.5
+
+
+def test_each_pair_follows_its_neighbours() -> None:
+    """The smoothing window covers eight pairs on each side."""
+    off = [FAR.moved(2.0, 0.0)] * 20 + [FAR.moved(-2.0, 0.0)] * 20
+    moved, _ = align_by_power([even(FAR, taken) for taken in off], ALL_ON)
+    found = errors(moved)[:, 0]
+    # pairs with a constant error inside the window
+    assert found[:12] == pytest.approx(np.zeros(12), abs=0.08)
+    assert found[28:] == pytest.approx(np.zeros(12), abs=0.08)
+    # symmetric transition around the change
+    assert (np.abs(found[12:28] - found[[11]]) > 1e-3).all()
+    assert found[12:20] == pytest.approx(-found[20:28][::-1])
+
+
+def test_hidden_leds_have_no_power() -> None:
+    """An array with a hidden or failed left half has all power on the right, and the pose stays."""
+    pose, right = replace(FAR, pitch=pitch_at(50.0)), ALL_ON.copy()
+    right[:, :8] = 0
+    cutout = even(pose, pose, right)
+    burnt, _ = align_by_power([cutout], right)
+    assert errors(burnt, pose)[0] == pytest.approx((0, 0), abs=0.08)
+    hidden, _ = align_by_power([replace(cutout, in_sight=right)], ALL_ON)
+    assert errors(hidden, pose)[0] == pytest.approx((0, 0), abs=0.08)
+
+
+def test_missing_pairs_have_no_weight() -> None:
+    seen = even(FAR, FAR.moved(0.0, 1.0))
+    moved, largest = align_by_power([None, seen, None, None], ALL_ON)
+    assert [one is None for one in moved] == [True, False, True, True]
+    assert largest == pytest.approx(1.0, abs=0.08)
+    assert align_by_power([None, None], ALL_ON) == ([None, None], 0.0)
