@@ -4,14 +4,20 @@ import mmap
 import warnings
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
+from heliograph.base.lazy import LazyModule
 from heliograph.media.reader import Reading
 from heliograph.media.stamps import BlockReader
+
+if TYPE_CHECKING:
+    import av
+else:
+    av = LazyModule("av")
 
 
 class ArrayReader(BlockReader):
@@ -72,8 +78,6 @@ def refuse_dump(path: Path) -> None:
 
 def _is_video(path: Path) -> bool:
     """True if FFmpeg finds pictures in the content; by the suffix FFmpeg would read any .bin file as text art."""
-    import av
-
     try:
         # a file object would show FFmpeg the name
         with (

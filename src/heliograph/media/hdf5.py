@@ -12,16 +12,22 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Frame, Pixels
+from heliograph.base.lazy import LazyModule
 from heliograph.media.reader import Reading, checked_size, clear_read_errors
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ, FilmSpec
 from heliograph.media.stamps import TimedReader, agrees, check_times
 from heliograph.media.writer import clear_errors
+
+if TYPE_CHECKING:
+    import h5py
+else:
+    h5py = LazyModule("h5py")
 
 SUFFIXES = (".h5", ".hdf5")
 """Suffixes of HDF5 films."""
@@ -99,8 +105,6 @@ def is_hdf5(path: Path) -> bool:
 
 def _frame_reader(file: Any, frames: Any) -> Callable[[int], Pixels]:
     """Return a function from number to frame, which avoids HDF5's copy if each frame is a plain chunk."""
-    import h5py
-
     with suppress(OSError, AttributeError, ValueError):  # some systems lack this call
         # the system reads ahead: a thread would cost more than reading
         os.posix_fadvise(file.id.get_vfd_handle(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
@@ -157,8 +161,6 @@ def _number(path: Path, attributes: Any, name: str, least: float, most: float) -
 
 def _attribute(attributes: Any, name: str, missing: Any) -> Any:
     """Return an attribute except for a list of variable length: HDF5 crashes if damage turns a text into a list."""
-    import h5py
-
     try:
         held = attributes.get_id(name)
     except KeyError:
@@ -198,8 +200,6 @@ def _opened(path: Path) -> Iterator[Any]:
 
 def _open_file(path: Path) -> Any:
     """Open a file, even while another program writes (SWMR), or on a system that lacks locks."""
-    import h5py
-
     try:
         return h5py.File(path, "r")
     except _BROKEN as error:
@@ -223,8 +223,6 @@ def _open_file(path: Path) -> Any:
 
 def _check_filters(path: Path, dataset: Any) -> None:
     """Refuse data that need a missing filter."""
-    import h5py
-
     created = dataset.id.get_create_plist()
     for number, _, _, label in map(created.get_filter, range(created.get_nfilters())):
         with suppress(ImportError):
@@ -252,8 +250,6 @@ def _check_heaps(path: Path, head: bytes) -> None:
 
 def _check_form(path: Path, file: Any) -> None:
     """Refuse a file if datasets are missing, lie in other files, or are no film."""
-    import h5py
-
     try:
         datasets = [_find_dataset(file, name) for name in ("frames", "times_s")]
     except _BROKEN as error:
@@ -281,8 +277,6 @@ def _check_form(path: Path, file: Any) -> None:
 
 def _find_dataset(group: Any, path: str) -> Any:
     """Return a dataset by its path, None if missing, or False in another file: h5py would open even a pipe."""
-    import h5py
-
     found = group.file if path.startswith("/") else group
     for name in path.split("/"):
         if name in ("", ".") or not isinstance(found, h5py.Group):
@@ -361,8 +355,6 @@ class Hdf5Sink:
     _step_frames = 256  # the datasets grow in steps
 
     def __init__(self, partial: Path, target: Path, spec: FilmSpec) -> None:
-        import h5py
-
         self._target = target
         self._count = 0
         with clear_errors(target):

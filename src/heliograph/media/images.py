@@ -15,12 +15,18 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
+from heliograph.base.lazy import LazyModule
 from heliograph.media import tiff
 from heliograph.media.reader import Reading, checked_size, clear_read_errors
 from heliograph.media.stamps import TimedReader
 
 if TYPE_CHECKING:
+    import av
+    import cv2
     from PIL.Image import Image
+else:
+    av = LazyModule("av")
+    cv2 = LazyModule("cv2")
 
 _KINDS = {
     ".png": ".png", ".jpg": ".jpg", ".jpeg": ".jpg", ".jpe": ".jpg", ".tif": ".tif", ".tiff": ".tif", ".bmp": ".bmp",
@@ -121,8 +127,6 @@ def is_pattern(path: Path) -> bool:
 
 def _decode(data: bytes) -> NDArray[np.generic] | None:
     """Decode a picture by OpenCV, gray or blue, green and red, with Exif orientation; None if damaged."""
-    import cv2
-
     log = getattr(cv2.utils, "logging", cv2)  # OpenCV 4.5 has no module for it
     before = log.getLogLevel()
     log.setLogLevel(0)  # LOG_LEVEL_SILENT: errors report damage
@@ -165,8 +169,6 @@ def _is_sound(path: Path, data: bytes) -> bool:
 
 def _has_all_blocks(data: bytes) -> bool:
     """True if FFmpeg decodes all blocks of a JPEG picture, or does not know the form (ITU-T T.81, annex B)."""
-    import av
-
     kept, place = [_JPEG], len(_JPEG)
     while place + 4 <= len(data) and data[place + 1] != 0xDA:  # up to the first scan
         end = place + 2 + int.from_bytes(data[place + 2 : place + 4], "big")

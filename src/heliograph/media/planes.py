@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from heliograph.base.frames import Pixels
+from heliograph.base.lazy import LazyModule
 
 if TYPE_CHECKING:
     import av
+else:
+    av = LazyModule("av")
 
 NO_TURN = (False, False, False)
 """Parameters of `upright` that change nothing."""
@@ -30,8 +33,6 @@ def gray_format(bits: int) -> str:
 
 def to_video(pixels: Pixels, pixel_format: str, span: int = FULL) -> "av.VideoFrame":
     """Copy gray levels into a picture with neutral colour planes, if any."""
-    import av
-
     if span == LIMITED:
         pixels = np.rint(16 + np.arange(256) * 219 / 255).astype(np.uint8)[pixels]
     rows, columns = pixels.shape

@@ -18,12 +18,16 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
+from heliograph.base.lazy import LazyModule
 from heliograph.media import images, planes
 from heliograph.media.reader import Reading, checked_size
 from heliograph.media.stamps import TimedReader
 
 if TYPE_CHECKING:
+    import tifffile
     from tifffile import TiffPage
+else:
+    tifffile = LazyModule("tifffile")
 
 SUFFIXES = (".tif", ".tiff")
 """Suffixes of stacks."""
@@ -218,8 +222,6 @@ class _Stack:
     """An open TIFF file."""
 
     def __init__(self, path: Path) -> None:
-        import tifffile
-
         self._path = path
         self._errors = (
             ValueError, ArithmeticError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError,
@@ -335,8 +337,6 @@ class _Stack:
 
     def _pages(self) -> Iterator["TiffPage"]:
         """Yield the pages except for reduced copies of others."""
-        import tifffile
-
         for number, place in enumerate(self._directories()):
             self._file.seek(place)
             try:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
+from heliograph.base.lazy import LazyModule
 from heliograph.media import planes, whole
 from heliograph.media.reader import Reading, checked_size
 from heliograph.media.record import from_tags, restored_time
@@ -22,6 +23,8 @@ from heliograph.media.stamps import LIMITS, StampClock, TimedReader
 if TYPE_CHECKING:
     import av
     from av.container import InputContainer
+else:
+    av = LazyModule("av")
 
 
 class VideoReader(TimedReader):
@@ -80,8 +83,6 @@ class VideoReader(TimedReader):
                 yield time_s, pixels, self.bits if is_noted else bits
 
     def _gray(self, picture: "av.VideoFrame", count: int) -> tuple[Pixels, int]:
-        import av
-
         try:
             pixels, bits = planes.to_gray(picture, self._expanded, self._channel)
         except (av.error.FFmpegError, ValueError) as error:
@@ -94,8 +95,6 @@ class VideoReader(TimedReader):
 
     def _decoded(self, container: "InputContainer") -> Iterator["av.VideoFrame"]:
         """Yield decoded pictures, then raise a MediaError if the rest of the file is damaged."""
-        import av
-
         stream = self._stream(container)
         context = stream.codec_context
         stream.thread_type, context.thread_count = "AUTO", 2
@@ -167,8 +166,6 @@ def _orientation(picture: "av.VideoFrame") -> tuple[bool, bool, bool]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator["InputContainer"]:
-    import av
-
     try:
         # "file:" because a colon in a name would denote a protocol
         container = av.open(f"file:{path}", "r", metadata_errors="replace")
@@ -219,8 +216,6 @@ def _count_frames(container: "InputContainer", films: "list[av.VideoStream]") ->
     """Return the frames of each track, stated by the container or counted in 500 packets."""
     if all(stream.frames for stream in films):
         return {stream.index: stream.frames for stream in films}
-    import av
-
     counts = {stream.index: 0 for stream in films}
     with suppress(av.error.FFmpegError):  # reading reports damage after the good frames
         for packet in islice(container.demux(films), 500):
@@ -231,8 +226,6 @@ def _count_frames(container: "InputContainer", films: "list[av.VideoStream]") ->
 
 def _sample(container: "InputContainer", stream: "av.VideoStream") -> tuple["av.VideoFrame | None", list[float]]:
     """Return the first picture of a track and the stamps in s of the first packets before any damage."""
-    import av
-
     first: av.VideoFrame | None = None
     stamps: list[float] = []
     with suppress(av.error.FFmpegError, ValueError):

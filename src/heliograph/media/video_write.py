@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Any, cast
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Frame
+from heliograph.base.lazy import LazyModule
 from heliograph.media import planes
 from heliograph.media.record import FilmRecord, FilmSpec, fine_time_base, rational_rate, to_tags
 from heliograph.media.writer import clear_errors
 
 if TYPE_CHECKING:
     import av
+else:
+    av = LazyModule("av")
 
 CODECS = {
     ".mkv": ("ffv1", "h264", "h265", "mjpeg"),
@@ -71,8 +74,6 @@ class VideoSink:
         self._start_s: float | None = None
         self._last_tick = -1
         with self._clear_errors():
-            import av
-
             flags = {"movflags": "use_metadata_tags"} if self._suffix == ".mp4" else {}  # MP4 would drop the record
             # "file:" because a colon in a name would denote a protocol
             self._container = av.open(f"file:{partial}", "w", options=flags)
@@ -139,8 +140,6 @@ class VideoSink:
         return tick
 
     def _clear_errors(self) -> AbstractContextManager[None]:
-        import av
-
         return clear_errors(self._target, av.error.FFmpegError)
 
 

@@ -8,12 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import MediaError, SettingsError
+from heliograph.base.lazy import LazyModule
 from heliograph.media import planes
 from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError, Found, Picture
 from heliograph.media.live.settings import CameraSettings, Value, compare_settings
 
 if TYPE_CHECKING:
     import av
+else:
+    av = LazyModule("av")
 
 DEVICES = Path("/sys/class/video4linux")
 """Folder of the video devices of Linux."""
@@ -39,8 +42,6 @@ class Webcam:
 
     def open(self, settings: CameraSettings) -> CameraForm:
         """Connect and configure the camera; see `Camera`."""
-        import av
-
         self._channel = settings.channel
         options = self._options(settings)
         try:
@@ -101,8 +102,6 @@ class Webcam:
 
     def _read(self) -> None:
         """Queue pictures in a thread, as FFmpeg may wait endlessly for the next picture."""
-        import av
-
         end: BaseException | None = None
         try:
             for packet in self._container.demux(video=0):
@@ -124,8 +123,6 @@ class Webcam:
 
     def _decode(self, packet: "av.Packet[Any]") -> list[Picture]:
         """Return the pictures of a packet; an incomplete picture has no pixels."""
-        import av
-
         try:
             return [self._convert(picture) for picture in packet.decode()]
         except (av.error.InvalidDataError, ValueError):
