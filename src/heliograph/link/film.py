@@ -66,6 +66,7 @@ def write_film(
     with contextlib.ExitStack() as undo:
         undo.callback(film.abort)  # no effect on a finished film
         truth = TruthWriter(truth_path(path), settings, messages, seed, film_id)
+        undo.callback(truth.close)
         try:
             for frame, row in simulate(settings, messages, seed, recordings):
                 film.write(frame)

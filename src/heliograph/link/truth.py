@@ -98,6 +98,10 @@ class TruthWriter:
         with clear_write_errors(self._path):
             self._rows.write(row.tobytes())
 
+    def close(self) -> None:
+        """Discard the rows."""
+        self._rows.close()
+
     @contextlib.contextmanager
     def finishing(self) -> Iterator[None]:
         """Write the file, and publish it if the block succeeds: finish the film in the block."""
