@@ -35,10 +35,7 @@ class Message:
 
 
 def segments(message: Message, room: int) -> list[Block]:
-    """Split a message into blocks with `room` payload bytes each; an empty message gives an idle block.
-
-    Raise a ValueError if the message is longer than 2**24 - 1 bytes or 65,536 blocks.
-    """
+    """Split a message into blocks with `room` payload bytes each; an empty message gives an idle block."""
     limit = min(MAX_MESSAGE, MAX_SEGMENTS * room)
     if len(message.data) > limit:
         raise ValueError(f"a message of {room}-byte blocks has at most {limit} bytes, not {len(message.data)}")
@@ -49,15 +46,10 @@ def segments(message: Message, room: int) -> list[Block]:
 
 @dataclass(frozen=True, slots=True)
 class Updates:
-    """Message with changing content; each content has a stream number.
+    """Message with changing content; each content has a stream number."""
 
-    Attributes
-    ----------
-    contents
-        (start time in s after the start of transmission, bytes) for each content; sorted by time, not empty. The
-        transmitter sends the first content from the start, regardless of the start time.
-    """
-
+    # (start time in s after the start of transmission, bytes) for each content; sorted by time, not empty. The
+    # transmitter sends the first content from the start, regardless of the start time.
     contents: tuple[tuple[float, bytes], ...]
 
     def at(self, time_s: float) -> int:
@@ -68,21 +60,7 @@ class Updates:
 class Carousel:
     """Endless sequence of message segments for a layer; idle blocks if the layer has no message (section 8).
 
-    Parameters
-    ----------
-    identity
-        Array number, 0 to 29.
-    layer
-        "high", "middle" or "low".
-    messages
-        At most 256 messages; message i is sent as stream i. Changing messages share the remaining stream numbers.
-    room
-        Payload bytes per block, at least 1.
-
-    Raises
-    ------
-    ValueError
-        The layer has more than 256 messages, or a message is too long for `segments`.
+    Message i is sent as stream i; changing messages share the remaining stream numbers.
     """
 
     def __init__(self, identity: int, layer: str, messages: Sequence[bytes | Updates], room: int):
@@ -153,9 +131,7 @@ class _Done:
 class Reassembler:
     """Reassemble messages from blocks in any order, with repeats and gaps; return each message once (section 8).
 
-    Memory is bounded by an incomplete message per array, layer, block size and stream (0 to 255). If the content
-    changes, the transmitter must change the stream number; otherwise a block with different length or content restarts
-    the message.
+    A block with another length or content, and the same stream number, restarts the message.
     """
 
     _open: dict[_Key, _Assembly] = field(default_factory=dict)
@@ -164,8 +140,7 @@ class Reassembler:
     def add(self, block: AnyBlock, room: int = 0) -> Message | None:
         """Add a block with a correct CRC; return a newly completed message, or None. File blocks are ignored.
 
-        `room` is the payload size per block in bytes. If packets differ in rate, the transmitter splits a message for
-        each size, and segments with different sizes do not fit together.
+        Segments with different payload sizes per block, `room` in bytes, do not fit together.
         """
         if not isinstance(block, Block):
             return None
