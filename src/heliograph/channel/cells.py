@@ -4,8 +4,6 @@ The light of pattern k at time t is X_k (S(t - t_k) - S(t - t_(k+1))) with the s
 the display. A pixel row integrates the light over the exposure of the row, while the backlight is on.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -21,18 +19,8 @@ SAMPLES = 3
 """Samples along a pixel side: the error of a cell edge is at most a ninth, before blur."""
 
 
-@dataclass(frozen=True)
-class CellLight:
-    """Light of all cells during the exposure of each pixel row."""
-
-    # (rows, n, n) relative light of each cell
-    cells: Floats
-    # Numbers of the visible patterns in temporal order
-    patterns: tuple[int, ...]
-
-
-def cell_light(lighting: Lighting, emitter: EmitterSettings, starts_s: Floats, exposure_s: float) -> CellLight:
-    """Return the light of all cells during the exposure of each pixel row."""
+def cell_light(lighting: Lighting, emitter: EmitterSettings, starts_s: Floats, exposure_s: float) -> Floats:
+    """Return the relative light of all cells during the exposure of each pixel row, (rows, n, n)."""
     n, period = lighting.feed.side, lighting.period_s
     scan = emitter.scan_s * np.arange(n) / n if emitter.scan_s else np.zeros(1)
     reach = 8.0 * emitter.response_s + scan[-1]  # 3e-4 of a step is left
@@ -40,15 +28,14 @@ def cell_light(lighting: Lighting, emitter: EmitterSettings, starts_s: Floats, e
     last = int(np.floor((starts_s.max() + exposure_s - lighting.start_s) / period))
     numbers = [k for k in range(first, last + 1) if lighting.feed.at(k) is not None]
     if not numbers:
-        return CellLight(np.zeros((len(starts_s), n, n)), ())
+        return np.zeros((len(starts_s), n, n))
     begins = lighting.start_s + np.array(numbers) * period
     shown = np.stack([_displayed(lighting, k, t + period / 2) for k, t in zip(numbers, begins, strict=True)])
     # the rows of the display change in turn
     since = starts_s[:, None, None] - begins - scan[:, None]
     weights = _weights(since, period, emitter, exposure_s, starts_s[:, None, None])
-    cells = np.einsum("ruk,kuv->ruv", np.broadcast_to(weights, (len(starts_s), n, len(numbers))), shown, optimize=True)
-    visible = [k for k, w in zip(numbers, weights.max((0, 1)), strict=True) if w > 0]
-    return CellLight(cells, tuple(visible))
+    weights = np.broadcast_to(weights, (len(starts_s), n, len(numbers)))
+    return np.asarray(np.einsum("ruk,kuv->ruv", weights, shown, optimize=True))
 
 
 def _displayed(lighting: Lighting, number: int, middle_s: float) -> Floats:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.channel.background import Painter
-from heliograph.channel.exposure import Lighting, Shown
+from heliograph.channel.exposure import Lighting, Lit
 from heliograph.channel.motion import Motion
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
 from heliograph.channel.settings import MIN_DISTANCE_M, CameraSettings, ChannelSettings
@@ -77,12 +77,12 @@ class ArrayView:
     # (b,) direction of the LED rows in the image, as in `ArrayTruth`
     roll_rad: Floats
 
-    def truth(self, k: int, shown: Shown | None) -> ArrayTruth:
+    def truth(self, k: int, lit: Lit | None) -> ArrayTruth:
         """Return the truth of a frame."""
         plane = self.homography[k]
-        x, y = (plane[:2, 2] / plane[2, 2]).tolist()
-        shape = (float(self.pitch_px[k]), float(self.roll_rad[k]), plane, float(plane[2, 2]))
-        return ArrayTruth(x, y, *shape, bool(self.ahead[k] and self.inside[k]), shown.patterns if shown else ())
+        (x, y), depth_m = (plane[:2, 2] / plane[2, 2]).tolist(), float(plane[2, 2])
+        visible, patterns = bool(self.ahead[k] and self.inside[k]), lit.patterns if lit else ()
+        return ArrayTruth(x, y, float(self.pitch_px[k]), float(self.roll_rad[k]), plane, depth_m, visible, patterns)
 
 
 @dataclass(frozen=True)
