@@ -201,33 +201,29 @@ def _draw_lamp(canvas: _Canvas, side: int, at: float, light: float, night: bool)
                 255 if night else 70)  # fmt: skip
 
 
-@compiled(error_model="numpy")
+@compiled()
 def warp(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    first: Gray,
-    second: Gray,
-    weight: float,
-    affine: NDArray[np.float64],
+    light: NDArray[np.float32], corner: tuple[int, int], image: NDArray[np.float32], affine: NDArray[np.float64]
 ) -> None:
-    """Write a bilinear interpolation between two images into a window of the light."""
-    height, width = light.shape
-    last_x, last_y = first.shape[1] - 1.001, first.shape[0] - 1.001  # the right and lower neighbours exist
-    w, scale = np.float32(weight), np.float32(affine[2, 2])
-    for i in range(height):
+    """Write a bilinear interpolation of an image into a window of the light."""
+    width, pixels = light.shape[1], image.ravel()
+    last_x, last_y = image.shape[1] - 1.001, image.shape[0] - 1.001  # the right and lower neighbours exist
+    scale, right, below = np.float32(affine[2, 2]), np.uint64(1), np.uint64(image.shape[1])
+    place, fx, fy = np.empty(width, np.uint64), np.empty(width, np.float32), np.empty(width, np.float32)
+    for i in range(light.shape[0]):
+        row = light[i]
         bx = affine[0, 1] * (i + corner[1]) + affine[0, 2]
         by = affine[1, 1] * (i + corner[1]) + affine[1, 2]
         for j in range(width):
             x = min(max(affine[0, 0] * (j + corner[0]) + bx, 0.0), last_x)
             y = min(max(affine[1, 0] * (j + corner[0]) + by, 0.0), last_y)
-            u, v = int(x), int(y)
-            fx, fy = np.float32(x - u), np.float32(y - v)
-            p, q = np.float32(first[v, u]), np.float32(first[v, u + 1])
-            r, s = np.float32(first[v + 1, u]), np.float32(first[v + 1, u + 1])
-            p, q = p + w * (np.float32(second[v, u]) - p), q + w * (np.float32(second[v, u + 1]) - q)
-            r, s = r + w * (np.float32(second[v + 1, u]) - r), s + w * (np.float32(second[v + 1, u + 1]) - s)
-            upper = p + fx * (q - p)
-            light[i, j] = scale * (upper + fy * (r + fx * (s - r) - upper))
+            place[j] = int(y) * image.shape[1] + int(x)
+            fx[j], fy[j] = np.float32(x - int(x)), np.float32(y - int(y))
+        for j in range(width):
+            k = place[j]
+            upper = pixels[k] + fx[j] * (pixels[k + right] - pixels[k])
+            lower = pixels[k + below] + fx[j] * (pixels[k + below + right] - pixels[k + below])
+            row[j] = scale * (upper + fy[j] * (lower - upper))
 
 
 def image_motion(
@@ -254,8 +250,8 @@ class Clip:
         self._source = (cover_size(frame, size) for frame in itertools.islice(footage.frames(), max_frames))
         self._frames: list[Gray] = []
 
-    def at(self, time_s: float) -> tuple[Gray, Gray, float]:
-        """Return the frames before and after a time, and the weight of the second frame, 0 to 1."""
+    def at(self, time_s: float) -> NDArray[np.float32]:
+        """Return the frame at a time, interpolated between the frames before and after."""
         place = max(time_s, 0.0) * self._rate_hz
         number = int(place)
         self._frames += itertools.islice(self._source, max(0, number + 2 - len(self._frames)))
@@ -263,7 +259,8 @@ class Clip:
             raise SettingsError("the footage has no frames")
         period = max(2 * (len(self._frames) - 1), 1)
         first, second = (self._frames[min(n % period, period - n % period)] for n in (number, number + 1))
-        return first, second, place - number
+        # the difference of uint8 levels needs a sign
+        return first + np.float32(place - number) * (second.astype(np.float32) - first)
 
 
 def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
@@ -315,8 +312,8 @@ def _still_background(draw: Callable[[tuple[int, int], np.random.Generator], Gra
     """Return the maker of the painter of a drawn scene at a distance of 300 m."""
 
     def make(scenery: Scenery) -> Painter:
-        scene = draw(scenery.size, scenery.rng)
-        return _painter(scenery, lambda _: (scene, scene, 0.0), 300.0)
+        scene = draw(scenery.size, scenery.rng).astype(np.float32)
+        return _painter(scenery, lambda _: scene, 300.0)
 
     return make
 
@@ -340,7 +337,7 @@ def background(settings: ChannelSettings, footage: Footage | None, rng: np.rando
     return painter
 
 
-def _painter(scenery: Scenery, images: Callable[[float], tuple[Gray, Gray, float]], depth_m: float) -> Painter:
+def _painter(scenery: Scenery, image_at: Callable[[float], NDArray[np.float32]], depth_m: float) -> Painter:
     camera, size, gain = scenery.settings.camera, scenery.size, scenery.settings.background.gain / 255
 
     def paint(
@@ -348,6 +345,6 @@ def _painter(scenery: Scenery, images: Callable[[float], tuple[Gray, Gray, float
     ) -> None:
         affine = image_motion(pose, index, camera, size, depth_m)
         affine[2, 2] = gain
-        warp(light, corner, *images(time_s), affine)
+        warp(light, corner, image_at(time_s), affine)
 
     return paint

@@ -12,7 +12,7 @@ from heliograph.channel.background import Footage, background
 from heliograph.channel.exposure import Faults, Lighting, PatternFeed
 from heliograph.channel.motion import ImuTrace, film_duration, motion
 from heliograph.channel.render import Canvas, render
-from heliograph.channel.sensor import developed
+from heliograph.channel.sensor import read_out
 from heliograph.channel.settings import EXPOSURE_SLACK, ChannelSettings
 from heliograph.channel.still import StillLight
 from heliograph.channel.transfer import Transfer
@@ -86,7 +86,7 @@ def _shoot(scene: FilmScene, roi: int | None) -> Iterator[tuple[Frame, Truth]]:
             time_s = float(block.times_s[k, 1])
             if camera.gain_swing or camera.white_balance_swing:
                 light *= np.float32(camera.gain(time_s) * surroundings_gain(settings, time_s))
-            pixels = developed(light, settings.sensor, scene.seed, index, (x, y))
+            pixels = read_out(light, settings.sensor, scene.seed, index, (x, y))
             stamp_s = camera.start_s + index / camera.fps + float(block.late_s[k])
             delivered = transfer(Frame(index, stamp_s, pixels, settings.sensor.bits, (x, y)))
             if delivered is not None:

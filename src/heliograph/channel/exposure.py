@@ -102,7 +102,7 @@ class Faults:
             v, u = np.meshgrid(*2 * [(np.arange(side) + 0.5) / side])
             gains[(v > left) & (v < right) & (u > top) & (u < bottom)] = 0
         stuck = (order >= n_dead) & (order < n_dead + n_stuck)
-        return cls((order >= n_dead) * gains, stuck * gains, place.off_s)
+        return cls(np.where(order >= n_dead, gains, 0), np.where(stuck, gains, 0), place.off_s)
 
     def visible(self, on: Floats) -> Floats:
         """Return the visible light of each LED, (k, n, n), nominally 0 to 1."""

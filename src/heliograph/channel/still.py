@@ -1,6 +1,7 @@
 """Fast rendering of static scenes: light = base + sum over LEDs of level times LED image."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -13,17 +14,10 @@ from heliograph.channel.render import Canvas, add_array, level_of, render
 from heliograph.channel.scene import centre_scale, project
 from heliograph.channel.settings import ChannelSettings
 from heliograph.channel.truth import ArrayTruth
-from heliograph.channel.views import ArrayView, FilmScene, FrameBlock
+from heliograph.channel.views import FilmScene, FrameBlock
 
-
-@dataclass(frozen=True, slots=True)
-class LedImages:
-    """Images of the LEDs of an array."""
-
-    # (n, n, s, s) float32 light of each LED at level 1, in full scales
-    light: NDArray[np.float32]
-    # (n, n, 2) int64 sensor position x, y of the first pixel of each image
-    corners: NDArray[np.int64]
+LedImages = tuple[NDArray[np.float32], NDArray[np.int64]]
+"""Light of each LED of an array at level 1 in full scales, (n, n, s, s), and first pixels (x, y), (n, n, 2)."""
 
 
 @dataclass(slots=True)
@@ -33,7 +27,7 @@ class StillLight:
     scene: FilmScene
     _view: tuple[bytes, ...] = ()
     _base: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0), np.float32))
-    _images: tuple[LedImages | None, ...] = ()
+    _images: Sequence[LedImages | None] = ()
 
     def take(self, block: FrameBlock, window: NDArray[np.int64]) -> bool:
         """Prepare a block of frames; return True if the scene is static and `render` applies."""
@@ -55,7 +49,12 @@ class StillLight:
             canvas = Canvas(np.empty((last_y - y + 1, last_x - x + 1), np.float32), (x, y))
             render(self.scene, block, 0, canvas, with_leds=False)
             self._base, self._view = canvas.light, state
-            self._images = tuple(self._images_of(array, view, canvas) for array, view in enumerate(views))
+            self._images = [
+                led_images(settings, view.homography[0], view.eye[0], lighting.feed.side)
+                if view.ahead[0] and canvas.meets(view.panel.box[0])
+                else None
+                for view, lighting in zip(views, self.scene.lightings, strict=True)
+            ]
         return True
 
     def render(self, block: FrameBlock, k: int, canvas: Canvas) -> tuple[ArrayTruth, ...]:
@@ -66,14 +65,8 @@ class StillLight:
         for array, (lit, images) in enumerate(zip(shown, self._images, strict=True)):
             if lit is not None and images is not None:
                 levels = level_of(self.scene.settings, array, middle) * lit.moments(start, end)[0]
-                add_images(canvas.light, canvas.corner, levels.astype(np.float32), images.light, images.corners)
+                add_images(canvas.light, canvas.corner, levels.astype(np.float32), *images)
         return tuple(view.truth(k, lit) for view, lit in zip(block.views, shown, strict=True))
-
-    def _images_of(self, array: int, view: ArrayView, canvas: Canvas) -> LedImages | None:
-        if not (view.ahead[0] and canvas.meets(view.panel.box[0])):
-            return None
-        side = self.scene.lightings[array].feed.side
-        return led_images(self.scene.settings, view.homography[0], view.eye[0], side)
 
 
 def led_images(settings: ChannelSettings, plane: Floats, eye: Floats, side: int) -> LedImages:
@@ -98,8 +91,7 @@ def led_images(settings: ChannelSettings, plane: Floats, eye: Floats, side: int)
         canvas = Canvas(images[u, v], (int(corners[u, v, 0]), int(corners[u, v, 1])))
         add_array(settings, plane, np.zeros((3, 3)), eye, (level, zero, zero), canvas)
     # remove the rows and columns that are dark in all images
-    lit = images.any((0, 1))
-    i, j = np.flatnonzero(lit.any(1)), np.flatnonzero(lit.any(0))
+    i, j = (np.flatnonzero(images.any(axes)) for axes in ((0, 1, 3), (0, 1, 2)))
     if not i.size:
-        return LedImages(images, corners)
-    return LedImages(images[:, :, i[0] : i[-1] + 1, j[0] : j[-1] + 1].copy(), corners + np.array([j[0], i[0]]))
+        return images, corners
+    return images[:, :, i[0] : i[-1] + 1, j[0] : j[-1] + 1].copy(), corners + np.array([j[0], i[0]])

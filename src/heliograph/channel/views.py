@@ -165,11 +165,10 @@ def windows(block: FrameBlock, camera: CameraSettings, roi: int | None) -> NDArr
     full = np.array([0, 0, camera.width - 1, camera.height - 1])
     if roi is None:
         return np.tile(full, (len(block.index), 1))
-    low = np.full((len(block.index), 2), np.inf)
-    high = -low
-    for view in block.views:
-        low = np.where(view.ahead[:, None], np.minimum(low, np.floor(view.bounds[:, 0])), low)
-        high = np.where(view.ahead[:, None], np.maximum(high, np.ceil(view.bounds[:, 1])), high)
+    hidden = np.array([[np.inf], [-np.inf]])
+    bounds = [np.where(view.ahead[:, None, None], view.bounds, hidden) for view in block.views]
+    low = np.floor(np.min([edges[:, 0] for edges in bounds], 0, initial=np.inf))
+    high = np.ceil(np.max([edges[:, 1] for edges in bounds], 0, initial=-np.inf))
     none = np.isinf(low)  # no array: a pixel in the corner
     edges = np.hstack([np.where(none, 0, low - roi), np.where(none, 0, high + roi)])
     parts = np.clip(edges, 0, np.tile(full[2:], 2)).astype(np.int64)

@@ -5,8 +5,6 @@
 differs from the next sequence phase, which separates identities if the position is unknown.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,32 +22,17 @@ IDENTITIES = CHIPS * len(HEADER_POLYNOMIALS)
 """Number of identities: 15 cyclic phases for each of two polynomials."""
 
 
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """Array identity: M-sequence polynomial and cyclic phase."""
-
-    # Coefficients as bits, bit i for x^i; an element of `HEADER_POLYNOMIALS`
-    polynomial: int
-    # Cyclic advance in chips, 0 to 14
-    phase: int
-
-    @property
-    def number(self) -> int:
-        """Identity number I = 15 q + s, 0 to 29, with polynomial index q and phase s."""
-        return HEADER_POLYNOMIALS.index(self.polynomial) * CHIPS + self.phase
-
-
-def identity(number: int) -> Identity:
-    """Return the identity for a number from 0 to 29; raise a ValueError for other numbers."""
+def identity(number: int) -> tuple[int, int]:
+    """Return the polynomial and the cyclic advance in chips, 0 to 14, for an identity number I = 15 q + s."""
     if not 0 <= number < IDENTITIES:
         raise ValueError(f"an identity is 0 to {IDENTITIES - 1}, not {number}")
-    return Identity(HEADER_POLYNOMIALS[number // CHIPS], number % CHIPS)
+    return HEADER_POLYNOMIALS[number // CHIPS], number % CHIPS
 
 
 def header_cells(number: int) -> NDArray[np.int8]:
     """Return the header cells, (4, 4) int8: +1 lit, -1 dark. The sum is 0."""
-    who = identity(number)
-    chips = np.append(np.roll(m_sequence(who.polynomial), -who.phase), 0)
+    polynomial, phase = identity(number)
+    chips = np.append(np.roll(m_sequence(polynomial), -phase), 0)
     cells = chips.reshape(CELLS, CELLS)
     cells[1::2] = cells[1::2, ::-1]  # odd rows run from right to left
     return 2 * cells.astype(np.int8) - 1
