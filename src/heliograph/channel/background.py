@@ -13,7 +13,7 @@ from heliograph.base.arrays import Gray
 from heliograph.base.compiled import compiled
 from heliograph.base.errors import SettingsError
 from heliograph.channel.parts import BACKGROUNDS
-from heliograph.channel.scene import CameraPose
+from heliograph.channel.scene import CameraPose, Corner, Light
 from heliograph.channel.settings import CameraSettings, ChannelSettings
 
 
@@ -202,9 +202,7 @@ def _draw_lamp(canvas: _Canvas, side: int, at: float, light: float, night: bool)
 
 
 @compiled()
-def warp(
-    light: NDArray[np.float32], corner: tuple[int, int], image: NDArray[np.float32], affine: NDArray[np.float64]
-) -> None:
+def warp(light: Light, corner: Corner, image: NDArray[np.float32], affine: NDArray[np.float64]) -> None:
     """Write a bilinear interpolation of an image into a window of the light."""
     width, pixels = light.shape[1], image.ravel()
     last_x, last_y = image.shape[1] - 1.001, image.shape[0] - 1.001  # the right and lower neighbours exist
@@ -274,7 +272,7 @@ def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
     return np.ascontiguousarray(scaled[top : top + size[0], left : left + size[1]])
 
 
-Painter = Callable[[NDArray[np.float32], tuple[int, int], float, CameraPose, tuple[int, ...]], None]
+Painter = Callable[[Light, Corner, float, CameraPose, tuple[int, ...]], None]
 """Writes the background into a window of the light: (light, corner, time in s, poses, index of the pose)."""
 
 
@@ -340,9 +338,7 @@ def background(settings: ChannelSettings, footage: Footage | None, rng: np.rando
 def _painter(scenery: Scenery, image_at: Callable[[float], NDArray[np.float32]], depth_m: float) -> Painter:
     camera, size, gain = scenery.settings.camera, scenery.size, scenery.settings.background.gain / 255
 
-    def paint(
-        light: NDArray[np.float32], corner: tuple[int, int], time_s: float, pose: CameraPose, index: tuple[int, ...]
-    ) -> None:
+    def paint(light: Light, corner: Corner, time_s: float, pose: CameraPose, index: tuple[int, ...]) -> None:
         affine = image_motion(pose, index, camera, size, depth_m)
         affine[2, 2] = gain
         warp(light, corner, image_at(time_s), affine)

@@ -47,6 +47,10 @@ class PatternFeed:
         return p
 
 
+Moments = tuple[Floats, Floats, Floats]
+"""Fraction of an exposure, centroid and variance of the light of each LED, (3, n, n)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Lit:
     """Light of each LED in k pieces of an exposure, split at the PWM slots; dark times are excluded."""
@@ -60,8 +64,8 @@ class Lit:
     # Numbers of the visible patterns in temporal order
     patterns: tuple[int, ...]
 
-    def moments(self, start_s: float, end_s: float) -> tuple[Floats, Floats, Floats]:
-        """Return fraction of the exposure, centroid and variance of the light of each LED, (3, n, n)."""
+    def moments(self, start_s: float, end_s: float) -> Moments:
+        """Return the temporal moments of the light of each LED about mid-exposure."""
         # a piece of length T and centroid c has the moments T, T c and T (c^2 + T^2 / 12)
         length, centre = self.end_s - self.start_s, (self.start_s + self.end_s) / 2 - (start_s + end_s) / 2
         rows = np.array([length, length * centre, length * (centre**2 + length**2 / 12)])

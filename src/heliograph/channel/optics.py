@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.compiled import compiled
+from heliograph.channel.exposure import Moments
 from heliograph.channel.parts import POINT_SPREADS
 from heliograph.channel.psf import PointSpread
+from heliograph.channel.scene import Box, Corner, Light, Pair
 from heliograph.channel.settings import CameraSettings, ChannelSettings
 
 LedOptics = tuple[tuple[float, float, float], tuple[float, float], Floats, float, Floats]
@@ -91,7 +93,7 @@ def _sectors(k: int, rings: int) -> tuple[float, int]:
     return 2 / 3 * (outer**3 - inner**3) / (outer**2 - inner**2) * float(np.sinc(1 / count)), count
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _phi(z: float, table: Floats) -> float:
     """Interpolate Phi(z) in the table."""
     place = (z + LIMIT_SIGMA) * PER_SIGMA
@@ -103,7 +105,7 @@ def _phi(z: float, table: Floats) -> float:
     return float(table[k] + (place - k) * (table[k + 1] - table[k]))
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _fractions(out: Floats, first: int, last: int, centre: float, sigma: float, table: Floats) -> None:
     """Write the integral of a 1-D Gaussian over each of the pixels first..last."""
     # integral over a pixel = Phi((i + 1/2 - x) / sigma) - Phi((i - 1/2 - x) / sigma)
@@ -114,7 +116,7 @@ def _fractions(out: Floats, first: int, last: int, centre: float, sigma: float, 
         low = high
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _span(centre: float, sigma: float, start: int, size: int) -> tuple[int, int]:
     """Return the first and the last pixel of a Gaussian within a window."""
     first = math.ceil(centre - REACH_SIGMA * sigma - 0.5)
@@ -122,15 +124,9 @@ def _span(centre: float, sigma: float, start: int, size: int) -> tuple[int, int]
     return max(start, first), min(start + size - 1, last)
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _deposit(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    centre: tuple[float, float],
-    sigma: tuple[float, float],
-    flux: float,
-    scratch: Floats,
-    table: Floats,
+    light: Light, corner: Corner, centre: Pair, sigma: Pair, flux: float, scratch: Floats, table: Floats
 ) -> None:
     """Add a Gaussian, integrated over each pixel."""
     left, right = _span(centre[0], sigma[0], corner[0], light.shape[1])
@@ -146,15 +142,9 @@ def _deposit(
             row[j - corner[0]] += np.float32(g * across[j - left])
 
 
-@compiled(error_model="numpy")
+@compiled()
 def add_leds(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    homography: Floats,
-    drift: Floats,
-    eye: Floats,
-    moments: tuple[Floats, Floats, Floats],
-    optics: LedOptics,
+    light: Light, corner: Corner, homography: Floats, drift: Floats, eye: Floats, moments: Moments, optics: LedOptics
 ) -> None:
     """Add the light of the LEDs of an array to a window of the image, in place."""
     n, pitch = moments[0].shape[0], optics[0][0]
@@ -167,11 +157,11 @@ def add_leds(
                 _add_led(light, corner, place, homography, drift, eye, lit, optics, scratch)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _add_led(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    place: tuple[float, float],
+    light: Light,
+    corner: Corner,
+    place: Pair,
     homography: Floats,
     drift: Floats,
     eye: Floats,
@@ -215,13 +205,9 @@ def _add_led(
         _deposit(light, corner, at, sigma, flux / halves, scratch, table)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def add_images(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    level: NDArray[np.float32],
-    images: NDArray[np.float32],
-    corners: NDArray[np.int64],
+    light: Light, corner: Corner, level: NDArray[np.float32], images: NDArray[np.float32], corners: NDArray[np.int64]
 ) -> None:
     """Add precomputed LED images to a window of the image, in place."""
     height, width = light.shape
@@ -240,16 +226,8 @@ def add_images(
                     row[j] += value * image[j]
 
 
-@compiled(error_model="numpy")
-def cover(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    inverse: Floats,
-    half: tuple[float, float],
-    box: tuple[int, int, int, int],
-    level: float,
-    table: Floats,
-) -> None:
+@compiled()
+def cover(light: Light, corner: Corner, inverse: Floats, half: Pair, box: Box, level: float, table: Floats) -> None:
     """Cover a window of the image with an opaque square panel, in place."""
     height, width = light.shape
     for y in range(max(box[1], corner[1]), min(box[3], corner[1] + height - 1) + 1):

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.channel.cells import SAMPLES, add_screen, cell_light
-from heliograph.channel.exposure import Lit
+from heliograph.channel.exposure import Lit, Moments
 from heliograph.channel.optics import add_leds, cover, normal_table, spots
 from heliograph.channel.parts import POINT_SPREADS
+from heliograph.channel.scene import Corner, Light
 from heliograph.channel.settings import MAX_MOTION_PX, CameraSettings, ChannelSettings
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, panel_view
@@ -26,9 +27,9 @@ class Canvas:
     """Window of the sensor."""
 
     # (h, w) float32 light in full scales
-    light: NDArray[np.float32]
+    light: Light
     # Sensor position (x, y) of ``light[0, 0]``
-    corner: tuple[int, int]
+    corner: Corner
 
     def meets(self, box: NDArray[np.int64]) -> bool:
         """Return True if a box on the sensor overlaps the window."""
@@ -169,12 +170,7 @@ def _add_screen(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: 
 
 
 def add_array(
-    settings: ChannelSettings,
-    plane: Floats,
-    drift: Floats,
-    eye: Floats,
-    moments: tuple[Floats, Floats, Floats],
-    canvas: Canvas,
+    settings: ChannelSettings, plane: Floats, drift: Floats, eye: Floats, moments: Moments, canvas: Canvas
 ) -> None:
     """Add the light of the LEDs of an array at a pose to a window, in place."""
     light, late, spread = moments

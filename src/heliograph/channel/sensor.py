@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from heliograph.base.compiled import compiled
 from heliograph.base.frames import Pixels
+from heliograph.channel.scene import Corner, Light
 from heliograph.channel.settings import SensorSettings
 
 _GOLDEN_64 = np.uint64(0x9E3779B97F4A7C15)
 """2^64 over the golden ratio: step of the Weyl sequence of splitmix64."""
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _mix64(x: np.uint64) -> np.uint64:
     """Mix 64 bits: the finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -26,7 +27,7 @@ def _mix64(x: np.uint64) -> np.uint64:
     return x ^ (x >> np.uint64(31))
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _mix32(x: np.uint32) -> np.uint32:
     """Mix 32 bits with low bias (finaliser and constants by C. Wellons, hash-prospector)."""
     x = np.uint32(x ^ (x >> np.uint32(16)))
@@ -36,14 +37,14 @@ def _mix32(x: np.uint32) -> np.uint32:
     return np.uint32(x ^ (x >> np.uint32(16)))
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _row_key(seed: np.uint64, frame: int, row: int) -> np.uint64:
     """Return 64 random bits for a row of a frame."""
     key = _mix64(seed + _GOLDEN_64 * np.uint64(frame + 1))
     return _mix64(key + _GOLDEN_64 * np.uint64(row + 1))
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _normal(key: np.uint64, column: int) -> np.float32:
     """Return a standard normal variable (Box-Muller) for a row key and a column, up to 6.6 sigma."""
     step = np.uint32(np.uint32(column) * np.uint32(0x9E3779B9))  # 2^32 over the golden ratio
@@ -69,7 +70,7 @@ def _normal(key: np.uint64, column: int) -> np.float32:
     return np.float32(radius * sine)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _poisson(mean: float, key: np.uint64, column: int) -> int:
     """Return a Poisson variable of small mean for a row key and a column, by inversion."""
     # 2^64 over the root 1.2207 of x^4 = x + 1: an independent step
@@ -83,11 +84,11 @@ def _poisson(mean: float, key: np.uint64, column: int) -> int:
     return count
 
 
-@compiled(error_model="numpy")
+@compiled()
 def fill_levels(
     out: NDArray[Any],
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
+    light: Light,
+    corner: Corner,
     seed: np.uint64,
     frame: int,
     scales: tuple[float, float, float, float, float],
@@ -122,9 +123,7 @@ def fill_levels(
                     row[j] = np.int32(min(max(gain * electrons + offset + half, zero), top))
 
 
-def read_out(
-    light: NDArray[np.float32], sensor: SensorSettings, seed: int, frame: int, corner: tuple[int, int] = (0, 0)
-) -> Pixels:
+def read_out(light: Light, sensor: SensorSettings, seed: int, frame: int, corner: Corner = (0, 0)) -> Pixels:
     """Return the gray levels of a frame or a window.
 
     EMVA 1288: mean mu_y = K mu_e + offset, variance sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2, before gamma.

@@ -166,9 +166,10 @@ def windows(block: FrameBlock, camera: CameraSettings, roi: int | None) -> NDArr
     if roi is None:
         return np.tile(full, (len(block.index), 1))
     hidden = np.array([[np.inf], [-np.inf]])
-    bounds = [np.where(view.ahead[:, None, None], view.bounds, hidden) for view in block.views]
-    low = np.floor(np.min([edges[:, 0] for edges in bounds], 0, initial=np.inf))
-    high = np.ceil(np.max([edges[:, 1] for edges in bounds], 0, initial=-np.inf))
+    bounds = np.array([np.where(view.ahead[:, None, None], view.bounds, hidden) for view in block.views])
+    bounds = bounds.reshape(-1, len(block.index), 2, 2)
+    low = np.floor(bounds[:, :, 0].min(0, initial=np.inf))
+    high = np.ceil(bounds[:, :, 1].max(0, initial=-np.inf))
     none = np.isinf(low)  # no array: a pixel in the corner
     edges = np.hstack([np.where(none, 0, low - roi), np.where(none, 0, high + roi)])
     parts = np.clip(edges, 0, np.tile(full[2:], 2)).astype(np.int64)

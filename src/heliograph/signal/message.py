@@ -97,24 +97,6 @@ class Carousel:
         return segments(Message(identity, layer, stream, data), self._room)
 
 
-@dataclass(slots=True)
-class _Assembly:
-    """Incomplete message: length in bytes, and segments by sequence."""
-
-    length: int
-    pieces: dict[int, bytes] = field(default_factory=dict)
-
-    def takes(self, block: Block) -> bool:
-        """Return True if the length, and the bytes of an earlier segment with the same sequence, match."""
-        return self.length == block.length and self.pieces.get(block.sequence, block.payload) == block.payload
-
-    def whole(self) -> bytes | None:
-        """Return the message bytes, or None if segments are missing."""
-        if sum(map(len, self.pieces.values())) < self.length:
-            return None
-        return b"".join(self.pieces[i] for i in sorted(self.pieces))
-
-
 _Key = tuple[int, str, int, int]
 """Identity, layer, stream, and payload bytes per block."""
 
@@ -134,7 +116,8 @@ class Reassembler:
     A block with another length or content, and the same stream number, restarts the message.
     """
 
-    _open: dict[_Key, _Assembly] = field(default_factory=dict)
+    # Message length in bytes, and segments by sequence, of incomplete messages
+    _open: dict[_Key, tuple[int, dict[int, bytes]]] = field(default_factory=dict)
     _done: dict[tuple[int, str, int], _Done] = field(default_factory=dict)
 
     def add(self, block: AnyBlock, room: int = 0) -> Message | None:
@@ -148,18 +131,19 @@ class Reassembler:
         key = (*who, room)
         if not block.length or not block.payload or self._had(key, block):
             return None
-        assembly = self._open.get(key)
-        if assembly is None or not assembly.takes(block):
-            assembly = self._open[key] = _Assembly(block.length)
-        assembly.pieces[block.sequence] = block.payload
-        data = assembly.whole()
-        if data is None:
+        length, pieces = self._open.get(key, (0, dict[int, bytes]()))
+        if length != block.length or pieces.get(block.sequence, block.payload) != block.payload:
+            pieces = {}
+            self._open[key] = block.length, pieces
+        pieces[block.sequence] = block.payload
+        if sum(map(len, pieces.values())) < block.length:
             return None
+        data = b"".join(pieces[i] for i in sorted(pieces))
         del self._open[key]
         last = self._done.get(who)
         known = last is not None and last.data == (len(data), zlib.crc32(data))
         done = last if last is not None and known else _Done((len(data), zlib.crc32(data)))
-        done.pieces[room] = {i: zlib.crc32(piece) for i, piece in assembly.pieces.items()}
+        done.pieces[room] = {i: zlib.crc32(piece) for i, piece in pieces.items()}
         self._done[who] = done
         return None if known else Message(*who, data)
 
@@ -177,4 +161,4 @@ class Reassembler:
 
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
         """Return incomplete messages: (identity, layer, stream, received bytes, message length in bytes)."""
-        return [(*key[:3], sum(map(len, a.pieces.values())), a.length) for key, a in self._open.items()]
+        return [(*key[:3], sum(map(len, pieces.values())), length) for key, (length, pieces) in self._open.items()]

@@ -91,11 +91,11 @@ class FileCarousel:
         self._who, self._first, self._most = (layer, identity), first, symbol_bytes(max(bits))
         # at most 40 bytes (section 7.2): above, the header of section 7.1 takes less than half of the block
         small = len(set(bits)) == 1 and max(bits) <= 320
-        rooms = [small_symbol_bytes(max(bits)) if small and one.code == "cauchy" else 0 for one in files]
-        keys = [_key(one, room or symbol_bytes(min(bits))) for one, room in zip(files, rooms, strict=True)]
-        self._files = [
-            (key, _encoder(one, key.size), room > 0) for one, key, room in zip(files, keys, rooms, strict=True)
-        ]
+        self._files = []
+        for file in files:
+            room = small_symbol_bytes(max(bits)) if small and file.code == "cauchy" else 0
+            key = _key(file, room or symbol_bytes(min(bits)))
+            self._files.append((key, _encoder(file, key.size), room > 0))
 
     def block(self, number: int, k: int) -> AnyFileBlock:
         """Return file block `number` in the layer, counted from 0, with `k` information bits."""
