@@ -158,15 +158,9 @@ def _add_screen(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: 
     inverses /= inverses[:, 2:, 2:]
     cells = cell_light(lighting, emitter, start_s + rows, camera.exposure_s)
     cells *= level_of(settings, array, start_s + camera.exposure_s / 2)
-    add_screen(
-        canvas.light,
-        canvas.corner,
-        box,
-        (1 - share) * inverses[before] + share * inverses[before + 1],
-        cells,
-        emitter.pitch_m,
-        POINT_SPREADS[camera.psf](camera),
-    )
+    inverses = (1 - share) * inverses[before] + share * inverses[before + 1]
+    psf = POINT_SPREADS[camera.psf](camera)
+    add_screen(canvas.light, canvas.corner, box, inverses, cells, emitter.pitch_m, psf)
 
 
 def add_array(

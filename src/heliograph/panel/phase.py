@@ -20,7 +20,6 @@ from heliograph.panel.place import UNIT, Levels, homographies, transform
 Waves = NDArray[np.complex128]
 """Amplitudes of the waves at LEDs, (rows, columns)."""
 
-
 PER_LED = 6
 """Samples per LED in the upright image; even."""
 
