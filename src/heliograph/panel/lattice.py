@@ -218,7 +218,11 @@ class _Residual:
         self._light = light[:, 0]
         self._rest = masked - self.lattice.image(self._light, background[:, 0])
         self._power = max(float(self._light @ self._light) / len(self._light), TINY)
-        self.fit = at._replace(score=_correlation(image, self._rest, mask))
+        # correlation of the pixels with the fitted image
+        pixels = image[mask > 0].astype(np.float64)
+        total = float(((pixels - pixels.mean()) ** 2).sum()) if pixels.size else 0.0
+        residual = float((self._rest[mask > 0].astype(np.float64) ** 2).sum())
+        self.fit = at._replace(score=float(np.sqrt(max(1 - residual / max(total, TINY), 0.0))))
 
     def gradient(self) -> Floats:
         """Return the gradient (9,) of the explained power, for LEDs of mean squared light 1."""
@@ -244,11 +248,3 @@ def _move(at: Fit, change: Floats, shape: Shape) -> Fit:
     limit = max(MAX_BLUR * shape.pitch(at.corners), MIN_BLUR_PX)
     blur = float(np.clip(np.sqrt(max(variance, 0.0)), MIN_BLUR_PX, limit))
     return at._replace(corners=at.corners + change[:-1].reshape(4, 2), blur=blur)
-
-
-def _correlation(image: Levels, rest: Levels, mask: Levels) -> float:
-    inside = mask > 0
-    pixels = image[inside].astype(np.float64)
-    total = float(((pixels - pixels.mean()) ** 2).sum()) if pixels.size else 0.0
-    residual = float((rest[inside].astype(np.float64) ** 2).sum())
-    return float(np.sqrt(max(1 - residual / max(total, TINY), 0.0)))

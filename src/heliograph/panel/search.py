@@ -182,7 +182,9 @@ def best_candidate(
         # starts of `quadrilaterals` are stretched already
         for stretch in (False,) if hand is None else (False, True):
             corners = refine(images[0], start, shape, stretch)
-            if is_plausible(corners, shape) and (hand is None or is_near(corners, hand, shape)):
+            # all corners are within 3 pitches of the manual corners
+            is_near = hand is None or np.linalg.norm(corners - hand, axis=1).max() <= 3.0 * shape.pitch(hand)
+            if is_near and is_plausible(corners, shape):
                 found = settle(images[:1], corners, shape, hand)
                 best = found if best is None or found.score > best.score else best
     if best is None:
@@ -198,11 +200,6 @@ def is_plausible(corners: Floats, shape: Shape) -> bool:
         return False
     along, down = pitches(corners, shape.rows, shape.columns)
     return max(along, down) <= 2.2 * min(along, down)
-
-
-def is_near(corners: Floats, hand: Floats, shape: Shape) -> bool:
-    """Return True if all corners are near the manual corners."""
-    return bool(np.linalg.norm(corners - hand, axis=1).max() <= 3.0 * shape.pitch(hand))
 
 
 def _outlines(image: Levels) -> Iterator[Floats]:
