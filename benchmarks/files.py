@@ -11,10 +11,10 @@ import argparse
 import random
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 
 from heliograph.base.errors import HeliographError
 from heliograph.measure.statistics import Count
-from heliograph.signal.fountain import raptor
 from heliograph.signal.fountain.codes import CODES, CodeName, Encoder
 
 LOSS = 0.2
@@ -77,7 +77,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=60)
     trials = parser.parse_args().trials
     rng = random.Random(11)
-    names: list[CodeName] = ["cauchy", "raptorq"] if raptor.is_there() else ["cauchy"]
+    names: list[CodeName] = ["cauchy", "raptorq"] if find_spec("raptorq") else ["cauchy"]
     for size, share in ((2_000, 1.0), (20_000, 1.0), (100_000, 0.2), (1_000_000, 0.0)):
         for name in names:
             try:

@@ -77,13 +77,13 @@ def haar_vector() -> Vector:
 
 def header_vector() -> Vector:
     def case(number: int) -> Vector:
-        who = identity(number)
-        chips = np.roll(m_sequence(who.polynomial), -who.phase)
+        polynomial, phase = identity(number)
+        chips = np.roll(m_sequence(polynomial), -phase)
         cells = header_cells(number)
         return {
             "identity": number,
-            "polynomial": f"{who.polynomial:05b}",
-            "phase": who.phase,
+            "polynomial": f"{polynomial:05b}",
+            "phase": phase,
             "chips": digits(chips),
             "cells": rows(cells > 0),
             "levels_side_8": rows(header_levels(number, 8)),

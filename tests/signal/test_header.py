@@ -11,7 +11,6 @@ from heliograph.experiments.detection.header_separation import separation, table
 from heliograph.signal.header import (
     CHIPS,
     IDENTITIES,
-    Identity,
     all_header_cells,
     all_on_levels,
     header_cells,
@@ -51,9 +50,7 @@ def test_half_of_the_array_is_lit(number: int, side: int) -> None:
 def test_identity_numbers() -> None:
     assert IDENTITIES == 30
     for number in range(IDENTITIES):
-        who = identity(number)
-        assert who.number == number
-        assert who == Identity(HEADER_POLYNOMIALS[number // 15], number % 15)
+        assert identity(number) == (HEADER_POLYNOMIALS[number // 15], number % 15)
 
 
 def test_chips_run_to_and_fro() -> None:

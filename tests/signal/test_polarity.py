@@ -7,17 +7,25 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.signal.block import unpack
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
-from heliograph.signal.polarity import balance, unbalance
+from heliograph.signal.polarity import balance
 from heliograph.signal.settings import SignalSettings
 from heliograph.transmit import Transmitter
 
 SINGLE = Format(mode="single")
 MESSAGES = {"high": [bytes(range(200))], "middle": [bytes(400)], "low": [b"low" * 90]}
+
+
+def unbalance(d11: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Return the data, (..., h, h - 1), from balanced matrices D11, (..., h, h); the inverse of `balance`."""
+    polarity = d11[..., :1].copy()
+    polarity[..., 0, :] = 1
+    return np.asarray(d11[..., 1:] * polarity)
 
 
 def random_data(half: int, count: int, seed: int) -> np.ndarray[Any, np.dtype[np.int8]]:

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from heliograph.base.arrays import Gray
 from heliograph.base.compiled import compiled
 from heliograph.base.errors import SettingsError
 from heliograph.channel.parts import BACKGROUNDS
-from heliograph.channel.scene import CameraPose
+from heliograph.channel.scene import CameraPose, Corner, Light
 from heliograph.channel.settings import CameraSettings, ChannelSettings
 
 
@@ -62,8 +63,8 @@ def _draw_building(scene: Gray, left: int, horizon: int, rng: np.random.Generato
 NEAR_M, FAR_M = 12.0, 320.0
 """Distance range of the drawn street."""
 
-KERB_M, WALL_M = 4.6, 8.0
-"""Distances from the centre of the road to the kerb and to the houses."""
+KERB_M = 4.6
+"""Distance from the centre of the road to the kerb."""
 
 FINER = 3
 """Supersampling of the drawing for smooth edges."""
@@ -105,7 +106,7 @@ def draw_street(size: tuple[int, int], rng: np.random.Generator, night: bool = F
     canvas, light = _Canvas(size), 0.16 if night else 1.0
     _draw_sky(canvas, night)
     _draw_ground(canvas, light)
-    sides = [(side, list(_lots(rng, 14.0, 30.0))) for side in (-1, 1)]
+    sides = [(side, list(_lots(rng))) for side in (-1, 1)]
     for side, lots in sides:
         for far, near in reversed(lots):
             _draw_house(canvas, side, near, far, rng, light, night)
@@ -123,11 +124,11 @@ def draw_street(size: tuple[int, int], rng: np.random.Generator, night: bool = F
     return np.asarray(cv2.resize(drawn, (size[1], size[0]), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _lots(rng: np.random.Generator, min_m: float, max_m: float) -> Iterator[tuple[float, float]]:
+def _lots(rng: np.random.Generator) -> Iterator[tuple[float, float]]:
     """Yield the far and near end of lots along the street, from near to far."""
     near = NEAR_M
     while near < FAR_M:
-        far = near + float(rng.uniform(min_m, max_m))
+        far = near + float(rng.uniform(14.0, 30.0))
         yield min(far, FAR_M), near
         near = far
 
@@ -155,7 +156,7 @@ def _draw_house(
     canvas: _Canvas, side: int, near: float, far: float, rng: np.random.Generator, light: float, night: bool
 ) -> None:
     """Draw a front along the street with rows of windows, and the gable towards the camera."""
-    x, floors = side * (WALL_M + float(rng.uniform(0, 0.8))), int(rng.integers(2, 6))
+    x, floors = side * (8.0 + float(rng.uniform(0, 0.8))), int(rng.integers(2, 6))
     top, shade = 3.1 * floors + 1.0, float(rng.uniform(70, 175))
     haze = 0.35 * near / FAR_M
     wall = (shade * (1 - haze) + 190 * haze) * light
@@ -200,69 +201,27 @@ def _draw_lamp(canvas: _Canvas, side: int, at: float, light: float, night: bool)
                 255 if night else 70)  # fmt: skip
 
 
-SHAKE_MARGIN_PX = 64
-"""Extra background on each side of the frame for shake; the edge pixels repeat further out. The image of the reference
-link moves by up to 19 px on a road of class B, 77 px on class D, and 69 px with the recorded trace."""
-
-MAX_FRAMES = 400
-"""Maximum number of footage frames in memory, 295 MB at 1024 x 512 pixels; a longer clip reverses there."""
-
-SCENE_DEPTH_M = 300.0
-"""Distance of a drawn scene, which expands by depth / (depth - travelled distance)."""
-
-STILL = ("flat", "synthetic", "street", "street-night")
-"""Kinds of background that depend only on the camera pose; others may depend on time."""
-
-
-@compiled(error_model="numpy")
-def warp(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    first: Gray,
-    second: Gray,
-    weight: float,
-    affine: NDArray[np.float64],
-) -> None:
-    """Write a bilinear interpolation between two images into a window of the light."""
-    height, width = light.shape
-    last_x, last_y = first.shape[1] - 1.001, first.shape[0] - 1.001  # the right and lower neighbours exist
-    w = np.float32(weight)
-    scale = np.float32(affine[2, 2])
-    guess = width
-    for i in range(height):
-        j = 0
+@compiled()
+def warp(light: Light, corner: Corner, image: NDArray[np.float32], affine: NDArray[np.float64]) -> None:
+    """Write a bilinear interpolation of an image into a window of the light."""
+    width, pixels = light.shape[1], image.ravel()
+    last_x, last_y = image.shape[1] - 1.001, image.shape[0] - 1.001  # the right and lower neighbours exist
+    scale, right, below = np.float32(affine[2, 2]), np.uint64(1), np.uint64(image.shape[1])
+    place, fx, fy = np.empty(width, np.uint64), np.empty(width, np.float32), np.empty(width, np.float32)
+    for i in range(light.shape[0]):
         row = light[i]
-        ax, ay = affine[0, 0], affine[1, 0]
         bx = affine[0, 1] * (i + corner[1]) + affine[0, 2]
         by = affine[1, 1] * (i + corner[1]) + affine[1, 2]
-        while j < width:
-            x0 = int(min(max(ax * (j + corner[0]) + bx, 0.0), last_x))
-            y0 = int(min(max(ay * (j + corner[0]) + by, 0.0), last_y))
-            # a run of pixels with adjacent source pixels
-            run = min(width - j, 2 * guess)
-            while run > 1:
-                e = j + run - 1 + corner[0]
-                if (
-                    int(min(max(ax * e + bx, 0.0), last_x)) == x0 + run - 1
-                    and int(min(max(ay * e + by, 0.0), last_y)) == y0
-                ):
-                    break
-                run = (run + 1) // 2
-            run = min(run, first.shape[1] - 1 - x0)
-            guess = run
-            a0, a1 = first[y0, x0 : x0 + run + 1], first[y0 + 1, x0 : x0 + run + 1]
-            b0, b1 = second[y0, x0 : x0 + run + 1], second[y0 + 1, x0 : x0 + run + 1]
-            for k in range(run):
-                c = j + k + corner[0]
-                fx = np.float32(min(max(ax * c + bx, 0.0), last_x) - (x0 + k))
-                fy = np.float32(min(max(ay * c + by, 0.0), last_y) - y0)
-                p = np.float32(a0[k]) + w * (np.float32(b0[k]) - np.float32(a0[k]))
-                q = np.float32(a0[k + 1]) + w * (np.float32(b0[k + 1]) - np.float32(a0[k + 1]))
-                r = np.float32(a1[k]) + w * (np.float32(b1[k]) - np.float32(a1[k]))
-                s = np.float32(a1[k + 1]) + w * (np.float32(b1[k + 1]) - np.float32(a1[k + 1]))
-                upper = p + fx * (q - p)
-                row[j + k] = scale * (upper + fy * (r + fx * (s - r) - upper))
-            j += run
+        for j in range(width):
+            x = min(max(affine[0, 0] * (j + corner[0]) + bx, 0.0), last_x)
+            y = min(max(affine[1, 0] * (j + corner[0]) + by, 0.0), last_y)
+            place[j] = int(y) * image.shape[1] + int(x)
+            fx[j], fy[j] = np.float32(x - int(x)), np.float32(y - int(y))
+        for j in range(width):
+            k = place[j]
+            upper = pixels[k] + fx[j] * (pixels[k + right] - pixels[k])
+            lower = pixels[k + below] + fx[j] * (pixels[k + below + right] - pixels[k + below])
+            row[j] = scale * (upper + fy[j] * (lower - upper))
 
 
 def image_motion(
@@ -283,24 +242,23 @@ def image_motion(
 class Clip:
     """Footage at the background size, read on demand, played forward and then backward."""
 
-    def __init__(self, footage: Footage, size: tuple[int, int]):
+    def __init__(self, footage: Footage, size: tuple[int, int], max_frames: int = 400):
         self._rate_hz = footage.rate_hz
-        self._source = (cover_size(frame, size) for frame in itertools.islice(footage.frames(), MAX_FRAMES))
+        # 400 frames of 1024 x 512 pixels take 295 MB
+        self._source = (cover_size(frame, size) for frame in itertools.islice(footage.frames(), max_frames))
         self._frames: list[Gray] = []
 
-    def at(self, time_s: float) -> tuple[Gray, Gray, float]:
-        """Return the frames before and after a time, and the weight of the second frame, 0 to 1."""
+    def at(self, time_s: float) -> NDArray[np.float32]:
+        """Return the frame at a time, interpolated between the frames before and after."""
         place = max(time_s, 0.0) * self._rate_hz
         number = int(place)
         self._frames += itertools.islice(self._source, max(0, number + 2 - len(self._frames)))
         if not self._frames:
             raise SettingsError("the footage has no frames")
-        return self._mirrored(number), self._mirrored(number + 1), place - number
-
-    def _mirrored(self, number: int) -> Gray:
         period = max(2 * (len(self._frames) - 1), 1)
-        number %= period
-        return self._frames[min(number, period - number)]
+        first, second = (self._frames[min(n % period, period - n % period)] for n in (number, number + 1))
+        # the difference of uint8 levels needs a sign
+        return first + np.float32(place - number) * (second.astype(np.float32) - first)
 
 
 def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
@@ -314,7 +272,7 @@ def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
     return np.ascontiguousarray(scaled[top : top + size[0], left : left + size[1]])
 
 
-Painter = Callable[[NDArray[np.float32], tuple[int, int], float, CameraPose, tuple[int, ...]], None]
+Painter = Callable[[Light, Corner, float, CameraPose, tuple[int, ...]], None]
 """Writes the background into a window of the light: (light, corner, time in s, poses, index of the pose)."""
 
 
@@ -338,9 +296,8 @@ class Scenery:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Rows and columns of the sensor with a margin for shake."""
-        camera = self.settings.camera
-        return camera.height + 2 * SHAKE_MARGIN_PX, camera.width + 2 * SHAKE_MARGIN_PX
+        """Rows and columns of the sensor with a margin of 64 px for shake; the edge pixels repeat further out."""
+        return self.settings.camera.height + 128, self.settings.camera.width + 128
 
 
 def flat_background(scenery: Scenery) -> Painter:
@@ -349,19 +306,19 @@ def flat_background(scenery: Scenery) -> Painter:
     return lambda light, *_: light.fill(level)
 
 
-def drawn_background(scenery: Scenery) -> Painter:
-    """Return the painter of a drawn street at dusk."""
-    return _still_painter(scenery, draw_scene(scenery.size, scenery.rng))
+def _still_background(draw: Callable[[tuple[int, int], np.random.Generator], Gray]) -> Callable[[Scenery], Painter]:
+    """Return the maker of the painter of a drawn scene at a distance of 300 m."""
+
+    def make(scenery: Scenery) -> Painter:
+        scene = draw(scenery.size, scenery.rng).astype(np.float32)
+        return _painter(scenery, lambda _: scene, 300.0)
+
+    return make
 
 
-def street_background(scenery: Scenery) -> Painter:
-    """Return the painter of a street in perspective by day."""
-    return _still_painter(scenery, draw_street(scenery.size, scenery.rng))
-
-
-def night_background(scenery: Scenery) -> Painter:
-    """Return the painter of a street in perspective by night."""
-    return _still_painter(scenery, draw_street(scenery.size, scenery.rng, night=True))
+drawn_background = _still_background(draw_scene)
+street_background = _still_background(draw_street)
+night_background = _still_background(partial(draw_street, night=True))
 
 
 def footage_background(scenery: Scenery) -> Painter:
@@ -378,18 +335,12 @@ def background(settings: ChannelSettings, footage: Footage | None, rng: np.rando
     return painter
 
 
-def _still_painter(scenery: Scenery, scene: Gray) -> Painter:
-    return _painter(scenery, lambda _: (scene, scene, 0.0), SCENE_DEPTH_M)
-
-
-def _painter(scenery: Scenery, images: Callable[[float], tuple[Gray, Gray, float]], depth_m: float) -> Painter:
+def _painter(scenery: Scenery, image_at: Callable[[float], NDArray[np.float32]], depth_m: float) -> Painter:
     camera, size, gain = scenery.settings.camera, scenery.size, scenery.settings.background.gain / 255
 
-    def paint(
-        light: NDArray[np.float32], corner: tuple[int, int], time_s: float, pose: CameraPose, index: tuple[int, ...]
-    ) -> None:
+    def paint(light: Light, corner: Corner, time_s: float, pose: CameraPose, index: tuple[int, ...]) -> None:
         affine = image_motion(pose, index, camera, size, depth_m)
         affine[2, 2] = gain
-        warp(light, corner, *images(time_s), affine)
+        warp(light, corner, image_at(time_s), affine)
 
     return paint

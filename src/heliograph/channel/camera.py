@@ -10,9 +10,9 @@ from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
 from heliograph.channel.background import Footage, background
 from heliograph.channel.exposure import Faults, Lighting, PatternFeed
-from heliograph.channel.motion import ImuTrace, Motion, film_duration, motion
+from heliograph.channel.motion import ImuTrace, film_duration, motion
 from heliograph.channel.render import Canvas, render
-from heliograph.channel.sensor import developed
+from heliograph.channel.sensor import read_out
 from heliograph.channel.settings import EXPOSURE_SLACK, ChannelSettings
 from heliograph.channel.still import StillLight
 from heliograph.channel.transfer import Transfer
@@ -44,7 +44,16 @@ def film(
     roi_margin_px: int | None = None,
 ) -> Iterator[tuple[Frame, Truth]]:
     """Simulate a film of arrays from a moving vehicle."""
-    _check(settings, lights, pattern_period_s, slot_order, roi_margin_px)
+    if len(lights) != len(settings.arrays):
+        raise SettingsError(f"expected a pattern stream per array: {len(settings.arrays)}, not {len(lights)}")
+    if settings.camera.exposure_s > pattern_period_s * (1 + EXPOSURE_SLACK):
+        raise SettingsError(
+            f"the exposure is at most T_b = {pattern_period_s:g} s, not {settings.camera.exposure_s:g} s"
+        )
+    if sorted(slot_order) != [0, 1, 2, 3]:
+        raise SettingsError(f"the slot order is a permutation of 0 to 3, not {list(slot_order)}")
+    if roi_margin_px is not None and roi_margin_px < 0:
+        raise SettingsError(f"roi_margin_px is at least 0, not {roi_margin_px}")
     if settings.background.kind == "footage" and footage is None:
         raise SettingsError("background.kind = footage needs recorded frames: pass footage, or choose another kind")
     seeds = [int(s) for s in rng.integers(0, 2**63, 3)]
@@ -55,39 +64,15 @@ def film(
         faults = Faults.of(place, feed.side, np.random.default_rng([seeds[1], k]))
         arrays.append(Lighting(feed, place.start_s, period_s, tuple(slot_order), faults, steady))
     drive = motion(settings, imu, np.random.default_rng(seeds[0]))
-    return _shoot(settings, arrays, drive, footage, seeds[1], seeds[2], roi_margin_px)
+    paint = background(settings, footage, np.random.default_rng(seeds[1]))
+    return _shoot(FilmScene(settings, arrays, drive, paint, seeds[2]), roi_margin_px)
 
 
-def _check(
-    settings: ChannelSettings, lights: Sequence[Patterns], period_s: float, order: Sequence[int], roi: int | None
-) -> None:
-    if len(lights) != len(settings.arrays):
-        raise SettingsError(f"expected a pattern stream per array: {len(settings.arrays)}, not {len(lights)}")
-    if settings.camera.exposure_s > period_s * (1 + EXPOSURE_SLACK):
-        raise SettingsError(f"the exposure is at most T_b = {period_s:g} s, not {settings.camera.exposure_s:g} s")
-    if sorted(order) != [0, 1, 2, 3]:
-        raise SettingsError(f"the slot order is a permutation of 0 to 3, not {list(order)}")
-    if roi is not None and roi < 0:
-        raise SettingsError(f"roi_margin_px is at least 0, not {roi}")
-
-
-def _shoot(
-    settings: ChannelSettings,
-    arrays: list[Lighting],
-    drive: Motion,
-    footage: Footage | None,
-    scene_seed: int,
-    noise_seed: int,
-    roi: int | None,
-) -> Iterator[tuple[Frame, Truth]]:
-    # Numba takes half a second to import
-
-    camera, noise = settings.camera, NoiseModel(settings.sensor)
-    paint = background(settings, footage, np.random.default_rng(scene_seed))
-    scene = FilmScene(settings, arrays, drive, paint, noise_seed)
+def _shoot(scene: FilmScene, roi: int | None) -> Iterator[tuple[Frame, Truth]]:
+    settings, camera, noise = scene.settings, scene.settings.camera, NoiseModel(scene.settings.sensor)
     total = frame_count(settings)
     full = np.empty((camera.height, camera.width), np.float32)
-    transfer, still = Transfer(camera, noise_seed), StillLight(scene)
+    transfer, still = Transfer(camera, scene.seed), StillLight(scene)
     for first in range(0, total, 64):  # poses are computed in blocks
         block = frame_block(scene, np.arange(first, min(first + 64, total)))
         parts = windows(block, camera, roi)
@@ -101,9 +86,8 @@ def _shoot(
             time_s = float(block.times_s[k, 1])
             if camera.gain_swing or camera.white_balance_swing:
                 light *= np.float32(camera.gain(time_s) * surroundings_gain(settings, time_s))
-            pixels = developed(light, settings.sensor, noise_seed, index, (x, y))
+            pixels = read_out(light, settings.sensor, scene.seed, index, (x, y))
             stamp_s = camera.start_s + index / camera.fps + float(block.late_s[k])
-            frame = Frame(index, stamp_s, pixels, settings.sensor.bits, (x, y))
-            delivered = transfer(frame)
+            delivered = transfer(Frame(index, stamp_s, pixels, settings.sensor.bits, (x, y)))
             if delivered is not None:
                 yield delivered, Truth(delivered.index, float(block.times_s[k, 0]), truths, noise)

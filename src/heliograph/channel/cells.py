@@ -4,16 +4,14 @@ The light of pattern k at time t is X_k (S(t - t_k) - S(t - t_(k+1))) with the s
 the display. A pixel row integrates the light over the exposure of the row, while the backlight is on.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.compiled import compiled
 from heliograph.channel.exposure import Lighting
 from heliograph.channel.psf import PointSpread
+from heliograph.channel.scene import Box, Corner, Light
 from heliograph.channel.settings import EmitterSettings
 from heliograph.signal.pwm import SLOTS
 
@@ -21,43 +19,25 @@ SAMPLES = 3
 """Samples along a pixel side: the error of a cell edge is at most a ninth, before blur."""
 
 
-@dataclass(frozen=True)
-class CellLight:
-    """Light of all cells during the exposure of each pixel row."""
-
-    # (rows, n, n) relative light of each cell
-    cells: Floats
-    # Numbers of the visible patterns in temporal order
-    patterns: tuple[int, ...]
-
-
-def cell_light(lighting: Lighting, emitter: EmitterSettings, starts_s: Floats, exposure_s: float) -> CellLight:
-    """Return the light of all cells during the exposure of each pixel row."""
+def cell_light(lighting: Lighting, emitter: EmitterSettings, starts_s: Floats, exposure_s: float) -> Floats:
+    """Return the relative light of all cells during the exposure of each pixel row, (rows, n, n)."""
     n, period = lighting.feed.side, lighting.period_s
     scan = emitter.scan_s * np.arange(n) / n if emitter.scan_s else np.zeros(1)
     reach = 8.0 * emitter.response_s + scan[-1]  # 3e-4 of a step is left
     first = int(np.floor((starts_s.min() - reach - lighting.start_s) / period))
     last = int(np.floor((starts_s.max() + exposure_s - lighting.start_s) / period))
-    numbers = [k for k in range(first, last + 1) if lighting.feed.at(k) is not None]
-    if not numbers:
-        return CellLight(np.zeros((len(starts_s), n, n)), ())
-    begins = lighting.start_s + np.array(numbers) * period
-    shown = np.stack([_displayed(lighting, k, t + period / 2) for k, t in zip(numbers, begins, strict=True)])
+    patterns = [(k, pattern) for k in range(first, last + 1) if (pattern := lighting.feed.at(k)) is not None]
+    if not patterns:
+        return np.zeros((len(starts_s), n, n))
+    begins = lighting.start_s + np.array([k for k, _ in patterns]) * period
+    shown = np.stack([lighting.faults.visible(pattern / SLOTS) for _, pattern in patterns])
+    for off_s, on_s in lighting.faults.off_s:  # at mid-pattern
+        shown[(begins + period / 2 >= off_s) & (begins + period / 2 < on_s)] = 0
     # the rows of the display change in turn
     since = starts_s[:, None, None] - begins - scan[:, None]
     weights = _weights(since, period, emitter, exposure_s, starts_s[:, None, None])
-    cells = np.einsum("ruk,kuv->ruv", np.broadcast_to(weights, (len(starts_s), n, len(numbers))), shown, optimize=True)
-    visible = [k for k, w in zip(numbers, weights.max((0, 1)), strict=True) if w > 0]
-    return CellLight(cells, tuple(visible))
-
-
-def _displayed(lighting: Lighting, number: int, middle_s: float) -> Floats:
-    """Return the light of the cells for a pattern, (n, n); dark if the array is off at mid-pattern."""
-    pattern = lighting.feed.at(number)
-    off = any(begin <= middle_s < end for begin, end in lighting.faults.off_s)
-    if pattern is None or off:
-        return np.zeros((lighting.feed.side, lighting.feed.side))
-    return lighting.faults.visible(pattern / SLOTS)
+    weights = np.broadcast_to(weights, (len(starts_s), n, len(patterns)))
+    return np.asarray(np.einsum("ruk,kuv->ruv", weights, shown, optimize=True))
 
 
 def _weights(since: Floats, period_s: float, emitter: EmitterSettings, exposure_s: float, starts_s: Floats) -> Floats:
@@ -90,13 +70,7 @@ def _response(t: Floats, tau: float) -> Floats:
 
 
 def add_screen(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    box: tuple[int, int, int, int],
-    inverses: Floats,
-    cells: Floats,
-    pitch_m: float,
-    psf: PointSpread,
+    light: Light, corner: Corner, box: Box, inverses: Floats, cells: Floats, pitch_m: float, psf: PointSpread
 ) -> None:
     """Add the light of the cells to a window of the image, in place."""
     # 4 sigma: 6e-5 of the light is lost at an edge
@@ -118,10 +92,8 @@ def add_screen(
         light[top + rows : top + rows + height, left + columns : left + columns + width] += np.float32(fraction) * part
 
 
-@compiled(error_model="numpy")
-def fill_cells(
-    out: NDArray[np.float32], margin: int, corner: tuple[int, int], inverses: Floats, cells: Floats, pitch: float
-) -> None:
+@compiled()
+def fill_cells(out: Light, margin: int, corner: Corner, inverses: Floats, cells: Floats, pitch: float) -> None:
     """Write the mean light of the cells in each pixel of a box."""
     n = cells.shape[1]
     for i in range(cells.shape[0]):

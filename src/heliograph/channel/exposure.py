@@ -12,12 +12,6 @@ from heliograph.base.arrays import Floats
 from heliograph.channel.settings import Placement
 from heliograph.signal.pwm import SLOTS
 
-SLIVER = 1e-6
-"""Minimum length of an exposure piece in slots; shorter pieces are rounding errors of the clocks."""
-
-MAX_PATTERNS = 64
-"""Number of recent patterns in memory, enough for a rolling shutter and the response of a screen."""
-
 
 class PatternFeed:
     """Patterns of an array, read on demand."""
@@ -28,18 +22,18 @@ class PatternFeed:
         self._recent: dict[int, NDArray[np.uint8]] = {}
         self._next = 0
         self.side = 0
-        first = self.at(0)
-        if first is None:
+        if self.at(0) is None:
             raise ValueError(f"{name} has no patterns; remove the array from the scene")
 
     def at(self, number: int) -> NDArray[np.uint8] | None:
-        """Return a pattern; None beyond the end or before the last `MAX_PATTERNS`."""
+        """Return a pattern; None beyond the end or before the last 64 patterns."""
         while self._next <= number:
             pattern = next(self._source, None)
             if pattern is None:
                 break
             self._recent[self._next] = self._checked(pattern)
-            self._recent.pop(self._next - MAX_PATTERNS, None)
+            # a rolling shutter and the response of a screen need recent patterns
+            self._recent.pop(self._next - 64, None)
             self._next += 1
         return self._recent.get(number)
 
@@ -53,9 +47,13 @@ class PatternFeed:
         return p
 
 
+Moments = tuple[Floats, Floats, Floats]
+"""Fraction of an exposure, centroid and variance of the light of each LED, (3, n, n)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Lit:
-    """Light of each LED in k pieces of an exposure, split at the PWM slots."""
+    """Light of each LED in k pieces of an exposure, split at the PWM slots; dark times are excluded."""
 
     # (k,) true start of each piece in s
     start_s: Floats
@@ -66,11 +64,15 @@ class Lit:
     # Numbers of the visible patterns in temporal order
     patterns: tuple[int, ...]
 
-    def moments(self, start_s: float, end_s: float) -> tuple[Floats, Floats, Floats]:
-        """Return the temporal moments of the light of each LED."""
-        rows = _moments(self.start_s, self.end_s, (start_s + end_s) / 2)
-        sums = (rows @ self.on.reshape(len(self.start_s), -1)).reshape(3, *self.on.shape[1:])
-        return _central(sums, end_s - start_s)
+    def moments(self, start_s: float, end_s: float) -> Moments:
+        """Return the temporal moments of the light of each LED about mid-exposure."""
+        # a piece of length T and centroid c has the moments T, T c and T (c^2 + T^2 / 12)
+        length, centre = self.end_s - self.start_s, (self.start_s + self.end_s) / 2 - (start_s + end_s) / 2
+        rows = np.array([length, length * centre, length * (centre**2 + length**2 / 12)])
+        sums = np.tensordot(rows, self.on, 1)
+        total = np.maximum(sums[0], 1e-30)  # avoids division by 0
+        late = sums[1] / total
+        return sums[0] / (end_s - start_s), late, np.maximum(sums[2] / total - late**2, 0)
 
     def split(self, max_s: float) -> "Lit":
         """Return the exposure with each piece split into equal parts."""
@@ -82,32 +84,14 @@ class Lit:
         return Lit(start, start + length, np.repeat(self.on, count, 0), self.patterns)
 
 
-def _moments(start_s: Floats, end_s: Floats, centre_s: float) -> Floats:
-    """Return temporal moments of exposure pieces about a time, (3, k)."""
-    # a piece of length T and centroid c has the moments T, T c and T (c^2 + T^2 / 12)
-    length, centre = end_s - start_s, (start_s + end_s) / 2 - centre_s
-    return np.array([length, length * centre, length * (centre**2 + length**2 / 12)])
-
-
-def _central(sums: Floats, exposure_s: float) -> tuple[Floats, Floats, Floats]:
-    """Return fraction of the exposure, centroid and variance of the light of each LED, (3, n, n)."""
-    total = np.maximum(sums[0], 1e-30)  # avoids division by 0
-    late = sums[1] / total
-    return sums[0] / exposure_s, late, np.maximum(sums[2] / total - late**2, 0)
-
-
 @dataclass(frozen=True)
 class Faults:
     """Faults of an array."""
 
-    # (n, n) bool, LEDs that are always off
-    dead: NDArray[np.bool_]
-    # (n, n) bool, LEDs that are always on, except during `off_s`
-    stuck: NDArray[np.bool_]
-    # (n, n) bool, LEDs behind an obstacle
-    hidden: NDArray[np.bool_]
-    # (n, n) relative light of each LED, nominally 1, at least 0
-    gains: Floats
+    # (n, n) light of each LED when on, nominally 1, at least 0
+    lit: Floats
+    # (n, n) light of each LED when off, nominally 0
+    dark: Floats
     # Dark intervals (from, to) in s
     off_s: tuple[tuple[float, float], ...] = ()
 
@@ -116,30 +100,17 @@ class Faults:
         """Return random faults of an array."""
         order = rng.permutation(side * side).reshape(side, side)
         n_dead, n_stuck = round(place.dead * side * side), round(place.stuck * side * side)
-        hidden = np.zeros((side, side), bool)
+        gains = np.maximum(1 + place.spread * rng.standard_normal((side, side)), 0)
         if place.hidden:
             left, top, right, bottom = place.hidden
             v, u = np.meshgrid(*2 * [(np.arange(side) + 0.5) / side])
-            hidden = (v > left) & (v < right) & (u > top) & (u < bottom)
-        gains = np.maximum(1 + place.spread * rng.standard_normal((side, side)), 0)
-        return cls(order < n_dead, (order >= n_dead) & (order < n_dead + n_stuck), hidden, gains, place.off_s)
+            gains[(v > left) & (v < right) & (u > top) & (u < bottom)] = 0
+        stuck = (order >= n_dead) & (order < n_dead + n_stuck)
+        return cls(np.where(order >= n_dead, gains, 0), np.where(stuck, gains, 0), place.off_s)
 
-    def visible(self, on: NDArray[np.bool_] | Floats, total: Floats | float = 1.0) -> Floats:
+    def visible(self, on: Floats) -> Floats:
         """Return the visible light of each LED, (k, n, n), nominally 0 to 1."""
-        lit, dark = self._light
-        return dark * total + on * (lit - dark)
-
-    @cached_property
-    def _light(self) -> tuple[Floats, Floats]:
-        """Light of each LED when on and when off, (n, n)."""
-        exposed = ~self.hidden
-        return ((~self.dead | self.stuck) & exposed) * self.gains, (self.stuck & exposed) * self.gains
-
-    @cached_property
-    def none(self) -> bool:
-        """True if all LEDs are intact, except for `off_s`."""
-        lit, dark = self._light
-        return bool((lit == 1).all() and (dark == 0).all())
+        return self.dark + on * (self.lit - self.dark)
 
     def cut(self, begin_s: float, end_s: float) -> Iterator[tuple[float, float]]:
         """Yield the parts of an interval outside `off_s`."""
@@ -167,19 +138,26 @@ class Lighting:
     # True for a constant luminance per level, as on a screen, in place of PWM slots
     steady: bool = False
 
-    def shown(self, start_s: float, end_s: float) -> "Shown | None":
-        """Return the patterns during an exposure; None if the array is dark."""
+    def shown(self, start_s: float, end_s: float) -> Lit | None:
+        """Return the light during an exposure; None if the array is dark."""
         slot_s = self.period_s / SLOTS
-        pieces: list[tuple[float, float, int, int]] = []
+        min_s = 1e-6 * slot_s  # shorter pieces are rounding errors of the clocks
+        pieces: list[tuple[float, float, int]] = []
+        on = []
         # (1), (2): x(t) = sum_k x_k g(t - k T_b); (4), (5): the shutter is open from start to end
         for slot in range(math.floor((start_s - self.start_s) / slot_s), math.ceil((end_s - self.start_s) / slot_s)):
             begin = max(start_s, self.start_s + slot * slot_s)
             end = min(end_s, self.start_s + (slot + 1) * slot_s)
             number, phase = divmod(slot, SLOTS)
-            if end - begin > SLIVER * slot_s and self.feed.at(number) is not None:
-                parts = self.faults.cut(begin, end) if self.faults.off_s else ((begin, end),)
-                pieces += [(*part, number, phase) for part in parts if part[1] - part[0] > SLIVER * slot_s]
-        return Shown(self, start_s, end_s, pieces) if pieces else None
+            pattern = self.feed.at(number) if end - begin > min_s else None
+            if pattern is not None:
+                parts = [part for part in self.faults.cut(begin, end) if part[1] - part[0] > min_s]
+                pieces += [(*part, number) for part in parts]
+                on += [self.shares[phase][pattern]] * len(parts)
+        if not pieces:
+            return None
+        begins, ends, numbers = zip(*pieces, strict=True)
+        return Lit(np.array(begins), np.array(ends), self.faults.visible(np.array(on)), tuple(dict.fromkeys(numbers)))
 
     @cached_property
     def shares(self) -> Floats:
@@ -189,51 +167,3 @@ class Lighting:
             return np.tile(levels / SLOTS, (SLOTS, 1))
         rank = np.argsort(np.asarray(self.slot_order))  # a slot is lit above this level
         return np.asarray(levels > rank[:, None], float)
-
-
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """Patterns in k pieces of an exposure, split at the PWM slots; dark times are excluded."""
-
-    lighting: Lighting
-    # True start of the exposure in s
-    start_s: float
-    # True end of the exposure in s
-    end_s: float
-    # True start and end in s, pattern number and slot of each piece, in temporal order
-    pieces: list[tuple[float, float, int, int]]
-
-    @property
-    def patterns(self) -> tuple[int, ...]:
-        """Numbers of the visible patterns in temporal order."""
-        return tuple(dict.fromkeys([piece[2] for piece in self.pieces]))
-
-    def lit(self) -> Lit:
-        """Return the light of each LED in each piece."""
-        begins, ends, numbers, phases = zip(*self.pieces, strict=True)
-        on = [self.lighting.shares[p][self._pattern(n)] for n, p in zip(numbers, phases, strict=True)]
-        return Lit(np.array(begins), np.array(ends), self.lighting.faults.visible(np.array(on)), self.patterns)
-
-    def moments(self) -> tuple[Floats, Floats, Floats]:
-        """Return the temporal moments of the light of each LED: fraction, centroid, variance."""
-        begins, ends, _, phases = np.array(self.pieces).T
-        rows = _moments(begins, ends, (self.start_s + self.end_s) / 2)
-        return _central(self._light(rows, phases), self.end_s - self.start_s)
-
-    def _light(self, rows: Floats, phases: Floats) -> Floats:
-        """Return the sums of moments of pieces, (m, k), over the lit pieces of each LED, (m, n, n)."""
-        # LEDs of equal level are lit at equal times: five sums per pattern suffice
-        shares, patterns = self.lighting.shares[phases.astype(int)], self.patterns
-        if len(patterns) == 1:
-            total = np.take(rows @ shares, self._pattern(patterns[0]), axis=1)
-        else:
-            numbers = np.array([piece[2] for piece in self.pieces])
-            parts = [np.take((rows * (numbers == n)) @ shares, self._pattern(n), axis=1) for n in patterns]
-            total = np.sum(parts, 0)
-        faults = self.lighting.faults
-        return total if faults.none else faults.visible(total, rows.sum(1)[:, None, None])
-
-    def _pattern(self, number: int) -> NDArray[np.uint8]:
-        pattern = self.lighting.feed.at(number)
-        assert pattern is not None  # by construction of the pieces
-        return pattern

@@ -86,17 +86,14 @@ class HalfCar:
 
     def ride(self, road_m: Floats, step_s: float) -> Floats:
         """Return the displacements of the car on a road, from rest at the first heights."""
-        advance, enter = _discretise(self.matrices(), step_s)
+        _, _, stiffness, tyres = matrices = self.matrices()
+        advance, enter = _discretise(matrices, step_s)
         drive = road_m @ enter.T
         state = np.zeros((len(road_m) + 1, 8))
-        state[0, :4] = self._rest(road_m[0])
+        state[0, :4] = np.linalg.solve(stiffness, tyres @ road_m[0])
         for k in range(len(road_m)):
             state[k + 1] = advance @ state[k] + drive[k]
         return state[:-1, :4]
-
-    def _rest(self, road_m: Floats) -> Floats:
-        _, _, stiffness, tyres = self.matrices()
-        return np.asarray(np.linalg.solve(stiffness, tyres @ road_m), float)
 
 
 def _discretise(matrices: tuple[Floats, ...], step_s: float) -> tuple[Floats, Floats]:

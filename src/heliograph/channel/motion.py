@@ -17,10 +17,10 @@ Shake = Callable[[Floats], Floats]
 """Times (...) in s -> (..., 4): heave in m, upward; pitch, yaw, roll in rad."""
 
 STEP_S = 2e-3
-"""Step of the half-car simulation; the image error is 0.0004 px on a road of class B, 0.0016 px on class D."""
+"""Step of the half-car simulation."""
 
 RUN_IN_S = 5.0
-"""Drive time of the half-car before time 0. The slowest mode decays as exp(-1.76 t); the image error is 0.001 px."""
+"""Drive time of the half-car before time 0; the slowest mode decays as exp(-1.76 t)."""
 
 
 @dataclass(frozen=True)
@@ -35,16 +35,9 @@ class ImuTrace:
     speed_m_s: Floats
 
     @classmethod
-    def from_columns(
-        cls,
-        t_s: ArrayLike,
-        forward_rad_s: ArrayLike,
-        right_rad_s: ArrayLike,
-        down_rad_s: ArrayLike,
-        speed_m_s: ArrayLike,
-    ) -> "ImuTrace":
-        """Join columns of equal length; the first time becomes 0."""
-        columns = [np.asarray(c, float) for c in (t_s, forward_rad_s, right_rad_s, down_rad_s, speed_m_s)]
+    def from_columns(cls, *values: ArrayLike) -> "ImuTrace":
+        """Join columns of equal length: time, roll, pitch and yaw rate, speed; the first time becomes 0."""
+        columns = [np.asarray(column, float) for column in values]
         shapes = {c.shape for c in columns}
         if len(shapes) > 1 or columns[0].ndim != 1 or columns[0].size < 32:
             raise ValueError(f"an IMU trace has columns of one length of at least 32, not {sorted(shapes)}")
@@ -84,9 +77,8 @@ class Travel:
 
     def _since_first(self, times_s: Floats) -> Floats:
         k = np.clip(np.searchsorted(self.time_s, times_s) - 1, 0, None)
-        start = np.concatenate(
-            [[0.0], np.cumsum(np.diff(self.time_s) * (self.speed_m_s[1:] + self.speed_m_s[:-1]) / 2)]
-        )
+        steps = np.diff(self.time_s) * (self.speed_m_s[1:] + self.speed_m_s[:-1]) / 2
+        start = np.concatenate([[0.0], np.cumsum(steps)])
         # ds = (v(t_k) + v(t)) / 2 dt for linear speed
         return start[k] + (self.speed_m_s[k] + self.speed(times_s)) / 2 * (times_s - self.time_s[k])
 
@@ -141,9 +133,8 @@ def imu_shake(trace: ImuTrace, trace_start_s: float, start_s: float, end_s: floa
     rate_hz = 1 / float(np.median(np.diff(trace.t_s)))
     times = np.arange(start_s - RUN_IN_S, end_s + RUN_IN_S, 1 / rate_hz)
     length = trace.t_s[-1]
-    turned = np.abs(
-        (times + trace_start_s + length) % (2 * length) - length
-    )  # a mirrored trace extends short traces smoothly
+    # a mirrored trace extends short traces smoothly
+    turned = np.abs((times + trace_start_s + length) % (2 * length) - length)
     rates = CubicSpline(trace.t_s, trace.gyro_rad_s)(turned)
     angles = CubicSpline(times, rates).antiderivative()(times)
     # below 0.3 Hz are steering and gyro drift
@@ -180,9 +171,8 @@ class Drive:
     rng: np.random.Generator
 
 
-def no_motion(drive: Drive) -> None:  # noqa: ARG001 - signature of all motions
+def no_motion(drive: Drive) -> None:
     """Return no shake."""
-    return
 
 
 def road_motion(drive: Drive) -> Shake | None:
@@ -219,9 +209,7 @@ def hand_motion(drive: Drive) -> Shake | None:
     size = rms * np.sqrt(2 / n_waves) * np.repeat([1.0, 0.1], n_waves)
 
     def shake(times_s: Floats) -> Floats:
-        angles = [
-            (size * np.sin(2 * np.pi * f * times_s[..., None] + p)).sum(-1) for f, p in zip(hz, phase, strict=True)
-        ]
-        return np.stack([np.zeros_like(times_s), *angles], -1)
+        waves = size * np.sin(2 * np.pi * hz * times_s[..., None, None] + phase)
+        return np.concatenate([np.zeros((*times_s.shape, 1)), waves.sum(-1)], -1)
 
     return shake

@@ -3,15 +3,16 @@
 import math
 from collections.abc import Callable
 from functools import cache, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.compiled import compiled
+from heliograph.channel.exposure import Moments
 from heliograph.channel.parts import POINT_SPREADS
 from heliograph.channel.psf import PointSpread
+from heliograph.channel.scene import Box, Corner, Light, Pair
 from heliograph.channel.settings import CameraSettings, ChannelSettings
 
 LedOptics = tuple[tuple[float, float, float], tuple[float, float], Floats, float, Floats]
@@ -19,43 +20,27 @@ LedOptics = tuple[tuple[float, float, float], tuple[float, float], Floats, float
 the disc (`disc_cubature`); `normal_table`."""
 
 
-class Spot(NamedTuple):
-    """Gaussian of the point-spread function for LEDs at a pose."""
-
-    # Share of the light
-    fraction: float
-    # (3, 3) map onto the sensor, shift included
-    homography: Floats
-    # (3, 3) shift; None for no shift
-    shift: Floats | None
-    # Optics of the LEDs for `add_leds`
-    optics: LedOptics
-
-
-def spots(settings: ChannelSettings, plane: Floats) -> list[Spot]:
-    """Return the Gaussians of the point-spread function for LEDs at a pose."""
-    camera, emitter, parts = settings.camera, settings.emitter, list[Spot]()
-    shape = (emitter.pitch_m, emitter.diameter_m / 2, emitter.lobe_order)
+def spots(settings: ChannelSettings, plane: Floats) -> list[tuple[float, Floats, LedOptics]]:
+    """Return share of light, (3, 3) shift and optics of the Gaussians of the point-spread function at a pose."""
+    camera, emitter = settings.camera, settings.emitter
+    shape, parts = (emitter.pitch_m, emitter.diameter_m / 2, emitter.lobe_order), []
     for fraction, shift, sigma in _gaussians(POINT_SPREADS[camera.psf], camera):
         resolution = emitter.diameter_m / 2 * camera.focal_px / plane[2, 2] / sigma
         # rounding limits the number of cubatures
         cubature = disc_cubature(2.0 ** (math.ceil(8 * math.log2(resolution)) / 8))
-        optics = (shape, (camera.focal_px, sigma), *cubature, normal_table())
-        parts.append(Spot(fraction, plane if shift is None else shift @ plane, shift, optics))
+        parts.append((fraction, shift, (shape, (camera.focal_px, sigma), *cubature, normal_table())))
     return parts
 
 
 @lru_cache(maxsize=16)
 def _gaussians(
     make: Callable[[CameraSettings], PointSpread], camera: CameraSettings
-) -> tuple[tuple[float, Floats | None, float], ...]:
-    """Return share of light, shift and width in px of the Gaussians; None for no shift."""
-    psf, parts = make(camera), []
-    for fraction, (dx, dy), sigma in zip(psf.fraction.tolist(), psf.shift_px, psf.sigma_px.tolist(), strict=True):
-        # (x + dx, y + dy, 1) Z
-        shift = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]])
-        parts.append((fraction, shift if dx or dy else None, sigma))
-    return tuple(parts)
+) -> tuple[tuple[float, Floats, float], ...]:
+    """Return share of light, shift and width in px of the Gaussians."""
+    psf = make(camera)
+    shifts = np.tile(np.eye(3), (len(psf.fraction), 1, 1))
+    shifts[:, :2, 2] = psf.shift_px
+    return tuple(zip(psf.fraction.tolist(), shifts, psf.sigma_px.tolist(), strict=True))
 
 
 REACH_SIGMA = 5.0
@@ -108,7 +93,7 @@ def _sectors(k: int, rings: int) -> tuple[float, int]:
     return 2 / 3 * (outer**3 - inner**3) / (outer**2 - inner**2) * float(np.sinc(1 / count)), count
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _phi(z: float, table: Floats) -> float:
     """Interpolate Phi(z) in the table."""
     place = (z + LIMIT_SIGMA) * PER_SIGMA
@@ -120,7 +105,7 @@ def _phi(z: float, table: Floats) -> float:
     return float(table[k] + (place - k) * (table[k + 1] - table[k]))
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _fractions(out: Floats, first: int, last: int, centre: float, sigma: float, table: Floats) -> None:
     """Write the integral of a 1-D Gaussian over each of the pixels first..last."""
     # integral over a pixel = Phi((i + 1/2 - x) / sigma) - Phi((i - 1/2 - x) / sigma)
@@ -131,7 +116,7 @@ def _fractions(out: Floats, first: int, last: int, centre: float, sigma: float, 
         low = high
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _span(centre: float, sigma: float, start: int, size: int) -> tuple[int, int]:
     """Return the first and the last pixel of a Gaussian within a window."""
     first = math.ceil(centre - REACH_SIGMA * sigma - 0.5)
@@ -139,15 +124,9 @@ def _span(centre: float, sigma: float, start: int, size: int) -> tuple[int, int]
     return max(start, first), min(start + size - 1, last)
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _deposit(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    centre: tuple[float, float],
-    sigma: tuple[float, float],
-    flux: float,
-    scratch: Floats,
-    table: Floats,
+    light: Light, corner: Corner, centre: Pair, sigma: Pair, flux: float, scratch: Floats, table: Floats
 ) -> None:
     """Add a Gaussian, integrated over each pixel."""
     left, right = _span(centre[0], sigma[0], corner[0], light.shape[1])
@@ -163,58 +142,26 @@ def _deposit(
             row[j - corner[0]] += np.float32(g * across[j - left])
 
 
-@compiled(error_model="numpy", inline="always")
-def _image(
-    h: Floats, drift: Floats, late: float, a: float, b: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """Return image (x, y), depth z and Jacobian (dx/da, dx/db, dy/da, dy/db) of a point in the array plane.
-
-    Equation (6): the homography h + late drift is that of the temporal centroid of the light.
-    """
-    ha, hb, hc = h[0, 0] + late * drift[0, 0], h[0, 1] + late * drift[0, 1], h[0, 2] + late * drift[0, 2]
-    ka, kb, kc = h[1, 0] + late * drift[1, 0], h[1, 1] + late * drift[1, 1], h[1, 2] + late * drift[1, 2]
-    za, zb, zc = h[2, 0] + late * drift[2, 0], h[2, 1] + late * drift[2, 1], h[2, 2] + late * drift[2, 2]
-    z = za * a + zb * b + zc
-    x, y = (ha * a + hb * b + hc) / z, (ka * a + kb * b + kc) / z
-    return x, y, z, (ha - x * za) / z, (hb - x * zb) / z, (ka - y * za) / z, (kb - y * zb) / z
-
-
-@compiled(error_model="numpy", inline="always")
-def _velocity(drift: Floats, a: float, b: float, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return the image velocity of a point in the array plane in px/s."""
-    vz = drift[2, 0] * a + drift[2, 1] * b + drift[2, 2]
-    vx = drift[0, 0] * a + drift[0, 1] * b + drift[0, 2] - x * vz
-    vy = drift[1, 0] * a + drift[1, 1] * b + drift[1, 2] - y * vz
-    return vx / z, vy / z
-
-
-@compiled(error_model="numpy")
+@compiled()
 def add_leds(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    homography: Floats,
-    drift: Floats,
-    eye: Floats,
-    moments: tuple[Floats, Floats, Floats],
-    optics: LedOptics,
+    light: Light, corner: Corner, homography: Floats, drift: Floats, eye: Floats, moments: Moments, optics: LedOptics
 ) -> None:
     """Add the light of the LEDs of an array to a window of the image, in place."""
-    level, late, spread = moments
-    n, pitch = level.shape[0], optics[0][0]
+    n, pitch = moments[0].shape[0], optics[0][0]
     scratch = np.empty((2, max(light.shape) + 1))
     for u in range(n):
         for v in range(n):
-            if level[u, v] != 0.0:
-                a, b = (v - (n - 1) / 2) * pitch, (u - (n - 1) / 2) * pitch
-                lit = (level[u, v], late[u, v], spread[u, v])
-                _add_led(light, corner, (a, b), homography, drift, eye, lit, optics, scratch)
+            if moments[0][u, v] != 0.0:
+                place = ((v - (n - 1) / 2) * pitch, (u - (n - 1) / 2) * pitch)
+                lit = (moments[0][u, v], moments[1][u, v], moments[2][u, v])
+                _add_led(light, corner, place, homography, drift, eye, lit, optics, scratch)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _add_led(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    place: tuple[float, float],
+    light: Light,
+    corner: Corner,
+    place: Pair,
     homography: Floats,
     drift: Floats,
     eye: Floats,
@@ -225,8 +172,16 @@ def _add_led(
     """Add the light of an LED at (a, b) in the array plane with the moments `lit`."""
     (a, b), (level, late, spread) = place, lit
     (pitch, radius, order), (focal, blur), points, rest, table = optics
-    x, y, z, xa, xb, ya, yb = _image(homography, drift, late, a, b)
-    vx, vy = _velocity(drift, a, b, x, y, z)
+    # equation (6): the homography of the temporal centroid of the light
+    h = homography + late * drift
+    z = h[2, 0] * a + h[2, 1] * b + h[2, 2]
+    x, y = (h[0, 0] * a + h[0, 1] * b + h[0, 2]) / z, (h[1, 0] * a + h[1, 1] * b + h[1, 2]) / z
+    # Jacobian and image velocity in px/s
+    xa, xb = (h[0, 0] - x * h[2, 0]) / z, (h[0, 1] - x * h[2, 1]) / z
+    ya, yb = (h[1, 0] - y * h[2, 0]) / z, (h[1, 1] - y * h[2, 1]) / z
+    vz = drift[2, 0] * a + drift[2, 1] * b + drift[2, 2]
+    vx = (drift[0, 0] * a + drift[0, 1] * b + drift[0, 2] - x * vz) / z
+    vy = (drift[1, 0] * a + drift[1, 1] * b + drift[1, 2] - y * vz) / z
     # Lambertian lobe: I ~ cos^m of the angle between array normal and camera direction
     away = math.sqrt((eye[0] - a) ** 2 + (eye[1] - b) ** 2 + eye[2] ** 2)
     lobe = (-eye[2] / away) ** order
@@ -250,29 +205,9 @@ def _add_led(
         _deposit(light, corner, at, sigma, flux / halves, scratch, table)
 
 
-@compiled(error_model="numpy")
-def draw_images(
-    images: NDArray[np.float32], corners: NDArray[np.int64], homography: Floats, eye: Floats, optics: LedOptics
-) -> None:
-    """Add the light of each LED of a static array to a separate image, in place."""
-    n, pitch, still = images.shape[0], optics[0][0], np.zeros((3, 3))
-    scratch = np.empty((2, images.shape[2] + 1))
-    for u in range(n):
-        for v in range(n):
-            a, b = (v - (n - 1) / 2) * pitch, (u - (n - 1) / 2) * pitch
-            corner = (corners[u, v, 0], corners[u, v, 1])
-            lit = (1.0, 0.0, 0.0)
-            image = images[u, v]
-            _add_led(image, corner, (a, b), homography, still, eye, lit, optics, scratch)
-
-
-@compiled(error_model="numpy")
+@compiled()
 def add_images(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    level: NDArray[np.float32],
-    images: NDArray[np.float32],
-    corners: NDArray[np.int64],
+    light: Light, corner: Corner, level: NDArray[np.float32], images: NDArray[np.float32], corners: NDArray[np.int64]
 ) -> None:
     """Add precomputed LED images to a window of the image, in place."""
     height, width = light.shape
@@ -291,16 +226,8 @@ def add_images(
                     row[j] += value * image[j]
 
 
-@compiled(error_model="numpy")
-def cover(
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
-    inverse: Floats,
-    half: tuple[float, float],
-    box: tuple[int, int, int, int],
-    level: float,
-    table: Floats,
-) -> None:
+@compiled()
+def cover(light: Light, corner: Corner, inverse: Floats, half: Pair, box: Box, level: float, table: Floats) -> None:
     """Cover a window of the image with an opaque square panel, in place."""
     height, width = light.shape
     for y in range(max(box[1], corner[1]), min(box[3], corner[1] + height - 1) + 1):

@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.channel.cells import SAMPLES, add_screen, cell_light
-from heliograph.channel.exposure import Lit, Shown
+from heliograph.channel.exposure import Lit, Moments
 from heliograph.channel.optics import add_leds, cover, normal_table, spots
 from heliograph.channel.parts import POINT_SPREADS
+from heliograph.channel.scene import Corner, Light
 from heliograph.channel.settings import MAX_MOTION_PX, CameraSettings, ChannelSettings
 from heliograph.channel.truth import ArrayTruth
-from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, PanelView, panel_view
+from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, panel_view
 from heliograph.channel.white_balance import array_gain
 
 SMEAR_PX = 0.25
@@ -26,9 +27,9 @@ class Canvas:
     """Window of the sensor."""
 
     # (h, w) float32 light in full scales
-    light: NDArray[np.float32]
+    light: Light
     # Sensor position (x, y) of ``light[0, 0]``
-    corner: tuple[int, int]
+    corner: Corner
 
     def meets(self, box: NDArray[np.int64]) -> bool:
         """Return True if a box on the sensor overlaps the window."""
@@ -36,66 +37,51 @@ class Canvas:
         return bool(box[0] < x + width and box[1] < y + height and box[2] >= x and box[3] >= y)
 
 
-def render(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> tuple[ArrayTruth, ...]:
+def render(
+    scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas, with_leds: bool = True
+) -> tuple[ArrayTruth, ...]:
     """Render the light of a frame in a window of the sensor."""
     start, middle, end = map(float, block.times_s[k])
+    views, camera = block.views, scene.settings.camera
     scene.paint(canvas.light, canvas.corner, middle, block.pose, (k, 1))
-    cells = scene.settings.emitter.shape == "cell"
     # with a rolling shutter, the row of the array centre determines the patterns
-    centres = [view.homography[k, 1, 2] / view.homography[k, 2, 2] for view in block.views]
-    late = [float(_row_times(scene.settings.camera, y)) for y in centres]
+    late = [float(_row_times(camera, view.homography[k, 1, 2] / view.homography[k, 2, 2])) for view in views]
     shown = [lighting.shown(start + t, end + t) for lighting, t in zip(scene.lightings, late, strict=True)]
-    for array in _visible_arrays(block, k, canvas):
-        view, exposed = block.views[array], shown[array]
-        _draw_array_panel(scene, array, view, k, canvas)
-        if cells:
+    # from far to near, the order of occlusion
+    for array in sorted(range(len(views)), key=lambda a: -views[a].homography[k, 2, 2]):
+        view, lit = views[array], shown[array]
+        if not (view.ahead[k] and canvas.meets(view.panel.box[k])):
+            continue
+        _cover_panel(scene, array, view, k, canvas)
+        if not with_leds:
+            continue
+        if scene.settings.emitter.shape == "cell":
             _add_screen(scene, array, view, k, start, canvas)
-        elif scene.settings.camera.row_time_s:
+        elif camera.row_time_s:
             _add_by_rows(scene, array, view, k, (start, end), canvas)
-        elif exposed is not None:
-            _add_leds(scene, array, view, k, exposed, canvas)
-    return tuple(view.truth(k, exposed) for view, exposed in zip(block.views, shown, strict=True))
+        elif lit is not None:
+            _add_leds(scene, array, view, k, lit, (start, end), canvas)
+    return tuple(view.truth(k, lit) for view, lit in zip(views, shown, strict=True))
 
 
-def lay_panels(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> None:
-    """Render background and panels of a frame in a window of the sensor."""
-    scene.paint(canvas.light, canvas.corner, float(block.times_s[k, 1]), block.pose, (k, 1))
-    for array in _visible_arrays(block, k, canvas):
-        _draw_array_panel(scene, array, block.views[array], k, canvas)
-
-
-def _visible_arrays(block: FrameBlock, k: int, canvas: Canvas) -> list[int]:
-    """Return the arrays in a window from far to near, the order of occlusion."""
-    views = block.views
-    order = sorted(range(len(views)), key=lambda a: -views[a].homography[k, 2, 2])
-    return [a for a in order if views[a].ahead[k] and canvas.meets(views[a].panel.box[k])]
-
-
-def _draw_array_panel(scene: FilmScene, array: int, view: ArrayView, k: int, canvas: Canvas) -> None:
-    """Draw the panel of an array, and the obstacle in front."""
-    _draw_panel(view.panel, k, scene.settings.emitter.panel_level, canvas)
-    _draw_obstacle(scene, array, view, k, canvas)
-
-
-def _draw_panel(panel: PanelView, k: int, level: float, canvas: Canvas) -> None:
-    half = (float(panel.half[k, 0]), float(panel.half[k, 1]))
-    left, top, right, low = map(int, panel.box[k])
-    cover(canvas.light, canvas.corner, panel.inverse[k], half, (left, top, right, low), level, normal_table())
-
-
-def _draw_obstacle(scene: FilmScene, array: int, view: ArrayView, k: int, canvas: Canvas) -> None:
-    """Draw the obstacle in front of an array; `Faults.visible` excludes the LEDs behind."""
+def _cover_panel(scene: FilmScene, array: int, view: ArrayView, k: int, canvas: Canvas) -> None:
+    """Draw the panel of an array, and the obstacle in front; `Faults` excludes the LEDs behind."""
     settings, place = scene.settings, scene.settings.arrays[array]
-    if not place.hidden:
-        return
-    left, top, right, low = (np.array(place.hidden) - 0.5) * scene.lightings[array].feed.side * settings.emitter.pitch_m
-    # move the origin of the plane to the centre of the obstacle
-    moved = np.array([[1.0, 0.0, 0.5 * (left + right)], [0.0, 1.0, 0.5 * (top + low)], [0.0, 0.0, 1.0]])
-    half = 0.5 * np.array([right - left, low - top])
-    panel = panel_view(
-        half, (view.homography[k] @ moved)[None], np.ones(1, bool), view.bounds[k][None], settings.camera.blur_px
-    )
-    _draw_panel(panel, 0, place.hidden_level, canvas)
+    parts = [(view.panel, k, settings.emitter.panel_level)]
+    if place.hidden:
+        edges = (np.array(place.hidden) - 0.5) * scene.lightings[array].feed.side * settings.emitter.pitch_m
+        low, high = edges.reshape(2, 2)
+        # move the origin of the plane to the centre of the obstacle
+        moved = np.eye(3)
+        moved[:2, 2] = 0.5 * (low + high)
+        plane, ahead = (view.homography[k] @ moved)[None], np.ones(1, bool)
+        obstacle = panel_view(0.5 * (high - low), plane, ahead, view.bounds[k][None], settings.camera.blur_px)
+        parts.append((obstacle, 0, place.hidden_level))
+    for panel, row, level in parts:
+        half_x, half_y = panel.half[row].tolist()
+        left, top, right, bottom = panel.box[row].tolist()
+        box = (left, top, right, bottom)
+        cover(canvas.light, canvas.corner, panel.inverse[row], (half_x, half_y), box, level, normal_table())
 
 
 def level_of(settings: ChannelSettings, array: int, time_s: float) -> float:
@@ -104,17 +90,13 @@ def level_of(settings: ChannelSettings, array: int, time_s: float) -> float:
 
 
 def _add_leds(
-    scene: FilmScene, array: int, view: ArrayView, k: int, shown: Shown, canvas: Canvas, lit: Lit | None = None
+    scene: FilmScene, array: int, view: ArrayView, k: int, lit: Lit, exposure: tuple[float, float], canvas: Canvas
 ) -> None:
-    """Add the LEDs of an array with the light `lit`, by default all light of the exposure.
-
-    Equation (6): r = c integral of y(t) f(t) dt.
-    """
-    start, end = shown.start_s, shown.end_s
-    settings = scene.settings
+    """Add the light of the LEDs of an array, equation (6): r = c integral of y(t) f(t) dt."""
+    (start, end), settings = exposure, scene.settings
     level = level_of(settings, array, (start + end) / 2)
     if view.motion_px[k] <= SMEAR_PX:
-        fraction, late, spread = lit.moments(start, end) if lit else shown.moments()
+        fraction, late, spread = lit.moments(start, end)
         moments = (level * fraction, late, spread)
         add_array(settings, view.homography[k], view.drift[k], view.eye[k], moments, canvas)
         return
@@ -125,7 +107,7 @@ def _add_leds(
             f"channel.arrays.{array}.vx_m_s, vy_m_s or vz_m_s, channel.speed_m_s, channel.camera.exposure_s or "
             "focal_m, or end the film before by channel.duration_s"
         )
-    lit = (lit or shown.lit()).split((end - start) * SMEAR_PX / float(view.motion_px[k]))
+    lit = lit.split((end - start) * SMEAR_PX / float(view.motion_px[k]))
     times = (lit.start_s + lit.end_s) / 2
     maps, eyes = scene.maps(array, times, scene.drive.pose(times))
     for on, length, plane, eye in zip(lit.on, lit.end_s - lit.start_s, maps, eyes, strict=True):
@@ -148,11 +130,11 @@ def _add_by_rows(
     points = np.stack([a, b, np.ones_like(a)], -1) @ view.homography[k].T
     late = _row_times(scene.settings.camera, np.rint(points[..., 1] / points[..., 2]))
     for t in np.unique(late):
-        shown = lighting.shown(exposure[0] + float(t), exposure[1] + float(t))
-        if shown is not None:
-            lit = shown.lit()
+        start, end = exposure[0] + float(t), exposure[1] + float(t)
+        lit = lighting.shown(start, end)
+        if lit is not None:
             moved = replace(view, homography=view.homography + float(t) * view.drift)
-            _add_leds(scene, array, moved, k, shown, canvas, replace(lit, on=lit.on * (late == t)))
+            _add_leds(scene, array, moved, k, replace(lit, on=lit.on * (late == t)), (start, end), canvas)
 
 
 def _add_screen(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: float, canvas: Canvas) -> None:
@@ -174,30 +156,18 @@ def _add_screen(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: 
     share = (place - before)[..., None, None]
     inverses = np.linalg.inv(maps)
     inverses /= inverses[:, 2:, 2:]
-    light = cell_light(lighting, emitter, start_s + rows, camera.exposure_s)
-    level = level_of(settings, array, start_s + camera.exposure_s / 2)
-    add_screen(
-        canvas.light,
-        canvas.corner,
-        box,
-        (1 - share) * inverses[before] + share * inverses[before + 1],
-        level * light.cells,
-        emitter.pitch_m,
-        POINT_SPREADS[camera.psf](camera),
-    )
+    cells = cell_light(lighting, emitter, start_s + rows, camera.exposure_s)
+    cells *= level_of(settings, array, start_s + camera.exposure_s / 2)
+    inverses = (1 - share) * inverses[before] + share * inverses[before + 1]
+    psf = POINT_SPREADS[camera.psf](camera)
+    add_screen(canvas.light, canvas.corner, box, inverses, cells, emitter.pitch_m, psf)
 
 
 def add_array(
-    settings: ChannelSettings,
-    plane: Floats,
-    drift: Floats,
-    eye: Floats,
-    moments: tuple[Floats, Floats, Floats],
-    canvas: Canvas,
+    settings: ChannelSettings, plane: Floats, drift: Floats, eye: Floats, moments: Moments, canvas: Canvas
 ) -> None:
     """Add the light of the LEDs of an array at a pose to a window, in place."""
     light, late, spread = moments
-    for spot in spots(settings, plane):
-        change = drift if spot.shift is None else spot.shift @ drift
-        moments = (spot.fraction * light, late, spread)
-        add_leds(canvas.light, canvas.corner, spot.homography, change, eye, moments, spot.optics)
+    for fraction, shift, optics in spots(settings, plane):
+        parts = (fraction * light, late, spread)
+        add_leds(canvas.light, canvas.corner, shift @ plane, shift @ drift, eye, parts, optics)

@@ -6,13 +6,26 @@ The axes of world and camera are right, down, forward. The world origin is the c
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.channel.settings import CameraSettings, Placement
 
 TINY_M = 1e-9
 """Minimum depth in m for divisions."""
+
+
+Light = NDArray[np.float32]
+"""Light of a window of the sensor in full scales, (rows, columns)."""
+
+Corner = tuple[int, int]
+"""Sensor position (x, y) of the first pixel of a window."""
+
+Pair = tuple[float, float]
+"""Values along x and y."""
+
+Box = tuple[int, int, int, int]
+"""First x, first y, last x, last y of pixels."""
 
 
 @dataclass(frozen=True)
@@ -49,22 +62,18 @@ def homography(
     """Return the homography of an array plane, and the camera position relative to the array."""
     tilt = rotation(*np.radians((placement.pitch_deg, placement.yaw_deg, placement.roll_deg)))
     turn = rotation(pose.pitch_rad, pose.yaw_rad, pose.roll_rad)
-    gap = _gap(pose, times_s, placement, distance_m)
+    # from camera to array centre in world axes, (..., 3) in m
+    x = placement.x_m + placement.vx_m_s * times_s
+    y = placement.y_m + placement.vy_m_s * times_s + pose.heave_m
+    z = distance_m + placement.z_offset_m + placement.vz_m_s * times_s - pose.travelled_m
+    z = np.where(np.abs(z) < TINY_M, TINY_M, z)  # camera in the plane of the array
+    gap = np.stack(np.broadcast_arrays(x, y, z), -1)
     # X_camera = R^T (P + R_a (a, b, 0)^T - C); pixel = K X_camera; a, b in m right and down in the plane
     columns = np.concatenate([np.broadcast_to(tilt[:, :2], (*gap.shape[:-1], 3, 2)), gap[..., None]], -1)
     lens = np.array(
         [[camera.focal_px, 0, (camera.width - 1) / 2], [0, camera.focal_px, (camera.height - 1) / 2], [0, 0, 1]]
     )
     return lens @ np.swapaxes(turn, -1, -2) @ columns, -gap @ tilt
-
-
-def _gap(pose: CameraPose, times_s: Floats, placement: Placement, distance_m: float) -> Floats:
-    """Return the vector from camera to array centre in world axes, (..., 3) in m."""
-    x = placement.x_m + placement.vx_m_s * times_s
-    y = placement.y_m + placement.vy_m_s * times_s + pose.heave_m
-    z = distance_m + placement.z_offset_m + placement.vz_m_s * times_s - pose.travelled_m
-    z = np.where(np.abs(z) < TINY_M, TINY_M, z)  # camera in the plane of the array
-    return np.stack(np.broadcast_arrays(x, y, z), -1)
 
 
 def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:

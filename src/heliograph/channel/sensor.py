@@ -12,23 +12,14 @@ from numpy.typing import NDArray
 
 from heliograph.base.compiled import compiled
 from heliograph.base.frames import Pixels
+from heliograph.channel.scene import Corner, Light
 from heliograph.channel.settings import SensorSettings
-
-SKEW_LIMIT = 0.2236
-"""Skewness of a Poisson variable of mean 20. Below, a normal variable with corrected skewness represents shot and dark
-noise (excess kurtosis at most 0.05); above, the Poisson variable is drawn exactly."""
 
 _GOLDEN_64 = np.uint64(0x9E3779B97F4A7C15)
 """2^64 over the golden ratio: step of the Weyl sequence of splitmix64."""
 
-_GOLDEN_32 = np.uint32(0x9E3779B9)
-"""2^32 over the golden ratio."""
 
-_POISSON_STEP = np.uint64(0xD1B54A32D192ED03)
-"""2^64 over the root 1.2207 of x^4 = x + 1: an independent step for Poisson variables."""
-
-
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _mix64(x: np.uint64) -> np.uint64:
     """Mix 64 bits: the finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -36,7 +27,7 @@ def _mix64(x: np.uint64) -> np.uint64:
     return x ^ (x >> np.uint64(31))
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _mix32(x: np.uint32) -> np.uint32:
     """Mix 32 bits with low bias (finaliser and constants by C. Wellons, hash-prospector)."""
     x = np.uint32(x ^ (x >> np.uint32(16)))
@@ -46,17 +37,17 @@ def _mix32(x: np.uint32) -> np.uint32:
     return np.uint32(x ^ (x >> np.uint32(16)))
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _row_key(seed: np.uint64, frame: int, row: int) -> np.uint64:
     """Return 64 random bits for a row of a frame."""
     key = _mix64(seed + _GOLDEN_64 * np.uint64(frame + 1))
     return _mix64(key + _GOLDEN_64 * np.uint64(row + 1))
 
 
-@compiled(error_model="numpy", inline="always")
+@compiled(inline="always")
 def _normal(key: np.uint64, column: int) -> np.float32:
     """Return a standard normal variable (Box-Muller) for a row key and a column, up to 6.6 sigma."""
-    step = np.uint32(np.uint32(column) * _GOLDEN_32)
+    step = np.uint32(np.uint32(column) * np.uint32(0x9E3779B9))  # 2^32 over the golden ratio
     first = _mix32(np.uint32(step + np.uint32(key)))
     second = _mix32(np.uint32(step + np.uint32(key >> np.uint64(32))))
     # -2 ln u of u = (first + 1/2) / 2^32: exponent and mantissa of the float, ln(1 + m) by the atanh series
@@ -79,10 +70,11 @@ def _normal(key: np.uint64, column: int) -> np.float32:
     return np.float32(radius * sine)
 
 
-@compiled(error_model="numpy")
+@compiled()
 def _poisson(mean: float, key: np.uint64, column: int) -> int:
     """Return a Poisson variable of small mean for a row key and a column, by inversion."""
-    bits = _mix64(key ^ (_POISSON_STEP * np.uint64(column + 1)))
+    # 2^64 over the root 1.2207 of x^4 = x + 1: an independent step
+    bits = _mix64(key ^ (np.uint64(0xD1B54A32D192ED03) * np.uint64(column + 1)))
     remainder = (float(bits >> np.uint64(11)) + 0.5) * 2.0**-53  # uniform in (0, 1)
     probability, count = math.exp(-mean), 0
     while remainder > probability and count < 1000:
@@ -92,11 +84,11 @@ def _poisson(mean: float, key: np.uint64, column: int) -> int:
     return count
 
 
-@compiled(error_model="numpy")
+@compiled()
 def fill_levels(
     out: NDArray[Any],
-    light: NDArray[np.float32],
-    corner: tuple[int, int],
+    light: Light,
+    corner: Corner,
     seed: np.uint64,
     frame: int,
     scales: tuple[float, float, float, float, float],
@@ -121,40 +113,31 @@ def fill_levels(
             # y = K electrons, rounded and clipped: 1/12 DN^2 of quantisation noise
             y = min(max(gain * electrons + offset + half, zero), top)
             row[j] = np.int32(y)
-        # the skewness mu / (mu + sigma^2)^1.5 is at most 0.385 / sigma, below SKEW_LIMIT above 1.72
+        # above the skewness of a Poisson variable of mean 20, the Poisson variable is drawn exactly; the skewness
+        # mu / (mu + sigma^2)^1.5 is at most 0.385 / sigma, below this limit above 1.72
         if dark < np.float32(1.8):
             for j in range(width):
                 mu = max(source[j], zero) * well
-                if zero < mu < 64 and mu > np.float32(SKEW_LIMIT) * (mu + variance) ** np.float32(1.5):
+                if zero < mu < 64 and mu > np.float32(0.2236) * (mu + variance) ** np.float32(1.5):
                     electrons = np.float32(_poisson(mu, key, j + corner[0])) + dark * _normal(key, j + corner[0])
                     row[j] = np.int32(min(max(gain * electrons + offset + half, zero), top))
 
 
-def read_out(
-    light: NDArray[np.float32], sensor: SensorSettings, seed: int, frame: int, corner: tuple[int, int] = (0, 0)
-) -> Pixels:
+def read_out(light: Light, sensor: SensorSettings, seed: int, frame: int, corner: Corner = (0, 0)) -> Pixels:
     """Return the gray levels of a frame or a window.
 
-    EMVA 1288: mean mu_y = K mu_e + offset, variance sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2.
+    EMVA 1288: mean mu_y = K mu_e + offset, variance sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2, before gamma.
     """
     if light.ndim != 2 or light.dtype != np.float32:
         raise ValueError(f"light is (h, w) float32, not {light.shape} {light.dtype}")
     out: Pixels = np.empty(light.shape, np.uint8 if sensor.bits == 8 else np.uint16)
+    if sensor.gamma != 1:
+        offset_dn = sensor.offset_dn * (1 << 12 - sensor.bits)
+        linear = read_out(light, replace(sensor, bits=12, offset_dn=offset_dn, gamma=1.0), seed, frame, corner)
+        # 12 bits as in phone sensors; gray level = full scale light^(1 / gamma)
+        table = np.rint(sensor.full_scale * (np.arange(4096) / 4095) ** (1 / sensor.gamma))
+        return table.astype(np.uint8)[linear] if sensor.bits == 8 else table.astype(np.uint16)[linear]
     levels = (sensor.gain_dn_per_e, float(sensor.offset_dn), float(sensor.full_scale))
     scales = (float(sensor.full_well_e), float(sensor.dark_noise_e), *levels)
     fill_levels(out, light, corner, np.uint64(seed), frame, scales)
     return out
-
-
-def developed(
-    light: NDArray[np.float32], sensor: SensorSettings, seed: int, frame: int, corner: tuple[int, int] = (0, 0)
-) -> Pixels:
-    """Return the gray levels of a frame after gamma correction."""
-    if sensor.gamma == 1:
-        return read_out(light, sensor, seed, frame, corner)
-    fine = replace(sensor, bits=12, offset_dn=sensor.offset_dn * (1 << 12 - sensor.bits))  # as in phone sensors
-    levels = np.arange(fine.full_scale + 1) / fine.full_scale
-    # gray level = full scale light^(1 / gamma)
-    table = np.rint(sensor.full_scale * levels ** (1 / sensor.gamma))
-    read = read_out(light, fine, seed, frame, corner)
-    return table.astype(np.uint8)[read] if sensor.bits == 8 else table.astype(np.uint16)[read]

@@ -258,13 +258,7 @@ class CameraSettings:
         return self.focal_m / self.pixel_m
 
     def gain(self, time_s: float) -> float:
-        """Return the gain of automatic exposure at a time.
-
-        Parameters
-        ----------
-        time_s
-            True time in s.
-        """
+        """Return the gain of automatic exposure at a true time."""
         return 1 + self.gain_swing * math.sin(2 * math.pi * time_s / self.gain_period_s)
 
     @property

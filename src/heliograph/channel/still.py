@@ -1,6 +1,7 @@
 """Fast rendering of static scenes: light = base + sum over LEDs of level times LED image."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -8,23 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.channel.background import STILL
-from heliograph.channel.optics import REACH_SIGMA, Spot, add_images, draw_images, spots
-from heliograph.channel.render import Canvas, lay_panels, level_of
+from heliograph.channel.optics import REACH_SIGMA, add_images, spots
+from heliograph.channel.render import Canvas, add_array, level_of, render
 from heliograph.channel.scene import centre_scale, project
 from heliograph.channel.settings import ChannelSettings
 from heliograph.channel.truth import ArrayTruth
-from heliograph.channel.views import ArrayView, FilmScene, FrameBlock
+from heliograph.channel.views import FilmScene, FrameBlock
 
-
-@dataclass(frozen=True, slots=True)
-class LedImages:
-    """Images of the LEDs of an array."""
-
-    # (n, n, s, s) float32 light of each LED at level 1, in full scales
-    light: NDArray[np.float32]
-    # (n, n, 2) int64 sensor position x, y of the first pixel of each image
-    corners: NDArray[np.int64]
+LedImages = tuple[NDArray[np.float32], NDArray[np.int64]]
+"""Light of each LED of an array at level 1 in full scales, (n, n, s, s), and first pixels (x, y), (n, n, 2)."""
 
 
 @dataclass(slots=True)
@@ -34,19 +27,34 @@ class StillLight:
     scene: FilmScene
     _view: tuple[bytes, ...] = ()
     _base: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0), np.float32))
-    _images: tuple[LedImages | None, ...] = ()
+    _images: Sequence[LedImages | None] = ()
 
     def take(self, block: FrameBlock, window: NDArray[np.int64]) -> bool:
         """Prepare a block of frames; return True if the scene is static and `render` applies."""
-        if not (_may_be_static(self.scene) and _is_static(block, window)):
+        settings, views = self.scene.settings, block.views
+        # other backgrounds may depend on time
+        is_still = settings.background.kind in ("flat", "synthetic", "street", "street-night")
+        if not is_still or settings.emitter.shape == "cell" or settings.camera.row_time_s:
             return False
-        state = _state(block, window)
+        inputs = [window, *vars(block.pose).values()]
+        inputs += [part for view in views for part in (view.homography, view.eye, view.panel.inverse)]
+        boxes = [view.panel.box[0] for view in views]
+        occludes = any((a[:2] <= b[2:]).all() and (b[:2] <= a[2:]).all() for a, b in combinations(boxes, 2))
+        moves = any(np.ptp(part, 0).any() for part in inputs) or any(view.drift.any() for view in views)
+        if occludes or moves:
+            return False
+        state = tuple(part[0].tobytes() for part in inputs)
         if state != self._view:
             x, y, last_x, last_y = map(int, window[0])
             canvas = Canvas(np.empty((last_y - y + 1, last_x - x + 1), np.float32), (x, y))
-            lay_panels(self.scene, block, 0, canvas)
+            render(self.scene, block, 0, canvas, with_leds=False)
             self._base, self._view = canvas.light, state
-            self._images = tuple(self._images_of(array, view, canvas) for array, view in enumerate(block.views))
+            self._images = [
+                led_images(settings, view.homography[0], view.eye[0], lighting.feed.side)
+                if view.ahead[0] and canvas.meets(view.panel.box[0])
+                else None
+                for view, lighting in zip(views, self.scene.lightings, strict=True)
+            ]
         return True
 
     def render(self, block: FrameBlock, k: int, canvas: Canvas) -> tuple[ArrayTruth, ...]:
@@ -54,43 +62,11 @@ class StillLight:
         start, middle, end = block.times_s[k].tolist()
         shown = [lighting.shown(start, end) for lighting in self.scene.lightings]
         np.copyto(canvas.light, self._base)
-        for array, (exposed, images) in enumerate(zip(shown, self._images, strict=True)):
-            if exposed is not None and images is not None:
-                levels = (level_of(self.scene.settings, array, middle) * exposed.moments()[0]).astype(np.float32)
-                add_images(canvas.light, canvas.corner, levels, images.light, images.corners)
-        return tuple(view.truth(k, exposed) for view, exposed in zip(block.views, shown, strict=True))
-
-    def _images_of(self, array: int, view: ArrayView, canvas: Canvas) -> LedImages | None:
-        if not (view.ahead[0] and canvas.meets(view.panel.box[0])):
-            return None
-        side = self.scene.lightings[array].feed.side
-        return led_images(self.scene.settings, view.homography[0], view.eye[0], side)
-
-
-def _may_be_static(scene: FilmScene) -> bool:
-    """Return True if the settings allow static rendering."""
-    settings = scene.settings
-    return settings.background.kind in STILL and settings.emitter.shape != "cell" and not settings.camera.row_time_s
-
-
-def _is_static(block: FrameBlock, window: NDArray[np.int64]) -> bool:
-    """Return True if pose and views are constant in a block and no array occludes another."""
-    boxes = [view.panel.box[0] for view in block.views]
-    occludes = any((a[:2] <= b[2:]).all() and (b[:2] <= a[2:]).all() for a, b in combinations(boxes, 2))
-    moves = any(np.ptp(part, 0).any() for part in _parts(block, window))
-    return not (occludes or moves or any(view.drift.any() for view in block.views))
-
-
-def _state(block: FrameBlock, window: NDArray[np.int64]) -> tuple[bytes, ...]:
-    """Return the inputs of the base and the LED images."""
-    return tuple(part[0].tobytes() for part in _parts(block, window))
-
-
-def _parts(block: FrameBlock, window: NDArray[np.int64]) -> list[Floats | NDArray[np.int64]]:
-    """Return the variables of a block, each (b, ...)."""
-    pose, views = block.pose, block.views
-    poses = [pose.travelled_m, pose.heave_m, pose.pitch_rad, pose.yaw_rad, pose.roll_rad]
-    return [window, *poses, *(part for view in views for part in (view.homography, view.eye, view.panel.inverse))]
+        for array, (lit, images) in enumerate(zip(shown, self._images, strict=True)):
+            if lit is not None and images is not None:
+                levels = level_of(self.scene.settings, array, middle) * lit.moments(start, end)[0]
+                add_images(canvas.light, canvas.corner, levels.astype(np.float32), *images)
+        return tuple(view.truth(k, lit) for view, lit in zip(block.views, shown, strict=True))
 
 
 def led_images(settings: ChannelSettings, plane: Floats, eye: Floats, side: int) -> LedImages:
@@ -100,28 +76,22 @@ def led_images(settings: ChannelSettings, plane: Floats, eye: Floats, side: int)
     places, depths = project(plane, np.stack([a.ravel(), b.ravel()], 1))
     # px/m at the nearest LED
     scale = float(np.linalg.norm(centre_scale(plane))) * (float(plane[2, 2]) / float(depths.min())) ** 2
-    parts = spots(settings, plane)
-    half = max(_reach_px(part, settings.emitter.diameter_m * scale) for part in parts)
+    diameter_px = settings.emitter.diameter_m * scale
+    reach = [
+        REACH_SIGMA * math.hypot(optics[1][1], diameter_px / 2) + diameter_px + float(np.abs(shift[:2, 2]).max())
+        for _, shift, optics in spots(settings, plane)
+    ]
+    half = math.ceil(max(reach)) + 1
     corners = np.rint(places).astype(np.int64).reshape(side, side, 2) - half
     images = np.zeros((side, side, 2 * half + 1, 2 * half + 1), np.float32)
-    for part in parts:
-        light = np.zeros_like(images)
-        draw_images(light, corners, part.homography, eye, part.optics)
-        images += np.float32(part.fraction) * light
-    return _trimmed(images, corners)
-
-
-def _reach_px(spot: Spot, diameter_px: float) -> int:
-    """Return the radius of an LED image in px, rounding of the centre included."""
-    shift = 0.0 if spot.shift is None else float(np.abs(spot.shift[:2, 2]).max())
-    return math.ceil(REACH_SIGMA * math.hypot(spot.optics[1][1], diameter_px / 2) + diameter_px + shift) + 1
-
-
-def _trimmed(images: NDArray[np.float32], corners: NDArray[np.int64]) -> LedImages:
-    """Remove the rows and columns that are dark in all images."""
-    lit: NDArray[np.bool_] = np.any(images, axis=(0, 1))
-    i, j = np.flatnonzero(lit.any(1)), np.flatnonzero(lit.any(0))
+    zero = np.zeros((side, side))
+    for u, v in np.ndindex(side, side):
+        level = zero.copy()
+        level[u, v] = 1
+        canvas = Canvas(images[u, v], (int(corners[u, v, 0]), int(corners[u, v, 1])))
+        add_array(settings, plane, np.zeros((3, 3)), eye, (level, zero, zero), canvas)
+    # remove the rows and columns that are dark in all images
+    i, j = (np.flatnonzero(images.any(axes)) for axes in ((0, 1, 3), (0, 1, 2)))
     if not i.size:
-        return LedImages(images, corners)
-    kept = images[:, :, i[0] : i[-1] + 1, j[0] : j[-1] + 1].copy()
-    return LedImages(kept, corners + np.array([j[0], i[0]]))
+        return images, corners
+    return images[:, :, i[0] : i[-1] + 1, j[0] : j[-1] + 1].copy(), corners + np.array([j[0], i[0]])

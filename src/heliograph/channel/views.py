@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.channel.background import Painter
-from heliograph.channel.exposure import Lighting, Shown
+from heliograph.channel.exposure import Lighting, Lit
 from heliograph.channel.motion import Motion
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
 from heliograph.channel.settings import MIN_DISTANCE_M, CameraSettings, ChannelSettings
@@ -77,12 +77,12 @@ class ArrayView:
     # (b,) direction of the LED rows in the image, as in `ArrayTruth`
     roll_rad: Floats
 
-    def truth(self, k: int, shown: Shown | None) -> ArrayTruth:
+    def truth(self, k: int, lit: Lit | None) -> ArrayTruth:
         """Return the truth of a frame."""
         plane = self.homography[k]
-        x, y = (plane[:2, 2] / plane[2, 2]).tolist()
-        shape = (float(self.pitch_px[k]), float(self.roll_rad[k]), plane, float(plane[2, 2]))
-        return ArrayTruth(x, y, *shape, bool(self.ahead[k] and self.inside[k]), shown.patterns if shown else ())
+        (x, y), depth_m = (plane[:2, 2] / plane[2, 2]).tolist(), float(plane[2, 2])
+        visible, patterns = bool(self.ahead[k] and self.inside[k]), lit.patterns if lit else ()
+        return ArrayTruth(x, y, float(self.pitch_px[k]), float(self.roll_rad[k]), plane, depth_m, visible, patterns)
 
 
 @dataclass(frozen=True)
@@ -165,11 +165,11 @@ def windows(block: FrameBlock, camera: CameraSettings, roi: int | None) -> NDArr
     full = np.array([0, 0, camera.width - 1, camera.height - 1])
     if roi is None:
         return np.tile(full, (len(block.index), 1))
-    low = np.full((len(block.index), 2), np.inf)
-    high = -low
-    for view in block.views:
-        low = np.where(view.ahead[:, None], np.minimum(low, np.floor(view.bounds[:, 0])), low)
-        high = np.where(view.ahead[:, None], np.maximum(high, np.ceil(view.bounds[:, 1])), high)
+    hidden = np.array([[np.inf], [-np.inf]])
+    bounds = np.array([np.where(view.ahead[:, None, None], view.bounds, hidden) for view in block.views])
+    bounds = bounds.reshape(-1, len(block.index), 2, 2)
+    low = np.floor(bounds[:, :, 0].min(0, initial=np.inf))
+    high = np.ceil(bounds[:, :, 1].max(0, initial=-np.inf))
     none = np.isinf(low)  # no array: a pixel in the corner
     edges = np.hstack([np.where(none, 0, low - roi), np.where(none, 0, high + roi)])
     parts = np.clip(edges, 0, np.tile(full[2:], 2)).astype(np.int64)

@@ -11,9 +11,6 @@ import math
 
 from heliograph.channel.settings import CameraSettings, ChannelSettings, Colour
 
-LUMA = (0.2126, 0.7152, 0.0722)
-"""Weights of red, green and blue in luma (Rec. ITU-R BT.709)."""
-
 
 def luma_gain(camera: CameraSettings, gamma: float, colour: Colour, time_s: float) -> float:
     """Return the factor of white balance on the light of a colour, 1 for a constant balance."""
@@ -21,8 +18,9 @@ def luma_gain(camera: CameraSettings, gamma: float, colour: Colour, time_s: floa
         return 1.0
     swing = camera.white_balance_swing * math.sin(2 * math.pi * time_s / camera.white_balance_period_s)
     gains = (1 + swing, 1.0, 1 - swing)
-    luma = sum(w * (a * c) ** (1 / gamma) for w, a, c in zip(LUMA, gains, colour, strict=True))
-    reference = sum(w * c ** (1 / gamma) for w, c in zip(LUMA, colour, strict=True))
+    weights = (0.2126, 0.7152, 0.0722)  # of red, green and blue in luma (Rec. ITU-R BT.709)
+    luma = sum(w * (a * c) ** (1 / gamma) for w, a, c in zip(weights, gains, colour, strict=True))
+    reference = sum(w * c ** (1 / gamma) for w, c in zip(weights, colour, strict=True))
     return (luma / reference) ** gamma
 
 

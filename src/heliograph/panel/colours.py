@@ -1,7 +1,6 @@
 """Crosstalk between the colours of a panel: blind estimation and removal."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -17,30 +16,6 @@ Bits = NDArray[np.bool_]
 
 STATES = np.array(list(product((0.0, 1.0), repeat=COLOURS)))
 """States (8, 3) of an LED with three colours."""
-
-STEPS = np.array([step for step in product((-1.0, 0.0, 1.0), repeat=COLOURS) if step > (0.0, 0.0, 0.0)])
-"""Steps (13, 3) between two states, up to the sign."""
-
-
-@dataclass(frozen=True, slots=True)
-class UnmixingTuning:
-    """Parameters of the estimation of crosstalk."""
-
-    # Number of random starts, in addition to the regular starts
-    n_starts: int = 40
-    # Number of LEDs for the choice of the best start
-    n_values: int = 2000
-    # Maximum alternations of decisions and least squares
-    max_steps: int = 60
-    # Fraction of the darkest LEDs
-    extreme: float = 0.02
-    # Minimum step between two states in standard deviations of the residual; a split of noise has 2.7
-    min_separation: float = 3.3
-    # Minimum LEDs with a colour on, and with a colour off
-    min_count: int = 4
-
-
-TUNING = UnmixingTuning()
 
 
 class UnmixedColours(NamedTuple):
@@ -108,10 +83,15 @@ def unmix_colours(values: Any, start: Any = None, full_scale: float | None = Non
     """
     levels = _levels(values)
     flat = levels.reshape(-1, COLOURS)
-    top = np.inf if full_scale is None else _full_scale(full_scale)
-    guess = _start(start)
+    top = np.inf
+    if full_scale is not None:
+        top = float(matrix_of(full_scale, (), "full_scale is a level, such as 250"))
+    guess = None
+    if start is not None:
+        rule = "start is a matrix (3, 3): the response of each channel (row) to each colour (column)"
+        guess = matrix_of(start, (COLOURS, COLOURS), rule)
     rng = np.random.default_rng(0)
-    few = flat if len(flat) <= TUNING.n_values else flat[rng.choice(len(flat), TUNING.n_values, replace=False)]
+    few = flat if len(flat) <= 2000 else flat[rng.choice(len(flat), 2000, replace=False)]
     best: tuple[float, Floats] | None = None
     for mixing in _initial_mixings(few, guess, rng):
         cost, mixing = _alternate(few, mixing, top)
@@ -134,7 +114,7 @@ def unmix_colours(values: Any, start: Any = None, full_scale: float | None = Non
 def _alternate(levels: Floats, mixing: Floats, top: float) -> tuple[float, Floats]:
     """Alternate decisions and least squares; return the sum of squares and the mixing (3, 4)."""
     bits = _decide(levels, mixing, top)
-    for _ in range(TUNING.max_steps):
+    for _ in range(60):
         known = np.column_stack([bits, np.ones(len(bits))])
         # a clipped level may be higher
         aim = np.where(levels >= top, np.maximum(levels, known @ mixing.T), levels)
@@ -163,22 +143,24 @@ def _is_separated(levels: Floats, mixing: Floats, top: float) -> bool:
     """Return True if each colour is on and off often enough, and no step between states is a split of noise."""
     bits = _decide(levels, mixing, top)
     on = bits.sum(axis=0)
-    if min(on.min(), (len(bits) - on).min()) < TUNING.min_count:
+    if min(on.min(), (len(bits) - on).min()) < 4:
         return False
     matrix = mixing[:, :COLOURS]
     known = np.column_stack([bits, np.ones(len(bits))])
     if np.linalg.matrix_rank(known) <= COLOURS or np.linalg.cond(matrix) > 1 / RCOND:
         return False
-    steps = matrix @ STEPS.T
+    # between two states, up to the sign
+    differences = np.array([step for step in product((-1.0, 0.0, 1.0), repeat=COLOURS) if step > (0.0, 0.0, 0.0)])
+    steps = matrix @ differences.T
     size = np.linalg.norm(steps, axis=0)
     along = _residual(levels, mixing, bits, top) @ (steps / size)
-    return bool((size >= TUNING.min_separation * along.std(axis=0)).all())
+    return bool((size >= 3.3 * along.std(axis=0)).all())  # a split of noise has 2.7
 
 
 def _initial_mixings(levels: Floats, guess: Floats | None, rng: np.random.Generator) -> Iterator[Floats]:
     """Yield initial mixings (3, 4): by the range of each channel, by the caller, and by the levels of three LEDs."""
-    dark = levels[np.argsort(levels.sum(axis=1))[: max(1, int(TUNING.extreme * len(levels)))]].mean(axis=0)
-    high = np.quantile(levels, 1 - TUNING.extreme, axis=0) - dark
+    dark = levels[np.argsort(levels.sum(axis=1))[: max(1, len(levels) // 50)]].mean(axis=0)
+    high = np.quantile(levels, 0.98, axis=0) - dark
     middle = 0.5 * (levels.min(axis=0) + levels.max(axis=0)) - dark
     guesses = [np.eye(COLOURS), *([guess] if guess is not None else [])]
     for matrix in guesses:
@@ -186,7 +168,7 @@ def _initial_mixings(levels: Floats, guess: Floats | None, rng: np.random.Genera
             yield np.column_stack([matrix / max(np.abs(matrix).max(), TINY) * reach[:, None], dark])
     far = levels - dark
     lit = far[(far**2).sum(axis=1) >= 0.1 * (far**2).sum(axis=1).max()]
-    for _ in range(TUNING.n_starts):
+    for _ in range(40):
         matrix = lit[rng.choice(len(lit), COLOURS, replace=len(lit) < COLOURS)].T
         yield np.column_stack([matrix, dark])
 
@@ -216,22 +198,3 @@ def _levels(values: Any) -> Floats:
     if not np.isfinite(levels).all():
         raise HeliographError("values are not finite: leave out the LEDs beyond the frame, which sample gives as NaN")
     return np.asarray(levels)
-
-
-def _full_scale(full_scale: Any) -> float:
-    try:
-        level = float(full_scale)
-    except (TypeError, ValueError):
-        level = np.nan
-    if not np.isfinite(level):
-        raise HeliographError(f"full_scale is a level, such as 250, not {shown(full_scale)}")
-    return level
-
-
-def _start(start: Any) -> Floats | None:
-    matrix = None if start is None else matrix_of(start, (COLOURS, COLOURS))
-    if matrix is None and start is not None:
-        raise HeliographError(
-            f"start is a matrix (3, 3): the response of each channel (row) to each colour (column), not {shown(start)}"
-        )
-    return matrix

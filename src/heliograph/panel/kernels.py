@@ -8,63 +8,60 @@ from heliograph.base.compiled import compiled
 
 
 @compiled(fastmath=True)
+def _fill_window(point, sigma, reach, size, along):
+    """Write the weights along x for an LED; return the first and last pixel along x and y, empty beyond the image."""
+    px, py = point[0], point[1]
+    # beyond the image, or NaN
+    if not (-reach < px < size[1] + reach and -reach < py < size[0] + reach):
+        return 0, -1, 0, -1
+    left, right = max(0, math.ceil(px - reach)), min(size[1] - 1, math.floor(px + reach))
+    for j in range(right - left + 1):
+        d = left + j - px
+        along[j] = _density(d, sigma)
+    return left, right, max(0, math.ceil(py - reach)), min(size[0] - 1, math.floor(py + reach))
+
+
+@compiled(fastmath=True)
+def _density(distance, sigma):
+    return math.exp(-0.5 * distance * distance / (sigma * sigma)) / (math.sqrt(2.0 * math.pi) * sigma)
+
+
+@compiled(fastmath=True)
 def project(image, points, sigma, reach, out):
     """Write the inner products of an image with the image of each LED and the derivatives."""
-    rows, columns = image.shape
-    along = np.empty(2 * int(reach) + 3, np.float32)
-    scale, norm = -0.5 / (sigma * sigma), 1.0 / (math.sqrt(2.0 * math.pi) * sigma)
+    along, square = np.empty(2 * int(reach) + 3, np.float32), sigma * sigma
     for n in range(points.shape[0]):
-        px, py = points[n, 0], points[n, 1]
-        out[n, :] = 0.0
-        # beyond the image, or NaN
-        if not (-reach < px < columns + reach and -reach < py < rows + reach):
-            continue
-        left, right = max(0, math.ceil(px - reach)), min(columns - 1, math.floor(px + reach))
-        top, low = max(0, math.ceil(py - reach)), min(rows - 1, math.floor(py + reach))
-        for j in range(right - left + 1):
-            d = left + j - px
-            along[j] = norm * math.exp(scale * d * d)
+        left, right, top, low = _fill_window(points[n], sigma, reach, image.shape, along)
+        first = np.float32(left - points[n, 0])
         s, sx, sy, sr = 0.0, 0.0, 0.0, 0.0
         for i in range(top, low + 1):
-            e = i - py
+            e = i - points[n, 1]
             line = image[i, left : right + 1]
             a0, a1, a2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            first = np.float32(left - px)
             for j in range(right - left + 1):
                 d = first + np.float32(j)
                 value = line[j] * along[j]
                 a0 += value
                 a1 += value * d
                 a2 += value * d * d
-            g = norm * math.exp(scale * e * e)
+            g = _density(e, sigma)
             s += g * a0
             sx += g * a1
             sy += g * e * a0
             sr += g * (a2 + e * e * a0)
-        square = sigma * sigma
         out[n, 0], out[n, 1], out[n, 2], out[n, 3] = s, sx / square, sy / square, sr / square - 2.0 * s
 
 
 @compiled(fastmath=True)
 def render(amounts, points, sigma, reach, image):
     """Add the images of LEDs and the derivatives to an image."""
-    rows, columns = image.shape
-    along = np.empty(2 * int(reach) + 3, np.float32)
-    scale, norm = -0.5 / (sigma * sigma), 1.0 / (math.sqrt(2.0 * math.pi) * sigma)
-    square = sigma * sigma
+    along, square = np.empty(2 * int(reach) + 3, np.float32), sigma * sigma
     for n in range(points.shape[0]):
-        px, py = points[n, 0], points[n, 1]
-        if not (-reach < px < columns + reach and -reach < py < rows + reach):
-            continue
-        left, right = max(0, math.ceil(px - reach)), min(columns - 1, math.floor(px + reach))
-        top, low = max(0, math.ceil(py - reach)), min(rows - 1, math.floor(py + reach))
-        for j in range(right - left + 1):
-            d = left + j - px
-            along[j] = norm * math.exp(scale * d * d)
-        first = np.float32(left - px)
+        left, right, top, low = _fill_window(points[n], sigma, reach, image.shape, along)
+        first = np.float32(left - points[n, 0])
         for i in range(top, low + 1):
-            e = i - py
-            g = norm * math.exp(scale * e * e)
+            e = i - points[n, 1]
+            g = _density(e, sigma)
             # a0 + a1 d + a2 d^2 along the row
             a0 = g * (amounts[n, 0] + amounts[n, 2] * e / square + amounts[n, 3] * (e * e / square - 2.0))
             a1, a2 = g * amounts[n, 1] / square, g * amounts[n, 3] / square

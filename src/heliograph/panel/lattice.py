@@ -12,37 +12,15 @@ from heliograph.base.errors import HeliographError
 from heliograph.panel import kernels
 from heliograph.panel.place import Levels, corner_jacobian, grid, grow, homographies, is_possible, pitches, transform
 
-PIXEL_VARIANCE_PX2 = 1 / 12
-"""Variance of uniform light over a pixel in squared px."""
-
 REACH = 4.0
 """Radius of an LED's image in standard deviations: 1e-4 of the light is beyond."""
 
 
-@dataclass(frozen=True, slots=True)
-class FitTuning:
-    """Limits and tolerances of the fit of corners and blur."""
+FIRST_BLUR = 0.35
+"""Initial blur of a fit in pitches: converges to 0.2 and to 0.6."""
 
-    # Initial blur in pitches: converges to 0.2 and to 0.6
-    first_blur: float = 0.35
-    # Minimum blur in px, and maximum in pitches
-    min_blur_px: float = 0.3
-    max_blur: float = 1.2
-    # Maximum number of steps
-    max_steps: int = 12
-    # Maximum step of a corner in pitches, and of ln blur: the image is nearly linear
-    max_step: float = 0.3
-    # Steps of a corner in px and of ln blur that end the fit: 1e-4 and 0.6 % of an LED's peak
-    tolerance_px: float = 0.01
-    tolerance_blur: float = 3e-3
-    # Changes of a corner in px and of ln blur that keep the Cholesky factor
-    same_size_px: float = 0.1
-    same_blur: float = 1e-3
-    # Regularisation of the normal equations as a fraction of the diagonal
-    damping: float = 1e-3
-
-
-FIT = FitTuning()
+MIN_BLUR_PX, MAX_BLUR = 0.3, 1.2
+"""Minimum blur in px, and maximum blur in pitches."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +66,8 @@ class Lattice:
 
     def __init__(self, shape: Shape, corners: Floats, blur: float, mask: Levels, factor: Floats | None = None):
         self.shape, self.corners, self.mask = shape, corners, mask
-        self.sigma = float(np.hypot(blur, PIXEL_VARIANCE_PX2**0.5))
+        # uniform light over a pixel has the variance 1/12
+        self.sigma = float(np.hypot(blur, (1 / 12) ** 0.5))
         self.points = np.ascontiguousarray(transform(homographies(corners), shape.grid))
         self.factor = self._factor() if factor is None else factor
         self._plane = plane(mask)
@@ -193,7 +172,7 @@ def plane(mask: Levels) -> Levels:
     return np.stack([mask, mask * x, mask * y[:, None]])
 
 
-def fit(image: Levels, start: Fit, shape: Shape, steps: int = FIT.max_steps) -> Fit:
+def fit(image: Levels, start: Fit, shape: Shape, steps: int = 12) -> Fit:
     """Fit a panel's corners and blur to a picture with any content, by Gauss-Newton."""
     mask = shape.mask(start.corners, (image.shape[0], image.shape[1]))
     best = _Residual(image, mask, start, shape)
@@ -203,10 +182,11 @@ def fit(image: Levels, start: Fit, shape: Shape, steps: int = FIT.max_steps) -> 
     change = _step(hessian, best, shape)
     for _ in range(steps):
         move_px, scale = float(np.abs(change[:-1]).max()), abs(float(change[-1]))
-        if move_px < FIT.tolerance_px and scale < FIT.tolerance_blur:
+        # 1e-4 and 0.6 % of an LED's peak
+        if move_px < 0.01 and scale < 3e-3:
             break
         # the overlap of LEDs is the same
-        is_same = move_px < FIT.same_size_px and scale < FIT.same_blur
+        is_same = move_px < 0.1 and scale < 1e-3
         moved = _move(best.fit, change, shape)
         if not shape.is_possible(moved.corners):
             break
@@ -220,7 +200,7 @@ def fit(image: Levels, start: Fit, shape: Shape, steps: int = FIT.max_steps) -> 
         elif is_fresh:
             change = change / 2
             continue
-        elif move_px < FIT.same_size_px:
+        elif move_px < 0.1:
             break
         else:  # the Hessian of another picture misled
             hessian, is_fresh = best.hessian(), True
@@ -238,7 +218,11 @@ class _Residual:
         self._light = light[:, 0]
         self._rest = masked - self.lattice.image(self._light, background[:, 0])
         self._power = max(float(self._light @ self._light) / len(self._light), TINY)
-        self.fit = at._replace(score=_correlation(image, self._rest, mask))
+        # correlation of the pixels with the fitted image
+        pixels = image[mask > 0].astype(np.float64)
+        total = float(((pixels - pixels.mean()) ** 2).sum()) if pixels.size else 0.0
+        residual = float((self._rest[mask > 0].astype(np.float64) ** 2).sum())
+        self.fit = at._replace(score=float(np.sqrt(max(1 - residual / max(total, TINY), 0.0))))
 
     def gradient(self) -> Floats:
         """Return the gradient (9,) of the explained power, for LEDs of mean squared light 1."""
@@ -251,23 +235,16 @@ class _Residual:
 
 def _step(hessian: Floats, residual: _Residual, shape: Shape) -> Floats:
     """Return the limited Gauss-Newton step (9,) of corners and ln sigma."""
-    damped = hessian + np.diag(np.diag(hessian)) * FIT.damping
+    damped = hessian + np.diag(np.diag(hessian)) * 1e-3
     change = np.linalg.lstsq(damped, residual.gradient(), rcond=RCOND)[0]
-    longest_px = FIT.max_step * shape.pitch(residual.fit.corners)
-    return np.asarray(change / max(np.abs(change[:-1]).max() / longest_px, abs(change[-1]) / FIT.max_step, 1.0))
+    # the image is nearly linear within 0.3 pitches, and 0.3 of ln blur
+    longest = 0.3 * np.append(np.full(8, shape.pitch(residual.fit.corners)), 1.0)
+    return np.asarray(change / max(np.abs(change / longest).max(), 1.0))
 
 
 def _move(at: Fit, change: Floats, shape: Shape) -> Fit:
     """Apply a step of corners and ln sigma; sigma includes the pixel width."""
-    variance = (at.blur**2 + PIXEL_VARIANCE_PX2) * np.exp(2 * change[-1]) - PIXEL_VARIANCE_PX2
-    limit = max(FIT.max_blur * shape.pitch(at.corners), FIT.min_blur_px)
-    blur = float(np.clip(np.sqrt(max(variance, 0.0)), FIT.min_blur_px, limit))
+    variance = (at.blur**2 + 1 / 12) * np.exp(2 * change[-1]) - 1 / 12
+    limit = max(MAX_BLUR * shape.pitch(at.corners), MIN_BLUR_PX)
+    blur = float(np.clip(np.sqrt(max(variance, 0.0)), MIN_BLUR_PX, limit))
     return at._replace(corners=at.corners + change[:-1].reshape(4, 2), blur=blur)
-
-
-def _correlation(image: Levels, rest: Levels, mask: Levels) -> float:
-    inside = mask > 0
-    pixels = image[inside].astype(np.float64)
-    total = float(((pixels - pixels.mean()) ** 2).sum()) if pixels.size else 0.0
-    residual = float((rest[inside].astype(np.float64) ** 2).sum())
-    return float(np.sqrt(max(1 - residual / max(total, TINY), 0.0)))

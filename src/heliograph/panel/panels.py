@@ -10,10 +10,10 @@ from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.threads import in_one_thread, one_thread
 from heliograph.panel import kernels
-from heliograph.panel.lattice import FIT, Fit, Lattice, Shape, fit
+from heliograph.panel.lattice import FIRST_BLUR, MAX_BLUR, Fit, Lattice, Shape, fit
 from heliograph.panel.place import (
     COLOURS,
-    LIMITS,
+    MIN_PITCH_PX,
     AnyFrame,
     Levels,
     Picture,
@@ -28,7 +28,6 @@ from heliograph.panel.place import (
     transform,
 )
 from heliograph.panel.search import (
-    Candidate,
     Region,
     best_candidate,
     evidence,
@@ -38,9 +37,6 @@ from heliograph.panel.search import (
     search_near,
     settle,
 )
-
-MAX_LEDS = 1 << 16
-"""Maximum LEDs of a panel: for 256 x 256 LEDs unblurring takes 0.3 to 0.6 GB."""
 
 MIN_SIDE_PX = 8.0
 """Minimum side of a panel in px."""
@@ -88,7 +84,7 @@ def locate(
         panel was found with certainty.
     """
     pictures = _pictures(frames)
-    shape = _shape(rows, columns)
+    shape = None if rows is None and columns is None else _known_shape(rows, columns)
     first = pictures[0]
     images = [picture.gray for picture in pictures]
     hand = None if corners is None else _corners(corners) - first.corner
@@ -193,7 +189,7 @@ def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool 
     return values.reshape((rows, columns) if len(images) == 1 else (rows, columns, len(images)))
 
 
-def _fit_candidate(images: Sequence[Levels], candidate: Candidate, shape: Shape, hand: Floats | None = None) -> Fit:
+def _fit_candidate(images: Sequence[Levels], candidate: Place, shape: Shape, hand: Floats | None = None) -> Fit:
     """Fit the images of LEDs from a candidate; keep the candidate if its score is higher."""
     corners = candidate.corners
     image, moved = _crop(Picture(images[0][None]), corners, 2 * shape.pitch(corners))
@@ -210,7 +206,7 @@ def _fit_candidate(images: Sequence[Levels], candidate: Candidate, shape: Shape,
 @in_one_thread
 def _follow(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterator[Place]:
     last = before = place.corners
-    held = Fit(last, place.blur if place.blur > 0 else FIT.first_blur * shape.pitch(last), 1.0)
+    held = Fit(last, place.blur if place.blur > 0 else FIRST_BLUR * shape.pitch(last), 1.0)
     for number, frame in enumerate(frames):
         picture = picture_of(frame)
         if number == 0:
@@ -251,7 +247,7 @@ def _find_again(picture: Picture, starts: Sequence[Floats], held: Fit, shape: Sh
 
 def _fit_new(image: Levels, corners: Floats, shape: Shape) -> Fit:
     """Fit from a small blur: narrow images of LEDs converge from afar, wide images explain any picture."""
-    return fit(image, Fit(corners, FIT.first_blur * shape.pitch(corners), 0.0), shape)
+    return fit(image, Fit(corners, FIRST_BLUR * shape.pitch(corners), 0.0), shape)
 
 
 def _unblur(images: Levels, corners: Floats, blur: float, shape: Shape) -> Floats:
@@ -259,7 +255,7 @@ def _unblur(images: Levels, corners: Floats, blur: float, shape: Shape) -> Float
         raise HeliographError(
             "the blur of the place is not known: locate(..., rows=, columns=) finds it, or give Place(corners, blur)"
         )
-    if blur > FIT.max_blur * shape.pitch(corners):
+    if blur > MAX_BLUR * shape.pitch(corners):
         raise HeliographError(
             f"the LEDs lie {shape.pitch(corners):.1f} px apart, too close for a blur of {blur:.1f} px: sample without "
             "unblur, or give the blur that locate finds"
@@ -314,7 +310,7 @@ def _no_panel(corners: Floats, where: str) -> HeliographError:
     text = ", ".join(f"{x:.0f} {y:.0f}" for x, y in corners)
     return HeliographError(
         f"the corners {text} are no panel{where}: give x, y of upper left, upper right, lower right and lower left, at "
-        f"least half of the panel within the frame, {LIMITS.pitch_px:g} px or more from LED to LED"
+        f"least half of the panel within the frame, {MIN_PITCH_PX:g} px or more from LED to LED"
     )
 
 
@@ -328,27 +324,18 @@ def _pictures(frames: Any) -> list[Picture]:
     return pictures
 
 
-def _shape(rows: Any, columns: Any) -> Shape | None:
-    return None if rows is None and columns is None else _known_shape(rows, columns)
-
-
 def _known_shape(rows: Any, columns: Any) -> Shape:
     for name, count in (("rows", rows), ("columns", columns)):
         if not isinstance(count, Integral) or count < 2:
             raise HeliographError(f"{name} of LEDs are an integer, 2 or more, not {shown(count)}")
-    if rows * columns > MAX_LEDS:
-        raise HeliographError(f"a panel has at most {MAX_LEDS} LEDs, not {rows} x {columns}: take a part of it")
+    if rows * columns > 65536:  # unblurring takes 0.3 to 0.6 GB
+        raise HeliographError(f"a panel has at most 65536 LEDs, not {rows} x {columns}: take a part of it")
     return Shape(int(rows), int(columns))
 
 
 def _corners(corners: Any) -> Floats:
-    found = matrix_of(corners, (4, 2))
-    if found is None:
-        raise HeliographError(
-            f"corners are four points (x, y) in px, such as [(10, 10), (90, 12), (88, 95), (9, 90)], not "
-            f"{shown(corners)}"
-        )
-    return found
+    points = "four points (x, y) in px, such as [(10, 10), (90, 12), (88, 95), (9, 90)]"
+    return matrix_of(corners, (4, 2), f"corners are {points}")
 
 
 def _checked(place: Any) -> Place:
@@ -382,10 +369,8 @@ def _inverse_leakage(leakage: Any, picture: Picture) -> Floats | None:
         return None
     if len(picture.levels) != COLOURS:
         raise HeliographError("leakage is between colours: the frame has one channel")
-    matrix = matrix_of(leakage, (COLOURS, COLOURS))
-    if matrix is None or np.linalg.matrix_rank(matrix) < COLOURS:
-        raise HeliographError(
-            "leakage is a matrix (3, 3) that has an inverse: the response of each channel (row) to each colour "
-            f"(column), not {shown(leakage)}"
-        )
+    rule = "leakage is a matrix (3, 3) that has an inverse: the response of each channel (row) to each colour (column)"
+    matrix = matrix_of(leakage, (COLOURS, COLOURS), rule)
+    if np.linalg.matrix_rank(matrix) < COLOURS:
+        raise HeliographError(f"{rule}, not {shown(leakage)}")
     return np.asarray(np.linalg.inv(matrix), np.float64)

@@ -6,7 +6,6 @@ rotates the phase in some part of the panel.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -21,40 +20,14 @@ from heliograph.panel.place import UNIT, Levels, homographies, transform
 Waves = NDArray[np.complex128]
 """Amplitudes of the waves at LEDs, (rows, columns)."""
 
+PER_LED = 6
+"""Samples per LED in the upright image; even."""
 
-@dataclass(frozen=True, slots=True)
-class PhaseTuning:
-    """Measurement and evaluation of waves. Chosen by `python -m benchmarks.panel_places`."""
+RIM = 3
+"""LEDs beyond the panel in the upright image."""
 
-    # Samples per LED in the upright image; even
-    per_led: int = 6
-    # LEDs beyond the panel in the upright image
-    rim: int = 3
-    # Length in LEDs of the window of a wave
-    window_leds: int = 3
-    # Standard deviation in LEDs of the weights across a wave
-    across_leds: float = 0.3
-    # Minimum level of clipped light over the maximum
-    clipped: float = 0.95
-    # Depth in LEDs at which the dome over clipped light reaches the full height
-    dome_leds: float = 0.7
-    # Height of the dome over the maximum level
-    dome_height: float = 2.0
-    # Standard deviations in LEDs of the windows for mean waves, step by step
-    windows_leds: tuple[float, ...] = (4.0, 3.0, 2.0, 2.0, 1.5)
-    # Sides in LEDs of the patches for the comparison of phases
-    patch_leds: tuple[float, float] = (4.0, 8.0)
-    # Evidence of a patch of noise
-    patch_noise: float = 2.0
-    # Power of a patch over the mean that reduces the weight
-    faint: float = 0.1
-    # Maximum correction of the period by the spectrum
-    max_stretch: float = 0.25
-    # Minimum peak of a lit LED over the peak of bright LEDs
-    faint_peak: float = 0.2
-
-
-TUNING = PhaseTuning()
+PATCHES = (4.0, 8.0)
+"""Sides in LEDs of the patches for the comparison of phases."""
 
 
 class Agreement(NamedTuple):
@@ -73,36 +46,35 @@ class GridView:
     """Upright image of a panel, and the waves of the LEDs."""
 
     def __init__(self, image: Levels, corners: Floats, shape: Shape):
-        per, rim = TUNING.per_led, TUNING.rim
         self.corners = corners
         self._shape, self._map = shape, homographies(corners)
         self._counts = np.array([shape.columns, shape.rows], np.float64)
-        self._inner = (slice(rim, -rim), slice(rim, -rim))
+        self._inner = (slice(RIM, -RIM), slice(RIM, -RIM))
         to_unit = np.diag([1 / shape.columns, 1 / shape.rows, 1.0])
-        to_leds = np.array([[1 / per, 0, 0.5 / per - rim], [0, 1 / per, 0.5 / per - rim], [0, 0, 1]])
-        size = (shape.columns + 2 * rim) * per, (shape.rows + 2 * rim) * per
+        to_leds = np.array([[1 / PER_LED, 0, 0.5 / PER_LED - RIM], [0, 1 / PER_LED, 0.5 / PER_LED - RIM], [0, 0, 1]])
+        size = (shape.columns + 2 * RIM) * PER_LED, (shape.rows + 2 * RIM) * PER_LED
         # antialiasing
-        finer = shape.pitch(corners) / per
+        finer = shape.pitch(corners) / PER_LED
         smooth = cv2.GaussianBlur(image, (0, 0), 0.4 * finer) if finer > 1 else image
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         upright = cv2.warpPerspective(
             smooth, self._map @ to_unit @ to_leds, size, flags=flags, borderMode=cv2.BORDER_REPLICATE
         )
         self._image = _add_domes(np.asarray(upright))
-        wave, across = _window(per, TUNING.window_leds), _across(per, TUNING.across_leds)
+        wave, across = _window(), _across()
         self.x = self._filter(wave.real, across) + 1j * self._filter(wave.imag, across)
         self.y = self._filter(across, wave.real) + 1j * self._filter(across, wave.imag)
 
     def agreement(self) -> Agreement:
         """Measure the agreement of the picture with the grid."""
         waves = self.x[self._inner], self.y[self._inner]
-        phases = [min(_coherence(wave, side) for wave in waves) for side in TUNING.patch_leds]
+        phases = [min(_coherence(wave, side) for wave in waves) for side in PATCHES]
         peaks = self._peaks()
         lit = np.sort(peaks[self._inner], axis=None)
         bright = max(float(np.median(lit[-max(3, lit.size // 20) :])), TINY)
         # a peak needs about the right phase in both directions
         is_peak = (self.x.real > np.abs(self.x.imag)) & (self.y.real > np.abs(self.y.imag))
-        peaks = np.where(is_peak & (peaks > TUNING.faint_peak * bright), peaks / bright, 0.0).clip(0, 1)
+        peaks = np.where(is_peak & (peaks > 0.2 * bright), peaks / bright, 0.0).clip(0, 1)
         rows, columns = self._inner
         return Agreement(np.array(phases), self._leverage(), peaks[:, columns].sum(axis=1), peaks[rows].sum(axis=0))
 
@@ -120,11 +92,11 @@ class GridView:
 
     def strength(self) -> float:
         """Return the coherent fraction of the waves' evidence in large patches."""
-        return sum(abs(_coherence(wave[self._inner], TUNING.patch_leds[1])) for wave in (self.x, self.y))
+        return sum(abs(_coherence(wave[self._inner], PATCHES[1])) for wave in (self.x, self.y))
 
     def stretched(self) -> Floats:
         """Return corners (4, 2) with an affine correction by the strongest periods of the waves."""
-        y, x = (np.arange(n) - TUNING.rim + 0.5 for n in self.x.shape)
+        y, x = (np.arange(n) - RIM + 0.5 for n in self.x.shape)
         change, shift = np.eye(2), np.zeros(2)
         for axis, wave in enumerate((self.x, self.y)):
             along, down = period = _strongest_period(wave)
@@ -137,9 +109,8 @@ class GridView:
 
     def bent(self, window: float) -> Floats:
         """Return corners (4, 2) with a correction of the homography by the phases within windows."""
-        rim = TUNING.rim
-        y, x = np.mgrid[: self.x.shape[0], : self.x.shape[1]] - rim + 0.5
-        inside = slice(rim - 1, 1 - rim), slice(rim - 1, 1 - rim)
+        y, x = np.mgrid[: self.x.shape[0], : self.x.shape[1]] - RIM + 0.5
+        inside = slice(RIM - 1, 1 - RIM), slice(RIM - 1, 1 - RIM)
         u, v = x[inside].ravel() / self._counts[0] - 0.5, y[inside].ravel() / self._counts[1] - 0.5
         columns, moves = [], []
         for wave, basis, count in zip((self.x, self.y), _move_basis(u, v), self._counts, strict=True):
@@ -158,28 +129,29 @@ class GridView:
 
     def _filter(self, along_x: Floats, along_y: Floats) -> Floats:
         """Apply a separable filter, sampled at LED centres."""
-        half = TUNING.per_led // 2
         anchor = len(along_x) // 2, len(along_y) // 2
         x, y = np.ascontiguousarray(along_x), np.ascontiguousarray(along_y)
         out = cv2.sepFilter2D(self._image, cv2.CV_32F, x, y, anchor=anchor, borderType=cv2.BORDER_REPLICATE)
-        return np.asarray(out[half :: 2 * half, half :: 2 * half], np.float64)
+        return np.asarray(out[PER_LED // 2 :: PER_LED, PER_LED // 2 :: PER_LED], np.float64)
 
     def _peaks(self) -> Floats:
         """Return the light at LED centres minus the mean of the midpoints between neighbours."""
-        per = TUNING.per_led
-        width = per // 3 + (per // 3 + 1) % 2
-        box = cv2.blur(self._image, (width, width))
-        y, x = ((np.arange(n) + 0.5) * per - 0.5 for n in self.x.shape)
+        box = cv2.blur(self._image, (3, 3))
+        y, x = ((np.arange(n) + 0.5) * PER_LED - 0.5 for n in self.x.shape)
 
         def at(dx: float, dy: float) -> Floats:
-            places = np.meshgrid((x + dx * per).astype(np.float32), (y + dy * per).astype(np.float32))
+            places = np.meshgrid((x + dx * PER_LED).astype(np.float32), (y + dy * PER_LED).astype(np.float32))
             return np.asarray(cv2.remap(box, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float64)
 
         return at(0, 0) - (at(0.5, 0) + at(-0.5, 0) + at(0, 0.5) + at(0, -0.5)) / 4
 
 
 def refine(
-    image: Levels, corners: Floats, shape: Shape, stretch: bool = True, windows: Sequence[float] = TUNING.windows_leds
+    image: Levels,
+    corners: Floats,
+    shape: Shape,
+    stretch: bool = True,
+    windows: Sequence[float] = (4.0, 3.0, 2.0, 2.0, 1.5),
 ) -> Floats:
     """Return the corners (4, 2) of the nearest grid, up to integer pitches; the start if the refinement fails."""
     found = GridView(image, corners, shape).stretched() if stretch else corners
@@ -192,11 +164,12 @@ def refine(
 
 def _add_domes(image: Levels) -> Levels:
     """Add a dome to clipped light, with the peak in the middle of the light."""
-    edge = TUNING.rim * TUNING.per_led
+    edge = RIM * PER_LED
     high = float(image[edge:-edge, edge:-edge].max())
-    clipped = (image >= TUNING.clipped * high).astype(np.uint8)
-    depth = cv2.distanceTransform(clipped, cv2.DIST_L2, 5) / (TUNING.per_led * TUNING.dome_leds)
-    return np.asarray(image + high * TUNING.dome_height * np.minimum(depth, 1), np.float32)
+    clipped = (image >= 0.95 * high).astype(np.uint8)
+    # full height from a depth of 0.7 LEDs on
+    depth = cv2.distanceTransform(clipped, cv2.DIST_L2, 5) / (PER_LED * 0.7)
+    return np.asarray(image + high * 2.0 * np.minimum(depth, 1), np.float32)
 
 
 def _coherence(wave: Waves, side: float) -> float:
@@ -206,15 +179,17 @@ def _coherence(wave: Waves, side: float) -> float:
     power = np.array([float((np.abs(part) ** 2).sum()) for part in patches])
     mean = np.array([float((np.abs(part) ** 2).mean()) for part in patches])
     evidence = np.array([part.sum() for part in patches]) / np.sqrt(np.maximum(power / 2, TINY))
-    evidence *= np.sqrt(np.minimum(mean / max(TUNING.faint * float(mean.mean()), TINY), 1.0))
+    # patches with less than a tenth of the mean power have less weight
+    evidence *= np.sqrt(np.minimum(mean / max(0.1 * float(mean.mean()), TINY), 1.0))
     size = np.abs(evidence)
-    return float((evidence.real * size).sum() / ((size**2).sum() + TUNING.patch_noise * len(patches)))
+    # a patch of noise has the evidence 2
+    return float((evidence.real * size).sum() / ((size**2).sum() + 2.0 * len(patches)))
 
 
 def _limit(wave: Waves) -> Waves:
     """Limit amplitudes to bright LEDs of the panel: clutter may be brighter."""
-    rim, size = TUNING.rim, np.abs(wave)
-    high = max(float(np.quantile(size[rim:-rim, rim:-rim], 0.95)), TINY)
+    size = np.abs(wave)
+    high = max(float(np.quantile(size[RIM:-RIM, RIM:-RIM], 0.95)), TINY)
     return np.asarray(wave * np.minimum(1.0, high / np.maximum(size, TINY)))
 
 
@@ -223,7 +198,7 @@ def _strongest_period(wave: Waves) -> Floats:
     rows, columns = (1 << int(np.ceil(np.log2(2 * n))) for n in wave.shape)
     spectrum = np.abs(np.fft.fft2(_limit(wave), (rows, columns)))
     y, x = np.fft.fftfreq(rows)[:, None], np.fft.fftfreq(columns)
-    near = (np.abs(x) <= TUNING.max_stretch) & (np.abs(y) <= TUNING.max_stretch)
+    near = (np.abs(x) <= 0.25) & (np.abs(y) <= 0.25)
     # prefer the expected grid
     spectrum = np.where(near, spectrum * np.exp(-4 * (x**2 + y**2)), 0.0)
     i, j = np.unravel_index(int(np.argmax(spectrum)), spectrum.shape)
@@ -240,20 +215,19 @@ def _move_basis(u: Floats, v: Floats) -> tuple[Floats, Floats]:
 
 
 def _smooth(wave: Waves, window: float) -> Waves:
-    parts = [cv2.GaussianBlur(np.ascontiguousarray(part), (0, 0), window, borderType=cv2.BORDER_CONSTANT)
-             for part in (wave.real, wave.imag)]  # fmt: skip
-    return np.asarray(parts[0] + 1j * parts[1])
+    both = np.stack([wave.real, wave.imag], -1)
+    return np.asarray(cv2.GaussianBlur(both, (0, 0), window, borderType=cv2.BORDER_CONSTANT) @ [1, 1j])
 
 
 @cache
-def _window(per_led: int, leds: int) -> Waves:
-    """Return a windowed wave with the period of an LED; uniform light gives 0."""
-    along = (np.arange(leds * per_led) + 0.5) / per_led - leds / 2
-    return np.asarray(np.cos(np.pi * along / leds) ** 2 * np.exp(-2j * np.pi * along))
+def _window() -> Waves:
+    """Return a windowed wave with the period of an LED, 3 LEDs long; uniform light gives 0."""
+    along = (np.arange(3 * PER_LED) + 0.5) / PER_LED - 1.5
+    return np.asarray(np.cos(np.pi * along / 3) ** 2 * np.exp(-2j * np.pi * along))
 
 
 @cache
-def _across(per_led: int, sigma: float) -> Floats:
-    along = (np.arange(2 * per_led) + 0.5) / per_led - 1
-    weights = np.exp(-0.5 * (along / sigma) ** 2)
+def _across() -> Floats:
+    """Return the weights across a wave, with a standard deviation of 0.3 LEDs."""
+    weights = np.exp(-0.5 * (((np.arange(2 * PER_LED) + 0.5) / PER_LED - 1) / 0.3) ** 2)
     return np.asarray(weights / weights.sum())

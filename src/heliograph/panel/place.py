@@ -8,26 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.base.errors import HeliographError
+from heliograph.base.errors import HeliographError, shown
 from heliograph.base.frames import Frame, check_unmasked
 
 UNIT = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 """Corners of the unit square in the order of `Place.corners`."""
 
 
-@dataclass(frozen=True, slots=True)
-class PanelLimits:
-    """Limits for the corners of a panel."""
-
-    # Minimum pitch in px
-    pitch_px: float = 1.5
-    # Minimum sine of a corner's angle
-    sine: float = 0.1
-    # Maximum ratio of the corners' distances from the camera
-    depth: float = 4.0
-
-
-LIMITS = PanelLimits()
+MIN_PITCH_PX = 1.5
+"""Minimum distance from LED to LED in px."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,8 +124,8 @@ def is_possible(corners: Floats, rows: int = 1, columns: int = 1) -> bool:
     sines = _cross(np.roll(sides, 1, axis=0), sides) / (np.roll(lengths, 1) * lengths)
     depths = np.append(UNIT, np.ones((4, 1)), axis=1) @ homographies(corners)[2]
     pitch = (lengths / np.array([columns, rows, columns, rows])).min()
-    is_near = depths.max() <= LIMITS.depth * depths.min()
-    return bool(pitch >= LIMITS.pitch_px and sines.min() >= LIMITS.sine and is_near)
+    is_regular = sines.min() >= 0.1 and depths.max() <= 4.0 * depths.min()
+    return bool(pitch >= MIN_PITCH_PX and is_regular)
 
 
 def pitches(corners: Floats, rows: int, columns: int) -> tuple[float, float]:
@@ -206,10 +195,12 @@ def _to_levels(levels: NDArray[np.number]) -> Levels:
     return out
 
 
-def matrix_of(value: Any, shape: tuple[int, int]) -> Floats | None:
-    """Convert a value to a finite matrix of a shape; None if it is no such matrix."""
+def matrix_of(value: Any, shape: tuple[int, ...], rule: str) -> Floats:
+    """Convert a value to a finite array of a shape, or raise an error with the rule."""
     try:
         matrix = np.array(value, np.float64)
     except (TypeError, ValueError):
-        return None
-    return matrix if matrix.shape == shape and np.isfinite(matrix).all() else None
+        matrix = np.empty(0)
+    if matrix.shape != shape or not np.isfinite(matrix).all():
+        raise HeliographError(f"{rule}, not {shown(value)}")
+    return matrix

@@ -1,8 +1,7 @@
 """Search for a panel in pictures: candidate quadrilaterals, refined by the phase of the grid."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,31 +11,25 @@ from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError
 from heliograph.panel import kernels
 from heliograph.panel.lattice import REACH, Shape, mask_of, plane
-from heliograph.panel.phase import TUNING, GridView, refine
-from heliograph.panel.place import UNIT, Levels, area, corner_jacobian, grid, grow, homographies, pitches, transform
+from heliograph.panel.phase import RIM, GridView, refine
+from heliograph.panel.place import (
+    UNIT,
+    Levels,
+    Place,
+    area,
+    corner_jacobian,
+    grid,
+    grow,
+    homographies,
+    pitches,
+    transform,
+)
 
 Region = tuple[int, int, int, int]
 """Corner (x, y), columns and rows in px."""
 
-
-@dataclass(frozen=True, slots=True)
-class OutlineTuning:
-    """Search and fit of the outline of a panel with unknown rows and columns."""
-
-    # Minimum range of gray levels: smooth noise has far less
-    min_change: float = 2.0
-    # Smoothing of the search over the region's side: closes the gaps of 20 LEDs a side that fill the region
-    spread: float = 0.02
-    # Minimum area over the region's area
-    min_area: float = 0.005
-    # Smoothing of the fits over the panel's side: 16 LEDs a side appear uniform
-    widths: tuple[float, ...] = (0.1, 0.05)
-    # Maximum steps of a fit, and the step in smoothing widths that ends a fit
-    max_steps: int = 8
-    tolerance: float = 0.02
-
-
-OUTLINE = OutlineTuning()
+MIN_CHANGE = 2.0
+"""Minimum range of gray levels of a panel: smooth noise has far less."""
 
 
 def evidence(images: Sequence[Levels]) -> Levels:
@@ -46,14 +39,15 @@ def evidence(images: Sequence[Levels]) -> Levels:
 
 def quadrilateral(image: Levels, region: Region | None) -> Floats:
     """Find the largest bright quadrilateral of an image."""
-    spread = OUTLINE.spread * min(image.shape)
+    # closes the gaps of 20 LEDs a side that fill the image
+    spread = 0.02 * min(image.shape)
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), spread, borderType=cv2.BORDER_REPLICATE))
-    if float(np.ptp(smooth)) < OUTLINE.min_change:
+    if float(np.ptp(smooth)) < MIN_CHANGE:
         raise no_contrast(region)
     scaled = _scaled(smooth)
     hulls = [cv2.convexHull(outline) for outline in _contours(scaled > _otsu(scaled))]
     hull = max(hulls, key=cv2.contourArea, default=None)
-    if hull is None or cv2.contourArea(hull) < OUTLINE.min_area * image.size:
+    if hull is None or cv2.contourArea(hull) < 0.005 * image.size:
         raise HeliographError(
             f"no area that is bright or changes{_where(region)} is as large as a panel: give corners="
         )
@@ -104,8 +98,8 @@ def order_corners(corners: Floats) -> Floats:
 
 def fit_outline(image: Levels, corners: Floats) -> Floats:
     """Fit the corners of a uniform bright area to an image, with less and less smoothing."""
-    widths = [share * area(corners) ** 0.5 for share in OUTLINE.widths]
-    for width in widths:
+    # 16 LEDs a side appear uniform
+    for width in (0.1 * area(corners) ** 0.5, 0.05 * area(corners) ** 0.5):
         corners = _fit_area(image, corners, width)
     return corners
 
@@ -118,7 +112,7 @@ def _fit_area(image: Levels, corners: Floats, width: float) -> Floats:
     mask = mask_of(grow(at, 3 * sigma), (small.shape[0], small.shape[1]))
     inside = mask.ravel() > 0
     pixels, flat = small.ravel()[inside].astype(np.float64), plane(mask).reshape(3, -1).T[inside]
-    for _ in range(OUTLINE.max_steps):
+    for _ in range(8):
         lit, moved = _render_area(at, sigma, mask.shape)
         # light and background may have slopes
         shown = np.column_stack([flat * lit.ravel()[inside, None], flat])
@@ -133,7 +127,7 @@ def _fit_area(image: Levels, corners: Floats, width: float) -> Floats:
         step = np.linalg.lstsq(np.vstack([columns, prior]), np.append(pixels, np.zeros(8)), rcond=RCOND)[0][:8]
         step /= max(np.abs(step).max() / (2 * sigma), 1.0)
         at = at + step.reshape(4, 2)
-        if np.abs(step).max() < OUTLINE.tolerance * sigma:
+        if np.abs(step).max() < 0.02 * sigma:
             break
     return at * every
 
@@ -156,57 +150,11 @@ def _render_area(corners: Floats, sigma: float, size: tuple[int, ...]) -> tuple[
     return images[0], images[1:]
 
 
-@dataclass(frozen=True, slots=True)
-class SearchTuning:
-    """Search and evaluation of a panel's grid. Chosen by `python -m benchmarks.panel_places`."""
-
-    # Standard deviations of the smoothing before thresholds, over the image's shorter side
-    spreads: tuple[float, ...] = (0.012, 0.035)
-    # Thresholds over the range of levels, in addition to Otsu's
-    thresholds: tuple[float, ...] = (0.5,)
-    # Closed gaps over the image's shorter side
-    gaps: tuple[float, ...] = (0.0, 0.06)
-    # Minimum area of a quadrilateral over the image's area
-    min_area: float = 0.005
-    # Maximum ratio of the pitches along rows and columns
-    max_pitch_ratio: float = 2.2
-    # Number of refined quadrilaterals
-    n_refined: int = 8
-    # Maximum frames for the lit LEDs
-    n_frames: int = 8
-    # Maximum error of manual corners in pitches
-    max_hand: float = 3.0
-    # Maximum squared distance in pitches from manual corners that counts
-    max_hand_cost: float = 2.0
-    # Score that ends the search
-    sure: float = 0.9
-    # Maximum number of lit LEDs of a line that counts for the shift by pitches
-    max_peaks: float = 6.0
-    # Log odds of a position up to integer pitches: a constant, and the factors of both `Agreement.phases` and of ln
-    # `Agreement.leverage`
-    phases: tuple[float, float, float, float] = (-15.4, 10.7, 9.8, -2.2)
-    # Log odds of a position against a shift by a pitch: a constant, the weight of a lit LED in an outer line, and the
-    # weight of the squared distance from manual corners, and of the growth
-    shift: tuple[float, float, float] = (0.8, 1.0, 2.0)
-
-
-SEARCH = SearchTuning()
-
-
-class Candidate(NamedTuple):
-    """Possible position of the panel."""
-
-    # (4, 2) corners in px of the picture
-    corners: Floats
-    # Probability of a correct position, 0 to 1
-    score: float
-
-
 def quadrilaterals(
     images: Sequence[Levels], colour: Levels, shape: Shape, region: Region | None = None
 ) -> list[Floats]:
     """Find quadrilaterals (4, 2) in px that may outline a panel, the clearest grid first."""
-    maps = [image for image in (images[0], colour, evidence(images)) if float(np.ptp(image)) >= OUTLINE.min_change]
+    maps = [image for image in (images[0], colour, evidence(images)) if float(np.ptp(image)) >= MIN_CHANGE]
     if not maps:
         raise no_contrast(region)
     found: list[Floats] = []
@@ -222,26 +170,28 @@ def quadrilaterals(
         if is_plausible(stretched, shape):
             ranked.append((GridView(images[0], stretched, shape).strength(), stretched))
     ranked.sort(key=lambda entry: -entry[0])
-    return [corners for _, corners in ranked[: SEARCH.n_refined]]
+    return [corners for _, corners in ranked[:8]]
 
 
 def best_candidate(
     images: Sequence[Levels], starts: Sequence[Floats], shape: Shape, hand: Floats | None = None
-) -> Candidate:
+) -> Place:
     """Return the candidate with the highest score near any start."""
-    best: Candidate | None = settle(images[:1], hand, shape, hand, shift=False) if hand is not None else None
+    best: Place | None = settle(images[:1], hand, shape, hand, shift=False) if hand is not None else None
     for start in starts:
         # starts of `quadrilaterals` are stretched already
         for stretch in (False,) if hand is None else (False, True):
             corners = refine(images[0], start, shape, stretch)
-            if is_plausible(corners, shape) and (hand is None or is_near(corners, hand, shape)):
+            # all corners are within 3 pitches of the manual corners
+            is_near = hand is None or np.linalg.norm(corners - hand, axis=1).max() <= 3.0 * shape.pitch(hand)
+            if is_near and is_plausible(corners, shape):
                 found = settle(images[:1], corners, shape, hand)
                 best = found if best is None or found.score > best.score else best
     if best is None:
         raise HeliographError(
             f"no panel of {shape.rows} x {shape.columns} LEDs was found: give corners=, its four corners in px"
         )
-    return settle(images[: SEARCH.n_frames], best.corners, shape, hand)
+    return settle(images[:8], best.corners, shape, hand)
 
 
 def is_plausible(corners: Floats, shape: Shape) -> bool:
@@ -249,22 +199,17 @@ def is_plausible(corners: Floats, shape: Shape) -> bool:
     if not shape.is_possible(corners):
         return False
     along, down = pitches(corners, shape.rows, shape.columns)
-    return max(along, down) <= SEARCH.max_pitch_ratio * min(along, down)
-
-
-def is_near(corners: Floats, hand: Floats, shape: Shape) -> bool:
-    """Return True if all corners are near the manual corners."""
-    return bool(np.linalg.norm(corners - hand, axis=1).max() <= SEARCH.max_hand * shape.pitch(hand))
+    return max(along, down) <= 2.2 * min(along, down)
 
 
 def _outlines(image: Levels) -> Iterator[Floats]:
     side = min(image.shape)
     wide = cv2.GaussianBlur(image, (0, 0), 0.15 * side)
-    for spread in SEARCH.spreads:
+    for spread in (0.012, 0.035):
         smooth = cv2.GaussianBlur(image, (0, 0), max(spread * side, 1.0))
         for scaled in (_scaled(smooth), _scaled(smooth - wide)):
-            for level in (_otsu(scaled), *(255 * share for share in SEARCH.thresholds)):
-                for gap in SEARCH.gaps:
+            for level in (_otsu(scaled), 127.5):
+                for gap in (0.0, 0.06):
                     yield from _hull_corners(_close(scaled > level, int(gap * side)))
 
 
@@ -285,14 +230,14 @@ def _hull_corners(lit: NDArray[np.uint8]) -> Iterator[Floats]:
     together = np.concatenate([outline for outline in outlines if cv2.contourArea(outline) >= 0.05 * largest])
     for points in (*outlines[-2:], together):
         hull = cv2.convexHull(points)
-        if cv2.contourArea(hull) >= SEARCH.min_area * lit.size:
+        if cv2.contourArea(hull) >= 0.005 * lit.size:
             yield order_corners(_four_corners(hull))
             yield order_corners(cv2.boxPoints(cv2.minAreaRect(hull)).astype(np.float64))
 
 
 def settle(
     images: Sequence[Levels], corners: Floats, shape: Shape, hand: Floats | None = None, shift: bool = True
-) -> Candidate:
+) -> Place:
     """Choose integer pitches near corners by lit LEDs and manual corners, and score the position."""
     views = [GridView(images[0], corners, shape)]
     for image in images[1:]:
@@ -304,32 +249,32 @@ def settle(
     lit = first._replace(
         rows=np.max([other.rows for other in good], axis=0), columns=np.max([other.columns for other in good], axis=0)
     )
-    constant, narrow, wide, lever = SEARCH.phases
-    log_odds = constant + narrow * lit.phases[0] + wide * lit.phases[1] + lever * np.log(max(lit.leverage, TINY))
-    score, moves, rim = _probability(log_odds), list[int](), TUNING.rim
-    steps = np.arange(-rim, rim + 1)
+    # logistic regressions for a position up to integer pitches, and for a shift by a pitch (benchmarks/panel_places.py)
+    log_odds = -15.4 + 10.7 * lit.phases[0] + 9.8 * lit.phases[1] - 2.2 * np.log(max(lit.leverage, TINY))
+    score, moves = _probability(log_odds), list[int]()
+    steps = np.arange(-RIM, RIM + 1)
     offset, growth = (np.zeros(2), np.zeros(2)) if hand is None else _compare(corners, hand, shape)
     counts = shape.columns, shape.rows
     for peaks, count, off, rise in zip((lit.columns, lit.rows), counts, offset, growth, strict=True):
-        line = np.minimum(peaks, SEARCH.max_peaks)
-        evidence = np.array([line[k : k + count].sum() for k in range(2 * rim + 1)]) * SEARCH.shift[1]
+        line = np.minimum(peaks, 6.0)
+        evidence = np.array([line[k : k + count].sum() for k in range(2 * RIM + 1)])
         if hand is not None:
-            evidence = evidence - SEARCH.shift[2] * np.minimum((steps + off) ** 2, SEARCH.max_hand_cost)
-        best = int(np.argmax(evidence - 1e-6 * np.abs(steps))) if shift else rim
+            evidence = evidence - 2.0 * np.minimum((steps + off) ** 2, 2.0)
+        best = int(np.argmax(evidence - 1e-6 * np.abs(steps))) if shift else RIM
         others = [evidence[k] for k in (best - 1, best + 1) if 0 <= k < len(evidence)]
         moves.append(int(steps[best]))
-        odds = float(evidence[best] - max(others)) - SEARCH.shift[2] * abs(rise)
-        score *= _probability(SEARCH.shift[0] + odds)
-    return Candidate(views[0].shifted(*moves) if any(moves) else corners, score)
+        odds = float(evidence[best] - max(others)) - 2.0 * abs(rise)
+        score *= _probability(0.8 + odds)
+    return Place(views[0].shifted(*moves) if any(moves) else corners, score=score)
 
 
-def search_near(image: Levels, starts: Sequence[Floats], shape: Shape) -> Candidate:
+def search_near(image: Levels, starts: Sequence[Floats], shape: Shape) -> Place:
     """Return the candidate with the highest score near expected positions, the most likely position first."""
     found = []
     for start in starts:
-        for windows in (TUNING.windows_leds[-2:], TUNING.windows_leds):
+        for windows in ((2.0, 1.5), (4.0, 3.0, 2.0, 2.0, 1.5)):
             found.append(settle([image], refine(image, start, shape, False, windows), shape, start))
-            if found[-1].score >= SEARCH.sure:
+            if found[-1].score >= 0.9:
                 return found[-1]
     return max(found, key=lambda candidate: candidate.score)
 

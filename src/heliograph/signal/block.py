@@ -32,6 +32,7 @@ Numbers are big-endian; bytes start with the most significant bit.
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,33 +42,11 @@ from heliograph.signal.settings import LAYERS
 VERSION = 1
 """Air interface version in every block (section 7)."""
 
-HEADER_BYTES = 8
-"""Header bytes before the payload (section 7)."""
-
 CRC_BYTES = 4
 """CRC-32 bytes (section 7)."""
 
-MIN_BITS = 8 * (HEADER_BYTES + CRC_BYTES + 1)
+MIN_BITS = 8 * (8 + CRC_BYTES + 1)
 """Minimum information bits per block: header, CRC and a single payload byte."""
-
-FILE_HEADER_BYTES = 15
-"""Header bytes before the symbols in a file block (section 7.1)."""
-
-FILE_LAYERS = 4
-"""Offset to the layer number in a file block (section 7.1)."""
-
-SMALL_BLOCK_BYTES = 40
-"""Maximum size of a small file block in bytes (section 7.2). Above this size the header of section 7.1 takes less than
-half of the block, while small blocks spend an eighth on file descriptions."""
-
-SMALL_HEADER_BYTES = 5
-"""Header bytes before the symbol in a small block (section 7.2)."""
-
-NOTICE_BYTES = 9
-"""Header bytes in a file description (section 7.2)."""
-
-SYMBOL_LAYERS, NOTICE_LAYERS = 8, 12
-"""Offsets to the layer number in a small block with a symbol or a file description (section 7.2)."""
 
 MAX_MESSAGE = (1 << 24) - 1
 """Maximum message length in bytes: the length field has three bytes."""
@@ -75,69 +54,42 @@ MAX_MESSAGE = (1 << 24) - 1
 MAX_SEGMENTS = 1 << 16
 """Maximum number of segments per message: the sequence field has two bytes."""
 
-_MAX_BYTE = 255
-"""Maximum byte value."""
-
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Message segment in a codeword.
+    """Message segment in a codeword."""
 
-    Attributes
-    ----------
-    layer
-        "high", "middle" or "low".
-    identity
-        Array number, 0 to 255 (a transmitter uses 0 to 29).
-    stream
-        Message number in the layer, 0 to 255.
-    sequence
-        Segment number in the message, 0 to 65535.
-    length
-        Message length in bytes, 0 to 2**24 - 1; 0 for an idle block.
-    payload
-        Segment bytes, excluding padding; at most `payload_bytes`.
-    """
-
+    # "high", "middle" or "low", as in all blocks
     layer: str
+    # Array number, 0 to 255 (a transmitter uses 0 to 29), as in all blocks
     identity: int
+    # Message number in the layer, 0 to 255
     stream: int
+    # Segment number in the message, 0 to 65535
     sequence: int
+    # Message length in bytes, 0 to 2**24 - 1; 0 for an idle block
     length: int
+    # Segment bytes, excluding padding; at most `payload_bytes`
     payload: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class FileBlock:
-    """File symbols in a codeword (section 7.1).
-
-    Attributes
-    ----------
-    layer
-        "high", "middle" or "low".
-    identity
-        Array number, 0 to 255 (a transmitter uses 0 to 29).
-    code
-        Number of the symbol code: 0 Cauchy, 1 RaptorQ.
-    number
-        Number of the first symbol, 0 to 2**24 - 1.
-    length
-        Length of file and name in bytes, 1 to 2**24 - 1.
-    size
-        Symbol size in bytes, 1 to 65535.
-    check
-        CRC-32 of file and name.
-    payload
-        Consecutive symbols: a positive multiple of `size` bytes.
-    """
+    """File symbols in a codeword (section 7.1)."""
 
     layer: str
     identity: int
+    # Number of the symbol code: 0 Cauchy, 1 RaptorQ
     code: int
+    # Number of the first symbol, 0 to 2**24 - 1
     number: int
+    # Length of file and name in bytes, 1 to 2**24 - 1
     length: int
+    # Symbol size in bytes, 1 to 65535
     size: int
+    # CRC-32 of file and name
     check: int
+    # Consecutive symbols: a positive multiple of `size` bytes
     payload: bytes
 
     def symbols(self) -> Iterator[tuple[int, bytes]]:
@@ -148,48 +100,27 @@ class FileBlock:
 
 @dataclass(frozen=True, slots=True)
 class SymbolBlock:
-    """File symbol in a small block (section 7.2).
-
-    Attributes
-    ----------
-    layer
-        "high", "middle" or "low".
-    identity
-        Array number, 0 to 255 (a transmitter uses 0 to 29).
-    tag
-        First CRC byte of the file, 0 to 255.
-    number
-        Symbol number, 0 to 65535.
-    payload
-        Symbol bytes: an even number, at least two.
-    """
+    """File symbol in a small block (section 7.2)."""
 
     layer: str
     identity: int
+    # First CRC byte of the file, 0 to 255
     tag: int
+    # Symbol number, 0 to 65535
     number: int
+    # Symbol bytes: an even number, at least two
     payload: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class FileNotice:
-    """File description, which accompanies symbols in small blocks (section 7.2).
-
-    Attributes
-    ----------
-    layer
-        "high", "middle" or "low".
-    identity
-        Array number, 0 to 255 (a transmitter uses 0 to 29).
-    length
-        Length of file and name in bytes, 1 to 2**24 - 1.
-    check
-        CRC-32 of file and name.
-    """
+    """File description, which accompanies symbols in small blocks (section 7.2)."""
 
     layer: str
     identity: int
+    # Length of file and name in bytes, 1 to 2**24 - 1
     length: int
+    # CRC-32 of file and name
     check: int
 
     @property
@@ -209,22 +140,30 @@ AnyFileBlock = FileBlock | SymbolBlock | FileNotice
 AnyBlock = Block | AnyFileBlock
 """Block types for messages and files."""
 
+_LAYOUTS: dict[int, tuple[type[AnyBlock], dict[str, int]]] = {
+    0: (Block, {"stream": 1, "sequence": 2, "length": 3}),
+    4: (FileBlock, {"code": 1, "number": 3, "length": 3, "size": 2, "check": 4}),
+    8: (SymbolBlock, {"tag": 1, "number": 2}),
+    12: (FileNotice, {"length": 3, "check": 4}),
+}
+"""Block type by offset to the layer number, with the bytes of each header field after the identity (section 7)."""
+
 
 def symbol_bytes(k: int) -> int:
     """Return the bytes available for file symbols in a block with `k` bits; below 1 if the block is too small."""
-    return k // 8 - FILE_HEADER_BYTES - CRC_BYTES
+    return k // 8 - 15 - CRC_BYTES  # 15 header bytes
 
 
 def small_symbol_bytes(k: int) -> int:
     """Return the symbol size in bytes for a small block with `k` bits; below 2 if the block is too small."""
-    return (k // 8 - SMALL_HEADER_BYTES - CRC_BYTES) // 2 * 2
+    return (k // 8 - 5 - CRC_BYTES) // 2 * 2  # 5 header bytes
 
 
 def payload_bytes(k: int) -> int:
     """Return the payload bytes per block; raise a ValueError if `k` is invalid."""
     if k < MIN_BITS or k % 8:
         raise ValueError(f"a block needs a multiple of 8 bits, at least {MIN_BITS}, not {k}")
-    return k // 8 - HEADER_BYTES - CRC_BYTES
+    return k // 8 - 8 - CRC_BYTES  # 8 header bytes
 
 
 def pack(block: AnyBlock, k: int) -> NDArray[np.uint8]:
@@ -239,37 +178,16 @@ def pack(block: AnyBlock, k: int) -> NDArray[np.uint8]:
 
 
 def _head(block: AnyBlock) -> bytes:
-    _check_fields(block)
-    layer = LAYERS.index(block.layer)
-    if isinstance(block, Block):
-        head = bytes([VERSION << 4 | layer, block.identity, block.stream])
-        return head + block.sequence.to_bytes(2) + block.length.to_bytes(3)
-    if isinstance(block, SymbolBlock):
-        return bytes([VERSION << 4 | SYMBOL_LAYERS + layer, block.identity, block.tag]) + block.number.to_bytes(2)
-    if isinstance(block, FileNotice):
-        head = bytes([VERSION << 4 | NOTICE_LAYERS + layer, block.identity])
-        return head + block.length.to_bytes(3) + block.check.to_bytes(4)
-    head = bytes([VERSION << 4 | FILE_LAYERS + layer, block.identity, block.code]) + block.number.to_bytes(3)
-    return head + block.length.to_bytes(3) + block.size.to_bytes(2) + block.check.to_bytes(4)
-
-
-_MOST_CHECK = (1 << 32) - 1
-_FIELDS: dict[type, dict[str, int]] = {
-    Block: {"identity": _MAX_BYTE, "stream": _MAX_BYTE, "sequence": MAX_SEGMENTS - 1, "length": MAX_MESSAGE},
-    FileBlock: {"identity": _MAX_BYTE, "code": _MAX_BYTE, "number": MAX_MESSAGE, "length": MAX_MESSAGE,
-                "size": MAX_SEGMENTS - 1, "check": _MOST_CHECK},
-    SymbolBlock: {"identity": _MAX_BYTE, "tag": _MAX_BYTE, "number": MAX_SEGMENTS - 1},
-    FileNotice: {"identity": _MAX_BYTE, "length": MAX_MESSAGE, "check": _MOST_CHECK},
-}  # fmt: skip
-"""Maximum value for each field."""
-
-
-def _check_fields(block: AnyBlock) -> None:
     if block.layer not in LAYERS:
         raise ValueError(f"layers are {', '.join(LAYERS)}, not {block.layer}")
-    for name, most in _FIELDS[type(block)].items():
-        if not 0 <= getattr(block, name) <= most:
-            raise ValueError(f"a block's {name} is 0 to {most}, not {getattr(block, name)}")
+    offset, sizes = next((n, sizes) for n, (kind, sizes) in _LAYOUTS.items() if isinstance(block, kind))
+    head = bytes([VERSION << 4 | offset + LAYERS.index(block.layer)])
+    for name, size in {"identity": 1, **sizes}.items():
+        value = getattr(block, name)
+        if not 0 <= value < 256**size:
+            raise ValueError(f"a block's {name} is 0 to {256**size - 1}, not {value}")
+        head += value.to_bytes(size)
+    return head
 
 
 def check(bits: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -283,30 +201,23 @@ def check(bits: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def unpack(bits: NDArray[np.uint8]) -> AnyBlock | None:
     """Unpack a block from (k,) information bits; return None if the CRC, version, layer or a file field is invalid."""
     data = np.packbits(bits).tobytes()
-    version, layer = data[0] >> 4, data[0] & 15
-    if not check(bits) or version != VERSION:
+    version, layer = data[0] >> 4, data[0] & 3
+    if not check(bits) or version != VERSION or layer >= len(LAYERS):
         return None
-    if FILE_LAYERS <= layer < FILE_LAYERS + len(LAYERS):
-        return _file_block(data)
-    if SYMBOL_LAYERS <= layer < SYMBOL_LAYERS + len(LAYERS):
-        size = small_symbol_bytes(len(bits))
-        payload = data[SMALL_HEADER_BYTES : SMALL_HEADER_BYTES + size]
-        return SymbolBlock(LAYERS[layer & 3], data[1], data[2], int.from_bytes(data[3:5]), payload) if size else None
-    if NOTICE_LAYERS <= layer < NOTICE_LAYERS + len(LAYERS):
-        length = int.from_bytes(data[2:5])
-        return FileNotice(LAYERS[layer & 3], data[1], length, int.from_bytes(data[5:9])) if length else None
-    if layer >= len(LAYERS):
+    kind, sizes = _LAYOUTS[data[0] & 12]
+    fields: dict[str, Any] = {"layer": LAYERS[layer], "identity": data[1]}
+    end = 2
+    for name, size in sizes.items():
+        fields[name] = int.from_bytes(data[end : end + size])
+        end += size
+    room = data[end:-CRC_BYTES]
+    if kind is Block:
+        fields["payload"] = room[: max(0, fields["length"] - fields["sequence"] * len(room))]
+    elif kind is not FileNotice:  # complete symbols
+        size = fields.get("size", len(room) // 2 * 2)
+        if not 0 < size <= len(room):
+            return None
+        fields["payload"] = room[: len(room) // size * size]
+    if kind is not Block and not fields.get("length", 1):
         return None
-    sequence, length = int.from_bytes(data[3:5]), int.from_bytes(data[5:8])
-    payload = data[HEADER_BYTES:-CRC_BYTES][: max(0, length - sequence * payload_bytes(len(bits)))]
-    return Block(LAYERS[layer], data[1], data[2], sequence, length, payload)
-
-
-def _file_block(data: bytes) -> FileBlock | None:
-    """Unpack a file block; return None if a field is invalid."""
-    number, length, size = int.from_bytes(data[3:6]), int.from_bytes(data[6:9]), int.from_bytes(data[9:11])
-    room = data[FILE_HEADER_BYTES:-CRC_BYTES]
-    if not length or not 0 < size <= len(room):
-        return None
-    payload = room[: len(room) // size * size]
-    return FileBlock(LAYERS[data[0] & 3], data[1], data[2], number, length, size, int.from_bytes(data[11:15]), payload)
+    return kind(**fields)

@@ -31,15 +31,6 @@ With half as many pairs, blocks for 8 x 8 LEDs fit only at rate 9/10; with twice
 ALL_MODES = 4
 """Number of modes, including reserved modes."""
 
-RATE_BITS = 3
-"""Bits per rate number."""
-
-BITS = 11
-"""Bits per format number: two for the mode, three for each layer. RM(2, 4) has 11 information bits."""
-
-WORD_BITS = 16
-"""Bits per format word, the length of RM(2, 4): one bit for each of 4 x 4 header cells."""
-
 DIMMED = 0.5
 """Contrast for 1 bits (section 4.1): the only contrast between 0 and 1 with integer levels, 3 and 1. At contrast 0,
 header detection would lose the cell."""
@@ -87,7 +78,7 @@ class Format:
         """Format number in the header, F = 512 M + 64 h + 8 m + l (section 4.1): 0 to 1535."""
         total = MODES.index(self.mode)
         for rate in (self.high, self.middle, self.low):
-            total = (total << RATE_BITS) + (0 if rate is None else 1 + SIGNALLED_RATES.index(rate))
+            total = 8 * total + (0 if rate is None else 1 + SIGNALLED_RATES.index(rate))
         return total
 
     def rates(self, agreed: RateSettings) -> tuple[float, float, float]:
@@ -108,16 +99,11 @@ AGREED = Format()
 
 def format_of(number: int) -> Format:
     """Return the format for a number, the inverse of `Format.number`; raise a ValueError if the number is invalid."""
-    if not 0 <= number < len(MODES) << 3 * RATE_BITS:
-        raise ValueError(f"a format is 0 to {(len(MODES) << 3 * RATE_BITS) - 1}, not {number}")
-    codes = [number >> RATE_BITS * place & 7 for place in (2, 1, 0)]
+    if not 0 <= number < 512 * len(MODES):
+        raise ValueError(f"a format is 0 to {512 * len(MODES) - 1}, not {number}")
+    codes = [number // step % 8 for step in (64, 8, 1)]
     high, middle, low = (SIGNALLED_RATES[code - 1] if code else None for code in codes)
-    return Format(mode=MODES[number >> 3 * RATE_BITS], high=high, middle=middle, low=low)
-
-
-def mode_number(number: int) -> int:
-    """Return the mode number M = F div 512 (section 4.1), 0 to 3, for a format number F, 0 to 2047."""
-    return number >> 3 * RATE_BITS
+    return Format(mode=MODES[number // 512], high=high, middle=middle, low=low)
 
 
 class UnreadableModeError(ValueError):
@@ -126,8 +112,9 @@ class UnreadableModeError(ValueError):
 
 def check_mode(number: int, data_pairs: int) -> None:
     """Raise an UnreadableModeError if the mode is 3, or if the mode is short and `data_pairs` is not 13."""
-    if mode_number(number) >= len(MODES):
-        raise UnreadableModeError(f"its mode, {mode_number(number)}, is not known to this version")
+    mode = number // 512  # M = F div 512 (section 4.1)
+    if mode >= len(MODES):
+        raise UnreadableModeError(f"its mode, {mode}, is not known to this version")
     if not readable(data_pairs)[number]:
         raise UnreadableModeError(
             f"its mode, short, has {SHORT_PAIRS} data pairs, and signal.data_pairs is {data_pairs}: set it to "
@@ -143,7 +130,7 @@ def known_format(number: int, data_pairs: int) -> Format:
 @lru_cache
 def readable(data_pairs: int) -> NDArray[np.bool_]:
     """Return a read-only (2048,) bool mask: True for each readable format number."""
-    modes = np.repeat(np.arange(ALL_MODES), 1 << 3 * RATE_BITS)
+    modes = np.repeat(np.arange(ALL_MODES), 512)
     found = (modes < len(MODES)) & ((modes != MODES.index("short")) | (data_pairs == SHORT_PAIRS))
     found.setflags(write=False)
     return found
@@ -156,11 +143,11 @@ def words(modes: int = len(MODES)) -> NDArray[np.uint8]:
     The row is the format number, the column is 4 row + column of the header cell.
     """
     # w = f0 + f1 v0 + f2 v1 + f3 v2 + f4 v3 + f5 v0 v1 + f6 v0 v2 + ... + f10 v2 v3 (modulo 2)
-    index = np.arange(WORD_BITS)
+    index = np.arange(16)
     v = [index >> bit & 1 for bit in range(4)]
     # 1; v0 ... v3; v0 v1, v0 v2, v0 v3, v1 v2, v1 v3, v2 v3
-    rows = np.array([np.ones(WORD_BITS, int), *v, *(a * b for a, b in combinations(v, 2))])
-    numbers = np.arange(modes << 3 * RATE_BITS)
-    found = ((numbers[:, None] >> np.arange(BITS) & 1) @ rows % 2).astype(np.uint8)
+    rows = np.array([np.ones(16, int), *v, *(a * b for a, b in combinations(v, 2))])
+    numbers = np.arange(512 * modes)
+    found = ((numbers[:, None] >> np.arange(11) & 1) @ rows % 2).astype(np.uint8)
     found.setflags(write=False)
     return found

@@ -10,9 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-MIDDLE_LEVEL = 2
-"""Level for x' = 0 in equation (8): x' is -2 to 2, levels are 0 to 4."""
-
 
 def encode(d: ArrayLike) -> NDArray[np.uint8]:
     """Transform data matrices, (..., n, n) with values -1 and +1, to uint8 luminance levels 0 to 4."""
@@ -20,7 +17,7 @@ def encode(d: ArrayLike) -> NDArray[np.uint8]:
     if not np.isin(data, (-1, 1)).all():
         raise ValueError("a data matrix holds -1 and +1 only")
     # (8) x' = 1/2 H^T D H, in -2 .. 2; level = 4 x = x' + 2
-    return (inverse_transform(data) + MIDDLE_LEVEL).astype(np.uint8)
+    return (inverse_transform(data) + 2).astype(np.uint8)
 
 
 def inverse_transform(d: ArrayLike) -> NDArray[np.float64]:
@@ -40,11 +37,6 @@ def decode(x: ArrayLike) -> NDArray[np.float64]:
     """
     # (10) d^' = 1/2 H x' H^T
     return 0.5 * _pairs_to_halves(_pairs_to_halves(_square(x).astype(np.float64), -1), -2)
-
-
-def decide(soft: ArrayLike) -> NDArray[np.int8]:
-    """Return int8 decisions on soft data with threshold 0, as below equation (10): +1 if positive, else -1."""
-    return np.where(np.asarray(soft) > 0, 1, -1).astype(np.int8)
 
 
 def _square(a: ArrayLike) -> NDArray[Any]:

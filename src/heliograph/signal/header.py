@@ -5,8 +5,6 @@
 differs from the next sequence phase, which separates identities if the position is unknown.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,71 +21,47 @@ CHIPS = CELLS * CELLS - 1
 IDENTITIES = CHIPS * len(HEADER_POLYNOMIALS)
 """Number of identities: 15 cyclic phases for each of two polynomials."""
 
-PATH = np.arange(CELLS * CELLS).reshape(CELLS, CELLS)
-PATH[1::2] = PATH[1::2, ::-1]
-"""Chip number in each cell, (4, 4): left to right in even rows, right to left in odd rows; 15 is dark."""
 
-DEFAULT_SIDE = 16
-"""LEDs per row and column in the array from the paper."""
-
-
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """Array identity: M-sequence polynomial and cyclic phase.
-
-    Attributes
-    ----------
-    polynomial
-        Coefficients as bits, bit i for x^i; an element of `HEADER_POLYNOMIALS`.
-    phase
-        Cyclic advance in chips, 0 to 14.
-    """
-
-    polynomial: int
-    phase: int
-
-    @property
-    def number(self) -> int:
-        """Identity number I = 15 q + s, 0 to 29, with polynomial index q and phase s."""
-        return HEADER_POLYNOMIALS.index(self.polynomial) * CHIPS + self.phase
-
-
-def identity(number: int) -> Identity:
-    """Return the identity for a number from 0 to 29; raise a ValueError for other numbers."""
+def identity(number: int) -> tuple[int, int]:
+    """Return the polynomial and the cyclic advance in chips, 0 to 14, for an identity number I = 15 q + s."""
     if not 0 <= number < IDENTITIES:
         raise ValueError(f"an identity is 0 to {IDENTITIES - 1}, not {number}")
-    return Identity(HEADER_POLYNOMIALS[number // CHIPS], number % CHIPS)
+    return HEADER_POLYNOMIALS[number // CHIPS], number % CHIPS
 
 
 def header_cells(number: int) -> NDArray[np.int8]:
     """Return the header cells, (4, 4) int8: +1 lit, -1 dark. The sum is 0."""
-    who = identity(number)
-    chips = np.roll(m_sequence(who.polynomial), -who.phase)
-    cells = np.append(chips, 0)[PATH]
-    return (2 * cells.astype(np.int8) - 1).astype(np.int8)
+    polynomial, phase = identity(number)
+    chips = np.append(np.roll(m_sequence(polynomial), -phase), 0)
+    cells = chips.reshape(CELLS, CELLS)
+    cells[1::2] = cells[1::2, ::-1]  # odd rows run from right to left
+    return 2 * cells.astype(np.int8) - 1
 
 
-def header_levels(number: int, side: int = DEFAULT_SIDE) -> NDArray[np.uint8]:
+def header_levels(number: int, side: int = 16) -> NDArray[np.uint8]:
     """Return the header pattern, (side, side) uint8: level 4 in lit cells, 0 in dark cells."""
     if side % CELLS:
         raise ValueError(f"the header needs a side that is a multiple of {CELLS}, not {side}")
-    block = np.ones((side // CELLS, side // CELLS), dtype=np.uint8)
-    return np.kron((header_cells(number) > 0).astype(np.uint8) * np.uint8(SLOTS), block).astype(np.uint8)
+    return SLOTS * _enlarge(header_cells(number) > 0, side).astype(np.uint8)
 
 
-def signalling_levels(number: int, form: int, side: int = DEFAULT_SIDE) -> NDArray[np.uint8]:
+def signalling_levels(number: int, form: int, side: int = 16) -> NDArray[np.uint8]:
     """Return the pattern for later header pairs, (side, side) uint8: 4 and 0, in dimmed cells 3 and 1 (section 4.1)."""
     lit = header_levels(number, side).astype(np.float64) - SLOTS // 2
     return (SLOTS // 2 + lit * np.where(dimmed_leds(form, side), DIMMED, 1.0)).astype(np.uint8)
 
 
-def dimmed_leds(form: int, side: int = DEFAULT_SIDE) -> NDArray[np.bool_]:
+def dimmed_leds(form: int, side: int = 16) -> NDArray[np.bool_]:
     """Return a (side, side) mask: True for LEDs with half contrast in later header pairs (section 4.1)."""
-    block = np.ones((side // CELLS, side // CELLS), dtype=np.uint8)
-    return np.kron(words(ALL_MODES)[form].reshape(CELLS, CELLS), block) > 0
+    return _enlarge(words(ALL_MODES)[form].reshape(CELLS, CELLS) > 0, side)
 
 
-def all_on_levels(side: int = DEFAULT_SIDE) -> NDArray[np.uint8]:
+def _enlarge(cells: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
+    """Repeat header cells for the LEDs of an array, (side, side)."""
+    return cells.repeat(side // CELLS, 0).repeat(side // CELLS, 1)
+
+
+def all_on_levels(side: int = 16) -> NDArray[np.uint8]:
     """Return the header pattern for the mode "all on", for comparison: (side, side) uint8, every LED at level 4."""
     return np.full((side, side), SLOTS, dtype=np.uint8)
 

@@ -6,9 +6,6 @@ from numpy.typing import NDArray
 HEADER_POLYNOMIALS = (0b11001, 0b10011)
 """Primitive polynomials at degree 4: x^4 + x^3 + 1 (Nagura et al. 2010, section IV.A) and the reciprocal."""
 
-MAX_DEGREE = 24
-"""Maximum polynomial degree, at which a period takes 16 MB and some seconds; the air interface needs 15."""
-
 
 def m_sequence(polynomial: int, state: int = 1) -> NDArray[np.uint8]:
     """Return a period of the M-sequence for a primitive polynomial, (2**m - 1,) uint8 chips 0 and 1.
@@ -18,8 +15,8 @@ def m_sequence(polynomial: int, state: int = 1) -> NDArray[np.uint8]:
     degree or the state is out of range.
     """
     m = polynomial.bit_length() - 1
-    if not 2 <= m <= MAX_DEGREE:
-        raise ValueError(f"a polynomial of degree 2 to {MAX_DEGREE} is needed, not of degree {m}")
+    if not 2 <= m <= 24:  # a period of degree 24 has 16 MB
+        raise ValueError(f"a polynomial of degree 2 to 24 is needed, not of degree {m}")
     if not 0 < state < 1 << m:
         raise ValueError(f"the state must be 1 to {(1 << m) - 1} for degree {m}, not {state}")
     period = (1 << m) - 1

@@ -35,10 +35,7 @@ class Message:
 
 
 def segments(message: Message, room: int) -> list[Block]:
-    """Split a message into blocks with `room` payload bytes each; an empty message gives an idle block.
-
-    Raise a ValueError if the message is longer than 2**24 - 1 bytes or 65,536 blocks.
-    """
+    """Split a message into blocks with `room` payload bytes each; an empty message gives an idle block."""
     limit = min(MAX_MESSAGE, MAX_SEGMENTS * room)
     if len(message.data) > limit:
         raise ValueError(f"a message of {room}-byte blocks has at most {limit} bytes, not {len(message.data)}")
@@ -49,15 +46,10 @@ def segments(message: Message, room: int) -> list[Block]:
 
 @dataclass(frozen=True, slots=True)
 class Updates:
-    """Message with changing content; each content has a stream number.
+    """Message with changing content; each content has a stream number."""
 
-    Attributes
-    ----------
-    contents
-        (start time in s after the start of transmission, bytes) for each content; sorted by time, not empty. The
-        transmitter sends the first content from the start, regardless of the start time.
-    """
-
+    # (start time in s after the start of transmission, bytes) for each content; sorted by time, not empty. The
+    # transmitter sends the first content from the start, regardless of the start time.
     contents: tuple[tuple[float, bytes], ...]
 
     def at(self, time_s: float) -> int:
@@ -68,21 +60,7 @@ class Updates:
 class Carousel:
     """Endless sequence of message segments for a layer; idle blocks if the layer has no message (section 8).
 
-    Parameters
-    ----------
-    identity
-        Array number, 0 to 29.
-    layer
-        "high", "middle" or "low".
-    messages
-        At most 256 messages; message i is sent as stream i. Changing messages share the remaining stream numbers.
-    room
-        Payload bytes per block, at least 1.
-
-    Raises
-    ------
-    ValueError
-        The layer has more than 256 messages, or a message is too long for `segments`.
+    Message i is sent as stream i; changing messages share the remaining stream numbers.
     """
 
     def __init__(self, identity: int, layer: str, messages: Sequence[bytes | Updates], room: int):
@@ -119,24 +97,6 @@ class Carousel:
         return segments(Message(identity, layer, stream, data), self._room)
 
 
-@dataclass(slots=True)
-class _Assembly:
-    """Incomplete message: length in bytes, and segments by sequence."""
-
-    length: int
-    pieces: dict[int, bytes] = field(default_factory=dict)
-
-    def takes(self, block: Block) -> bool:
-        """Return True if the length, and the bytes of an earlier segment with the same sequence, match."""
-        return self.length == block.length and self.pieces.get(block.sequence, block.payload) == block.payload
-
-    def whole(self) -> bytes | None:
-        """Return the message bytes, or None if segments are missing."""
-        if sum(map(len, self.pieces.values())) < self.length:
-            return None
-        return b"".join(self.pieces[i] for i in sorted(self.pieces))
-
-
 _Key = tuple[int, str, int, int]
 """Identity, layer, stream, and payload bytes per block."""
 
@@ -153,19 +113,17 @@ class _Done:
 class Reassembler:
     """Reassemble messages from blocks in any order, with repeats and gaps; return each message once (section 8).
 
-    Memory is bounded by an incomplete message per array, layer, block size and stream (0 to 255). If the content
-    changes, the transmitter must change the stream number; otherwise a block with different length or content restarts
-    the message.
+    A block with another length or content, and the same stream number, restarts the message.
     """
 
-    _open: dict[_Key, _Assembly] = field(default_factory=dict)
+    # Message length in bytes, and segments by sequence, of incomplete messages
+    _open: dict[_Key, tuple[int, dict[int, bytes]]] = field(default_factory=dict)
     _done: dict[tuple[int, str, int], _Done] = field(default_factory=dict)
 
     def add(self, block: AnyBlock, room: int = 0) -> Message | None:
         """Add a block with a correct CRC; return a newly completed message, or None. File blocks are ignored.
 
-        `room` is the payload size per block in bytes. If packets differ in rate, the transmitter splits a message for
-        each size, and segments with different sizes do not fit together.
+        Segments with different payload sizes per block, `room` in bytes, do not fit together.
         """
         if not isinstance(block, Block):
             return None
@@ -173,18 +131,19 @@ class Reassembler:
         key = (*who, room)
         if not block.length or not block.payload or self._had(key, block):
             return None
-        assembly = self._open.get(key)
-        if assembly is None or not assembly.takes(block):
-            assembly = self._open[key] = _Assembly(block.length)
-        assembly.pieces[block.sequence] = block.payload
-        data = assembly.whole()
-        if data is None:
+        length, pieces = self._open.get(key, (0, dict[int, bytes]()))
+        if length != block.length or pieces.get(block.sequence, block.payload) != block.payload:
+            pieces = {}
+            self._open[key] = block.length, pieces
+        pieces[block.sequence] = block.payload
+        if sum(map(len, pieces.values())) < block.length:
             return None
+        data = b"".join(pieces[i] for i in sorted(pieces))
         del self._open[key]
         last = self._done.get(who)
         known = last is not None and last.data == (len(data), zlib.crc32(data))
         done = last if last is not None and known else _Done((len(data), zlib.crc32(data)))
-        done.pieces[room] = {i: zlib.crc32(piece) for i, piece in assembly.pieces.items()}
+        done.pieces[room] = {i: zlib.crc32(piece) for i, piece in pieces.items()}
         self._done[who] = done
         return None if known else Message(*who, data)
 
@@ -202,4 +161,4 @@ class Reassembler:
 
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
         """Return incomplete messages: (identity, layer, stream, received bytes, message length in bytes)."""
-        return [(*key[:3], sum(map(len, a.pieces.values())), a.length) for key, a in self._open.items()]
+        return [(*key[:3], sum(map(len, pieces.values())), length) for key, (length, pieces) in self._open.items()]

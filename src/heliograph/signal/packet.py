@@ -20,37 +20,20 @@ from heliograph.signal.whitening import whitening
 
 Value = TypeVar("Value", bound=np.generic)
 
-SYMBOL_STEP = 23
-"""Symbol shift from pair to pair in the interleaver (section 11), which spreads each codeword over the array.
-
-The prime divides the symbol count of a single layer (high, in single mode at 48 x 48 LEDs). In the default high layer,
-a D11 symbol carries 0.94 to 1.12 times the mean number of bits from each third of a codeword; 11 or 46 gives 0.88 to
-1.12, and 0 gives 0 to 3.
-"""
-
 
 @dataclass(frozen=True)
 class LayerFormat:
-    """Layer layout in a packet. A symbol is an element of the data matrix D.
+    """Layer layout in a packet. A symbol is an element of the data matrix D."""
 
-    Attributes
-    ----------
-    name
-        "high", "middle" or "low".
-    codewords
-        Codewords per packet, W in section 9.1, at least 1.
-    code
-        Channel code with K information bits and E coded bits per codeword.
-    pairs
-        Data pairs per packet; data patterns in single mode.
-    symbols
-        Symbols per pair or pattern, C in section 5.
-    """
-
+    # "high", "middle" or "low"
     name: str
+    # Codewords per packet, W in section 9.1, at least 1
     codewords: int
+    # Channel code with K information bits and E coded bits per codeword
     code: Code
+    # Data pairs per packet; data patterns in single mode
     pairs: int
+    # Symbols per pair or pattern, C in section 5
     symbols: int
 
     @property
@@ -62,9 +45,9 @@ class LayerFormat:
     def places(self) -> NDArray[np.intp]:
         """Interleaver (section 11): flat index in (pairs, symbols) for bit j in the concatenated codewords."""
         j = np.arange(self.pairs * self.symbols)
-        # pair p = j mod P, symbol c = (j div P + 23 p) mod C
+        # pair p = j mod P, symbol c = (j div P + 23 p) mod C: the shift spreads each codeword over the array
         pair = j % self.pairs
-        return pair * self.symbols + (j // self.pairs + SYMBOL_STEP * pair) % self.symbols
+        return pair * self.symbols + (j // self.pairs + 23 * pair) % self.symbols
 
     def encode(self, blocks: Sequence[AnyBlock]) -> NDArray[np.uint8]:
         """Encode a block per codeword to layer bits 0 and 1, (pairs, symbols) uint8."""
@@ -89,23 +72,10 @@ class LayerFormat:
 
 @dataclass(frozen=True)
 class PacketFormat:
-    """Packet layout for given settings and format: codewords, symbol positions, patterns.
-
-    Attributes
-    ----------
-    settings
-        Agreed signal settings.
-    format
-        Format in the header; format 0 selects the agreed mode and rates.
-
-    Raises
-    ------
-    SettingsError
-        The header cannot signal the format, single mode lacks the hierarchical code, or short mode has a wrong number
-        of data pairs.
-    """
+    """Packet layout for given settings and format: codewords, symbol positions, patterns."""
 
     settings: SignalSettings
+    # Format in the header; format 0 selects the agreed mode and rates
     format: Format = AGREED
 
     def __post_init__(self) -> None:
@@ -141,10 +111,7 @@ class PacketFormat:
         return self.format.mode == "single"
 
     def data_patterns(self, blocks: Mapping[str, Sequence[AnyBlock]], ahead: int = 0) -> NDArray[np.uint8]:
-        """Return the data patterns of a packet, excluding inverses: (pairs, n, n) uint8 levels 0 to 4.
-
-        `blocks` has a block per codeword for each layer; `ahead` is the sum of all previous D11 (single mode only).
-        """
+        """Return the data patterns of a packet, excluding inverses; `ahead` is the sum of all previous D11."""
         symbols = [1 - 2 * self.layers[name].encode(blocks[name]).astype(np.int8) for name in LAYERS]
         if self.single:
             half = self.settings.side // 2

@@ -32,10 +32,3 @@ def balance(data: Signs, ahead: int = 0) -> Signs:
         pattern[0, 0] = -1 if ahead > 0 else 1
         ahead += int(pattern[0, 0])
     return out
-
-
-def unbalance(d11: Signs) -> Signs:
-    """Return the data, (..., h, h - 1), from balanced matrices D11, (..., h, h); the inverse of `balance`."""
-    polarity = d11[..., :1].copy()
-    polarity[..., 0, :] = 1
-    return np.asarray(d11[..., 1:] * polarity)

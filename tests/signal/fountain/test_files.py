@@ -16,7 +16,7 @@ from heliograph.signal.formats import Format
 from heliograph.signal.fountain import cauchy
 from heliograph.signal.fountain import cauchy as field
 from heliograph.signal.fountain.codes import CodeName
-from heliograph.signal.fountain.files import MOST_OPEN, FileGatherer, FileProgress, SentFile
+from heliograph.signal.fountain.files import FileGatherer, FileProgress, SentFile
 from heliograph.signal.settings import SignalSettings
 from heliograph.transmit import Transmitter
 
@@ -148,7 +148,7 @@ def test_memory_is_bounded_whatever_comes() -> None:
         size = rng.choice([1, 2, 64, 104, 108])
         files.add(FileBlock("low", 0, rng.choice([0, 1, 7]), rng.randrange(1 << 24), rng.randrange(1, 1 << 24), size,
                             rng.randrange(1 << 32), bytes(size)))  # fmt: skip
-    assert len(list(files.unfinished())) <= MOST_OPEN
+    assert len(list(files.unfinished())) <= FileGatherer().max_open
 
 
 def test_layers_send_different_symbols_and_files_take_turns_with_messages() -> None:

@@ -50,20 +50,11 @@ def power(exponents: NDArray[np.integer]) -> Words:
 NUMBERS = 1 << 16
 """Symbol numbers: the field elements."""
 
-WORD_BYTES = 2
-"""Bytes per element; symbol sizes are even."""
-
 
 class CauchyEncoder:
-    """Symbol encoder for a file.
+    """Symbol encoder for a file; zeros pad the last source symbol."""
 
-    Parameters
-    ----------
-    data
-        File bytes, not empty.
-    size
-        Symbol size in bytes, even; zeros pad the last source symbol.
-    """
+    numbers = NUMBERS
 
     def __init__(self, data: bytes, size: int):
         self.count = -(-len(data) // size)
@@ -85,7 +76,7 @@ def decode(symbols: Mapping[int, bytes], count: int) -> bytes:
     own = np.array([n for n in range(count) if n in symbols], np.int64)
     lost = np.array([n for n in range(count) if n not in symbols], np.int64)
     repair = np.array(sorted(n for n in symbols if n >= count)[: len(lost)], np.int64)
-    words = np.zeros((count, len(next(iter(symbols.values()))) // WORD_BYTES), np.uint16)
+    words = np.zeros((count, len(next(iter(symbols.values()))) // 2), np.uint16)
     if own.size:
         words[own] = _words_of(symbols, own)
     if lost.size:
@@ -104,11 +95,9 @@ def _sum(logs: Logs, number: int, of: NDArray[np.int64]) -> Words:
 
 
 def _solved(sums: Words, numbers: NDArray[np.int64], lost: NDArray[np.int64]) -> Words:
-    """Solve y_r = sum over u of x_u / (r + u) for the lost x_u by the inverse Cauchy matrix.
-
-    The element in row u and column r is A_r B_u / ((r + u) C_r D_u). A_r is the product of r + u' over all u', B_u of
-    r' + u over all r', C_r of r + r' over r' != r, and D_u of u + u' over u' != u.
-    """
+    """Solve y_r = sum over u of x_u / (r + u) for the lost x_u by the inverse Cauchy matrix."""
+    # the element in row u and column r is A_r B_u / ((r + u) C_r D_u): A_r is the product of r + u' over all u', B_u of
+    # r' + u over all r', C_r of r + r' over r' != r, and D_u of u + u' over u' != u
     rows = [_log_product(r ^ lost) - _log_product((r ^ numbers)[numbers != r]) for r in numbers]
     columns = np.array([_log_product(u ^ numbers) - _log_product((u ^ lost)[lost != u]) for u in lost])
     out = np.zeros((len(lost), sums.shape[1]), np.uint16)

@@ -8,16 +8,14 @@ from heliograph.signal.fountain import cauchy, raptor
 
 CodeName = Literal["cauchy", "raptorq"]
 
-MOST_SYMBOLS = 1 << 15
-"""Maximum source symbols per file (section 8.1): half of the smallest number range; the other half is for repair."""
-
 
 class Encoder(Protocol):
     """Symbol encoder for a file."""
 
-    @property
-    def count(self) -> int:
-        """Number of source symbols; about as many different symbols reconstruct the file."""
+    # Number of source symbols; about as many different symbols reconstruct the file
+    count: int
+    # Number of different symbols before repetition
+    numbers: int
 
     def symbol(self, number: int) -> bytes:
         """Return the bytes of a symbol; numbers start at 0."""
@@ -25,49 +23,39 @@ class Encoder(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FountainCode:
-    """Fountain code for file symbols.
+    """Fountain code for file symbols."""
 
-    Attributes
-    ----------
-    number
-        Code number in a block.
-    alignment, least
-        Symbol size in bytes: a multiple of `alignment`, at least `least`.
-    most_bytes
-        Maximum file length in bytes.
-    numbers
-        Number of different symbols.
-    encoder
-        Factory for a symbol encoder from file bytes and symbol size.
-    decode
-        Function from symbols by number, file length and symbol size to the file bytes, possibly zero-padded; returns
-        None if the symbols are insufficient.
-    """
-
+    # Code number in a block
     number: int
+    # Symbol sizes are multiples of this number of bytes, at least `min_bytes`
     alignment: int
-    least: int
-    most_bytes: int
+    min_bytes: int
+    # Maximum file length in bytes
+    max_bytes: int
+    # Number of different symbols
     numbers: int
+    # Factory for a symbol encoder from file bytes and symbol size
     encoder: Callable[[bytes, int], Encoder]
+    # Function from symbols by number, file length and symbol size to the file bytes, possibly zero-padded; None if the
+    # symbols are insufficient
     decode: Callable[[Mapping[int, bytes], int, int], bytes | None]
 
     def fits(self, length: int, size: int) -> bool:
         """Return True if the code supports a file length and a symbol size in bytes."""
-        aligned = size >= self.least and size % self.alignment == 0
-        return aligned and 0 < length <= min(self.most_bytes, MOST_SYMBOLS * size)
+        aligned = size >= self.min_bytes and size % self.alignment == 0
+        # at most 2^15 source symbols (section 8.1): half of the smallest number range; the other half is for repair
+        return aligned and 0 < length <= min(self.max_bytes, size << 15)
 
 
-def _cauchy(symbols: Mapping[int, bytes], length: int, size: int) -> bytes:
+def _decode_cauchy(symbols: Mapping[int, bytes], length: int, size: int) -> bytes:
     return cauchy.decode(symbols, -(-length // size))
 
 
 CODES: Mapping[CodeName, FountainCode] = {
-    "cauchy": FountainCode(0, cauchy.WORD_BYTES, cauchy.WORD_BYTES, (1 << 24) - 1, cauchy.NUMBERS, cauchy.CauchyEncoder,
-                           _cauchy),
-    "raptorq": FountainCode(1, raptor.ALIGNMENT, raptor.LEAST_BYTES, raptor.MOST_BYTES, raptor.NUMBERS,
-                            raptor.RaptorEncoder, raptor.decode),
-}  # fmt: skip
+    "cauchy": FountainCode(0, 2, 2, (1 << 24) - 1, cauchy.NUMBERS, cauchy.CauchyEncoder, _decode_cauchy),
+    # the package aligns symbols to 8 bytes, and splits symbols below 64 bytes and files from 10 MiB on
+    "raptorq": FountainCode(1, 8, 64, 1 << 23, 1 << 24, raptor.RaptorEncoder, raptor.decode),
+}
 """Codes by name. Every receiver supports "cauchy"; "raptorq" requires the package raptorq."""
 
 BY_NUMBER = {code.number: code for code in CODES.values()}

@@ -4,59 +4,29 @@ import zlib
 from collections import OrderedDict, deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import lru_cache
 
 from heliograph.base.errors import HeliographError
-from heliograph.signal.block import (
-    SMALL_BLOCK_BYTES,
-    AnyFileBlock,
-    FileBlock,
-    FileNotice,
-    SymbolBlock,
-    small_symbol_bytes,
-    symbol_bytes,
-)
+from heliograph.signal.block import AnyFileBlock, FileBlock, FileNotice, SymbolBlock, small_symbol_bytes, symbol_bytes
 from heliograph.signal.fountain.codes import BY_NUMBER, CODES, CodeName, Encoder
 
 LONGEST_NAME = 255
 """Maximum file name length in bytes: the length field is a byte (section 8.1)."""
 
-MOST_OPEN = 8
-"""Maximum number of incomplete files; a new file replaces the file with the oldest last symbol."""
-
-MOST_KNOWN = 256
-"""Maximum number of remembered complete files, for which symbols are ignored."""
-
 NOTICE_TURNS = 8
 """Turns per file description in small blocks (section 8.1). Descriptions take an eighth of the light, and three layers
 send a description in every second packet at 8 x 8 LEDs."""
 
-NOTICE_TURN = {"high": 0, "middle": 4, "low": 4}
-"""Description turn by layer: layers with the same file send the description at different times."""
-
-MOST_UNKNOWN = 1024
-"""Maximum number of stored symbols with no file description, 256 packets at 8 x 8 LEDs; the oldest are dropped."""
-
-MOST_EXTRA = 64
-"""Maximum number of stored symbols beyond the source count. With 3, RaptorQ decoding fails for one file in 2^32."""
-
 
 @dataclass(frozen=True, slots=True)
 class SentFile:
-    """File to send.
+    """File to send."""
 
-    Attributes
-    ----------
-    name
-        File name for the receiver, at most 255 bytes UTF-8; no path.
-    data
-        File content, possibly empty.
-    code
-        Symbol code: "cauchy", which every receiver supports, or "raptorq".
-    """
-
+    # File name for the receiver, at most 255 bytes UTF-8; no path
     name: str
+    # File content, possibly empty
     data: bytes
+    # Symbol code: "cauchy", which every receiver supports, or "raptorq"
     code: CodeName = "cauchy"
 
     @property
@@ -68,23 +38,15 @@ class SentFile:
 
 @dataclass(frozen=True, slots=True, order=True)
 class FileKey:
-    """File key: blocks with equal keys belong to the same file, regardless of array and layer.
+    """File key: blocks with equal keys belong to the same file, regardless of array and layer."""
 
-    Attributes
-    ----------
-    check
-        CRC-32 of name and content.
-    length
-        Length of name and content in bytes.
-    size
-        Symbol size in bytes.
-    code
-        Code number.
-    """
-
+    # CRC-32 of name and content
     check: int
+    # Length of name and content in bytes
     length: int
+    # Symbol size in bytes
     size: int
+    # Code number
     code: int
 
     @property
@@ -98,81 +60,50 @@ class FileKey:
 
 @dataclass(frozen=True, slots=True)
 class WholeFile:
-    """Complete received file.
+    """Complete received file with a correct CRC-32."""
 
-    Attributes
-    ----------
-    name
-        Transmitted name: any text, not a safe path.
-    data
-        Content; the CRC-32 of name and content is correct.
-    """
-
+    # Transmitted name: any text, not a safe path
     name: str
     data: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class FileProgress:
-    """File progress.
-
-    Attributes
-    ----------
-    key
-        File key.
-    had
-        Number of different received symbols.
-    whole
-        Complete file, or None.
-    reason
-        Single-line reason if sufficient symbols gave no file, otherwise empty.
-    """
+    """File progress."""
 
     key: FileKey
+    # Number of different received symbols
     had: int
+    # Complete file, or None
     whole: WholeFile | None = None
+    # Single-line reason if sufficient symbols gave no file, otherwise empty
     reason: str = ""
 
 
 class FileCarousel:
     """Endless sequence of file symbols for a layer, alternating between files.
 
-    Parameters
-    ----------
-    identity
-        Array number, 0 to 29.
-    layer
-        "high", "middle" or "low".
-    files
-        Files to send, not empty.
-    bits
-        Information bits for each block size in the layer. A single small size selects small blocks (section 7.2).
-    first
-        Number of the first symbol, so that layers with the same file send different symbols.
-
-    Raises
-    ------
-    ValueError
-        A name is too long, a file has too many symbols, or a block is too small for a symbol.
-    HeliographError
-        The package for a code is not installed.
+    `bits` has the information bits of each block size in the layer; a single small size selects small blocks (section
+    7.2). Layers with the same file send different symbols, from number `first` on.
     """
 
     def __init__(self, identity: int, layer: str, files: Sequence[SentFile], bits: Collection[int], first: int = 0):
         self._who, self._first, self._most = (layer, identity), first, symbol_bytes(max(bits))
-        small = len(set(bits)) == 1 and max(bits) <= 8 * SMALL_BLOCK_BYTES
-        rooms = [small_symbol_bytes(max(bits)) if small and one.code == "cauchy" else 0 for one in files]
-        keys = [_key(one, room or symbol_bytes(min(bits))) for one, room in zip(files, rooms, strict=True)]
-        self._files = [
-            (key, _encoder(one, key.size), room > 0) for one, key, room in zip(files, keys, rooms, strict=True)
-        ]
+        # at most 40 bytes (section 7.2): above, the header of section 7.1 takes less than half of the block
+        small = len(set(bits)) == 1 and max(bits) <= 320
+        self._files = []
+        for file in files:
+            room = small_symbol_bytes(max(bits)) if small and file.code == "cauchy" else 0
+            key = _key(file, room or symbol_bytes(min(bits)))
+            self._files.append((key, _encoder(file, key.size), room > 0))
 
     def block(self, number: int, k: int) -> AnyFileBlock:
         """Return file block `number` in the layer, counted from 0, with `k` information bits."""
         turn, place = divmod(number, len(self._files))
         key, encoder, small = self._files[place]
-        (layer, identity), numbers = self._who, _numbers_of(key, encoder)
-        if small and turn % NOTICE_TURNS == NOTICE_TURN[layer]:
+        (layer, identity), numbers = self._who, encoder.numbers
+        # layers with the same file send the description at different times
+        if small and turn % NOTICE_TURNS == (0 if layer == "high" else 4):
             return FileNotice(layer, identity, key.length, key.check)
         if small:
             first = (self._first + turn) % numbers
@@ -189,8 +120,8 @@ def _key(file: SentFile, room: int) -> FileKey:
     if named > LONGEST_NAME:
         raise ValueError(f"a file's name has at most {LONGEST_NAME} bytes, not {named}")
     packed, size = file.packed, room // code.alignment * code.alignment
-    if size < code.least:
-        raise ValueError(f"a block has {max(room, 0)} bytes for a file's symbols; {file.code} needs {code.least}")
+    if size < code.min_bytes:
+        raise ValueError(f"a block has {max(room, 0)} bytes for a file's symbols; {file.code} needs {code.min_bytes}")
     if not code.fits(len(packed), size):
         raise ValueError(f"'{file.name:.40}' has {len(packed)} bytes with its name, too many in symbols of {size}")
     return FileKey(zlib.crc32(packed), len(packed), size, code.number)
@@ -202,32 +133,27 @@ def _encoder(file: SentFile, size: int) -> Encoder:
     return CODES[file.code].encoder(file.packed, size)
 
 
-def _numbers_of(key: FileKey, encoder: Encoder) -> int:
-    """Return the number of different symbols before repetition."""
-    return getattr(encoder, "numbers", BY_NUMBER[key.code].numbers)
-
-
 @dataclass(slots=True)
 class FileGatherer:
     """Reconstruct files from symbols in any order, from any array, layer and passage.
 
-    `MOST_OPEN` and `MOST_EXTRA` bound the memory for incomplete files, and `MOST_UNKNOWN` for symbols with no file
-    description. A wrong CRC-32 after decoding means a wrong symbol: the gatherer then drops all symbols of the file.
+    A wrong CRC-32 after decoding means a wrong symbol: the gatherer then drops all symbols of the file.
     """
 
+    # Maximum number of incomplete files; a new file replaces the file with the oldest last symbol
+    max_open: int = 8
+    # Maximum number of remembered complete files, for which symbols are ignored, and of file descriptions
+    max_known: int = 256
+    # Maximum number of stored symbols beyond the source count; with 3, RaptorQ decoding fails for one file in 2^32
+    max_extra: int = 64
     _open: OrderedDict[FileKey, dict[int, bytes]] = field(default_factory=OrderedDict)
     _known: OrderedDict[FileKey, None] = field(default_factory=OrderedDict)
     _told: OrderedDict[tuple[int, int], FileNotice] = field(default_factory=OrderedDict)
-    _unknown: deque[SymbolBlock] = field(default_factory=partial(deque, maxlen=MOST_UNKNOWN))
+    # Symbols with no file description: 256 packets at 8 x 8 LEDs
+    _unknown: deque[SymbolBlock] = field(default_factory=lambda: deque(maxlen=1024))
 
     def add(self, block: AnyFileBlock) -> FileProgress | None:
-        """Add a block; return the file progress, or None if the block adds no symbol.
-
-        Parameters
-        ----------
-        block
-            Block with a correct CRC.
-        """
+        """Add a block with a correct CRC; return the file progress, or None if the block adds no symbol."""
         if isinstance(block, FileNotice):
             return self._named(block)
         if isinstance(block, SymbolBlock):
@@ -244,40 +170,33 @@ class FileGatherer:
         who = notice.identity, notice.tag
         self._told[who] = notice
         self._told.move_to_end(who)
-        if len(self._told) > MOST_KNOWN:
+        if len(self._told) > self.max_known:
             self._told.popitem(last=False)
-        mine = [one for one in self._unknown if (one.identity, one.tag) == who]
-        if not mine:
-            return None
-        others = [one for one in self._unknown if (one.identity, one.tag) != who]
+        waiting = list(self._unknown)
         self._unknown.clear()
-        self._unknown.extend(others)
-        taken = [self._symbol(one, notice) for one in mine]
-        return next((one for one in reversed(taken) if one is not None), None)
+        progress = None
+        for block in waiting:
+            if (block.identity, block.tag) == who:
+                progress = self._symbol(block, notice) or progress
+            else:
+                self._unknown.append(block)
+        return progress
 
     def _symbol(self, block: SymbolBlock, notice: FileNotice) -> FileProgress | None:
         key = FileKey(notice.check, notice.length, len(block.payload), CODES["cauchy"].number)
         return self.take(key, {block.number: block.payload})
 
     def take(self, key: FileKey, symbols: Mapping[int, bytes]) -> FileProgress | None:
-        """Add symbols of a file; return the file progress, or None if no symbol is new.
-
-        Parameters
-        ----------
-        key
-            File key.
-        symbols
-            Symbols by number, each with `key.size` bytes.
-        """
+        """Add symbols of a file by number; return the file progress, or None if no symbol is new."""
         code = BY_NUMBER.get(key.code)
         if code is None or not code.fits(key.length, key.size) or key in self._known:
             return None
         had = self._open.setdefault(key, {})
         self._open.move_to_end(key)
-        if len(self._open) > MOST_OPEN:
+        if len(self._open) > self.max_open:
             self._open.popitem(last=False)
         new = {n: data for n, data in symbols.items() if n not in had and 0 <= n < code.numbers}
-        if not new or len(had) >= key.count + MOST_EXTRA:
+        if not new or len(had) >= key.count + self.max_extra:
             return None
         had.update(new)
         return self._whole(key, had) if len(had) >= key.count else FileProgress(key, len(had))
@@ -307,7 +226,7 @@ class FileGatherer:
                 key, had, reason="the check value is wrong: a symbol was false, so the symbols are collected again"
             )
         self._known[key] = None
-        if len(self._known) > MOST_KNOWN:
+        if len(self._known) > self.max_known:
             self._known.popitem(last=False)
         end = 1 + packed[0]
         return FileProgress(key, had, WholeFile(packed[1:end].decode("utf-8", "replace"), packed[end:]))

@@ -8,18 +8,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.signal.code import Algorithm, Check, CodePlan
-from heliograph.signal.turbo.decoder import LLR_LIMIT, DecoderOptions, Stop, TurboResult, decode_blocks
+from heliograph.signal.turbo.decoder import DecoderOptions, Stop, TurboResult, decode_blocks
 from heliograph.signal.turbo.encoder import TERMINATION, encode_mother
 from heliograph.signal.turbo.qpp import QPP_SIZES, coefficients, interleaver
 from heliograph.signal.turbo.rate_match import STREAMS, selection
 
 HIGHEST_RATE = (9, 10)
 """Maximum rate as a fraction (section 9.1), at which noiseless blocks decode at every size."""
-
-_SIZE_SLACK = 32
-"""Excess of r E over the largest interleaver in information bits (section 9.1): half the step between the largest
-sizes, so that the distance from K to r E stays within rounding. At 0, 4 out of 4320 layers (8 to 32 LEDs per side, 20
-to 199 data pairs, eight rates) need more and shorter codewords; a larger slack may lower the rate further."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +171,7 @@ class TurboCode:
             raise ValueError(f"llr must hold real numbers, not {llr.dtype}")
         if llr.dtype.kind == "f" and (wrong := int(np.isnan(llr).sum())):
             raise ValueError(f"llr must not hold NaN; {wrong} of {llr.size} values are NaN")
-        return np.clip(llr, -LLR_LIMIT, LLR_LIMIT).astype(np.float32)
+        return np.clip(llr, -1e4, 1e4).astype(np.float32)  # float32 resolves 0.001 there
 
     def _check_shape(self, name: str, array: NDArray[Any], size: int) -> None:
         if array.ndim == 0 or array.shape[-1] != size:
@@ -188,7 +183,8 @@ def turbo_plan(bits: int, rate: float) -> CodePlan:
     most, of = HIGHEST_RATE
     for split in range(1, bits + 1):
         e = bits // split
-        if bits % split == 0 and rate * e <= QPP_SIZES[-1] + _SIZE_SLACK:
+        # r E may exceed the largest size by 32, half the step between the largest sizes (section 9.1)
+        if bits % split == 0 and rate * e <= QPP_SIZES[-1] + 32:
             break
     k = min((k for k in QPP_SIZES if of * k <= most * e), key=lambda k: abs(k - rate * e), default=0)
     if not k:

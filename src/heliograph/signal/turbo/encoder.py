@@ -6,27 +6,21 @@ Source: 3GPP TS 36.212, section 5.1.3.2.
 import numpy as np
 from numpy.typing import NDArray
 
-MEMORY = 3
-"""Shift register length in bits (TS 36.212, figure 5.1.3-2), and trellis termination steps."""
+STATES = 8
+"""Trellis states: ``4 a1 + 2 a2 + a3``, where a1 is the newest of three bits in the shift register (figure 5.1.3-2)."""
 
-STATES = 2**MEMORY
-"""Trellis states: ``4 a1 + 2 a2 + a3``, where a1 is the newest bit in the shift register."""
-
-TAIL_BITS = 2 * MEMORY
-"""Coded bits to terminate a constituent code: x and z for each step, in this order."""
+TAIL_BITS = 6
+"""Coded bits to terminate a constituent code: x and z for each of three steps, in this order."""
 
 TERMINATION = 2 * TAIL_BITS
 """Coded bits to terminate a block, 12: the tails from both constituent codes (TS 36.212, 5.1.3.2.2)."""
-
-_PERIOD = 7
-"""Period of 1 / g0(D): g0 = 1 + D^2 + D^3 is primitive with degree 3 and divides 1 + D^7."""
 
 
 def _tail(state: int) -> list[int]:
     """Return the bits x, z, x, z, x, z on the path from a state to state 0."""
     a1, a2, a3 = state >> 2, state >> 1 & 1, state & 1
     bits: list[int] = []
-    for _ in range(MEMORY):
+    for _ in range(3):
         # 5.1.3.2.2: x is the feedback, g0(D) = 1 + D^2 + D^3, so a = 0 enters; g1(D) = 1 + D + D^3
         bits += [a2 ^ a3, a1 ^ a3]
         a1, a2, a3 = 0, a1, a2
@@ -56,9 +50,7 @@ def encode_constituent(bits: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDAr
     register = _divide_by_feedback(bits)
     # z = a + D a + D^3 a, g1(D) = 1 + D + D^3
     parity = register ^ _delay(register, 1) ^ _delay(register, 3)
-    a1, a2, a3 = (register[..., -delay] for delay in range(1, MEMORY + 1))
-    state = (4 * a1 + 2 * a2 + a3) % STATES
-    return parity, TAIL[state]
+    return parity, TAIL[4 * register[..., -1] + 2 * register[..., -2] + register[..., -3]]
 
 
 def _divide_by_feedback(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -67,9 +59,9 @@ def _divide_by_feedback(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
     # four taps, then a running modulo-2 sum over every seventh bit
     taps = bits ^ _delay(bits, 2) ^ _delay(bits, 3) ^ _delay(bits, 4)
     k = bits.shape[-1]
-    padded = np.zeros((*bits.shape[:-1], -(-k // _PERIOD) * _PERIOD), dtype=np.uint8)
+    padded = np.zeros((*bits.shape[:-1], -(-k // 7) * 7), dtype=np.uint8)
     padded[..., :k] = taps
-    columns = padded.reshape(*bits.shape[:-1], padded.shape[-1] // _PERIOD, _PERIOD)
+    columns = padded.reshape(*bits.shape[:-1], padded.shape[-1] // 7, 7)
     summed: NDArray[np.uint8] = np.bitwise_xor.accumulate(columns, axis=-2)
     return summed.reshape(padded.shape)[..., :k]
 

@@ -16,17 +16,8 @@ from numpy.typing import NDArray
 from heliograph.base.compiled import compiled
 from heliograph.signal.turbo.encoder import STATES, TAIL, TAIL_BITS
 
-NORMALISE_EVERY = 8
-"""Trellis steps between normalisations, which keep the metrics small in float32. For 64 blocks (K = 1024, 1 dB, 8
-iterations), the largest error of a max-log LLR is 5e-5 with 8 steps, 3e-5 with 4, 1e-4 with 16, and 5e-3 with no
-normalisation."""
-
 IMPOSSIBLE = np.float32(-1e30)
 """Metric for an impossible state: below any sum of LLRs, and finite, so that no difference is NaN."""
-
-# ln(1 + exp(-x)) = max(0, q(x))^2 within 0.032, q = _Q0 - _Q1 x fitted by minimax
-_Q0, _Q1 = np.float32(0.81323412), np.float32(0.22587585)
-"""Coefficients of q."""
 
 _ALPHA, _BETA = np.int64(0), np.int64(STATES)
 """First of eight working memory rows: forward metrics before each step, backward metrics after each step. The type is
@@ -35,9 +26,6 @@ int64 because Numba would compile a version for each integer literal."""
 _INFO, _PARITY, _EXTRINSIC = 2 * STATES, 2 * STATES + 1, 2 * STATES + 2
 """Working memory rows for L_u, L_z and the extrinsic LLR in each step, in trellis order."""
 
-_PADDING = 16
-"""Padding between rows, a cache line, so that rows with K = 1024 map to different cache sets."""
-
 # "contract" and "nsz" preserve the addition order
 _compile = compiled(fastmath={"contract", "nsz"})
 _inlined = compiled(fastmath={"contract", "nsz"}, forceinline=True)
@@ -45,7 +33,8 @@ _inlined = compiled(fastmath={"contract", "nsz"}, forceinline=True)
 
 def allocate(k: int) -> NDArray[np.float32]:
     """Allocate working memory for blocks with K bits."""
-    return np.empty((2 * STATES + 3, k + _PADDING), dtype=np.float32)
+    # a cache line of padding maps rows with K = 1024 to different cache sets
+    return np.empty((2 * STATES + 3, k + 16), dtype=np.float32)
 
 
 @_inlined
@@ -54,8 +43,8 @@ def add(a: Any, b: Any, exact: Any) -> Any:
     larger = a if a > b else b
     if exact is None:
         return larger
-    # max*(a, b) = max(a, b) + ln(1 + exp(-|a - b|))
-    q = _Q0 - _Q1 * abs(a - b)
+    # max*(a, b) = max(a, b) + ln(1 + exp(-|a - b|)); ln(1 + exp(-x)) = max(0, q(x))^2 within 0.032, a minimax fit
+    q = np.float32(0.81323412) - np.float32(0.22587585) * abs(a - b)
     q = q if q > np.float32(0.0) else np.float32(0.0)
     return larger + q * q
 
@@ -156,7 +145,7 @@ def _forward(work: Any, size: int, exact: Any) -> Any:
     for k in range(size):
         _write(rows, k, alpha)
         alpha = _step_forward(alpha, info[k], parity[k], exact)
-        if k % NORMALISE_EVERY == 0:
+        if k % 8 == 0:  # keeps the metrics small in float32
             alpha = _normalise(alpha)
     return alpha
 
@@ -169,7 +158,7 @@ def _backward(work: Any, size: int, end: Any, exact: Any) -> None:
     for k in range(size - 1, -1, -1):
         _write(rows, k, beta)
         beta = _step_backward(beta, info[k], parity[k], exact)
-        if k % NORMALISE_EVERY == 0:
+        if k % 8 == 0:
             beta = _normalise(beta)
 
 
@@ -220,12 +209,7 @@ def _siso(mother: Any, passed: Any, work: Any, app: Any, order: Any, code: int, 
 def iterate(
     mother: Any, passed: Any, work: Any, app: Any, blocks: Any, orders: Any, iterations: int, scale: Any, exact: Any
 ) -> None:
-    """Run full iterations on the given block numbers.
-
-    Inputs are LLRs `mother` (B, 3 K + 12), and `orders` (2, K): identity and interleaver, ``x_itl = x_nat[orders[1]]``.
-    Modified in natural order: `passed` (B, K), scaled extrinsic LLRs from the second decoder, and `app` (2, B, K),
-    a-posteriori LLRs after each half iteration. `exact` is True for log-MAP, None for max-log.
-    """
+    """Run full iterations on some blocks; update the scaled extrinsic LLRs `passed` and the a-posteriori LLRs `app`."""
     for b in blocks:
         for _ in range(iterations):
             for code in range(2):
@@ -261,10 +245,7 @@ def _fill_tail_posterior(final: Any, end: Any, out: Any, exact: Any) -> None:
 def mother_posterior(
     mother: Any, passed: Any, work: Any, app: Any, orders: Any, scale: Any, exact: Any, out: Any
 ) -> None:
-    """Compute a-posteriori LLRs for all mother codewords, `out` (B, 3 K + 12), by another pass through both decoders.
-
-    `app` (B, K) contains the a-posteriori LLRs for the information bits; other arguments as in `iterate`.
-    """
+    """Compute a-posteriori LLRs for all mother codewords, `out`, by another pass through both decoders."""
     size = orders.shape[1]
     unused = np.empty(size, dtype=np.float32)
     for b in range(mother.shape[0]):

@@ -36,12 +36,7 @@ _F2 = """
     94 190 480
 """
 
-CACHED = 32
-"""Number of cached permutations, at most 49 kB each: three layers and ten formats need 30."""
-
-_COEFFICIENTS = dict(
-    zip(QPP_SIZES, zip(map(int, _F1.split()), map(int, _F2.split()), strict=True), strict=True),
-)
+_COEFFICIENTS = dict(zip(QPP_SIZES, zip(map(int, _F1.split()), map(int, _F2.split()), strict=True), strict=True))
 
 
 def coefficients(k: int) -> tuple[int, int]:
@@ -55,7 +50,7 @@ def coefficients(k: int) -> tuple[int, int]:
     return _COEFFICIENTS[k]
 
 
-@lru_cache(maxsize=CACHED)
+@lru_cache(maxsize=32)  # at most 49 kB each: three layers and ten formats need 30
 def interleaver(k: int) -> NDArray[np.int64]:
     """Return the permutation for the internal interleaver, (k,) int64, read-only (TS 36.212, 5.1.3.2.3).
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
-from heliograph.signal.turbo.qpp import CACHED
 
 COLUMNS = 32
 """Columns in the sub-block interleaver (TS 36.212, 5.1.4.1.1)."""
@@ -18,14 +17,8 @@ COLUMNS = 32
 STREAMS = 3
 """Streams d0, d1, d2 in the rate 1/3 mother code (TS 36.212, 5.1.3.2.2)."""
 
-_NULL = -1
-"""Marker for an empty element in the circular buffer."""
 
-_COLUMN_ORDER = np.array([int(f"{column:05b}"[::-1], 2) for column in range(COLUMNS)])
-"""Table 5.1.4-1: output column c is input column P(c), where P reverses the five bits."""
-
-
-@lru_cache(maxsize=CACHED)
+@lru_cache(maxsize=32)
 def selection(stream_length: int, coded_bits: int) -> NDArray[np.int64]:
     """Return the mother codeword position for each sent bit, (coded_bits,), read-only (TS 36.212, 5.1.4.1.2).
 
@@ -37,34 +30,20 @@ def selection(stream_length: int, coded_bits: int) -> NDArray[np.int64]:
     rows = -(-stream_length // COLUMNS)
     # k0 = R (2 ceil(Ncb / (8 R)) rv + 2) with rv = 0
     turned = np.roll(buffer, -2 * rows)
-    positions = np.resize(turned[turned != _NULL], coded_bits)
+    positions = np.resize(turned[turned >= 0], coded_bits)
     positions.setflags(write=False)
     return positions
 
 
 def _circular_buffer(stream_length: int) -> NDArray[np.int64]:
-    """Return positions in the order of the circular buffer w, with NULL for padding (5.1.4.1.2)."""
+    """Return positions in the order of the circular buffer w, negative for padding (5.1.4.1.2)."""
     size = -(-stream_length // COLUMNS) * COLUMNS
+    # write row by row, permute columns, read column by column (5.1.4.1.1): P reverses the five bits of a column number
+    order = [int(f"{column:05b}"[::-1], 2) for column in range(COLUMNS)]
+    read = np.arange(size).reshape(-1, COLUMNS)[:, order].T.ravel()
+    # stream 2 is shifted by a bit: pi(k) = (P(floor(k / R)) + C (k mod R) + 1) mod Kpi
+    reads = np.stack([read, read, (read + 1) % size])
     # <NULL> bits pad the start of the first row, then y_k = d_(k - ND)
-    padded = np.arange(size) - (size - stream_length)
-    v0, v1, v2 = (
-        _positions(padded[reading], stream)
-        for stream, reading in enumerate((_read_01(size), _read_01(size), _read_2(size)))
-    )
+    v0, v1, v2 = STREAMS * (reads - (size - stream_length)) + np.arange(STREAMS)[:, None]
     # w_k = v0_k, w_(Kpi + 2k) = v1_k, w_(Kpi + 2k + 1) = v2_k
     return np.concatenate([v0, np.stack([v1, v2], axis=-1).ravel()])
-
-
-def _positions(times: NDArray[np.int64], stream: int) -> NDArray[np.int64]:
-    return np.where(times < 0, _NULL, STREAMS * times + stream)
-
-
-def _read_01(size: int) -> NDArray[np.int64]:
-    """Interleave streams 0 and 1: write row by row, permute columns, read column by column (5.1.4.1.1)."""
-    return np.arange(size).reshape(-1, COLUMNS)[:, _COLUMN_ORDER].T.ravel()
-
-
-def _read_2(size: int) -> NDArray[np.int64]:
-    """Interleave stream 2: as for streams 0 and 1, shifted by a bit."""
-    # pi(k) = (P(floor(k / R)) + C (k mod R) + 1) mod Kpi
-    return (_read_01(size) + 1) % size
