@@ -152,7 +152,9 @@ class TestLive:
         # 15 UDP packets per frame: every eleventh frame is incomplete
         assert counts["incomplete"] + counts["lost"] >= 3
         assert report["arrays"][0]["layers"]["high"]["ok"] >= 1
-        for packet in packets:
+        certain = [packet for packet in packets if "uncertain" not in packet]
+        assert certain
+        for packet in certain:
             assert packet["id"] == 0
             assert packet["distance_m"] == pytest.approx(20, rel=0.02)
 
@@ -165,7 +167,9 @@ class TestLive:
         # exposures start at multiples of the frame period
         for one, other in pairwise(frames):
             assert other.time_s - one.time_s == pytest.approx((other.index - one.index) / RATE, abs=1e-6)
-        assert frames[-1].index + 1 == counts.frames + counts.skipped + counts.lost + counts.incomplete
+        # one in six frames is incomplete: seven in a row after the last complete frame have a chance of 4e-6
+        counted = counts.frames + counts.skipped + counts.lost + counts.incomplete
+        assert frames[-1].index + 1 <= counted < frames[-1].index + 8
 
     def test_stop_ends_a_wait_and_releases_the_camera(self) -> None:
         for _ in range(2):

@@ -93,4 +93,6 @@ def find(_settings: CameraSettings) -> list[Found]:
 
 
 # a command in this process may load this file again: tests change the first class
-register_camera("played", getattr(sys.modules.get("played_camera"), "PlayedCamera", PlayedCamera), find)
+camera = getattr(sys.modules.get("played_camera"), "PlayedCamera", PlayedCamera)
+camera.unplugged, camera.pulled = 0, None
+register_camera("played", camera, find)
