@@ -52,8 +52,9 @@ class _PendingFrame:
     pose: Pose
     # Light at the LED positions
     light: Floats
-    # The same less the mean frame; None if not a pattern, or before the first mean
+    # The same less the mean frame, and its power; None if not a pattern, or before the first mean
     contrast: Floats | None
+    power: float
 
 
 # Pairing of pending frames: cost, epsilon of each pair, and number of slips
@@ -113,11 +114,13 @@ class SlipWatch:
         # average over the square of an LED and half a pixel, as motion shifts the light
         width = 2 * int((pose.pitch + 0.5) / 2) + 1
         light = means_at_leds(frame.pixels, x, y, pose.axes, width, self._rim, self._signal.side)
-        contrast = None if self._mean is None else light - self._mean
-        # a pattern varies from LED to LED: the variance is more than a quarter of the mean square
-        if contrast is not None and float(contrast.sum()) ** 2 >= 0.75 * float(contrast @ contrast) * contrast.size:
-            contrast = None
-        return _PendingFrame(frame, number, pose, light, contrast)
+        contrast, power = None if self._mean is None else light - self._mean, 0.0
+        if contrast is not None:
+            power = float(contrast @ contrast)
+            # a pattern varies from LED to LED: the variance is more than a quarter of the mean square
+            if float(contrast.sum()) ** 2 >= 0.75 * power * contrast.size:
+                contrast = None
+        return _PendingFrame(frame, number, pose, light, contrast, power)
 
     def _is_ready(self) -> bool:
         """Return True if the pending frames suffice to release the first frame."""
@@ -192,11 +195,11 @@ class SlipWatch:
 
     def _epsilon(self, place: int) -> float:
         """Return epsilon of a pending frame and the next, at most 1; NaN, neither even nor uneven, without patterns."""
-        u, v = (frame.contrast for frame in self._pending[place : place + 2])
-        if u is None or v is None:
+        first, second = self._pending[place : place + 2]
+        p, q = first.power, second.power
+        if first.contrast is None or second.contrast is None or min(p, q) < 0.25 * max(p, q):
             return nan
-        p, q = float(u @ u), float(v @ v)
-        return min(1 + 2 * float(u @ v) / max(p + q, TINY), 1.0) if min(p, q) >= 0.25 * max(p, q) else nan
+        return min(1 + 2 * float(first.contrast @ second.contrast) / max(p + q, TINY), 1.0)
 
     def _has_slipped(self) -> bool:
         """Return True if the frames after the first form even pairs, at a lower cost than with the first frame.

@@ -110,31 +110,30 @@ class PoseState:
 
     def predict(self, time_s: float, model: MotionModel) -> "PoseState":
         """Predict the state at a later time: x = F x, P = F P F^T + Q."""
-        dt = time_s - self.time_s
-        step, (linear, quadratic, cubic) = np.eye(STATE_SIZE), model.noise_by_powers
-        step[[0, 1, 2], [5, 6, 7]] = dt
-        noise = dt * (linear + dt * (quadratic + dt * cubic))
+        dt, (linear, quadratic, cubic) = time_s - self.time_s, model.noise_by_powers
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        # F adds dt times the rates to x, y and ln pitch
+        mean[:3] += dt * mean[RATE_STATES]
+        covariance[:3] += dt * covariance[RATE_STATES]
+        covariance[:, :3] += dt * covariance[:, RATE_STATES]
+        covariance += dt * (linear + dt * (quadratic + dt * cubic))
         # stretch and shear walk by 0.01 in 1000 patterns, and change by up to 0.3 for a turn by 1 rad. A turn goes on
         # for tau = 100 patterns: it adds tau^2, as a walk of the variance tau dt
         turn = 0.3 * hypot(self._numbers[5], self._numbers[6]) / model.focal_px
         variance = 0.01**2 * dt / (1000 * model.period_s) + turn**2 * 100 * model.period_s * dt
-        return PoseState(
-            time_s,
-            step @ self.mean,
-            step @ self.covariance @ step.T + noise,
-            self.tilt,
-            self.tilt_covariance + variance * np.eye(2),
-        )
+        return PoseState(time_s, mean, covariance, self.tilt, self.tilt_covariance + variance * np.eye(2))
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
         """Predict the mean (5,) and the covariance (5, 5) of a fit: H x, H P H^T + R."""
         matrix, errors = observation
         return matrix @ self.mean, matrix @ self.covariance @ matrix.T + errors
 
-    def condition(self, vector: Floats, covariance: Floats, observation: Observation) -> "PoseState":
-        """Update the state by a fit with the prior `expected` (an iterated Kalman update)."""
+    def condition(
+        self, vector: Floats, covariance: Floats, observation: Observation, prior: tuple[Floats, Floats] | None = None
+    ) -> "PoseState":
+        """Update the state by a fit with the prior `expected`, if known (an iterated Kalman update)."""
         # the posterior C of the fit: K = P H^T S^-1, x += K (z - H x), P += K (C - S) K^T
-        expected, spread = self.expected(observation)
+        expected, spread = prior or self.expected(observation)
         _, gain, failed = lapack.dposv(spread, observation[0] @ self.covariance)
         if failed:
             raise np.linalg.LinAlgError("the covariance of an array's pose is not positive definite")

@@ -67,8 +67,8 @@ class Tracker:
             return _coast(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
         observation = sum_observation(pair.late_s)
-        mean, covariance = predicted.expected(observation)
-        prior = Fit(np.append(mean, predicted.tilt), covariance, track.gain)
+        mean, covariance = expected = predicted.expected(observation)
+        prior = Fit(np.concatenate([mean, predicted.tilt]), covariance, track.gain)
         shining = track.shining
         if header is not None and pair.combination is None:
             left = self._header_residue(predicted, pair, corner, total.shape, header * shining)
@@ -102,7 +102,7 @@ class Tracker:
             gain = min(max(gain, track.data_gain / 1.5), track.data_gain * 1.5)
         after = replace(
             track,
-            state=predicted.condition(vector, fit.covariance, observation),
+            state=predicted.condition(vector, fit.covariance, observation, expected),
             gain=gain,
             score=track.score + 0.1 * (fit.score - track.score),
             last_seen_s=predicted.time_s,
@@ -113,7 +113,7 @@ class Tracker:
         """Refine pitch, roll, blur and tilt by a header, after the fit of the sum."""
         state = track.state
         corner, up, down = _cut(pair, window_around(state.pose, self._side, _margin(state.pose)))
-        mean, covariance = state.expected(HEADER_OBSERVATION)
+        mean, covariance = expected = state.expected(HEADER_OBSERVATION)
         both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
         both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, state.tilt_covariance
         prior = Fit(np.append(mean, state.tilt), both)
@@ -123,7 +123,8 @@ class Tracker:
         # a half hidden header has more
         if fit.score < 0.6:
             return track
-        state = state.condition(fit.vector[:POSE_SIZE], fit.covariance[:POSE_SIZE, :POSE_SIZE], HEADER_OBSERVATION)
+        posterior = fit.covariance[:POSE_SIZE, :POSE_SIZE]
+        state = state.condition(fit.vector[:POSE_SIZE], posterior, HEADER_OBSERVATION, expected)
         tilt_covariance = fit.covariance[POSE_SIZE:, POSE_SIZE:]
         state = replace(state, tilt=fit.vector[POSE_SIZE:], tilt_covariance=tilt_covariance)
         return replace(track, state=state, data_gain=fit.gain)
