@@ -78,26 +78,28 @@ class Store(Generic[T]):
 
 
 class StoredFilm:
-    """Film file, deleted after `drop` as soon as no reader remains."""
+    """Film file, deleted after `drop` as soon as no reader remains; thread-safe."""
 
     def __init__(self, path: Path):
         self.path, self._readers, self._is_dropped = path, 0, False
+        self._lock = threading.Lock()
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[Path]:
         """Yield the path; the file stays during the block."""
-        self._readers += 1
+        self._update(readers=1)
         try:
             yield self.path
         finally:
-            self._readers -= 1
-            self._delete_if_unused()
+            self._update(readers=-1)
 
     def drop(self) -> None:
         """Delete the file, or leave the deletion to the last reader."""
-        self._is_dropped = True
-        self._delete_if_unused()
+        self._update(is_dropped=True)
 
-    def _delete_if_unused(self) -> None:
-        if self._is_dropped and not self._readers:
-            self.path.unlink(missing_ok=True)
+    def _update(self, readers: int = 0, is_dropped: bool = False) -> None:
+        with self._lock:
+            self._readers += readers
+            self._is_dropped |= is_dropped
+            if self._is_dropped and not self._readers:
+                self.path.unlink(missing_ok=True)
