@@ -57,7 +57,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
             values[name] = kind(**{item.name: values.pop(item.name) for item in fields(kind)})
         function(**values)
 
-    expanded.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    expanded.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # Typer reads it of any function
     expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return expanded
 
