@@ -56,7 +56,8 @@ def decode_packet(
     for code, keys in groups.items():
         llrs = np.stack([received[name][i] for name, i in keys])
         result = code.decode(llrs, algorithm=options.algorithm, iterations=options.iterations, check=check)
-        for (name, i), *decoded in zip(keys, llrs, result.bits, result.iterations, result.llr, strict=True):
+        known = information(llrs)
+        for (name, i), *decoded in zip(keys, llrs, known, result.bits, result.iterations, result.llr, strict=True):
             words[name, i] = _codeword(*decoded, identity=identity, layer=name)
     return {name: tuple(words[name, i] for i in range(len(rows))) for name, rows in received.items()}
 
@@ -83,9 +84,16 @@ def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
 
 
 def _codeword(
-    llr: Floats, bits: NDArray[np.uint8], iterations: int, decoded_llr: Floats, *, identity: int, layer: str
+    llr: Floats,
+    known: float,
+    bits: NDArray[np.uint8],
+    iterations: int,
+    decoded_llr: Floats,
+    *,
+    identity: int,
+    layer: str,
 ) -> Codeword:
-    """Codeword by its received LLRs, decided bits and decoded LLRs."""
+    """Codeword by its received LLRs and their information, decided bits and decoded LLRs."""
     block = unpack(bits)
     if block is None:
         status: Literal["ok", "crc_fail", "mismatch"] = "crc_fail"
@@ -94,7 +102,7 @@ def _codeword(
     else:
         status = "ok"
     margin = float(np.abs(decoded_llr).mean())
-    return Codeword(status, block, bits, hard(llr), int(iterations), margin, information=float(information(llr)))
+    return Codeword(status, block, bits, hard(llr), int(iterations), margin, information=float(known))
 
 
 def hard(llr: Floats) -> NDArray[np.uint8]:
@@ -208,7 +216,8 @@ class Layer:
         """Decode LLRs (codewords, E) together, also to extrinsic LLRs; only one iteration if all are hopeless."""
         if not len(llr):
             return []
-        iterations = 1 if is_hopeless(information(llr), self.form).all() else options.iterations
+        known = information(llr)
+        iterations = 1 if is_hopeless(known, self.form).all() else options.iterations
         result = self.form.code.decode(
             llr, algorithm=options.algorithm, iterations=iterations, check=check, coded_output=True
         )
@@ -216,7 +225,7 @@ class Layer:
         extrinsic = np.clip(result.coded_extrinsic.astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
         words = [
             _codeword(*decoded, identity=self._identity, layer=self.form.name)
-            for decoded in zip(llr, result.bits, result.iterations, result.llr, strict=True)
+            for decoded in zip(llr, known, result.bits, result.iterations, result.llr, strict=True)
         ]
         return list(zip(words, extrinsic, strict=True))
 
