@@ -36,6 +36,15 @@ def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[i
     return sum_of_leds(to_quarters(levels), footprints.__wrapped__(pose, corner, shape, len(levels)))
 
 
+@lru_cache(maxsize=160)  # decoding needs the images of a packet several times
+def kept_image(levels: bytes, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
+    """Render LEDs as `image_of`, of given bytes of the levels in quarters; read-only."""
+    values = np.frombuffer(levels)
+    image = sum_of_leds(values, footprints(pose, corner, shape, round(len(values) ** 0.5)))
+    image.setflags(write=False)
+    return image
+
+
 def sum_of_leds(levels: Floats, light: Footprints) -> Floats:
     """Add up the light of LEDs (n n,) in quarters, (rows, columns)."""
     across, down = light

@@ -6,7 +6,7 @@ from math import hypot
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.geometry.footprint import footprints, render_with_slopes, sum_of_leds, to_quarters
+from heliograph.receive.geometry.footprint import kept_image, render_with_slopes, to_quarters
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, covered, cut_out, window_around
 from heliograph.receive.sync.combine import Combination
@@ -63,8 +63,8 @@ class Cutout:
         return render_with_slopes(self.middle, levels, self.corner, self.shape)[1:5]
 
     def image_of(self, levels: Floats, pose: Pose) -> Floats:
-        """Render LEDs at a pose, (rows, columns)."""
-        return sum_of_leds(to_quarters(levels), footprints(pose, self.corner, self.shape, len(levels)))
+        """Render LEDs at a pose, (rows, columns), read-only."""
+        return kept_image(to_quarters(levels).tobytes(), pose, self.corner, self.shape)
 
     def motion_compensated(self, gain: float, led_gains: Floats) -> "Cutout":
         """Subtract the light of the background that does not cancel because the array moves between the frames."""

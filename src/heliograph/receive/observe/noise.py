@@ -73,7 +73,7 @@ def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None
     lit = np.mean([cutout.image_of(gains, pose) for pose in cutout.poses], axis=0)
     light = cutout.image_of(visible, cutout.poses[0])
     if cutout.covered is not None:
-        light *= np.outer(*cutout.covered[::-1])
+        light = light * np.outer(*cutout.covered[::-1])
     # without the slope of a blurred rim
     rows, columns = np.nonzero(light > 0.8 * light.max())
     images = np.stack([np.ones(rows.size), rows, columns, lit[rows, columns]], axis=1)

@@ -147,7 +147,7 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     if cutout.mean_light_pose is None:
         # o = l_1 A_1 1 - l_2 A_2 1, 0 for an array at rest; the mean light of combined frames differs from a half
         before, after = (0.5, 0.5) if cutout.combination is None else cutout.combination.levels
-        offset = cutout.image_of(before * gains, first) - cutout.image_of(after * gains, last)
+        offset = before * cutout.image_of(gains, first) - after * cutout.image_of(gains, last)
     else:
         offset = cutout.image_of(gains, cutout.mean_light_pose)
     light = [footprints(pose, corner, shape, side) for pose in cutout.poses] if cutout.apart else [middle]
