@@ -15,21 +15,24 @@ if TYPE_CHECKING:
     from heliograph.link.budget import Budget, budget
     from heliograph.link.codec import decode, encode
     from heliograph.link.photometry import LightSettings
-    from heliograph.link.settings import LinkSettings, load_settings
+    from heliograph.link.settings import LinkSettings, list_presets, load_settings
     from heliograph.link.simulate import simulate
+    from heliograph.link.truth import TruthFile, open_truth
     from heliograph.media import convert_film, create_film, open_colours, open_film, open_slots
     from heliograph.media.live.camera import register_camera
     from heliograph.panel import Place, UnmixedColours, follow, locate, sample, unmix_colours
     from heliograph.receive import (
+        LuminanceReceiver,
         Packet,
         Receiver,
         ReceiveSettings,
+        list_receivers,
         make_receiver,
         own_settings,
         receive_frames,
         register_receiver,
     )
-    from heliograph.signal.code import register_code
+    from heliograph.signal.code import list_codes, register_code
     from heliograph.signal.settings import SignalSettings
     from heliograph.sweeps.plot import plot_rates
     from heliograph.sweeps.sweep import sweep
@@ -43,6 +46,7 @@ _HOMES = {
     "HeliographError": "base.errors",
     "LightSettings": "link.photometry",
     "LinkSettings": "link.settings",
+    "LuminanceReceiver": "receive",
     "MediaError": "base.errors",
     "Packet": "receive",
     "Place": "panel",
@@ -51,6 +55,7 @@ _HOMES = {
     "SettingsError": "base.errors",
     "SignalSettings": "signal.settings",
     "Transmitter": "transmit",
+    "TruthFile": "link.truth",
     "UnmixedColours": "panel",
     "budget": "link.budget",
     "convert_film": "media",
@@ -58,6 +63,9 @@ _HOMES = {
     "decode": "link.codec",
     "encode": "link.codec",
     "follow": "panel",
+    "list_codes": "signal.code",
+    "list_presets": "link.settings",
+    "list_receivers": "receive",
     "load_parts": "base.registry",
     "load_settings": "link.settings",
     "locate": "panel",
@@ -65,6 +73,7 @@ _HOMES = {
     "open_colours": "media",
     "open_film": "media",
     "open_slots": "media",
+    "open_truth": "link.truth",
     "own_settings": "receive",
     "plot_rates": "sweeps.plot",
     "receive_frames": "receive",
@@ -87,6 +96,7 @@ __all__ = [
     "HeliographError",
     "LightSettings",
     "LinkSettings",
+    "LuminanceReceiver",
     "MediaError",
     "Packet",
     "Place",
@@ -95,6 +105,7 @@ __all__ = [
     "SettingsError",
     "SignalSettings",
     "Transmitter",
+    "TruthFile",
     "UnmixedColours",
     "budget",
     "convert_film",
@@ -102,6 +113,9 @@ __all__ = [
     "decode",
     "encode",
     "follow",
+    "list_codes",
+    "list_presets",
+    "list_receivers",
     "load_parts",
     "load_settings",
     "locate",
@@ -109,6 +123,7 @@ __all__ = [
     "open_colours",
     "open_film",
     "open_slots",
+    "open_truth",
     "own_settings",
     "plot_rates",
     "receive_frames",

@@ -113,3 +113,24 @@ def test_windows_may_change_their_size() -> None:
     noise = np.random.default_rng(0).integers(0, 99, (4, 32, 64), dtype=np.uint8)
     for k, pixels in enumerate(noise):
         assert not list(taker.push(Frame(k, k / 1000, pixels[k:, 1:], origin=(1, k))))
+
+
+@pytest.mark.parametrize(("image", "changes", "expected"), [
+    (GRAY + 7, {}, (np.uint8, 8, 7)),
+    (np.full((2, 3, 3), (10, 20, 30), np.uint8), {}, (np.uint8, 8, round(0.299 * 10 + 0.587 * 20 + 0.114 * 30))),
+    (np.full((2, 3, 4), 4000, np.uint16), {"bits": 12}, (np.uint16, 12, 4000)),
+    (np.full((2, 3), 0.5), {}, (np.uint16, 16, 32768)),
+    (np.full((2, 3), 1.5), {"bits": 8}, (np.uint8, 8, 255)),
+    ([[0.25, 0.25]], {"bits": 12}, (np.uint16, 12, 1024)),
+])  # fmt: skip
+def test_images_of_other_libraries_become_frames(image: Any, changes: Any, expected: tuple[Any, int, int]) -> None:
+    frame = Frame.from_array(image, 5, rate_hz=1000, **changes)
+    kind, bits, level = expected
+    assert (frame.pixels.dtype, frame.bits, int(frame.pixels[0, 0])) == (kind, bits, level)
+    assert (frame.index, frame.time_s) == (5, 0.005)
+
+
+@pytest.mark.parametrize("times", [{}, {"time_s": 0.1, "rate_hz": 1000}, {"rate_hz": 0}])
+def test_an_image_needs_a_time_or_a_rate(times: Any) -> None:
+    with pytest.raises(HeliographError, match="either time_s"):
+        Frame.from_array(GRAY, **times)

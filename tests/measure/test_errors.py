@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from link_packets import LAYERS, perfect, small, sums, tampered, watch
 
@@ -10,7 +11,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages
 from heliograph.measure.counts import pooled
 from heliograph.measure.errors import BIN_M, ErrorCounter
-from heliograph.receive.decode.codeword import ERASED
+from heliograph.receive.packet import ERASED
 
 SETTINGS = small()
 K = 1024
@@ -75,10 +76,11 @@ def test_raw_bits_of_both_equalisations_are_counted_without_erasures() -> None:
     last[:2] ^= 1
     last[5:8] = ERASED
     known = first.size - 10
-    # a single equalisation has no other raw bits
-    for final_raw, expected in ((None, (known, 7, 49)), (last, (first.size - 3, 2, 4))):
+    # LLRs of the last equalisation; a receiver may give none
+    llrs = np.where(last == ERASED, 0.0, 1.0 - 2.0 * (last == 1)).astype(np.float32)
+    for llr, expected in ((np.zeros(0, np.float32), (known, 7, 49)), (llrs, (first.size - 3, 2, 4))):
         counter = counter_of(frames=range(100))
-        words = (replace(word, raw=first, final_raw=final_raw),)
+        words = (replace(word, raw=first, llr=llr),)
         counter.received(replace(packet, layers={**packet.layers, "high": words}))
         high = counter.total()["high"]
         assert (high.raw_bits, high.raw_errors, high.raw_squares) == (known, 7, 49)

@@ -14,9 +14,9 @@ from scenes import Floats, at_rest, drawn_film, film, link, received, statuses, 
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet
-from heliograph.receive.decode.codeword import ERASED
 from heliograph.receive.decode.plain_packet import PlainPacket
 from heliograph.receive.decode.soft_packet import SoftPacket
+from heliograph.receive.packet import ERASED
 from heliograph.receive.track.track import TrackedPair
 from heliograph.receive.track.tracker import Tracker
 

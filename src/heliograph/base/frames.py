@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.errors import HeliographError, shown
 
@@ -65,6 +65,49 @@ class Frame:
             raise HeliographError(
                 f"a frame's origin is (x, y) on the sensor in whole pixels, a tuple, not {shown(self.origin)}"
             )
+
+    @classmethod
+    def from_array(
+        cls,
+        image: ArrayLike,
+        index: int = 0,
+        *,
+        time_s: float | None = None,
+        rate_hz: float | None = None,
+        bits: int | None = None,
+    ) -> "Frame":
+        """Make a frame of an image as other libraries give it.
+
+        Parameters
+        ----------
+        image
+            Gray levels (rows, columns), or colours (rows, columns, 3 or 4) in the order red, green, blue; uint8, uint16
+            or real numbers from 0 to 1. Colours become their luma, 0.299 R + 0.587 G + 0.114 B.
+        index
+            Number of the frame in the film.
+        time_s
+            Start time of the exposure in seconds; by default ``index / rate_hz``.
+        rate_hz
+            Frames per second, if there is no time.
+        bits
+            Bits per gray level; by default 8 for uint8 and 16 for other numbers.
+
+        Raises
+        ------
+        HeliographError
+            The image is none, or neither time nor rate is given.
+        """
+        pixels = np.asarray(image)
+        if (time_s is None) == (rate_hz is None) or rate_hz == 0:
+            raise HeliographError("a frame takes either time_s, a time in seconds, or rate_hz, the frames per second")
+        if pixels.ndim == 3 and pixels.shape[2] in (3, 4) and pixels.dtype.kind in "uf":
+            luma = pixels[..., :3] @ np.array([0.299, 0.587, 0.114])
+            pixels = np.rint(luma).astype(pixels.dtype) if pixels.dtype.kind == "u" else luma
+        if pixels.dtype.kind == "f":
+            most = (1 << (bits or 16)) - 1
+            pixels = np.rint(np.clip(pixels, 0, 1) * most).astype(np.uint8 if most < 256 else np.uint16)
+        levels = bits or (8 if pixels.dtype == np.uint8 else 16)
+        return cls(index, index / rate_hz if rate_hz else float(time_s or 0.0), pixels, levels)
 
     @property
     def full_scale(self) -> int:

@@ -83,6 +83,11 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = _load_presets()
 """Presets by name: description, and changes to the reference link."""
 
 
+def list_presets() -> dict[str, str]:
+    """Return the presets of `load_settings` with descriptions."""
+    return {name: description for name, (description, _) in PRESETS.items()}
+
+
 def preset(name: str) -> dict[str, Any]:
     """Return the changes of a preset to the defaults."""
     if name not in PRESETS:

@@ -152,14 +152,26 @@ class FrameTruth:
 
 @dataclass(frozen=True)
 class TruthFile:
-    """Truth file, open for reading."""
+    """Truth of a simulated film.
 
-    # The .npz file; rows are read on demand
+    Attributes
+    ----------
+    path
+        The .npz file; frames are read on demand.
+    settings
+        Settings of the simulated link.
+    messages
+        Messages of each array by layer, in the order of ``settings.transmit.identities``.
+    seed
+        Seed of road, scene and noise.
+    film_id
+        Random id that film and truth share; empty if unknown.
+    """
+
     path: Path
     settings: LinkSettings
     messages: Sequence[Messages]
     seed: int
-    # Id of the film; empty if unknown
     film_id: str = ""
 
     def frames(self) -> Iterator[FrameTruth]:
@@ -171,7 +183,20 @@ class TruthFile:
             )
 
     def rows(self) -> Iterator[NDArray[Any]]:
-        """Yield rows of `row_type`, one per frame, in temporal order."""
+        """Yield a row for each frame in temporal order.
+
+        Returns
+        -------
+        Structured arrays of shape () with the fields ``index``, ``time_s`` (true start of the exposure in s) and
+        ``arrays``: of each array ``x``, ``y`` (centre on the sensor in px), ``pitch_px``, ``roll_rad``, ``distance_m``,
+        ``visible`` (all LEDs in view), ``pattern`` and ``last_pattern`` (numbers of the first and the last pattern in
+        the exposure, -1 without), and ``homography`` (3, 3) from the LED grid to the sensor.
+
+        Raises
+        ------
+        MediaError
+            The file is damaged.
+        """
         kind = row_type(len(self.settings.channel.arrays))
         with _media_errors(self.path), zipfile.ZipFile(self.path) as archive, archive.open("frames.npy") as file:
             left = count = _read_header(file, kind)
@@ -188,8 +213,20 @@ class TruthFile:
                 raise _broken(self.path, f"it should have {count} rows, not {count - left}")
 
 
-def open_truth(path: Path) -> TruthFile:
-    """Open a truth file."""
+def open_truth(path: Path | str) -> TruthFile:
+    """Open the truth file of a simulated film.
+
+    Parameters
+    ----------
+    path
+        The file that ``heliograph simulate`` writes next to the film, FILM.truth.npz.
+
+    Raises
+    ------
+    MediaError
+        There is no such file, or it is damaged.
+    """
+    path = Path(path)
     if not path.is_file():
         raise MediaError(f"there is no truth file {path}; 'heliograph simulate' writes it next to the film")
     with _media_errors(path), zipfile.ZipFile(path) as archive:

@@ -12,7 +12,7 @@ from heliograph.link.simulate import Messages, transmitters
 from heliograph.measure.counts import LayerCounts, Layers, no_errors, pooled
 from heliograph.measure.statistics import Count
 from heliograph.receive import Packet
-from heliograph.receive.decode.codeword import ERASED
+from heliograph.receive.packet import ERASED
 from heliograph.signal.block import pack
 from heliograph.transmit import Transmitter
 
@@ -148,7 +148,7 @@ class ErrorCounter:
                 wrong = int(np.count_nonzero(word.bits != sent))
                 coded = code.encode(sent)
                 _compare_raw(raw, word.raw, coded)
-                _compare_raw(final_raw, word.raw if word.final_raw is None else word.final_raw, coded)
+                _compare_raw(final_raw, word.final_raw, coded)
                 bits.add(code.k, wrong)
                 sent_words.add(1, wrong > 0 or word.status != "ok")
                 right += word.status == "ok" and wrong == 0

@@ -50,6 +50,11 @@ def register_receiver(name: str, make: MakeReceiver, settings: type | None = Non
     RECEIVERS.register(name, ReceiverPart(make, settings, groups), make)
 
 
+def list_receivers() -> list[str]:
+    """Return the names of all receivers, those of the package first."""
+    return RECEIVERS.names()
+
+
 def own_settings(settings: ReceiveSettings) -> Any:
     """Settings of a registered receiver, an object of the registered class; None without a class.
 

@@ -10,7 +10,8 @@ from heliograph.base.errors import SettingsError
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.header_reader import HeaderReader
-from heliograph.receive.decode.plain_packet import PlainPacket
+from heliograph.receive.decode.per_led import pair_luminances
+from heliograph.receive.decode.plain_packet import PlainPacket, ReadPair
 from heliograph.receive.decode.soft_packet import SoftPacket
 from heliograph.receive.decode.worker import PacketDecoder, PacketObservations, call_in_process, call_inline
 from heliograph.receive.detect.alternation import SearchParameters
@@ -38,7 +39,9 @@ MakePacket = Callable[[int], PacketObservations]
 """Makes the observations of a packet, by the identity of the array."""
 
 
-def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
+def plain_receiver(
+    signal: SignalSettings, settings: ReceiveSettings, observe: Observer, read: ReadPair | None = None
+) -> StreamReceiver:
     """Assemble the paper's receiver: a frame for each pattern, in step with the light."""
     options = Decoding(settings.decode.algorithm or "max-log", settings.decode.iterations)
 
@@ -46,7 +49,8 @@ def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: O
         return SynchronousPairing(detection.start_time_s, detection.time_s, detection.identity, signal)
 
     search = _header_search(settings, signal, PLAIN_REGULARITY, synchronous=True)
-    make_packet = partial(PlainPacket, form=PacketFormat(signal), equaliser=settings.plain.equaliser, options=options)
+    read = read or partial(pair_luminances, side=signal.side, equaliser=settings.plain.equaliser)
+    make_packet = partial(PlainPacket, form=PacketFormat(signal), read=read, options=options)
     track = _array_factory(signal, settings, observe, pairing, make_packet, is_plain=True)
     return StreamReceiver(SynchronousClock(signal.pattern_period_s), search, track, observe)
 

@@ -39,8 +39,20 @@ class EqualiseEvent:
     llr: Mapping[str, Floats]
 
 
-def ignore(event: object, /) -> None:
-    """Ignore an event."""
+@dataclass(frozen=True, slots=True)
+class ChooseEvent:
+    """The receiver "auto" has chosen a receiver.
+
+    Attributes
+    ----------
+    receiver
+        Name of the receiver.
+    reason
+        Frame rate and pattern rate, or the setting that decides.
+    """
+
+    receiver: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +207,8 @@ class UnseenEvent:
 
 
 Event = (
-    DetectEvent
+    ChooseEvent
+    | DetectEvent
     | TrackEvent
     | ExtractEvent
     | EqualiseEvent
@@ -209,3 +222,7 @@ Event = (
 
 Observer = Callable[[Event], None]
 """Function that gets every event, for plots, a browser view or timings. It does not change the reception."""
+
+
+def ignore(event: object, /) -> None:
+    """Ignore an event."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -15,6 +15,15 @@ from heliograph.signal.formats import AGREED, Format
 
 DECODING_RATIO = 1.3
 """Information per coded bit that the turbo code of rate 1/3 and 1000 bits needs, over its rate."""
+
+ERASED = 255
+"""Raw bit that was not received."""
+
+
+def hard_decisions(llr: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Decide bits by LLRs; `ERASED` where an LLR is 0."""
+    return np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)
+
 
 Status = Literal["ok", "partial", "crc_fail", "no_header", "no_array"]
 """Outcome of a packet, see `Packet`."""
@@ -39,9 +48,9 @@ class Codeword:
         Iterations of the decoder.
     margin
         Mean magnitude of the information bits' LLRs after decoding.
-    final_raw
-        Like `raw` by the last equalisation, when the light of decoded codewords no longer disturbs; None if the
-        receiver equalises only once.
+    llr
+        (E,) float32 LLRs ln P(b=0)/P(b=1) of the coded bits by the last equalisation, when the light of decoded
+        codewords no longer disturbs; whitening undone; 0 for bits that were not received.
     information
         Mean information in the LLRs that the decoder got, in bit per coded bit, 0 to 1. The turbo code needs about 1.3
         times its rate. NaN if unknown.
@@ -53,8 +62,13 @@ class Codeword:
     raw: NDArray[np.uint8]
     iterations: int
     margin: float
-    final_raw: NDArray[np.uint8] | None = None
+    llr: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
     information: float = math.nan
+
+    @property
+    def final_raw(self) -> NDArray[np.uint8]:
+        """(E,) uint8 like `raw` by the last equalisation; `raw` if the receiver gives no LLRs."""
+        return hard_decisions(self.llr) if self.llr.size else self.raw
 
 
 Words = Mapping[str, tuple[Codeword, ...]]

@@ -134,3 +134,8 @@ def register_code(name: str, family: CodeFamily) -> None:
         The name is invalid or belongs to a built-in code, or `family` is not callable.
     """
     CODES.register(name, family, family)
+
+
+def list_codes() -> list[str]:
+    """Return the names of all channel codes, those of the package first."""
+    return CODES.names()

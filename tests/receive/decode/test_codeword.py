@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scenes import levels, link
 
 from heliograph.link.simulate import default_messages, transmitters
-from heliograph.receive.decode.codeword import ERASED, Decoding, Layer, decode_packet, soft_to_llr
+from heliograph.receive.decode.codeword import Decoding, Layer, decode_packet, soft_to_llr
+from heliograph.receive.packet import ERASED
 from heliograph.signal.block import AnyBlock, Block
 from heliograph.signal.code import Algorithm
 from heliograph.signal.haar import inverse_transform

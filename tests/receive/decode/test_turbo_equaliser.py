@@ -29,12 +29,13 @@ from scenes import SIDE, pitch_at
 from heliograph.base.threads import one_thread
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.receive import Pose
-from heliograph.receive.decode.codeword import ERASED, Decoding, hard
+from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.turbo_equaliser import decode_iteratively, update_channel
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.events import EqualiseEvent
 from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.packet import ERASED, hard_decisions
 from heliograph.receive.settings import Feedback
 from heliograph.receive.sync.combine import combine_pair
 
@@ -222,8 +223,7 @@ def test_raw_bits_are_of_the_first_equalisation_and_final_bits_of_the_last() -> 
         for number, (word, sent) in enumerate(
             zip(words[name], layer.code.encode([w.bits for w in words[name]]), strict=True)
         ):
-            assert (word.raw == hard(iterations[0].llr[name][number])).all()
-            assert word.final_raw is not None
+            assert (word.raw == hard_decisions(iterations[0].llr[name][number])).all()
             assert 0 < np.mean(word.final_raw != sent) < 0.2, name
     assert (words["high"][0].raw == words["high"][0].final_raw).all()
     assert np.mean(words["low"][0].raw != words["low"][0].final_raw) > 0.1

@@ -11,14 +11,11 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.decode.combining import is_consistent
 from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, LARGEST_LLR, information
-from heliograph.receive.packet import Codeword
+from heliograph.receive.packet import Codeword, hard_decisions
 from heliograph.receive.settings import Feedback
 from heliograph.signal.block import check, unpack
 from heliograph.signal.code import Algorithm, Code
 from heliograph.signal.packet import LayerFormat, PacketFormat
-
-ERASED = 255
-"""Raw bit that was not received."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,12 +99,8 @@ def _codeword(
     else:
         status = "ok"
     margin = float(np.abs(decoded_llr).mean())
-    return Codeword(status, block, bits, hard(llr), int(iterations), margin, information=float(known))
-
-
-def hard(llr: Floats) -> NDArray[np.uint8]:
-    """Decisions on LLRs, `ERASED` where an LLR is 0."""
-    return np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)
+    raw, received = hard_decisions(llr), llr.astype(np.float32)
+    return Codeword(status, block, bits, raw, int(iterations), margin, received, float(known))
 
 
 class Layer:
@@ -145,7 +138,7 @@ class Layer:
     def equalise(self, sent: Floats) -> None:
         """Take the LLRs of a new equalisation, (pairs, symbols)."""
         self.llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
-        self._raw = hard(self.llr) if self._raw is None else self._raw
+        self._raw = hard_decisions(self.llr) if self._raw is None else self._raw
 
     def keep_own(self) -> None:
         """Keep the LLRs of this packet for comparison with earlier packets."""
@@ -167,7 +160,7 @@ class Layer:
         assert self._raw is not None  # it is equalised
         words = dict(enumerate(self.words))
         for i, (word, _) in decoded.items():
-            words[i] = replace(word, raw=self._raw[i], final_raw=hard(self.llr[i]))
+            words[i] = replace(word, raw=self._raw[i], llr=self.llr[i].astype(np.float32))
         self.words = tuple(words[i] for i in range(len(self.llr)))
         for i, (_, extrinsic) in decoded.items():
             self._feed_back(i, extrinsic if options.soft else None)

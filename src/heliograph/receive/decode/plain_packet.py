@@ -1,22 +1,28 @@
 """Packets of the plain receiver: luminances at the LEDs' image positions, FHWT, one decoding."""
 
+from collections.abc import Callable
 from copy import copy
+from typing import Any
 
 import numpy as np
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.header_reader import HeaderReader
-from heliograph.receive.decode.per_led import pair_luminances
 from heliograph.receive.decode.worker import Decoded
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer
-from heliograph.receive.settings import Equaliser
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.window import AnyFrame
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.signal.formats import AGREED
 from heliograph.signal.packet import PacketFormat
+
+ReadPair = Callable[[tuple[AnyFrame, AnyFrame], tuple[Pose, Pose], float], Floats]
+"""Reads luminances (n, n) of two frames, by the poses in both and the gain."""
 
 
 class PlainPacket:
@@ -24,18 +30,22 @@ class PlainPacket:
 
     cutouts = ()
 
-    def __init__(self, identity: int, form: PacketFormat, equaliser: Equaliser, options: Decoding):
+    def __init__(self, identity: int, form: PacketFormat, read: ReadPair, options: Decoding):
         self.form, self.mode = form, AGREED.number
-        self._identity, self._equaliser, self._options = identity, equaliser, options
+        self._identity, self._read, self._options = identity, read, options
         pairs, side = form.settings.data_pairs, form.settings.side
         # difference of pattern and inverse at each LED, and True for visible pairs
         self._luminances, self._seen = np.zeros((pairs, side, side)), np.zeros(pairs, dtype=bool)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # another process only decodes
+        return {**self.__dict__, "_read": None}
 
     def add_pair(self, place: int, pair: FramePair, tracked: TrackedPair) -> ExtractEvent:
         """Read the luminances of a pair; see `PacketObservations`."""
         frames, state = (pair.pattern, pair.inverted), tracked.state
         poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
-        x = pair_luminances(frames, poses, tracked.track.gain, self.form.settings.side, self._equaliser)
+        x = self._read(frames, poses, tracked.track.gain)
         self._luminances[place], self._seen[place] = x, True
         return ExtractEvent(self._identity, frames, poses, x)
 
