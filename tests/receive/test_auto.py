@@ -31,7 +31,10 @@ def test_choice_follows_signal_and_frame_rate(changes: dict[str, object], rate_h
 
 @pytest.mark.slow
 def test_packets_are_those_of_the_chosen_receiver() -> None:
-    link = load_settings("static", {"channel": {"camera": {"width": 96, "height": 96}, "duration_s": 0.12}})
+    link = load_settings(
+        "static",
+        {"channel": {"camera": {"width": 96, "height": 96}, "duration_s": 0.12, "arrays": [{"x_m": 0.0, "y_m": 0.0}]}},
+    )
     frames = [frame for frame, _ in simulate(link, default_messages(link), 3)]
     events = list[object]()
     packets = list(receive_frames(frames, link.signal, AUTO, events.append))

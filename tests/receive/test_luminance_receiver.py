@@ -11,7 +11,10 @@ from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import LuminanceReceiver, ReceiveSettings, receive_frames, register_receiver
 
-LINK = load_settings("static", {"channel": {"camera": {"width": 96, "height": 96}, "duration_s": 0.12}})
+LINK = load_settings(
+    "static",
+    {"channel": {"camera": {"width": 96, "height": 96}, "duration_s": 0.12, "arrays": [{"x_m": 0.0, "y_m": 0.0}]}},
+)
 
 
 class Sampled(LuminanceReceiver):
