@@ -1,7 +1,6 @@
 """Behaviour of each command, and its JSON contract."""
 
 import base64
-import contextlib
 import io
 import json
 import os
@@ -10,7 +9,6 @@ import socket
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -83,9 +81,17 @@ def test_a_text_or_standard_input_is_sent(tmp_path: Path, call: Call, monkeypatc
         assert np.array_equal(np.load(tmp_path / f"{number}.npy"), heliograph_package.encode({"high": data})[:100])
 
 
-def test_receive_writes_messages_packets_and_summary(film: Path, tmp_path: Path, call: Call) -> None:
-    out = succeeded(call("receive", film, "--receiver", "plain", "--output", "out"))
+def test_receive_writes_messages_packets_and_summary_and_counts_errors(film: Path, tmp_path: Path, call: Call) -> None:
+    out = succeeded(call("receive", film, "--receiver", "plain", "--output", "out", "--truth", f"{film}.truth.npz"))
     assert "200 frames in " in out
+    (line,) = [line for line in out.splitlines() if line.strip().startswith("50-55")]
+    assert line.split() == [
+        "50-55", "m",
+        "<", "1.5e-03", "of", "2048", "0/2",
+        "<", "7.3e-04", "of", "4096", "0/4",
+        "<", "1.5e-03", "of", "2048", "0/2",
+    ]  # fmt: skip
+    assert "packets that were not sent: 0\naccepted codewords that were not sent: 0" in out
     assert re.search(r"array 0: 2 packets, frames 0 to 199, (49\.\d|50\.\d) m to (49\.\d|50\.\d) m away\n", out)
     assert "message out/array-0-high-0.bin" in out
     assert names(tmp_path / "out") == [
@@ -127,25 +133,6 @@ def test_json_is_one_object_with_the_documented_fields(film: Path, tmp_path: Pat
     assert names(tmp_path) == []
 
 
-def test_error_rates_come_with_their_counts(film: Path, tmp_path: Path, call: Call) -> None:
-    out = succeeded(call("receive", film, "--truth", f"{film}.truth.npz"))
-    (line,) = [line for line in out.splitlines() if line.strip().startswith("50-55")]
-    assert line.split() == [
-        "50-55", "m",
-        "<", "1.5e-03", "of", "2048", "0/2",
-        "<", "7.3e-04", "of", "4096", "0/4",
-        "<", "1.5e-03", "of", "2048", "0/2",
-    ]  # fmt: skip
-    assert "packets that were not sent: 0\naccepted codewords that were not sent: 0" in out
-
-
-def test_a_lossless_mp4_is_written_and_read(tmp_path: Path, call: Call) -> None:
-    succeeded(call("simulate", "a.mp4", *lasting(0.1), "--lossless"))
-    assert names(tmp_path) == ["a.mp4", "a.mp4.truth.npz"]
-    report = json.loads(succeeded(call("receive", "a.mp4", "--json")))
-    assert report["arrays"][0]["layers"]["high"]["ok"] == 1
-
-
 def test_settings_come_from_preset_file_and_assignments_in_this_order(tmp_path: Path, call: Call) -> None:
     (tmp_path / "my.toml").write_text("[channel]\nduration_s = 0.02\n[channel.camera]\nwidth = 96\nheight = 48\n")
     succeeded(call("simulate", "a.mkv", "--preset", "static", "--settings", "my.toml",
@@ -181,16 +168,15 @@ def test_transmit_writes_patterns_as_numbers(tmp_path: Path, call: Call) -> None
     assert names(tmp_path) == ["a.csv", "a.npy"]
 
 
-@pytest.mark.parametrize("kind", ["bits", "h", "hub75", "shift"])
-def test_transmit_writes_files_for_drivers(kind: str, tmp_path: Path, call: Call) -> None:
-    name, order = f"a.{kind}", ("--set", "signal.slot_order=[0, 2, 1, 3]")
-    succeeded(call("transmit", "a.npy", "--packets", "1", "--slots", *order))
-    out = succeeded(call("transmit", name, "--packets", "1", *order))
-    assert out == f"{name}: 400 slots of 0.25 ms, 0.1 s\n"
-    slots = heliograph_package.open_slots(tmp_path / name)
-    assert np.array_equal(list(slots), np.load(tmp_path / "a.npy"))
-    assert (slots.form.side, slots.form.slots_per_pattern, slots.form.slot_ns) == (16, 4, 250_000)
-    assert names(tmp_path) == sorted([name, "a.npy"])
+def test_transmit_writes_files_for_drivers(tmp_path: Path, call: Call) -> None:
+    order = ("--packets", "1", "--set", "signal.slot_order=[0, 2, 1, 3]")
+    succeeded(call("transmit", "a.npy", "--slots", *order))
+    for name in ("a.bits", "a.h", "a.hub75", "a.shift"):
+        assert succeeded(call("transmit", name, *order)) == f"{name}: 400 slots of 0.25 ms, 0.1 s\n"
+        slots = heliograph_package.open_slots(tmp_path / name)
+        assert np.array_equal(list(slots), np.load(tmp_path / "a.npy"))
+        assert (slots.form.side, slots.form.slots_per_pattern, slots.form.slot_ns) == (16, 4, 250_000)
+    assert names(tmp_path) == ["a.bits", "a.h", "a.hub75", "a.npy", "a.shift"]
 
 
 def test_transmit_writes_a_film_for_a_screen(tmp_path: Path, call: Call) -> None:
@@ -230,18 +216,15 @@ def test_budget_shows_image_range_and_flicker(call: Call) -> None:
     assert points[0]["notes"] == []
 
 
-def test_budget_warns_of_saturation(call: Call) -> None:
-    text = succeeded(call("budget", "--set", "signal.side=8", "--set", "channel.distance_m=30", "--candela", "9"))
+def test_budget_warns_of_saturation_and_prints_similar_notes_once(call: Call) -> None:
+    bright = ("budget", "--set", "signal.side=8", "--candela", "9")
+    text = succeeded(call(*bright, "--set", "channel.distance_m=30"))
     assert "note: the array saturates" in text
     assert "reads to" not in text
-
-
-def test_equal_notes_of_a_budget_are_printed_once(call: Call) -> None:
-    aside = ("--set", "signal.side=8", "--set", "channel.arrays.0.x_m=9", "--vary", "channel.distance_m=20,30,40")
-    notes = [line for line in succeeded(call("budget", *aside, "--candela", "9")).splitlines() if "not in the" in line]
-    assert len(notes) == 1
-    assert notes[0].startswith("note: at 20 m the array is not in the picture")
-    assert notes[0].endswith("(similar at 2 more)")
+    aside = ("--set", "channel.arrays.0.x_m=9", "--vary", "channel.distance_m=20,30,40")
+    (note,) = [line for line in succeeded(call(*bright, *aside)).splitlines() if "not in the" in line]
+    assert note.startswith("note: at 20 m the array is not in the picture")
+    assert note.endswith("(similar at 2 more)")
 
 
 def test_presets_are_listed_and_printed(tmp_path: Path, call: Call) -> None:
@@ -331,35 +314,48 @@ class Screen(io.StringIO):
         return self._is_terminal
 
 
-def test_a_terminal_shows_progress_and_invisible_arrays(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stderr", terminal := Screen(True))
-    two = ("--set", "transmit.identities=[3,4]", "--set", "channel.arrays=[{x_m=0,y_m=0},{x_m=30,y_m=0}]")
-    assert call("simulate", "a.mkv", *lasting(0.02), *two).stdout == "a.mkv: 20 frames; truth in a.mkv.truth.npz\n"
-    shown = terminal.getvalue()
-    assert "simulating" in shown
-    assert "/20" in shown
-    assert "array 1 is never completely in the picture" in shown
-    assert "array 0 is" not in shown
+def test_progress_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    for seen in (True, False):
+        monkeypatch.setattr(sys, "stderr", error := Screen(seen))
+        with console.progress("receiving", 31) as note:
+            for done in (1, 20, 921):
+                note(done)
+        # the film had more frames than claimed
+        assert ("receiving" in error.getvalue(), "921/921" in error.getvalue()) == (seen, seen)
 
 
-def test_a_sweep_shows_its_points_on_a_terminal(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sweep_shows_counts_and_intervals_and_its_points_on_a_terminal(
+    call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sys, "stderr", terminal := Screen(True))
-    grid = ("--vary", "channel.distance_m=40", "--set", "signal.data_pairs=8", "--max-codewords", "4")
-    assert call("sweep", *grid, "--workers", "1").stdout.count("\n") == 4
-    assert "1 of 1 points" in terminal.getvalue()
+    vary = ("--vary", "channel.distance_m=40,70", "--set", "signal.data_pairs=8", "--max-codewords", "4")
+    lines = call("sweep", *vary, "--workers", "1").stdout.splitlines()
+    assert "2 of 2 points" in terminal.getvalue()
     assert "100%" in terminal.getvalue()
+    assert lines[0].split()[:4] == ["channel.distance_m", "layer", "wrong", "of"]
+    assert [line.split()[:4] for line in lines[1:4]] == [
+        ["40", "high", "0", "4"], ["40", "middle", "0", "8"], ["40", "low", "0", "4"]
+    ]  # fmt: skip
+    assert "< 7.5e-01" in lines[1]
+    assert " to " not in lines[1]
+    assert lines[6].split()[:4] == ["70", "low", "4", "4"]
+    assert "1.0e+00 (4.7e-01 to 1.0e+00)" in lines[6]
 
 
-def test_receiver_settings_keep_the_signal_of_the_film(tmp_path: Path, call: Call) -> None:
+def test_a_closed_pipe_ends_a_process_silently() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    run = subprocess.run([*COMMAND, "presets"], stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (run.returncode, run.stderr) == (1, b"")
+
+
+def test_the_note_of_a_film_gives_the_signal_and_differing_settings_are_reported(tmp_path: Path, call: Call) -> None:
     (tmp_path / "tune.toml").write_text("[receive.decode]\niterations = 4\n")
+    (tmp_path / "low.toml").write_text("[signal.rate]\nlow = 0.5\n")
     succeeded(call("simulate", "a.mkv", *lasting(0.14), "--set", "signal.data_pairs=64"))
     run = call("receive", "a.mkv", "--json", "--settings", "tune.toml")
     assert json.loads(succeeded(run))["arrays"][0]["packets"] == 1
-
-
-def test_a_setting_overrides_the_note_of_a_film_and_is_reported(tmp_path: Path, call: Call) -> None:
-    (tmp_path / "low.toml").write_text("[signal.rate]\nlow = 0.5\n")
-    succeeded(call("simulate", "a.mkv", *lasting(0.14), "--set", "signal.data_pairs=64"))
     run = call("receive", "a.mkv", "--json", "--settings", "low.toml", "--set", "signal.rate.high=0.4")
     assert run.returncode == 0
     assert run.stderr.startswith("heliograph: not as the film's note says: signal.rate.high=0.4 instead of 0.333")
@@ -375,69 +371,14 @@ def test_overlong_packets_are_uncertain(film: Path, tmp_path: Path, call: Call) 
     """With overlong packets, every second packet has no header and no valid codeword."""
     run = call("receive", film, "--output", "out", "--set", "signal.data_pairs=64")
     assert run.returncode == 3
+    assert "detection" not in run.stdout.splitlines()[0]
+    assert "\nno array found: 1 detection without a decoded codeword\n" in run.stdout
     log = [json.loads(line) for line in (tmp_path / "out/packets.jsonl").read_text().splitlines()]
-    assert [row["status"] for row in log] == ["crc_fail"]
+    assert [(row["status"], row["uncertain"]) for row in log] == [("crc_fail", True)]
     assert "uncertain, no codeword decoded: array 0: 1 packet" in run.stdout
-    (array,) = json.loads((tmp_path / "out/summary.json").read_text())["uncertain"]
-    assert array["packets"] == 1
-
-
-@pytest.mark.parametrize("change", ["signal.rate.high=0.5", "signal.data_pairs=24"])
-def test_errors_are_not_counted_with_another_signal(change: str, film: Path, tmp_path: Path, call: Call) -> None:
-    text = failed(call("receive", film, "--truth", f"{film}.truth.npz", "--output", "out", "--set", change))
-    key, _, value = change.partition("=")
-    assert text.startswith(f"heliograph: {key} is {value}, but ")
-    assert names(tmp_path) == []
-
-
-@pytest.fixture
-def closed_pipe() -> Iterator[int]:
-    """Open a pipe with no reader."""
-    reader, writer = os.pipe()
-    os.close(reader)
-    yield writer
-    os.close(writer)
-
-
-def test_a_closed_pipe_ends_a_process_silently(tmp_path: Path, closed_pipe: int) -> None:
-    run = subprocess.run([*COMMAND, "presets"], stdout=closed_pipe, stderr=subprocess.PIPE, check=False)
-    assert (run.returncode, run.stderr) == (1, b"")
-
-
-def test_a_closed_pipe_ends_receive_silently(
-    film: Path, call: Call, tmp_path: Path, closed_pipe: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with open(closed_pipe, "w", closefd=False) as out, (tmp_path / "errors").open("w") as errors:
-        monkeypatch.setattr(sys, "stdout", out)
-        monkeypatch.setattr(sys, "stderr", errors)
-        assert call("receive", film).returncode == 1
-        monkeypatch.undo()
-        with contextlib.suppress(BrokenPipeError):
-            out.close()
-    assert (tmp_path / "errors").read_text() == ""
-
-
-def test_progress_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    for seen in (True, False):
-        monkeypatch.setattr(sys, "stderr", error := Screen(seen))
-        with console.progress("receiving", 31) as note:
-            for done in (1, 20, 921):
-                note(done)
-        # the film had more frames than claimed
-        assert ("receiving" in error.getvalue(), "921/921" in error.getvalue()) == (seen, seen)
-
-
-def test_a_sweep_shows_counts_and_intervals(call: Call) -> None:
-    vary = ("--vary", "channel.distance_m=40,70", "--set", "signal.data_pairs=8", "--max-codewords", "4")
-    lines = succeeded(call("sweep", *vary, "--workers", "1")).splitlines()
-    assert lines[0].split()[:4] == ["channel.distance_m", "layer", "wrong", "of"]
-    assert [line.split()[:4] for line in lines[1:4]] == [
-        ["40", "high", "0", "4"], ["40", "middle", "0", "8"], ["40", "low", "0", "4"]
-    ]  # fmt: skip
-    assert "< 7.5e-01" in lines[1]
-    assert " to " not in lines[1]
-    assert lines[6].split()[:4] == ["70", "low", "4", "4"]
-    assert "1.0e+00 (4.7e-01 to 1.0e+00)" in lines[6]
+    summary = json.loads((tmp_path / "out/summary.json").read_text())
+    assert summary["arrays"] == []
+    assert [(array["id"], array["packets"]) for array in summary["uncertain"]] == [(0, 1)]
 
 
 def test_a_printed_preset_explains_each_setting_and_can_be_read(tmp_path: Path, call: Call) -> None:

@@ -15,6 +15,7 @@ FILMS = ["test/000002.h5", "test/000005.h5", "train/000000.h5", "train/000003.h5
          "validation/000004.h5"]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_size_is_printed_and_existing_films_are_kept(call: Call, tmp_path: Path) -> None:
     said = succeeded(call("dataset", "a", *SMALL, *SPLIT, "--size"))
     assert said.startswith("a: 6 films, 120 frames, ")
@@ -25,22 +26,3 @@ def test_the_size_is_printed_and_existing_films_are_kept(call: Call, tmp_path: P
     again = succeeded(call("dataset", "a", *SMALL, *SPLIT)).splitlines()
     assert again[0] == f"{said.strip()}, of which 6 films exist"
     assert "differs in seed" in failed(call("dataset", "a", *SMALL, *SPLIT, "--seed", "1"))
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (("--splits", "many"), "--splits takes TRAIN,VALIDATION,TEST in whole shares, not 'many'"),
-        (("--splits", "1,2"), "such as 80,10,10, not 1,2"),
-        (("--films", "2"), "2 films of each kind cannot be split in 3"),
-        (("--vary", "channel.distnce_m=3"), "did you mean 'channel.distance_m'?"),
-        (("--vary", "channel.distance_m=3", "--vary", "channel.distance_m=4"), "is varied twice"),
-        (("--set", "channel.background.kind=footage"), "give it by --background VIDEO"),
-        (("--background", "none.mp4"), "there is no file none.mp4"),
-        (("--packets", "10000", "--films", "2000", *LARGE), "are free"),
-    ],
-)
-def test_invalid_options_are_one_line(options: tuple[str, ...], says: str, call: Call) -> None:
-    run = call("dataset", "a", *SMALL, *options)
-    assert says in failed(run)
-    assert not Path("a").exists()

@@ -70,20 +70,6 @@ def test_an_incomplete_file_has_a_line_with_progress_and_remedy(tmp_path: Path, 
         assert lacking == [line.replace(", about 0.6 s", "")]
 
 
-def test_transmit_refuses_a_file_without_a_free_layer(tmp_path: Path, call: Call) -> None:
-    (tmp_path / "a").write_bytes(b"1")
-    layers = ("--high", "a b", "--middle", "c d", "--low", "e f")
-    for given, word in (
-        (("--file", "a", *layers), "leave out"),
-        (("--file", "gone"), "cannot read gone"),
-        (("--file", "a", "--file-code", "magic"), "cauchy, raptorq"),
-    ):
-        run = call("transmit", "a.npy", "--packets", "1", *given)
-        assert run.returncode == 1
-        assert word in run.stderr
-        assert run.stderr.count("\n") == 1
-
-
 @pytest.mark.parametrize(
     ("sent", "kept"),
     [
@@ -145,16 +131,3 @@ def test_a_junction_is_sent_and_counted_down(tmp_path: Path, call: Call) -> None
     # the first message predicts the state 0.9 s after its timestamp; the second corrects it
     assert left == [12.0, 11.0, 10.9, 10.8]
     assert "tells of junction 7: group 1 red, 10.9 s left" in followed.stderr
-
-
-def test_an_invalid_junction_is_one_line(tmp_path: Path, call: Call) -> None:
-    (tmp_path / "a.toml").write_text("id = 7\ngroup = 1\n")
-    for given, word in (
-        (("--junction", "a.toml"), "a.toml: "),
-        (("--junction", "none.toml"), "cannot read the settings none.toml"),
-        (("--junction", str(EXAMPLE), "--high", "a b"), "leave out --high"),
-    ):
-        run = call("transmit", "a.npy", "--packets", "1", *given)
-        assert run.returncode == 1
-        assert word in run.stderr
-        assert run.stderr.count("\n") == 1

@@ -3,8 +3,8 @@
 import json
 import shutil
 import signal
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cli_runs import SMALL, failed, grown, interrupted, interrupted_at, lasting, names, succeeded, within
@@ -27,16 +27,15 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "a.h5"
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_process(tmp_path: Path, by: signal.Signals) -> None:
-    started = grown(tmp_path, ".*partial*", 20_000)
-    run = interrupted("simulate", "a.mkv", *lasting(300), cwd=tmp_path, when=started, by=by)
+def test_a_signal_ends_a_process(tmp_path: Path) -> None:
+    run = interrupted("simulate", "a.mkv", *lasting(300), cwd=tmp_path, when=grown(tmp_path, ".*partial*", 20_000))
     assert "a.mkv holds the " in failed(run, INTERRUPTED)
     assert names(tmp_path) == ["a.mkv", "a.mkv.truth.npz"]
 
 
-def test_simulate_keeps_the_film_so_far(tmp_path: Path) -> None:
-    run = interrupted_at(tmp_path, "simulate", "a.mkv", *lasting(300), title="simulating", step=12)
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_simulate_keeps_the_film_so_far(tmp_path: Path, by: signal.Signals) -> None:
+    run = interrupted_at(tmp_path, "simulate", "a.mkv", *lasting(300), title="simulating", step=12, by=by)
     assert failed(run, INTERRUPTED) == "heliograph: interrupted; a.mkv holds the 12 frames so far"
     assert names(tmp_path) == ["a.mkv", "a.mkv.truth.npz"]
     with open_film(tmp_path / "a.mkv") as film:
@@ -82,26 +81,29 @@ def test_demo_keeps_the_film_so_far(tmp_path: Path) -> None:
     assert names(tmp_path / "d") == ["drive.mp4", "drive.mp4.truth.npz"]
 
 
-def test_demo_reports_the_packets_so_far(tmp_path: Path) -> None:
-    run = interrupted_at(tmp_path, "demo", "--output", "d", *lasting(0.15), title="receiving", step=120)
+def test_demo_reports_the_packets_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reports = list[Any]()  # the pictures of the page take seconds
+    monkeypatch.setattr("heliograph.experiments.demo.drive.write_page", lambda *values: reports.append(values))
+    run = interrupted_at(tmp_path, "demo", "--output", "d", *lasting(0.11), title="receiving", step=105)
     assert "d holds the results so far" in failed(run, INTERRUPTED)
-    assert {"drive.mp4", "drive.mp4.truth.npz", "report.html"} <= set(names(tmp_path / "d"))
+    assert {"drive.mp4", "drive.mp4.truth.npz"} <= set(names(tmp_path / "d"))
+    assert "array 0: 1 packet" in run.stdout
+    assert len(reports) == 1
 
 
 def test_the_same_command_continues_a_data_set(tmp_path: Path) -> None:
     line = ("dataset", "a", *SMALL, "--set", "channel.camera.width=64", "--set", "channel.camera.height=48",
-            "--set", "signal.data_pairs=8", "--films", "6", "--splits", "1,1,1")  # fmt: skip
+            "--set", "signal.data_pairs=8", "--films", "3", "--splits", "1,1,1")  # fmt: skip
     run = interrupted_at(tmp_path, *line, title="films", step=2)
-    assert failed(run, INTERRUPTED) == "heliograph: interrupted after 2 of 6 films; the same command continues"
+    assert failed(run, INTERRUPTED) == "heliograph: interrupted after 2 of 3 films; the same command continues"
     there = names(tmp_path / "a")
     assert "DATASHEET.md" not in there
     assert f"of which {len(there) - 1} films exist" in succeeded(within(tmp_path, *line))
-    assert len(names(tmp_path / "a")) == 6 + 3
+    assert len(names(tmp_path / "a")) == 3 + 3
 
 
 def test_probe_shows_the_findings_so_far(tmp_path: Path) -> None:
-    frames = film(link(camera={"width": 48, "height": 48}))
-    write(KeptFilm([replace(frames[k % 130], index=k, time_s=k / 1000) for k in range(400)]), tmp_path / "long.h5")
-    run = interrupted_at(tmp_path, "probe", "long.h5", "--output", "seen", title="probing", step=200)
-    assert "interrupted after 200 frames; the findings so far are above" in failed(run, INTERRUPTED)
-    assert names(tmp_path / "seen") == ["probe.html"]
+    write(KeptFilm(film(link(camera={"width": 48, "height": 48}))), tmp_path / "long.h5")
+    run = interrupted_at(tmp_path, "probe", "long.h5", title="probing", step=120)
+    assert "interrupted after 120 frames; the findings so far are above" in failed(run, INTERRUPTED)
+    assert "long.h5: 120 frames" in run.stdout

@@ -22,6 +22,7 @@ def test_scenes_are_counted_separately(measured: Call) -> None:
     assert all("high 0/1 [" in line and line.endswith("packets of nothing 0") for line in lines)
 
 
+@pytest.mark.slow
 def test_acquisition_counts_its_trials(measured: Call) -> None:
     out = succeeded(measured("acquisition", "--trials", "1", "--within", "5", "--workers", "1"))
     assert out.startswith("1 trials: by the first header 1, by the second 0, missed 0 [0.0e+00, ")
@@ -74,6 +75,7 @@ def test_drives_and_empty_clips(measured: Call, data: Path) -> None:
     assert empty[1].startswith("all clips, per frame: 0/20 ")
 
 
+@pytest.mark.slow
 def test_a_film_encoded_again(call: Call, measured: Call) -> None:
     film = ("simulate", "film.mp4", "--lossless", *SMALL, "--set", "channel.distance_m=30",
             "--set", "channel.duration_s=0.11")  # fmt: skip
@@ -82,27 +84,6 @@ def test_a_film_encoded_again(call: Call, measured: Call) -> None:
     assert lines[0].startswith("again.mp4: 110 frames, ")
     assert lines[-1] == "  false codewords 0, false packets 0"
     assert "is the film itself" in failed(measured("lossy", "film.mp4", "film.mp4"))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("scenes nowhere", "there is no scene nowhere; there are upright"),
-        ("scenes upright --at near", "'near' is no list of numbers; separate numbers by commas"),
-        ("scenes upright --receiver sift --at 50 --workers 1", "receive.receiver"),
-        ("repeated-packets --layer top", "unknown layer 'top'; choose from high, middle, low"),
-        ("known-channel --brightness 1,,2", "'1,,2' is no list of numbers"),
-        ("drives none.mp4 --imu none.csv", "none.mp4"),
-        ("lossy none.mp4 out.mp4", "there is no truth file none.mp4.truth.npz"),
-    ],
-)
-@pytest.mark.slow
-def test_wrong_arguments_are_one_line(measured: Call, arguments: str, message: str) -> None:
-    assert message in failed(measured(*arguments.split()))
-
-
-def test_an_unknown_measurement_is_a_usage_error(measured: Call) -> None:
-    assert "heliograph measure --help" in failed(measured("nothing"), 2)
 
 
 def test_help_lists_the_measurements(measured: Call) -> None:

@@ -15,7 +15,6 @@ from heliograph.media import open_film
 pytestmark = pytest.mark.slow
 
 HIGH = b"brake\x00\xff"
-KINDS = ("folder", "pattern", "tiff", "npy", "mraw", "cine")
 Reading = tuple[list[dict[str, Any]], dict[str, bytes]]
 """Packets, and messages by name."""
 
@@ -52,8 +51,8 @@ def read(call: Call, film: Path, output: Path, *options: str) -> Reading:
     return packets, {path.name: path.read_bytes() for path in output.glob("*.bin")}
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_each_format_gives_the_same_packets(
+@pytest.mark.parametrize("kind", ["folder", "mraw"])
+def test_formats_of_cameras_give_the_same_packets(
     kind: str, known: Reading, paths: Paths, tmp_path: Path, call: Call
 ) -> None:
     known_packets, messages = known
@@ -61,24 +60,25 @@ def test_each_format_gives_the_same_packets(
     path, clockless = paths[kind]
     packets, got = read(call, path, tmp_path / "got", *(("--fps", "1000") if clockless else ()))
     assert got == messages == {"array-0-high-0.bin": HIGH}
-    assert [packet["status"] for packet in packets] == [packet["status"] for packet in known_packets]
-    if kind != "cine":  # .cine timestamps are rounded to 1 ns
-        assert packets == known_packets
+    assert packets == known_packets
 
 
 def test_a_save_step_divides_the_frame_rate(shots: Path, known: Reading, tmp_path: Path, call: Call) -> None:
     with open_film(shots / "a.h5") as film:
         levels = np.stack([frame.pixels for frame in film])
     right = write_mraw(tmp_path / "right.mraw", levels, 8, 8, rate=10_000, step=10)
-    assert read(call, right, tmp_path / "got") == known
+    with open_film(right) as film:
+        assert film.rate_hz == 1000
     # with half the rate in the header, the rate advised by probe works
     wrong = write_mraw(tmp_path / "wrong.mraw", levels, 8, 8, rate=5000, step=10)
     assert "--fps 1000\n" in call("probe", wrong, "--preset", "static").stdout
     assert read(call, wrong, tmp_path / "again", "--fps", "1000") == known
 
 
-@pytest.mark.parametrize(("kind", "target"), [*((kind, "c.h5") for kind in KINDS), ("mraw", "c.mkv")])
-def test_each_kind_is_converted(kind: str, target: str, shots: Path, paths: Paths, tmp_path: Path, call: Call) -> None:
+@pytest.mark.parametrize(("kind", "target"), [("pattern", "c.h5"), ("cine", "c.mkv")])
+def test_formats_of_cameras_are_converted(
+    kind: str, target: str, shots: Path, paths: Paths, tmp_path: Path, call: Call
+) -> None:
     path, clockless = paths[kind]
     said = succeeded(call("convert", path, target, *(("--fps", "1000") if clockless else ())))
     assert said == f"{target}: 220 frames\n"
@@ -90,8 +90,9 @@ def test_each_kind_is_converted(kind: str, target: str, shots: Path, paths: Path
             assert one.index == other.index
 
 
-@pytest.mark.parametrize("kind", ["folder", "pattern", "tiff", "npy"])
-@pytest.mark.parametrize("command", ["receive", "convert"])
+@pytest.mark.parametrize(
+    ("command", "kind"), [("receive", "folder"), ("convert", "pattern"), ("receive", "tiff"), ("convert", "npy")]
+)
 def test_a_missing_frame_rate_is_one_line(kind: str, command: str, paths: Paths, call: Call) -> None:
     path, _ = paths[kind]
     said = failed(call(command, path, *(["b.h5"] if command == "convert" else [])))
@@ -106,20 +107,7 @@ def test_a_cropped_and_rotated_film_is_read(shots: Path, known: Reading, tmp_pat
     assert {row["orientation"] for row in packets} != {row["orientation"] for row in known_packets}
 
 
-@pytest.mark.parametrize(("options", "says"), [
-    (("--crop", "1,2,3"), "a crop is x, y, width and height"),
-    (("--crop", "a,b,c,d"), "--crop takes X,Y,WIDTH,HEIGHT in whole pixels, not 'a,b,c,d'"),
-    (("--crop", "0,0,161,1"), "reaches beyond the frames"),
-    (("--rotate", "1"), "0, 90, 180 or 270"),
-    (("--bin", "0"), "squares of 1 to 16 pixels a side"),
-    (("--channel", "pink"), "choose one of luma, red, green, blue"),
-])  # fmt: skip
-@pytest.mark.parametrize("command", ["receive", "convert"])
-def test_wrong_options(command: str, options: tuple[str, ...], says: str, shots: Path, call: Call) -> None:
-    assert says in failed(call(command, shots / "a.h5", *(["b.h5"] if command == "convert" else []), *options))
-
-
-@pytest.mark.parametrize("kind", ["npy", "mraw", "cine", "tiff"])
+@pytest.mark.parametrize("kind", ["npy", "mraw"])
 def test_convert_keeps_the_complete_frames_of_a_truncated_recording(
     kind: str, paths: Paths, tmp_path: Path, call: Call
 ) -> None:
@@ -160,10 +148,3 @@ def test_the_current_folder_is_a_film(shots: Path, tmp_path: Path, call: Call, m
     monkeypatch.chdir(shots / "shots")
     _, got = read(call, Path(), tmp_path / "got", "--fps", "1000")
     assert got == {"array-0-high-0.bin": HIGH}
-
-
-@pytest.mark.parametrize("option", [("--rotate", "180"), ("--crop", "0,0,64,64"), ("--bin", "2")])
-def test_errors_are_counted_for_complete_frames_only(shots: Path, call: Call, option: tuple[str, str]) -> None:
-    """A rotation by 180 degrees keeps the size, so wrong poses would pass unnoticed."""
-    text = failed(call("receive", shots / "a.h5", "--truth", shots / "a.h5.truth.npz", *option))
-    assert "leave out --crop, --bin and --rotate, or --truth" in text

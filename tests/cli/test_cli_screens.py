@@ -17,7 +17,7 @@ PHONE = Phone(width=320, height=240, side_px=160.0, blur_px=0.8, seed=5)
 
 @pytest.mark.slow
 def test_receive_advises_the_preset_for_a_phone_film(tmp_path: Path) -> None:
-    grabs = shown(sending_of(b"Hello from a laptop", None, 16, 10.0), 4.0, cell_px=8)
+    grabs = shown(sending_of(b"Hello from a laptop", None, 16, 10.0), 3.0, cell_px=8)
     write_phone_film(tmp_path / "phone.mp4", phone_frames(grabs, PHONE), PHONE)
     run = within(tmp_path, "receive", "phone.mp4")
     advice = [line for line in run.stdout.splitlines() if line.startswith("  - ")]
@@ -25,6 +25,7 @@ def test_receive_advises_the_preset_for_a_phone_film(tmp_path: Path) -> None:
     assert "phone.mp4 shows a screen: read it by --preset phone" in failed(run)
 
 
+@pytest.mark.slow
 def test_receive_reports_a_missing_screen_early_and_at_the_end(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     with create_film(tmp_path / "empty.h5", width=64, height=48, rate_hz=30.0) as film:

@@ -10,12 +10,14 @@ import pytest
 pytest.importorskip("playwright", reason="playwright is not installed: pip install playwright")
 
 from browsers import DISPLAY, browser, check_accessibility, grabbed, needs_chromium, quiet_page, webcam_of
-from cli_runs import called
+from cli_runs import succeeded, within
 from playwright.sync_api import Browser, Page, Route, expect
-from screen_films import Gray, Phone, phone_frames, write_phone_film, write_webcam
+from screen_films import Phone, phone_frames, write_phone_film, write_webcam
+from screen_light import shown
 from web_server import serving
 
 from heliograph.media import open_film
+from heliograph.web.sending import sending_of
 
 pytestmark = [pytest.mark.slow, needs_chromium]
 
@@ -37,18 +39,22 @@ def transmitting(page: Page, cells: str = "16") -> None:
     page.wait_for_selector("#pause:enabled")
 
 
-def filmed(page: Page, cells: str = "16") -> list[tuple[float, Gray]]:
-    """Film the two packets that the page requests, with a phone."""
-    page.evaluate("() => { for (let k = 0; k < 40; k += 1) refresh(); }")  # the page measures its display
-    transmitting(page, cells)
-    return list(phone_frames(grabbed(page, 4.0), PHONE))
-
-
 @pytest.fixture(scope="module")
-def text_frames(chromium: Browser, address: str) -> list[tuple[float, Gray]]:
+def sent(chromium: Browser, address: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
+    """A phone film of page *Transmit* that sends a picture, and the picture."""
+    folder = tmp_path_factory.mktemp("sent")
+    film, picture = folder / "phone.mp4", folder / "sun.png"
+    drawn = np.full((24, 24), 30, np.uint8)
+    cv2.circle(drawn, (12, 12), 8, 220, -1)
+    cv2.imwrite(str(picture), drawn)
     with quiet_page(chromium, f"{address}transmit", DISPLAY) as page:
-        page.fill("#text", TEXT)
-        return filmed(page)
+        page.check("input[value=file]")
+        page.set_input_files("#file", picture)
+        page.evaluate("() => { for (let k = 0; k < 40; k += 1) refresh(); }")  # the page measures its display
+        transmitting(page, "20")
+        write_phone_film(film, phone_frames(grabbed(page, 4.0), PHONE), PHONE)
+        expect(page.locator("#facts")).to_contain_text("as a file")
+    return film, picture.read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -60,22 +66,15 @@ def still_film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_command_receives_a_phone_film_of_the_page(
-    text_frames: list[tuple[float, Gray]], tmp_path: Path, capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    film, out = tmp_path / "phone.mp4", tmp_path / "got"
-    write_phone_film(film, text_frames, PHONE)
-    got = called("receive", film, "--preset", "phone", "--output", out, capfd=capfd, monkeypatch=monkeypatch)
-    assert got.returncode == 0, got.stderr
-    assert {path.read_bytes().decode() for path in out.glob("array-0-*.bin")} == {TEXT}
+def test_command_receives_a_phone_film_of_the_page(sent: tuple[Path, bytes], tmp_path: Path) -> None:
+    film, picture = sent
+    succeeded(within(tmp_path, "receive", film, "--preset", "phone", "--set", "signal.side=20", "--output", "got"))
+    assert (tmp_path / "got" / "files" / "sun.png").read_bytes() == picture
 
 
-def test_camera_of_the_browser_receives_the_page(
-    text_frames: list[tuple[float, Gray]], chromium: Browser, address: str, tmp_path: Path
-) -> None:
+def test_camera_of_the_browser_receives_a_text(chromium: Browser, address: str, tmp_path: Path) -> None:
     webcam = tmp_path / "phone.mjpeg"
-    write_webcam(webcam, text_frames)
+    write_webcam(webcam, phone_frames(shown(sending_of(TEXT.encode(), None, 16, 15.0), 4.0, cell_px=12), PHONE))
     with (
         browser(chromium.browser_type, *webcam_of(webcam)) as found,
         quiet_page(found, f"{address}receive") as page,
@@ -87,25 +86,29 @@ def test_camera_of_the_browser_receives_the_page(
         expect(page.locator("#start")).to_have_text("Start the camera")
 
 
-def test_picture_is_received_from_an_uploaded_film(chromium: Browser, address: str, tmp_path: Path) -> None:
-    film, picture = tmp_path / "phone.mp4", tmp_path / "sun.png"
-    drawn = np.full((24, 24), 30, np.uint8)
-    cv2.circle(drawn, (12, 12), 8, 220, -1)
-    cv2.imwrite(str(picture), drawn)
-    with quiet_page(chromium, f"{address}transmit", DISPLAY) as page:
-        page.check("input[value=file]")
-        page.set_input_files("#file", picture)
-        write_phone_film(film, filmed(page, "20"), PHONE)
-        expect(page.locator("#facts")).to_contain_text("as a file")
+def test_picture_is_received_from_a_film_that_replaces_an_upload(
+    sent: tuple[Path, bytes], chromium: Browser, address: str, tmp_path: Path
+) -> None:
+    film, picture = sent
+    (none := tmp_path / "none.mp4").write_bytes(bytes(1000))
     with quiet_page(chromium, f"{address}receive") as page:
-        page.set_input_files("#film", film)
-        shown = page.locator("#got img")
-        expect(shown).to_be_visible()
+        held: list[Route] = []
+        page.route("**/api/films?*", lambda route: route.continue_() if held else held.append(route))
+        page.set_input_files("#film", none)
+        while not held:
+            page.wait_for_timeout(20)
+        page.set_input_files("#film", film)  # during the first upload
+        expect(page.locator("#got img")).to_be_visible()
         expect(page.locator("#got")).to_contain_text("File sun.png")
         expect(page.locator("#state")).to_contain_text("The end.")
+        expect(page.locator(".notice")).to_be_hidden()
         with page.expect_download() as saved:
             page.get_by_role("button", name="Save sun.png").click()
-        assert Path(saved.value.path()).read_bytes() == picture.read_bytes()
+        assert Path(saved.value.path()).read_bytes() == picture
+        check_accessibility(page)
+        page.set_input_files("#film", none)  # in reverse order, earlier results disappear
+        expect(page.locator(".notice.bad")).to_contain_text("The film")
+        check_accessibility(page)
 
 
 def test_transmit_obeys_keys_and_counts_skipped_refreshes(chromium: Browser, address: str) -> None:
@@ -120,9 +123,9 @@ def test_transmit_obeys_keys_and_counts_skipped_refreshes(chromium: Browser, add
         page.keyboard.press("Space")
         expect(page.locator("#pause")).to_have_text("Pause")
         page.keyboard.press("f")
-        page.wait_for_function("document.fullscreenElement !== null")
+        expect(page.locator(":fullscreen")).not_to_have_count(0)
         page.keyboard.press("f")
-        page.wait_for_function("document.fullscreenElement === null")
+        expect(page.locator(":fullscreen")).to_have_count(0)
         page.evaluate("() => { const until = performance.now() + 900; while (performance.now() < until); }")
         expect(page.locator(".notice")).to_contain_text("Choose a lower rate")
         assert int(page.inner_text("[data-lost] td")) >= 3
@@ -142,28 +145,6 @@ def test_frames_of_failed_packets_are_saved_by_a_button(
         expect(page.locator(".notice")).to_contain_text("heliograph receive failed.h5 --preset phone")
     with open_film(tmp_path / "failed.h5") as film:
         assert sum(1 for _ in film) > 60
-
-
-def test_film_chosen_during_an_upload_replaces_the_upload(
-    chromium: Browser, address: str, text_frames: list[tuple[float, Gray]], tmp_path: Path
-) -> None:
-    film, none = tmp_path / "phone.mp4", tmp_path / "none.mp4"
-    write_phone_film(film, text_frames, PHONE)
-    none.write_bytes(bytes(1000))
-    with quiet_page(chromium, f"{address}receive") as page:
-        held: list[Route] = []
-        page.route("**/api/films?*", lambda route: route.continue_() if held else held.append(route))
-        page.set_input_files("#film", none)
-        while not held:
-            page.wait_for_timeout(20)
-        page.set_input_files("#film", film)  # during the first upload
-        expect(page.locator(".text")).to_have_text(TEXT)
-        expect(page.locator("#state")).to_contain_text("The end.")
-        expect(page.locator(".notice")).to_be_hidden()
-        check_accessibility(page)
-        page.set_input_files("#film", none)  # in reverse order, earlier results disappear
-        expect(page.locator(".notice.bad")).to_contain_text("The film")
-        check_accessibility(page)
 
 
 @pytest.mark.parametrize("page_name", ["", "transmit", "receive"])

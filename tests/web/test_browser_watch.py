@@ -11,7 +11,7 @@ pytest.importorskip("playwright", reason="playwright is not installed: pip insta
 
 from browsers import check_accessibility, needs_chromium, quiet_page
 from cli_runs import SMALL
-from playwright.sync_api import Browser, Page, WebSocketRoute
+from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 from web_server import serving
 
 from heliograph.experiments.demo.drive import demo_messages
@@ -49,9 +49,8 @@ def ended(chromium: Browser, address: str) -> Iterator[Page]:
         page.wait_for_selector("#named option", state="attached")
         page.click("#open")
         page.get_by_text("The end: 1250 frames").wait_for()
-        page.wait_for_function(
-            "document.querySelector('#picture img').naturalWidth === 96"
-        )  # the second, sharper picture
+        # the second, sharper picture
+        expect(page.locator("#picture img").first).to_have_js_property("naturalWidth", 96)
         yield page
 
 
@@ -135,7 +134,7 @@ def test_counts_from_before_a_pause_do_not_undo_it(chromium: Browser, address: s
         page.wait_for_timeout(300)
         page.get_by_role("button", name="Go on").click()
         page.select_option("#speed", index=0)
-        page.get_by_text("The end: 1250 frames, 12 packets").wait_for()
+        expect(page.locator("#packets li").nth(1)).to_be_attached()
 
 
 def test_dropped_film_replaces_the_results(chromium: Browser, address: str, films: list[Path], tmp_path: Path) -> None:

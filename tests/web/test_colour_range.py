@@ -7,7 +7,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from cli_runs import called
+from cli_runs import within
 from fastapi.testclient import TestClient
 from web_server import OWN
 
@@ -24,30 +24,19 @@ FRAMES, SIDE = 24, 64
 UNTAGGED, LIMITED, FULL = 0, 1, 2
 
 
-def picture(k: int, white: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Return a picture with three quarters white; the rest is dark and changes."""
-    pixels = np.full((SIDE, SIDE), white, np.uint8)
-    pixels[:, : SIDE // 4] = DARK + k
-    return pixels
-
-
 def write_video(path: Path, codec: str, form: str, span: int, white: int) -> None:
+    """Write frames that are three quarters white; the rest is dark and changes."""
     with av.open(str(path), "w") as container:
-        stream: Any = container.add_stream(codec, rate=30)
-        stream.width = stream.height = SIDE
-        stream.pix_fmt = form
+        stream: Any = container.add_stream(codec, rate=30, options={"qp": "0"} if codec == "libx264" else {})
+        stream.width, stream.height, stream.pix_fmt = SIDE, SIDE, form
         stream.codec_context.color_range = span
-        if codec == "libx264":
-            stream.options = {"qp": "0"}
+        planes = np.full((SIDE * 3 // 2, SIDE), 128, np.uint8)
+        planes[:SIDE] = white
         for k in range(FRAMES):
-            luma = picture(k, white)
-            grey = np.full((SIDE // 2, SIDE), 128, np.uint8)
-            held = av.VideoFrame.from_ndarray(np.vstack([luma, grey]), format="yuv420p")
-            held.color_range = span
-            if form != "yuv420p":
-                held = held.reformat(format=form, src_color_range=FULL, dst_color_range=FULL)
-            held.pts = k
-            container.mux(stream.encode(held))
+            planes[:SIDE, : SIDE // 4] = DARK + k
+            frame = av.VideoFrame.from_ndarray(planes[:SIDE] if form == "gray" else planes, format=form)
+            frame.color_range, frame.pts = span, k
+            container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
 
 
@@ -64,11 +53,11 @@ FILMS = {
 
 @pytest.mark.parametrize("name", FILMS)
 def test_probe_and_pages_see_the_same_part_at_full_scale(
-    name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / name
     write_video(path, *FILMS[name])
-    run = called("probe", path, "--json", "--preset", "phone", capfd=capfd, monkeypatch=monkeypatch)
+    run = within(tmp_path, "probe", path, "--json", "--preset", "phone")
     assert json.loads(run.stdout)["levels"]["at_full_scale"] == pytest.approx(WHITE, abs=0.01)
     seen: list[Frame] = []
 

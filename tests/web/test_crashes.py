@@ -3,7 +3,7 @@
 import asyncio
 import json
 import logging
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,9 @@ import numpy as np
 import played_camera  # noqa: F401 - registers camera:played
 import pytest
 from fastapi.testclient import TestClient
+from waiting import wait_until
 from web_server import OWN
 
-from heliograph.base.frames import Frame
-from heliograph.media.reader import read_ahead
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
 from heliograph.web.connection import INTERNAL, Outbox
@@ -38,8 +37,6 @@ ERRORS = [
     OSError(28, "No space left on device", "/tmp/heliograph-x/film.h5"),
     ValueError("cannot open /tmp/heliograph-x/0123.mp4\nsecond line"),
 ]
-PASSED_ON = [error for error in ERRORS if isinstance(error, (MemoryError, StopIteration, SystemExit))]
-"""Errors that threads and tasks pass on in different ways."""
 
 CAMERA_FRAME = HEAD.pack(0.0, 0, 64, 64) + bytes(4096)
 
@@ -120,33 +117,6 @@ def test_any_exception_of_a_worker_is_reported_in_a_line_and_logged(
     assert is_logged_once(caplog, error)
 
 
-@pytest.mark.parametrize("error", PASSED_ON, ids=lambda error: type(error).__name__)
-@pytest.mark.parametrize("page", ["receive", "watch", "transmit"])
-def test_every_page_reports_any_exception_of_its_worker(
-    client: TestClient, dark_film: Path, page: str, error: BaseException, monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:  # fmt: skip
-    if page == "transmit":
-        monkeypatch.setattr("heliograph.web.transmit.sending_of", raises(error))
-        answer = client.post("/api/transmit", content=b"text")
-        assert answer.status_code == 500
-        assert answer.headers["x-content-type-options"] == "nosniff"
-        line = answer.json()["error"]
-    elif page == "receive":
-        monkeypatch.setattr("heliograph.web.receive.PageReader.read_upload", raises(error))
-        rows, code = received(client, dark_film)
-        assert ([row["event"] for row in rows], code) == (["error"], INTERNAL)
-        line = rows[0]["error"]
-    else:
-        monkeypatch.setattr("heliograph.web.watching.run.receive_film", raises(error))
-        rows, code = watched(client)
-        assert ([row["event"] for row in rows].count("failed"), code) == (1, INTERNAL)
-        line = rows[-1]["reason"]
-    assert is_one_clear_line(line, error)
-    assert is_logged_once(caplog, error)
-    assert client.app.state.shared.sessions.taken == 0  # type: ignore[attr-defined]
-
-
 PLACES = [
     ("film", "heliograph.web.reading.open_film"),
     ("film", "heliograph.web.reading.probe_film"),
@@ -190,6 +160,7 @@ def test_pages_report_a_crash_at_any_place(
     assert is_one_clear_line(line, error)
     assert code == INTERNAL
     assert is_logged_once(caplog, error)
+    wait_until(lambda: client.app.state.shared.sessions.taken == 0)  # type: ignore[attr-defined]
 
 
 def test_page_stays_connected_after_an_expected_error(client: TestClient) -> None:
@@ -202,6 +173,7 @@ def test_page_stays_connected_after_an_expected_error(client: TestClient) -> Non
 @pytest.mark.parametrize(
     ("place", "path"),
     [
+        ("heliograph.web.transmit.body_of", ""),
         ("heliograph.web.sending.Sending.packets", "transmit/{}/packets"),
         ("heliograph.web.transmit._write", "transmit/{}/film?seconds=1"),
         ("heliograph.web.stores.Store.of", "transmit/{}/packets"),
@@ -213,22 +185,11 @@ def test_requests_answer_a_crash_in_a_line(
 ) -> None:
     name = client.post("/api/transmit?side=8", content=b"text").json()["sending"]
     monkeypatch.setattr(place, raises(ValueError("broken")))
-    answer = client.get(f"/api/{path.replace('{}', name)}")
+    answer = client.get(f"/api/{path.replace('{}', name)}") if path else client.post("/api/transmit", content=b"text")
     assert answer.status_code == 500
+    assert answer.headers["x-content-type-options"] == "nosniff"
     assert "ValueError: broken" in answer.json()["error"]
     assert not list(client.app.state.shared.folder.glob("patterns-*"))  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize("error", [ValueError("broken"), KeyboardInterrupt(), SystemExit(1)])
-def test_frames_read_ahead_end_with_any_exception_of_the_thread(error: BaseException) -> None:
-    def frames() -> Generator[Frame, None, None]:
-        yield Frame(0, 0.0, np.zeros((4, 4), np.uint8))
-        raise error
-
-    ahead = read_ahead(frames())
-    next(ahead)
-    with pytest.raises(type(error)):
-        next(ahead)
 
 
 def test_disconnected_page_is_not_logged_as_a_crash(client: TestClient, caplog: pytest.LogCaptureFixture) -> None:

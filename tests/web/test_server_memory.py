@@ -16,8 +16,8 @@ from heliograph.web.app import create_app
 from heliograph.web.limits import Limits
 
 RECEIVE, WATCH = "ws://127.0.0.1:8000/api/receive", "ws://127.0.0.1:8000/api/watch"
-# more than the bundles that a server for two sessions keeps, less the first
-RECEPTIONS = 4
+# more than the bundles that a server for one session keeps, less the first
+RECEPTIONS = 3
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def client(film: Path) -> Iterator[TestClient]:
-    with TestClient(create_app(films=[str(film)], limits=Limits(sessions=2)), base_url=OWN) as made:
+    with TestClient(create_app(films=[str(film)], limits=Limits(sessions=1)), base_url=OWN) as made:
         yield made
 
 
@@ -65,14 +65,14 @@ def leaked(before: Counter[str]) -> dict[str, int]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_ends")
 def test_ended_receptions_keep_no_object(client: TestClient, film: Path) -> None:
     pages: dict[str, Callable[[], str]] = {
         "receive": lambda: receive(client, film),
-        "watch": lambda: watch(client),
-        "watch by soft": lambda: watch(client, "soft"),
+        "watch": lambda: watch(client, "soft"),
         "watch broken off": lambda: watch(client, until="source"),
     }
-    assert [page() for page in pages.values()] == ["end", "end", "end", "source"]
+    assert [page() for page in pages.values()] == ["end", "end", "source"]
     before = live_objects()
     for page in pages.values():
         for _ in range(RECEPTIONS):
@@ -80,6 +80,7 @@ def test_ended_receptions_keep_no_object(client: TestClient, film: Path) -> None
     wait_until(lambda: not leaked(before))  # threads may still end
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [receive, lambda client, _: watch(client)], ids=["receive", "watch"])
 def test_memory_is_released_when_a_reception_has_ended(
     client: TestClient, film: Path, page: Callable[[TestClient, Path], str], monkeypatch: pytest.MonkeyPatch

@@ -73,13 +73,20 @@ def complain(text: str) -> None:
     sys.stderr.write(f"heliograph: {line}\n")
 
 
-def error_text(error: Exception) -> str:
+def error_text(error: BaseException) -> str:
     """Return the message of an error for the user."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
     if isinstance(error, MemoryError):
         return "not enough memory; make the film shorter or the frames smaller"
     if isinstance(error, OSError) and not isinstance(error, HeliographError):
         return f"{error.filename or 'input or output'}: {error.strerror or error}"
     return str(error)
+
+
+def error_line(error: BaseException) -> str:
+    """Return the message of an error without line breaks, for reports."""
+    return " ".join(error_text(error).split())
 
 
 def exit_interrupted(text: str) -> NoReturn:
@@ -112,14 +119,13 @@ def _print(text: str) -> None:
 class Progress:
     """Progress of a command."""
 
-    def __init__(self, show: Callable[[float], None] | None = None):
+    def __init__(self, show: Callable[[float], object] = lambda _: None):
         self.done, self._show = 0.0, show
 
     def __call__(self, done: float) -> None:
         """Set the number of completed steps, including fractions."""
         self.done = done
-        if self._show is not None:
-            self._show(done)
+        self._show(done)
 
 
 @contextlib.contextmanager

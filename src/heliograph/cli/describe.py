@@ -37,7 +37,7 @@ class KeyDescription:
 
 
 def describe(cls: type, prefix: str = "") -> Iterator[KeyDescription]:
-    """Describe all keys of a settings class whose docstring has an Attributes section, in the order of the class."""
+    """Describe all keys of a settings class with an Attributes section in the docstring, in the order of the class."""
     parameters = parse(inspect.getdoc(cls) or "").params
     meanings = {about.arg_name: " ".join((about.description or "").split()) for about in parameters}
     types = inspect.get_annotations(cls, eval_str=True)
@@ -56,29 +56,21 @@ def describe(cls: type, prefix: str = "") -> Iterator[KeyDescription]:
 def comment(toml: str, cls: type) -> str:
     """Add the meaning of each key of a settings class to TOML text, and comments for keys that are left out."""
     descriptions = {about.key.replace(".0.", "."): about for about in describe(cls)}
-    tables: dict[str, list[str]] = {}
-    table, lines = "", list[str]()
-    for line in filter(None, toml.splitlines()):
-        if header := re.fullmatch(r"\[+([\w.-]+)\]+", line):
-            lines += _left_out(table, tables, descriptions)
-            table = f"{header[1]}."
-            lines += ["", line]
-            tables[table] = []
-            continue
-        key = re.match(r"[\w-]+(?= = )", line)
-        about = descriptions.get(table + key[0]) if key else None
-        if key:
-            tables.setdefault(table, []).append(key[0])
-        lines.append(f"{line}  # {_summary(about)}" if about else line)
-    return "\n".join([*lines, *_left_out(table, tables, descriptions)]).strip()
-
-
-def _left_out(table: str, given: Mapping[str, list[str]], descriptions: Mapping[str, KeyDescription]) -> Iterator[str]:
-    """Yield a comment for each key of a table that has no default and is not given."""
-    for key, about in descriptions.items():
-        path, _, name = key.rpartition(".")
-        if table == f"{path}." and name not in given[table] and not about.default and about.allowed != "table":
-            yield f"# {name} =   # {_summary(about)}"
+    tables = []
+    for text in re.split(r"\n+(?=\[)", toml.strip()):
+        header = re.match(r"\[+([\w.-]+)\]+", text)
+        prefix = f"{header[1]}." if header else ""
+        lines, given = [], set[str]()
+        for line in filter(None, text.splitlines()):
+            key = prefix + line.partition(" = ")[0]
+            given.add(key)
+            lines.append(f"{line}  # {_summary(descriptions[key])}" if key in descriptions else line)
+        for key, about in descriptions.items():
+            path, _, name = key.rpartition(".")
+            if prefix == f"{path}." and key not in given and not about.default and about.allowed != "table":
+                lines.append(f"# {name} =   # {_summary(about)}")
+        tables.append("\n".join(lines))
+    return "\n\n".join(tables)
 
 
 def _summary(about: KeyDescription) -> str:

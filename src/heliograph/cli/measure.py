@@ -1,6 +1,6 @@
 """Commands of `heliograph measure`: measurements with arguments."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -37,8 +37,12 @@ def main(context: typer.Context) -> None:
     console.help_unless_command(context)
 
 
-@measure.command()
-@options.with_options
+def measurement(function: Callable[..., None]) -> Callable[..., None]:
+    """Make a measurement of a function; see `options.with_options`."""
+    return measure.command()(options.with_options(function))
+
+
+@measurement
 def scenes(
     scene: Annotated[list[str] | None, typer.Argument(metavar="[SCENE ...]", help="All by default.")] = None,
     at: str = option("Distances in m.", "M,M", default="50,80"),
@@ -57,8 +61,7 @@ def scenes(
             console.say(f"{name}, {distance:g} m: {hard_scenes.counts_text(counts)}")
 
 
-@measure.command()
-@options.with_options
+@measurement
 def acquisition(
     trials: int = option("Trials.", default=3000, min=1),
     first: First = 0,
@@ -77,8 +80,7 @@ def acquisition(
     console.say(detection.outcomes_text(outcomes))
 
 
-@measure.command()
-@options.with_options
+@measurement
 def repeated_packets(
     distance: float = option("Distance in m in the middle of a film.", default=160.0),
     layer: LayerOption = "middle",
@@ -94,8 +96,7 @@ def repeated_packets(
         console.say(f"{distance:g} m, {layer}, reception {number}: {_count_text(count)}")
 
 
-@measure.command()
-@options.with_options
+@measurement
 def known_channel(
     distance: float = option("Distance in m.", default=110.0),
     layer: LayerOption = "low",
@@ -113,8 +114,7 @@ def known_channel(
         console.say(f"{distance:g} m, {layer}, brightness {task.brightness:g}, {channel}: {_count_text(count)}")
 
 
-@measure.command()
-@options.with_options
+@measurement
 def drives(
     clips: Clips,
     imu: ImuOption,
@@ -125,12 +125,10 @@ def drives(
     """Count wrong codewords in a drive over each clip, with the recorded shake."""
     for clip in clips:
         found = real_input.drive(real_input.RealScene(clip, imu, seed, tuple(assignments or ())), margin)
-        console.say(f"{clip.name}: {found.frames} frames")
-        _say_indented(real_input.error_lines(found.errors))
+        console.say_lines("\n  ".join([f"{clip.name}: {found.frames} frames", *real_input.error_lines(found.errors)]))
 
 
-@measure.command()
-@options.with_options
+@measurement
 def empty(
     clips: Clips,
     imu: ImuOption,
@@ -150,7 +148,7 @@ def empty(
         console.say(f"all clips, per frame: {total.text()}")
 
 
-@measure.command()
+@measurement
 def lossy(
     film: Annotated[Path, typer.Argument(help="Simulated film, with the truth in the same folder.")],
     out: Annotated[Path, typer.Argument(help="Film to write.")],
@@ -160,11 +158,12 @@ def lossy(
     real_input.encode_again(film, out)
     reception = real_input.receive_again(out, truth)
     kilobytes = out.stat().st_size / 1e3 / max(reception.frames, 1)
+    lines = real_input.error_lines(reception.errors) if reception.errors else ()
     console.say(f"{out}: {reception.frames} frames, {kilobytes:.1f} kB a frame")
-    _say_indented(real_input.error_lines(reception.errors) if reception.errors else ())
+    console.say_lines("\n".join(f"  {line}" for line in lines))
 
 
-@measure.command()
+@measurement
 def header_separation(
     distances: Annotated[
         list[float] | None, typer.Argument(metavar="[M ...]", help="Distances in m; default: a selection.")
@@ -175,7 +174,7 @@ def header_separation(
     console.say_lines("\n\n".join(table.markdown() for table in headers.tables(found)))
 
 
-@measure.command()
+@measurement
 def timing_loss() -> None:
     """Calculate the loss of an unsynchronised camera by rate, exposure and phase, as a table in Markdown."""
     console.say_lines(timing.table(timing.measure()).markdown())
@@ -187,11 +186,6 @@ def _context(workers: int | None, progress: Callable[[float], None] = lambda _: 
         console.complain(fewer)
     limit_threads()
     return Context(quick=False, workers=workers or cores(), progress=lambda _, done: progress(done))
-
-
-def _say_indented(lines: Iterable[str]) -> None:
-    for line in lines:
-        console.say(f"  {line}")
 
 
 def _count_text(count: Count) -> str:

@@ -4,6 +4,7 @@ import contextlib
 import os
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from heliograph.base.config import from_mapping
@@ -19,6 +20,7 @@ from heliograph.signal.fountain.codes import CODES
 from heliograph.signal.fountain.files import SentFile
 from heliograph.signal.message import Updates
 from heliograph.signal.settings import LAYERS
+from heliograph.transmit.transmitter import Content
 
 STDIN, TEXT = "-", "text:"
 """Argument for standard input, and prefix of a text that looks like a file name."""
@@ -30,19 +32,16 @@ def read_messages(settings: LinkSettings, sent: SentOptions, seconds: float) -> 
     """Return the content of each array for some seconds; by default, the default messages."""
     options = {"high": sent.high, "middle": sent.middle, "low": sent.low}
     texts = {layer: text for layer, text in options.items() if text is not None}
-    files = [file_of(path, sent.file_code) for path in sent.file or ()]
-    road = _road_messages(sent, seconds)
-    if not texts and not files and not road:
-        return default_messages(settings)
-    if files and len({*texts, *road}) == len(LAYERS):
-        raise MediaError("--file needs a layer that has no message: leave out --high, --middle or --low")
     if list(texts.values()).count(STDIN) > 1:
         raise MediaError("a single layer can send standard input: give - once")
-    content: Messages = {
-        layer: road[layer] if layer in road else [message_of(layer, texts[layer])] if layer in texts else files
-        for layer in LAYERS if layer in road or layer in texts or files
-    }  # fmt: skip
-    return [content for _ in settings.transmit.identities]
+    files = [file_of(path, sent.file_code) for path in sent.file or ()]
+    content: dict[str, Sequence[Content]] = {layer: [message_of(layer, text)] for layer, text in texts.items()}
+    content.update(_road_messages(sent, seconds))
+    if files and len(content) == len(LAYERS):
+        raise MediaError("--file needs a layer that has no message: leave out --high, --middle or --low")
+    if files:
+        content = dict.fromkeys(LAYERS, files) | content
+    return [content for _ in settings.transmit.identities] if content else default_messages(settings)
 
 
 def _road_messages(sent: SentOptions, seconds: float) -> Messages:

@@ -8,7 +8,7 @@ import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -28,7 +28,6 @@ from heliograph.cli.options import ReceiveOptions, WorkerOptions, option
 from heliograph.link.film import packet_row
 from heliograph.link.settings import LinkSettings
 from heliograph.link.truth import TruthFile, check_truth, open_truth
-from heliograph.measure.counts import LayerCounts
 from heliograph.measure.errors import BIN_M, ErrorCounter
 from heliograph.measure.journal import Journal, missed_words
 from heliograph.measure.reception import Reception, receive_film
@@ -54,20 +53,6 @@ Row = dict[str, Any]
 """Result of a film."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """End of a reception."""
-
-    # Empty after the last frame
-    error: str = ""
-    is_interrupted: bool = False
-    # True if the receiver does not support the film
-    is_refused: bool = False
-
-
-INTERRUPTED = Ending("interrupted", is_interrupted=True)
-
-
 @dataclass(slots=True)
 class Outcome:
     """Results of a reception."""
@@ -78,7 +63,8 @@ class Outcome:
     files: FileOutput
     # Names of the written messages
     messages: list[str]
-    ending: Ending
+    # Reason of an early end
+    error: BaseException | None
     # Diagnosis of a missing array
     findings: Findings | None
 
@@ -138,12 +124,11 @@ def _receive_film(film: Path, request: ReceiveOptions, truth_path: Path | None) 
     elif not request.events.follow:
         _show(outcome, request.results.output)
         _show_end(outcome, source, film)
-    ending = outcome.ending
-    if ending.is_interrupted:
+    if isinstance(outcome.error, KeyboardInterrupt):
         frames = counted(outcome.reception.frames, "frame")
         console.exit_interrupted(f"interrupted after {frames}; the results so far are above")
-    if ending.error:
-        raise HeliographError(ending.error)
+    if outcome.error is not None:
+        raise outcome.error
     return outcome.report
 
 
@@ -166,7 +151,7 @@ def receive_source(
     reception, files = Reception(truth), FileOutput(options.files_folder, is_quiet=is_quiet)
     files.begin(reception.files)
 
-    def receive_packets() -> Ending:
+    def receive_packets() -> BaseException | None:
         journal = Journal(settings.receive.calibration, tell)
 
         def observe(event: Any) -> None:
@@ -184,28 +169,27 @@ def receive_source(
                         console.say(_message_text(message))
                 for file in reception.progress:
                     files.update(file)
-        except KeyboardInterrupt:
-            return INTERRUPTED
-        except (HeliographError, OSError, MemoryError) as error:
-            is_refused = isinstance(error, HeliographError) and not isinstance(error, MediaError)
-            return Ending(console.error_text(error), is_refused=is_refused)
-        return Ending()
+        except (KeyboardInterrupt, HeliographError, OSError, MemoryError) as error:
+            return error
+        return None
 
     with (
-        ResultFolder(options.results.output) as folder,
+        open_results(options.results.output) as folder,
         open_events(options.events) as tell,
         monitored(source, options.live, signal, link.receive) as monitor,
     ):
         start_s = time.perf_counter()
         with console.progress("receiving", source.frame_count, is_hidden=is_batch) as advance:
-            ending = receive_packets()
+            error = receive_packets()
         report = {"film": name, **reception.report(time.perf_counter() - start_s)}
         if is_batch:
             report |= {"messages": folder.messages, **({"departure": departure} if departure else {})}
         else:
             report["reading_seconds"] = source.read_s
         findings = None
-        if monitor.live is None and not report["arrays"] and (ending.is_refused or not ending.error):
+        # the receiver does not support the film
+        is_refused = isinstance(error, HeliographError) and not isinstance(error, MediaError)
+        if monitor.live is None and not report["arrays"] and (is_refused or error is None):
             # sample sections of a long film
             most = source.frame_count or 8 * MOST_FRAMES
             every = max(1, most // (8 * MOST_FRAMES))
@@ -213,21 +197,21 @@ def receive_source(
                 findings = probe_film(source, signal, settings.receive, advance, reading=False, every=every, most=most)
             report["probe"] = as_mapping(findings)
             if isinstance(findings.broken, KeyboardInterrupt):
-                ending = INTERRUPTED
-            elif findings.screen is not None and ending.is_refused and not is_batch:
+                error = findings.broken
+            elif findings.screen is not None and is_refused and not is_batch:
                 # the receiver for arrays refuses the frame rate of films of screens
-                ending = Ending(f"{name} shows a screen: {findings.screen.advice[0]}")
-        if ending.error:
-            report["error"] = " ".join(ending.error.split()) if is_batch else ending.error
+                error = HeliographError(f"{name} shows a screen: {findings.screen.advice[0]}")
+        if error is not None:
+            report["error"] = console.error_line(error)
         try:
             report |= monitor.finish()
             folder.finish(report if origin is None else {**report, "made_of": origin})
             files.finish(reception.files)
-        except MediaError as error:
-            ending = Ending(str(error))
-            report["error"] = ending.error
+        except MediaError as write_error:
+            error = write_error
+            report["error"] = console.error_line(error)
         tell({"event": "end", **report})
-    return Outcome(report, reception, monitor, files, folder.messages, ending, findings)
+    return Outcome(report, reception, monitor, files, folder.messages, error, findings)
 
 
 def _adapted(settings: LinkSettings, source: FilmReader) -> LinkSettings:
@@ -244,31 +228,16 @@ def _adapted(settings: LinkSettings, source: FilmReader) -> LinkSettings:
 
 
 class ResultFolder:
-    """Folder of the results of a film, or no output for None; a complete reception removes older messages."""
+    """Folder of the results of a film, or no output; a complete reception removes older messages."""
 
-    def __init__(self, path: Path | None):
-        self.path = path
+    def __init__(self, path: Path | None, log: IO[str]):
+        self.path, self._log = path, log
         self.messages: list[str] = []
-        self._log: IO[str] | None = None
-
-    def __enter__(self) -> "ResultFolder":
-        if self.path is not None:
-            with clear_write_errors(self.path):
-                self.path.mkdir(parents=True, exist_ok=True)
-                self._log = (self.path / PARTIAL_LOG).open("w", encoding="utf-8")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._log is not None and self.path is not None:
-            with contextlib.suppress(OSError):  # a full disk
-                self._log.close()
-            (self.path / PARTIAL_LOG).unlink(missing_ok=True)
 
     def log(self, row: Any) -> None:
         """Append a row to the packet log."""
-        if self._log is not None and self.path is not None:
-            with clear_write_errors(self.path / "packets.jsonl"):
-                self._log.write(json.dumps(row) + "\n")
+        with clear_write_errors(Path(self._log.name)):
+            self._log.write(json.dumps(row) + "\n")
 
     def write_message(self, message: Message) -> None:
         """Write a message to a file."""
@@ -279,7 +248,7 @@ class ResultFolder:
 
     def finish(self, report: Any) -> None:
         """Complete the packet log, write the summary, and remove messages of an earlier film."""
-        if self._log is None or self.path is None:
+        if self.path is None:
             return
         with clear_write_errors(self.path / "packets.jsonl"):
             self._log.close()
@@ -291,6 +260,23 @@ class ResultFolder:
             if re.fullmatch(r"array-\d+-[a-z]+-\d+\.bin", old.name) and old.name not in self.messages:
                 with clear_write_errors(old):
                     old.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def open_results(path: Path | None) -> Iterator[ResultFolder]:
+    """Open a folder for results, or discard the results without a folder."""
+    log_path = Path(os.devnull) if path is None else path / PARTIAL_LOG
+    with clear_write_errors(log_path.parent):
+        if path is not None:
+            path.mkdir(parents=True, exist_ok=True)
+        log = log_path.open("w", encoding="utf-8")
+    try:
+        yield ResultFolder(path, log)
+    finally:
+        with contextlib.suppress(OSError):  # a full disk
+            log.close()
+        if path is not None:
+            log_path.unlink(missing_ok=True)
 
 
 def _message_text(message: Message) -> str:
@@ -370,17 +356,16 @@ def _array_text(array: dict[str, Any]) -> str:
 def _show_errors(errors: ErrorCounter) -> None:
     console.say("distance      bit error rate of bits, codewords wrong/sent: high, middle, low")
     for start, layers in errors.bins().items():
-        cells = "   ".join(_cell(counts) for counts in layers.values())
+        cells = "   ".join(
+            f"{counts.decoded_bits.text():>9} of {counts.decoded_bits.trials:<7d} "
+            f"{counts.words.errors:3d}/{counts.words.trials:<3d}"
+            for counts in layers.values()
+        )
         console.say(f"{start:5.0f}-{start + BIN_M:<4.0f} m  {cells}")
     console.say(f"packets that were not sent: {errors.false_packets}")
     if errors.uncertain_packets:
         console.say(f"packets of uncertain identity, no codeword decoded: {errors.uncertain_packets}")
     console.say(f"accepted codewords that were not sent: {errors.false_codewords}")
-
-
-def _cell(counts: LayerCounts) -> str:
-    bits, words = counts.decoded_bits, counts.words
-    return f"{bits.text():>9} of {bits.trials:<7d} {words.errors:3d}/{words.trials:<3d}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,27 +404,23 @@ def _files_of(film: Path) -> list[Path]:
 
 def films_of(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
     """Return the films of files and folders, and warnings about ignored content of folders."""
-    films, warnings = list[Path](), list[str]()
-    for path in paths:
-        films_here, warning = _films_of_folder(path)
-        films += films_here or [path]
-        warnings += [warning] if warning else []
-    return films, warnings
+    found = [_films_of_folder(path) for path in paths]
+    return [film for films, _ in found for film in films], [warning for _, warning in found if warning]
 
 
 def is_many(paths: Sequence[Path]) -> bool:
     """Return True for several films or a folder of films."""
-    return len(paths) > 1 or any(_films_of_folder(path)[0] for path in paths)
+    return len(paths) > 1 or films_of(paths)[0] != [*paths]
 
 
-def _films_of_folder(path: Path) -> tuple[tuple[Path, ...], str]:
-    """Return the films of a folder, and a warning about ignored content; no films for other paths.
+def _films_of_folder(path: Path) -> tuple[Sequence[Path], str]:
+    """Return the films of a folder, and a warning about ignored content.
 
-    Films are files, TIFF stacks and folders of pictures. A folder of pictures is a film itself.
+    Films are files, TIFF stacks and folders of pictures. A folder of pictures and any other path is a film itself.
     """
     try:
         if not path.is_dir():
-            return (), ""
+            return [path], ""
         entries = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))
         folders = [entry for entry in entries if entry.is_dir()]
         picture_folders = [
@@ -459,7 +440,7 @@ def _films_of_folder(path: Path) -> tuple[tuple[Path, ...], str]:
     ignored = {"picture": len(pictures) - len(stacks), "folder": len(folders) - len(picture_folders)}
     listed = " and ".join(counted(count, kind) for kind, count in ignored.items() if count)
     remedy = "in this folder of films; put the pictures of each recording into a folder"
-    return tuple(sorted(films)), f"{path}: ignoring {listed} {remedy}" if films and listed else ""
+    return sorted(films) or [path], f"{path}: ignoring {listed} {remedy}" if films and listed else ""
 
 
 def run_many(paths: Sequence[Path], options: ReceiveOptions, crew_options: WorkerOptions) -> list[Row]:
@@ -470,7 +451,11 @@ def run_many(paths: Sequence[Path], options: ReceiveOptions, crew_options: Worke
     # other machines have other working directories
     base = Path.cwd() if crew_options.scheduler is not None else Path()
     works = [FilmWork(str(film), base / film, options.for_film(film, base)) for film in films]
-    _check_names(works)
+    (name, count), *_ = Counter(film.name for film in films).most_common(1)
+    if options.results.output is not None and count > 1:
+        raise MediaError(
+            f"several films have the name {name}, and share a folder for results: receive the films separately"
+        )
     for text in filter(None, (*warnings, fewer_workers(crew_options.workers))):
         console.complain(text)
     rows = {work.film: row for work in works if (row := _stored_row(work)) is not None}
@@ -498,17 +483,14 @@ def run_many(paths: Sequence[Path], options: ReceiveOptions, crew_options: Worke
     complete, incomplete = join(options.results.files) if options.results.files else ([], [])
     for line in [*(f"{path} is complete, from several films" for path in complete), *incomplete]:
         console.complain(line)
-    faults = list[str]()
     if broken := sum("error" in row for row in rows.values()):
-        faults.append(f"{broken} of {len(works)} films could not be read to the end; see the error lines")
-    if lost := sum(not _is_written(work, rows[work.film]) for work in works):
-        place = " and ".join(str(path) for path in (options.results.output, options.results.files) if path is not None)
-        faults.append(
-            f"the results of {lost} of {len(works)} films are not in {place}: the workers wrote them elsewhere; use a "
-            "folder that all machines share, or leave out --scheduler"
+        raise MediaError(f"{broken} of {len(works)} films could not be read to the end; see the error lines")
+    folders = [work.options.results.output for work in works]
+    if lost := sum(folder is not None and not (folder / "summary.json").exists() for folder in folders):
+        raise MediaError(
+            f"the results of {lost} of {len(works)} films are not in {options.results.output}: the workers wrote them "
+            "elsewhere; use a folder that all machines share, or leave out --scheduler"
         )
-    if faults:
-        raise MediaError("; ".join(faults))
     return list(rows.values())
 
 
@@ -519,9 +501,9 @@ def receive_one(work: FilmWork) -> Row:
         with open_film(work.path, **work.options.film.keywords()) as source:
             outcome = receive_source(source, work.film, work.options, origin=work.made_of())
     except (HeliographError, OSError, MemoryError) as error:
-        return {"film": work.film, "error": _one_line(console.error_text(error))}
-    if outcome.ending.is_interrupted:
-        raise KeyboardInterrupt
+        return {"film": work.film, "error": console.error_line(error)}
+    if isinstance(outcome.error, KeyboardInterrupt):
+        raise outcome.error
     return outcome.report
 
 
@@ -551,17 +533,14 @@ def _receive_all(works: Sequence[FilmWork], crew: Workers) -> Iterator[Row]:
 
 def _row_of(future: Future[Row], work: FilmWork) -> Row:
     try:
-        row = future.result()
+        return future.result()
     except BrokenExecutor:
         return {"film": work.film, "error": "the worker process ended; the memory may be too small"}
     except CancelledError:
         raise HeliographError("the connection to the Dask scheduler was lost; the results so far are kept") from None
     except Exception as error:  # such as a worker with another version of Heliograph
-        text = _one_line(str(error)) or type(error).__name__
-        return {"film": work.film, "error": f"its worker failed with {type(error).__name__}: {text}"}
-    if row.get("error", "").startswith("there is no file") and work.path.exists():  # on this machine
-        row["error"] = f"the worker has no file {work.path}: all machines need this folder under the same name"
-    return row
+        text = f"its worker failed with {type(error).__name__}: {' '.join(str(error).split())}"
+        return {"film": work.film, "error": text}
 
 
 def _stored_row(work: FilmWork) -> Row | None:
@@ -574,28 +553,3 @@ def _stored_row(work: FilmWork) -> Row | None:
         if row.pop("made_of") == work.made_of() != {} and "error" not in row:
             return {**row, "film": work.film, "kept": True}
     return None
-
-
-def _is_written(work: FilmWork, row: Row) -> bool:
-    """Return True if the results of a worker are in the folders of this machine."""
-    if "error" in row or "kept" in row:
-        return True
-    folder, files = work.options.results.output, work.options.files_folder
-    if folder is not None:
-        list(folder.glob("*"))  # refreshes the cache of network file systems
-        if _stored_row(work) is None:
-            return False
-    return files is None or not any(file["symbols"] for file in row["files"]) or any(files.glob("*"))
-
-
-def _check_names(works: Iterable[FilmWork]) -> None:
-    folders = Counter(work.options.results.output for work in works)
-    repeated = [folder.name for folder, count in folders.items() if folder is not None and count > 1]
-    if repeated:
-        raise MediaError(
-            f"several films have the name {repeated[0]}, and share a folder for results: receive the films separately"
-        )
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())

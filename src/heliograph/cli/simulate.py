@@ -13,7 +13,7 @@ from heliograph.cli.options import option
 from heliograph.link.film import frames_of, sent_s, write_film
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings, load_footage, load_imu
-from heliograph.link.truth import open_truth, truth_path
+from heliograph.link.truth import truth_path
 
 
 def load_scene(chosen: options.SettingsOptions, scene: options.SceneOptions) -> tuple[LinkSettings, Recordings]:
@@ -57,19 +57,3 @@ def simulate(
         kept = f"{film} holds the {counted(frames, 'frame')} so far" if frames else "nothing was written"
         console.exit_interrupted(f"interrupted; {kept}")
     console.say(f"{film}: {counted(count, 'frame')}; truth in {truth_path(film)}")
-    for array in _invisible_arrays(truth_path(film)):
-        console.note(
-            f"array {array} is never completely in the picture, so no receiver reads it: move it by "
-            f"channel.arrays.{array}.x_m and y_m, or film it from farther away"
-        )
-
-
-def _invisible_arrays(path: Path) -> list[int]:
-    """Return the numbers of the arrays that are never completely visible."""
-    truth = open_truth(path)
-    invisible = set(range(len(truth.settings.channel.arrays)))
-    for frame in truth.frames():
-        invisible -= {array for array, is_visible in enumerate(frame.visible) if is_visible}
-        if not invisible:
-            break
-    return sorted(invisible)

@@ -88,8 +88,11 @@ def _write(output: Path, patterns: Patterns, gamma: float) -> None:
     sizes = {".npy": leds, ".csv": 2 * leds, ".h5": pixels, ".hdf5": pixels}
     room_for(output, patterns.count * sizes.get(suffix, 64))
     if suffix == ".npy":
-        with whole_file(output) as partial:
-            _write_npy(partial, patterns)
+        header = {"descr": "|u1", "fortran_order": False, "shape": (patterns.count, patterns.side, patterns.side)}
+        with whole_file(output) as partial, partial.open("wb") as file:
+            np.lib.format.write_array_header_1_0(file, header)
+            for level in patterns.levels:
+                file.write(level.tobytes())
     elif suffix == ".csv":
         with whole_file(output) as partial:
             write_table(partial, patterns.levels, patterns.side, patterns.period_s, slots=patterns.max_level == 1)
@@ -98,15 +101,6 @@ def _write(output: Path, patterns: Patterns, gamma: float) -> None:
     else:
         known = ", ".join((".npy", ".csv", *SUFFIXES, *FILM_SUFFIXES))
         raise MediaError(f"unknown kind of file {output.name!r}: the name must end in one of {known}")
-
-
-def _write_npy(path: Path, patterns: Patterns) -> None:
-    """Write (patterns, n, n) uint8 pattern by pattern."""
-    header = {"descr": "|u1", "fortran_order": False, "shape": (patterns.count, patterns.side, patterns.side)}
-    with path.open("wb") as file:
-        np.lib.format.write_array_header_1_0(file, header)
-        for level in patterns.levels:
-            file.write(level.tobytes())
 
 
 def _write_film(path: Path, patterns: Patterns, gamma: float) -> None:

@@ -34,19 +34,22 @@ class Outbox:
         self._picture: Callable[[], bytes] | None = None
         # the page draws a picture while another arrives
         self._free_pictures = 2
-        self._is_full = self._is_closed = self._is_ended = False
+        self._is_closed = self._is_ended = False
         self._error: Exception | None = None
 
     def tell(self, row: Row) -> None:
-        """Append a row; raise a GoneError after the end of the connection."""
+        """Append a row; raise a GoneError after the end of the connection, or if the page accepts rows too slowly."""
         if self._is_closed:
             raise GoneError
         text = json.dumps(row)
         with self._lock:
-            self._is_full |= self._waiting_bytes + len(text) > self._max_waiting_bytes
-            if not self._is_full:
+            self._waiting_bytes += len(text)
+            if self._waiting_bytes > self._max_waiting_bytes:
+                self._rows.clear()
+                self._is_closed = self._is_ended = True
+                self._error = BusyError("the page accepts rows too slowly")
+            else:
                 self._rows.append(text)
-                self._waiting_bytes += len(text)
         self._wake()
 
     def show(self, picture: Callable[[], bytes]) -> None:
@@ -88,14 +91,9 @@ class Outbox:
         while not (self._is_ended and not self._rows):
             await self._changed.wait()
             self._changed.clear()
-            while not self._is_full and self._sent - self._heard < self._max_unheard and self._rows:
-                with self._lock:
-                    text = self._rows.popleft()
-                    self._waiting_bytes -= len(text)
+            while self._sent - self._heard < self._max_unheard and (text := self._next_row()):
                 self._sent += 1
                 await socket.send_text(text)
-            if self._is_full:
-                raise BusyError("the page accepts rows too slowly")
             if self._free_pictures and self._picture is not None:
                 with self._lock:
                     picture, self._picture = self._picture, None
@@ -103,6 +101,12 @@ class Outbox:
                 await socket.send_bytes(await in_thread(picture))
         if self._error is not None:
             raise self._error
+
+    def _next_row(self) -> str:
+        with self._lock:
+            text = self._rows.popleft() if self._rows else ""
+            self._waiting_bytes -= len(text)
+        return text
 
     def _wake(self) -> None:
         with contextlib.suppress(RuntimeError):  # the event loop has ended
@@ -183,7 +187,7 @@ async def closing(socket: WebSocket, event: str, key: str) -> AsyncIterator[None
 
 
 async def _close(socket: WebSocket, code: int, row: Row | None = None) -> None:
-    # a page that accepts nothing is disconnected by the server's pings
+    # the pings of the server disconnect unresponsive pages
     with contextlib.suppress(RuntimeError, WebSocketDisconnect):
         if row is not None:
             await socket.send_json(row)

@@ -73,8 +73,8 @@ class FailureRecorder:
                 if start_s - BEFORE * packet_s <= frame.time_s <= self._end_s:
                     self._write(frame)
 
-    def save(self, films: Store[StoredFilm]) -> dict[str, Any] | None:
-        """Store the film of failed packets, by default of the last frames; return key and size, or None if empty."""
+    def save(self, films: Store[StoredFilm]) -> dict[str, Any]:
+        """Store the film of failed packets, by default of the last frames; return key and size."""
         with self._lock:
             if self._film is None:
                 for frame in self._frames:
@@ -85,7 +85,7 @@ class FailureRecorder:
             if error is not None:
                 raise error
             if film is None:
-                return None
+                raise MediaError("the reception has no frames yet")
             film.finish()
             return {"bytes": film.path.stat().st_size, "bundle": films.add(StoredFilm(film.path))}
 

@@ -1,7 +1,9 @@
 """Estimate of the pattern rate and the number of cells of a screen from frames or trial receptions."""
 
+import contextlib
+from collections import deque
 from collections.abc import Callable, Collection, Mapping
-from itertools import chain, takewhile
+from itertools import takewhile
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -9,9 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
+from heliograph.measure.reception import Reception, receive_film
 from heliograph.probe.screens import SIDES, cells_of_a_side, patterns_per_s
-from heliograph.receive import make_receiver
-from heliograph.receive.events import DetectEvent
+from heliograph.web.camera_frames import Frames
 from heliograph.web.sending import MAX_RATE_HZ, MIN_RATE_HZ, screen_settings
 
 Tell = Callable[[Mapping[str, Any]], None]
@@ -78,12 +80,7 @@ def estimate_link(
 
 def _try(frames: list[Frame], settings: LinkSettings, is_late: Callable[[], bool]) -> tuple[bool, bool]:
     """Return True for a detected header, and for a decoded codeword."""
-    events: list[object] = []
-    frames_in_time = takewhile(lambda _: not is_late(), frames)
-    try:
-        receiver = make_receiver(settings.signal, settings.receive, events.append)
-        packets = [*chain.from_iterable(map(receiver.push, frames_in_time)), *receiver.finish()]
-    except HeliographError:  # such as too few frames; the reception reports the error
-        return False, False
-    is_detected = any(isinstance(event, DetectEvent) for event in events)
-    return is_detected, any(packet.has_codeword for packet in packets)
+    reception, film = Reception(), Frames("the film", takewhile(lambda _: not is_late(), frames))
+    with contextlib.suppress(HeliographError):  # such as too few frames; the reception reports the error
+        deque(receive_film(film, settings.signal, settings, reception), maxlen=0)
+    return bool(reception.detections), bool(reception.confirmed)

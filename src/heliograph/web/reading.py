@@ -190,8 +190,7 @@ class PageReader:
         counts = self._counts()
         if counts["failed"] or not counts["ok"]:
             with contextlib.suppress(HeliographError):
-                if (bundle := self._recorder.save(self._bundles)) is not None:
-                    self._tell({"event": "bundle", **bundle})
+                self._tell({"event": "bundle", **self._recorder.save(self._bundles)})
         self._tell({"event": "end", **counts, "let_go": skipped})
 
     def _counts(self) -> dict[str, Any]:

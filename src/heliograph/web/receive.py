@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import functools
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, WebSocket
@@ -69,41 +68,31 @@ async def _run(socket: WebSocket, shared: Shared, request: ReceiveRequest) -> No
         elif message == "end":
             camera.end()
         elif message == "save":
-            outbox.tell(await _save(shared, recorder))
+            try:
+                bundle = await in_thread(lambda: recorder.save(shared.bundles))
+                outbox.tell({"event": "saved", **bundle})
+            except HeliographError as error:
+                outbox.tell({"event": "refused", "error": str(error)})
         else:
             raise MediaError("a page sends frames, 'save' and 'end'")
 
-    async def run_worker() -> None:
-        try:
-            with contextlib.closing(recorder):
-                await outbox.run(work)
-        except Exception as error:
-            outbox.end(error)
-        else:
-            outbox.end()
+    def work() -> None:
+        with contextlib.closing(recorder):
+            reader.read_upload(path) if path else reader.read_camera(camera)
 
+    async def run_worker() -> None:
+        await outbox.run(work)
+        outbox.end()
+
+    path = None
     with contextlib.ExitStack() as stack:
         if request.kind == "film":
             path = stack.enter_context(shared.uploads.of(request.film).reading())
             stack.enter_context(named_as(path, "the film"))
             stack.callback(shared.uploads.drop, request.film)
-            work = functools.partial(reader.read_upload, path)
-        else:
-            work = functools.partial(reader.read_camera, camera)
         worker = asyncio.create_task(run_worker())
         try:
             await converse(socket, outbox, handle)
         finally:
             camera.end(0.0)
             await asyncio.wait([worker])  # occupies the film and a place until the end
-
-
-async def _save(shared: Shared, recorder: FailureRecorder) -> dict[str, object]:
-    """Save the failed packets so far, and return the row for the page."""
-    try:
-        bundle = await in_thread(lambda: recorder.save(shared.bundles))
-        if bundle is None:
-            raise MediaError("the camera has sent no frames: start the camera")
-    except HeliographError as error:
-        return {"event": "refused", "error": str(error)}
-    return {"event": "saved", **bundle}

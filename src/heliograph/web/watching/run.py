@@ -107,7 +107,7 @@ class Run:
             say(text)
         live.say = say
         with contextlib.suppress(HeliographError):
-            warm_up(source.signal, source.settings.receive, source.bits)
+            warm_up(source.signal, source.settings.receive, live.bits)
 
     def _report_packets(
         self, source: Source, observer: SceneObserver, reception: Reception, recorder: FailureRecorder

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from fastapi import WebSocket
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from heliograph.base.errors import HeliographError
+from heliograph.base.errors import HeliographError, MediaError
 from heliograph.web.connection import Outbox, converse
 from heliograph.web.crashes import in_thread
 from heliograph.web.shared import Shared
@@ -98,9 +98,8 @@ class Session:
 
     async def _save(self) -> None:
         recorder = None if self._run is None else self._run.recorder
-        bundle = None if recorder is None else await in_thread(lambda: recorder.save(self._shared.bundles))
-        if bundle is None:
-            self._outbox.tell({"event": "refused", "reason": "the reception has no frames yet"})
-            return
+        if recorder is None:
+            raise MediaError("the reception has no frames yet")
+        bundle = await in_thread(lambda: recorder.save(self._shared.bundles))
         self._bundles.append(bundle["bundle"])
         self._outbox.tell({"event": "saved", **bundle})

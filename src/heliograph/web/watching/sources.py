@@ -52,7 +52,6 @@ class Source:
     frames: FrameSource
     width: int
     height: int
-    bits: int
     rate_hz: float
     # Expected number of frames; None if unknown
     frame_count: int | None
@@ -99,7 +98,7 @@ def opened(request: WatchRequest, shared: Shared) -> Iterator[Source]:
         if live is not None:
             settings = replace(settings, receive=settings.receive.with_live_limits())
         yield Source(
-            name=name, frames=film, width=film.width, height=film.height, bits=film.bits, rate_hz=film.rate_hz,
+            name=name, frames=film, width=film.width, height=film.height, rate_hz=film.rate_hz,
             frame_count=film.frame_count, signal=signal, settings=settings, truth=truth, live=live,
             metadata=film.metadata,
         )  # fmt: skip
@@ -117,7 +116,7 @@ def _simulate_drive(request: WatchRequest, base: LinkSettings, changes: Sequence
     camera, film = settings.channel.camera, LiveFilm(settings, demo_messages(settings), request.seed, None, None)
     return Source(
         name="a simulated drive", frames=film, width=camera.width, height=camera.height,
-        bits=settings.channel.sensor.bits, rate_hz=camera.fps, frame_count=frames_of(settings), signal=settings.signal,
+        rate_hz=camera.fps, frame_count=frames_of(settings), signal=settings.signal,
         settings=settings, truth=film,
     )  # fmt: skip
 
