@@ -16,9 +16,10 @@ from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.base.toml_text import parse_assignment, parse_toml
 from heliograph.link import truth
-from heliograph.link.settings import PRESETS, LinkSettings, load_settings
+from heliograph.link.settings import PRESETS, LinkSettings, load_settings, preset
 from heliograph.media import FilmReader
 from heliograph.media.live.reader import film_path, is_camera
+from heliograph.receive.api import choose_receiver
 from heliograph.receive.registry import RECEIVERS
 from heliograph.signal.settings import SignalSettings
 from heliograph.sweeps.plan import parse_vary
@@ -76,7 +77,7 @@ def complete_preset(start: str) -> list[tuple[str, str]]:
 
 def complete_receiver(start: str) -> list[str]:
     """Return receivers for shell completion."""
-    return [name for name in RECEIVERS.names() if name.startswith(start)]
+    return [name for name in ("auto", *RECEIVERS.names()) if name.startswith(start)]
 
 
 def parse_vary_options(texts: list[str] | None) -> dict[str, list[Any]]:
@@ -111,8 +112,8 @@ WorkersOption = Annotated[int | None, typer.Option(min=1, help="Worker processes
 Receiver = Annotated[
     str | None,
     typer.Option(
-        help="Receiver: plain, soft, screen (for a phone's film of a screen) or a custom receiver; default: receiver "
-        "of the preset.",
+        help="Receiver: plain, soft, screen (for a phone's film of a screen), a custom receiver, or auto, which "
+        "chooses by the frame rate; default: receiver of the preset, or auto.",
         autocompletion=complete_receiver,
     ),
 ]
@@ -148,6 +149,12 @@ class SettingsOptions:
         changes = [change["signal"] for change in self._changes() if change.get("signal")]
         return truth.signal_of(film, load_settings(self.preset).signal, changes)
 
+    def is_auto(self, receiver: str | None) -> bool:
+        """Return True if the film decides: by option "auto", or without an option and a setting of a receiver."""
+        groups = set[str]().union(*(tree.get("receive") or {} for tree in (preset(self.preset), *self._changes())))
+        is_named = receiver is not None or groups & {"receiver", "plain", "soft", "screen", "custom"}
+        return receiver == "auto" or not is_named
+
     def overlay(self) -> Any:
         """Return file and assignments as a nested mapping."""
         return functools.reduce(merge, self._changes())
@@ -164,6 +171,12 @@ class SettingsOptions:
 
 
 STATIC = SettingsOptions("static")
+
+
+def with_receiver_for(film: FilmReader, signal: SignalSettings, link: LinkSettings) -> tuple[LinkSettings, str]:
+    """Return settings with the receiver for a film, and a line on the choice."""
+    name, reason = choose_receiver(signal, film.rate_hz)
+    return replace(link, receive=replace(link.receive, receiver=name)), f"receiver {name}: {reason}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +249,7 @@ class DetectOptions:
 
     def assignments(self) -> list[str]:
         """Return assignments of settings."""
-        changes = [] if self.receiver is None else [f"receive.receiver='{self.receiver}'"]
+        changes = [] if self.receiver in (None, "auto") else [f"receive.receiver='{self.receiver}'"]
         changes += _numbers("corners", self.corners, 8, float, "X,Y,X,Y,X,Y,X,Y in pixels")
         return changes + _numbers("region", self.region, 4, int, "X,Y,WIDTH,HEIGHT in whole pixels")
 
@@ -328,6 +341,8 @@ class ReceiveOptions:
     live: RecordOptions = RecordOptions()
     events: EventOptions = EventOptions()
     as_json: bool = False
+    # True to choose the receiver by the film
+    is_auto: bool = False
 
     @property
     def is_quiet(self) -> bool:

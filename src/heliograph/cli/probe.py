@@ -34,7 +34,7 @@ def probe(
     The exit status is 0 if an array is read with these settings, 3 if no array is read, and 1 if the film is truncated,
     or the receiver refuses the frame rate.
     """
-    settings = settings.changed(overrides=detect.assignments())
+    is_auto, settings = settings.is_auto(detect.receiver), settings.changed(overrides=detect.assignments())
     link = settings.load()
     cv2.setNumThreads(1)  # as in receive
     # two seconds of a live camera of the reference link
@@ -43,6 +43,8 @@ def probe(
         signal, departure = settings.signal_of(source)
         if departure:
             console.complain(departure)
+        if is_auto:
+            link, _ = options.with_receiver_for(source, signal, link)
         if output is not None:
             with clear_write_errors(output):
                 output.mkdir(parents=True, exist_ok=True)

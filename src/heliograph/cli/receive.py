@@ -24,7 +24,7 @@ from heliograph.base.words import counted
 from heliograph.cli import console, options
 from heliograph.cli.files import FileOutput, join
 from heliograph.cli.live import FilmMonitor, monitored, open_events
-from heliograph.cli.options import ReceiveOptions, WorkerOptions, option
+from heliograph.cli.options import ReceiveOptions, WorkerOptions, option, with_receiver_for
 from heliograph.link.film import packet_row
 from heliograph.link.settings import LinkSettings
 from heliograph.link.truth import TruthFile, check_truth, open_truth
@@ -94,7 +94,7 @@ def receive(
     array was found in any film.
     """
     chosen = settings.changed(overrides=detect.assignments())
-    request = ReceiveOptions(film, chosen, results, live, events, as_json)
+    request = ReceiveOptions(film, chosen, results, live, events, as_json, settings.is_auto(detect.receiver))
     chosen.load()  # reports invalid settings once
     if not is_many(films) and crew == options.WorkerOptions():
         reports = [_receive_film(films[0], request, truth)]
@@ -147,6 +147,10 @@ def receive_source(
         check_truth(source, truth, signal)
     if departure and not is_batch:
         console.complain(departure)
+    if options.is_auto:
+        settings, choice = with_receiver_for(source, signal, settings)
+        if not is_quiet:
+            console.say(choice)
     link = settings if is_batch else _adapted(settings, source)
     reception, files = Reception(truth), FileOutput(options.files_folder, is_quiet=is_quiet)
     files.begin(reception.files)
@@ -181,7 +185,11 @@ def receive_source(
         start_s = time.perf_counter()
         with console.progress("receiving", source.frame_count, is_hidden=is_batch) as advance:
             error = receive_packets()
-        report = {"film": name, **reception.report(time.perf_counter() - start_s)}
+        report = {
+            "film": name,
+            "receiver": settings.receive.receiver,
+            **reception.report(time.perf_counter() - start_s),
+        }
         if is_batch:
             report |= {"messages": folder.messages, **({"departure": departure} if departure else {})}
         else:
@@ -301,9 +309,11 @@ def _show(outcome: Outcome, output: Path | None) -> None:
     """Print the results."""
     report, reception = outcome.report, outcome.reception
     detections = counted(report["detections"], "detection")
+    frames, reading_s = report["frames"], report["reading_seconds"]
+    receiving_s = max(report["seconds"] - reading_s, 1e-3)
     console.say(
-        f"{counted(report['frames'], 'frame')} in {report['seconds']:.1f} s "
-        f"({report['frames_per_second']:.0f} frames/s)" + (f", {detections}" if report["arrays"] else "")
+        f"{counted(frames, 'frame')} in {report['seconds']:.1f} s: film {reading_s:.1f} s, receiver {receiving_s:.1f} s "
+        f"({frames / receiving_s:.0f} frames/s)" + (f", {detections}" if report["arrays"] else "")
     )
     if report["dropped_candidates"] or report["dropped_blocks"]:
         candidates, blocks = report["dropped_candidates"], report["dropped_blocks"]

@@ -9,6 +9,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive.packet import Packet, Receiver
 from heliograph.receive.registry import GROUPS, RECEIVERS, ReceiverPart, part_of
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings, check_signal
 
 AnyObserver = Callable[[Any], None]
@@ -53,6 +54,30 @@ def register_receiver(name: str, make: MakeReceiver, settings: type | None = Non
 def list_receivers() -> list[str]:
     """Return the names of all receivers, those of the package first."""
     return RECEIVERS.names()
+
+
+def choose_receiver(signal: SignalSettings, rate_hz: float) -> tuple[str, str]:
+    """Choose a receiver for a film.
+
+    Parameters
+    ----------
+    signal
+        Settings of the light's signal.
+    rate_hz
+        Frames per second of the film.
+
+    Returns
+    -------
+    Name of the receiver, and the reason.
+    """
+    for key, value, wanted in (("modulation", signal.modulation, "haar"), ("header", signal.header, "m_sequence")):
+        if value != wanted:
+            return "plain", f'the only receiver for signal.{key} = "{value}"'
+    rates = f"{rate_hz:.5g} frames/s, {1 / signal.pattern_period_s:.5g} patterns/s"
+    if rate_hz * signal.pattern_period_s >= 1 - STEP_TOLERANCE:
+        return "soft", rates
+    # phones film up to 240 frames/s; "plain" reports a rate that no receiver for arrays can read
+    return ("screen" if rate_hz <= 300 else "plain"), rates
 
 
 def own_settings(settings: ReceiveSettings) -> Any:

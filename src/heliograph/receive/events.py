@@ -40,22 +40,6 @@ class EqualiseEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class ChooseEvent:
-    """The receiver "auto" has chosen a receiver.
-
-    Attributes
-    ----------
-    receiver
-        Name of the receiver.
-    reason
-        Frame rate and pattern rate, or the setting that decides.
-    """
-
-    receiver: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
 class DetectEvent:
     """An array is detected and will be tracked.
 
@@ -207,8 +191,7 @@ class UnseenEvent:
 
 
 Event = (
-    ChooseEvent
-    | DetectEvent
+    DetectEvent
     | TrackEvent
     | ExtractEvent
     | EqualiseEvent

@@ -239,7 +239,7 @@ class ReceiveSettings:
     ----------
     receiver
         Receiver: "plain" is the paper's, "soft" reads as far as the channel allows, "screen" reads a screen filmed by a
-        phone, "auto" chooses by the frame rate of the film; others may be registered.
+        phone; others may be registered.
     calibration
         Calibration of lens and array.
     detect
@@ -308,10 +308,8 @@ def _check_effects(settings: ReceiveSettings) -> None:
         return
     part = None if RECEIVERS.is_built_in(name) else part_of(name)
     reads = (*GROUPS, name) if part is None else (*part.reads, *(["custom"] if part.settings else []))
-    if name == "auto":
-        reads = (*GROUPS, "plain", "soft", "screen")
     for group, key in changed:
-        if group in reads and (key != "exposure_s" or name in ("soft", "auto") or part is not None):
+        if group in reads and (key != "exposure_s" or name == "soft" or part is not None):
             continue
         reader = "the receiver it belongs to"
         if group in GROUPS and part is not None:
