@@ -54,33 +54,32 @@ def test_images_of_symbols_and_their_products_equal_the_matrix(pose: Pose) -> No
 
 
 def example(
-    motion: tuple[float, float] = (0.12, -0.2), noise: Noise = NOISE, pixel_noise: float = 0.0
+    motion: tuple[float, float] = (0.12, -0.2),
+    noise: Noise = NOISE,
+    pixel_noise: float = 0.0,
+    roll: float = 0.02,
+    distance_m: float = 80.0,
 ) -> tuple[WholePair, WhitenedCutout]:
-    """Return a pair at 80 m with full matrices, and its whitened difference."""
-    poses = moving(80, 0.02, motion)
+    """Return a pair with full matrices, and its whitened difference."""
+    poses = moving(distance_m, roll, motion)
     whole = WholePair(poses, pair_of(poses, random_levels()[1], noise=pixel_noise), noise)
     return whole, whiten(whole.cutout, noise, SIDE)
 
 
 def assert_equal(got: PairStatistics, want: PairStatistics, rel: float = 1e-6) -> None:
     """Check that all statistics agree within a relative error."""
-    for name in ("gram", "matched", "offset"):
+    for name in ("gram", "matched", "offset", "cross", "offset_power", "power", "pixels"):
         result, expected = np.asarray(getattr(got, name), float), np.asarray(getattr(want, name), float)
         assert np.abs(result - expected).max() <= rel * np.abs(expected).max(), name
-    for name in ("cross", "offset_power", "power", "pixels"):
-        assert getattr(got, name) == pytest.approx(getattr(want, name), rel=rel), name
 
 
 @pytest.mark.parametrize("noise", [Noise(4.5, 4.5), Noise(4.5, 1.4), Noise(3.0, 9.0)])
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("roll", ROLLS)
 def test_statistics_equal_sums_over_all_pixels(roll: float, motion: tuple[float, float], noise: Noise) -> None:
-    symbols, x = random_levels()
-    poses = moving(80, roll, motion)
-    clean = WholePair(poses, pair_of(poses, x), noise)
-    assert clean.d == pytest.approx(GAIN * (clean.b @ symbols + clean.o), abs=1e-9)
-    whole = WholePair(poses, pair_of(poses, x, noise=2.0), noise)
-    got, w = whiten(whole.cutout, noise, SIDE).statistics, whole.w
+    (clean, _), (whole, whitened) = (example(motion, noise, pixel_noise, roll) for pixel_noise in (0.0, 2.0))
+    assert clean.d == pytest.approx(GAIN * (clean.b @ random_levels()[0] + clean.o), abs=1e-9)
+    got, w = whitened.statistics, whole.w
     # the separable weights neglect roll and truncated light
     scale = float(w.max())
     assert np.abs(got.gram - whole.b.T @ (w[:, None] * whole.b)).max() < 4 * CUT * scale
@@ -97,11 +96,9 @@ def test_statistics_equal_sums_over_all_pixels(roll: float, motion: tuple[float,
 @pytest.mark.parametrize("motion", [(0.3, 0.0), (0.1, -0.6), (0.7, 0.8)])
 def test_large_motion_gives_two_images(motion: tuple[float, float]) -> None:
     """Pothole: the array moves by up to a pixel between pattern and inverse."""
-    _, x = random_levels()
-    poses, noise = moving(95, 0.0, motion), Noise(4.5, 4.5)
-    whole = WholePair(poses, pair_of(poses, x), noise)
+    whole, whitened = example(motion, Noise(4.5, 4.5), roll=0.0, distance_m=95.0)
     want = whole.b.T @ (whole.w[:, None] * whole.b)
-    assert np.abs(whiten(whole.cutout, noise, SIDE).statistics.gram - want).max() < 1e-5 * want.max()
+    assert np.abs(whitened.statistics.gram - want).max() < 1e-5 * want.max()
 
 
 @pytest.mark.parametrize(("weight", "gain"), [(1.0, 1.0), (0.5, 1.0), (1.0, 0.7), (3.0, 1.8)])
@@ -148,29 +145,27 @@ def test_other_images_are_marginalised() -> None:
 
 
 def test_led_gains_scale_the_light() -> None:
-    gains = np.random.default_rng(5).uniform(0, 1, (SIDE, SIDE))
-    symbols, x = random_levels()
-    poses, noise = moving(60, 0.0, (0.12, -0.2)), Noise(4.0, 1.5)
-    whole = WholePair(poses, pair_of(poses, x), noise)
-    corner, shape = whole.cutout.corner, whole.cutout.shape
+    gains, (symbols, x) = np.random.default_rng(5).uniform(0, 1, (SIDE, SIDE)), random_levels()
+    cutout = example(roll=0.0, distance_m=60.0)[0].cutout
     # LEDs with gain w emit w x, and w (1 - x) in the inverse
-    shown = GAIN * (draw(poses[0], gains * x, corner, shape) - draw(poses[1], gains * (1 - x), corner, shape))
-    whitened = whiten(whole.cutout, noise, SIDE, gains)
+    up, down = (
+        draw(pose, gains * y, cutout.corner, cutout.shape) for pose, y in zip(cutout.poses, (x, 1 - x), strict=True)
+    )
+    shown, whitened = GAIN * (up - down), whiten(cutout, NOISE, SIDE, gains)
     explained = whitened.root * shown - (whitened.difference - whitened.residual(GAIN, symbols))
     assert np.abs(explained).max() < 0.01 * np.abs(shown).max()
 
 
 def test_pixels_outside_a_frame_have_no_weight() -> None:
-    (whole_pair, whitened), noise = example((0.0, 0.0)), NOISE
-    cutout, whole = whole_pair.cutout, whitened.root
-    rows, cols = cutout.shape
-    there = (np.arange(cols) < cols - 5).astype(float), (np.arange(rows) >= 6).astype(float)
-    root = whiten(replace(cutout, covered=there), noise, SIDE).root
-    assert np.array_equal(root, whole * np.outer(there[1], there[0]))
-    spoilt = cutout.difference + 1e3 * (1 - np.outer(there[1], there[0]))
+    pair, whitened = example((0.0, 0.0))
+    cutout, whole, (rows, cols) = pair.cutout, whitened.root, pair.cutout.shape
+    covered = (np.arange(cols) < cols - 5).astype(float), (np.arange(rows) >= 6).astype(float)
+    inside = np.outer(covered[1], covered[0])
+    root = whiten(replace(cutout, covered=covered), NOISE, SIDE).root
+    assert np.array_equal(root, whole * inside)
     parts = [
-        whiten(replace(cutout, covered=there, difference=difference), noise, SIDE).statistics
-        for difference in (cutout.difference, spoilt)
+        whiten(replace(cutout, covered=covered, difference=difference), NOISE, SIDE).statistics
+        for difference in (cutout.difference, cutout.difference + 1e3 * (1 - inside))
     ]
     assert_equal(parts[0], parts[1])
     assert parts[0].pixels == (root > 0).sum() < (whole > 0).sum()
