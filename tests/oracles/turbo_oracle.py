@@ -133,7 +133,7 @@ def decode(
     extrinsic_nat, llr_nat = np.zeros((blocks, k)), np.zeros((blocks, k))
 
     def decode_half(code: int) -> tuple[ConstituentLlrs, Floats]:
-        """Run a constituent decoder; return its LLRs, and those of the information in natural order."""
+        """Run a constituent decoder; return its LLRs and the information LLRs in natural order."""
         posterior = siso((info_nat + extrinsic_nat)[:, orders[code]], *inputs[code], options.algorithm)
         half_nat = np.empty((blocks, k))
         half_nat[:, orders[code]] = posterior.info

@@ -21,9 +21,7 @@ from heliograph.signal.header import all_header_cells
 )
 @pytest.mark.parametrize("lit", [(0, 255, 0, 255), (255, 255, 255, 255), None])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_frames_are_combined_as_by_the_reference(
-    dtype: type, lit: tuple[int, ...] | None, weights: FrameWeights
-) -> None:
+def test_combined_frames_equal_the_reference(dtype: type, lit: tuple[int, ...] | None, weights: FrameWeights) -> None:
     pixels: NDArray[Any] = np.random.default_rng(0).integers(0, np.iinfo(dtype).max + 1, (4, 21, 29)).astype(dtype)
     if lit:
         pixels[:] = np.reshape(lit, (4, 1, 1))
@@ -33,7 +31,7 @@ def test_frames_are_combined_as_by_the_reference(
     want = np.tensordot(weights, pixels.astype(float), 1)
     assert np.array_equal(got, want.astype(np.float32))
     assert means == pytest.approx(reference.block_means(np.pad(want, ((0, 3), (0, 3))), 8), rel=1e-5)
-    # means of 8 bit frames are integers, and equal those of floats
+    # integer means of 8 bit frames equal float means
     frames = [Frame(k, k * 1e-3, one, 8 * one.itemsize) for k, one in enumerate(pixels)]
     assert np.array_equal(alternation.alternation_means(frames, weights), means)
 

@@ -27,11 +27,14 @@ from heliograph.signal.settings import SignalSettings
 
 SEARCH = search_parameters(regularity=0.5, max_side_px=512.0)
 
+Searches = dict[int, list[Frame]]
+"""Frames of each search."""
+
 
 @pytest.fixture
-def searched(monkeypatch: pytest.MonkeyPatch) -> dict[int, list[Frame]]:
+def searched(monkeypatch: pytest.MonkeyPatch) -> Searches:
     """Record the frames of each `PyramidSearch`, which returns no detections."""
-    frames_of_search: dict[int, list[Frame]] = defaultdict(list)
+    frames_of_search: Searches = defaultdict(list)
 
     def record(self: PyramidSearch, frame: Frame, tracked: Sequence[Pose]) -> list[Detection]:
         frames_of_search[id(self)].append(frame)
@@ -54,9 +57,7 @@ def dark_film(fps: float, count: int) -> list[Frame]:
 
 
 @pytest.mark.parametrize(("fps", "phases"), [(1300.0, 4), (1500.0, 4), (2000.0, 2), (2700.0, 2), (4000.0, 4)])
-def test_each_phase_has_the_nearest_frame_of_every_pattern(
-    fps: float, phases: int, searched: dict[int, list[Frame]]
-) -> None:
+def test_each_phase_has_the_nearest_frame_of_every_pattern(fps: float, phases: int, searched: Searches) -> None:
     search, offsets = search_all(fps, dark_film(fps, 400)), []
     assert len(searched) == phases
     for stream in searched.values():
@@ -75,7 +76,7 @@ def test_each_phase_has_the_nearest_frame_of_every_pattern(
 
 
 @pytest.mark.parametrize("fps", [990.0, 1000.0, 1015.0])
-def test_every_frame_is_searched_at_the_rate_of_the_light(fps: float, searched: dict[int, list[Frame]]) -> None:
+def test_every_frame_is_searched_at_the_rate_of_the_light(fps: float, searched: Searches) -> None:
     frames = [frame for frame in dark_film(fps, 60) if frame.index not in (20, 30, 31)]
     search_all(fps, frames)
     (stream,) = searched.values()
@@ -123,7 +124,7 @@ def noise_film(count: int, origin: tuple[int, int] = (0, 0)) -> list[Frame]:
     return [Frame(k, 1e-3 * k, pixels, 8, origin) for k, pixels in enumerate(levels)]
 
 
-def test_only_the_region_is_searched(searched: dict[int, list[Frame]]) -> None:
+def test_only_the_region_is_searched(searched: Searches) -> None:
     search, seen = search_in((90, 70, 20, 16)), noise_film(5, (10, 20))
     for frame in seen:
         assert search.search(frame) == []
@@ -138,7 +139,7 @@ def test_only_the_region_is_searched(searched: dict[int, list[Frame]]) -> None:
     assert all(kept.pixels is frame.pixels for kept, frame in zip(search.recent, seen, strict=True))
 
 
-def test_the_region_grows_with_a_tracked_array(searched: dict[int, list[Frame]]) -> None:
+def test_the_region_grows_with_a_tracked_array(searched: Searches) -> None:
     search = search_in((20, 20, 20, 20))
     for frame, tracked in zip(noise_film(3), ([], [Pose(150.0, 60.0, 2.0)], []), strict=True):
         search.search(frame, tracked)
@@ -150,11 +151,13 @@ def test_the_region_grows_with_a_tracked_array(searched: dict[int, list[Frame]])
     assert {part.origin for part in parts} == {parts[0].origin}
 
 
-def test_a_camera_window_may_leave_the_region(searched: dict[int, list[Frame]]) -> None:
+def test_a_camera_window_may_leave_the_region_and_must_overlap_at_first(searched: Searches) -> None:
     search, (here, there, again) = search_in((20, 20, 20, 20)), noise_film(3)
     for frame in (here, replace(there, origin=(500, 0)), again):
         search.search(frame)
     assert [[part.index for part in parts] for parts in searched.values()] == [[0, 2]]
+    with pytest.raises(HeliographError, match=r"the region 300,20,20,20 .* beyond the frames, which are 200x100$"):
+        search_in((300, 20, 20, 20)).search(here)
 
 
 @pytest.mark.parametrize(("pitch", "blur", "off_px"), [(1.7, 0.55, 1.5), (6.0, 1.4, 4.0)])

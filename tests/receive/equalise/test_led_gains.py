@@ -27,31 +27,27 @@ STUCK[10, 12] = 1.0
 
 
 def learnt(
-    gains: Floats = ALL_ON,
-    stuck: Floats = NO_LED,
-    expected: float = 190.0,
-    before: LedGains | None = None,
-    seed: int = 4,
-    visible: Floats = ALL_ON,
+    failed: bool = False, expected: float = 190.0, before: LedGains | None = None, seed: int = 4, hidden: bool = False
 ) -> tuple[LedGains, float, bool]:
-    """Learn gains from a header of gain 200; stuck LEDs are lit in both frames."""
+    """Learn gains from a header of gain 200; a stuck LED is lit in both frames."""
+    gains, stuck = (FAILED, STUCK) if failed else (ALL_ON, NO_LED)
     lit = [gains * (1 + sign * HEADER) / 2 + stuck for sign in (1, -1)]
     pair = drawn_pair((POSE, POSE), (lit[0], lit[1]), np.random.default_rng(seed), 200.0)
     cutout = take_cutout(pair, (POSE, POSE), SIDE)
-    return (before or LedGains.sound(SIDE)).learn_header(cutout, HEADER, expected, visible)
+    return (before or LedGains.sound(SIDE)).learn_header(cutout, HEADER, expected, NO_LED if hidden else ALL_ON)
 
 
 def test_a_hidden_array_keeps_the_gains() -> None:
     before, _, changed = learnt()
     assert not changed
     assert (before.values == 1).all()
-    assert learnt(before=before, visible=NO_LED) == (before, 190.0, False)
+    assert learnt(before=before, hidden=True) == (before, 190.0, False)
 
 
 @pytest.mark.parametrize("factor", [0.3, 0.6, 0.95, 1.6, 3.5])
 def test_failed_leds_are_found_and_gains_are_relative_to_the_median_led(factor: float) -> None:
     """For any expected gain, intact LEDs have gain 1 and define the array gain."""
-    led_gains, gain, changed = learnt(FAILED, STUCK, factor * 200)
+    led_gains, gain, changed = learnt(True, factor * 200)
     assert changed
     assert gain == pytest.approx(200, rel=0.02 if factor == 0.95 else 0.06)
     assert led_gains.values[FAILED == 1].min() > 0.9
@@ -76,10 +72,10 @@ def test_headers_add_up_and_fade() -> None:
 def test_a_change_forgets_earlier_headers() -> None:
     """The pose came from an incorrect image, so the pair is evaluated again."""
     # three faded packets let a new header override the history at once
-    led_gains, _, changed = learnt(FAILED, STUCK, before=learnt()[0].faded().faded().faded())
+    led_gains, _, changed = learnt(True, before=learnt()[0].faded().faded().faded())
     assert changed
     assert led_gains.headers is None
-    again, _, changed = learnt(FAILED, STUCK, before=led_gains, seed=6)
+    again, _, changed = learnt(True, before=led_gains, seed=6)
     assert not changed
     assert matched(again).any()
 

@@ -1,5 +1,7 @@
 """Pose, orientation of an array, and oriented views: vectors, axes and LED positions are consistent."""
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,17 +16,13 @@ from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation,
 from heliograph.receive.geometry.view import CAMERA, View
 
 
-def values(pose: Pose) -> list[float]:
-    return [pose.x, pose.y, pose.pitch, pose.roll, pose.blur, pose.stretch, pose.shear]
-
-
 @examples(100)
 @given(pose=poses())
 def test_a_vector_and_back(pose: Pose) -> None:
-    assert values(Pose.from_vector(pose.full_vector())) == pytest.approx(values(pose), rel=1e-12, abs=1e-12)
+    assert astuple(Pose.from_vector(pose.full_vector())) == pytest.approx(astuple(pose), rel=1e-12, abs=1e-12)
     assert np.array_equal(pose.vector(), pose.full_vector()[:5])
     flat = Pose.from_vector(pose.vector())
-    assert values(flat) == pytest.approx([*values(pose)[:5], 0.0, 0.0], rel=1e-12, abs=1e-12)
+    assert astuple(flat) == pytest.approx((*astuple(pose)[:5], 0.0, 0.0), rel=1e-12, abs=1e-12)
     assert pose.full_vector()[[0, 1, 3, 5, 6]].tolist() == [pose.x, pose.y, pose.roll, pose.stretch, pose.shear]
     assert pose.full_vector()[[2, 4]] == pytest.approx([np.log(pose.pitch), np.log(pose.blur)])
 
@@ -69,12 +67,12 @@ def test_moved_and_midway(a: Pose, b: Pose, dx: float, dy: float) -> None:
     assert a.moved(dx, dy).pitch == a.pitch
     assert rim_distance(a, a.moved(dx, dy), 4) == pytest.approx(np.hypot(dx, dy), abs=1e-9)
     middle = Pose.midway(a, b)
-    assert values(middle) == pytest.approx(values(Pose.midway(b, a)), rel=1e-12, abs=1e-12)
+    assert astuple(middle) == pytest.approx(astuple(Pose.midway(b, a)), rel=1e-12, abs=1e-12)
     assert (middle.x, middle.y) == pytest.approx(((a.x + b.x) / 2, (a.y + b.y) / 2), abs=1e-9)
     # geometric means
     assert middle.pitch**2 == pytest.approx(a.pitch * b.pitch)
     assert middle.blur**2 == pytest.approx(a.blur * b.blur)
-    assert values(Pose.midway(a, a)) == pytest.approx(values(a), rel=1e-12, abs=1e-12)
+    assert astuple(Pose.midway(a, a)) == pytest.approx(astuple(a), rel=1e-12, abs=1e-12)
 
 
 ANY = st.sampled_from(ORIENTATIONS)
@@ -113,9 +111,7 @@ def test_orientations_are_a_group(one: Orientation, other: Orientation) -> None:
 
 @examples(100)
 @given(orientation=ANY, level=st.integers(0, 2), pose=poses())
-def test_a_view_maps_the_leds_of_a_pose_to_the_camera_and_back(
-    orientation: Orientation, level: int, pose: Pose
-) -> None:
+def test_a_view_maps_leds_to_the_camera_and_back(orientation: Orientation, level: int, pose: Pose) -> None:
     """Vectors map from the upright to the rotated image, and LEDs permute as pixels do."""
     view = View(level, orientation)
     out = view.pose_out(pose)
