@@ -23,6 +23,21 @@ DEAD.ravel()[np.random.default_rng(2).permutation(SIDE**2)[:38]] = 0.0
 LED_GAINS = {"equal": ALL_ON, "unequal": UNEQUAL, "dead": DEAD}
 
 
+def drawn_pair(
+    poses: tuple[Pose, Pose],
+    levels: tuple[Floats, Floats],
+    rng: np.random.Generator,
+    gain: float = GAIN,
+    shape: tuple[int, int] = (60, 60),
+) -> FramePair:
+    """Film an array's LED levels, 0 to 1, in a frame each, before an even background and with the reference noise."""
+    up, down = (
+        frame_of(0.1 + gain / 255 * draw(pose, shown, (0, 0), shape), k, rng)
+        for k, (pose, shown) in enumerate(zip(poses, levels, strict=True))
+    )
+    return FramePair(up, down)
+
+
 @cache  # 24 pairs take a second, and tests do not change them
 def drawn_packet(kind: str = "equal", seed: int = 0) -> tuple[list[Cutout], Floats]:
     """Return the cut-outs of a packet at 95 m with a kind of LED gains, and the symbols (pairs, symbols)."""
@@ -30,7 +45,6 @@ def drawn_packet(kind: str = "equal", seed: int = 0) -> tuple[list[Cutout], Floa
     for x in haar.encode(FORM.join(symbols.astype(np.int8))) / 4.0:
         x_px, y_px = (float(v) for v in rng.uniform(30, 31, 2))
         pose = Pose(x_px, y_px, pitch_at(95.0), float(rng.normal(0, 0.01)), 0.51)
-        lights = (0.1 + 0.7 * draw(pose, y * LED_GAINS[kind], (0, 0), (60, 60)) for y in (x, 1 - x))
-        up, down = (frame_of(light, k, rng) for k, light in enumerate(lights))
-        cutouts.append(take_cutout(FramePair(up, down), (pose, pose), SIDE))
+        pair = drawn_pair((pose, pose), (x * LED_GAINS[kind], (1 - x) * LED_GAINS[kind]), rng)
+        cutouts.append(take_cutout(pair, (pose, pose), SIDE))
     return cutouts, symbols

@@ -11,6 +11,7 @@ from heliograph.receive import Pose
 from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.observe.noise import Noise
+from heliograph.receive.sync.combine import Combination, combine_pair
 from heliograph.receive.sync.pairing import FramePair
 
 Floats = NDArray[np.float64]
@@ -46,6 +47,14 @@ def moving(distance_m: float, roll: float, motion: tuple[float, float]) -> tuple
     """Return poses for both frames."""
     first = Pose(29.3, 30.4, pitch_at(distance_m), roll, 0.51)
     return first, first.moved(*motion)
+
+
+def combination() -> Combination:
+    """Return the combination of 1.5 frames per pattern, with other noise than two frames."""
+    found = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, (0, 1, 2, 3))
+    assert found is not None
+    assert abs(found.noise - 1) > 0.2
+    return found
 
 
 class WholePair:

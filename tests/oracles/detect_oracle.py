@@ -7,34 +7,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
+from heliograph.receive.detect.alternation import DETECT
 
 ScoredSquare = tuple[float, float, float, float, int]
 """Score, x, y, side, identity."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Grid:
     """Search grid of `search`."""
 
     # (sizes,) array sides in px
     sides: Floats
-    # Minimum rms alternation in gray levels
-    contrast: float
-    # Minimum correlation, 0 to 1
-    threshold: float
-    # Ring width as a fraction of the side
-    ring: float
-    # Position step as a fraction of the side
-    step: float
-    # Minimum candidate distance along x or y, as a fraction of the larger side
-    apart: float
     # Maximum number of candidates
     count: int
-
-
-def combined(frames: Floats, weights: Floats) -> Floats:
-    """Return the weighted sum of frames, (rows, columns)."""
-    return np.asarray(np.tensordot(weights, frames, 1))
+    # Minimum rms alternation in gray levels
+    contrast: float = 3.0
+    # Minimum correlation, 0 to 1
+    threshold: float = 0.35
+    # Minimum candidate distance along x or y, as a fraction of the larger side
+    apart: float = 0.5
+    # Ring width and position step as fractions of the side
+    ring: float = DETECT.ring
+    step: float = 0.1
 
 
 def block_means(image: Floats, size: int) -> Floats:

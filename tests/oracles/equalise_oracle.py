@@ -1,33 +1,23 @@
 """Reference for `lmmse.py`: dense matrices and textbook formulas."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from heliograph.base.arrays import Floats
 
 
-@dataclass(frozen=True, slots=True)
-class Posterior:
-    """Symbol posterior after linear MMSE estimation."""
+def lmmse(b: Floats, d: Floats, noise: Floats, mean: Floats, variance: Floats) -> tuple[Floats, Floats, Floats]:
+    """Estimate symbols c from d = B c + n by linear MMSE; B and d include gain and offset.
 
-    # (symbols,) posterior mean
-    mean: Floats
-    # (symbols, symbols) posterior covariance
-    covariance: Floats
-    # (symbols,) extrinsic LLR = ln P(c=+1)/P(c=-1), prior excluded
-    extrinsic: Floats
-
-
-def lmmse(b: Floats, d: Floats, noise: Floats, mean: Floats, variance: Floats) -> Posterior:
-    """Estimate symbols c from d = B c + n by linear MMSE; B and d include gain and offset."""
+    Returns the posterior mean (symbols,) and covariance (symbols, symbols), and extrinsic LLRs, ln P(c=+1)/P(c=-1) with
+    the prior excluded.
+    """
     # K = B V B^T + N, m = c + V B^T K^-1 (d - B c), S = V - V B^T K^-1 B V
     k = (b * variance) @ b.T + np.diag(noise)
     gain = variance[:, None] * np.linalg.solve(k, b).T
     rest = d - b @ mean
     covariance = np.diag(variance) - (gain @ b) * variance
     extrinsic = np.array([_extrinsic(i, k, b, rest, mean, variance) for i in range(len(mean))])
-    return Posterior(mean + gain @ rest, covariance, extrinsic)
+    return mean + gain @ rest, covariance, extrinsic
 
 
 def _extrinsic(i: int, k: Floats, b: Floats, rest: Floats, mean: Floats, variance: Floats) -> float:

@@ -23,20 +23,10 @@ def render(
     """Return LED image and pose derivatives, (6 or 8, rows, columns)."""
 
     def image(vector: Floats) -> Floats:
-        x, y, log_pitch, roll, log_blur = vector[:5]
-        stretch, shear = vector[5:] if len(vector) == 7 else (0.0, 0.0)
-        pitch, blur = np.exp(log_pitch), np.exp(log_blur)
-        grid = (np.arange(len(weights)) - (len(weights) - 1) / 2) * pitch
-        v, u = np.meshgrid(grid, grid)
-        # (x, y)_uv = (x, y) + pitch R(roll) [[1 + stretch, shear], [shear, 1 - stretch]] (v, u)
-        v, u = (1 + stretch) * v + shear * u, shear * v + (1 - stretch) * u
-        led_x = x + np.cos(roll) * v - np.sin(roll) * u
-        led_y = y + np.sin(roll) * v + np.cos(roll) * u
         # image = pitch^2 sum_uv w_uv g(column - x_uv) g(row - y_uv)
-        wide, high = np.hypot(blur, smear)
-        across = pixel_light(np.arange(shape[1]) + corner[0], led_x.ravel(), float(wide))
-        down = pixel_light(np.arange(shape[0]) + corner[1], led_y.ravel(), float(high))
-        return np.asarray(pitch**2 * (weights.reshape(-1, 1) * down).T @ across)
+        pose = Pose.from_vector(vector)
+        across, down = _led_light(pose, len(weights), corner, shape, smear)
+        return np.asarray(pose.pitch**2 * (weights.reshape(-1, 1) * down).T @ across)
 
     return _with_derivatives(image, vector)
 
@@ -47,14 +37,11 @@ def render_box(
     """Return a blurred square and derivatives, (6 or 8, rows, columns); blur and tilt derivatives stay 0."""
 
     def image(vector: Floats) -> Floats:
-        half, roll = half_leds * np.exp(vector[2]), vector[3]
+        pose = Pose.from_vector(vector)
         # pixel integration adds variance 1/12
-        sigma = np.sqrt(np.exp(vector[4]) ** 2 + 1 / 12 + np.square(smear))
-        offset = np.reshape([corner[1] - vector[1], corner[0] - vector[0]], (2, 1, 1))
-        dy, dx = np.mgrid[: shape[0], : shape[1]] + offset
-        stretch, shear = vector[5:] if len(vector) == 7 else (0.0, 0.0)
-        back = np.linalg.inv([[1 + stretch, shear], [shear, 1 - stretch]])
-        back = back @ np.array([[np.cos(roll), np.sin(roll)], [-np.sin(roll), np.cos(roll)]])
+        half, sigma = half_leds * pose.pitch, np.sqrt(pose.blur**2 + 1 / 12 + np.square(smear))
+        dy, dx = np.mgrid[: shape[0], : shape[1]] + np.reshape([corner[1] - pose.y, corner[0] - pose.x], (2, 1, 1))
+        back = pose.pitch * np.linalg.inv(pose.axes)
         along, across = np.tensordot(back, np.stack([dx, dy]), 1)
         widths = np.linalg.norm(back * sigma, axis=1)
         # strip(t) = Phi((half - t) / sigma) - Phi((-half - t) / sigma); square = strip(along) strip(across)
@@ -81,12 +68,17 @@ def pixel_light(pixels: NDArray[Any], centres: Floats, sigma: float) -> Floats:
     return np.asarray(ndtr((t + 0.5) / sigma) - ndtr((t - 0.5) / sigma))
 
 
+def _led_light(pose: Pose, side: int, corner: Corner, shape: tuple[int, int], smear: Smear) -> tuple[Floats, Floats]:
+    """Return the fraction of each LED's light on each column and row, (n n, columns) and (n n, rows)."""
+    points, (wide, high) = pose.leds(side).reshape(-1, 2), np.hypot(pose.blur, smear)
+    across = pixel_light(np.arange(shape[1]) + corner[0], points[:, 0], float(wide))
+    return across, pixel_light(np.arange(shape[0]) + corner[1], points[:, 1], float(high))
+
+
 def blur_matrix(
     pose: Pose, side: int, corner: tuple[int, int], shape: tuple[int, int], motion: tuple[float, float] = (0.0, 0.0)
 ) -> Floats:
     """Return A, (pixels, n n LEDs row by row): each LED's Gaussian integrated over window pixels."""
-    points = pose.leds(side).reshape(-1, 2)
-    across = pixel_light(np.arange(shape[1]) + corner[0], points[:, 0], float(np.hypot(pose.blur, motion[0])))
-    down = pixel_light(np.arange(shape[0]) + corner[1], points[:, 1], float(np.hypot(pose.blur, motion[1])))
+    across, down = _led_light(pose, side, corner, shape, motion)
     # each LED emits pitch^2, so that an unresolved array with all LEDs on has image 1
     return np.asarray(pose.pitch**2 * np.einsum("ki,kj->ijk", down, across).reshape(-1, side * side))

@@ -131,15 +131,20 @@ def decode(
     ]
     orders = [np.arange(k), order]
     extrinsic_nat, llr_nat = np.zeros((blocks, k)), np.zeros((blocks, k))
+
+    def decode_half(code: int) -> tuple[ConstituentLlrs, Floats]:
+        """Run a constituent decoder; return its LLRs and the information LLRs in natural order."""
+        posterior = siso((info_nat + extrinsic_nat)[:, orders[code]], *inputs[code], options.algorithm)
+        half_nat = np.empty((blocks, k))
+        half_nat[:, orders[code]] = posterior.info
+        return posterior, half_nat
+
     iterations, stopped = np.zeros(blocks, dtype=np.int32), np.zeros(blocks, dtype=np.bool_)
     for _ in range(options.iterations):
         active, halves = ~stopped, []
-        for half_order, (parity, tail) in zip(orders, inputs, strict=True):
-            lu_nat = info_nat + extrinsic_nat
-            posterior = siso(lu_nat[:, half_order], parity, tail, options.algorithm)
-            half_nat = np.empty_like(lu_nat)
-            half_nat[:, half_order] = posterior.info
-            extrinsic_nat[active] = (options.factor * (half_nat - lu_nat))[active]
+        for code in (0, 1):
+            _, half_nat = decode_half(code)
+            extrinsic_nat[active] = (options.factor * (half_nat - info_nat - extrinsic_nat))[active]
             halves.append(half_nat)
         llr_nat[active] = halves[1][active]
         iterations += active
@@ -152,11 +157,9 @@ def decode(
     # both decoders run again for parity and tail LLRs
     mother = np.empty((blocks, 3 * k + 2 * TAIL_BITS))
     mother[:, : 3 * k : 3] = llr_nat
-    for code, (half_order, (parity, tail)) in enumerate(zip(orders, inputs, strict=True)):
-        lu_nat = info_nat + extrinsic_nat
-        posterior = siso(lu_nat[:, half_order], parity, tail, options.algorithm)
+    for code in (0, 1):
+        posterior, half_nat = decode_half(code)
         mother[:, 1 + code : 3 * k : 3] = posterior.parity
         mother[:, 3 * k + code * TAIL_BITS :][:, :TAIL_BITS] = posterior.tail
-        extrinsic_nat = np.empty_like(lu_nat)
-        extrinsic_nat[:, half_order] = options.factor * (posterior.info - lu_nat[:, half_order])
+        extrinsic_nat = options.factor * (half_nat - info_nat - extrinsic_nat)
     return ReferenceResult(llr_nat, mother, iterations, stopped)

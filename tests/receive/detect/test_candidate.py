@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scenes import SIDE, draw, frame_of, pitch_at
+from scenes import SIDE, Floats, draw, frame_of, pitch_at
 
-from heliograph.base.arrays import Floats
 from heliograph.receive import Pose
 from heliograph.receive.detect.alternation import DETECT
 from heliograph.receive.detect.candidate import cell_weights, estimate_drift, find_lit_cells, fit_header, fit_near

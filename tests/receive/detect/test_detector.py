@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache
 from itertools import chain, islice
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,7 +25,7 @@ from heliograph.signal.settings import SignalSettings
 
 PLAIN = search_parameters(regularity=0.5, cpu_share=100.0)
 SHORT, PACKET = "signal.data_pairs=8", 20
-"""Short packets to save time, and their patterns."""
+"""Short packets and the number of patterns."""
 
 
 def detections(
@@ -37,66 +38,54 @@ def detections(
     return out
 
 
-def find_first(frames: Iterable[Frame], identity: int, signal: SignalSettings | None = None) -> tuple[Detection, int]:
-    """Return the first detection with an identity and the number of earlier false detections."""
-    detector = PyramidSearch(PLAIN, signal or SignalSettings())
-    found = chain.from_iterable(map(detector.search, frames))
-    for false, detection in enumerate(found):
-        if detection.identity == identity:
-            return detection, false
-    raise AssertionError(f"array {identity} was not found")
-
-
 @pytest.mark.slow
 def test_every_identity_is_found() -> None:
     for identity in range(IDENTITIES):
         distance_m = (25.0, 50.0, 80.0)[identity % 3]
         place = {"x_m": 0.0, "y_m": 0.0, "start_s": 0.003 + 0.001 * (identity % 2)}
-        settings = link(f"transmit.identities=[{identity}]", distance_m=distance_m, arrays=[place])
+        changes = {"distance_m": distance_m, "arrays": [place], "camera": {"width": 96, "height": 96}}
+        settings = link(f"transmit.identities=[{identity}]", **changes)
         (found,) = detections(film(settings, 11, seed=identity))
         assert found.identity == identity
         assert found.start_time_s == pytest.approx(place["start_s"])
-        assert (found.fit.pose.x, found.fit.pose.y) == pytest.approx((79.5, 59.5), abs=0.05)
+        assert (found.fit.pose.x, found.fit.pose.y) == pytest.approx((47.5, 47.5), abs=0.05)
         assert found.fit.pose.pitch == pytest.approx(0.035 * 0.02 / (distance_m * 12e-6), rel=0.01)
 
 
-@pytest.mark.parametrize(("distance_m", "shaken"), [(30.0, True), (80.0, False), (80.0, True)])
+ROAD = {"shake": "road", "speed_m_s": 8.0, "road_class": "C", "stop_m": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("header_pairs", "distance_m", "channel"),
+    [(2, 30.0, ROAD), (2, 80.0, ROAD), (1, 30.0, {}), (1, 60.0, {}), (3, 30.0, {})],
+)
 @pytest.mark.slow
-def test_the_start_is_right_wherever_the_film_begins(distance_m: float, shaken: bool) -> None:
-    shake = {"shake": "road", "speed_m_s": 8.0, "road_class": "C", "stop_m": 1.0} if shaken else {}
-    whole, false_in_all = film(link(SHORT, distance_m=distance_m, **shake), PACKET + 16, seed=3), 0
-    # all phases near the header, few elsewhere
-    for phase in [*range(6), 10, *range(14, PACKET)]:
-        # the next header begins after 20 - phase frames, or at once for phase 0; even and odd frame numbers
+def test_the_start_is_right_for_any_first_frame(header_pairs: int, distance_m: float, channel: dict[str, Any]) -> None:
+    changes = f"signal.header_pairs={header_pairs}", SHORT, "transmit.identities=[13]"
+    settings, false_in_all = link(*changes, distance_m=distance_m, **channel), 0
+    period = settings.signal.packet_patterns
+    whole = film(settings, period + 16, seed=3)
+    # most phases near the header, few elsewhere
+    for phase in (*range(5), 10, *range(17, period)) if channel else (0, 1, period - 13, period - 1):
+        # the next header begins after period - phase frames, or at once for phase 0; even and odd frame numbers
         frames = [replace(f, index=k + phase % 2) for k, f in enumerate(whole[phase:])]
-        found, false = find_first(frames, 0, SignalSettings(data_pairs=8))
-        assert found.start_time_s == pytest.approx(1e-3 * PACKET if phase else 0.0, abs=1e-6), phase
-        false_in_all += false
+        for found in chain.from_iterable(map(PyramidSearch(PLAIN, settings.signal).search, frames)):
+            if found.identity == 13:
+                break
+            false_in_all += 1
+        else:
+            pytest.fail(f"the array was not found from frame {phase} on")
+        assert found.start_time_s == pytest.approx(1e-3 * period if phase else 0.0, abs=1e-6), phase
     # two data patterns in a near array may resemble a small header
     assert false_in_all <= 2
-
-
-@pytest.mark.parametrize(("pairs", "distance_m"), [(1, 30.0), (1, 60.0), (3, 30.0)])
-@pytest.mark.slow
-def test_headers_of_other_lengths_are_found(pairs: int, distance_m: float) -> None:
-    settings = link(f"signal.header_pairs={pairs}", SHORT, "transmit.identities=[13]", distance_m=distance_m)
-    period = settings.signal.packet_patterns
-    whole = film(settings, period + 20)
-    for begin in (0, 1, period - 13, period - 1):
-        found, false = find_first(whole[begin:], 13, settings.signal)
-        assert found.start_time_s == pytest.approx(1e-3 * period if begin else 0.0, abs=1e-6), begin
-        assert false <= 1
 
 
 Light = Callable[[int, np.random.Generator], NDArray[np.float64]]
 
 
 def noise(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    return np.asarray(rng.random((96, 128)))
-
-
-def coarse_noise(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    return np.kron(rng.random((24, 32)), np.ones((4, 4))).astype(np.float64)
+    """Noise of each pixel, then of squares of 4 px."""
+    return np.asarray(rng.random((96, 128)) if index < 15 else np.kron(rng.random((24, 32)), np.ones((4, 4))))
 
 
 def lamp(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -117,17 +106,16 @@ def edge(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
 
 def texture(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Texture jumping by a pixel or two."""
-    blocks = np.random.default_rng(9).random((30, 40))
-    scene = cv2.resize(blocks, (160, 120), interpolation=cv2.INTER_NEAREST)
+    scene = np.kron(np.random.default_rng(9).random((30, 40)), np.ones((4, 4)))
     dx, dy = rng.integers(0, 3, 2)
     return np.asarray(scene[dy : dy + 96, dx : dx + 128], np.float64)
 
 
-@pytest.mark.parametrize("light", [noise, coarse_noise, lamp, edge, texture])
+@pytest.mark.parametrize("light", [noise, lamp, edge, texture])
 @pytest.mark.slow
 def test_clutter_holds_no_array(light: Light) -> None:
     rng = np.random.default_rng(4)
-    assert detections(frame_of(light(k, rng), k, rng) for k in range(50)) == []
+    assert detections(frame_of(light(k, rng), k, rng) for k in range(30)) == []
 
 
 def test_a_dark_array_is_found_with_a_lower_contrast_only() -> None:
@@ -161,15 +149,15 @@ def test_windows_without_a_common_part_are_no_error() -> None:
 
 
 @cache
-def three_headers() -> list[Frame]:
-    return film(link("signal.data_pairs=30"), 140, 1, 20)
+def two_headers() -> list[Frame]:
+    return film(link("signal.data_pairs=30"), 76, 1, 20)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("lost", "first"), [({2}, 0), ({64}, 0), ({1, 5}, 0), ({2, 3}, 1), ({0, 3}, 1)])
 def test_a_header_may_lack_one_frame_of_four(lost: set[int], first: int) -> None:
-    found = detections((f for f in three_headers() if f.index not in lost), SignalSettings(data_pairs=30))
-    assert [d.start_time_s for d in found] == pytest.approx([0.0, 0.064, 0.128][first:], abs=1e-6)
+    found = detections((f for f in two_headers() if f.index not in lost), SignalSettings(data_pairs=30))
+    assert [d.start_time_s for d in found] == pytest.approx([0.0, 0.064][first:], abs=1e-6)
 
 
 @pytest.mark.slow
@@ -222,22 +210,20 @@ def test_cells_dimmed_by_a_format_change_neither_gain_nor_tilt(mode: str) -> Non
 @pytest.mark.parametrize("start", [4, 5, 6, 7])
 def test_a_turned_array_is_found_wherever_its_packets_begin(start: int, data_pairs: int) -> None:
     """Packets last an even or odd number of searches; the detector tries turned headers in every other search."""
-    signal, parameters = SignalSettings(data_pairs=data_pairs), replace(PLAIN, max_side_px=40.0, rolls_deg=())
-    patterns, detector, found = signal.packet_patterns, PyramidSearch(parameters, signal), list[Detection]()
-    rng = np.random.default_rng(3)
+    signal, rng, found = SignalSettings(data_pairs=data_pairs), np.random.default_rng(3), list[Detection]()
+    parameters = replace(PLAIN, min_side_px=16.0, max_side_px=40.0, rolls_deg=())
+    patterns, detector = signal.packet_patterns, PyramidSearch(parameters, signal)
     shown_from_8_on = shown_patterns(lambda k: (k - 8) % patterns < 4, rng)
     for k, shown in enumerate(islice(shown_from_8_on, 8 - start, 8 + 2 * patterns)):
-        pixels = rng.integers(38, 43, (96, 96)).astype(np.uint8)
-        pixels[30:62, 34:66] += (100 * shown[::-1, ::-1]).astype(np.uint8)
+        pixels = rng.integers(38, 43, (64, 64)).astype(np.uint8)
+        pixels[14:46, 18:50] += (100 * shown[::-1, ::-1]).astype(np.uint8)
         found += detector.search(Frame(k, k * 1e-3, cv2.GaussianBlur(pixels, (0, 0), 0.7).astype(np.uint8)))
     clear = [one for one in found if one.is_clear and abs(one.fit.pose.pitch - 2) < 0.1]
     assert {(one.identity, one.orientation) for one in clear} == {(4, Orientation(2))}
     assert {round(1e3 * one.start_time_s) % patterns for one in clear} == {start}
 
 
-def out_of_step_frames(
-    phase: float, distance_m: float, identity: int = 5, count: int = 12, before: int = 3
-) -> list[Frame]:
+def shifted_film(phase: float, distance_m: float, identity: int = 5, count: int = 12, before: int = 3) -> list[Frame]:
     """Return frames with the end of a packet, then a header after `before` + `phase` patterns."""
     place = {"x_m": 0.0, "y_m": 0.0, "start_s": (before + phase - 36) * 1e-3}
     changes = f"transmit.identities=[{identity}]", "signal.data_pairs=16"
@@ -266,7 +252,7 @@ PHASES = pytest.mark.parametrize("phase", [0.46, 0.5, 0.54])
 @PHASES
 @pytest.mark.parametrize(("distance_m", "identity"), [(30.0, 0), (50.0, 13), (90.0, 29)])
 def test_a_header_is_found_half_a_pattern_out_of_step(phase: float, distance_m: float, identity: int) -> None:
-    (found,) = out_of_step_detections(out_of_step_frames(phase, distance_m, identity))
+    (found,) = out_of_step_detections(shifted_film(phase, distance_m, identity))
     assert found.identity == identity
     assert found.start_time_s == pytest.approx((3 + phase) * 1e-3, abs=1e-4)
     assert found.fit.pose.pitch == pytest.approx(58.3 / distance_m, rel=0.05)
@@ -279,7 +265,7 @@ def test_a_header_is_found_half_a_pattern_out_of_step(phase: float, distance_m: 
 @pytest.mark.parametrize(("distance_m", "identity"), [(30.0, 0), (50.0, 13), (100.0, 29)])
 def test_a_scarce_budget_skips_data_and_finds_the_header(phase: float, distance_m: float, identity: int) -> None:
     """A header changes more than equally many data patterns, for either first frame."""
-    frames, work = out_of_step_frames(phase, distance_m, identity, count=44, before=32), []
+    frames, work = shifted_film(phase, distance_m, identity, count=44, before=32), []
     # frames before the header
     for min_novelty in (1.3, 0.0):
         budget = scarce_budget()
@@ -294,20 +280,13 @@ def test_a_scarce_budget_skips_data_and_finds_the_header(phase: float, distance_
 @pytest.mark.parametrize("before", [0, 1, 2])
 def test_a_scarce_budget_finds_an_initial_header(before: int) -> None:
     """Without history every block is novel."""
-    frames = out_of_step_frames(0.5, 50.0, before=before)
+    frames = shifted_film(0.5, 50.0, before=before)
     assert [one.identity for one in out_of_step_detections(frames, scarce_budget())] == [5]
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.5])
-def test_data_are_no_header_out_of_step(phase: float) -> None:
-    frames = out_of_step_frames(phase, 50.0, count=40)[9:]
-    assert len(frames) > 28
-    assert out_of_step_detections(frames) == []
-
-
-def test_headers_in_step_noise_and_gaps_are_no_header_out_of_step() -> None:
-    rng = np.random.default_rng(2)
-    assert out_of_step_detections(out_of_step_frames(0.0, 50.0)) == []
+def test_data_and_headers_in_step_noise_and_gaps_are_no_header_out_of_step(phase: float) -> None:
+    rng, frames = np.random.default_rng(2), shifted_film(phase, 50.0, count=40)
+    assert out_of_step_detections(frames if phase == 0.0 else frames[9:]) == []
     assert out_of_step_detections(Frame(k, k * 1e-3, rng.integers(20, 24, (64, 64), np.uint8)) for k in range(12)) == []
-    frames = out_of_step_frames(0.5, 50.0)
-    assert out_of_step_detections(replace(frame, index=frame.index + (k >= 5)) for k, frame in enumerate(frames)) == []
+    assert out_of_step_detections(replace(f, index=f.index + (k >= 5)) for k, f in enumerate(frames)) == []

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scenes import SIDE, draw, pitch_at
+from scenes import SIDE, Floats, draw, pitch_at
 
-from heliograph.base.arrays import Floats
 from heliograph.receive import Pose
-from heliograph.receive.detect.header_bank import ALL_ON, header_score, header_weights, headers
+from heliograph.receive.detect.header_bank import header_score, header_weights, headers
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.sync.combine import combine_header
@@ -52,11 +51,6 @@ def test_turned_headers_have_a_smaller_minimum_distance() -> None:
     """A shifted rotated header resembles others."""
     upright, known = headers((UPRIGHT,), ORIENTATIONS[1:]), headers((ORIENTATIONS[3],))
     assert headers(ORIENTATIONS[1:]).min_distance < upright.min_distance == known.min_distance
-
-
-def test_a_blinking_square_is_lit_all_over_and_upright() -> None:
-    assert ALL_ON.cells.tolist() == [[1.0] * 16]
-    assert ALL_ON.hypotheses == (((0, UPRIGHT),),)
 
 
 SIGNS = header_levels(7) / 2.0 - 1.0

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from scenes import draw, frame_of, pitch_at
+from drawn_packets import drawn_pair
+from scenes import ALL_ON, SIDE, Floats, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
 from heliograph.receive.detect.header_format import FormatReader
@@ -12,56 +13,41 @@ from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal.formats import AGREED, ALL_MODES, SHORT_PAIRS, words
 from heliograph.signal.header import header_levels, signalling_levels
 
-SOUND = np.ones((16, 16))
 GAIN = 0.8 * 255
 
 
-def show(
-    number: int,
-    reader: FormatReader,
-    pairs: Sequence[int],
-    distance_m: float,
-    seed: int = 0,
-    led_gains: np.ndarray = SOUND,
-    known: np.ndarray = SOUND,
-) -> None:
+def reader_of(
+    number: int, pairs: Sequence[int], distance_m: float, led_gains: Floats = ALL_ON, known: Floats = ALL_ON
+) -> FormatReader:
     """Show header pairs for identity 7 to a reader; the array moves by a third of a pixel per frame."""
-    rng = np.random.default_rng(seed)
+    rng, reader = np.random.default_rng(number), FormatReader(7, SIDE, SHORT_PAIRS)
     for pair in pairs:
         levels = signalling_levels(7, number) if pair else header_levels(7)
         x, y = 40 + rng.uniform(-0.5, 0.5, 2)
-        poses = [Pose(x + 0.3 * k, y - 0.2 * k, pitch_at(distance_m), 0.01, 0.52) for k in (0, 1)]
-        shown = [
-            0.1 + 0.8 * draw(p, led_gains * one / 4, (0, 0), (80, 80))
-            for p, one in zip(poses, (levels, 4 - levels), strict=True)
-        ]
-        up, down = (frame_of(light, k, rng) for k, light in enumerate(shown))
-        reader.add_pair(pair, FramePair(up, down), (poses[0], poses[1]), known)
+        first = Pose(x, y, pitch_at(distance_m), 0.01, 0.52)
+        poses, lit = (first, first.moved(0.3, -0.2)), (led_gains * levels / 4, led_gains * (4 - levels) / 4)
+        reader.add_pair(pair, drawn_pair(poses, lit, rng, GAIN, (80, 80)), poses, known)
+    return reader
 
 
 @pytest.mark.parametrize("distance_m", [40.0, 120.0, 200.0])
 def test_formats_are_read(distance_m: float) -> None:
     # at long range, unknown modes could appear from noise
     last = len(words(ALL_MODES) if distance_m < 200 else words()) - 1
-    for number in (*range(1, last, 37), last):
-        reader = FormatReader(7, 16, SHORT_PAIRS)
-        show(number, reader, (0, 1), distance_m, seed=number)
-        assert reader.decide_format(GAIN) == number
+    for number in (*range(1, last, 47), last):
+        assert reader_of(number, (0, 1), distance_m).decide_format(GAIN) == number
 
 
 def test_the_gain_decides_without_the_first_pair() -> None:
-    reader = FormatReader(7, 16, 48)
-    show(0o765, reader, (1,), 120.0)
+    reader = reader_of(0o765, (1,), 120.0)
     assert reader.decide_format(GAIN) == 0o765
     # with all or no cells dimmed, the gain decides
     assert reader.decide_format(GAIN) != reader.decide_format(0.5 * GAIN)
 
 
-def test_without_a_later_pair_the_agreed_format_is_assumed() -> None:
-    reader = FormatReader(7, 16, 48)
-    assert reader.decide_format(GAIN) == AGREED.number
-    show(0o765, reader, (0,), 80.0)
-    assert reader.decide_format(GAIN) == AGREED.number
+@pytest.mark.parametrize("pairs", [(), (0,)])
+def test_without_a_later_pair_the_agreed_format_is_assumed(pairs: Sequence[int]) -> None:
+    assert reader_of(0o765, pairs, 80.0).decide_format(GAIN) == AGREED.number
 
 
 @pytest.mark.parametrize(
@@ -69,16 +55,13 @@ def test_without_a_later_pair_the_agreed_format_is_assumed() -> None:
     [((slice(0, 4), slice(0, 12)), True, 60.0)]
     + [((slice(0, 16), slice(0, columns)), False, d) for columns in (3, 5, 6, 7) for d in (40.0, 80.0)],
 )
-def test_hidden_cells_are_not_confused_with_dimmed_cells(
-    hidden: tuple[slice, slice], are_known: bool, distance_m: float
-) -> None:
+def test_hidden_cells_are_not_read_as_dimmed(hidden: tuple[slice, slice], are_known: bool, distance_m: float) -> None:
     """Words differ in four cells at least; occlusion may hide LED columns before LED gains are known."""
-    gains = SOUND.copy()
+    gains = ALL_ON.copy()
     gains[hidden] = 0.0
     # beyond a cell's width no other format is reliable
     for number in (0, 0o765, 0o123) if are_known or hidden[1].stop < 4 else (0,):
-        reader = FormatReader(7, 16, 48)
-        show(number, reader, (0, 1), distance_m, seed=number, led_gains=gains, known=gains if are_known else SOUND)
+        reader = reader_of(number, (0, 1), distance_m, gains, gains if are_known else ALL_ON)
         assert reader.decide_format(GAIN) == number
 
 
@@ -86,7 +69,7 @@ def test_hidden_cells_are_not_confused_with_dimmed_cells(
 @pytest.mark.parametrize("first", range(32, 48, 4))
 def test_foreground_light_signals_no_format(first: int, width: int) -> None:
     """A bright bar moves in front of the array at 2 px per frame."""
-    reader, rng = FormatReader(7, 16, 48), np.random.default_rng(3)
+    reader, rng = FormatReader(7, SIDE, SHORT_PAIRS), np.random.default_rng(3)
     pose = Pose(40.2, 39.8, pitch_at(80.0), 0.01, 0.52)
     for pair in (0, 1):
         frames = []
@@ -94,5 +77,5 @@ def test_foreground_light_signals_no_format(first: int, width: int) -> None:
             light, left = 0.1 + 0.5 * draw(pose, levels / 4, (0, 0), (80, 80)), first + 2 * (2 * pair + k)
             light[:, left : left + width] += 0.4
             frames.append(frame_of(light, k, rng))
-        reader.add_pair(pair, FramePair(frames[0], frames[1]), (pose, pose), SOUND)
+        reader.add_pair(pair, FramePair(frames[0], frames[1]), (pose, pose), ALL_ON)
     assert reader.decide_format(0.5 * 255) == AGREED.number

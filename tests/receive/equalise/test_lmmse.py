@@ -8,10 +8,9 @@ import equalise_oracle as reference
 import numpy as np
 import pytest
 from known_packets import by_matrices
-from scenes import SIDE
+from scenes import SIDE, Floats
 from whole_pairs import GAIN, MOTIONS, SYMBOLS, WholePair, moving, pair_of, random_levels
 
-from heliograph.base.arrays import Floats
 from heliograph.base.threads import one_thread
 from heliograph.receive.equalise.ep import ExpectationPropagation
 from heliograph.receive.equalise.lmmse import Estimate, equalise, information, llr_of, products
@@ -31,7 +30,7 @@ def pair_at_rest(distance_m: float) -> PairStatistics:
 
 
 @pytest.mark.parametrize("scattered", [False, True])
-@pytest.mark.parametrize("unknown", [1, 63, 64, 128, 200])
+@pytest.mark.parametrize("unknown", [1, 63, 64, 200])
 def test_variances_of_any_number_of_symbols(unknown: int, scattered: bool) -> None:
     pair, symbols = pair_at_rest(90), random_levels()[0]
     which = np.sort(np.random.default_rng(8).permutation(SYMBOLS)[:unknown]) if scattered else np.arange(unknown)
@@ -58,24 +57,24 @@ def test_products_exclude_the_light_of_unknown_symbols(motion: tuple[float, floa
     gram = whitened.statistics.gram[np.ix_(which, which)].astype(np.float64)
     want = flat @ (flat.T - b @ np.linalg.solve(gram + np.eye(unknown) / scale, b.T @ flat.T))
     assert np.abs(got - want).max() < 1e-5 * want.max()
-    if motion == (0.0, 0.0):
-        noise = np.eye(flat.shape[1]) + scale * b @ b.T
-        assert got == pytest.approx(flat @ np.linalg.solve(noise, flat.T), abs=2e-3 * want.max())
 
 
 def priors(kind: str) -> tuple[Floats, Floats]:
     """Return prior mean and variance per symbol."""
-    rng = np.random.default_rng(6)
-    mean = {"none": np.zeros(SYMBOLS), "partial": np.tanh(rng.normal(0, 1.5, SYMBOLS))}.get(kind)
-    if mean is None:  # high layer known
-        mean = np.where(np.arange(SYMBOLS) < SYMBOLS // 4, random_levels()[0], 0.0)
+    symbols = np.arange(SYMBOLS)
+    mean = {
+        "none": np.zeros(SYMBOLS),
+        "partial": np.tanh(np.random.default_rng(6).normal(0, 1.5, SYMBOLS)),
+        "high layer": np.where(symbols < SYMBOLS // 4, random_levels()[0], 0.0),
+    }[kind]
     return mean, np.where(np.abs(mean) == 1, 0.0, np.maximum(1 - mean**2, 2 * KNOWN))
 
 
-@pytest.mark.parametrize("kind", ["none", "partial", "high layer"])
-@pytest.mark.parametrize("distance_m", [80, 110])
+@pytest.mark.parametrize(
+    ("kind", "distance_m"), [("none", 110), ("partial", 110), ("high layer", 110), ("partial", 80)]
+)
 @pytest.mark.slow
-def test_the_estimate_is_linear_mmse(distance_m: float, kind: str) -> None:
+def test_the_estimate_is_linear_mmse(kind: str, distance_m: float) -> None:
     symbols, x = random_levels()
     noise, poses = Noise(4.5, 1.4), moving(distance_m, 0.02, (0.1, 0.05))
     whole = WholePair(poses, pair_of(poses, x, noise=1.5), noise)
@@ -84,50 +83,28 @@ def test_the_estimate_is_linear_mmse(distance_m: float, kind: str) -> None:
     mean, variance = priors(kind)
     with one_thread():
         got = equalise(by_matrices(b, d, o, w), GAIN, noise.lit, mean, variance)
-        want = reference.lmmse(GAIN * b, d - GAIN * o, noise.lit / w, mean, variance)
+        expected, covariance, extrinsic = reference.lmmse(GAIN * b, d - GAIN * o, noise.lit / w, mean, variance)
     open_ = variance > 0
-    assert got.mean == pytest.approx(want.mean, abs=2e-3)
-    assert got.llr[open_] == pytest.approx(want.extrinsic[open_], abs=0.03, rel=0.01)
+    assert got.mean == pytest.approx(expected, abs=2e-3)
+    assert got.llr[open_] == pytest.approx(extrinsic[open_], abs=0.03, rel=0.01)
     assert not got.llr[~open_].any()
-    trace = float(np.trace(b.T @ (w[:, None] * b) @ want.covariance))
+    trace = float(np.trace(b.T @ (w[:, None] * b) @ covariance))
     assert got.trace == pytest.approx(trace, rel=2e-3)
     # most symbols in the best layer are correct
     assert np.mean((got.llr > 0) == (symbols > 0), where=open_) > 0.6
 
 
-@pytest.mark.parametrize("kind", ["none", "partial", "high layer"])
-def test_extrinsic_gaussian_excludes_the_prior(kind: str) -> None:
-    """Extrinsic Gaussian times prior gives the posterior."""
-    mean, variance = priors(kind)
-    pair = pair_at_rest(80)
-    got = equalise(pair, GAIN, 4.0, mean, variance)
-    precision, weighted = got.extrinsic
-    u = got.unknown
-    assert u.tolist() == np.flatnonzero(variance > 0).tolist()
-    assert 1 / (precision[u] + 1 / variance[u]) == pytest.approx(got.spread, rel=1e-6)
-    assert (weighted[u] + mean[u] / variance[u]) * got.spread == pytest.approx(got.mean[u], abs=1e-6)
-    known = np.setdiff1d(np.arange(SYMBOLS), u)
-    assert not precision[known].any()
-    assert not weighted[known].any()
-
-
-def test_known_symbols_are_not_estimated() -> None:
-    symbols, pair = random_levels()[0], pair_at_rest(80)
-    got = equalise(pair, GAIN, 4.0, symbols, np.zeros(SYMBOLS))
-    assert np.array_equal(got.mean, symbols)
-    assert got.trace == 0
-    assert not got.llr.any()
-    assert [part.any() for part in got.extrinsic] == [False, False]
-
-
-@pytest.mark.parametrize(("variances", "unknown"), [((2e-3, 5e-4, 1.0), [0, 2]), ((9e-4, 9e-4, 0.0), [])])
-def test_symbol_of_small_variance_is_known(variances: Sequence[float], unknown: list[int]) -> None:
-    rng = np.random.default_rng(7)
+@pytest.mark.parametrize(
+    ("variances", "unknown"), [((2e-3, 5e-4, 1.0), [0, 2]), ((9e-4, 9e-4, 0.0), []), ((0.0, 0.0, 0.0), [])]
+)
+def test_symbols_of_small_variance_are_known_and_not_estimated(variances: Sequence[float], unknown: list[int]) -> None:
+    rng, mean = np.random.default_rng(7), np.array([0.1, -1.0, 0.2])
     b, d = rng.normal(size=(9, 3)), rng.normal(size=9)
-    got = equalise(by_matrices(b, d, np.zeros(9)), 1.0, 1.0, np.array([0.1, -1.0, 0.2]), np.array(variances))
+    got, known = estimated(b, d, mean, np.array(variances)), np.setdiff1d(range(3), unknown)
     assert got.unknown.tolist() == unknown
-    known = [k for k in range(3) if k not in unknown]
-    assert got.mean[known].tolist() == [[0.1, -1.0, 0.2][k] for k in known]
+    assert np.array_equal(got.mean[known], mean[known])
+    assert bool(got.trace) == bool(unknown)
+    assert not any(part[known].any() for part in (got.llr, *got.extrinsic))
 
 
 def test_information_in_llrs() -> None:
@@ -136,12 +113,9 @@ def test_information_in_llrs() -> None:
     assert information(llr) == pytest.approx([0, 1, 1, 1 + 0.1 * np.log2(0.1) + 0.9 * np.log2(0.9)])
 
 
-def test_llr_near_a_symbol_is_gaussian() -> None:
+def test_llr_is_gaussian_near_a_symbol_and_small_far_from_both() -> None:
     precision, mean = np.array([0.0, 0.5, 4.0, 9.0]), np.array([0.0, -0.3, 0.8, 1.3])
     assert llr_of(precision, precision * mean) == pytest.approx(2 * precision * mean, abs=1e-6)
-
-
-def test_llr_far_from_both_symbols_is_small() -> None:
     precision, mean = np.full(5, 1e4), np.array([-1.0, -0.5, 0.02, 0.2, 1.0])
     llr = llr_of(precision, precision * mean)
     assert (np.sign(llr) == np.sign(mean)).all()
@@ -191,26 +165,19 @@ def test_propagation_beats_linear_mmse_with_overlap() -> None:
     assert np.mean(two_valued) < 0.5 * np.mean(gaussian)
 
 
-def test_decoded_symbols_keep_their_values() -> None:
-    propagation = ExpectationPropagation((1, 3))
-    mean, variance = np.array([[1.0, -1.0, 0.2]]), np.array([[0.0, 0.0, 0.96]])
-    at, spread = propagation.priors(mean, variance)
-    assert at[0, :2].tolist() == [1, -1]
-    assert spread[0, :2].tolist() == [0, 0]
-    assert at[0, 2] == pytest.approx(0.2)
-    assert spread[0, 2] == pytest.approx(0.96)
-
-
-def test_dropped_cavities_have_no_effect() -> None:
-    rng = np.random.default_rng(2)
-    b, mean, even = rng.normal(size=(6, 4)), np.zeros((1, 4)), np.ones((1, 4))
-    propagation = ExpectationPropagation((1, 4))
-    propagation.take(0, estimated(b, rng.normal(size=6), mean[0], even[0]))
-    assert not np.allclose(propagation.priors(mean, even)[0], 0)
+def test_decoded_symbols_keep_their_values_and_dropped_cavities_have_no_effect() -> None:
+    rng, propagation = np.random.default_rng(2), ExpectationPropagation((1, 4))
+    b, mean, variance = rng.normal(size=(6, 4)), np.array([[1.0, -1.0, 0.2, 0.0]]), np.array([[0.0, 0.0, 0.96, 1.0]])
+    before = propagation.priors(mean, variance)
+    propagation.take(0, estimated(b, rng.normal(size=6), np.zeros(4), np.ones(4)))
+    after = propagation.priors(mean, variance)
+    for at, spread in (before, after):
+        assert at[0, :2].tolist() == [1, -1]
+        assert spread[0, :2].tolist() == [0, 0]
+    assert not np.allclose(after[0][0, 2:], before[0][0, 2:])
     propagation.forget()
-    at, spread = propagation.priors(mean, even)
-    assert np.allclose(at, 0)
-    assert np.allclose(spread, 1)
+    assert np.allclose(propagation.priors(mean, variance), before)
+    assert np.allclose(before, (mean, variance))
 
 
 def test_site_moves_by_the_damping() -> None:

@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 
-import fit_oracle as fit_reference
+import fit_oracle as reference
 import numpy as np
 import pytest
-from scenes import ALL_ON, SIDE, draw, pitch_at
+from scenes import ALL_ON, SIDE, Floats, draw, pitch_at
 from scipy.special import ndtr
 
-from heliograph.base.arrays import Floats
 from heliograph.receive import Pose
 from heliograph.receive.geometry.fit import Fit, RenderCache, correlation, fit_array, median_of, robust_std
 from heliograph.receive.geometry.kernels import FIT
@@ -21,11 +20,11 @@ PATTERNS = {"header": HEADER, "all on": ALL_ON}
 BROAD = np.diag([1.0, 1.0, 0.1, 0.1, 0.3]) ** 2
 
 
-View = tuple[tuple[int, int], tuple[int, int]]
+Window = tuple[tuple[int, int], tuple[int, int]]
 """Corner and shape of a window."""
 
 
-def window(pose: Pose) -> View:
+def window(pose: Pose) -> Window:
     """Return the tracker's fit window."""
     x, y, cols, rows = window_around(pose, SIDE, 1.5 * pose.pitch + 1.5)
     return (x, y), (rows, cols)
@@ -49,7 +48,7 @@ def error(found: Fit, pose: Pose) -> Floats:
     return np.asarray(found.vector - pose.vector())
 
 
-def bound(pose: Pose, weights: Floats, sigma: float, prior: Floats = BROAD, view: View | None = None) -> Floats:
+def bound(pose: Pose, weights: Floats, sigma: float, prior: Floats = BROAD, view: Window | None = None) -> Floats:
     """Return Cramer-Rao bounds for the pose: gain and background plane unknown, prior covariance known."""
     corner, shape = view or window(pose)
 
@@ -110,13 +109,10 @@ def test_bright_clutter_around_the_panel_does_not_pull(distance_m: float, scene:
     rng, pose = np.random.default_rng(5), Pose(40.37, 31.81, pitch_at(distance_m), 0.0, 0.55)
     (x0, y0), shape = window(pose)
     y, x = np.mgrid[: shape[0], : shape[1]] + np.array([[[y0 - pose.y]], [[x0 - pose.x]]])
-    clutter = {
-        "wall": np.full(shape, 2 * GAIN),
-        "lamp": 2 * GAIN * (np.hypot(x - 10.5 * pose.pitch, y) < 3 * pose.pitch),
-    }[scene]
+    visible = np.ones(shape) if scene == "wall" else np.hypot(x - 10.5 * pose.pitch, y) < 3 * pose.pitch
     # the dark panel, one pitch beyond the outer LEDs, hides the clutter
     panel = np.prod([ndtr((9 * pose.pitch - np.abs(t)) / 0.6) for t in (x, y)], axis=0)
-    light = GAIN * draw(pose, ALL_ON, (x0, y0), shape) + 5 + clutter * (1 - panel)
+    light = GAIN * draw(pose, ALL_ON, (x0, y0), shape) + 5 + 2 * GAIN * visible * (1 - panel)
     off = np.array([0.2, -0.15, 0.01, 0.0, 0.05])
     prior = Fit(pose.vector() + off, np.diag([0.5, 0.5, 0.05, 0.02, 0.5]) ** 2, GAIN)
     found = fit_array(light + rng.normal(0, 2.5, shape), (x0, y0), prior, ALL_ON, 5, panel=True)
@@ -139,9 +135,9 @@ def test_a_header_shows_the_tilt() -> None:
 @pytest.mark.parametrize("distance_m", [30, 80])
 def test_an_unexpected_gain_does_not_end_the_fit_early(distance_m: float, factor: float) -> None:
     rng, pose, errors = np.random.default_rng(7), Pose(40.37, 31.81, pitch_at(distance_m), 0.0, 0.55), []
+    spread = np.array([0.1, 0.1, 2e-3, 2e-3, 0.05])
     for _ in range(20):
-        off = rng.normal(0, [0.05, 0.05, 1e-3, 1e-3, 0.02])
-        prior = Fit(pose.vector() + off, np.diag([0.1, 0.1, 2e-3, 2e-3, 0.05]) ** 2, factor * GAIN)
+        prior = Fit(pose.vector() + rng.normal(0, 0.5 * spread), np.diag(spread**2), factor * GAIN)
         light = pixels(pose, ALL_ON) + rng.normal(0, 2.5, window(pose)[1])
         errors.append(error(fit_array(light, window(pose)[0], prior, ALL_ON, 3, panel=True), pose)[:2])
     assert np.sqrt(np.mean(np.square(errors))) < 0.01
@@ -173,15 +169,15 @@ def test_all_but_one_percent_of_near_arrays_are_found_within_the_covariance() ->
     """Above 2 px pitch the fit may lock onto neighbouring LEDs: 22 of 4600 draws; below 2 px, 2 exceed the bound."""
     outside = list[float]()
     for seed in range(600, 900):
-        rng, kind = np.random.default_rng(seed), sorted(PATTERNS)[seed % 2]
+        rng, weights = np.random.default_rng(seed), ALL_ON if seed % 2 == 0 else HEADER
         # x, y, pitch, roll, blur, stretch and shear
         low, high = (39, 30, 0.5, -3, 0.4, -0.1, -0.1), (41, 32, 2.5, 3, 1.0, 0.1, 0.1)
         pose = Pose(*rng.uniform(low, high).tolist())
         # below a fifth of a pitch, so that few LEDs match a neighbour
         spread = np.array([0.07 * pose.pitch, 0.07 * pose.pitch, 0.007, 0.007, 0.1, 0.007, 0.007])
         prior = Fit(pose.full_vector() + rng.normal(0, spread), np.diag(spread**2))
-        clean = pixels(pose, PATTERNS[kind])
-        found = fit(clean + rng.normal(0, 2.5, clean.shape), pose, PATTERNS[kind], prior)
+        clean = pixels(pose, weights)
+        found = fit(clean + rng.normal(0, 2.5, clean.shape), pose, weights, prior)
         off = found.vector - pose.full_vector()
         assert found.score > 0.9
         # seven degrees of freedom: P(chi-square > 30) = 1e-4
@@ -215,25 +211,21 @@ def test_undefined_pixels_give_no_pose() -> None:
 @pytest.mark.parametrize("gain", [0.0, GAIN])
 @pytest.mark.parametrize("tilted", [False, True])
 @pytest.mark.parametrize("panel", [False, True])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_fit_equals_the_reference(seed: int, panel: bool, tilted: bool, gain: float) -> None:
-    rng = np.random.default_rng(seed)
+def test_the_fit_equals_the_reference(panel: bool, tilted: bool, gain: float) -> None:
+    rng, weights, free = np.random.default_rng(0), ALL_ON if panel else HEADER, 7 if tilted else 5
     pose = Pose(20.0, 22.0, float(rng.uniform(0.6, 1.4)), float(rng.uniform(-0.2, 0.2)), 0.6)
     corner, shape = window(pose)
-    weights = ALL_ON if panel else HEADER
     image = GAIN * draw(pose, weights, corner, shape) + LEVEL + rng.normal(0, 2, shape)
     image[3:6, 4:9] += 60  # foreground clutter
-    spread = BROAD if not tilted else np.diag([*np.diag(BROAD), 0.05**2, 0.05**2])
-    prior = pose.full_vector()[: 7 if tilted else 5] + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1, 0, 0])[: len(spread)]
+    spread = np.diag([*np.diag(BROAD), 0.05**2, 0.05**2][:free])
+    prior = (pose.full_vector() + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1, 0, 0]))[:free]
     margins = list(FIT.panel_margins) if panel else []
-    vector, matrix, linear = fit_reference.fit(
-        image, corner, weights, margins, prior, np.linalg.inv(spread), gain, steps := 4
-    )
-    got = fit_array(image, corner, Fit(prior, spread, gain), weights, steps, panel)
+    vector, matrix, linear = reference.fit(image, corner, weights, margins, prior, np.linalg.inv(spread), gain, 4)
+    got = fit_array(image, corner, Fit(prior, spread, gain), weights, 4, panel)
     # the kernel truncates light beyond 4 standard deviations
     assert got.vector == pytest.approx(vector, abs=2e-3)
     assert got.gain == pytest.approx(linear[0], rel=2e-3)
-    assert got.covariance == pytest.approx(np.linalg.inv(matrix)[: len(spread), : len(spread)], rel=0.05, abs=1e-7)
+    assert got.covariance == pytest.approx(np.linalg.inv(matrix)[:free, :free], rel=0.05, abs=1e-7)
 
 
 def test_cached_images_serve_nearby_poses() -> None:
@@ -269,26 +261,13 @@ def test_images_of_other_leds_or_positions_are_rendered_again() -> None:
         assert got.vector == pytest.approx(exact.vector, abs=1e-9)
 
 
-@pytest.mark.parametrize("shape", [(40001,), (200, 201)])
-def test_outliers_hardly_change_the_robust_standard_deviation(shape: tuple[int, ...]) -> None:
-    values = np.random.default_rng(0).normal(0, 3.0, shape)
-    assert robust_std(values) == pytest.approx(3.0, rel=0.02)
-    values.ravel()[::10] = 1e6
-    # contamination: 5/9 of the remaining values lie below the median, Phi^-1(7/9) / Phi^-1(3/4)
-    assert robust_std(values) == pytest.approx(3.0 * 1.1338, rel=0.03)
-
-
-@pytest.mark.parametrize("values", [[-2.0], [1.0, -3.0], [5.0, 0.0, -2.0], [4.0, -1.0, 2.0, 8.0]])
-def test_the_robust_standard_deviation_follows_the_median_magnitude(values: list[float]) -> None:
-    # Phi^-1(3/4) = 0.67449
-    assert robust_std(np.array(values)) == pytest.approx(np.median(np.abs(values)) / 0.67449, rel=1e-4)
-
-
 @pytest.mark.parametrize("shape", [(1,), (2,), (7,), (256,), (5, 6)])
-def test_the_median_equals_numpy_and_keeps_the_values(shape: tuple[int, ...]) -> None:
+def test_medians_equal_numpy_and_keep_the_values(shape: tuple[int, ...]) -> None:
     values = np.random.default_rng(2).normal(size=shape)
     before = values.copy()
     assert median_of(values) == np.median(values)
+    # Phi^-1(3/4) = 0.67449; outliers count by their order only
+    assert robust_std(values) == pytest.approx(np.median(np.abs(values)) / 0.67449, rel=1e-4)
     assert np.array_equal(values, before)
 
 

@@ -25,7 +25,7 @@ def frames(draw: st.DrawFn) -> Frame:
 WINDOWS = st.tuples(st.integers(-20, 80), st.integers(-20, 70), st.integers(1, 30), st.integers(1, 30))
 
 
-@examples(200)
+@examples(100)
 @given(pose=poses(), side=st.sampled_from([4, 8, 16]), margin=st.floats(0, 9))
 def test_a_window_holds_the_leds_and_the_margin_only(pose: Pose, side: int, margin: float) -> None:
     x, y, cols, rows = window_around(pose, side, margin)
@@ -39,7 +39,7 @@ def test_a_window_holds_the_leds_and_the_margin_only(pose: Pose, side: int, marg
     assert (np.array([x + cols - 1, y + rows - 1]) < most + 1 + 1e-9).all()
 
 
-@examples(200)
+@examples(100)
 @given(frame=frames(), window=WINDOWS)
 def test_a_cut_out_is_a_copied_slice_with_a_repeated_border(frame: Frame, window: tuple[int, int, int, int]) -> None:
     x, y, cols, rows = window
@@ -57,7 +57,7 @@ def test_a_cut_out_is_a_copied_slice_with_a_repeated_border(frame: Frame, window
 
 
 @pytest.mark.slow
-@examples(200)
+@examples(100)
 @given(several=st.lists(frames(), min_size=1, max_size=3), window=WINDOWS)
 def test_covered_pixels_are_inside_all_frames(several: list[Frame], window: tuple[int, int, int, int]) -> None:
     x, y, cols, rows = window
@@ -74,7 +74,7 @@ def test_covered_pixels_are_inside_all_frames(several: list[Frame], window: tupl
         assert np.array_equal(np.outer(found[1], found[0]) > 0, there)
 
 
-@examples(200)
+@examples(100)
 @given(several=st.lists(frames(), min_size=1, max_size=4))
 def test_common_parts_show_the_same_part_of_the_sensor(several: list[Frame]) -> None:
     cut = common(several)

@@ -5,15 +5,13 @@ from dataclasses import replace
 import numpy as np
 import observe_oracle as reference
 import pytest
-from scenes import ALL_ON, SIDE, draw
-from whole_pairs import GAIN, SYMBOLS, T, moving, pair_of
+from scenes import ALL_ON, SIDE, Floats, draw
+from whole_pairs import GAIN, SYMBOLS, T, combination, moving, pair_of
 
-from heliograph.base.arrays import Floats
 from heliograph.receive import Pose
 from heliograph.receive.observe import noise
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import measure_noise, noise_beside
-from heliograph.receive.sync.combine import combine_pair
 from heliograph.receive.sync.pairing import FramePair
 
 
@@ -58,15 +56,12 @@ def test_background_noise_of_single_frames() -> None:
 
 def test_noise_of_combined_frames_refers_to_two_frames() -> None:
     """Sum and difference have different noise variances; the array's sum is uniform."""
-    rng, sigma, poses = np.random.default_rng(9), 1.5, moving(80, 0.02, (0.0, 0.0))
-    combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, (0, 1, 2, 3))
-    assert combination is not None
-    assert abs(combination.noise - 1) > 0.2
+    rng, sigma, poses, combined = np.random.default_rng(9), 1.5, moving(80, 0.02, (0.0, 0.0)), combination()
     even, cutouts = take_cutout(pair_of(poses, np.full((SIDE, SIDE), 0.5)), poses, SIDE), []
     for _ in range(48):
-        total = even.total + sigma * rng.normal(0, (combination.total**2).sum() ** 0.5, even.shape)
-        difference = sigma * rng.normal(0, (combination.difference**2).sum() ** 0.5, even.shape)
-        cutouts.append(replace(even, total=total, difference=difference, combination=combination))
+        total = even.total + sigma * rng.normal(0, (combined.total**2).sum() ** 0.5, even.shape)
+        difference = sigma * rng.normal(0, (combined.difference**2).sum() ** 0.5, even.shape)
+        cutouts.append(replace(even, total=total, difference=difference, combination=combined))
     measured = measure_noise(cutouts, GAIN, SIDE)
     assert (measured.lit, measured.dark) == pytest.approx((2 * sigma**2, 2 * sigma**2), rel=0.12)
 
