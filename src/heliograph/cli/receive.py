@@ -311,10 +311,9 @@ def _show(outcome: Outcome, output: Path | None) -> None:
     detections = counted(report["detections"], "detection")
     frames, reading_s = report["frames"], report["reading_seconds"]
     receiving_s = max(report["seconds"] - reading_s, 1e-3)
-    console.say(
-        f"{counted(frames, 'frame')} in {report['seconds']:.1f} s: film {reading_s:.1f} s, receiver {receiving_s:.1f} s "
-        f"({frames / receiving_s:.0f} frames/s)" + (f", {detections}" if report["arrays"] else "")
-    )
+    times = f"film {reading_s:.1f} s, receiver {receiving_s:.1f} s ({frames / receiving_s:.0f} frames/s)"
+    found = f"; {detections}" if report["arrays"] else ""
+    console.say(f"{counted(frames, 'frame')} in {report['seconds']:.1f} s: {times}{found}")
     if report["dropped_candidates"] or report["dropped_blocks"]:
         candidates, blocks = report["dropped_candidates"], report["dropped_blocks"]
         console.say_prose(
