@@ -41,7 +41,7 @@ def read_messages(settings: LinkSettings, sent: SentOptions, seconds: float) -> 
         raise MediaError("--file needs a layer that has no message: leave out --high, --middle or --low")
     if files:
         content = dict.fromkeys(LAYERS, files) | content
-    return [content for _ in settings.transmit.identities] if content else default_messages(settings)
+    return [content for _ in settings.transmit.identities] if content else default_messages(settings, repeats=1)
 
 
 def _road_messages(sent: SentOptions, seconds: float) -> Messages:
