@@ -1,5 +1,6 @@
 """Impossible claims of films raise a clear error; timestamps in decoding order are corrected."""
 
+import json
 import os
 from fractions import Fraction
 from pathlib import Path
@@ -21,10 +22,7 @@ from heliograph.media.record import FilmRecord
 def test_an_impossible_record_is_ignored(wrong: dict[str, Any]) -> None:
     good: dict[str, Any] = {"rate_hz": 1000.0, "bits": 8, "start_s": 0.0, "metadata": {}}
     assert FilmRecord.loads(FilmRecord(**good).dumps()) == FilmRecord(**good)
-    assert FilmRecord.loads(FilmRecord(**good | wrong).dumps()) is None
-
-
-def test_a_record_of_any_depth_is_ignored() -> None:
+    assert FilmRecord.loads(json.dumps(good | wrong)) is None
     assert FilmRecord.loads('{"a":' * 20_000 + "1" + "}" * 20_000) is None
 
 

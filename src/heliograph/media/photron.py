@@ -1,12 +1,12 @@
 """Read recordings of Photron cameras: raw frames in a .mraw file and the header in a .cih or .cihx file."""
 
 import codecs
-import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -53,9 +53,9 @@ class PhotronReader(BlockReader):
         super().__init__(frames, reading)
         texts = _read_header(header)
         self._check_kind(header, texts)
-        self.width, self.height = _whole(header, texts, "width"), _whole(header, texts, "height")
-        self._set_blocks(_whole(header, texts, "frames"), packed_size(self.width * self.height, self._word))
-        saved_hz = _rate(header, texts["rate"]) / max(1, _whole(header, texts, "step", 1))
+        self.width, self.height = _number(header, texts, "width"), _number(header, texts, "height")
+        self._set_blocks(_number(header, texts, "frames"), packed_size(self.width * self.height, self._word))
+        saved_hz = _number(header, texts, "rate", 0, float) / max(1, _number(header, texts, "step", 1))
         self._number_frames(saved_hz, header)
         notes = ("camera", "date", "time", "shutter", "comment", "rate", "step")
         self.metadata = {name: texts[name] for name in notes if texts[name]}
@@ -66,11 +66,11 @@ class PhotronReader(BlockReader):
         kind, colour = texts["kind"] or "mraw", texts["colour"].lower() or "mono"
         if kind.lower() != "mraw":
             raise MediaError(f"{header} states that its frames are {brief(kind)} files: give the folder and --fps")
-        self._word = _whole(header, texts, "word")
+        self._word = _number(header, texts, "word")
         if self._word not in (8, 12, 16) or colour not in ("mono", "raw", "bayer"):
             held = f"{brief(colour)} of {self._word} bits"
             raise MediaError(f"{header} says {held}, and gray of 8, 12 or 16 bits is read: save it as raw or as TIFF")
-        self.bits = min(_whole(header, texts, "depth", self._word), self._word)
+        self.bits = min(_number(header, texts, "depth", self._word), self._word)
         if self.bits < 8 + (self._word > 8):
             raise MediaError(f"{header} says that {self._word} bits hold levels of {self.bits}: save it in 8 bits")
         # some programs keep a level at the upper end of the word
@@ -78,14 +78,12 @@ class PhotronReader(BlockReader):
 
     def _check_length(self, header: Path) -> None:
         """Refuse a file longer than in the header, or with levels of other bits; a cut file is read."""
-        size, frames = self.path.stat().st_size, self._claimed
-        stated, actual = f"{frames} frames of {self._frame_bytes}", ""
-        for word in {8, 12, 16} - {self._word}:
-            if size == frames * packed_size(self.width * self.height, word):
-                stated, actual = f"{self._word} bits", f", which are {frames} frames of {word} bits"
-        if actual or size > frames * self._frame_bytes:
-            held = f"{size} bytes{actual}, and {header.name} says {stated}"
-            raise MediaError(f"{self.path} has {held}: give the matching header")
+        size, frames, pixels = self.path.stat().st_size, self._claimed, self.width * self.height
+        words = [word for word in {8, 12, 16} - {self._word} if size == frames * packed_size(pixels, word)]
+        if words or size > frames * self._frame_bytes:
+            held = f"{size} bytes" + (f", which are {frames} frames of {words[0]} bits" if words else "")
+            stated = f"{frames} frames of {self._frame_bytes} bytes, {self._word} bits"
+            raise MediaError(f"{self.path} has {held}, and {header.name} says {stated}: give the matching header")
 
     def _levels(self, data: bytearray) -> Pixels:
         levels = read_levels(data, self._word)[: self.width * self.height]
@@ -155,19 +153,12 @@ def _parse_lines(text: str) -> dict[str, str]:
     return {name: values.get(line, "") for name, (line, _) in _PLACES.items()}
 
 
-def _whole(path: Path, texts: Mapping[str, str], name: str, missing: int | None = None) -> int:
-    """Return an integer of the header."""
+def _number(path: Path, texts: Mapping[str, str], name: str, missing: int | None = None, kind: Any = int) -> Any:
+    """Return a number of the header."""
     text, line = texts[name] or ("" if missing is None else str(missing)), _PLACES[name][0]
     if not text:
         raise MediaError(f"{path} does not state its {line}: copy the header saved with the frames, or add the line")
     with suppress(ValueError):
-        if 0 <= int(text) < 1 << 31:
-            return int(text)
+        if 0 <= kind(text) < 1 << 31:
+            return kind(text)
     raise MediaError(f"{path} says {text!r:.40} for its {line}: copy the header again, or correct it")
-
-
-def _rate(path: Path, text: str) -> float:
-    with suppress(ValueError):
-        if 0 <= float(text or 0) < math.inf:
-            return float(text or 0)
-    raise MediaError(f"{path} says {text!r:.40} for its record rate: give the rate by --fps, or copy it again")

@@ -5,18 +5,13 @@ import queue
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from heliograph.base.errors import MediaError, SettingsError
-from heliograph.base.lazy import LazyModule
 from heliograph.media import planes
+from heliograph.media.libraries import av
 from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError, Found, Picture
 from heliograph.media.live.settings import CameraSettings, Value, compare_settings
-
-if TYPE_CHECKING:
-    import av
-else:
-    av = LazyModule("av")
 
 DEVICES = Path("/sys/class/video4linux")
 """Folder of the video devices of Linux."""
@@ -52,20 +47,17 @@ class Webcam:
             raise MediaError(f"{self._address} cannot be opened as a webcam ({reason}): {cure}") from None
         stream = self._container.streams.video[0]
         context, layout = stream.codec_context, stream.codec_context.format
-        rate = stream.average_rate or stream.base_rate
+        rate_hz = float(stream.average_rate or stream.base_rate or 0)
         is_raw = context.name in ("rawvideo", "wrapped_avframe") and layout
         actual: dict[str, Value] = {
             "region": (0, 0, context.width, context.height),
             "pixel_format": layout.name if is_raw else context.name,
         }
-        if rate:
-            actual["rate_hz"] = float(rate)
         bits = max(8, layout.components[0].bits) if layout else 8
         label = DEVICES / Path(self._address).name / "name"
         model = label.read_text(errors="replace").strip() if label.is_file() else self._address
-        texts, departures = compare_settings(settings, actual)
-        rate_hz = float(rate) if rate else None
-        return CameraForm(context.width, context.height, bits, rate_hz, model, texts, departures)
+        texts, departures = compare_settings(settings, actual | ({"rate_hz": rate_hz} if rate_hz else {}))
+        return CameraForm(context.width, context.height, bits, rate_hz or None, model, texts, departures)
 
     def frames(self, wait_s: float) -> Sequence[Picture] | None:
         """Return the pictures since the last call; see `Camera`."""
