@@ -24,7 +24,7 @@ def write_video(
     stamps: Sequence[int],
     tick: Fraction = MS,
     codec: str = "libx264",
-    rate: float = 1000,
+    rate: float | Fraction = 1000,
     options: dict[str, str] | None = None,
     kind: str | None = None,
 ) -> Path:

@@ -117,7 +117,7 @@ def test_a_film_never_finished(tmp_path: Path) -> None:
     film = create(tmp_path / "a.mkv")
     write_frames(film, 200)
     (left,) = tmp_path.iterdir()
-    for name in ("left.mkv", "left.NUT", "left.dat"):
+    for name in ("left.mkv", "left.DAT"):
         (tmp_path / name).write_bytes(left.read_bytes())  # as after a power cut
         frames, message = refused(tmp_path / name)
         assert "ends in the middle" in message

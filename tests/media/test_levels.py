@@ -1,10 +1,8 @@
 """Levels are linear light: palettes are applied, and no level exceeds the stated bit depth."""
 
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import av
 import h5py
 import numpy as np
 import pytest
@@ -52,22 +50,6 @@ def bright_hdf5(path: Path, levels: NDArray[np.uint16]) -> Path:
     return path
 
 
-def bright_video(path: Path, levels: NDArray[np.uint16]) -> Path:
-    with av.open(str(path), "w") as container:
-        stream: Any = container.add_stream("rawvideo", rate=1000)
-        stream.height, stream.width = levels.shape[1:]
-        stream.pix_fmt, stream.time_base = "gray12le", Fraction(1, 1000)
-        for number, pixels in enumerate(levels):
-            picture = av.VideoFrame(stream.width, stream.height, "gray12le")
-            plane: Any = picture.planes[0]
-            lines = np.frombuffer(plane, np.uint16).reshape(-1, plane.line_size // 2)
-            lines[:, : stream.width] = pixels
-            picture.pts, picture.time_base = number, Fraction(1, 1000)
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode())
-    return path
-
-
 def bright_y4m(path: Path, levels: NDArray[np.uint16]) -> Path:
     body = b"".join(b"FRAME\n" + pixels.tobytes() for pixels in levels)
     path.write_bytes(b"YUV4MPEG2 W%d H%d F1000:1 Ip A1:1 Cmono12\n" % levels.shape[:0:-1] + body)
@@ -88,7 +70,7 @@ def bright_tiff(path: Path, levels: NDArray[np.uint16]) -> Path:
 
 
 @pytest.mark.parametrize(("make", "name"), [
-    (bright_hdf5, "a.h5"), (bright_video, "a.nut"), (bright_y4m, "a.y4m"), (bright_pictures, "shots"),
+    (bright_hdf5, "a.h5"), (bright_y4m, "a.y4m"), (bright_pictures, "shots"),
     (bright_tiff, "a.tif"), (lambda path, levels: write_cine(path, list(levels), 16, 12), "a.cine"),
     (lambda path, levels: write_mraw(path, levels, 16, 12), "a.mraw"),
 ])  # fmt: skip

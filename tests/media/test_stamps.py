@@ -129,6 +129,18 @@ def rewritten(path: Path, pts: Sequence[int | None]) -> Path:
     return target
 
 
+@pytest.mark.parametrize(("name", "codec", "options"), [
+    ("a.avi", "mpeg4", {"bf": "2"}), ("a.mkv", "libx265", {"x265-params": "bframes=4:log-level=none"}),
+    ("a.mp4", "libx264", BETWEEN), ("a.nut", "libx264", BETWEEN),
+])  # fmt: skip
+def test_stamps_in_coding_order_are_sorted(tmp_path: Path, name: str, codec: str, options: dict[str, str]) -> None:
+    if codec not in av.codecs_available:
+        pytest.skip(f"FFmpeg lacks {codec} here")
+    times = times_of(rewritten(write_video(tmp_path / name, EVERY, codec=codec, options=options), EVERY))
+    assert np.diff(times) == pytest.approx(1e-3)
+    assert len(times) == COUNT
+
+
 def test_two_frames_of_one_stamp_follow_each_other(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.mkv", EVERY, codec="mjpeg")
     stamps = [k - (k in (20, 30)) for k in EVERY]

@@ -104,12 +104,13 @@ def test_impossible_sizes_are_refused(tmp_path: Path, width: int, says: str) -> 
     assert says in refused(path)[1]
 
 
-@pytest.mark.parametrize(
-    "data", [b"II", b"II*\0", b"II*\0\0\0\0\0", b"II*\0\xff\xff\xff\xff", b"Dear film, hello there"]
-)
+@pytest.mark.parametrize("data", [
+    b"II", b"II*\0", b"II*\0\0\0\0\0", b"II*\0\xff\xff\xff\xff", b"Dear film, hello there", b"II*\0" + bytes(20),
+])  # fmt: skip
 def test_other_files_than_stacks_are_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.tif").write_bytes(data)
-    assert "a.tif" in refused(tmp_path / "a.tif")[1]
+    says = "holds no pages: save it as TIFF" if len(data) == 24 else "a.tif"
+    assert says in refused(tmp_path / "a.tif")[1]
 
 
 def test_a_page_of_another_size(tmp_path: Path) -> None:
@@ -341,8 +342,3 @@ def test_pictures_below_a_small_copy_are_not_read(tmp_path: Path) -> None:
         stack.write(picture[::2, ::2], subifds=1, subfiletype=1, metadata=None)
         stack.write(picture, metadata=None)
     assert "holds only small copies, as cameras' raw files do: save it as TIFF" in refused(tmp_path / "a.tif")[1]
-
-
-def test_a_file_without_pages(tmp_path: Path) -> None:
-    (tmp_path / "a.tif").write_bytes(b"II*\0" + bytes(20))
-    assert "holds no pages: save it as TIFF" in refused(tmp_path / "a.tif")[1]

@@ -17,6 +17,7 @@ from heliograph.media.phantom import packed_size, read_levels
 from heliograph.media.reader import Reading, clear_read_errors
 from heliograph.media.stamps import BlockReader
 
+_CODECS = ("ascii", "utf-16-le", "utf-16-be")
 _BLANK = " \t\r\n\0"
 SUFFIXES = (".mraw", ".cihx", ".cih")
 """Suffixes of the frames, and of headers in XML and in lines of text."""
@@ -93,24 +94,22 @@ class PhotronReader(BlockReader):
 def _find_pair(path: Path) -> tuple[Path, Path]:
     """Return the file of frames and the header; `path` is either."""
     with clear_read_errors(f"the folder {path.parent}"):
-        # in sorted order small letters come last, and win
-        files = {file.suffix.lower(): file for file in sorted(path.parent.iterdir()) if file.stem == path.stem}
-    held = [file for suffix in SUFFIXES if (file := files.get(suffix)) is not None and file.is_file()]
-    if path.suffix.lower() == ".mraw":
-        header = next((file for file in held if file.suffix.lower() != ".mraw"), None)
-        if header is None:
-            raise MediaError(f"{path} has no header next to it: copy {path.stem}.cihx or .cih to the same folder")
-        return path, header
-    if not held or held[0].suffix.lower() != ".mraw":
+        pair = [file for file in sorted(path.parent.iterdir()) if file.stem == path.stem and file.is_file()]
+    files = {file.suffix.lower(): file for file in pair}  # in sorted order small letters come last, and win
+    files[path.suffix.lower()] = path
+    header = path if path.suffix.lower() != ".mraw" else files.get(".cihx", files.get(".cih"))
+    if header is None:
+        raise MediaError(f"{path} has no header next to it: copy {path.stem}.cihx or .cih to the same folder")
+    if ".mraw" not in files:
         raise MediaError(f"{path} has no frames next to it: copy {path.stem}.mraw to the same folder")
-    return held[0], path
+    return files[".mraw"], header
 
 
 def _read_header(path: Path) -> dict[str, str]:
     """Return the values of a header as text, empty if missing."""
     with clear_read_errors(path):
         data = read_bounded(path, 1 << 24)
-    is_xml = any("<cih>".encode(name) in data for name in ("ascii", "utf-16-le", "utf-16-be"))
+    is_xml = any("<cih>".encode(codec) in data for codec in _CODECS)
     texts = _parse_xml(path, data) if is_xml else _parse_lines(_decode(data))
     if not any(texts.values()):
         raise MediaError(f"{path} is no header of a Photron recording: copy the .cih or .cihx file again")
@@ -135,14 +134,14 @@ def _decode(data: bytes) -> str:
 def _parse_xml(path: Path, data: bytes) -> dict[str, str]:
     # the element <cih> has no declarations, so no entity can expand
     wrong: Exception | None = None
-    for name in ("ascii", "utf-16-le", "utf-16-be"):
-        place, end = data.find("<cih>".encode(name)), data.rfind("</cih>".encode(name)) + len("</cih>".encode(name))
-        text = _decode(data[place:end]) if name == "ascii" else data[place:end].decode(name, "replace")
+    for codec in _CODECS:  # in either byte order of UTF-16 the tag of the other seems to begin a byte later
+        start, end = data.find("<cih>".encode(codec)), data.rfind("</cih>".encode(codec)) + len("</cih>".encode(codec))
+        text = _decode(data[start:end]) if codec == "ascii" else data[start:end].decode(codec, "replace")
         try:
-            root = ElementTree.fromstring(text if place >= 0 else "")
+            root = ElementTree.fromstring(text if start >= 0 else "")
             return {name: (root.findtext(place) or "").strip(_BLANK) for name, (_, place) in _PLACES.items()}
         except (ElementTree.ParseError, ValueError) as error:
-            wrong = error if place >= 0 else wrong
+            wrong = error if start >= 0 else wrong
     raise MediaError(f"{path} cannot be read, the XML is wrong ({brief(wrong)}): copy the header again") from None
 
 

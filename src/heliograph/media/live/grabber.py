@@ -144,14 +144,10 @@ class Grabber:
         self._numbering = Numbering(rate_hz, even=not source.settings.triggered)
         self._frames = self._reconnections = self._tries = 0
         self._stopping = threading.Event()
-        self._heard_s = self._end_s = 0.0
         self._quiet = False
-        self._thread = threading.Thread(target=self._work, name="camera", daemon=True)
-
-    def start(self) -> None:
-        """Start the thread."""
         self._heard_s = time.monotonic()
         self._end_s = self._heard_s + (self._settings.duration_s or float("inf"))
+        self._thread = threading.Thread(target=self._work, name="camera", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:

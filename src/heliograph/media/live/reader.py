@@ -90,7 +90,6 @@ class LiveReader(FilmReader):
         most, wanted = max(1, (1 << 29) // size), round(self._source.settings.queue_s * self.claimed_hz)
         queue = FrameQueue(min(max(8, wanted), most))
         grabber = self._grabber = Grabber(self._source, camera, self.form, self.claimed_hz, queue, self.timing)
-        grabber.start()
         try:
             while not (self._stopping or queue.over):
                 frame = queue.get(self.timing.picture_s)

@@ -1,6 +1,5 @@
 """Webcams of Linux (Video4Linux) through PyAV."""
 
-import contextlib
 import queue
 import threading
 from collections.abc import Sequence
@@ -30,9 +29,8 @@ class Webcam:
         self._address = address or "/dev/video0"
         self._container: Any = None
         self._channel = "luma"
-        # Linux drops newer pictures if the buffers are full as well
-        self._pictures: queue.Queue[Picture | BaseException | None] = queue.Queue(8)
-        self._closing = threading.Event()
+        self._pictures: queue.SimpleQueue[Picture | BaseException | None] = queue.SimpleQueue()
+        self._is_closing = False
         self._thread: threading.Thread | None = None
 
     def open(self, settings: CameraSettings) -> CameraForm:
@@ -81,10 +79,8 @@ class Webcam:
 
     def close(self) -> None:
         """Stop and release the camera; see `Camera`."""
-        self._closing.set()
+        self._is_closing = True
         if self._thread is not None:
-            with contextlib.suppress(queue.Empty):
-                self._pictures.get_nowait()  # the thread may wait for a place
             self._thread.join(self.closing_s)
             if self._thread.is_alive():
                 return  # FFmpeg cannot close the device while waiting for a picture
@@ -98,20 +94,14 @@ class Webcam:
         try:
             for packet in self._container.demux(video=0):
                 for picture in self._decode(packet):
-                    self._queue(picture)
-                if self._closing.is_set():
+                    self._pictures.put(picture)
+                if self._is_closing:
                     return
         except (av.error.FFmpegError, OSError) as error:
             end = CameraLostError(str(getattr(error, "strerror", None) or error))
         except BaseException as error:  # raised again by `frames`
             end = error
-        self._queue(end)
-
-    def _queue(self, item: Picture | BaseException | None) -> None:
-        while not self._closing.is_set():
-            with contextlib.suppress(queue.Full):
-                self._pictures.put(item, timeout=self.closing_s / 4)
-                return
+        self._pictures.put(end)
 
     def _decode(self, packet: "av.Packet[Any]") -> list[Picture]:
         """Return the pictures of a packet; an incomplete picture has no pixels."""
