@@ -320,7 +320,7 @@ FRAMES: dict[str, tuple[dict[str, Any], str]] = {
     "not held": ({"shape": (COUNT, 8192, 8192), "chunks": (1, 8192, 8192)}, "pieces of 67108864 bytes in a file of"),
     "too large": ({"shape": (COUNT, 1 << 31, 1 << 31), "chunks": (1, 64, 64)}, "2147483648x2147483648 pixels"),
     "too small": ({"shape": (COUNT, 0, 8)}, "8x0 pixels"),
-    "/frames": ({}, "links lead nowhere"), "/one": ({}, "links lead nowhere"),
+    "/frames": ({}, "expected the datasets"), "/one": ({}, "expected the datasets"),
     "/none/frames": ({}, "expected the datasets"), "/times_s/x": ({}, "is not a film"),
 }  # fmt: skip
 """Datasets, or paths of links, and the error."""

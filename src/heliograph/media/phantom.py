@@ -146,6 +146,6 @@ def _find_stamps(file: BinaryIO, place: int, table: int, frames: int) -> int | N
         if kind == 1002 and length >= 8 + 8 * frames:
             return place + 8
         if not more or length < 8:
-            return None
+            break
         place += length
     return None

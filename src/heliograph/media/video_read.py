@@ -199,13 +199,12 @@ def _film_stream(path: Path, container: "av.container.InputContainer") -> "av.Vi
 
 
 def _count_frames(container: "av.container.InputContainer", films: "list[av.VideoStream]") -> dict[int, int]:
-    """Return the frames of each track, stated by the container or counted in 500 packets."""
-    if all(stream.frames for stream in films):
-        return {stream.index: stream.frames for stream in films}
+    """Return the frames of each track in 500 packets."""
     counts = {stream.index: 0 for stream in films}
     with suppress(av.error.FFmpegError):  # reading reports damage after the good frames
         for packet in islice(container.demux(films), 500):
-            counts[packet.stream_index] += bool(packet.size)
+            if packet.size:  # empty packets at the end may have the index of another track
+                counts[packet.stream_index] += 1
         container.seek(0)
     return counts
 
