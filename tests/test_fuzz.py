@@ -41,7 +41,7 @@ def test_a_parser_ends_in_a_value_or_a_clear_error(
     """Any other exception is a fault."""
     parser, good = parsers[name]
     rng = random.Random(7)
-    found = {outcome(parser, mutated(rng.choice(good), rng), tmp_path) for _ in range(60)}
+    found = {outcome(parser, mutated(rng.choice(good), rng), tmp_path) for _ in range(40)}
     assert found <= {"value", "error"}
     if name.endswith(".tif"):  # tifffile and OpenCV print nothing
         assert capfd.readouterr().err == ""
@@ -74,14 +74,14 @@ VALUES = st.recursive(
 )
 
 
-@examples(60)
+@examples(30)
 @given(tree=st.dictionaries(KEYS, VALUES, max_size=3))
 @pytest.mark.slow
 def test_any_tree_is_settings_or_a_clear_error(tree: dict[str, object]) -> None:
     settles(lambda: load_settings("static", tree))
 
 
-@examples(80)
+@examples(40)
 @given(text=st.text(max_size=60))
 @pytest.mark.slow
 def test_any_text_is_settings_or_a_clear_error(text: str) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import Run, failed, names, succeeded, within
+from waiting import HANG_S
 
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.media import open_film
@@ -28,6 +29,8 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "fake_camera.py"
 NAME = "camera:aravis:Aravis-Fake-GV01"
+ADDRESS = "camera:aravis:127.0.0.1"
+"""The same camera, opened without the second that Aravis listens for the answers of all cameras."""
 RATE, PAIRS, SIDE = 50, 12, 128
 """Frames and patterns per second, data pairs per packet, image side in px; a packet has 28 patterns."""
 TEXT = "Red for 12 s."
@@ -64,64 +67,10 @@ def served(*options: str) -> Iterator[Served]:
             process.kill()
 
 
-BLOCK = re.compile(r"^```(sh|text)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-NUMBER = re.compile(r"[0-9.]*[0-9]")
-MANY = re.compile(r"# (detection|packet|codeword)s\b")
-
-
-def walk() -> list[tuple[str, str]]:
-    """Return the command blocks from docs/cameras.md, each with the expected output."""
-    page = (ROOT / "docs" / "cameras.md").read_text()
-    section = page.partition("## From a fresh clone\n")[2].partition("\n## ")[0]
-    blocks = BLOCK.findall(section)
-    shown = [(text, blocks[k + 1][1]) for k, (kind, text) in enumerate(blocks[:-1])
-             if kind == "sh" and blocks[k + 1][0] == "text"]  # fmt: skip
-    assert len(shown) == sum(kind == "text" for kind, _ in blocks), "each text shows what a command before it prints"
-    return shown
-
-
-def any_number(line: str) -> str:
-    """Replace numbers by placeholders and plurals by singulars."""
-    return MANY.sub(r"# \1", NUMBER.sub("#", line))
-
-
-def test_the_page_on_cameras_shows_the_output_of_its_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("genicam", reason="the walk needs 'pip install harvesters'")
-    if any(Path("/dev").glob("video*")):
-        pytest.skip("a webcam is here, which the walk does not show")
-    monkeypatch.delenv("GENICAM_GENTL64_PATH", raising=False)
-    monkeypatch.setattr(CAMERAS, "_registered", {})  # another test of this process may have registered a camera
-    with ExitStack() as stack:
-        for commands, shown in walk():
-            printed = "".join(typed(line, tmp_path, stack) for line in commands.splitlines())
-            lines = [any_number(line) for line in printed.splitlines()]
-            for line in shown.splitlines():
-                alike = any_number(line.partition(";")[0])  # loss counts vary
-                assert any(one.startswith(alike) for one in lines), (
-                    f"{commands}\ndoes not print\n{line}\nbut\n{printed}"
-                )
-
-
-def typed(line: str, folder: Path, stack: ExitStack) -> str:
-    """Run a command of the page; return its output."""
-    match shlex.split(line):
-        case ["heliograph", *arguments]:
-            run = within(folder, *arguments)
-            return run.stderr + run.stdout
-        case ["python", "examples/fake_camera.py", ">", *_]:
-            stack.enter_context(served())
-            return f"serving {NAME}\n"
-        case ["until", *_] | ["kill", *_]:  # the camera answers, and the stack ends the camera
-            return ""
-        case ["ls", results]:
-            return "\n".join(names(folder / results))
-    raise AssertionError(f"the test does not know {line}")
-
-
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="class")
 def camera() -> Iterator[Served]:
     """Run a camera that loses UDP packets; only one camera can listen at a time."""
-    options = ("--rate", RATE, "--data-pairs", PAIRS, "--side", SIDE, "--packets", 2, "--text", TEXT, "--lost", 6)
+    options = ("--rate", RATE, "--data-pairs", PAIRS, "--side", SIDE, "--packets", 1, "--text", TEXT, "--lost", 6)
     with served(*map(str, options)) as process:
         yield process
 
@@ -132,7 +81,7 @@ def received(folder: Path, seconds: float, *options: str) -> Run:
 
 
 def opened(**asked: object) -> LiveReader:
-    film = open_film(NAME, camera=CAMERA | asked)
+    film = open_film(ADDRESS, camera=CAMERA | asked)
     assert isinstance(film, LiveReader)
     return film
 
@@ -140,7 +89,7 @@ def opened(**asked: object) -> LiveReader:
 @pytest.mark.usefixtures("camera")
 class TestLive:
     def test_packets_are_received_despite_lost_frames(self, tmp_path: Path) -> None:
-        says = succeeded(received(tmp_path, 4, "--output", "out"))
+        says = succeeded(received(tmp_path, 3, "--output", "out"))
         assert f"array 0, high, message 0: {len(TEXT)} bytes, '{TEXT}'\n" in says
         assert (tmp_path / "out" / "array-0-high-0.bin").read_bytes() == TEXT.encode()
         packets = [json.loads(line) for line in (tmp_path / "out" / "packets.jsonl").read_text().splitlines()]
@@ -223,8 +172,8 @@ class TestLive:
             said.append(text)
             camera.send_signal(signal.SIGCONT)
 
-        with opened(duration_s=40) as film:
-            film.say, film.timing = say, CameraTiming(silent_s=1.0)
+        with opened(reconnect=100, duration_s=HANG_S) as film:
+            film.say, film.timing = say, CameraTiming(silent_s=1.0, retry_s=(0.1,))
             indices: list[int] = []
             times: list[float] = []
             after = 0
@@ -242,3 +191,57 @@ class TestLive:
         assert "is lost after" in said[0]
         assert indices == sorted(set(indices))
         assert times == sorted(set(times))
+
+
+BLOCK = re.compile(r"^```(sh|text)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+NUMBER = re.compile(r"[0-9.]*[0-9]")
+MANY = re.compile(r"# (detection|packet|codeword)s\b")
+
+
+def walk() -> list[tuple[str, str]]:
+    """Return the command blocks from docs/cameras.md, each with the expected output."""
+    page = (ROOT / "docs" / "cameras.md").read_text()
+    section = page.partition("## From a fresh clone\n")[2].partition("\n## ")[0]
+    blocks = BLOCK.findall(section)
+    shown = [(text, blocks[k + 1][1]) for k, (kind, text) in enumerate(blocks[:-1])
+             if kind == "sh" and blocks[k + 1][0] == "text"]  # fmt: skip
+    assert len(shown) == sum(kind == "text" for kind, _ in blocks), "each text shows what a command before it prints"
+    return shown
+
+
+def any_number(line: str) -> str:
+    """Replace numbers by placeholders and plurals by singulars."""
+    return MANY.sub(r"# \1", NUMBER.sub("#", line))
+
+
+def test_the_page_on_cameras_shows_the_output_of_its_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("genicam", reason="the walk needs 'pip install harvesters'")
+    if any(Path("/dev").glob("video*")):
+        pytest.skip("a webcam is here, which the walk does not show")
+    monkeypatch.delenv("GENICAM_GENTL64_PATH", raising=False)
+    monkeypatch.setattr(CAMERAS, "_registered", {})  # another test of this process may have registered a camera
+    with ExitStack() as stack:
+        for commands, shown in walk():
+            printed = "".join(typed(line, tmp_path, stack) for line in commands.splitlines())
+            lines = [any_number(line) for line in printed.splitlines()]
+            for line in shown.splitlines():
+                alike = any_number(line.partition(";")[0])  # loss counts vary
+                assert any(one.startswith(alike) for one in lines), (
+                    f"{commands}\ndoes not print\n{line}\nbut\n{printed}"
+                )
+
+
+def typed(line: str, folder: Path, stack: ExitStack) -> str:
+    """Run a command of the page; return its output."""
+    match shlex.split(line):
+        case ["heliograph", *arguments]:
+            run = within(folder, *arguments)
+            return run.stderr + run.stdout
+        case ["python", "examples/fake_camera.py", ">", *_]:
+            stack.enter_context(served("--packets", "1"))
+            return f"serving {NAME}\n"
+        case ["until", *_] | ["kill", *_]:  # the camera answers, and the stack ends the camera
+            return ""
+        case ["ls", results]:
+            return "\n".join(names(folder / results))
+    raise AssertionError(f"the test does not know {line}")

@@ -24,7 +24,7 @@ def write_video(
     stamps: Sequence[int],
     tick: Fraction = MS,
     codec: str = "libx264",
-    rate: float = 1000,
+    rate: float | Fraction = 1000,
     options: dict[str, str] | None = None,
     kind: str | None = None,
 ) -> Path:
@@ -43,12 +43,12 @@ def write_video(
 
 
 def write_tracks(path: Path, *tracks: tuple[str, int, int, int]) -> Path:
-    """Write tracks given as codec ("sound" and "text" are not video), side in px, frames, disposition."""
+    """Write tracks given as codec ("sound" is not video), side in px, frames, disposition."""
     with av.open(str(path), "w") as container:
         streams: list[Any] = []
         for codec, side, _, disposition in tracks:
-            stream: Any = container.add_stream({"sound": "pcm_s16le", "text": "mov_text"}.get(codec, codec), rate=1000)
-            if codec not in ("sound", "text"):
+            stream: Any = container.add_stream("pcm_s16le" if codec == "sound" else codec, rate=1000)
+            if codec != "sound":
                 stream.width = stream.height = side
                 stream.pix_fmt = PIXEL_FORMATS.get(codec, "yuv420p")
                 stream.time_base = stream.codec_context.time_base = MS
@@ -60,13 +60,12 @@ def write_tracks(path: Path, *tracks: tuple[str, int, int, int]) -> Path:
                     sound = av.AudioFrame.from_ndarray(np.zeros((1, 2), np.int16), "s16", "mono")
                     sound.sample_rate, sound.pts = 1000, 2 * number
                     container.mux(stream.encode(sound))
-                elif number < frames and codec != "text":
+                elif number < frames:
                     picture = _picture(number, side, stream.pix_fmt)
                     picture.pts, picture.time_base = number, MS
                     container.mux(stream.encode(picture))
-        for stream, (codec, *_) in zip(streams, tracks, strict=True):
-            if codec != "text":
-                container.mux(stream.encode())
+        for stream in streams:
+            container.mux(stream.encode())
     return path
 
 

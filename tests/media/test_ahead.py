@@ -12,7 +12,7 @@ from waiting import wait_until
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import create_film, open_film
-from heliograph.media.reader import FilmReader, read_ahead
+from heliograph.media.reader import read_ahead
 
 
 class Source:
@@ -36,9 +36,12 @@ def readers() -> list[threading.Thread]:
     return [thread for thread in threading.enumerate() if thread.name.startswith("film-reader")]
 
 
-def test_frames_keep_their_order() -> None:
+def test_frames_keep_their_order_and_reading_starts_with_the_first_request() -> None:
     source = Source(100)
-    assert [frame.index for frame in read_ahead(source.frames())] == list(range(100))
+    frames = read_ahead(source.frames())
+    assert source.made == 0
+    assert not readers()
+    assert [frame.index for frame in frames] == list(range(100))
     assert source.closed
     assert not readers()
 
@@ -80,27 +83,14 @@ def test_ctrl_c_ends_the_thread() -> None:
     assert not readers()
 
 
-def test_reading_starts_with_the_first_request() -> None:
-    source = Source(5)
-    read_ahead(source.frames())
-    assert source.made == 0
-    assert not readers()
-
-
-def film(path: Path, count: int = 60) -> Path:
-    with create_film(path, width=48, height=32, rate_hz=1000.0) as written:
-        for number in range(count):
-            written.write(Frame(number, number / 1000, np.full((32, 48), number, np.uint8)))
-    return path
-
-
 @pytest.mark.parametrize("suffix", [".mkv", ".h5"])
-def test_a_film_left_early_is_closed(tmp_path: Path, suffix: str) -> None:
-    with open_film(film(tmp_path / f"a{suffix}")) as read:
-        for frame in read:
-            if frame.index == 3:
-                break
+def test_a_film_left_early_is_read_again_and_closed(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    with create_film(path, width=48, height=32, rate_hz=1000.0) as written:
+        for number in range(60):
+            written.write(Frame(number, number / 1000, np.full((32, 48), number, np.uint8)))
+    with open_film(path) as read:
+        next(iter(read))
         assert [frame.index for frame in read] == list(range(60))
-        first: FilmReader = read
-        next(iter(first))
+        next(iter(read))
     assert not readers()

@@ -41,18 +41,13 @@ def write_frames(film: FilmWriter, count: int) -> None:
 
 
 def test_missing_folder_text_and_empty(tmp_path: Path) -> None:
-    (tmp_path / "text.mkv").write_text("Dear film,\nthis is a letter.\n" * 40)
-    (tmp_path / "text.txt").write_text("Dear film,\nthis is a letter.\n" * 40)
-    (tmp_path / "text.h5").write_text("Dear film,\nthis is a letter.\n" * 40)
     (tmp_path / "empty.mp4").touch()
     for name, says in {
-        "no.mkv": "there is no file",
-        "": "is a folder",
-        "text.mkv": "text.mkv",
-        "text.txt": "text.txt",
-        "text.h5": "not a readable HDF5 file",
-        "empty.mp4": "is empty",
-    }.items():
+        "no.mkv": "there is no file", "": "is a folder", "text.mkv": "text.mkv", "text.txt": "text.txt",
+        "text.h5": "not a readable HDF5 file", "empty.mp4": "is empty",
+    }.items():  # fmt: skip
+        if name.startswith("text"):
+            (tmp_path / name).write_text("Dear film,\nthis is a letter.\n" * 40)
         frames, message = refused(tmp_path / name)
         assert not frames
         assert says in message
@@ -76,9 +71,9 @@ def test_a_cut_film_gives_its_whole_frames_first(tmp_path: Path, suffix: str, co
             assert f"after {len(frames)} whole frames" in message
 
 
-@pytest.mark.parametrize(("suffix", "codec"), [(".mkv", "ffv1"), (".nut", "ffv1")])
-def test_a_damaged_picture_is_found_by_its_checksum(tmp_path: Path, suffix: str, codec: str) -> None:
-    path = film_of(tmp_path / f"a{suffix}", codec=codec)
+@pytest.mark.parametrize("suffix", [".mkv", ".nut"])
+def test_a_damaged_picture_is_found_by_its_checksum(tmp_path: Path, suffix: str) -> None:
+    path = film_of(tmp_path / f"a{suffix}")
     raw = bytearray(path.read_bytes())
     raw[len(raw) // 2] ^= 0x10
     path.write_bytes(raw)
@@ -109,11 +104,8 @@ def test_every_slice_is_checked(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("length", ["01ffffffffffff00", "00ffffffffffffff00"])
 def test_a_film_whose_head_claims_more_than_any_file_has_ends_early(tmp_path: Path, length: str) -> None:
-    path = tmp_path / "a.mkv"
-    path.write_bytes(bytes.fromhex(f"1a45dfa3{length}") + bytes(9))
-    assert whole.ends_early(path)
-    with pytest.raises(MediaError, match="ends in the middle"):
-        open_film(path)
+    (tmp_path / "a.mkv").write_bytes(bytes.fromhex(f"1a45dfa3{length}") + bytes(9))
+    assert "ends in the middle" in refused(tmp_path / "a.mkv")[1]
 
 
 def test_whole_films_are_known_as_whole(tmp_path: Path) -> None:
@@ -125,7 +117,7 @@ def test_a_film_never_finished(tmp_path: Path) -> None:
     film = create(tmp_path / "a.mkv")
     write_frames(film, 200)
     (left,) = tmp_path.iterdir()
-    for name in ("left.mkv", "left.NUT", "left.dat"):
+    for name in ("left.mkv", "left.DAT"):
         (tmp_path / name).write_bytes(left.read_bytes())  # as after a power cut
         frames, message = refused(tmp_path / name)
         assert "ends in the middle" in message
@@ -133,18 +125,17 @@ def test_a_film_never_finished(tmp_path: Path) -> None:
     film.abort()
 
 
-def fail_after_a_frame(film: FilmWriter) -> None:
-    film.write(frame(0))
-    raise ZeroDivisionError
-
-
 @pytest.mark.parametrize("suffix", ALL)
-def test_an_exception_leaves_nothing_and_spares_the_old_film(tmp_path: Path, suffix: str) -> None:
+def test_a_failure_leaves_no_new_film_and_spares_the_old(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
+    with pytest.raises(MediaError, match="no frames were written"), create(path):
+        pass
+    assert not list(tmp_path.iterdir())
     path.write_text("old")
     film = create(path)
+    film.write(frame(0))
     with pytest.raises(ZeroDivisionError), film:
-        fail_after_a_frame(film)
+        film.write(frame(1 // 0))
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     assert path.read_text() == "old"
     with pytest.raises(MediaError, match="already finished or aborted"):
@@ -152,39 +143,22 @@ def test_an_exception_leaves_nothing_and_spares_the_old_film(tmp_path: Path, suf
 
 
 @pytest.mark.parametrize("suffix", ALL)
-def test_frames_so_far_can_be_kept_after_ctrl_c(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"a{suffix}"
-    with create(path) as film:
-        try:
-            film.write(frame(0))
-            raise KeyboardInterrupt
-        except KeyboardInterrupt:
-            film.finish()
-        film.finish()
-        film.abort()
-    assert len(list(open_film(path))) == 1
-    assert list(tmp_path.iterdir()) == [path]
-
-
-@pytest.mark.parametrize("suffix", ALL)
-def test_ctrl_c_while_waiting_for_the_encoder(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_while_waiting_for_the_encoder_keeps_the_frames(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupted(_: Frame) -> None:
         raise KeyboardInterrupt
 
-    film = create(tmp_path / f"a{suffix}")
-    write_frames(film, 3)
-    monkeypatch.setattr(film._sink, "put", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        film.write(frame(3))
-    film.finish()
+    with create(tmp_path / f"a{suffix}") as film:
+        write_frames(film, 3)
+        monkeypatch.setattr(film._sink, "put", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            film.write(frame(3))
+        film.finish()
+        film.finish()
+        film.abort()
     assert len(list(open_film(film.path))) == 3
-
-
-@pytest.mark.parametrize("suffix", ALL)
-def test_zero_frames(tmp_path: Path, suffix: str) -> None:
-    with pytest.raises(MediaError, match="no frames were written"), create(tmp_path / f"a{suffix}"):
-        pass
-    assert not list(tmp_path.iterdir())
+    assert list(tmp_path.iterdir()) == [film.path]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
@@ -271,17 +245,17 @@ def test_times_a_container_cannot_hold(tmp_path: Path, name: str, times: list[fl
     ("a", {}, "must end in one of"),
     ("no/a.mkv", {}, "folder .*no does not exist"),
     ("a.mkv", {"rate_hz": 2000.0}, r"too coarse for 2000 frames/s: use \.nut, \.mp4 or \.h5"),
-    ("a.mkv", {"rate_hz": 0.0}, "rate_hz must lie above 0"),
-    ("a.mkv", {"rate_hz": float("nan")}, "rate_hz must lie above 0"),
-    ("a.mkv", {"bits": 7}, "8 to 16 bits"),
-    ("a.mkv", {"width": 0}, "at least 1x1"),
+    ("a.mkv", {"rate_hz": 0.0}, r"rate_hz of a film is a number, got .*: give 1e-06 to 1e\+06"),
+    ("a.mkv", {"rate_hz": float("nan")}, r"rate_hz of a film is a number, got .*: give 1e-06 to 1e\+06"),
+    ("a.mkv", {"bits": 7}, "bits of a film is a whole number, got 7: give 8 to 16"),
+    ("a.mkv", {"width": 0}, "width of a film is a whole number, got 0: give 1 to"),
     ("a.mkv", {"metadata": {"n": 1}}, "maps text to text"),
     ("a.mp4", {"bits": 12}, "h264 holds at most 10 bits"),
     ("a.avi", {"bits": 12}, "mjpeg holds at most 8 bits"),
     ("a.mp4", {"codec": "ffv1"}, r"'ffv1' does not go into \.mp4: choose one of h264"),
     ("a.mkv", {"crf": 20.0}, "crf is a setting of h264"),
-    ("a.mp4", {"crf": 60.0}, "between 0"),
-    ("a.mp4", {"crf": 20.0, "lossless": True}, "not both"),
+    ("a.mp4", {"crf": 60.0}, "crf lies between 0 "),
+    ("a.mp4", {"crf": 20.0, "lossless": True}, "one of mbit_s, crf and lossless"),
     ("a.avi", {"lossless": True}, "cannot be lossless"),
     ("a.h5", {"codec": "ffv1"}, "not coded"),
     ("folder.mkv", {}, "is a folder"),
@@ -294,15 +268,10 @@ def test_wrong_settings_are_named(tmp_path: Path, name: str, options: dict[str, 
 
 
 def test_other_hdf5_files(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["voltage"] = np.zeros(3)
-    with h5py.File(tmp_path / "b.h5", "w") as file:
-        file["frames"], file["times_s"] = np.zeros((3, H, W), np.uint8), np.zeros(2)
-    with h5py.File(tmp_path / "c.h5", "w") as file:
-        file["frames"], file["times_s"] = np.zeros((0, H, W), np.uint8), np.zeros(0)
-    assert "expected the datasets 'frames'" in refused(tmp_path / "a.h5")[1]
-    assert "'times_s' (2,)" in refused(tmp_path / "b.h5")[1]
-    assert "holds no frames" in refused(tmp_path / "c.h5")[1]
+    for frames, times, says in ((3, 2, "'times_s' (2,)"), (0, 0, "holds no frames")):
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            file["frames"], file["times_s"] = np.zeros((frames, H, W), np.uint8), np.zeros(times)
+        assert says in refused(tmp_path / "a.h5")[1]
 
 
 def test_a_closed_film(tmp_path: Path) -> None:

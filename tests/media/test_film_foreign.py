@@ -3,11 +3,12 @@
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import av
 import numpy as np
 import pytest
+from made_videos import write_video
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError
@@ -100,48 +101,17 @@ def test_rgb_becomes_gray_without_a_shift(pixel_format: str) -> None:
 
 
 def test_a_film_without_our_record(tmp_path: Path) -> None:
-    with av.open(str(tmp_path / "a.mov"), "w") as container:
-        stream = container.add_stream("mpeg4", rate=Fraction(30000, 1001))
-        stream.width, stream.height, stream.pix_fmt = 64, 16, "yuv420p"
-        for number in range(7):
-            picture = ramp("yuv420p", 0)
-            picture.pts = number
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode())
-    with open_film(tmp_path / "a.mov") as film:
+    rate = Fraction(30000, 1001)
+    with open_film(write_video(tmp_path / "a.mov", range(7), 1 / rate, "mpeg4", rate)) as film:
         assert film.rate_hz == pytest.approx(30000 / 1001)
         assert film.frame_count == 7
         assert [f.index for f in film] == list(range(7))
         assert "major_brand" in film.metadata
 
 
-def coded(path: Path, kind: str, codec: str, pixel_format: str) -> None:
-    """Write seven pictures with rising brightness, without a container."""
-    with av.open(str(path), "w", format=kind) as container:
-        stream = cast("av.VideoStream", container.add_stream(codec, rate=1000))
-        stream.width, stream.height, stream.pix_fmt = 64, 64, pixel_format
-        for number in range(7):
-            picture = av.VideoFrame.from_ndarray(np.full((64, 64), 30 * number + 20, np.uint8), "gray")
-            container.mux(stream.encode(picture.reformat(format=pixel_format)))
-        container.mux(stream.encode())
-
-
-def test_raw_h264_has_the_rate_of_its_stream(tmp_path: Path) -> None:
-    """FFmpeg invents timestamps at 25 frames/s, and coding order differs from display order."""
-    coded(tmp_path / "a.h264", "h264", "libx264", "yuv420p")
-    for given, rate in ((None, 1000), (500, 500)):
-        with open_film(tmp_path / "a.h264", rate_hz=given) as film:
-            assert (film.claimed_hz, film.rate_hz) == (1000, rate)
-            frames = list(film)
-        assert [frame.index for frame in frames] == list(range(7))
-        assert [frame.time_s for frame in frames] == pytest.approx(np.arange(7) / rate)
-        levels = [float(frame.pixels.mean()) for frame in frames]
-        assert levels == sorted(levels)
-
-
 def test_raw_pictures_without_a_rate_need_one(tmp_path: Path) -> None:
-    coded(tmp_path / "a.mjpeg", "mjpeg", "mjpeg", "yuvj420p")
+    path = write_video(tmp_path / "a.mjpeg", range(7), codec="mjpeg", kind="mjpeg")
     with pytest.raises(MediaError, match="has no clock: say how many frames a second the camera took, by --fps"):
-        open_film(tmp_path / "a.mjpeg")
-    with open_film(tmp_path / "a.mjpeg", rate_hz=500) as film:
+        open_film(path)
+    with open_film(path, rate_hz=500) as film:
         assert [frame.time_s for frame in film] == pytest.approx(np.arange(7) / 500)

@@ -1,10 +1,8 @@
 """Levels are linear light: palettes are applied, and no level exceeds the stated bit depth."""
 
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import av
 import h5py
 import numpy as np
 import pytest
@@ -34,14 +32,11 @@ def test_a_palette_gives_the_gray_levels(
         assert np.array_equal([frame.pixels for frame in film], levels)
 
 
-@pytest.mark.parametrize("channel", ["red", "green", "blue"])
-def test_a_missing_palette_is_gray_in_every_channel(tmp_path: Path, channel: str) -> None:
-    assert same(read(write_avi(tmp_path / "a.avi", NUMBERS), channel=channel), NUMBERS)
-
-
-@pytest.mark.parametrize("fourcc", [b"Y800", b"GREY", b"Y8  "])
-def test_gray_levels_without_a_palette_are_read_as_stored(tmp_path: Path, fourcc: bytes) -> None:
-    assert same(read(write_avi(tmp_path / "a.avi", NUMBERS, fourcc=fourcc)), NUMBERS)
+@pytest.mark.parametrize(("fourcc", "channel"), [
+    (bytes(4), "red"), (bytes(4), "green"), (bytes(4), "blue"), (b"Y800", "luma"), (b"GREY", "luma"), (b"Y8  ", "luma"),
+])  # fmt: skip
+def test_gray_levels_without_a_palette_are_read_as_stored(tmp_path: Path, fourcc: bytes, channel: str) -> None:
+    assert same(read(write_avi(tmp_path / "a.avi", NUMBERS, fourcc=fourcc), channel=channel), NUMBERS)
 
 
 def test_an_unknown_form_of_pixels_is_an_error(tmp_path: Path) -> None:
@@ -55,34 +50,10 @@ def bright_hdf5(path: Path, levels: NDArray[np.uint16]) -> Path:
     return path
 
 
-def bright_video(path: Path, levels: NDArray[np.uint16]) -> Path:
-    with av.open(str(path), "w") as container:
-        stream: Any = container.add_stream("rawvideo", rate=1000)
-        stream.height, stream.width = levels.shape[1:]
-        stream.pix_fmt, stream.time_base = "gray12le", Fraction(1, 1000)
-        for number, pixels in enumerate(levels):
-            picture = av.VideoFrame(stream.width, stream.height, "gray12le")
-            plane: Any = picture.planes[0]
-            lines = np.frombuffer(plane, np.uint16).reshape(-1, plane.line_size // 2)
-            lines[:, : stream.width] = pixels
-            picture.pts, picture.time_base = number, Fraction(1, 1000)
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode())
-    return path
-
-
 def bright_y4m(path: Path, levels: NDArray[np.uint16]) -> Path:
     body = b"".join(b"FRAME\n" + pixels.tobytes() for pixels in levels)
     path.write_bytes(b"YUV4MPEG2 W%d H%d F1000:1 Ip A1:1 Cmono12\n" % levels.shape[:0:-1] + body)
     return path
-
-
-def bright_cine(path: Path, levels: NDArray[np.uint16]) -> Path:
-    return write_cine(path, list(levels), 16, 12, [number / 1000 for number in range(len(levels))], 1000)
-
-
-def bright_mraw(path: Path, levels: NDArray[np.uint16]) -> Path:
-    return write_mraw(path, levels, 16, 12)
 
 
 def bright_pictures(path: Path, levels: NDArray[np.uint16]) -> Path:
@@ -99,8 +70,9 @@ def bright_tiff(path: Path, levels: NDArray[np.uint16]) -> Path:
 
 
 @pytest.mark.parametrize(("make", "name"), [
-    (bright_hdf5, "a.h5"), (bright_video, "a.nut"), (bright_y4m, "a.y4m"), (bright_cine, "a.cine"),
-    (bright_mraw, "a.mraw"), (bright_pictures, "shots"), (bright_tiff, "a.tif"),
+    (bright_hdf5, "a.h5"), (bright_y4m, "a.y4m"), (bright_pictures, "shots"),
+    (bright_tiff, "a.tif"), (lambda path, levels: write_cine(path, list(levels), 16, 12), "a.cine"),
+    (lambda path, levels: write_mraw(path, levels, 16, 12), "a.mraw"),
 ])  # fmt: skip
 def test_a_level_above_the_stated_bits_is_an_error(tmp_path: Path, make: Any, name: str) -> None:
     levels = np.full((4, 8, 16), 4095, np.uint16)

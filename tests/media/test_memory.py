@@ -12,7 +12,7 @@ from waiting import run_alone
 from heliograph.media import open_film, open_slots
 from heliograph.media.slots import SUFFIXES, SlotForm, write_slots
 
-FRAMES, ROWS, COLUMNS = 60, 64, 512
+FRAMES, ROWS, COLUMNS = 30, 64, 512
 FEW, MANY = 20, 250
 
 

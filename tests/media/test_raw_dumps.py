@@ -23,7 +23,7 @@ def test_a_raw_dump_is_named_with_the_way_to_npy(tmp_path: Path, suffix: str, co
         list(film)
     says = str(caught.value)
     assert "\n" not in says
-    assert f"({path.stat().st_size} bytes) has no known header. A raw dump does not tell the size" in says
+    assert f"({path.stat().st_size} bytes) has no known header with the size of its frames: save it as .npy by" in says
     assert "n.save('dump.npy', n.fromfile(" in says
     assert "damaged" not in says
 

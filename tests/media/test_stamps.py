@@ -9,6 +9,7 @@ import av
 import h5py
 import numpy as np
 import pytest
+from film_checks import read, refused
 from made_recordings import write_cine
 from made_videos import MS, brightness, write_video
 
@@ -128,6 +129,18 @@ def rewritten(path: Path, pts: Sequence[int | None]) -> Path:
     return target
 
 
+@pytest.mark.parametrize(("name", "codec", "options"), [
+    ("a.avi", "mpeg4", {"bf": "2"}), ("a.mkv", "libx265", {"x265-params": "bframes=4:log-level=none"}),
+    ("a.mp4", "libx264", BETWEEN), ("a.nut", "libx264", BETWEEN),
+])  # fmt: skip
+def test_stamps_in_coding_order_are_sorted(tmp_path: Path, name: str, codec: str, options: dict[str, str]) -> None:
+    if codec not in av.codecs_available:
+        pytest.skip(f"FFmpeg lacks {codec} here")
+    times = times_of(rewritten(write_video(tmp_path / name, EVERY, codec=codec, options=options), EVERY))
+    assert np.diff(times) == pytest.approx(1e-3)
+    assert len(times) == COUNT
+
+
 def test_two_frames_of_one_stamp_follow_each_other(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.mkv", EVERY, codec="mjpeg")
     stamps = [k - (k in (20, 30)) for k in EVERY]
@@ -139,16 +152,14 @@ def test_two_frames_of_one_stamp_follow_each_other(tmp_path: Path) -> None:
 def test_stamps_that_fall_are_an_error_unless_a_rate_is_given(tmp_path: Path, rate_hz: float | None) -> None:
     times = np.arange(COUNT) / 1000
     times[25:] -= 0.02
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["frames"], file["times_s"] = np.zeros((COUNT, 8, 8), np.uint8), times
-    got: list[Frame] = []
-    with open_film(tmp_path / "a.h5", rate_hz=rate_hz) as film:
-        if rate_hz is None:
-            with pytest.raises(MediaError, match="after 25 whole frames: times must rise; correct them, or number the"):
-                got.extend(film)
-            assert len(got) == 25
-        else:
-            assert [frame.time_s for frame in film] == pytest.approx(np.arange(COUNT) / 500)
+    timed(tmp_path / "a.h5", times)
+    if rate_hz is None:
+        got, says = refused(tmp_path / "a.h5")
+        assert len(got) == 25
+        assert "after 25 whole frames: times must rise; correct them, or number the" in says
+    else:
+        frames = read(tmp_path / "a.h5", rate_hz=rate_hz)
+        assert [frame.time_s for frame in frames] == pytest.approx(np.arange(COUNT) / 500)
 
 
 def timed(path: Path, times: Any, **attributes: Any) -> Path:
@@ -175,16 +186,15 @@ def test_times_in_another_unit_are_reported(
         assert [frame.time_s for frame in film] == pytest.approx(np.arange(COUNT) / rate)
 
 
-def test_frame_numbers_for_times_are_reported(tmp_path: Path) -> None:
-    path = timed(tmp_path / "a.h5", np.arange(COUNT))
-    with pytest.raises(MediaError, match="they look like milliseconds or frame numbers; write times_s in seconds"):
-        open_film(path)
-
-
-def test_the_stated_rate_shows_the_unit(tmp_path: Path) -> None:
-    path = timed(tmp_path / "a.h5", np.arange(COUNT) * 1e3, rate_hz=1e3)
-    with pytest.raises(MediaError, match=r"and rate_hz says 1000\.0: they look like microseconds"):
-        open_film(path)
+@pytest.mark.parametrize(("times", "stated", "says"), [
+    (np.arange(COUNT), {}, "they look like milliseconds or frame numbers; write times_s in seconds"),
+    (np.arange(COUNT) * 1e3, {"rate_hz": 1e3}, r"and rate_hz says 1000\.0: they look like microseconds"),
+])  # fmt: skip
+def test_frame_numbers_and_a_stated_rate_show_the_unit(
+    tmp_path: Path, times: Any, stated: dict[str, float], says: str
+) -> None:
+    with pytest.raises(MediaError, match=says):
+        open_film(timed(tmp_path / "a.h5", times, **stated))
 
 
 @pytest.mark.parametrize("start_s", [0.0, 1.7e9])

@@ -1,23 +1,16 @@
 """Headerless films: NumPy's .npy files of an array (frames, rows, columns), and advice on raw dumps."""
 
-import mmap
 import warnings
 from pathlib import Path
 from tokenize import TokenError
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
-from heliograph.base.lazy import LazyModule
 from heliograph.media.reader import Reading
 from heliograph.media.stamps import BlockReader
-
-if TYPE_CHECKING:
-    import av
-else:
-    av = LazyModule("av")
 
 
 class ArrayReader(BlockReader):
@@ -63,28 +56,12 @@ _YUV_DUMPS = (".yuv", ".i420", ".yv12", ".nv12", ".nv21", ".yuv420p")
 
 
 def refuse_dump(path: Path) -> None:
-    """Refuse a raw dump, a headerless file of levels, by the suffix, unless FFmpeg knows the content."""
+    """Refuse a raw dump, a headerless file of levels, by the suffix."""
     suffix = path.suffix.lower()
-    if suffix not in (*_GRAY_DUMPS, *_YUV_DUMPS) or _is_video(path):
+    if suffix not in (*_GRAY_DUMPS, *_YUV_DUMPS):
         return
     # in YUV half a frame of colours follows the gray levels of each frame
     shape = "-1, ROWS, COLUMNS))" if suffix in _GRAY_DUMPS else "-1, ROWS * 3 // 2, COLUMNS)[:, :ROWS])"
-    raise MediaError(
-        f"{path} ({path.stat().st_size} bytes) has no known header. A raw dump does not tell the size of its frames: "
-        f"save it as .npy by python -c \"import numpy as n; n.save('{path.stem}.npy', "
-        f"n.fromfile('{path.name}', 'u1').reshape({shape}\", with '<u2' in place of 'u1' for words of 16 bits"
-    )
-
-
-def _is_video(path: Path) -> bool:
-    """True if FFmpeg finds pictures in the content; by the suffix FFmpeg would read any .bin file as text art."""
-    try:
-        # a file object would show FFmpeg the name
-        with (
-            path.open("rb") as file,
-            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content,
-            av.open(content) as container,
-        ):
-            return any(stream.width and stream.height for stream in container.streams.video)
-    except (av.error.FFmpegError, OSError, ValueError):
-        return False
+    command = f"import numpy as n; n.save('{path.stem}.npy', n.fromfile('{path.name}', 'u1').reshape({shape}"
+    cure = f"save it as .npy by python -c \"{command}\", with '<u2' in place of 'u1' for words of 16 bits"
+    raise MediaError(f"{path} ({path.stat().st_size} bytes) has no known header with the size of its frames: {cure}")

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from heliograph.base.errors import MediaError, shown
+from heliograph.base.errors import MediaError
 from heliograph.base.files import room_for
 from heliograph.base.frames import Pixels
 from heliograph.media import hdf5, images, phantom, photron, tiff, video_read, video_write
@@ -20,7 +20,7 @@ from heliograph.media.reader import FilmReader, Reading, clear_read_errors
 from heliograph.media.record import FilmSpec
 from heliograph.media.tiff import TiffReader
 from heliograph.media.view import ViewReader, check_view
-from heliograph.media.writer import FilmWriter, ThreadedSink, partial_path
+from heliograph.media.writer import FilmWriter, ThreadedSink, clear_errors, partial_path
 
 FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
 """Suffixes of new films."""
@@ -118,7 +118,7 @@ def open_film(
     SettingsError
         The camera does not know a setting, or the value is out of range.
     """
-    path = checked_path(path)
+    path = film_path(path)
     check_view(crop, binning, rotate)
     reading = Reading(rate_hz=rate_hz, expand_range=expand_range, channel=channel)
     settings = camera_settings(camera)
@@ -152,10 +152,10 @@ def _open_recording(path: Path, reading: Reading) -> FilmReader:
     for signature, advice in _NO_FILMS.items():
         if head.startswith(signature):
             raise MediaError(f"{path} {advice}")
-    refuse_dump(path)
     try:
         return video_read.VideoReader(path, reading)
     except MediaError:
+        refuse_dump(path)
         for open_kind, _, suffixes in _KINDS:
             if path.suffix.lower() in suffixes:
                 return open_kind(path, reading)  # reports the damage
@@ -198,7 +198,7 @@ def create_film(
     height
         Rows in pixels, at least 1.
     rate_hz
-        Nominal frames per second, above 0 and at most 1e6.
+        Nominal frames per second, 1e-6 to 1e6.
     bits
         Bits of a gray level: 8 to 16 with FFV1 and HDF5, 8 to 10 with H.264, 8 with MJPEG.
     codec
@@ -224,7 +224,7 @@ def create_film(
     MediaError
         Unknown suffix or codec, settings in conflict, or no right to write there.
     """
-    target = checked_path(path)
+    target = film_path(path)
     suffix = target.suffix.lower()
     if suffix not in FILM_SUFFIXES:
         suffixes = ", ".join(FILM_SUFFIXES)
@@ -238,20 +238,14 @@ def create_film(
     name = "" if is_hdf5 else video_write.choose_codec(spec, suffix, codec, crf, lossless, mbit_s)
     partial = partial_path(target)
     try:
-        if is_hdf5:  # writes faster than a queue passes frames on
-            return FilmWriter(target, partial, spec, hdf5.Hdf5Sink(partial, target, spec))
-        sink = video_write.VideoSink(partial, target, spec, name, crf=crf, lossless=lossless, mbit_s=mbit_s)
-        return FilmWriter(target, partial, spec, ThreadedSink(sink))
+        with clear_errors(target):
+            if is_hdf5:  # writes faster than a queue passes frames on
+                return FilmWriter(target, partial, spec, hdf5.Hdf5Sink(partial, spec))
+            sink = video_write.VideoSink(partial, target.suffix.lower(), spec, name, crf, lossless, mbit_s)
+            return FilmWriter(target, partial, spec, ThreadedSink(sink))
     except MediaError:
         partial.unlink(missing_ok=True)
         raise
-
-
-def checked_path(path: object) -> Path:
-    """Return the path of a film, or refuse other types."""
-    if not isinstance(path, (str, os.PathLike)):
-        raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(path)}")
-    return film_path(path)
 
 
 def keeps_levels(target: Path, codec: str | None, crf: float | None) -> bool:
@@ -295,17 +289,15 @@ def convert_film(
     """
     if not isinstance(source, FilmReader):
         raise MediaError(f"convert_film takes a film as open_film gives it, not {type(source).__name__}")
-    path = checked_path(target)
+    path = film_path(target)
     if path.exists() and source.path.exists() and path.samefile(source.path):
         raise MediaError(f"{path} is read and would be written: give the output another name")
-    bits, new = source.bits, not path.exists()
-    if path.suffix.lower() in hdf5.SUFFIXES:
+    bits, new, suffix = source.bits, not path.exists(), path.suffix.lower()
+    if suffix in hdf5.SUFFIXES:
         room_for(path, (source.frame_count or 0) * source.width * source.height * (1 if bits == 8 else 2))
-    coded: dict[str, Any] = {"codec": codec, "crf": crf}
-    if crf is None and (codec == "h264" or (codec is None and path.suffix.lower() == ".mp4")):
-        coded["lossless"] = True
-    coded |= {"width": source.width, "height": source.height, "rate_hz": source.rate_hz, "bits": bits}
-    with create_film(path, metadata=source.metadata, **coded) as film:
+    lossless = crf is None and (codec == "h264" or (codec is None and suffix == ".mp4"))
+    size: dict[str, Any] = {"width": source.width, "height": source.height, "rate_hz": source.rate_hz, "bits": bits}
+    with create_film(path, metadata=source.metadata, codec=codec, crf=crf, lossless=lossless, **size) as film:
         try:
             for frame in source:
                 film.write(frame)

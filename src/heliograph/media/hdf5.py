@@ -5,29 +5,21 @@ import importlib
 import json
 import logging
 import math
-import os
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Frame, Pixels
-from heliograph.base.lazy import LazyModule
+from heliograph.media.libraries import h5py
 from heliograph.media.reader import Reading, checked_size, clear_read_errors
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ, FilmSpec
 from heliograph.media.stamps import TimedReader, agrees, check_times
-from heliograph.media.writer import clear_errors
-
-if TYPE_CHECKING:
-    import h5py
-else:
-    h5py = LazyModule("h5py")
 
 SUFFIXES = (".h5", ".hdf5")
 """Suffixes of HDF5 films."""
@@ -70,14 +62,12 @@ class Hdf5Reader(TimedReader):
             self._states_numbers = self._pace is not None and agrees(stated_hz, self._pace)
             if file.swmr_mode:
                 self.frame_count = min(self.frame_count, times.size)
-                logging.getLogger(__name__).warning(
-                    "%s is still open for writing: the frames written so far are read", path
-                )
+                logging.getLogger(__name__).warning("%s is still written: the frames so far are read", path)
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         with _opened(self.path) as file:
             frames, times = file["frames"], file["times_s"]
-            read = _frame_reader(file, frames)
+            read = _frame_reader(frames)
             for number, time_s in enumerate(islice(self._times(times), frames.shape[0])):
                 with _clear_damage(self.path, number):
                     pixels = read(number)
@@ -103,28 +93,17 @@ def is_hdf5(path: Path) -> bool:
     return False
 
 
-def _frame_reader(file: Any, frames: Any) -> Callable[[int], Pixels]:
+def _frame_reader(frames: Any) -> Callable[[int], Pixels]:
     """Return a function from number to frame, which avoids HDF5's copy if each frame is a plain chunk."""
-    with suppress(OSError, AttributeError, ValueError):  # some systems lack this call
-        # the system reads ahead: a thread would cost more than reading
-        os.posix_fadvise(file.id.get_vfd_handle(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
     shape, dtype = frames.shape[1:], frames.dtype.newbyteorder("=")
     plain = frames.chunks == (1, *shape) and frames.dtype.isnative and not frames.id.get_create_plist().get_nfilters()
     plain = plain and h5py.version.version_tuple[:2] >= (3, 9)  # which reads into an array
-    # decompress a chunk of several frames once, up to 67 MB
-    chunk_frames = frames.chunks[0] if frames.chunks else 1
-    at_once = chunk_frames if chunk_frames * math.prod(shape) * dtype.itemsize <= 1 << 26 else 1
-
-    @lru_cache(maxsize=1)
-    def block(number: int) -> Pixels:
-        levels: Pixels = frames[number * at_once : (number + 1) * at_once]
-        return levels
 
     def read(number: int) -> Pixels:
         place, pixels = (number, 0, 0), np.empty(shape, dtype)
         # a missing or damaged chunk has another size
         if not plain or frames.id.get_chunk_info_by_coord(place).size != pixels.nbytes:
-            return block(number // at_once)[number % at_once].astype(dtype)
+            return frames[number].astype(dtype)
         frames.id.read_direct_chunk(place, out=pixels.reshape(-1).view(np.uint8))
         return pixels
 
@@ -149,7 +128,7 @@ def _number(path: Path, attributes: Any, name: str, least: float, most: float) -
     """Return a number from an attribute; 0 if missing."""
     held = _attribute(attributes, name, 0)
     try:
-        value = math.nan if np.iscomplexobj(held) else float(np.asarray(held).item())
+        value = float(np.asarray(held).item())
     except (ValueError, TypeError, OverflowError):
         value = math.nan
     if value and not least <= value <= most:
@@ -200,21 +179,21 @@ def _opened(path: Path) -> Iterator[Any]:
 
 def _open_file(path: Path) -> Any:
     """Open a file, even while another program writes (SWMR), or on a system that lacks locks."""
+    no_locks = (errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)
+    cache = 1 << 26  # bytes of unpacked chunks: a chunk of several frames is unpacked once
     try:
-        return h5py.File(path, "r")
+        return h5py.File(path, "r", rdcc_nbytes=cache)
     except _BROKEN as error:
         text, cause = str(error), error
     with suppress(*_BROKEN):
         if "already open for write" in text:
-            return h5py.File(path, "r", swmr=True)
-        no_locks = (errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)
+            return h5py.File(path, "r", rdcc_nbytes=cache, swmr=True)
         if "unable to lock file" in text and getattr(cause, "errno", None) in no_locks:
-            return h5py.File(path, "r", locking=False)
+            return h5py.File(path, "r", rdcc_nbytes=cache, locking=False)
     causes = {
         "truncated file": "ends in the middle and cannot be read: copy or record it again",
         "already open for write": f"was left open, or is still written: wait, or run 'h5clear -s {path}' on a copy",
-        "unable to lock file": "is locked, as by a program that still writes it: wait for that program, or set "
-        "HDF5_USE_FILE_LOCKING=FALSE",
+        "unable to lock file": "is locked, as by its writer: wait for that program, or set HDF5_USE_FILE_LOCKING=FALSE",
         "signature not found": "is not a readable HDF5 file, as the signature is missing: check the file",
         "": f"is not readable, and HDF5 reports only {_reason(cause)!r}: it may be damaged, or of a newer HDF5",
     }
@@ -250,10 +229,9 @@ def _check_heaps(path: Path, head: bytes) -> None:
 
 def _check_form(path: Path, file: Any) -> None:
     """Refuse a file if datasets are missing, lie in other files, or are no film."""
-    try:
+    datasets: list[Any] = [None, None]
+    with suppress(*_BROKEN):  # links may lead in circles
         datasets = [_find_dataset(file, name) for name in ("frames", "times_s")]
-    except _BROKEN as error:
-        raise MediaError(f"{path} is not a film: its links lead nowhere; expected the datasets {_EXPECTED}") from error
     is_external = any(dataset is False for dataset in datasets)
     if not is_external and not all(isinstance(dataset, h5py.Dataset) for dataset in datasets):
         held = ", ".join(sorted(file)) or "nothing"
@@ -279,16 +257,12 @@ def _find_dataset(group: Any, path: str) -> Any:
     """Return a dataset by its path, None if missing, or False in another file: h5py would open even a pipe."""
     found = group.file if path.startswith("/") else group
     for name in path.split("/"):
-        if name in ("", ".") or not isinstance(found, h5py.Group):
-            continue
-        links = found.id.links
-        kind = links.get_info(name.encode()).type if links.exists(name.encode()) else None
-        if kind is None:
-            return None
-        if kind == h5py.h5l.TYPE_SOFT:
-            found = _find_dataset(found, links.get_val(name.encode()).decode())
-        else:
-            found = found[name] if kind == h5py.h5l.TYPE_HARD else False
+        if name not in ("", ".") and isinstance(found, h5py.Group):
+            link = found.get(name, getlink=True)
+            if isinstance(link, h5py.SoftLink):
+                found = _find_dataset(found, link.path)
+            else:
+                found = False if isinstance(link, h5py.ExternalLink) else found.get(name)
     return found
 
 
@@ -297,32 +271,31 @@ def _check_chunks(path: Path, *datasets: Any) -> None:
     size = path.stat().st_size
     for dataset in datasets:
         chunk = math.prod(dataset.chunks or dataset.shape[1:]) * dataset.dtype.itemsize
-        name, packed = dataset.name.strip("/"), dataset.id.get_create_plist().get_nfilters()
+        packed = dataset.id.get_create_plist().get_nfilters()
+        pieces = f"'{dataset.name.strip('/')}' has pieces of {chunk} bytes"
         if dataset.size and chunk > size and not packed:
-            raise MediaError(f"{path} is damaged, copy it again: '{name}' claims pieces of {chunk} bytes of {size}")
+            raise MediaError(f"{path} is damaged, copy it again: {pieces} in a file of {size}")
         if packed and chunk > 300_000_000:  # the largest frame has 268 MB
-            cure = "more than 0.3 GB, which are unpacked as a whole: repack it with one frame a chunk"
-            raise MediaError(f"{path}: '{name}' has pieces of {chunk / 1e9:.2g} GB, {cure}")
+            raise MediaError(f"{path}: {pieces}, too large to unpack: repack it with one frame a chunk")
 
 
 class PatientFile:
-    """A file for HDF5, which crashes the process at exit after a failed write; the user reads ``error``."""
+    """A file for HDF5, which crashes the process at exit after a failed write; the user reads ``error``.
+
+    After an interrupt HDF5 may use the closed file at exit.
+    """
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("w+b", buffering=0)
         self.error: OSError | None = None
-        self.read, self.close = self._file.read, self._file.close
+        self.read, self.tell, self.close = self._file.read, self._file.tell, self._file.close
 
     def flush(self) -> None:
         """Return: the file has no buffer."""
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Seek; after an interrupt HDF5 may write to the closed file at exit."""
+        """Seek in the open file."""
         return offset if self._file.closed else self._file.seek(offset, whence)
-
-    def tell(self) -> int:
-        """Return the position."""
-        return 0 if self._file.closed else self._file.tell()
 
     def readinto(self, buffer: memoryview) -> int:
         """Read."""
@@ -332,21 +305,23 @@ class PatientFile:
     def write(self, data: memoryview) -> int:
         """Write, or keep the error."""
         left = memoryview(data).cast("B")
-        while self.error is None and len(left) and not self._file.closed:  # a nearly full disk takes a part
-            left = left[self._try(self._file.write, left) :]
+        with self._kept_errors():
+            while self.error is None and len(left) and not self._file.closed:  # a nearly full disk takes a part
+                left = left[self._file.write(left) :]
         return len(data)
 
     def truncate(self, size: int) -> int:
         """Truncate the file, or keep the error."""
-        self._try(self._file.truncate, size)
+        with self._kept_errors():
+            return size if self._file.closed else self._file.truncate(size)
         return size
 
-    def _try(self, call: Callable[..., int], argument: object) -> int:
+    @contextmanager
+    def _kept_errors(self) -> Iterator[None]:
         try:
-            return 0 if self._file.closed else call(argument)
+            yield
         except OSError as error:
             self.error = error
-            return 0
 
 
 class Hdf5Sink:
@@ -354,26 +329,23 @@ class Hdf5Sink:
 
     _step_frames = 256  # the datasets grow in steps
 
-    def __init__(self, partial: Path, target: Path, spec: FilmSpec) -> None:
-        self._target = target
-        self._count = 0
-        with clear_errors(target):
-            self._disk = PatientFile(partial)
-        with self._clear_errors():
+    def __init__(self, partial: Path, spec: FilmSpec) -> None:
+        self._count, self._disk = 0, PatientFile(partial)
+        with self._disk_errors():
             self._file = h5py.File(self._disk, "w")
-            shape, dtype = (spec.height, spec.width), "u1" if spec.bits == 8 else "<u2"
-            limits = {"maxshape": (None, *shape), "chunks": (1, *shape)}
-            self._frames = self._file.create_dataset("frames", (0, *shape), dtype, fillvalue=0, **limits)
-            chunks = (self._step_frames,)
-            self._times = self._file.create_dataset("times_s", (0,), "<f8", maxshape=(None,), chunks=chunks)
+            self._frames = self._add("frames", "u1" if spec.bits == 8 else "<u2", 1, spec.height, spec.width)
+            self._times = self._add("times_s", "<f8", self._step_frames)
             metadata = json.dumps(dict(spec.metadata))
             values = {"format": "heliograph film", "version": 1, "rate_hz": spec.rate_hz, "bits": spec.bits}
-            for name, value in {**values, "metadata": metadata}.items():
-                self._file.attrs[name] = value
+            self._file.attrs.update(values | {"metadata": metadata})
+
+    def _add(self, name: str, dtype: str, chunk_frames: int, *shape: int) -> Any:
+        limits = {"maxshape": (None, *shape), "chunks": (chunk_frames, *shape)}
+        return self._file.create_dataset(name, (0, *shape), dtype, **limits)
 
     def put(self, frame: Frame) -> None:
         """Append a frame; see `Sink`."""
-        with self._clear_errors():
+        with self._disk_errors():
             if self._count == self._times.shape[0]:
                 self._resize(self._count + self._step_frames)
             pixels = np.ascontiguousarray(frame.pixels, dtype=self._frames.dtype)
@@ -383,7 +355,7 @@ class Hdf5Sink:
 
     def close(self) -> None:
         """Cut the datasets to the written frames and close the file."""
-        with self._clear_errors():
+        with self._disk_errors():
             self._resize(self._count)
             self._file.close()
             self._disk.close()
@@ -399,10 +371,9 @@ class Hdf5Sink:
         self._times.resize(count, axis=0)
 
     @contextmanager
-    def _clear_errors(self) -> Iterator[None]:
-        with clear_errors(self._target, RuntimeError):
-            try:
-                yield
-            finally:
-                if self._disk.error is not None:
-                    raise self._disk.error
+    def _disk_errors(self) -> Iterator[None]:
+        try:
+            yield
+        finally:
+            if self._disk.error is not None:
+                raise self._disk.error

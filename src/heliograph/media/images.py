@@ -8,25 +8,16 @@ import warnings
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
-from heliograph.base.lazy import LazyModule
 from heliograph.media import tiff
+from heliograph.media.libraries import Image, av, cv2
 from heliograph.media.reader import Reading, checked_size, clear_read_errors
 from heliograph.media.stamps import TimedReader
-
-if TYPE_CHECKING:
-    import av
-    import cv2
-    from PIL.Image import Image
-else:
-    av = LazyModule("av")
-    cv2 = LazyModule("cv2")
 
 _KINDS = {
     ".png": ".png", ".jpg": ".jpg", ".jpeg": ".jpg", ".jpe": ".jpg", ".tif": ".tif", ".tiff": ".tif", ".bmp": ".bmp",
@@ -72,31 +63,31 @@ class ImagesReader(TimedReader):
     """A film of a picture for each frame; see `FilmReader`. Pictures have no clock, so the rate is needed."""
 
     _decodes = True
-    faster = ("HDF5",)
 
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading)
-        self._folder, self._names = _find_pictures(path)
+        if path.is_dir():
+            self._files = _list_folder(path)
+        else:
+            self._files = [(0, path)] if path.exists() else _list_pattern(path)
         self._number_frames()
         first, self.bits = self._picture(0)
         self.height, self.width = first.shape
-        self.frame_count = len(self._names)
+        self.frame_count = len(self._files)
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
-        for count, (number, _) in enumerate(self._names):
+        for count, (number, _) in enumerate(self._files):
             yield number / self.claimed_hz, *self._picture(count)
 
     def _frame_name(self, count: int) -> str:
-        return str(self._folder / self._names[count][1])
+        return str(self._files[count][1])
 
     def _picture(self, count: int) -> tuple[Pixels, int]:
         """Return the gray levels of a picture, and the bits."""
-        path = self._folder / self._names[count][1]
-        try:
+        path = self._files[count][1]
+        with clear_read_errors(f"{path}, after {count} frames"):
             # OpenCV reads less than 2 GiB
             data = path.read_bytes() if path.is_file() and path.stat().st_size < 1 << 31 else b""
-        except OSError as error:
-            raise MediaError(f"cannot read {path}, after {count} frames: {error.strerror}") from error
         if data.startswith(tiff.SIGNATURES):
             return tiff.read_picture(path, self._channel)
         picture = _decode(data) if data and _is_sound(path, data) else None
@@ -142,28 +133,18 @@ def _decode(data: bytes) -> NDArray[np.generic] | None:
 
 def _is_sound(path: Path, data: bytes) -> bool:
     """Check a PNG or JPEG picture, as OpenCV fills missing parts; True for other kinds."""
-    from PIL import Image, UnidentifiedImageError
-
-    with warnings.catch_warnings(action="ignore"):  # the size is checked here
-        try:
-            with Image.open(io.BytesIO(data)) as image:
-                checked_size(path, *image.size)
-                if image.format in _ANIMATED and (several := getattr(image, "n_frames", 1)) > 1:
-                    raise MediaError(
-                        f"{path} holds {several} pictures, not one: give the file's name, not the folder's"
-                    )
-                if image.format == "JPEG":
-                    return _has_all_blocks(data)
-                if image.format == "PNG":
-                    image.verify()
-        except Image.DecompressionBombError:
-            raise MediaError(f"{path} claims more pixels than any camera has: it is no frame, or damaged") from None
-        except UnidentifiedImageError:
-            return not data.startswith((_PNG, _JPEG))
-        except MediaError:
-            raise
-        except _BROKEN:
-            return False
+    try:
+        with _opened(path, io.BytesIO(data)) as image:
+            if image.format in _ANIMATED and (several := getattr(image, "n_frames", 1)) > 1:
+                raise MediaError(f"{path} holds {several} pictures, not one: give the file's name, not the folder's")
+            if image.format == "JPEG":
+                return _has_all_blocks(data)
+            if image.format == "PNG":
+                image.verify()
+    except MediaError:
+        raise
+    except _BROKEN:
+        return not data.startswith((_PNG, _JPEG))
     return True
 
 
@@ -193,65 +174,53 @@ def _check_single(path: Path, header: re.Match[bytes], data: bytes) -> None:
         raise MediaError(f"{path} holds several pictures, not one: give the file's name, not the folder's")
 
 
-def _find_pictures(path: Path) -> tuple[Path, list[tuple[int, str]]]:
-    """Return a film's folder, and the frame number and name of each picture."""
-    if path.is_dir():
-        return path, _list_folder(path)
-    return path.parent, [(0, path.name)] if path.exists() else _list_pattern(path)
-
-
-def _list_folder(folder: Path) -> list[tuple[int, str]]:
+def _list_folder(folder: Path) -> list[tuple[int, Path]]:
+    """Return the frame number and path of each picture in a folder."""
     with clear_read_errors(f"the folder {folder}"):
-        names = [entry.name for entry in folder.iterdir() if _is_named_picture(entry)]
-    if not names:
-        kinds = ", ".join(PICTURE_SUFFIXES)
-        raise MediaError(f"{folder} is a folder without pictures ({kinds}): give a film in it, or a folder of pictures")
-    kinds_held = sorted({_KINDS[Path(name).suffix.lower()] for name in names})
-    if len(kinds_held) > 1:
-        kinds, name = ", ".join(kinds_held), folder / "img%04d.png"
+        files = [file for file in folder.iterdir() if file.suffix.lower() in _KINDS and not file.is_dir()]
+    files = sorted((file for file in files if not file.name.startswith(".")), key=_natural_order)
+    kinds = ", ".join(sorted({_KINDS[file.suffix.lower()] for file in files}))
+    if not files:
+        known = ", ".join(_KINDS)
+        raise MediaError(f"{folder} is a folder without pictures ({known}): give a film in it, or a folder of pictures")
+    if "," in kinds:
+        name = folder / "img%04d.png"
         raise MediaError(f"{folder} has pictures of several kinds ({kinds}): give some of them as a pattern: {name}")
-    return list(enumerate(sorted(names, key=_natural_order)))
+    return list(enumerate(files))
 
 
-def _is_named_picture(entry: Path) -> bool:
-    return entry.suffix.lower() in PICTURE_SUFFIXES and not entry.name.startswith(".") and not entry.is_dir()
-
-
-def _list_pattern(path: Path) -> list[tuple[int, str]]:
+def _list_pattern(path: Path) -> list[tuple[int, Path]]:
+    """Return the frame number and path of each picture of a pattern, counted from the first."""
     parts = _PATTERN.fullmatch(path.name)
     assert parts is not None
     digits = min(int(parts["digits"] or 1), 255)  # a name has no more characters
     name = re.compile(rf"{re.escape(parts['before'])}([0-9]+){re.escape(parts['after'])}")
     with clear_read_errors(f"the folder {path.parent}"):
-        named = [(match[1], entry.name) for entry in path.parent.iterdir() if (match := name.fullmatch(entry.name))]
+        named = [(match[1], entry) for entry in path.parent.iterdir() if (match := name.fullmatch(entry.name))]
     # img1 and img01 have the same number; the pattern selects a name
-    found = sorted((int(number), held) for number, held in named if number == f"{int(number):0{digits}}")
+    found = sorted((int(number), file) for number, file in named if number == f"{int(number):0{digits}}")
     if not found:
         raise MediaError(f"there is no picture {path}: check the name, and how many digits the number has")
-    return [(number - found[0][0], held) for number, held in found]
+    return [(number - found[0][0], file) for number, file in found]
 
 
-def _natural_order(name: str) -> tuple[list[tuple[int, int, str]], str]:
+def _natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
     """Return a sort key, by which img10 follows img9, for any characters."""
-    parts = re.split(r"([0-9]+)", name)  # numbers stand at odd places; \d has digits of other scripts, too
+    parts = re.split(r"([0-9]+)", path.name)  # numbers stand at odd places; \d has digits of other scripts, too
     texts = [(1, 0, text) if place % 2 == 0 else (0, int(text), "") for place, text in enumerate(parts) if text]
-    return texts, name
+    return texts, path.name
 
 
 class AnimationReader(TimedReader):
     """An animated picture; see `FilmReader`. Times are sums of the display times."""
 
     _decodes = True
-    faster = ("HDF5",)
 
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading)
-        self.claimed_hz = 1 / statistics.median(delay_s for _, delay_s in islice(self._decoded(), 100))
-        with _opened(path) as image:
-            self.width, self.height = image.size
-            self.frame_count = getattr(image, "n_frames", 1)
         first, _ = next(self._decoded())
-        self.bits = 8 * first.itemsize
+        (self.height, self.width), self.bits = first.shape, 8 * first.itemsize
+        self.claimed_hz = 1 / statistics.median(delay_s for _, delay_s in islice(self._decoded(), 100))
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         time_s = 0.0
@@ -263,8 +232,9 @@ class AnimationReader(TimedReader):
         """Yield the gray levels of each picture and the display time in s."""
         count = 0
         try:
-            with _opened(self.path) as image:
-                for count in range(getattr(image, "n_frames", 1)):
+            with _opened(self.path, self.path, _ANIMATED) as image:
+                self.frame_count = getattr(image, "n_frames", 1)
+                for count in range(self.frame_count):
                     image.seek(count)
                     image.load()
                     # browsers use 0.1 s if the time is missing
@@ -281,26 +251,23 @@ def is_animation(path: Path, head: bytes) -> bool:
     if not (head.startswith((b"GIF8", _PNG)) or (head.startswith(b"RIFF") and path.suffix.lower() == ".webp")):
         return False
     try:
-        with _opened(path) as image:
+        with _opened(path, path, _ANIMATED) as image:
             return image.format == "GIF" or getattr(image, "n_frames", 1) > 1
-    except (MediaError, *_BROKEN):
+    except _BROKEN:
         return False
 
 
-def _opened(path: Path) -> "Image":
-    from PIL import Image
-
-    try:
-        image = Image.open(path, formats=_ANIMATED)
-    except Image.DecompressionBombError:
-        raise MediaError(f"{path} claims more pixels than any camera has: it is no film, or damaged") from None
-    except _BROKEN as error:
-        raise MediaError(f"{path} cannot be read as an animated picture ({brief(error)}): copy it again") from None
+def _opened(path: Path, source: Path | io.BytesIO, formats: tuple[str, ...] | None = None) -> "Image.Image":
+    with warnings.catch_warnings(action="ignore"):  # of the size, which is checked here
+        try:
+            image = Image.open(source, formats=formats)
+        except Image.DecompressionBombError:
+            raise MediaError(f"{path} claims more pixels than any camera has: it is no film, or damaged") from None
     checked_size(path, *image.size)
     return image
 
 
-def _levels(image: "Image", channel: str) -> Pixels:
+def _levels(image: "Image.Image", channel: str) -> Pixels:
     if image.mode == "L" or image.mode.startswith("I;16"):
         levels = np.array(image)
         return to_gray(levels.astype(levels.dtype.newbyteorder("=")), channel)

@@ -4,7 +4,6 @@ import math
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,7 +15,7 @@ from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
 from heliograph.media.images import to_gray
 from heliograph.media.reader import Reading, clear_read_errors, read_blocks, truncated
-from heliograph.media.stamps import LIMITS, BlockReader, measure_pace
+from heliograph.media.stamps import SAMPLE_FRAMES, BlockReader, measure_pace
 
 SIGNATURE = b"CI\x2c\0"
 """First bytes of a recording: the mark, and the length 44 of the file header."""
@@ -42,7 +41,7 @@ class PhantomReader(BlockReader):
                 raise MediaError(f"{path} ends in the middle of its headers: copy it again") from None
         self._set_rate(record_hz)
         with suppress(MediaError):  # reading reports a cut file after the last good frame
-            self._pace = measure_pace([*islice(self._times(), LIMITS.sample_frames)])
+            self._pace = measure_pace([*islice(self._times(), SAMPLE_FRAMES)])
 
     def _read_header(self, file: BinaryIO) -> float:
         """Read the headers and return the frame rate set in the camera."""
@@ -112,17 +111,12 @@ def linear(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
     Cameras pack 10 bits on the curve of Rec. ITU-R BT.709, black at 64 and white at 1014. In 12 bits black is at 64 and
     white at 4064; codes above white are full scale. The vendor's table agrees within 3 of 4095 levels.
     """
-    return _curve()[codes]
-
-
-@cache
-def _curve() -> NDArray[np.uint16]:
     coded = (np.arange(1 << 10) - 64) / (1014 - 64)
     # V = 4.5 L below L = 0.018, else 1.099 L^0.45 - 0.099 (Rec. ITU-R BT.709, item 1.2)
     light = np.where(coded < 0.081, coded / 4.5, ((np.maximum(coded, 0) + 0.099) / 1.099) ** (1 / 0.45))
     levels = np.rint(64 + (4064 - 64) * light).astype(np.uint16)
     levels[1014 + 1 :] = (1 << 12) - 1
-    return levels
+    return levels[codes]
 
 
 def read_levels(data: bytearray, word: int) -> Any:
@@ -152,6 +146,6 @@ def _find_stamps(file: BinaryIO, place: int, table: int, frames: int) -> int | N
         if kind == 1002 and length >= 8 + 8 * frames:
             return place + 8
         if not more or length < 8:
-            return None
+            break
         place += length
     return None

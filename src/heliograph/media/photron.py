@@ -1,12 +1,12 @@
 """Read recordings of Photron cameras: raw frames in a .mraw file and the header in a .cih or .cihx file."""
 
 import codecs
-import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from heliograph.media.phantom import packed_size, read_levels
 from heliograph.media.reader import Reading, clear_read_errors
 from heliograph.media.stamps import BlockReader
 
+_CODECS = ("ascii", "utf-16-le", "utf-16-be")
 _BLANK = " \t\r\n\0"
 SUFFIXES = (".mraw", ".cihx", ".cih")
 """Suffixes of the frames, and of headers in XML and in lines of text."""
@@ -53,9 +54,9 @@ class PhotronReader(BlockReader):
         super().__init__(frames, reading)
         texts = _read_header(header)
         self._check_kind(header, texts)
-        self.width, self.height = _whole(header, texts, "width"), _whole(header, texts, "height")
-        self._set_blocks(_whole(header, texts, "frames"), packed_size(self.width * self.height, self._word))
-        saved_hz = _rate(header, texts["rate"]) / max(1, _whole(header, texts, "step", 1))
+        self.width, self.height = _number(header, texts, "width"), _number(header, texts, "height")
+        self._set_blocks(_number(header, texts, "frames"), packed_size(self.width * self.height, self._word))
+        saved_hz = _number(header, texts, "rate", 0, float) / max(1, _number(header, texts, "step", 1))
         self._number_frames(saved_hz, header)
         notes = ("camera", "date", "time", "shutter", "comment", "rate", "step")
         self.metadata = {name: texts[name] for name in notes if texts[name]}
@@ -66,11 +67,11 @@ class PhotronReader(BlockReader):
         kind, colour = texts["kind"] or "mraw", texts["colour"].lower() or "mono"
         if kind.lower() != "mraw":
             raise MediaError(f"{header} states that its frames are {brief(kind)} files: give the folder and --fps")
-        self._word = _whole(header, texts, "word")
+        self._word = _number(header, texts, "word")
         if self._word not in (8, 12, 16) or colour not in ("mono", "raw", "bayer"):
             held = f"{brief(colour)} of {self._word} bits"
             raise MediaError(f"{header} says {held}, and gray of 8, 12 or 16 bits is read: save it as raw or as TIFF")
-        self.bits = min(_whole(header, texts, "depth", self._word), self._word)
+        self.bits = min(_number(header, texts, "depth", self._word), self._word)
         if self.bits < 8 + (self._word > 8):
             raise MediaError(f"{header} says that {self._word} bits hold levels of {self.bits}: save it in 8 bits")
         # some programs keep a level at the upper end of the word
@@ -78,14 +79,12 @@ class PhotronReader(BlockReader):
 
     def _check_length(self, header: Path) -> None:
         """Refuse a file longer than in the header, or with levels of other bits; a cut file is read."""
-        size, frames = self.path.stat().st_size, self._claimed
-        stated, actual = f"{frames} frames of {self._frame_bytes}", ""
-        for word in {8, 12, 16} - {self._word}:
-            if size == frames * packed_size(self.width * self.height, word):
-                stated, actual = f"{self._word} bits", f", which are {frames} frames of {word} bits"
-        if actual or size > frames * self._frame_bytes:
-            held = f"{size} bytes{actual}, and {header.name} says {stated}"
-            raise MediaError(f"{self.path} has {held}: give the matching header")
+        size, frames, pixels = self.path.stat().st_size, self._claimed, self.width * self.height
+        words = [word for word in {8, 12, 16} - {self._word} if size == frames * packed_size(pixels, word)]
+        if words or size > frames * self._frame_bytes:
+            held = f"{size} bytes" + (f", which are {frames} frames of {words[0]} bits" if words else "")
+            stated = f"{frames} frames of {self._frame_bytes} bytes, {self._word} bits"
+            raise MediaError(f"{self.path} has {held}, and {header.name} says {stated}: give the matching header")
 
     def _levels(self, data: bytearray) -> Pixels:
         levels = read_levels(data, self._word)[: self.width * self.height]
@@ -95,24 +94,22 @@ class PhotronReader(BlockReader):
 def _find_pair(path: Path) -> tuple[Path, Path]:
     """Return the file of frames and the header; `path` is either."""
     with clear_read_errors(f"the folder {path.parent}"):
-        # in sorted order small letters come last, and win
-        files = {file.suffix.lower(): file for file in sorted(path.parent.iterdir()) if file.stem == path.stem}
-    held = [file for suffix in SUFFIXES if (file := files.get(suffix)) is not None and file.is_file()]
-    if path.suffix.lower() == ".mraw":
-        header = next((file for file in held if file.suffix.lower() != ".mraw"), None)
-        if header is None:
-            raise MediaError(f"{path} has no header next to it: copy {path.stem}.cihx or .cih to the same folder")
-        return path, header
-    if not held or held[0].suffix.lower() != ".mraw":
+        pair = [file for file in sorted(path.parent.iterdir()) if file.stem == path.stem and file.is_file()]
+    files = {file.suffix.lower(): file for file in pair}  # in sorted order small letters come last, and win
+    files[path.suffix.lower()] = path
+    header = path if path.suffix.lower() != ".mraw" else files.get(".cihx", files.get(".cih"))
+    if header is None:
+        raise MediaError(f"{path} has no header next to it: copy {path.stem}.cihx or .cih to the same folder")
+    if ".mraw" not in files:
         raise MediaError(f"{path} has no frames next to it: copy {path.stem}.mraw to the same folder")
-    return held[0], path
+    return files[".mraw"], header
 
 
 def _read_header(path: Path) -> dict[str, str]:
     """Return the values of a header as text, empty if missing."""
     with clear_read_errors(path):
         data = read_bounded(path, 1 << 24)
-    is_xml = any("<cih>".encode(name) in data for name in ("ascii", "utf-16-le", "utf-16-be"))
+    is_xml = any("<cih>".encode(codec) in data for codec in _CODECS)
     texts = _parse_xml(path, data) if is_xml else _parse_lines(_decode(data))
     if not any(texts.values()):
         raise MediaError(f"{path} is no header of a Photron recording: copy the .cih or .cihx file again")
@@ -137,14 +134,14 @@ def _decode(data: bytes) -> str:
 def _parse_xml(path: Path, data: bytes) -> dict[str, str]:
     # the element <cih> has no declarations, so no entity can expand
     wrong: Exception | None = None
-    for name in ("ascii", "utf-16-le", "utf-16-be"):
-        place, end = data.find("<cih>".encode(name)), data.rfind("</cih>".encode(name)) + len("</cih>".encode(name))
-        text = _decode(data[place:end]) if name == "ascii" else data[place:end].decode(name, "replace")
+    for codec in _CODECS:  # in either byte order of UTF-16 the tag of the other seems to begin a byte later
+        start, end = data.find("<cih>".encode(codec)), data.rfind("</cih>".encode(codec)) + len("</cih>".encode(codec))
+        text = _decode(data[start:end]) if codec == "ascii" else data[start:end].decode(codec, "replace")
         try:
-            root = ElementTree.fromstring(text if place >= 0 else "")
+            root = ElementTree.fromstring(text if start >= 0 else "")
             return {name: (root.findtext(place) or "").strip(_BLANK) for name, (_, place) in _PLACES.items()}
         except (ElementTree.ParseError, ValueError) as error:
-            wrong = error if place >= 0 else wrong
+            wrong = error if start >= 0 else wrong
     raise MediaError(f"{path} cannot be read, the XML is wrong ({brief(wrong)}): copy the header again") from None
 
 
@@ -155,19 +152,12 @@ def _parse_lines(text: str) -> dict[str, str]:
     return {name: values.get(line, "") for name, (line, _) in _PLACES.items()}
 
 
-def _whole(path: Path, texts: Mapping[str, str], name: str, missing: int | None = None) -> int:
-    """Return an integer of the header."""
+def _number(path: Path, texts: Mapping[str, str], name: str, missing: int | None = None, kind: Any = int) -> Any:
+    """Return a number of the header."""
     text, line = texts[name] or ("" if missing is None else str(missing)), _PLACES[name][0]
     if not text:
         raise MediaError(f"{path} does not state its {line}: copy the header saved with the frames, or add the line")
     with suppress(ValueError):
-        if 0 <= int(text) < 1 << 31:
-            return int(text)
+        if 0 <= kind(text) < 1 << 31:
+            return kind(text)
     raise MediaError(f"{path} says {text!r:.40} for its {line}: copy the header again, or correct it")
-
-
-def _rate(path: Path, text: str) -> float:
-    with suppress(ValueError):
-        if 0 <= float(text or 0) < math.inf:
-            return float(text or 0)
-    raise MediaError(f"{path} says {text!r:.40} for its record rate: give the rate by --fps, or copy it again")

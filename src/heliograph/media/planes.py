@@ -2,17 +2,12 @@
 
 import functools
 import re
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from heliograph.base.frames import Pixels
-from heliograph.base.lazy import LazyModule
-
-if TYPE_CHECKING:
-    import av
-else:
-    av = LazyModule("av")
+from heliograph.media.libraries import av
 
 NO_TURN = (False, False, False)
 """Parameters of `upright` that change nothing."""

@@ -13,7 +13,7 @@ from typing import ClassVar, Self
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Frame
-from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ
+from heliograph.media.record import FASTEST_HZ, LARGEST, SLOWEST_HZ
 
 Frames = Generator[Frame, None, None]
 
@@ -58,7 +58,6 @@ class FilmReader(ABC):
     claimed_hz: float
     frame_count: int | None
     metadata: dict[str, str]
-    faster: tuple[str, ...] = ()
 
     def __init__(self, path: Path, rate_hz: float | None = None) -> None:
         self.path, self._true_hz = path, rate_hz
@@ -136,8 +135,8 @@ def read_ahead(frames: Frames, queued: int = 8) -> Frames:
 
 
 def checked_size(path: Path, width: int, height: int) -> None:
-    """Refuse an impossible size; the limit of 2^27 pixels is twice the largest camera of the settings."""
-    if not 0 < width * height <= 1 << 27:
+    """Refuse an impossible size."""
+    if not 0 < width * height <= LARGEST:
         raise MediaError(f"{path} has frames of {width}x{height} pixels: it is no film, or damaged; copy it again")
 
 

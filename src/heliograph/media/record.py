@@ -3,9 +3,14 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from fractions import Fraction
 from numbers import Integral, Real
+from typing import Annotated
+
+import pydantic
+import pydantic.dataclasses
+from pydantic import Field
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import LATEST_S
@@ -16,6 +21,9 @@ FASTEST_HZ = 1e6
 SLOWEST_HZ = 1e-6
 """Smallest frame rate, a frame in twelve days; it separates rates from damaged numbers."""
 
+LARGEST = 1 << 27
+"""Largest number of pixels of a frame, twice the largest camera of the settings."""
+
 _FINEST_TICKS = 1_000_000
 """Least ticks a second in containers with a free time base. Finer ticks shorten the longest gap in MP4."""
 
@@ -24,48 +32,44 @@ _FINEST_TICKS = 1_000_000
 class FilmSpec:
     """Form of a film."""
 
-    # Columns in pixels, at least 1
+    # Columns and rows in pixels
     width: int
-    # Rows in pixels, at least 1
     height: int
-    # Nominal frames per second, above 0 and at most 1e6
+    # Nominal frames per second
     rate_hz: float
-    # Bits of a gray level, 8 to 16
+    # Bits of a gray level
     bits: int = 8
     # Text by name
     metadata: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        kinds = {"width": (Integral, "a whole number"), "height": (Integral, "a whole number"),
-                 "bits": (Integral, "a whole number"), "rate_hz": (Real, "a number"),
-                 "metadata": (Mapping, "texts by name")}  # fmt: skip
-        for name, (kind, label) in kinds.items():
-            if not isinstance(getattr(self, name), kind):
-                raise MediaError(f"{name} of a film is {label}, got {shown(getattr(self, name))}")
-        if self.width < 1 or self.height < 1:
-            raise MediaError(f"a film is at least 1x1 pixels, got {self.width}x{self.height}")
-        if not 0 < self.rate_hz <= FASTEST_HZ:
-            raise MediaError(f"rate_hz must lie above 0 and at most 1e6 frames a second, got {shown(self.rate_hz)}")
-        if not 8 <= self.bits <= 16:
-            raise MediaError(f"a gray level has 8 to 16 bits, got bits={self.bits}")
-        for name, text in self.metadata.items():
-            if not (isinstance(name, str) and isinstance(text, str)):
-                raise MediaError(f"metadata maps text to text, got {shown(name)}: {shown(text)}; use str()")
-        # plain values for JSON, out of reach of the caller
-        for name, plain in (("width", int), ("height", int), ("bits", int), ("rate_hz", float), ("metadata", dict)):
-            object.__setattr__(self, name, plain(getattr(self, name)))
+        ranges: dict[str, tuple[type, type, float, float]] = {
+            "width": (Integral, int, 1, LARGEST), "height": (Integral, int, 1, LARGEST),
+            "rate_hz": (Real, float, SLOWEST_HZ, FASTEST_HZ), "bits": (Integral, int, 8, 16),
+        }  # fmt: skip
+        for name, (kind, plain, least, most) in ranges.items():
+            value, is_number = getattr(self, name), isinstance(getattr(self, name), kind)
+            if not (is_number and least <= value <= most):
+                noun = "a whole number" if plain is int else "a number"
+                raise MediaError(f"{name} of a film is {noun}, got {shown(value)}: give {least:g} to {most:g}")
+            object.__setattr__(self, name, plain(value))  # for JSON
+        if not isinstance(self.metadata, Mapping):
+            raise MediaError(f"metadata of a film is texts by name, got {shown(self.metadata)}")
+        if wrong := [text for item in self.metadata.items() for text in item if not isinstance(text, str)]:
+            raise MediaError(f"metadata of a film maps text to text, got {shown(wrong[0])}; use str()")
+        object.__setattr__(self, "metadata", dict(self.metadata))  # out of reach of the caller
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@pydantic.dataclasses.dataclass(frozen=True, slots=True, kw_only=True, config={"allow_inf_nan": False})
 class FilmRecord:
     """Record in a tag of the container, as JSON, in films of this package."""
 
     # Nominal frames per second
-    rate_hz: float
-    # Bits of a gray level, 8 to 16
-    bits: int
+    rate_hz: Annotated[float, Field(ge=SLOWEST_HZ, le=FASTEST_HZ)]
+    # Bits of a gray level
+    bits: Annotated[int, Field(ge=8, le=16)]
     # Time of the first frame in s: containers start films at 0
-    start_s: float
+    start_s: Annotated[float, Field(ge=-LATEST_S, le=LATEST_S)]
     # Text kept with the film
     metadata: dict[str, str]
     # CRC-32 of the codec's private data, which shows later re-encoding
@@ -73,21 +77,15 @@ class FilmRecord:
 
     def dumps(self) -> str:
         """Return the record as a line of ASCII."""
-        return json.dumps({"version": 1, **{name: getattr(self, name) for name in self.__slots__}})
+        return json.dumps({"version": 1, **asdict(self)})
 
     @classmethod
     def loads(cls, text: str) -> "FilmRecord | None":
         """Return the record in a text, or None."""
         try:
-            fields = json.loads(text)
-            metadata = {str(name): str(text) for name, text in fields["metadata"].items()}
-            rate_hz, start_s = float(fields["rate_hz"]), float(fields["start_s"])
-            bits, crc = int(fields["bits"]), int(fields["codec_crc"])
-            record = cls(rate_hz=rate_hz, bits=bits, start_s=start_s, metadata=metadata, codec_crc=crc)
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+            return pydantic.TypeAdapter(cls).validate_json(text)
+        except ValueError:  # such as a ValidationError
             return None
-        is_valid = SLOWEST_HZ <= record.rate_hz <= FASTEST_HZ and 8 <= record.bits <= 16
-        return record if is_valid and abs(record.start_s) <= LATEST_S else None
 
 
 def to_tags(record: FilmRecord, suffix: str) -> dict[str, str]:

@@ -15,32 +15,17 @@ from heliograph.base.frames import LATEST_S, Frame, Pixels
 from heliograph.media.reader import FilmReader, Frames, Reading, checked_size, read_blocks
 from heliograph.media.record import FASTEST_HZ
 
+SAMPLE_FRAMES = 64
+"""Stamps in the sample at the start of a film."""
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StampLimits:
-    """Limits for the judgement of time stamps."""
+_EVEN_RATIO = 0.9
+"""Smallest ratio of even gaps in even stamps."""
 
-    # Stamps in the sample at the start of a film
-    sample_frames: int = 64
-    # Largest distance of an even gap from a multiple of the frame period, in periods
-    gap_tolerance: float = 0.25
-    # Smallest ratio of even gaps in even stamps
-    even_ratio: float = 0.9
-    # Largest relative difference between a stated rate and the rate of the stamps
-    rate_tolerance: float = 0.01
-    # Largest ratio of missing frames on the grid of a stated rate
-    missing_ratio: float = 0.25
-    # Distance of a stamp from the grid of frames, in ticks: half a tick, and rounding errors
-    rounding_ticks: float = 0.51
-    # Smallest rate if none is stated; milliseconds and frame numbers give less
-    min_rate_hz: float = 2.0
-    # Largest resolution of the time values, in frame periods
-    resolution_periods: float = 0.25
-    # Ratio between the stated rate and the rate of the stamps from which the unit of time is wrong
-    unit_ratio: float = 10.0
+_ROUNDING_TICKS = 0.51
+"""Distance of a stamp from the grid of frames: half a tick, and rounding errors."""
 
-
-LIMITS = StampLimits()
+_UNIT_RATIO = 10.0
+"""Ratio between the stated rate and the rate of the stamps from which the unit of time is wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +34,7 @@ class Pace:
 
     # Frames per second
     rate_hz: float
-    # True if gaps are multiples of the frame period, so that a longer gap shows missing frames
+    # True if gaps are multiples of the frame period within a quarter: then a longer gap shows missing frames
     is_even: bool
 
     def steps(self, gap_s: float) -> int:
@@ -77,10 +62,8 @@ class TimedReader(FilmReader):
         """Set the stated rate, or else the given rate."""
         rate_hz = stated_hz or self._true_hz
         if not rate_hz:
-            cure = "by --fps (rate_hz; on page Watch Frames/s)"
-            raise MediaError(
-                f"{source or self.path} has no clock: say how many frames a second the camera took, {cure}"
-            )
+            cure = "say how many frames a second the camera took, by --fps (rate_hz; on page Watch Frames/s)"
+            raise MediaError(f"{source or self.path} has no clock: {cure}")
         self.claimed_hz = rate_hz
 
     def _number_frames(self, stated_hz: float | None = None, source: Path | None = None) -> None:
@@ -100,8 +83,8 @@ class TimedReader(FilmReader):
                     index = max(0, round(stamp_s * self.claimed_hz)) if self._states_numbers else 0
                 time_s = index / self._true_hz
             if not abs(time_s) <= LATEST_S:
-                reason = f"a frame at {time_s:g} s after {count} whole frames"
-                raise MediaError(f"{self.path} has {reason}: times are in seconds")
+                place = f"at {time_s:g} s after {count} whole frames"
+                raise MediaError(f"{self.path} has a frame {place}: times are in seconds")
             if self._true_hz is None:
                 if time_s < last_s:
                     cure = "times must rise; correct them, or number the frames by --fps (rate_hz)"
@@ -159,7 +142,7 @@ class BlockReader(TimedReader):
         """Return the gray levels of a frame's bytes."""
 
 
-def measure_pace(stamps_s: Sequence[float] | Floats, limits: StampLimits = LIMITS) -> Pace | None:
+def measure_pace(stamps_s: Sequence[float] | Floats) -> Pace | None:
     """Return the frame rate by the stamps of successive frames; None if they show none."""
     known = np.asarray(stamps_s, np.float64)
     known = known[np.isfinite(known)]
@@ -167,15 +150,15 @@ def measure_pace(stamps_s: Sequence[float] | Floats, limits: StampLimits = LIMIT
     longer = gaps[gaps > 0]
     if not longer.size or np.median(gaps) < 0:
         return None
-    if len(longer) < limits.even_ratio * len(gaps):  # frames share stamps of a coarse tick
+    if len(longer) < _EVEN_RATIO * len(gaps):  # frames share stamps of a coarse tick
         span_s = float(known[-1] - known[0])
         return Pace((len(known) - 1) / span_s, is_even=False) if span_s > 0 else None
     period_s = frame_period(longer.tolist())
-    usual = gaps[(gaps > 0) & (gaps < limits.unit_ratio * period_s)]
+    usual = gaps[(gaps > 0) & (gaps < _UNIT_RATIO * period_s)]
     steps = np.maximum(np.round(usual / period_s), 1)
     even_hz, mean_hz = float(steps.sum() / usual.sum()), float(len(usual) / usual.sum())
     off = np.abs(longer * even_hz - np.maximum(np.round(longer * even_hz), 1))
-    is_even = bool((off <= limits.gap_tolerance).sum() >= limits.even_ratio * len(gaps))
+    is_even = bool((off <= 0.25).sum() >= _EVEN_RATIO * len(gaps))
     return Pace(even_hz if is_even else mean_hz, is_even)
 
 
@@ -193,23 +176,21 @@ class StampClock:
     If a stated rate explains the stamps of the sample, the clock moves such stamps back to the grid of frames.
     """
 
-    def __init__(
-        self, sample_s: Sequence[float], tick_s: float, stated_hz: Iterable[float], limits: StampLimits = LIMITS
-    ):
+    def __init__(self, sample_s: Sequence[float], tick_s: float, stated_hz: Iterable[float]):
         stated = [rate for rate in stated_hz if 0 < rate <= FASTEST_HZ]
-        self.pace = measure_pace(sample_s, limits)
-        self._rounding_s = limits.rounding_ticks * tick_s
+        self.pace = measure_pace(sample_s)
+        self._rounding_s = _ROUNDING_TICKS * tick_s
         self._start_s, self._origin_s, self._number = 0.0, 0.0, -1
         self._stamp_s = self._last_s = -math.inf
         self._grid_hz: float | None = None
         self.rate_hz = self.pace.rate_hz if self.pace else (*stated, 25.0)[0]  # FFmpeg's assumption
         if self.pace is None:
             return
-        tolerance = limits.rate_tolerance + 2 * tick_s / max(sample_s[-1] - sample_s[0], tick_s)
+        tolerance = 0.01 + 2 * tick_s / max(sample_s[-1] - sample_s[0], tick_s)
         for rate in stated:
             near = abs(rate / self.pace.rate_hz - 1) <= tolerance
-            origin_s, missing = _fit_grid(sample_s, rate, tick_s, limits)
-            if origin_s is not None and (near or missing <= limits.missing_ratio * len(sample_s)):
+            origin_s, missing = _fit_grid(sample_s, rate, tick_s)
+            if origin_s is not None and (near or missing <= 0.25 * len(sample_s)):
                 self._grid_hz, self._start_s, self._origin_s = rate, sample_s[0], origin_s
                 self.pace = Pace(rate, is_even=True)
             if near or self._grid_hz:
@@ -239,33 +220,31 @@ def _frame_number(last: int, stamp_s: float, origin_s: float, rate_hz: float, ro
     return number if number <= (stamp_s - origin_s + rounding_s) * rate_hz else None
 
 
-def _fit_grid(
-    sample_s: Sequence[float], rate_hz: float, tick_s: float, limits: StampLimits
-) -> tuple[float | None, int]:
+def _fit_grid(sample_s: Sequence[float], rate_hz: float, tick_s: float) -> tuple[float | None, int]:
     """Return the start in s of a grid of frames at the stamps, or None, and the number of missing frames."""
     fits: dict[float, tuple[int, int]] = {}
     for origin_s in sample_s[0] + tick_s * np.linspace(-0.5, 0.5, 11):
         last, count = -1, 0
         for stamp_s in sample_s:
-            number = _frame_number(last, stamp_s, origin_s, rate_hz, limits.rounding_ticks * tick_s)
+            number = _frame_number(last, stamp_s, origin_s, rate_hz, _ROUNDING_TICKS * tick_s)
             last, count = (last, count) if number is None else (number, count + 1)
         fits[float(origin_s)] = count, count - last - 1
     count, missing = best = max(fits.values())  # most frames explained, then the fewest missing
     origins = [origin_s for origin_s, fit in fits.items() if fit == best]
-    return (float(np.median(origins)) if count >= limits.even_ratio * len(sample_s) else None), -missing
+    return (float(np.median(origins)) if count >= _EVEN_RATIO * len(sample_s) else None), -missing
 
 
-def check_times(path: Path, times: Any, stated_hz: float, numbered: bool, limits: StampLimits = LIMITS) -> Pace | None:
+def check_times(path: Path, times: Any, stated_hz: float, numbered: bool) -> Pace | None:
     """Return the frame rate by the times in a file, or refuse other units than seconds."""
     with np.errstate(over="ignore", invalid="ignore"):  # numbers too large for a double become infinite
         known = np.asarray(times, np.float64)
     known = known[np.isfinite(known)]
     if len(known) < 2:
         return None
-    pace = measure_pace(known, limits)
+    pace = measure_pace(known)
     rate_hz = stated_hz or (pace.rate_hz if pace else 0.0)
     step_s = float(np.spacing(np.asarray(np.median(np.abs(known)), times.dtype))) if times.dtype.kind == "f" else 0.0
-    if step_s * (rate_hz or 1 / limits.resolution_periods) > limits.resolution_periods:
+    if step_s * (rate_hz or 4.0) > 0.25:  # frame periods
         if numbered:
             return None
         cure = "write them as float64, or number the frames by --fps"
@@ -274,19 +253,19 @@ def check_times(path: Path, times: Any, stated_hz: float, numbered: bool, limits
         raise MediaError(f"{path}: times_s do not rise; write the time of each frame there, in seconds")
     if numbered or pace is None:
         return pace
-    too_slow = not stated_hz and pace.rate_hz < limits.min_rate_hz
+    too_slow = not stated_hz and pace.rate_hz < 2.0  # milliseconds and frame numbers give less
     too_late = float(np.median(np.abs(known))) > LATEST_S
     ratio = stated_hz / pace.rate_hz if stated_hz else 1.0
-    if too_slow or too_late or pace.rate_hz > FASTEST_HZ or not (ratio == 1.0 or agrees(stated_hz, pace, limits)):
+    if too_slow or too_late or pace.rate_hz > FASTEST_HZ or not (ratio == 1.0 or agrees(stated_hz, pace)):
         stated = f" and rate_hz says {shown(stated_hz)}" if stated_hz else ""
         show = f"{shown(pace.rate_hz)} frames/s{stated}{_guess_unit(pace.rate_hz, ratio)}"
         raise MediaError(f"{path}: times_s show {show}; write times_s in seconds, or say the rate by --fps")
     return pace
 
 
-def agrees(stated_hz: float, pace: Pace, limits: StampLimits = LIMITS) -> bool:
+def agrees(stated_hz: float, pace: Pace) -> bool:
     """True if a stated rate and the rate of the stamps have the same unit of time."""
-    return 1 / limits.unit_ratio < stated_hz / pace.rate_hz < limits.unit_ratio
+    return 1 / _UNIT_RATIO < stated_hz / pace.rate_hz < _UNIT_RATIO
 
 
 def _guess_unit(rate_hz: float, ratio: float) -> str:

@@ -1,33 +1,24 @@
 """TIFF stacks by tifffile, read frame by frame."""
 
-import json
 import logging
-import lzma
 import math
 import re
 import struct
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
-from heliograph.base.lazy import LazyModule
 from heliograph.media import images, planes
+from heliograph.media.libraries import tifffile
 from heliograph.media.reader import Reading, checked_size
 from heliograph.media.stamps import TimedReader
-
-if TYPE_CHECKING:
-    import tifffile
-    from tifffile import TiffPage
-else:
-    tifffile = LazyModule("tifffile")
 
 SUFFIXES = (".tif", ".tiff")
 """Suffixes of stacks."""
@@ -66,13 +57,14 @@ class Description:
     bits: int | None = None
 
 
-def read_description(page: "TiffPage") -> Description:
+def read_description(page: "tifffile.TiffPage") -> Description:
     """Return the axes and bits stated by a page's description, of ImageJ, OME-XML or tifffile."""
     text = page.description
     if text.startswith("ImageJ="):
         lengths = re.findall(r"^(images|channels|slices|frames)=(\d{1,9})\s*$", text, re.MULTILINE)
         axes = {name: int(length) for name, length in lengths}
-        return Description(_long(axes, but="images"), max(1, axes.get("images", 1)))
+        images = axes.pop("images", 1)
+        return Description(_long(axes), max(1, images))
     if (pixels := re.search(r"<(?:\w+:)?Pixels\b[^>]*>", text)) is not None:
         lengths = re.findall(r"\b(SizeZ|SizeT|SizeC|SignificantBits)\s*=\s*[\"'](\d{1,9})[\"']", pixels[0])
         axes = {name: int(length) for name, length in lengths}
@@ -80,12 +72,8 @@ def read_description(page: "TiffPage") -> Description:
         axes["SizeC"] = axes.get("SizeC", 1) // max(1, page.samplesperpixel)
         return Description(_long(axes), math.prod(axes.values()), in_one_page=False, bits=bits)
     try:
-        if text.startswith("{"):
-            stated = json.loads(text)
-            shape, letters = [int(length) for length in stated["shape"]], str(stated.get("axes", ""))
-        else:
-            found = re.match(r"shape=\(([\d, ]+)\)", text)
-            shape, letters = [int(length) for length in (found[1] if found else "").split(",") if length.strip()], ""
+        stated = tifffile.tifffile.shaped_description_metadata(text)
+        shape, letters = [int(length) for length in stated["shape"]], str(stated.get("axes", ""))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return Description()
     outer, inner = shape[: -len(page.shape)], shape[-len(page.shape) :]
@@ -95,11 +83,11 @@ def read_description(page: "TiffPage") -> Description:
     return Description(_long(dict(zip(names, outer, strict=False))), math.prod(outer))
 
 
-def _long(lengths: Mapping[str, int], but: str = "") -> dict[str, int]:
-    return {name: length for name, length in lengths.items() if length > 1 and name != but}
+def _long(lengths: Mapping[str, int]) -> dict[str, int]:
+    return {name: length for name, length in lengths.items() if length > 1}
 
 
-def _check_kind(path: Path, page: "TiffPage") -> None:
+def _check_kind(path: Path, page: "tifffile.TiffPage") -> None:
     """Refuse a page with other samples than gray or red, green and blue."""
     wanted = _SAMPLES.get(_meaning(page))
     if wanted is None or page.samplesperpixel < wanted:
@@ -112,7 +100,7 @@ def _check_kind(path: Path, page: "TiffPage") -> None:
         raise MediaError(f"{path} has several channels ({page.samplesperpixel} samples a pixel): {_SPLIT}")
 
 
-def _is_raw(page: "TiffPage") -> bool:
+def _is_raw(page: "tifffile.TiffPage") -> bool:
     """True if the numbers lie in the file as words, row after row."""
     places, sizes, bits = page.dataoffsets, page.databytecounts, page.bitspersample
     in_one_piece = all(place + size == end for place, size, end in zip(places, sizes, places[1:], strict=False))
@@ -121,12 +109,12 @@ def _is_raw(page: "TiffPage") -> bool:
     return page.compression == page.fillorder == 1 and not page.is_tiled and in_one_piece and in_words
 
 
-def _frame_bytes(page: "TiffPage") -> int:
+def _frame_bytes(page: "tifffile.TiffPage") -> int:
     """Return the bytes of a frame in a page of words."""
     return int(page.nbytes) // page.imagedepth
 
 
-def _end(page: "TiffPage", plane: int) -> int:
+def _end(page: "tifffile.TiffPage", plane: int) -> int:
     """Return the place behind the last byte of a frame."""
     if not page.dataoffsets or not all(page.dataoffsets) or not all(page.databytecounts):
         raise ValueError("a strip or tile is missing")
@@ -135,21 +123,21 @@ def _end(page: "TiffPage", plane: int) -> int:
     return int(max(place + size for place, size in zip(page.dataoffsets, page.databytecounts, strict=True)))
 
 
-def _bits(page: "TiffPage", levels: Pixels, stated: int | None) -> int:
+def _bits(page: "tifffile.TiffPage", levels: Pixels, stated: int | None) -> int:
     """Return the bits of a gray level, 8 to 16."""
     least, most = BITS[levels.dtype]
     bits = page.bitspersample if page.bitspersample < most else stated or most
     return bits if least <= bits <= most and _meaning(page) != _PALETTE else most
 
 
-def _meaning(page: "TiffPage") -> int:
+def _meaning(page: "tifffile.TiffPage") -> int:
     """Return the meaning of the samples: gray, or red, green and blue, if the page states none."""
     if "PhotometricInterpretation" in page.tags:
         return int(page.photometric)
     return _RGB if page.samplesperpixel > 1 else _BLACK_IS_ZERO
 
 
-def _colours(page: "TiffPage", stored: NDArray[Any]) -> NDArray[Any]:
+def _colours(page: "tifffile.TiffPage", stored: NDArray[Any]) -> NDArray[Any]:
     """Return gray levels (rows, columns), or blue, green and red (rows, columns, 3)."""
     meaning, full_scale = _meaning(page), (1 << page.bitspersample) - 1
     samples = np.moveaxis(stored, 0, -1)[..., 0, :] if stored.shape[0] > 1 else stored[0]
@@ -162,7 +150,7 @@ def _colours(page: "TiffPage", stored: NDArray[Any]) -> NDArray[Any]:
     return picture * np.uint8(255 // full_scale) if full_scale < 255 and meaning != _PALETTE else picture
 
 
-def _stored(page: "TiffPage", plane: int) -> NDArray[Any]:
+def _stored(page: "tifffile.TiffPage", plane: int) -> NDArray[Any]:
     """Return the numbers of a frame as stored, (planar samples, rows, columns, samples)."""
     if _is_raw(page):
         shape = (page.shaped[0], *page.shaped[2:])
@@ -171,9 +159,8 @@ def _stored(page: "TiffPage", plane: int) -> NDArray[Any]:
         stored = page.parent.filehandle.read_array(dtype, math.prod(shape), place).reshape(shape)
     else:
         stored = page.asarray(squeeze=False, maxworkers=1)[:, 0]
-    return (
-        stored.view(np.uint8) if stored.dtype == np.bool_ else stored.astype(stored.dtype.newbyteorder("="), copy=False)
-    )
+    dtype = np.dtype(np.uint8) if stored.dtype == np.bool_ else stored.dtype.newbyteorder("=")
+    return stored.astype(dtype, copy=False)
 
 
 def is_stack(path: Path) -> bool:
@@ -189,7 +176,6 @@ class TiffReader(TimedReader):
     """A TIFF stack; see `FilmReader`. Stacks have no clock, so the rate is needed."""
 
     _decodes = True
-    faster = ("HDF5",)
 
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading)
@@ -223,15 +209,11 @@ class _Stack:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._errors = (
-            ValueError, ArithmeticError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError,
-            MemoryError, ImportError, struct.error, zlib.error, lzma.LZMAError, tifffile.TiffFileError,
-        )  # fmt: skip
         try:
             self._tif = tifffile.TiffFile(path, is_ome=False)  # series of OME may lie in other files
         except OSError as error:
             raise MediaError(f"cannot read {path}: {error.strerror or brief(error)}") from None
-        except self._errors as error:
+        except Exception as error:  # tifffile and codecs raise many types
             raise MediaError(f"{path} cannot be read as TIFF ({brief(error)}): copy it again") from None
         self._file = self._tif.filehandle
         self._description: Description | None = None
@@ -243,7 +225,7 @@ class _Stack:
     def __exit__(self, *_: object) -> None:
         self._tif.close()
 
-    def frames(self) -> Iterator[tuple["TiffPage", int]]:
+    def frames(self) -> Iterator[tuple["tifffile.TiffPage", int]]:
         """Yield each frame as a page and the number in the page's data; skip reduced copies of other pages."""
         pages = self._pages()
         page = next(pages, None)
@@ -284,12 +266,10 @@ class _Stack:
         if first is not None:
             return self.levels(*first, 0, channel)
         self.check_end(0)
-        if not len(self._tif.pages):
-            raise MediaError(f"{self._path} holds no pages: save it again")
-        text = "pictures in sub-directories, as in cameras' raw files, are not read: save TIFF"
-        raise MediaError(f"{self._path} holds only small copies; {text}")
+        held = "only small copies, as cameras' raw files do" if len(self._tif.pages) else "no pages"
+        raise MediaError(f"{self._path} holds {held}: save it as TIFF with a page for each picture")
 
-    def levels(self, page: "TiffPage", plane: int, count: int, channel: str) -> tuple[Pixels, int]:
+    def levels(self, page: "tifffile.TiffPage", plane: int, count: int, channel: str) -> tuple[Pixels, int]:
         """Return the gray levels of a frame behind `count` others, upright, and the bits."""
         try:
             checked_size(self._path, page.imagewidth, page.imagelength)
@@ -302,7 +282,7 @@ class _Stack:
             return pixels, _bits(page, pixels, self._stated().bits)
         except MediaError:
             raise
-        except (OSError, *self._errors) as error:
+        except Exception as error:  # tifffile and codecs raise many types
             text = f"a page after {count} whole frames that cannot be decoded ({brief(error)})"
             raise MediaError(f"{self._path} has {text}: copy it again, or save gray or RGB of 8 or 16 bits") from None
 
@@ -335,7 +315,7 @@ class _Stack:
     def _number(self, form: str, size: int) -> int:
         return int(struct.unpack(form, self._file.read(size))[0])
 
-    def _pages(self) -> Iterator["TiffPage"]:
+    def _pages(self) -> Iterator["tifffile.TiffPage"]:
         """Yield the pages except for reduced copies of others."""
         for number, place in enumerate(self._directories()):
             self._file.seek(place)
@@ -344,13 +324,13 @@ class _Stack:
                 is_reduced = int(page.subfiletype) & 1  # TIFF 6.0, section 8
                 if self._description is None and not is_reduced:
                     self._description = read_description(page)
-            except (OSError, *self._errors):
+            except Exception:  # tifffile raises many types
                 self._ending = "is damaged"
                 return
             if not is_reduced:
                 yield page
 
-    def _frames_of(self, page: "TiffPage", following: "TiffPage | None") -> int:
+    def _frames_of(self, page: "tifffile.TiffPage", following: "tifffile.TiffPage | None") -> int:
         """Return the number of frames in a page's data."""
         complete = not self._ending
         try:
@@ -369,5 +349,5 @@ class _Stack:
                 return frames if self._file.size >= start + 2 * size or page.imagedepth > 1 else 1
             others = range(start + size, start + frames * size)
             return 1 if following.offset in others or following.dataoffsets[0] in others else frames
-        except (OSError, *self._errors):
+        except Exception:  # tifffile raises many types
             return 1

@@ -5,26 +5,19 @@ import logging
 import struct
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
-from heliograph.base.lazy import LazyModule
 from heliograph.media import planes, whole
+from heliograph.media.libraries import av
 from heliograph.media.reader import Reading, checked_size
 from heliograph.media.record import from_tags, restored_time
-from heliograph.media.stamps import LIMITS, StampClock, TimedReader
-
-if TYPE_CHECKING:
-    import av
-    from av.container import InputContainer
-else:
-    av = LazyModule("av")
+from heliograph.media.stamps import SAMPLE_FRAMES, StampClock, TimedReader
 
 
 class VideoReader(TimedReader):
@@ -34,13 +27,12 @@ class VideoReader(TimedReader):
 
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading)
-        self._make_clock: Callable[[], StampClock] | None = None
+        self._clock_values: tuple[list[float], float, list[float]] | None = None
         with _opened(path) as container:
             stream = _film_stream(path, container)
             context = stream.codec_context
             self._track, self._record = stream.index, from_tags(container.metadata)
             checked_size(path, context.width, context.height)
-            self.faster = ("HDF5",) if context.name == "h264" else ("HDF5", "lossless H.264")
             self.metadata = self._record.metadata if self._record else {**container.metadata, **stream.metadata}
             # FFmpeg's AVFMT_NOTIMESTAMPS: coded pictures only, such as .h264, with artificial stamps
             self._unstamped = bool(int(container.format.flags) & 0x80)
@@ -52,8 +44,8 @@ class VideoReader(TimedReader):
                 self._number_frames(self._record.rate_hz)
             elif not self._unstamped:
                 stated = [float(rate) for rate in rates if rate]
-                self._make_clock = partial(StampClock, sample_s, float(stream.time_base or 0), stated)
-                clock = self._make_clock()
+                self._clock_values = sample_s, float(stream.time_base or 0), stated
+                clock = StampClock(*self._clock_values)
                 self.claimed_hz, self._pace = clock.rate_hz, clock.pace
             else:
                 self._set_rate(float(context.framerate or 0))
@@ -70,7 +62,7 @@ class VideoReader(TimedReader):
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         with _opened(self.path) as container:
-            clock = self._make_clock() if self._make_clock else None
+            clock = StampClock(*self._clock_values) if self._clock_values else None
             for count, (picture, stamp_s, next_s) in enumerate(self._in_order(container)):
                 if clock is not None:
                     time_s = clock.time(stamp_s, next_s)
@@ -86,14 +78,14 @@ class VideoReader(TimedReader):
         try:
             pixels, bits = planes.to_gray(picture, self._expanded, self._channel)
         except (av.error.FFmpegError, ValueError) as error:
-            text = f"pictures of the form {picture.format.name}, which give no gray levels"
-            raise MediaError(f"{self.path} has {text}, after {count} whole frames: convert it") from error
+            form = f"pictures of the form {picture.format.name} after {count} whole frames"
+            raise MediaError(f"{self.path} has {form}, which give no gray levels: convert it") from error
         return planes.upright(pixels, *self._turn), bits
 
-    def _stream(self, container: "InputContainer") -> "av.VideoStream":
+    def _stream(self, container: "av.container.InputContainer") -> "av.VideoStream":
         return next(stream for stream in container.streams.video if stream.index == self._track)
 
-    def _decoded(self, container: "InputContainer") -> Iterator["av.VideoFrame"]:
+    def _decoded(self, container: "av.container.InputContainer") -> Iterator["av.VideoFrame"]:
         """Yield decoded pictures, then raise a MediaError if the rest of the file is damaged."""
         stream = self._stream(container)
         context = stream.codec_context
@@ -122,7 +114,9 @@ class VideoReader(TimedReader):
         if damaged:
             raise MediaError(f"{self.path} is damaged after {count} whole frames: copy or record it again")
 
-    def _in_order(self, container: "InputContainer") -> Iterator[tuple["av.VideoFrame", float, float | None]]:
+    def _in_order(
+        self, container: "av.container.InputContainer"
+    ) -> Iterator[tuple["av.VideoFrame", float, float | None]]:
         """Yield pictures in display order, each with the earliest remaining stamp in s and the next stamp.
 
         Some writers stamp pictures in coding order: the set of stamps is right, and the order is not.
@@ -165,7 +159,7 @@ def _orientation(picture: "av.VideoFrame") -> tuple[bool, bool, bool]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator["InputContainer"]:
+def _opened(path: Path) -> Iterator["av.container.InputContainer"]:
     try:
         # "file:" because a colon in a name would denote a protocol
         container = av.open(f"file:{path}", "r", metadata_errors="replace")
@@ -173,19 +167,17 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
         raise MediaError(f"not allowed to read {path}: check its rights") from error
     except (av.error.FFmpegError, OSError) as error:
         if whole.ends_early(path):
-            reason = "ends in the middle and cannot be read without the end: copy or record it again"
-        else:
-            kinds = "a video (.mkv, .mp4 ...), .h5, .mraw, .cine, TIFF, .npy or a folder of pictures"
-            reason = f"is not a video that can be read: give {kinds}"
-        raise MediaError(f"{path} {reason}") from error
+            raise MediaError(f"{path} ends in the middle, and is not readable: copy or record it again") from error
+        kinds = "a video (.mkv, .mp4 ...), .h5, .mraw, .cine, TIFF, .npy or a folder of pictures"
+        raise MediaError(f"{path} is not a video that can be read: give {kinds}") from error
     with container:
         yield container
 
 
-def _film_stream(path: Path, container: "InputContainer") -> "av.VideoStream":
+def _film_stream(path: Path, container: "av.container.InputContainer") -> "av.VideoStream":
     """Return the track with the most pixels in all frames; ignore single pictures."""
-    # FFmpeg reads text files as films of letters on a terminal
-    is_text = container.format.name in ("tty", "lrc", "srt", "ass", "webvtt")
+    # FFmpeg reads text files and some binary files as films of letters on a terminal
+    is_text = container.format.name in ("tty", "bin", "adf", "idf", "xbin", "lrc", "srt", "ass", "webvtt")
     streams = () if is_text else container.streams.video
     if not streams:
         raise MediaError(f"{path} holds no pictures: give a video or an .h5 film")
@@ -199,32 +191,27 @@ def _film_stream(path: Path, container: "InputContainer") -> "av.VideoStream":
     if len(films) == 1:
         return films[0]
     counts = _count_frames(container, films)
-
-    def size(stream: "av.VideoStream") -> tuple[bool, int]:
-        count = counts[stream.index]
-        return count > 1, stream.codec_context.width * stream.codec_context.height * count
-
-    film = max(films, key=size)
-    form = f"{film.codec_context.width}x{film.codec_context.height} pixels"
-    logging.getLogger(__name__).warning(
-        "%s has %d video tracks: the largest is read, track %d of %s", path, len(films), film.index, form
-    )
+    pixels = {stream.index: stream.codec_context.width * stream.codec_context.height for stream in films}
+    film = max(films, key=lambda stream: (counts[stream.index] > 1, pixels[stream.index] * counts[stream.index]))
+    form = f"track {film.index} of {film.codec_context.width}x{film.codec_context.height} pixels"
+    logging.getLogger(__name__).warning("%s has %d video tracks: the largest is read, %s", path, len(films), form)
     return film
 
 
-def _count_frames(container: "InputContainer", films: "list[av.VideoStream]") -> dict[int, int]:
-    """Return the frames of each track, stated by the container or counted in 500 packets."""
-    if all(stream.frames for stream in films):
-        return {stream.index: stream.frames for stream in films}
+def _count_frames(container: "av.container.InputContainer", films: "list[av.VideoStream]") -> dict[int, int]:
+    """Return the frames of each track in 500 packets."""
     counts = {stream.index: 0 for stream in films}
     with suppress(av.error.FFmpegError):  # reading reports damage after the good frames
         for packet in islice(container.demux(films), 500):
-            counts[packet.stream_index] += bool(packet.size)
+            if packet.size:  # empty packets at the end may have the index of another track
+                counts[packet.stream_index] += 1
         container.seek(0)
     return counts
 
 
-def _sample(container: "InputContainer", stream: "av.VideoStream") -> tuple["av.VideoFrame | None", list[float]]:
+def _sample(
+    container: "av.container.InputContainer", stream: "av.VideoStream"
+) -> tuple["av.VideoFrame | None", list[float]]:
     """Return the first picture of a track and the stamps in s of the first packets before any damage."""
     first: av.VideoFrame | None = None
     stamps: list[float] = []
@@ -235,12 +222,12 @@ def _sample(container: "InputContainer", stream: "av.VideoStream") -> tuple["av.
                 stamps.append(float(stamp * packet.time_base))
             if first is None:
                 first = next(iter(packet.decode()), None)
-            if len(stamps) >= LIMITS.sample_frames:
+            if len(stamps) >= SAMPLE_FRAMES:
                 break
     return first, sorted(stamps)
 
 
-def _frame_count(container: "InputContainer", stream: "av.VideoStream", rate_hz: float) -> int | None:
+def _frame_count(container: "av.container.InputContainer", stream: "av.VideoStream", rate_hz: float) -> int | None:
     """Return the smaller of the container's count and the duration times the rate: edit lists hide stored frames."""
     counts = [stream.frames] if stream.frames else []
     if stream.duration and stream.time_base:

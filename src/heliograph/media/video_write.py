@@ -4,23 +4,17 @@ With a bit rate H.264 and H.265 are written as by phones: 4:2:0, limited range, 
 """
 
 import zlib
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from fractions import Fraction
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import cast
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Frame
-from heliograph.base.lazy import LazyModule
 from heliograph.media import planes
+from heliograph.media.libraries import av
 from heliograph.media.record import FilmRecord, FilmSpec, fine_time_base, rational_rate, to_tags
-from heliograph.media.writer import clear_errors
-
-if TYPE_CHECKING:
-    import av
-else:
-    av = LazyModule("av")
 
 CODECS = {
     ".mkv": ("ffv1", "h264", "h265", "mjpeg"),
@@ -39,19 +33,16 @@ def choose_codec(
     name = name or ("h264" if mbit_s is not None and "h264" in known else known[0])
     if name not in known:
         raise MediaError(f"codec {name!r} does not go into {suffix}: choose one of {', '.join(known)}")
-    given = "crf" if crf is not None else "mbit_s" if mbit_s is not None else ""
-    if name in ("ffv1", "mjpeg") and given:
-        raise MediaError(f"{given} is a setting of h264 and h265, the codec of this film is {name}: leave it out")
-    if mbit_s is not None and (crf is not None or lossless):
+    qualities = (("crf", crf, 0, 51, "0 (best) and 51 (smallest)"), ("mbit_s", mbit_s, 0.1, 1000, "0.1 and 1000"))
+    for label, value, least, most, limits in qualities:
+        if value is not None and name in ("ffv1", "mjpeg"):
+            raise MediaError(f"{label} is a setting of h264 and h265, the codec of this film is {name}: leave it out")
+        if value is not None and not (isinstance(value, Real) and least <= value <= most):
+            raise MediaError(f"{label} lies between {limits}, got {shown(value)}")
+    if (crf is not None) + (mbit_s is not None) + lossless > 1:
         raise MediaError("give one of mbit_s, crf and lossless: each decides the size of the film")
-    if mbit_s is not None and not (isinstance(mbit_s, Real) and 0.1 <= mbit_s <= 1000):
-        raise MediaError(f"mbit_s lies between 0.1 and 1000, got {shown(mbit_s)}")
     if name in ("mjpeg", "h265") and lossless:
         raise MediaError(f"{name} cannot be lossless: choose codec='ffv1' or 'h264' in a .mkv or .nut file")
-    if crf is not None and lossless:
-        raise MediaError("give either crf or lossless, not both: lossless has no quality to choose")
-    if crf is not None and not (isinstance(crf, Real) and 0 <= crf <= 51):
-        raise MediaError(f"crf lies between 0 (best) and 51 (smallest), got {shown(crf)}")
     if name == "h265" and (spec.width % 2 or spec.height % 2):
         raise MediaError(f"h265 takes an even width and height, not {spec.width}x{spec.height}: use h264 or ffv1")
     most_bits = {"ffv1": 16, "h264": 10, "h265": 8, "mjpeg": 8}[name]
@@ -65,36 +56,35 @@ def choose_codec(
 class VideoSink:
     """Sink for a video file; the header holds the time of the first frame, so both are written together."""
 
-    def __init__(self, partial: Path, target: Path, spec: FilmSpec, codec: str, **quality: Any) -> None:
-        mbit_s: float | None = quality.get("mbit_s")
-        self._target, self._spec, self._suffix = target, spec, target.suffix.lower()
+    def __init__(
+        self, partial: Path, suffix: str, spec: FilmSpec, codec: str, crf: float | None, lossless: bool,
+        mbit_s: float | None,
+    ) -> None:  # fmt: skip
+        self._spec, self._suffix = spec, suffix
         self._time_base = _time_base(self._suffix, spec.rate_hz)
-        self._pixel_format, options = _coding(spec, codec, **quality)
+        self._pixel_format, options = _coding(spec, codec, crf, lossless, mbit_s)
         self._range = planes.FULL if mbit_s is None else planes.LIMITED
         self._start_s: float | None = None
         self._last_tick = -1
-        with self._clear_errors():
-            flags = {"movflags": "use_metadata_tags"} if self._suffix == ".mp4" else {}  # MP4 would drop the record
-            # "file:" because a colon in a name would denote a protocol
-            self._container = av.open(f"file:{partial}", "w", options=flags)
-            self._stream = self._add_stream(codec, options, mbit_s)
+        flags = {"movflags": "use_metadata_tags"} if self._suffix == ".mp4" else {}  # MP4 would drop the record
+        # "file:" because a colon in a name would denote a protocol
+        self._container = av.open(f"file:{partial}", "w", options=flags)
+        self._stream = self._add_stream(codec, options, mbit_s)
 
     def put(self, frame: Frame) -> None:
         """Encode a frame; see `Sink`."""
-        with self._clear_errors():
-            if self._start_s is None:
-                self._start_s = frame.time_s
-                self._write_record(frame.time_s)
-            picture = planes.to_video(frame.pixels, self._pixel_format, self._range)
-            picture.pts = self._tick(frame.time_s - self._start_s)
-            picture.time_base = self._time_base
-            self._mux(self._stream.encode(picture))
+        if self._start_s is None:
+            self._start_s = frame.time_s
+            self._write_record(frame.time_s)
+        picture = planes.to_video(frame.pixels, self._pixel_format, self._range)
+        picture.pts = self._tick(frame.time_s - self._start_s)
+        picture.time_base = self._time_base
+        self._mux(self._stream.encode(picture))
 
     def close(self) -> None:
         """Encode the remaining frames and write the index."""
-        with self._clear_errors():
-            self._mux(self._stream.encode())
-            self._container.close()
+        self._mux(self._stream.encode())
+        self._container.close()
 
     def discard(self) -> None:
         """Close the file in any state; never raises."""
@@ -125,8 +115,8 @@ class VideoSink:
 
     def _write_record(self, start_s: float) -> None:
         crc, spec = zlib.crc32(self._stream.codec_context.extradata or b""), self._spec
-        form: dict[str, Any] = {"rate_hz": spec.rate_hz, "bits": spec.bits, "metadata": dict(spec.metadata)}
-        record = FilmRecord(start_s=start_s, codec_crc=crc, **form)
+        notes = dict(spec.metadata)
+        record = FilmRecord(rate_hz=spec.rate_hz, bits=spec.bits, start_s=start_s, metadata=notes, codec_crc=crc)
         self._container.metadata.update(to_tags(record, self._suffix))
 
     def _tick(self, elapsed_s: float) -> int:
@@ -139,9 +129,6 @@ class VideoSink:
         self._last_tick = tick
         return tick
 
-    def _clear_errors(self) -> AbstractContextManager[None]:
-        return clear_errors(self._target, av.error.FFmpegError)
-
 
 def _time_base(suffix: str, rate_hz: float) -> Fraction:
     if suffix == ".avi":
@@ -150,7 +137,7 @@ def _time_base(suffix: str, rate_hz: float) -> Fraction:
 
 
 def _coding(
-    spec: FilmSpec, codec: str, crf: float | None = None, lossless: bool = False, mbit_s: float | None = None
+    spec: FilmSpec, codec: str, crf: float | None, lossless: bool, mbit_s: float | None
 ) -> tuple[str, dict[str, str]]:
     """Return pixel format and options of the encoder, the fastest of those measured."""
     quality = f"{12.0 if crf is None else crf:g}"

@@ -46,7 +46,7 @@ class ViewReader(FilmReader):
         self._part = (slice(y, y + height * binning), slice(x, x + width * binning))
         self.width, self.height = (height, width) if self._quarters % 2 else (width, height)
         self.bits, self.claimed_hz = film.bits, film.rate_hz
-        self.frame_count, self.metadata, self.faster = film.frame_count, film.metadata, film.faster
+        self.frame_count, self.metadata = film.frame_count, film.metadata
 
     def _frames(self) -> Frames:
         for frame in self.film:

@@ -2,6 +2,7 @@
 
 import os
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,9 +23,9 @@ def ends_early(path: Path, picture_bytes: int = 0) -> bool | None:
         if head.startswith(b"nut/multimedia container"):
             return False if _has_nut_index(file, size) else None
         if head[4:8] == b"ftyp":
-            return _boxes_cut(file, size)
+            return _chunks_cut(file, size, _box_bytes)
         if head.startswith(b"RIFF"):
-            return _riff_cut(file, size)
+            return _chunks_cut(file, size, _riff_bytes)
         if head.startswith(b"YUV4MPEG2 ") and picture_bytes:
             file.seek(0)
             start = len(file.readline(4096))
@@ -80,15 +81,13 @@ def _has_nut_index(file: BinaryIO, size: int) -> bool:
     return file.read(8) == bytes.fromhex("4E58DD672F23E64E")
 
 
-def _boxes_cut(file: BinaryIO, size: int) -> bool:
+def _chunks_cut(file: BinaryIO, size: int, count_bytes: Callable[[bytes], int | None]) -> bool:
+    """True if the last of successive chunks is cut; `count_bytes` returns the length by the head, None for the end."""
     place = 0
-    while place < size:
+    while place + 8 <= size:
         file.seek(place)
-        head = file.read(16)
-        length = int.from_bytes(head[:4], "big")
-        if length == 1:  # a 64-bit length follows
-            length = int.from_bytes(head[8:], "big")
-        if length == 0:  # up to the end of the file
+        length = count_bytes(file.read(16))
+        if length is None:
             return False
         if length < 8:
             return True
@@ -96,13 +95,13 @@ def _boxes_cut(file: BinaryIO, size: int) -> bool:
     return place > size
 
 
-def _riff_cut(file: BinaryIO, size: int) -> bool:
-    place = 0
-    while place + 8 <= size:
-        file.seek(place)
-        head = file.read(8)
-        if not head.startswith(b"RIFF"):
-            return False
-        length = int.from_bytes(head[4:], "little")
-        place += 8 + length + (length & 1)
-    return place > size
+def _box_bytes(head: bytes) -> int | None:
+    """Return the bytes of a box of MP4; the last box may state 0."""
+    length = int.from_bytes(head[:4], "big")
+    return int.from_bytes(head[8:], "big") if length == 1 else length or None
+
+
+def _riff_bytes(head: bytes) -> int | None:
+    """Return the bytes of a part of an AVI file; other data may follow."""
+    length = int.from_bytes(head[4:8], "little")
+    return 8 + length + (length & 1) if head.startswith(b"RIFF") else None

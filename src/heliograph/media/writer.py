@@ -13,6 +13,7 @@ import numpy as np
 from heliograph.base import files
 from heliograph.base.errors import MediaError, brief, shown
 from heliograph.base.frames import Frame
+from heliograph.media.libraries import av
 from heliograph.media.record import FilmSpec
 
 
@@ -20,10 +21,10 @@ class Sink(Protocol):
     """A file of some kind for frames."""
 
     def put(self, frame: Frame) -> None:
-        """Store a frame; raise a MediaError if the file cannot be written."""
+        """Store a frame."""
 
     def close(self) -> None:
-        """Finish the file; raise a MediaError if it cannot be written."""
+        """Finish the file."""
 
     def discard(self) -> None:
         """Close the file in any state; never raise."""
@@ -81,7 +82,8 @@ class FilmWriter:
             raise MediaError(f"{self.path} is already finished or aborted: no frame can be added")
         self._check(frame)
         try:
-            self._sink.put(frame)
+            with clear_errors(self.path):
+                self._sink.put(frame)
         except Exception:  # Ctrl-C mostly arrives here; then the caller may finish
             self.abort()
             raise
@@ -96,8 +98,8 @@ class FilmWriter:
             self.abort()
             raise MediaError(f"no frames were written to {self.path}: a film needs at least one")
         try:
-            self._sink.close()
-            with files.clear_write_errors(self.path):
+            with clear_errors(self.path):
+                self._sink.close()
                 with self._partial.open("rb+") as file:
                     os.fsync(file.fileno())  # a power cut could otherwise leave the new name on an empty file
                 os.replace(self._partial, self.path)
@@ -125,9 +127,8 @@ class FilmWriter:
     def _check(self, frame: Frame) -> None:
         """Refuse a frame of wrong size, type, levels or time."""
         if not isinstance(frame, Frame):
-            raise MediaError(
-                f"a film takes heliograph.Frame, not {shown(frame)}; write Frame(index, time_s, pixels, bits)"
-            )
+            cure = "write Frame(index, time_s, pixels, bits)"
+            raise MediaError(f"a film takes heliograph.Frame, not {shown(frame)}; {cure}")
         pixels, spec = frame.pixels, self.spec
         if pixels.shape != (spec.height, spec.width):
             size = f"{pixels.shape[1]}x{pixels.shape[0]}"
@@ -151,12 +152,12 @@ def partial_path(target: Path) -> Path:
 
 
 @contextmanager
-def clear_errors(target: Path, *kinds: type[Exception]) -> Iterator[None]:
-    """Turn errors of the system, and of codecs and libraries of these kinds, into a MediaError."""
+def clear_errors(target: Path) -> Iterator[None]:
+    """Turn errors of the system, HDF5 and codecs into a MediaError."""
     with files.clear_write_errors(target):
         try:
             yield
         except OSError:
             raise
-        except kinds as error:
+        except (RuntimeError, av.error.FFmpegError) as error:
             raise MediaError(f"cannot write {target}: {brief(error)}") from error

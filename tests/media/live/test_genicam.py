@@ -42,6 +42,7 @@ def test_listed_cameras_are_found_by_their_addresses(producer: str) -> None:
             assert "Viky" in film.form.model
 
 
+@pytest.mark.slow
 def test_frames_are_numbered_without_a_gap(producer: str) -> None:
     frames = []
     with opened(producer, **MONO) as film:
@@ -59,6 +60,7 @@ def test_frames_are_numbered_without_a_gap(producer: str) -> None:
     assert counts.host_clock
 
 
+@pytest.mark.slow
 def test_colours_become_gray(producer: str) -> None:
     levels = {}
     for channel in ("luma", "red", "green"):

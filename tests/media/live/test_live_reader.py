@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import played_camera
 import pytest
-from film_checks import counts_of
+from film_checks import counts_of, refused
 from played_camera import PlayedCamera, find
 
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
@@ -82,18 +82,14 @@ def test_lost_and_incomplete_frames_leave_gaps_and_are_counted(film: Path) -> No
     assert (counts.lost, counts.incomplete, counts.skipped) == (2, 1, 0)
 
 
-def test_stamps_show_lost_frames_without_numbers(film: Path) -> None:
+def test_stamps_replace_missing_numbers_and_the_host_clock_missing_stamps(film: Path) -> None:
     frames, _, reader = told(film, Lost=40, Numbers=0)
     assert [frame.index for frame in frames] == [k for k in range(FRAMES) if k != 40]
     counts = counts_of(reader)
     assert (counts.lost, counts.skipped, counts.host_clock) == (0, 1, False)
-
-
-def test_the_host_clock_replaces_missing_stamps(film: Path) -> None:
     frames, _, reader = told(film, Stamps=0, Speed=400)
     assert [frame.index for frame in frames] == list(range(FRAMES))
-    counts = counts_of(reader)
-    assert counts.host_clock
+    assert counts_of(reader).host_clock
 
 
 @pytest.mark.parametrize("back", [0, 1])
@@ -124,27 +120,28 @@ def test_a_lost_camera_ends_the_film_after_the_frames(film: Path) -> None:
 
 def test_frames_dropped_by_a_slow_receiver_are_counted(film: Path) -> None:
     got = []
-    with live(film, Speed=400, Times=4, queue_s=0.2) as reader:
+    with live(film, Speed=400, Times=2, queue_s=0.05) as reader:
         for frame in reader:
             got.append(frame.index)
             time.sleep(0.01)
     counts = counts_of(reader)
     assert counts.dropped > 0
-    assert len(got) + counts.dropped == counts.frames == 4 * FRAMES
+    assert len(got) + counts.dropped == counts.frames == 2 * FRAMES
     assert counts.lost == 0
 
 
 def test_a_live_film_ends_after_its_duration(film: Path) -> None:
     began = time.monotonic()
-    frames, _, _ = told(film, Speed=100, Times=0, duration_s=0.4)
-    assert time.monotonic() - began > 0.3
-    assert frames  # the film is endless without a duration
+    told(film, Speed=100, Times=0, duration_s=0.2)  # the film is endless without a duration
+    assert time.monotonic() - began > 0.19
 
 
-def test_stop_ends_a_live_film(film: Path) -> None:
+def test_another_thread_stops_a_live_film(film: Path) -> None:
     with live(film, Speed=100, Times=0) as reader:
-        threading.Timer(0.3, reader.stop).start()
-        assert list(reader)  # the film is endless without a duration
+        frames = iter(reader)
+        next(frames)
+        threading.Thread(target=reader.stop).start()
+        list(frames)  # the film is endless without the stop
 
 
 def test_a_live_film_can_be_left_and_iterated_again(film: Path) -> None:
@@ -170,15 +167,13 @@ class Odd:
     """Camera with a single fault, selected by address."""
 
     def __init__(self, address: str):
-        self.closed = 0
         self._address = address
 
     def open(self, _settings: CameraSettings) -> CameraForm:
         if self._address == "unopened":
             raise RuntimeError("no such\nluck")
-        sizes = {"large": (1 << 15, 1 << 15)}
-        width, height = sizes.get(self._address, (4, 4))
-        return CameraForm(width, height, 8, None if self._address == "rateless" else 50.0)
+        side = 1 << 15 if self._address == "large" else 4
+        return CameraForm(side, side, 8, None if self._address == "rateless" else 50.0)
 
     def frames(self, wait_s: float) -> list[Picture] | None:
         if self._address == "broken":
@@ -189,7 +184,6 @@ class Odd:
         return []
 
     def close(self) -> None:
-        self.closed += 1
         if self._address == "clinging":
             raise RuntimeError("no")
 
@@ -213,9 +207,7 @@ def test_a_given_rate_replaces_a_missing_rate() -> None:
 
 
 def test_an_exception_of_a_camera_is_one_line() -> None:
-    with open_film("camera:odd:broken") as reader, pytest.raises(MediaError) as caught:
-        list(reader)
-    assert str(caught.value) == "camera:odd:broken ended by RuntimeError: a fault of its own"
+    assert refused(Path("camera:odd:broken"))[1] == "camera:odd:broken ended by RuntimeError: a fault of its own"
 
 
 def test_a_failed_close_is_reported() -> None:
@@ -230,19 +222,19 @@ def test_a_failed_close_is_reported() -> None:
 def test_silence_of_a_free_running_camera_is_an_error() -> None:
     with open_film("camera:odd:silent") as reader:
         assert isinstance(reader, LiveReader)
-        reader.timing = CameraTiming(silent_s=0.2)
+        reader.timing = CameraTiming(silent_s=0.1)
         with pytest.raises(MediaError, match="is set, but sends no frames: check"):
             list(reader)
 
 
 def test_silence_of_a_trigger_is_reported_once() -> None:
     said: list[str] = []
-    asked = {"trigger": "Line1", "duration_s": 0.8}
+    asked = {"trigger": "Line1", "duration_s": 0.4}
     with open_film("camera:odd:silent", rate_hz=50, camera=asked) as reader:
         assert isinstance(reader, LiveReader)
-        reader.say, reader.timing = said.append, CameraTiming(silent_s=0.2)
+        reader.say, reader.timing = said.append, CameraTiming(silent_s=0.1)
         assert list(reader) == []
-    assert said == ["camera:odd:silent: no pulse of Line1 for 0.2 s; still waiting"]
+    assert said == ["camera:odd:silent: no pulse of Line1 for 0.1 s; still waiting"]
 
 
 def test_a_triggered_camera_needs_a_given_rate() -> None:
@@ -300,22 +292,18 @@ def test_names_of_cameras(film: Path) -> None:
     assert CameraKind(Odd).find is None
 
 
-class RefilledCamera(PlayedCamera):
-    """Camera that reuses a buffer for all pictures."""
+class RefilledCamera(Odd):
+    """Camera that reuses an array for ten pictures."""
+
+    pixels, number = np.zeros((4, 4), np.uint8), 0
 
     def frames(self, wait_s: float) -> list[Picture] | None:  # noqa: ARG002 - the protocol's
-        if self._next >= FRAMES:
-            return None
-        if not self._next:
-            self._pixels = np.empty((8, 12), np.uint8)
-        self._pixels[:] = self._next
-        self._next += 1
-        return [Picture(self._pixels, self._next)]
+        self.number += 1
+        self.pixels[:] = self.number
+        return [Picture(self.pixels, self.number)] if self.number <= 10 else None
 
 
-def test_a_camera_may_reuse_its_array(film: Path) -> None:
+def test_a_camera_may_reuse_its_array() -> None:
     register_camera("refilled", RefilledCamera)
-    with open_film(f"camera:refilled:{film}") as reader:
-        levels = [int(frame.pixels[0, 0]) for frame in reader]
-    assert levels == list(range(len(levels)))
-    assert levels
+    with open_film("camera:refilled") as reader:
+        assert [int(frame.pixels[0, 0]) for frame in reader] == list(range(1, 11))

@@ -119,15 +119,12 @@ class AravisCamera(FeatureCamera):
         calls = self._calls
         if self._stream is None:
             self._start()
-        buffer = calls.stream_try_pop_buffer(self._stream)
-        if buffer is None:
-            buffer = calls.stream_timeout_pop_buffer(self._stream, round(wait_s * 1e6))
-        pictures = []
-        while buffer is not None:
-            picture = self._convert(buffer)
+        wait_us = round(wait_s * 1e6)
+        buffer = calls.stream_try_pop_buffer(self._stream) or calls.stream_timeout_pop_buffer(self._stream, wait_us)
+        pictures: list[Picture] = []
+        while buffer:
+            pictures += self._convert(buffer)
             calls.stream_push_buffer(self._stream, buffer)
-            if picture is not None:
-                pictures.append(picture)
             buffer = calls.stream_try_pop_buffer(self._stream) if len(pictures) < self.n_buffers else None
         if not pictures:
             self._check_control()
@@ -198,19 +195,19 @@ class AravisCamera(FeatureCamera):
         except MediaError as error:
             raise CameraLostError(str(error)) from None
 
-    def _convert(self, buffer: int) -> Picture | None:
-        """Return the picture in a buffer; None if the stream stopped too early."""
+    def _convert(self, buffer: int) -> list[Picture]:
+        """Return the picture in a buffer, if any: the stream may have stopped too early."""
         calls = self._calls
         status = calls.buffer_get_status(buffer)
         if status != 0:  # ARV_BUFFER_STATUS_SUCCESS; 7 is ARV_BUFFER_STATUS_ABORTED
-            return None if status == 7 else Picture(None)
+            return [] if status == 7 else [Picture(None)]
         size, right, below = c_size_t(), c_int(), c_int()
         source = calls.buffer_get_image_data(buffer, byref(size))
         calls.buffer_get_image_padding(buffer, byref(right), byref(below))
         data = np.empty(size.value, np.uint8)
         ctypes.memmove(data.ctypes.data, source, size.value)
         number, stamp_ns = calls.buffer_get_frame_id(buffer), calls.buffer_get_timestamp(buffer)
-        return self._picture(data, right.value, number, stamp_ns)
+        return [self._picture(data, right.value, number, stamp_ns)]
 
     def _check_control(self) -> None:
         """Raise a CameraLostError if the camera does not answer."""

@@ -76,11 +76,9 @@ class GenicamCamera(FeatureCamera):
         self._broken += 1
 
     def _node(self, name: str) -> Any:
-        nodes = self._acquirer.remote_device.node_map
-        node = _get(nodes, name) if nodes.has_node(name) else None
-        if node is None:
+        if not self._has(name):
             raise MediaError(f"it has no feature {name}")
-        return node
+        return _get(self._acquirer.remote_device.node_map, name)
 
     def _has(self, name: str) -> bool:
         nodes = self._acquirer.remote_device.node_map

@@ -53,6 +53,28 @@ class FrameQueue:
         return frame
 
 
+@dataclass(frozen=True, slots=True)
+class CameraSource:
+    """A camera that can be opened again."""
+
+    name: str
+    make: Callable[[], Camera]
+    settings: CameraSettings
+
+    def open(self) -> tuple[Camera, CameraForm]:
+        """Make and open the camera; close it again after a failure."""
+        camera: Camera | None = None
+        try:
+            camera = self.make()
+            return camera, camera.open(self.settings)
+        except Exception as error:  # cameras may be user code
+            if camera is not None:
+                camera.close()
+            if isinstance(error, HeliographError):
+                raise
+            raise CameraCrashError(f"{self.name} cannot be opened: {type(error).__name__}: {brief(error)}") from error
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraTiming:
     """Times of waiting for a camera, in s."""
@@ -111,24 +133,21 @@ class Grabber:
     """Queues the pictures of a camera in a thread until it is stopped or the camera ends."""
 
     def __init__(
-        self, name: str, make: Callable[[], Camera], camera: Camera, form: CameraForm, settings: CameraSettings,
-        rate_hz: float, frames: FrameQueue, timing: CameraTiming,
+        self, source: CameraSource, camera: Camera, form: CameraForm, rate_hz: float, frames: FrameQueue,
+        timing: CameraTiming,
     ):  # fmt: skip
         self.error: MediaError | None = None
         self.news: deque[str] = deque()
-        self._name, self._make, self._camera, self._form = name, make, camera, form
-        self._settings, self._queue, self._timing = settings, frames, timing
-        self._numbering = Numbering(rate_hz, even=not settings.triggered)
+        self._source, self._form, self._queue, self._timing = source, form, frames, timing
+        self._camera: Camera | None = camera
+        self._name, self._settings = source.name, source.settings
+        self._numbering = Numbering(rate_hz, even=not source.settings.triggered)
         self._frames = self._reconnections = self._tries = 0
         self._stopping = threading.Event()
-        self._heard_s = self._end_s = 0.0
         self._quiet = False
-        self._thread = threading.Thread(target=self._work, name="camera", daemon=True)
-
-    def start(self) -> None:
-        """Start the thread."""
         self._heard_s = time.monotonic()
         self._end_s = self._heard_s + (self._settings.duration_s or float("inf"))
+        self._thread = threading.Thread(target=self._work, name="camera", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
@@ -162,7 +181,7 @@ class Grabber:
                 self._queue.end()
 
     def _run(self) -> None:
-        while not self._over:
+        while self._camera is not None and not self._over:
             try:
                 pictures = self._camera.frames(min(self._timing.picture_s, max(0.0, self._end_s - time.monotonic())))
                 if pictures is None:
@@ -202,7 +221,6 @@ class Grabber:
 
     def _reconnect(self, error: MediaError) -> None:
         """Open a lost camera again, or give up."""
-        self._release()
         lost_s, why = time.monotonic(), str(error)
         while True:
             self._tries += 1
@@ -211,15 +229,16 @@ class Grabber:
             wait_s = self._timing.retry_s[min(self._tries, len(self._timing.retry_s)) - 1]
             of = f"try {self._tries} of {self._settings.reconnect}"
             self.news.append(f"{self._name} is lost after {self._frames} frames ({why}); {of} in {wait_s:g} s")
+            self._release()  # after the report: a lost camera answers late
             self._stopping.wait(min(wait_s, max(0.0, self._end_s - time.monotonic())))
             if self._over:
                 return
             try:
-                self._camera = self._make()
-                form = self._camera.open(self._settings)
+                self._camera, form = self._source.open()
                 break
+            except CameraCrashError:
+                raise
             except HeliographError as failed:
-                self._release()
                 why = str(failed)
         before, now = (f"{each.width}x{each.height} pixels of {each.bits} bits" for each in (self._form, form))
         if now != before:
@@ -230,7 +249,9 @@ class Grabber:
         self.news.append(f"{self._name} is back after {self._heard_s - lost_s:.1f} s")
 
     def _release(self) -> None:
+        camera, self._camera = self._camera, None
         try:
-            self._camera.close()
+            if camera is not None:
+                camera.close()
         except BaseException as error:  # the camera is not needed any more
             self.news.append(f"{self._name} could not be closed: {type(error).__name__}: {brief(error)}")

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from heliograph.base.config import from_mapping, to_mapping
-from heliograph.base.errors import HeliographError, MediaError, brief
-from heliograph.media.live.camera import PREFIX, Camera, CameraCrashError, CameraForm, camera_kind
-from heliograph.media.live.grabber import CameraCounts, CameraTiming, FrameQueue, Grabber
+from heliograph.base.errors import MediaError, shown
+from heliograph.media.live.camera import PREFIX, Camera, CameraForm, camera_kind
+from heliograph.media.live.grabber import CameraCounts, CameraSource, CameraTiming, FrameQueue, Grabber
 from heliograph.media.live.settings import CameraSettings
 from heliograph.media.reader import FilmReader, Frames, Reading, checked_size
 from heliograph.media.record import FASTEST_HZ
@@ -47,17 +47,15 @@ class LiveReader(FilmReader):
     def __init__(self, name: str, reading: Reading, settings: CameraSettings) -> None:
         super().__init__(Path(name))
         kind, address = camera_kind(name)
-        self._name = name
         if reading.channel != CameraSettings().channel:
             settings = from_mapping(CameraSettings, to_mapping(settings) | {"channel": reading.channel})
-        self._settings = settings
-        self._make: Callable[[], Camera] = lambda: kind.make(address)
-        self._camera: Camera | None = None
+        self._source = CameraSource(name, lambda: kind.make(address), settings)
         self._grabber: Grabber | None = None
         self._stopping = False
         self.say: Callable[[str], None] = lambda _: None
         self.timing = CameraTiming()
-        self.form = self._open()
+        self._camera: Camera | None
+        self._camera, self.form = self._source.open()
         self.width, self.height, self.bits = self.form.width, self.form.height, self.form.bits
         self.frame_count = None
         self.metadata = {"camera": self.form.model or name}
@@ -81,38 +79,17 @@ class LiveReader(FilmReader):
     def close(self) -> None:
         """Release the camera; may be called twice."""
         super().close()
-        self._release()
-
-    def _open(self) -> CameraForm:
-        """Make and open the camera."""
-        try:
-            self._camera = self._make()
-            return self._camera.open(self._settings)
-        except HeliographError:
-            self._release()
-            raise
-        except Exception as error:  # cameras may be user code
-            self._release()
-            reason = f"{type(error).__name__}: {brief(error)}"
-            raise CameraCrashError(f"{self._name} cannot be opened: {reason}") from error
-
-    def _release(self) -> None:
         if self._camera is not None:
             self._camera.close()
             self._camera = None
 
     def _frames(self) -> Frames:
-        if self._camera is None:
-            self._open()
-        camera, self._camera, self._stopping = self._camera, None, False
-        assert camera is not None
+        camera, self._camera, self._stopping = self._camera or self._source.open()[0], None, False
         size = self.width * self.height * (1 if self.bits == 8 else 2)
         # 512 MB are half a second of 2048 x 1024 pixels at 500 frames/s
-        queue = FrameQueue(min(max(8, round(self._settings.queue_s * self.claimed_hz)), max(1, (1 << 29) // size)))
-        grabber = self._grabber = Grabber(
-            self._name, self._make, camera, self.form, self._settings, self.claimed_hz, queue, self.timing
-        )
-        grabber.start()
+        most, wanted = max(1, (1 << 29) // size), round(self._source.settings.queue_s * self.claimed_hz)
+        queue = FrameQueue(min(max(8, wanted), most))
+        grabber = self._grabber = Grabber(self._source, camera, self.form, self.claimed_hz, queue, self.timing)
         try:
             while not (self._stopping or queue.over):
                 frame = queue.get(self.timing.picture_s)
@@ -137,6 +114,8 @@ def is_camera(path: Any) -> bool:
 
 def film_path(text: str | os.PathLike[str]) -> Path:
     """Return the path of a film or the name of a camera; ``./camera:x`` is a file."""
+    if not isinstance(text, (str, os.PathLike)):
+        raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(text)}")
     path = Path(text)
     named_file = str(path).startswith(PREFIX) and not os.fspath(text).startswith(PREFIX)
     return path.absolute() if named_file else path

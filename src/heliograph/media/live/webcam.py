@@ -1,22 +1,16 @@
 """Webcams of Linux (Video4Linux) through PyAV."""
 
-import contextlib
 import queue
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from heliograph.base.errors import MediaError, SettingsError
-from heliograph.base.lazy import LazyModule
 from heliograph.media import planes
+from heliograph.media.libraries import av
 from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError, Found, Picture
 from heliograph.media.live.settings import CameraSettings, Value, compare_settings
-
-if TYPE_CHECKING:
-    import av
-else:
-    av = LazyModule("av")
 
 DEVICES = Path("/sys/class/video4linux")
 """Folder of the video devices of Linux."""
@@ -35,9 +29,8 @@ class Webcam:
         self._address = address or "/dev/video0"
         self._container: Any = None
         self._channel = "luma"
-        # Linux drops newer pictures if the buffers are full as well
-        self._pictures: queue.Queue[Picture | BaseException | None] = queue.Queue(8)
-        self._closing = threading.Event()
+        self._pictures: queue.SimpleQueue[Picture | BaseException | None] = queue.SimpleQueue()
+        self._is_closing = False
         self._thread: threading.Thread | None = None
 
     def open(self, settings: CameraSettings) -> CameraForm:
@@ -52,20 +45,17 @@ class Webcam:
             raise MediaError(f"{self._address} cannot be opened as a webcam ({reason}): {cure}") from None
         stream = self._container.streams.video[0]
         context, layout = stream.codec_context, stream.codec_context.format
-        rate = stream.average_rate or stream.base_rate
+        rate_hz = float(stream.average_rate or stream.base_rate or 0)
         is_raw = context.name in ("rawvideo", "wrapped_avframe") and layout
         actual: dict[str, Value] = {
             "region": (0, 0, context.width, context.height),
             "pixel_format": layout.name if is_raw else context.name,
         }
-        if rate:
-            actual["rate_hz"] = float(rate)
         bits = max(8, layout.components[0].bits) if layout else 8
         label = DEVICES / Path(self._address).name / "name"
         model = label.read_text(errors="replace").strip() if label.is_file() else self._address
-        texts, departures = compare_settings(settings, actual)
-        rate_hz = float(rate) if rate else None
-        return CameraForm(context.width, context.height, bits, rate_hz, model, texts, departures)
+        texts, departures = compare_settings(settings, actual | ({"rate_hz": rate_hz} if rate_hz else {}))
+        return CameraForm(context.width, context.height, bits, rate_hz or None, model, texts, departures)
 
     def frames(self, wait_s: float) -> Sequence[Picture] | None:
         """Return the pictures since the last call; see `Camera`."""
@@ -89,10 +79,8 @@ class Webcam:
 
     def close(self) -> None:
         """Stop and release the camera; see `Camera`."""
-        self._closing.set()
+        self._is_closing = True
         if self._thread is not None:
-            with contextlib.suppress(queue.Empty):
-                self._pictures.get_nowait()  # the thread may wait for a place
             self._thread.join(self.closing_s)
             if self._thread.is_alive():
                 return  # FFmpeg cannot close the device while waiting for a picture
@@ -106,20 +94,14 @@ class Webcam:
         try:
             for packet in self._container.demux(video=0):
                 for picture in self._decode(packet):
-                    self._queue(picture)
-                if self._closing.is_set():
+                    self._pictures.put(picture)
+                if self._is_closing:
                     return
         except (av.error.FFmpegError, OSError) as error:
             end = CameraLostError(str(getattr(error, "strerror", None) or error))
         except BaseException as error:  # raised again by `frames`
             end = error
-        self._queue(end)
-
-    def _queue(self, item: Picture | BaseException | None) -> None:
-        while not self._closing.is_set():
-            with contextlib.suppress(queue.Full):
-                self._pictures.put(item, timeout=self.closing_s / 4)
-                return
+        self._pictures.put(end)
 
     def _decode(self, packet: "av.Packet[Any]") -> list[Picture]:
         """Return the pictures of a packet; an incomplete picture has no pixels."""
