@@ -15,6 +15,7 @@ def places(settings: LinkSettings) -> np.ndarray:
     return np.array([(array.x, array.y) for array in truth.arrays])
 
 
+@pytest.mark.slow
 def test_images_move_by_half_a_pixel_at_most() -> None:
     """The two arrays are nearer and farther than the scene distance."""
     settings = small(
