@@ -67,7 +67,7 @@ def find_remedy(
     packet = _first_packet(frames, header, duration, setup.changed({"signal": form}).signal)
 
     def candidates() -> Iterator[Mapping[str, Any]]:
-        for place, signal, receiver in itertools.product(places, forms, trials.receivers):
+        for signal, place, receiver in itertools.product(forms, places, trials.receivers):
             if not _is_hopeless(header, receiver, noise, setup.changed({"signal": signal}).signal):
                 receive = _needed(settings, receiver, header, size, frames[0].full_scale)
                 yield {"signal": signal, "receive": merge(receive, place)}
