@@ -107,11 +107,7 @@ def write(film: KeptFilm, path: Path) -> Path:
     return path
 
 
-RIGHT: dict[str, Callable[[], KeptFilm]] = {
-    "right": lambda: kept(link()),
-    "mirrored": lambda: kept(link(), mirrored),
-    "frames lost": lambda: kept(link(camera={**SMALL["camera"], "dropped": 0.05})),
-}
+RIGHT: dict[str, Callable[[], KeptFilm]] = {"right": lambda: kept(link())}
 """Decodable films."""
 
 FAULTY: dict[str, Callable[[], KeptFilm]] = {

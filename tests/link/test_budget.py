@@ -26,6 +26,7 @@ def reference() -> heliograph.Budget:
     return heliograph.budget(small(distance_m=50.0))
 
 
+@pytest.mark.slow
 def test_an_array_is_seen_as_the_reference_link_says(reference: heliograph.Budget) -> None:
     """1.17 px per LED at 50 m, 80 % of a 15,000-electron full well, 0.6 % noise."""
     spot = reference.spot

@@ -15,6 +15,7 @@ def places(settings: LinkSettings) -> np.ndarray:
     return np.array([(array.x, array.y) for array in truth.arrays])
 
 
+@pytest.mark.slow
 def test_images_move_by_half_a_pixel_at_most() -> None:
     """The two arrays are nearer and farther than the scene distance."""
     settings = small(
@@ -31,8 +32,3 @@ def test_images_move_by_half_a_pixel_at_most() -> None:
     assert moves.max(0) == pytest.approx(0.5, abs=0.06)
     # their positions are uncorrelated
     assert abs(np.corrcoef(moves[:, 0, 0], moves[:, 1, 0])[0, 1]) < 0.4
-
-
-def test_what_moves_is_left_where_it_is() -> None:
-    settings = small("channel.speed_m_s=10")
-    assert dithered(settings, 1) == settings

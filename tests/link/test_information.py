@@ -9,10 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from heliograph.base.arrays import Floats
 from heliograph.channel.settings import CameraSettings, ChannelSettings, Placement
 from heliograph.link.budget import (
-    GRID_SHIFTS_PX,
     REQUIRED_INFORMATION,
     RangeEstimator,
     SymbolImages,
@@ -52,39 +50,6 @@ def test_information_is_that_of_a_program_written_apart() -> None:
 def test_information_of_a_binary_symbol(ratio: float, bits: float) -> None:
     """The binary-input Gaussian channel has a capacity of 0.4859 at 0 dB."""
     assert binary_information(np.array([ratio]))[0] == pytest.approx(bits, abs=2e-4)
-
-
-def plain_images(channel: ChannelSettings, side: int, distance_m: float, shift_px: tuple[float, float]) -> Floats:
-    """Return LED images as pixel integrals, for a fronto-parallel array and a Gaussian in place of the disc."""
-    camera, emitter = channel.camera, channel.emitter
-    pitch = camera.focal_px * emitter.pitch_m / distance_m
-    sigma = math.hypot(camera.blur_px, emitter.diameter_m / emitter.pitch_m * pitch / 4)
-    erf = np.vectorize(math.erf)
-    parts = []
-    for shift in shift_px:
-        place = (np.arange(side) - (side - 1) / 2) * pitch + shift
-        edge = np.arange(-40.5, 41)
-        parts.append(np.diff(erf((edge[:, None] - place) / sigma / math.sqrt(2)) / 2, axis=0))
-    return np.asarray(np.einsum("yu,xv->yxuv", parts[1], parts[0]) * pitch**2)
-
-
-@pytest.mark.parametrize("distance_m", [40.0, 100.0])
-def test_images_are_the_integrals_over_pixels(distance_m: float) -> None:
-    channel = ChannelSettings(arrays=(Placement(x_m=0, y_m=0),))
-    for shift in GRID_SHIFTS_PX[:2]:
-        found = array_images(channel, 8, distance_m, shift)
-        meant = plain_images(channel, 8, distance_m, shift)
-        rows, columns = found.leds.shape[:2]
-        # align both windows
-        best = min(
-            float(np.abs(found.leds - meant[y : y + rows, x : x + columns]).max())
-            for y in range(81 - rows + 1)
-            for x in range(81 - columns + 1)
-            if abs(y + rows / 2 - 40.5) < 2 and abs(x + columns / 2 - 40.5) < 2
-        )
-        assert best < 2e-3 * float(meant.max())
-        assert found.pitch_px == pytest.approx(channel.camera.focal_px * 0.02 / distance_m)
-        assert found.light == pytest.approx(1, abs=2e-3)
 
 
 def test_a_turned_array_is_narrower_and_dimmer() -> None:

@@ -136,6 +136,7 @@ def test_film_of_any_name_has_a_truth_file(tmp_path: Path, name: str) -> None:
     assert open_truth(truth_path(tmp_path / name)).settings == settings
 
 
+@pytest.mark.slow
 def test_two_arrays_send_different_messages(tmp_path: Path) -> None:
     settings = load_settings("two-arrays", None, [
         "channel.distance_m=40", "channel.speed_m_s=0", "channel.shake=none", "channel.duration_s=0.3",

@@ -3,13 +3,11 @@
 import math
 from operator import attrgetter
 
-import numpy as np
 import pytest
 
 from heliograph.base.errors import SettingsError
 from heliograph.channel import frame_count
 from heliograph.link.settings import PRESETS, LinkSettings, load_settings, preset
-from heliograph.signal import pwm
 
 PAPER = load_settings("paper")
 
@@ -46,14 +44,6 @@ def test_paper_is_the_reference_link() -> None:
     assert math.sqrt(k**2 * (40**2 + 7500) + 1 / 12) / 255 == pytest.approx(0.006, abs=0.001)
     assert channel.speed_m_s * 3.6 == pytest.approx(30)
     assert frame_count(channel) == 6600  # 55 m at 30 km/h
-
-
-def test_light_of_the_reference_link_has_five_levels_of_four_slots() -> None:
-    signal = PAPER.signal
-    assert pwm.SLOTS / signal.pattern_period_s == 4000
-    shares = [pwm.lit_slots(np.full((1, 1), level, np.uint8), signal.slot_order).mean() for level in range(5)]
-    assert shares == [0, 0.25, 0.5, 0.75, 1]
-    assert list(pwm.invert(np.arange(5, dtype=np.uint8))) == [4, 3, 2, 1, 0]
 
 
 def test_paper_is_the_default() -> None:

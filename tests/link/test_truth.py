@@ -4,45 +4,55 @@ import contextlib
 import io
 import json
 import os
+import tempfile
 import tracemalloc
 import warnings
 import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
 from small_links import small
 
 from heliograph.base.errors import MediaError
 from heliograph.channel import NoiseModel, Truth
+from heliograph.channel.truth import ArrayTruth
 from heliograph.link.settings import PRESETS, LinkSettings, load_settings
 from heliograph.link.simulate import Messages, default_messages, simulate
 from heliograph.link.truth import TruthWriter, open_truth, truth_path
+from heliograph.signal.settings import LAYERS
 
 SETTINGS = small("channel.duration_s=0.03")
 MESSAGES: list[Messages] = [{"high": [b"one", b"two\x00"], "low": [bytes(range(256)) * 5]}]
 
 
-@lru_cache(maxsize=1)
-def simulated() -> tuple[Truth, ...]:
-    return tuple(truth for _, truth in simulate(SETTINGS, MESSAGES, 7))
-
-
-def write(path: Path, settings: LinkSettings = SETTINGS, truths: Sequence[Truth] = ()) -> Sequence[Truth]:
+@cache
+def simulated(settings: LinkSettings = SETTINGS) -> list[Truth]:
     messages = MESSAGES if settings is SETTINGS else default_messages(settings)
-    writer = TruthWriter(path, settings, messages, 7, "its id")
-    if settings is SETTINGS:
-        truths = simulated()
-    truths = truths or [truth for _, truth in simulate(settings, messages, 7)]
-    for truth in truths:
+    return [truth for _, truth in simulate(settings, messages, 7)]
+
+
+def write(
+    path: Path,
+    truths: Sequence[Truth] = (),
+    settings: LinkSettings = SETTINGS,
+    messages: Any = MESSAGES,
+    seed: int = 7,
+    film_id: str = "its id",
+) -> None:
+    writer = TruthWriter(path, settings, messages, seed, film_id)
+    for truth in truths or simulated():
         writer.add(truth)
     with writer.finishing():
         pass
-    return truths
 
 
 @pytest.fixture
@@ -64,26 +74,9 @@ def test_the_name_of_the_truth_is_no_longer_than_file_systems_allow(name: str) -
     assert truth != other
 
 
-def test_a_written_truth_is_read_back(path: Path) -> None:
-    truths = write(path)
+def test_only_the_truth_file_is_written_with_the_noise(path: Path) -> None:
+    write(path)
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-    file = open_truth(path)
-    assert (file.settings, file.seed) == (SETTINGS, 7)
-    assert [{n: list(m) for n, m in by_layer.items() if m} for by_layer in file.messages] == MESSAGES
-    assert file.film_id == "its id"
-    rows = list(file.rows())
-    assert len(rows) == len(truths) == 30
-    for row, truth in zip(rows, truths, strict=True):
-        (array,) = truth.arrays
-        assert row["index"] == truth.index
-        assert row["time_s"] == truth.time_s
-        assert row["arrays"][0]["distance_m"] == np.float32(array.distance_m)
-        assert row["arrays"][0]["x"] == np.float32(array.x)
-        assert row["arrays"][0]["y"] == np.float32(array.y)
-        assert row["arrays"][0]["visible"] == array.visible
-        assert row["arrays"][0]["pattern"] == array.patterns[0]
-        assert row["arrays"][0]["last_pattern"] == array.patterns[-1]
-        assert np.array_equal(row["arrays"][0]["homography"], array.homography.astype(np.float32))
     with zipfile.ZipFile(path) as archive:
         noise = json.loads(archive.read("about.json"))["noise"]
     assert noise == {"level": 0.5, "sigma": float(NoiseModel(SETTINGS.channel.sensor).sigma(0.5))}
@@ -91,7 +84,8 @@ def test_a_written_truth_is_read_back(path: Path) -> None:
 
 def test_a_frame_across_two_patterns_names_both(path: Path) -> None:
     settings = small("channel.duration_s=0.01", "channel.camera.start_s=0.0005")
-    truths = write(path, settings)
+    truths = simulated(settings)
+    write(path, truths, settings)
     assert any(len(truth.arrays[0].patterns) == 2 for truth in truths)
     for row, truth in zip(open_truth(path).rows(), truths, strict=True):
         shown = truth.arrays[0].patterns
@@ -100,7 +94,7 @@ def test_a_frame_across_two_patterns_names_both(path: Path) -> None:
 
 def test_two_arrays_and_darkness_before_the_start(path: Path) -> None:
     settings = load_settings("two-arrays", None, ["channel.duration_s=0.04", "channel.shake=none"])
-    write(path, settings)
+    write(path, simulated(settings), settings, [{}, {}])
     rows = list(open_truth(path).rows())
     assert [len(row["arrays"]) for row in rows] == [2] * 40
     assert [row["arrays"][1]["pattern"] for row in rows] == [-1] * 37 + [0, 0, 1]
@@ -114,17 +108,17 @@ def test_numpy_reads_it_too(path: Path) -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_the_settings_survive_the_file(name: str, path: Path) -> None:
-    settings = load_settings(name)
-    truth = simulated()[0]
-    write(path, settings, [replace(truth, arrays=truth.arrays * len(settings.channel.arrays))])
+    settings, truth = load_settings(name), simulated()[0]
+    arrays = len(settings.channel.arrays)
+    write(path, [replace(truth, arrays=truth.arrays * arrays)], settings, [{}] * arrays)
     assert open_truth(path).settings == settings
 
 
-def test_rows_come_as_a_stream(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("heliograph.link.truth.BLOCK_ROWS", 4)
-    write(path)
+def test_rows_are_read_in_blocks_of_4096(path: Path) -> None:
+    array, noise = ArrayTruth(1.0, 2.0, 3.0, 0.0, np.eye(3), 50.0, True, ()), NoiseModel(SETTINGS.channel.sensor)
+    write(path, [Truth(k, 1e-3 * k, (array,), noise) for k in range(8197)])
     assert [int(row["index"]) for row in islice(open_truth(path).rows(), 3)] == [0, 1, 2]
-    assert [int(row["index"]) for row in open_truth(path).rows()] == list(range(30))
+    assert [int(row["index"]) for row in open_truth(path).rows()] == list(range(8197))
 
 
 def test_an_aborted_or_failed_file_leaves_nothing(path: Path) -> None:
@@ -279,3 +273,65 @@ def test_rows_of_another_type_or_number_are_damage(path: Path) -> None:
     about["settings"]["channel"]["speed"] = 3
     rewritten(path, about_json=json.dumps(about).encode())
     assert "unknown setting 'channel.speed'" in complaint(path)
+
+
+TWO_ARRAYS = small("channel.arrays=[{x_m=-1.0, y_m=0.0}, {x_m=1.0, y_m=0.0}]", "transmit.identities=[4, 21]")
+NUMBERS = st.floats(-1e6, 1e6, width=32)
+
+ARRAYS = st.builds(
+    ArrayTruth,
+    x=NUMBERS,
+    y=NUMBERS,
+    pitch_px=NUMBERS,
+    roll_rad=NUMBERS,
+    homography=st.lists(NUMBERS, min_size=9, max_size=9).map(lambda values: np.reshape(values, (3, 3))),
+    distance_m=NUMBERS,
+    visible=st.booleans(),
+    patterns=st.lists(st.integers(0, 2**31 - 1), max_size=3).map(lambda numbers: tuple(sorted(numbers))),
+)
+
+
+@st.composite
+def films(draw: st.DrawFn) -> tuple[LinkSettings, list[Truth]]:
+    """Draw settings with one or two arrays, and frames with arbitrary times and numbers."""
+    count = draw(st.sampled_from([1, 2]))
+    settings = SETTINGS if count == 1 else TWO_ARRAYS
+    truths = st.builds(
+        Truth,
+        index=st.integers(0, 2**62),
+        time_s=st.floats(-1e9, 1e9),
+        arrays=st.tuples(*[ARRAYS] * count),
+        noise=st.just(NoiseModel(settings.channel.sensor)),
+    )
+    return settings, draw(st.lists(truths, min_size=1, max_size=6))
+
+
+@st.composite
+def messages(draw: st.DrawFn, arrays: int) -> list[dict[str, list[bytes]]]:
+    """Draw messages per array and layer; a layer may be empty."""
+    some = st.lists(st.binary(max_size=40), max_size=3)
+    return [draw(st.fixed_dictionaries({}, optional=dict.fromkeys(LAYERS, some))) for _ in range(arrays)]
+
+
+@examples(50)
+@given(film=films(), data=st.data(), seed=st.integers(0, 2**63), film_id=st.text(max_size=8))
+@pytest.mark.slow
+def test_a_film_and_back(film: tuple[LinkSettings, list[Truth]], data: st.DataObject, seed: int, film_id: str) -> None:
+    settings, truths = film
+    sent = data.draw(messages(len(settings.channel.arrays)))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.mkv.truth.npz"
+        write(path, truths, settings, sent, seed, film_id)
+        found = open_truth(path)
+        rows = list(found.rows())
+    assert (found.settings, found.seed, found.film_id) == (settings, seed, film_id)
+    assert list(found.messages) == [{name: by.get(name, []) for name in LAYERS} for by in sent]
+    assert len(rows) == len(truths)
+    for row, truth in zip(rows, truths, strict=True):
+        assert (int(row["index"]), float(row["time_s"])) == (truth.index, truth.time_s)
+        for got, array in zip(row["arrays"], truth.arrays, strict=True):
+            for name in ("x", "y", "pitch_px", "roll_rad", "distance_m", "visible"):
+                assert got[name] == getattr(array, name), name
+            assert np.array_equal(got["homography"], array.homography)
+            ends = (array.patterns[0], array.patterns[-1]) if array.patterns else (-1, -1)
+            assert (got["pattern"], got["last_pattern"]) == ends

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from heliograph.probe.light import TUNING, pair_covariance
+from heliograph.probe.light import MIN_VARIANCE, pair_covariance
 
 
 def expected_correlation(
@@ -19,4 +19,4 @@ def expected_correlation(
         for start in starts
     )
     own, its, both = (np.einsum("pi,ij,pj", a, covariance, b) for a, b in ((one, one), (other, other), (one, other)))
-    return float(both / np.sqrt((own + TUNING.min_variance) * (its + TUNING.min_variance)))
+    return float(both / np.sqrt((own + MIN_VARIANCE) * (its + MIN_VARIANCE)))

@@ -81,6 +81,7 @@ def test_whole_numbers_of_any_type_are_read() -> None:
         assert (heliograph.unmix_colours(values.astype(dtype)).bits == bits).all()
 
 
+@pytest.mark.slow
 def test_a_rendered_panel_is_read_through_crosstalk() -> None:
     leak = np.array([[0.62, 0.34, 0.06], [0.25, 0.5, 0.32], [0.05, 0.3, 0.62]])
     corners = keystone((75.0, 60.0), 107.0, 1.25, 0.07, 0.15)

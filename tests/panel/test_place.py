@@ -1,7 +1,7 @@
 import numpy as np
 from panel_films import keystone, to_unit
 
-from heliograph.panel.place import UNIT, Place, area, corner_jacobian, grid, grow, homographies, pitches, transform
+from heliograph.panel.place import UNIT, Place, Shape, area, corner_jacobian, grid, grow, homographies, transform
 
 CORNERS = keystone((70.0, 60.0), 80.0, 1.3, 0.2, 0.25)
 
@@ -18,7 +18,7 @@ def test_leds_lie_half_a_pitch_within_the_corners() -> None:
     leds = square.leds(2, 4)
     np.testing.assert_allclose(leds[0, 0], [14.5, 24.5])
     np.testing.assert_allclose(leds[1, 3], [44.5, 34.5])
-    assert pitches(square.corners, 2, 4) == (10.0, 10.0)
+    assert Shape(2, 4).pitches(square.corners) == (10.0, 10.0)
 
 
 def test_slopes_are_differences_of_mapped_points() -> None:

@@ -10,7 +10,7 @@ from light_oracle import expected_correlation
 from heliograph.base.frames import Frame
 from heliograph.probe import kernels
 from heliograph.probe.arrays import Clock, clock_of
-from heliograph.probe.light import TUNING, lamp_period, pair_covariance
+from heliograph.probe.light import MIN_VARIANCE, lamp_period, pair_covariance
 from heliograph.signal.settings import SignalSettings
 
 ORDER = SignalSettings().slot_order
@@ -21,7 +21,7 @@ def test_kernel_agrees_with_the_reference() -> None:
     numbers, lags = np.arange(5.0), np.array([1, 2, 3])
     out = np.empty((4, 3, 2, 5, 3))
     covariance = pair_covariance(ORDER)
-    kernels.expected_correlations(rates, phases, exposures, numbers, lags, covariance, TUNING.min_variance, out)
+    kernels.expected_correlations(rates, phases, exposures, numbers, lags, covariance, MIN_VARIANCE, out)
     for place in np.ndindex(out.shape):
         r, p, x, t, k = place
         expected = expected_correlation(float(rates[r]), float(phases[p]), float(exposures[x]), t, int(lags[k]), ORDER)

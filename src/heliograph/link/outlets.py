@@ -1,8 +1,8 @@
 """Event output of a running reception: UDP datagrams or a local WebSocket."""
 
+import asyncio
 import contextlib
 import json
-import queue
 import re
 import socket
 import threading
@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 from heliograph.base.errors import MediaError, SettingsError, shown
 
 if TYPE_CHECKING:
-    from websockets.sync.server import Server, ServerConnection
+    from websockets.asyncio.server import Server
 
 MOST_DATAGRAM = 65507
 """Largest payload of a UDP datagram over IPv4, in bytes."""
@@ -84,64 +84,54 @@ class Datagrams:
 class WebSocket:
     """Local WebSocket server that sends each row to all clients; input from clients is ignored.
 
-    A client with `max_queued` waiting rows is disconnected.
+    A client with more than `max_waiting` bytes of waiting rows is disconnected.
     """
 
-    def __init__(self, host: str, port: int, max_queued: int = 1000):
-        from websockets.sync.server import serve
-
-        self._max_queued = max_queued
-        self._queues: dict[ServerConnection, queue.Queue[str | None]] = {}
-        self._is_open, self._changed = True, threading.Condition()
-        local_pages = re.compile(r"http://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
-        self._server: Server = serve(self._serve_client, host, port, compression=None, origins=[None, local_pages])
-        port = self._server.socket.getsockname()[1]
-        self.address = f"ws://{f'[{host}]' if ':' in host else host}:{port}"
-        self._thread = threading.Thread(target=self._server.serve_forever, name="websocket", daemon=True)
+    def __init__(self, host: str, port: int, max_waiting: int = 1 << 26):
+        self._max_waiting = max_waiting
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="websocket", daemon=True)
         self._thread.start()
+        try:
+            self._server = asyncio.run_coroutine_threadsafe(self._serve(host, port), self._loop).result()
+        except BaseException:
+            self._stop()
+            raise
+        port = self._server.sockets[0].getsockname()[1]
+        self.address = f"ws://{f'[{host}]' if ':' in host else host}:{port}"
+
+    async def _serve(self, host: str, port: int) -> "Server":
+        from websockets.asyncio.server import serve
+
+        local_pages = re.compile(r"http://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+        return await serve(
+            lambda client: client.wait_closed(), host, port, compression=None, origins=[None, local_pages],
+            close_timeout=CLOSE_TIMEOUT_S,
+        )  # fmt: skip
 
     def send(self, row: Mapping[str, Any]) -> None:
-        """Queue a row for each client; disconnect slow clients with a full queue."""
-        text = _line(row).decode()
-        with self._changed:
-            for client, rows in list(self._queues.items()):
-                try:
-                    rows.put_nowait(text)
-                except queue.Full:
-                    del self._queues[client]
-                    # unblocks a pending send in the client thread
-                    with contextlib.suppress(OSError):
-                        client.socket.shutdown(socket.SHUT_RDWR)
+        """Queue a row for each client; disconnect slow clients."""
+        self._loop.call_soon_threadsafe(self._broadcast, _line(row).decode())
+
+    def _broadcast(self, text: str) -> None:
+        from websockets.asyncio.server import broadcast
+
+        for client in self._server.connections:
+            if client.transport.get_write_buffer_size() > self._max_waiting:
+                client.transport.abort()
+        broadcast(self._server.connections, text)
 
     def close(self) -> None:
         """Send the queued rows, then stop the server."""
-        with self._changed:
-            self._is_open, queues = False, list(self._queues.values())
-        for rows in queues:
-            with contextlib.suppress(queue.Full):
-                rows.put(None, timeout=CLOSE_TIMEOUT_S)
-        with self._changed:  # shutdown aborts pending sends
-            self._changed.wait_for(lambda: not self._queues, CLOSE_TIMEOUT_S)
-        ended = threading.Thread(target=self._server.shutdown, daemon=True)
-        ended.start()
-        ended.join(CLOSE_TIMEOUT_S)
-        self._thread.join(CLOSE_TIMEOUT_S)
+        self._loop.call_soon_threadsafe(self._server.close)
+        with contextlib.suppress(TimeoutError):
+            asyncio.run_coroutine_threadsafe(self._server.wait_closed(), self._loop).result(2 * CLOSE_TIMEOUT_S)
+        self._stop()
 
-    def _serve_client(self, client: "ServerConnection") -> None:
-        """Send queued rows to a client, in the client thread."""
-        from websockets.exceptions import ConnectionClosed
-
-        rows: queue.Queue[str | None] = queue.Queue(self._max_queued)
-        with self._changed:
-            if not self._is_open:  # a late client would wait for rows forever
-                return
-            self._queues[client] = rows
-        with contextlib.suppress(ConnectionClosed, OSError):
-            while client in self._queues and (text := rows.get()) is not None:
-                client.send(text)
-        with self._changed:
-            self._queues.pop(client, None)
-            self._changed.notify_all()
+    def _stop(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
 
 
 def _line(row: Mapping[str, Any]) -> bytes:

@@ -12,7 +12,7 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from itertools import accumulate, pairwise
+from itertools import accumulate, pairwise, product
 from operator import attrgetter
 from pathlib import Path
 from typing import IO, Any
@@ -112,14 +112,10 @@ class TruthWriter:
     def _write(self, partial: Path) -> None:
         sigma = float(NoiseModel(self._settings.channel.sensor).sigma(NOISE_LEVEL))
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            messages = [
-                {
-                    layer: [_add_message(archive, f"messages/{k}/{layer}/{i}", content)
-                            for i, content in enumerate(by_layer.get(layer, ()))]
-                    for layer in LAYERS
-                }
-                for k, by_layer in enumerate(self._messages)
-            ]  # fmt: skip
+            messages: list[dict[str, list[Any]]] = [{layer: [] for layer in LAYERS} for _ in self._messages]
+            for k, layer in product(range(len(messages)), LAYERS):
+                for i, content in enumerate(self._messages[k].get(layer, ())):
+                    messages[k][layer].append(_add_message(archive, f"messages/{k}/{layer}/{i}", content))
             about = {
                 "settings": to_mapping(self._settings),
                 "seed": self._seed,
@@ -258,10 +254,8 @@ def _read_header(file: IO[bytes], kind: np.dtype[Any]) -> int:
     with warnings.catch_warnings(action="ignore"):  # from damaged headers
         shape, _, stored = readers[version](head)
     file.seek(head.tell())
-    if stored != kind:
-        raise HeliographError(f"the rows have the type {stored}, not {kind}")
-    if len(shape) != 1:
-        raise HeliographError(f"the rows have the shape {shape}, not one for each frame")
+    if stored != kind or len(shape) != 1:
+        raise HeliographError(f"the rows have the type {stored} and the shape {shape}")
     if not shape[0]:
         raise HeliographError("it has no frames")
     return int(shape[0])
@@ -327,10 +321,10 @@ def signal_note(signal: SignalSettings) -> dict[str, str]:
     return {SIGNAL_TAG: json.dumps(to_mapping(signal))}
 
 
-def noted_signal(film: FilmReader) -> dict[str, Any]:
+def noted_signal(film: object) -> dict[str, Any]:
     """Return the signal settings in the film metadata as nested mappings; empty if absent."""
     try:
-        note = json.loads(film.metadata.get(SIGNAL_TAG, "{}"))
+        note = json.loads(getattr(film, "metadata", {}).get(SIGNAL_TAG, "{}"))
         from_mapping(SignalSettings, note)
     except (ValueError, RecursionError) as error:  # invalid JSON or settings
         reason = brief(error)
@@ -357,21 +351,16 @@ def signal_of(
 
 def departures(film: object, signal: SignalSettings) -> list[tuple[str, Any, Any]]:
     """Return dotted key, value and film metadata value of differing signal settings."""
-    try:
-        note = json.loads(getattr(film, "metadata", {}).get(SIGNAL_TAG, "{}"))
-        return _differences(signal, from_mapping(SignalSettings, merge(to_mapping(signal), note)))
-    except (ValueError, RecursionError):  # invalid JSON or settings
-        return []
+    with contextlib.suppress(HeliographError):  # an unreadable note
+        return _differences(signal, from_mapping(SignalSettings, merge(to_mapping(signal), noted_signal(film))))
+    return []
 
 
 def _differences(signal: SignalSettings, other: SignalSettings) -> list[tuple[str, Any, Any]]:
     """Return dotted key and both values of differing settings."""
     pairs = [(key, attrgetter(key)(signal), attrgetter(key)(other)) for key in keys_of(SignalSettings)]
-    return [(f"signal.{key}", _plain(ours), _plain(theirs)) for key, ours, theirs in pairs if ours != theirs]
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
+    plain = [(key, *(list(value) if isinstance(value, tuple) else value for value in pair)) for key, *pair in pairs]
+    return [(f"signal.{key}", ours, theirs) for key, ours, theirs in plain if ours != theirs]
 
 
 def check_truth(film: FilmReader, truth: TruthFile, signal: SignalSettings) -> None:

@@ -1,6 +1,5 @@
 """Images of a panel's LEDs: light by least squares, and the fit of corners and blur."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -10,7 +9,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError
 from heliograph.panel import kernels
-from heliograph.panel.place import Levels, corner_jacobian, grid, grow, homographies, is_possible, pitches, transform
+from heliograph.panel.place import Levels, Shape, corner_jacobian, grow, homographies, transform
 
 REACH = 4.0
 """Radius of an LED's image in standard deviations: 1e-4 of the light is beyond."""
@@ -21,31 +20,6 @@ FIRST_BLUR = 0.35
 
 MIN_BLUR_PX, MAX_BLUR = 0.3, 1.2
 """Minimum blur in px, and maximum blur in pitches."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shape:
-    """Numbers of LEDs along a column and along a row of a panel."""
-
-    rows: int
-    columns: int
-
-    @property
-    def grid(self) -> Floats:
-        """(rows * columns, 2) positions of the LEDs on the unit square."""
-        return grid(self.rows, self.columns)
-
-    def pitch(self, corners: Floats) -> float:
-        """Return the shorter of the mean pitches along rows and columns in px."""
-        return min(pitches(corners, self.rows, self.columns))
-
-    def is_possible(self, corners: Floats) -> bool:
-        """Return True if a camera can see the panel with such corners."""
-        return is_possible(corners, self.rows, self.columns)
-
-    def mask(self, corners: Floats, size: tuple[int, int]) -> Levels:
-        """Return a mask (rows, columns) of the LED area and a rim of 0.6 pitches."""
-        return mask_of(grow(corners, 0.6 * self.pitch(corners)), size)
 
 
 class Fit(NamedTuple):
@@ -159,10 +133,10 @@ class Lattice:
         return np.asarray(cho_solve_banded((self.factor, True), right, check_finite=False))
 
 
-def mask_of(corners: Floats, size: tuple[int, int]) -> Levels:
-    """Return a mask (rows, columns): 1 within a quadrilateral."""
+def mask_of(corners: Floats, size: tuple[int, ...], margin: float) -> Levels:
+    """Return a mask (rows, columns): 1 within a quadrilateral and a margin in px."""
     mask = np.zeros(size, np.uint8)
-    cv2.fillConvexPoly(mask, np.rint(corners * 16).astype(np.int32), 1, shift=4)
+    cv2.fillConvexPoly(mask, np.rint(grow(corners, margin) * 16).astype(np.int32), 1, shift=4)
     return mask.astype(np.float32)
 
 
@@ -174,7 +148,7 @@ def plane(mask: Levels) -> Levels:
 
 def fit(image: Levels, start: Fit, shape: Shape, steps: int = 12) -> Fit:
     """Fit a panel's corners and blur to a picture with any content, by Gauss-Newton."""
-    mask = shape.mask(start.corners, (image.shape[0], image.shape[1]))
+    mask = mask_of(start.corners, image.shape, 0.6 * shape.pitch(start.corners))
     best = _Residual(image, mask, start, shape)
     hessian, is_fresh = start.hessian, start.hessian is None
     if hessian is None:

@@ -10,7 +10,7 @@ from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.threads import in_one_thread, one_thread
 from heliograph.panel import kernels
-from heliograph.panel.lattice import FIRST_BLUR, MAX_BLUR, Fit, Lattice, Shape, fit
+from heliograph.panel.lattice import FIRST_BLUR, MAX_BLUR, Fit, Lattice, fit, mask_of
 from heliograph.panel.place import (
     COLOURS,
     MIN_PITCH_PX,
@@ -18,11 +18,11 @@ from heliograph.panel.place import (
     Levels,
     Picture,
     Place,
+    Shape,
     area,
     grid,
     grow,
     homographies,
-    is_possible,
     matrix_of,
     picture_of,
     transform,
@@ -98,7 +98,7 @@ def locate(
         start = quadrilateral(contrast, region) + begin if hand is None else hand
         _check_visible(start, first, shape)
         found = fit_outline(contrast, start - begin) + begin
-        is_valid = is_possible(found) and 0.5 < area(found) / area(start) < 2
+        is_valid = Shape(1, 1).is_possible(found) and 0.5 < area(found) / area(start) < 2
         return Place((found if is_valid else start) + first.corner)
     with one_thread():
         if hand is not None:
@@ -107,7 +107,7 @@ def locate(
         parts = [np.ascontiguousarray(image[part]) for image in images]
         starts = quadrilaterals(parts, np.ptp(first.levels[part], axis=0), shape, region)
         place = _fit_candidate(parts, best_candidate(parts, starts, shape), shape)
-    if place.score < ACCEPTED or not _is_visible(place.corners, Picture(parts[0][None])):
+    if place.score < ACCEPTED or not _is_visible(place.corners, parts[0]):
         raise HeliographError(
             f"no panel of {shape.rows} x {shape.columns} LEDs was found for certain: give corners=, the four "
             "corners of the LED area in px, or several frames in which LEDs of all outer lines are lit"
@@ -179,7 +179,7 @@ def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool 
     matrix = _inverse_leakage(leakage, picture)
     at = _checked(place).corners - picture.corner
     _check_visible(at, picture, shape)
-    images, moved = _crop(picture, at, 2 * shape.pitch(at))
+    images, moved = _crop(picture.levels, at, 2 * shape.pitch(at))
     corners = at - moved
     values = _unblur(images, corners, place.blur, shape) if unblur else _average(images, corners, shape)
     points = Place(corners).leds(rows, columns).reshape(-1, 2)
@@ -192,8 +192,8 @@ def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool 
 def _fit_candidate(images: Sequence[Levels], candidate: Place, shape: Shape, hand: Floats | None = None) -> Fit:
     """Fit the images of LEDs from a candidate; keep the candidate if its score is higher."""
     corners = candidate.corners
-    image, moved = _crop(Picture(images[0][None]), corners, 2 * shape.pitch(corners))
-    found = _fit_new(image[0], corners - moved, shape)
+    image, moved = _crop(images[0], corners, 2 * shape.pitch(corners))
+    found = _fit_new(image, corners - moved, shape)
     found = found._replace(corners=found.corners + moved)
     score = settle(images, found.corners, shape, hand, shift=False).score
     is_near = np.abs(found.corners - corners).max() < shape.pitch(corners)
@@ -212,9 +212,9 @@ def _follow(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterator[
         if number == 0:
             _check_visible(last - picture.corner, picture, shape)
         predicted = [corners - picture.corner for corners in (2 * last - before, last)]
-        starts = [corners for corners in predicted if _is_visible(corners, picture, shape)]
+        starts = [corners for corners in predicted if _is_visible(corners, picture.levels, shape)]
         found, score = _find_again(picture, starts, held, shape) if starts else (held, 0.0)
-        if score and _is_visible(found.corners, picture, shape):
+        if score and _is_visible(found.corners, picture.levels, shape):
             held, last, before = found, found.corners + picture.corner, last
             yield Place(last.copy(), found.blur, score)
         else:
@@ -224,8 +224,7 @@ def _follow(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterator[
 
 def _find_again(picture: Picture, starts: Sequence[Floats], held: Fit, shape: Shape) -> tuple[Fit, float]:
     """Return the fit near the starts and its score, 0 if the panel is not visible."""
-    images, moved = _crop(Picture(picture.gray[None]), starts[0], 5 * shape.pitch(starts[0]))
-    image = images[0]
+    image, moved = _crop(picture.gray, starts[0], 5 * shape.pitch(starts[0]))
     near = search_near(image, [start - moved for start in starts], shape)
     if near.score >= ACCEPTED:
         # an earlier fit starts within a tenth of a pitch, few steps are enough
@@ -260,7 +259,7 @@ def _unblur(images: Levels, corners: Floats, blur: float, shape: Shape) -> Float
             f"the LEDs lie {shape.pitch(corners):.1f} px apart, too close for a blur of {blur:.1f} px: sample without "
             "unblur, or give the blur that locate finds"
         )
-    mask = shape.mask(corners, (images.shape[1], images.shape[2]))
+    mask = mask_of(corners, images.shape[1:], 0.6 * shape.pitch(corners))
     with one_thread():
         lattice = Lattice(shape, corners, blur, mask)
         light, _ = lattice.light(images * mask)
@@ -282,27 +281,26 @@ def _average(images: Levels, corners: Floats, shape: Shape) -> Floats:
         return np.asarray((out[:-1, :, 0] / out[-1, :, 0]).T)
 
 
-def _crop(picture: Picture, corners: Floats, margin: float) -> tuple[Levels, Floats]:
-    """Crop a picture (channels, rows, columns) around a panel; return the crop and the first pixel (x, y)."""
+def _crop(levels: Levels, corners: Floats, margin: float) -> tuple[Levels, Floats]:
+    """Crop levels (..., rows, columns) around a panel; return the crop and the first pixel (x, y)."""
     outer = grow(corners, margin)
-    rows, columns = picture.size
+    rows, columns = levels.shape[-2:]
     x0, y0 = np.clip(np.floor(outer.min(axis=0)).astype(int), 0, [columns - 1, rows - 1])
     x1, y1 = np.clip(np.ceil(outer.max(axis=0)).astype(int) + 1, [x0 + 1, y0 + 1], [columns, rows])
-    return np.ascontiguousarray(picture.levels[:, y0:y1, x0:x1]), np.array([x0, y0], np.float64)
+    return np.ascontiguousarray(levels[..., y0:y1, x0:x1]), np.array([x0, y0], np.float64)
 
 
-def _is_visible(corners: Floats, picture: Picture, shape: Shape | None = None) -> bool:
-    """Return True if a panel can have such corners, and half of the panel or more is within the picture."""
-    rows, columns = picture.size
-    if not (shape.is_possible(corners) if shape else is_possible(corners)) or abs(area(corners)) < MIN_SIDE_PX**2:
+def _is_visible(corners: Floats, levels: Levels, shape: Shape | None = None) -> bool:
+    """Return True if a panel can have such corners, and half of the panel or more is within the levels."""
+    if not (shape or Shape(1, 1)).is_possible(corners) or abs(area(corners)) < MIN_SIDE_PX**2:
         return False
-    x, y = transform(homographies(corners), grid(8, 8)).T
-    return bool(((x > -0.5) & (x < columns - 0.5) & (y > -0.5) & (y < rows - 0.5)).mean() >= 0.5)
+    points = transform(homographies(corners), grid(8, 8))
+    return bool(((points > -0.5) & (points < np.array(levels.shape[:-3:-1]) - 0.5)).all(axis=1).mean() >= 0.5)
 
 
 def _check_visible(corners: Floats, picture: Picture, shape: Shape | None) -> None:
-    if not _is_visible(corners, picture, shape):
-        rows, columns = picture.size
+    if not _is_visible(corners, picture.levels, shape):
+        rows, columns = picture.levels.shape[1:]
         raise _no_panel(corners + picture.corner, f" in a frame of {columns}x{rows} pixels")
 
 
@@ -319,7 +317,7 @@ def _pictures(frames: Any) -> list[Picture]:
     if not several:
         raise HeliographError("locate takes a frame or a list of frames, not an empty one")
     pictures = [picture_of(frame) for frame in several]
-    if len({(picture.levels.shape, picture.origin) for picture in pictures}) > 1:
+    if len({(picture.levels.shape, *picture.corner) for picture in pictures}) > 1:
         raise HeliographError("frames of a list have one size, place and number of colours: give frames of one camera")
     return pictures
 
@@ -347,14 +345,13 @@ def _checked(place: Any) -> Place:
 
 
 def _region(region: Any, picture: Picture) -> Region:
-    rows, columns = picture.size
+    rows, columns = picture.levels.shape[1:]
     if region is None:
         return 0, 0, columns, rows
     numbers = isinstance(region, (list, tuple)) and len(region) == 4 and all(isinstance(n, Integral) for n in region)
     if not numbers:
         raise HeliographError(f"a region is (x, y, columns, rows) in integer pixels, not {shown(region)}")
-    x, y, width, height = (int(n) for n in region)
-    x, y = x - picture.origin[0], y - picture.origin[1]
+    (x, y), (width, height) = np.array(region[:2]) - picture.corner.astype(int), region[2:]
     x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + width, columns), min(y + height, rows)
     if x1 - x0 < MIN_SIDE_PX or y1 - y0 < MIN_SIDE_PX:
         raise HeliographError(

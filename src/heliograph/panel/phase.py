@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.panel.lattice import Shape
-from heliograph.panel.place import UNIT, Levels, homographies, transform
+from heliograph.panel.place import UNIT, Levels, Shape, homographies, transform
 
 Waves = NDArray[np.complex128]
 """Amplitudes of the waves at LEDs, (rows, columns)."""

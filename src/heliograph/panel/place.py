@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import nan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,25 +113,40 @@ def area(corners: Floats) -> float:
     return float(0.5 * _cross(corners, np.roll(corners, -1, axis=0)).sum())
 
 
-def is_possible(corners: Floats, rows: int = 1, columns: int = 1) -> bool:
-    """Return True if a camera can see a panel with such corners and resolve the LEDs."""
-    if not np.isfinite(corners).all():
-        return False
-    sides = np.roll(corners, -1, axis=0) - corners
-    if not (_cross(sides, np.roll(sides, -1, axis=0)) > 0).all():  # not convex and clockwise
-        return False
-    lengths = np.linalg.norm(sides, axis=1)
-    sines = _cross(np.roll(sides, 1, axis=0), sides) / (np.roll(lengths, 1) * lengths)
-    depths = np.append(UNIT, np.ones((4, 1)), axis=1) @ homographies(corners)[2]
-    pitch = (lengths / np.array([columns, rows, columns, rows])).min()
-    is_regular = sines.min() >= 0.1 and depths.max() <= 4.0 * depths.min()
-    return bool(pitch >= MIN_PITCH_PX and is_regular)
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """Numbers of LEDs along a column and along a row of a panel."""
 
+    rows: int
+    columns: int
 
-def pitches(corners: Floats, rows: int, columns: int) -> tuple[float, float]:
-    """Return the mean distances in px of neighbouring LEDs along a row and along a column."""
-    top, right, low, left = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-    return float(top + low) / 2 / columns, float(left + right) / 2 / rows
+    @property
+    def grid(self) -> Floats:
+        """(rows * columns, 2) centres of the LEDs on the unit square as (x, y), row by row."""
+        return grid(self.rows, self.columns)
+
+    def pitches(self, corners: Floats) -> tuple[float, float]:
+        """Return the mean distances in px of neighbouring LEDs along a row and along a column."""
+        top, right, low, left = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+        return float(top + low) / 2 / self.columns, float(left + right) / 2 / self.rows
+
+    def pitch(self, corners: Floats) -> float:
+        """Return the shorter of the mean pitches in px."""
+        return min(self.pitches(corners))
+
+    def is_possible(self, corners: Floats) -> bool:
+        """Return True if a camera can see the panel with such corners and resolve the LEDs."""
+        if not np.isfinite(corners).all():
+            return False
+        sides = np.roll(corners, -1, axis=0) - corners
+        if not (_cross(sides, np.roll(sides, -1, axis=0)) > 0).all():  # not convex and clockwise
+            return False
+        lengths = np.linalg.norm(sides, axis=1)
+        sines = _cross(np.roll(sides, 1, axis=0), sides) / (np.roll(lengths, 1) * lengths)
+        depths = np.append(UNIT, np.ones((4, 1)), axis=1) @ homographies(corners)[2]
+        pitch = (lengths / np.array([self.columns, self.rows, self.columns, self.rows])).min()
+        is_regular = sines.min() >= 0.1 and depths.max() <= 4.0 * depths.min()
+        return bool(pitch >= MIN_PITCH_PX and is_regular)
 
 
 Levels = NDArray[np.float32]
@@ -144,33 +159,24 @@ COLOURS = 3
 """Channels of a colour frame."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """Gray levels (channels, rows, columns) of a frame with one or three channels, and the first pixel (x, y)."""
+class Picture(NamedTuple):
+    """Frame with one or three channels."""
 
+    # (channels, rows, columns) gray levels
     levels: Levels
-    origin: tuple[int, int] = (0, 0)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return self.levels.shape[1], self.levels.shape[2]
+    # (2,) position (x, y) of the first pixel on the sensor
+    corner: Floats
 
     @property
     def gray(self) -> Levels:
         """(rows, columns) mean of the channels."""
         return self.levels[0] if len(self.levels) == 1 else np.asarray(self.levels.mean(axis=0))
 
-    @property
-    def corner(self) -> Floats:
-        """Position (2,) of the first pixel on the sensor."""
-        return np.array(self.origin, np.float64)
-
 
 def picture_of(frame: object) -> Picture:
     """Convert a frame, after checks."""
     if isinstance(frame, Frame):
-        return Picture(_to_levels(frame.pixels[None]), frame.origin)
+        return Picture(_to_levels(frame.pixels[None]), np.array(frame.origin, np.float64))
     if not isinstance(frame, np.ndarray):
         raise HeliographError(
             f"a frame is a heliograph.Frame or an array (rows, columns) or (rows, columns, 3), not "
@@ -184,7 +190,7 @@ def picture_of(frame: object) -> Picture:
     check_unmasked(frame)
     if not frame.size:
         raise HeliographError(f"a frame has no pixels: its shape is {frame.shape}; leave it out")
-    return Picture(_to_levels(frame[None] if frame.ndim == 2 else np.moveaxis(frame, 2, 0)))
+    return Picture(_to_levels(frame[None] if frame.ndim == 2 else np.moveaxis(frame, 2, 0)), np.zeros(2))
 
 
 def _to_levels(levels: NDArray[np.number]) -> Levels:

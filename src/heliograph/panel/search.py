@@ -6,22 +6,22 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.errors import HeliographError
 from heliograph.panel import kernels
-from heliograph.panel.lattice import REACH, Shape, mask_of, plane
+from heliograph.panel.lattice import REACH, mask_of, plane
 from heliograph.panel.phase import RIM, GridView, refine
 from heliograph.panel.place import (
     UNIT,
     Levels,
     Place,
+    Shape,
     area,
     corner_jacobian,
     grid,
-    grow,
     homographies,
-    pitches,
     transform,
 )
 
@@ -109,7 +109,7 @@ def _fit_area(image: Levels, corners: Floats, width: float) -> Floats:
     # a smooth image is subsampled
     every = max(1, int(width / 1.5))
     small, at, sigma = np.ascontiguousarray(smooth[::every, ::every]), corners / every, width / every
-    mask = mask_of(grow(at, 3 * sigma), (small.shape[0], small.shape[1]))
+    mask = mask_of(at, small.shape, 3 * sigma)
     inside = mask.ravel() > 0
     pixels, flat = small.ravel()[inside].astype(np.float64), plane(mask).reshape(3, -1).T[inside]
     for _ in range(8):
@@ -198,8 +198,7 @@ def is_plausible(corners: Floats, shape: Shape) -> bool:
     """Return True if a camera can see the panel, with similar pitches along rows and columns."""
     if not shape.is_possible(corners):
         return False
-    along, down = pitches(corners, shape.rows, shape.columns)
-    return max(along, down) <= 2.2 * min(along, down)
+    return max(shape.pitches(corners)) <= 2.2 * shape.pitch(corners)
 
 
 def _outlines(image: Levels) -> Iterator[Floats]:
@@ -251,7 +250,7 @@ def settle(
     )
     # logistic regressions for a position up to integer pitches, and for a shift by a pitch (benchmarks/panel_places.py)
     log_odds = -15.4 + 10.7 * lit.phases[0] + 9.8 * lit.phases[1] - 2.2 * np.log(max(lit.leverage, TINY))
-    score, moves = _probability(log_odds), list[int]()
+    score, moves = float(expit(log_odds)), list[int]()
     steps = np.arange(-RIM, RIM + 1)
     offset, growth = (np.zeros(2), np.zeros(2)) if hand is None else _compare(corners, hand, shape)
     counts = shape.columns, shape.rows
@@ -264,7 +263,7 @@ def settle(
         others = [evidence[k] for k in (best - 1, best + 1) if 0 <= k < len(evidence)]
         moves.append(int(steps[best]))
         odds = float(evidence[best] - max(others)) - 2.0 * abs(rise)
-        score *= _probability(0.8 + odds)
+        score *= float(expit(0.8 + odds))
     return Place(views[0].shifted(*moves) if any(moves) else corners, score=score)
 
 
@@ -285,7 +284,3 @@ def _compare(corners: Floats, hand: Floats, shape: Shape) -> tuple[Floats, Float
     off = (transform(to_unit, np.asarray(corners, np.float64)) - UNIT) * np.array([shape.columns, shape.rows])
     left, right, top, low = off[[0, 3], 0].mean(), off[[1, 2], 0].mean(), off[:2, 1].mean(), off[2:, 1].mean()
     return np.array([left + right, top + low]) / 2, np.array([right - left, low - top])
-
-
-def _probability(log_odds: float) -> float:
-    return float(1 / (1 + np.exp(-np.clip(log_odds, -50, 50))))

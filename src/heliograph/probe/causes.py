@@ -15,8 +15,7 @@ from heliograph.probe.levels import Levels
 from heliograph.probe.light import LightRate
 from heliograph.probe.reach import Reach
 from heliograph.probe.regions import Region
-from heliograph.probe.trials import TUNING as TRIALS
-from heliograph.probe.trials import Remedy, is_blurred, options
+from heliograph.probe.trials import MIN_TURN_DEG, SURE_HEADER, Remedy, is_blurred, options
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
@@ -59,15 +58,15 @@ class Rule(Generic[M]):
         self.kind, self.applies, self.why = kind, applies, why
         self.advice = [(lambda _: True, remedy) if isinstance(remedy, str) else remedy for remedy in advice]
 
-    def cause(self, measured: M, proven: bool) -> Cause:
-        """Fill in the measured values."""
-        advice = tuple(text.format(m=measured) for applies, text in self.advice if applies(measured))
-        return Cause(self.kind, self.why.format(m=measured), advice, proven)
-
 
 def diagnose(rules: Sequence[Rule[M]], measured: M, proven: bool = False) -> tuple[Cause, ...]:
     """Return the causes of all matching rules, in table order."""
-    return tuple(rule.cause(measured, proven) for rule in rules if rule.applies(measured))
+    causes = list[Cause]()
+    for rule in rules:
+        if rule.applies(measured):
+            advice = tuple(text.format(m=measured) for applies, text in rule.advice if applies(measured))
+            causes.append(Cause(rule.kind, rule.why.format(m=measured), advice, proven))
+    return tuple(causes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +127,7 @@ class RegionReport:
     @property
     def has_header(self) -> bool:
         """True if the correlation with a header is higher than that of clutter."""
-        return self.header is not None and self.header.score >= TRIALS.sure_header
+        return self.header is not None and self.header.score >= SURE_HEADER
 
     @property
     def like_array(self) -> bool:
@@ -150,8 +149,11 @@ class FilmMeasures:
     setup: Setup
     error: str
     rate: LightRate | None
+    # True if no region blinks
+    is_still: bool
 
     light_hz = property(lambda self: 1 / self.setup.signal.pattern_period_s)
+    period_ms = property(lambda self: 1e3 * self.setup.signal.pattern_period_s)
     total = property(lambda self: max(self.times.count + self.times.lost, 1))
     packet = property(lambda self: self.setup.signal.packet_patterns * self.setup.frames_a_pattern)
     at_full_scale = property(lambda self: 100 * self.levels.at_full_scale)
@@ -173,6 +175,9 @@ class FilmMeasures:
 
 
 FILM: tuple[Rule[FilmMeasures], ...] = (
+    Rule("still", lambda m: m.is_still, "no region blinks: all changes are within the noise",
+         "check that the array is switched on and in the image",
+         "expose no longer than a pattern of {m.period_ms:.3g} ms: the sum of a pattern and the inverse is uniform"),
     Rule("slow camera", lambda m: m.is_slow,
          "{m.times.rate_hz:.4g} frames a second as stamped, but the light shows {m.light_hz:.4g} patterns; receivers "
          "need a frame per pattern at least",
@@ -203,18 +208,6 @@ FILM: tuple[Rule[FilmMeasures], ...] = (
          "record longer, {m.three_packets_s:.2g} s at least: a packet must be complete"),
 )  # fmt: skip
 """Causes of a film."""
-
-
-def film_causes(measured: FilmMeasures, is_still: bool) -> tuple[Cause, ...]:
-    """Return the causes of a film, without a blinking region if `is_still`."""
-    causes = diagnose(FILM, measured)
-    period_ms = 1e3 * measured.setup.signal.pattern_period_s
-    still = Cause(
-        "still", "no region blinks: all changes are within the noise",
-        ("check that the array is switched on and in the image",
-         f"expose no longer than a pattern of {period_ms:.3g} ms: the sum of a pattern and the inverse is uniform"),
-    )  # fmt: skip
-    return (still, *causes) if is_still else causes
 
 
 def other_settings(differing: Sequence[tuple[str, Any, Any]], causes: Sequence[Cause]) -> tuple[Cause, ...]:
@@ -268,14 +261,13 @@ class RegionMeasures(RegionReport):
     only_soft = property(lambda self: self.receive.get("receiver") == "soft")
     is_retimed = property(lambda self: self.remedy.retimed)
     clock = property(lambda self: self.remedy.clock)
-    phase = property(lambda self: abs(self.clock.phase_patterns))
-    delay = property(lambda self: "after" if self.clock.phase_patterns > 0 else "before")
+    phase = property(lambda self: self.clock.phase_patterns)
+    delay = property(lambda self: f"{abs(self.phase):.2f} of a pattern {'after' if self.phase > 0 else 'before'}")
     poses = property(lambda self: [found.fit.pose for found in self.remedy.trial.detections])
     is_tilted = property(lambda self: any(np.hypot(pose.stretch, pose.shear) > 0.05 for pose in self.poses))
     has_dark_leds = property(lambda self: any((found.led_gains == 0).any() for found in self.remedy.trial.detections))
     # settings for the size and light of the region
-    wanted_px = property(lambda self: min(16 * np.ceil(self.size_px / SLACK / 16), 4096))
-    max_side_px = property(lambda self: self.new.get("max_side_px", self.wanted_px))
+    max_side_px = property(lambda self: self.new.get("max_side_px", min(16 * np.ceil(self.size_px / SLACK / 16), 4096)))
     min_contrast = property(lambda self: self.new.get("min_contrast", float(f"{SLACK * self.gain:.1g}")))
     # frame rate for a pattern as long as in the settings, and duration of a pattern for the frame rate of the stamps
     camera_hz = property(lambda self: _rounded(self.duration / self.setup.signal.pattern_period_s))
@@ -295,7 +287,7 @@ class RegionMeasures(RegionReport):
     def view(self) -> str:
         """Turn of an array that needs corners."""
         turn = abs(np.degrees(np.mean([pose.roll for pose in self.poses] or [0.0])))
-        return f"it is turned by {turn:.0f} degrees" if turn >= TRIALS.min_turn_deg else "the view is oblique"
+        return f"it is turned by {turn:.0f} degrees" if turn >= MIN_TURN_DEG else "the view is oblique"
 
     @property
     def new_corners(self) -> str:
@@ -427,7 +419,7 @@ FOUND: tuple[Rule[RegionMeasures], ...] = (
     Rule("out of step", lambda m: m.only_soft and m.duration and abs(m.duration - 1) > STEP_TOLERANCE,
          "a pattern lasts {m.duration:.2f} frames, but the receiver plain needs a frame per pattern", BY_SOFT),
     Rule("out of step", lambda m: m.only_soft and not m.clock.in_step,
-         "patterns begin {m.phase:.2f} of a pattern {m.delay} the frames: each frame shows two", BY_SOFT),
+         "patterns begin {m.delay} the frames: each frame shows two", BY_SOFT),
     Rule("hidden", lambda m: m.only_soft and m.has_dark_leds,
          "a part of it is hidden, but the receiver plain needs complete arrays", BY_SOFT),
     Rule("too small", lambda m: m.only_soft and m.size_px < SMALLEST_SIDE_PX["plain"], TOO_SMALL,

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from heliograph.base.arrays import Floats
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.film import FrameProgress, FrameSource, silent
@@ -14,12 +15,13 @@ from heliograph.link.truth import departures
 from heliograph.probe.activity import Stretch, Stretches
 from heliograph.probe.arrays import ArrayReport, ArrayWatch, Setup, measure_array
 from heliograph.probe.causes import (
+    FILM,
     SATURATED,
     ArrayLike,
     Cause,
     FilmMeasures,
     RegionReport,
-    film_causes,
+    diagnose,
     other_settings,
     region_causes,
 )
@@ -31,7 +33,7 @@ from heliograph.probe.noise import NoiseEstimate, NoiseWatch
 from heliograph.probe.reach import reaches
 from heliograph.probe.regions import Region, regions_of
 from heliograph.probe.screens import area_of, regions_in, screen_cause, screen_causes, screen_film_causes
-from heliograph.probe.trials import find_remedy, find_turned_remedy, is_blurred, other_packets
+from heliograph.probe.trials import Remedy, find_remedy, find_turned_remedy, is_blurred, other_packets
 from heliograph.receive import ReceiveSettings
 from heliograph.receive.geometry.window import Window
 from heliograph.receive.observe.noise import Noise
@@ -174,88 +176,62 @@ def probe_film(
     MediaError
         The film has no frames.
     """
-    watch = _Watch(film, signal, settings if reading else None, every)
+    frame_watch, stretches = FrameWatch(film.rate_hz), Stretches(every)
+    level_watch, noise_watch = LevelWatch(film.frame_count), NoiseWatch(film.frame_count)
+    array_watch = ArrayWatch(signal, settings if reading else None)
+    last: Frame | None = None
     broken: BaseException | None = None
     try:
         for count, frame in enumerate(islice(film, most), 1):
-            watch.add(frame)
+            last, repeated = frame, frame_watch.add(frame)
+            level_watch.add(frame)
+            noise_watch.add(frame, repeated)
+            if not repeated:
+                stretches.add(frame)
+            array_watch.push(frame)
             progress(count)
     except (MediaError, MemoryError, KeyboardInterrupt) as error:
         broken = error
-    if watch.last is None:
+    if last is None:
         raise broken or MediaError(f"{film.path} holds no frames: record it again")
-    watch.arrays.finish()
-    setup = Setup(signal, settings, watch.frames.times().rate_hz)
-    differing = departures(film, signal)
-    found = _diagnose(watch, watch.last, str(film.path), setup, broken, trials and not differing)
-    if not differing or found.read:
-        return found
-    # other causes follow from the wrong settings
-    regions = tuple(replace(report, causes=(), would_be=None) for report in found.regions)
-    return replace(found, regions=regions, causes=other_settings(differing, found.causes))
-
-
-class _Watch:
-    """Statistics of a film in bounded memory."""
-
-    def __init__(self, film: Film, signal: SignalSettings, settings: ReceiveSettings | None, every: int):
-        self.frames, self.stretches = FrameWatch(film.rate_hz), Stretches(every)
-        self.levels, self.noise = LevelWatch(film.frame_count), NoiseWatch(film.frame_count)
-        self.arrays = ArrayWatch(signal, settings)
-        self.last: Frame | None = None
-
-    def add(self, frame: Frame) -> None:
-        """Add the next frame."""
-        self.last, repeated = frame, self.frames.add(frame)
-        self.levels.add(frame)
-        self.noise.add(frame, repeated)
-        if not repeated:
-            self.stretches.add(frame)
-        self.arrays.push(frame)
-
-
-def _diagnose(
-    watch: _Watch, last: Frame, path: str, setup: Setup, broken: BaseException | None, trials: bool
-) -> Findings:
-    times, levels, error = watch.frames.times(), watch.levels.levels(), watch.arrays.error
-    noise, arrays = watch.noise.noise(levels.ceiling), watch.arrays.reports(last.full_scale)
-    stretch, is_screen = watch.stretches.best(), setup.settings.receiver == "screen"
-    regions, reports, count = list[Region](), list[RegionReport](), 0
-    area, unexpected = None, None
-    if stretch is not None and not arrays:
-        area = area_of(stretch.frames) if is_screen else None
-        unexpected = None if is_screen else screen_cause(stretch.frames, times.rate_hz)
-    if stretch is not None and unexpected is None and not (is_screen and area is None):
-        regions, count = regions_of(stretch, levels.ceiling)
-        if area is not None:  # all other changes belong to the same screen
-            regions = regions_in(area, regions)
+    array_watch.finish()
+    times, levels, stretch = frame_watch.times(), level_watch.levels(), stretches.best()
+    noise, arrays = noise_watch.noise(levels.ceiling), array_watch.reports(last.full_scale)
+    setup, differing = Setup(signal, settings, times.rate_hz), departures(film, signal)
+    is_screen, reports, count = settings.receiver == "screen", list[RegionReport](), 0
+    screen: Cause | None = None
+    if stretch is not None:
+        analysis = _Analysis(stretch, setup, noise, levels, trials and not differing and not is_screen)
+        area = area_of(stretch.frames) if is_screen and not arrays else None
+        screen = screen_cause(stretch.frames, times.rate_hz) if not is_screen and not arrays else None
+        regions = list[Region]()
+        if area is not None:  # all changes outside belong to the same screen
+            regions = regions_in(area, regions_of(stretch, levels.ceiling)[0])
             count = len(regions)
-    for region in regions:
-        assert stretch is not None
-        analysis = _Analysis(stretch, setup, noise, levels, trials and not is_screen)
-        identity = watch.arrays.identity_at(region, stretch.frames)
+        elif not is_screen and screen is None:
+            regions, count = regions_of(stretch, levels.ceiling)
         try:
-            report = analysis.report(region, None if identity is None else arrays[identity])
-            report = replace(report, would_be=analysis.describe_array(report) if area is None else None)
+            for region in regions:
+                identity = array_watch.identity_at(region, stretch.frames)
+                report = analysis.report(region, area, None if identity is None else arrays[identity])
+                if identity is not None and report.array is not None:
+                    arrays[identity] = report.array
+                reports.append(report)
         except (MemoryError, KeyboardInterrupt) as interruption:
             broken = interruption
-            break
-        if identity is not None and report.array is not None:
-            arrays[identity] = report.array
-        if area is None:
-            report = replace(report, causes=region_causes(report, setup, last.full_scale))
-        else:
-            report = replace(report, causes=screen_causes(report, area, stretch.frames, setup))
-        reports.append(report)
     is_blank = stretch is not None and not reports and not arrays
-    causes = film_causes(FilmMeasures(times, levels, setup, error, _best_rate(reports)), is_blank and not is_screen)
+    is_still = is_blank and not is_screen
+    causes = diagnose(FILM, FilmMeasures(times, levels, setup, array_watch.error, _best_rate(reports), is_still))
     if is_screen:
         causes = screen_film_causes(causes, levels, is_blank)
-    if unexpected is not None:
-        causes = (unexpected,)
+    if screen is not None:
+        causes = (screen,)
+    if differing and not arrays:  # other causes follow from the wrong settings
+        reports = [replace(report, causes=(), would_be=None) for report in reports]
+        causes = other_settings(differing, causes)
     return Findings(
-        path, last.pixels.shape[1], last.pixels.shape[0], last.bits, setup, times, levels, noise,
-        tuple(arrays.values()), tuple(reports), count, causes, error, broken, stretch,
+        str(film.path), last.pixels.shape[1], last.pixels.shape[0], last.bits, setup, times, levels, noise,
+        tuple(arrays.values()), tuple(reports), count, causes, array_watch.error, broken, stretch,
     )  # fmt: skip
 
 
@@ -269,28 +245,36 @@ class _Analysis:
     levels: Levels
     trials: bool
 
-    def report(self, region: Region, array: ArrayReport | None) -> RegionReport:
-        """Measure a region, and try other settings."""
-        setup, all_frames = self.setup, self.stretch.frames
-        quiet = float(np.median(self.stretch.noise))
-        frames = [_crop(frame, region.window) for frame in all_frames]
-        rate = light_rate(all_frames, region, quiet, self.levels.ceiling, setup.signal.slot_order)
+    def report(self, region: Region, area: Floats | None, array: ArrayReport | None) -> RegionReport:
+        """Measure a region, try other settings, and name the causes."""
+        setup, frames, full_scale = self.setup, self.stretch.frames, self.stretch.frames[0].full_scale
+        quiet, parts = float(np.median(self.stretch.noise)), [_crop(frame, region.window) for frame in frames]
+        rate = light_rate(frames, region, quiet, self.levels.ceiling, setup.signal.slot_order)
         if array is not None:
-            return RegionReport(region, rate, array=measure_array(array, frames, setup))
-        part, lamp_frames = pattern_part(all_frames, region, quiet), lamp_period(region.brightness)
-        report = RegionReport(region, rate, lamp_frames, part, self._header(region, frames, rate))
-        header, is_complete = report.header, not region.at_border and region.speed_px < 1
-        if header is not None and self.trials:
+            report = RegionReport(region, rate, array=measure_array(array, parts, setup))
+            return replace(report, causes=region_causes(report, setup, full_scale))
+        part, lamp_frames = pattern_part(frames, region, quiet), lamp_period(region.brightness)
+        report = RegionReport(region, rate, lamp_frames, part, self._header(region, parts, rate))
+        if area is not None:
+            return replace(report, causes=screen_causes(report, area, frames, setup))
+        report = replace(report, remedy=self._remedy(report, parts) if self.trials else None)
+        report = replace(report, would_be=self._describe(report))
+        return replace(report, causes=region_causes(report, setup, full_scale))
+
+    def _remedy(self, report: RegionReport, frames: Sequence[Frame]) -> Remedy | None:
+        """Try other settings, and the corners of the outline."""
+        region, rate, header, remedy = report.region, report.rate, report.header, None
+        is_complete = not region.at_border and region.speed_px < 1
+        if header is not None:
             noise = self._difference_noise(region, header.fit.gain)
             is_square = is_complete and region.saturated < 0.5 and not region.is_oblong
-            remedy = find_remedy(frames, setup, rate, header, noise, is_square)
-            report = replace(report, remedy=remedy)
+            remedy = find_remedy(frames, self.setup, rate, header, noise, is_square)
         # the outline of a defocused array is round and shows no turn
         is_round = header is not None and report.has_header and is_blurred(header.fit.pose)
-        if report.remedy is None and self.trials and rate is not None and is_complete and not is_round:
-            form = other_packets(header, setup.signal, rate.frames) if header is not None else {}
-            report = replace(report, remedy=find_turned_remedy(frames, setup, rate, (region.x, region.y), form))
-        return report
+        if remedy is None and rate is not None and is_complete and not is_round:
+            form = other_packets(header, self.setup.signal, rate.frames) if header is not None else {}
+            remedy = find_turned_remedy(frames, self.setup, rate, (region.x, region.y), form)
+        return remedy
 
     def _header(self, region: Region, frames: Sequence[Frame], rate: LightRate | None) -> HeaderMatch | None:
         """Search a header in a frame of each pattern; larger regions are changes of the scene."""
@@ -303,16 +287,16 @@ class _Analysis:
         speed = max(step, 1.0) * region.speed[0], max(step, 1.0) * region.speed[1]
         return find_header(frames, (region.x, region.y), region.side, self.setup.signal.side, speed)
 
-    def describe_array(self, report: RegionReport) -> ArrayLike | None:
+    def _describe(self, report: RegionReport) -> ArrayLike | None:
         """Describe an undecoded region as an array, by the packet of a trial or by the header."""
-        signal, remedy, header = self.setup.signal, report.remedy, report.clear_header
+        signal, settings, remedy, header = self.setup.signal, self.setup.settings, report.remedy, report.clear_header
         if remedy is not None and remedy.trial.detections:
             fit, signal = remedy.trial.detections[0].fit, remedy.trial.signal
         elif header is not None:
             fit = header.fit
         else:
             return None
-        settings, clock = self.setup.settings, remedy.clock if remedy is not None else None
+        clock = remedy.clock if remedy is not None else None
         array = ArrayLike(fit.pose, fit.gain / self.stretch.frames[0].full_scale, clock)
         if report.region.saturated > SATURATED:
             return array

@@ -66,7 +66,9 @@ class FrameWatch:
             self._steps_s.append((frame.time_s - last.time_s) / step)
         if len(self._steps_s) > 4096:
             self._steps_s, self._every = self._steps_s[::2], 2 * self._every
-        repeated = _equal_pixels(last, frame)
+        # every 16th row already differs in nearly all frames
+        a, b = last.pixels, frame.pixels
+        repeated = np.array_equal(a[::16], b[::16]) and np.array_equal(a, b)
         self._repeated += repeated
         return repeated
 
@@ -85,8 +87,3 @@ class FrameWatch:
         return FrameTimes(
             self._count, self._claimed_hz, rate_hz, jitter_s, every, lost, sum(gaps.values()), self._repeated
         )
-
-
-def _equal_pixels(first: Frame, second: Frame) -> bool:
-    # every 16th row already differs in nearly all frames
-    return np.array_equal(first.pixels[::16], second.pixels[::16]) and np.array_equal(first.pixels, second.pixels)

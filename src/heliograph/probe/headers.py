@@ -9,14 +9,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.probe.regions import alternation
-from heliograph.receive.detect.alternation import DETECT, SearchParameters, SearchRegion, alternation_of, coarse_search
+from heliograph.receive.detect.alternation import (
+    DETECT,
+    Change,
+    SearchParameters,
+    SearchRegion,
+    alternation_of,
+    coarse_search,
+)
 from heliograph.receive.detect.candidate import cell_weights, fit_near
 from heliograph.receive.detect.header_bank import Hypothesis, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
@@ -26,34 +31,8 @@ from heliograph.receive.geometry.pose import ORIENTATIONS, Pose
 from heliograph.receive.geometry.view import View, halved, reduced_blur
 from heliograph.receive.geometry.window import cut_out, window_around
 
-
-@dataclass(frozen=True, slots=True)
-class HeaderTuning:
-    """Grid and limits of the search for a header."""
-
-    # Sizes over the size of the region: hidden and blurred arrays appear smaller or larger
-    sizes: tuple[float, ...] = tuple(np.geomspace(0.7, 1.45, 8))
-    # Initial blurs in px: a fit of a defocused array converges only from nearby
-    blurs: tuple[float, ...] = (0.55, 1.3, 2.5, 5.0)
-    # Side in px up to which frames are reduced
-    reduced_side_px: float = 48.0
-    # Maximum frames
-    max_frames: int = 256
-    # Number of searched, and of fitted times with the most alternation
-    n_searched: int = 48
-    n_fitted: int = 4
-    # Maximum offset of an array's centre over the region's side: the array may be hidden in part
-    max_offset: float = 0.4
-    # Size of the fitted header over the size of the region
-    min_size: float = 0.55
-    max_size: float = 1.8
-    # Minimum correlation for the times of headers
-    min_timed: float = 0.6
-    # Minimum amplitude over the amplitude of the best header: a format dims some to 0.75
-    min_amplitude: float = 0.6
-
-
-TUNING = HeaderTuning()
+# Initial blurs in px: a fit of a defocused array converges only from nearby
+BLURS_PX = (0.55, 1.3, 2.5, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +79,9 @@ def find_header(
     speed: tuple[float, float] = (0.0, 0.0),
 ) -> HeaderMatch | None:  # fmt: skip
     """Search for the best header of a region in frames with a pattern each."""
-    level = max(0, int(np.ceil(np.log2(max(size_px, 1.0) / TUNING.reduced_side_px))))
-    frames = frames[: TUNING.max_frames]
+    # frames are reduced to a side of 48 px at most
+    level = max(0, int(np.ceil(np.log2(max(size_px, 1.0) / 48))))
+    frames = frames[:256]
     for _ in range(level):
         frames = [halved(frame) for frame in frames]
     scale = 2**level
@@ -110,14 +90,12 @@ def find_header(
     late = np.arange(len(frames) - 3) + 1.5 - 0.5 * (len(frames) - 1)
     places = _search(frames, np.array(centre) / scale + late[:, None] * np.array(speed), size, pad)
     candidates = [(place, _fit(frames, place, side, level, pad, speed)) for place in places]
-    limits = TUNING.min_size * size / side, TUNING.max_size * size / side
-    fits = [(place, fit) for place, fit in candidates if fit is not None and limits[0] < fit.pose.pitch < limits[1]]
+    fits = [(place, fit) for place, fit in candidates if fit and 0.55 * size < fit.pose.pitch * side < 1.8 * size]
     if not fits:
         return None
     place, fit = max(fits, key=lambda found: found[1].score)
     best = HeaderMatch(side, fit, headers(ORIENTATIONS).hypotheses[place.header])
-    if best.score >= TUNING.min_timed:
-        best = _find_starts(frames, best, place, speed)
+    best = _find_starts(frames, best, place, speed) if best.score >= 0.6 else best
     return replace(best, fit=View(level).fit_out(best.fit))
 
 
@@ -125,34 +103,35 @@ def _search(frames: Sequence[Frame], centres: Floats, size: float, pad: int) -> 
     """Search near the centres (times, 2); return the best places, each of another time."""
     parameters = SearchParameters(
         min_side_px=3.0, max_side_px=max(2 * size, 6.0), min_contrast=0.002, coarse_score=0.2,
-        score=0.0, regularity=0.0, candidates=1, blur_px=TUNING.blurs[0],
+        score=0.0, regularity=0.0, candidates=1, blur_px=BLURS_PX[0],
     )  # fmt: skip
-    cells, sizes = headers(ORIENTATIONS).cells, np.maximum(size * np.array(TUNING.sizes), 2.5)
+    # hidden and blurred arrays are smaller or larger than the region
+    cells, sizes = headers(ORIENTATIONS).cells, np.maximum(size * np.geomspace(0.7, 1.45, 8), 2.5)
     side, found = max(round(size), 1), list[_Place]()
     boxes = [(round(x - 0.5 * size), round(y - 0.5 * size), side, side) for x, y in centres]
     power = [np.square(alternation(frames[k : k + 4], box)).mean() for k, box in enumerate(boxes)]
     # a header has more than twice the light of data
-    for k in np.argsort(-np.array(power))[: TUNING.n_searched]:
-        change = _padded(alternation_of(frames[k : k + 4]), pad)
-        x, y = frames[k].origin[0] - pad, frames[k].origin[1] - pad
+    for k in np.argsort(-np.array(power))[:48]:
+        change, corner = _padded_alternation(frames, int(k), pad)
         busy = np.zeros([-(-length // BLOCK_PX) + 1 for length in change.shape], bool)
-        reach = TUNING.max_offset * size
-        first, last = ((centres[k] - (x, y) + sign * reach) // BLOCK_PX for sign in (-1, 1))
-        (left, top), (right, low) = np.maximum(first, 0).astype(int), np.maximum(last, 0).astype(int)
+        # the centre of an array that is hidden in part may be 0.4 sides off
+        ends = [(centres[k] - corner + reach) // BLOCK_PX for reach in (-0.4 * size, 0.4 * size)]
+        (left, top), (right, low) = np.maximum(ends, 0).astype(int)
         busy[top : low + 1, left : right + 1] = True
-        region = SearchRegion(change, busy, replace(frames[k], origin=(x, y)))
+        region = SearchRegion(change, busy, replace(frames[k], origin=corner))
         rows, *_ = coarse_search(region, parameters, cells, sizes)
-        found += [_Place(int(k), row[0], row[1] + x, row[2] + y, row[3], int(row[4])) for row in rows]
+        found += [_Place(int(k), row[0], row[1] + corner[0], row[2] + corner[1], row[3], int(row[4])) for row in rows]
     best = list[_Place]()
     for place in sorted(found, key=lambda place: -abs(place.score)):
-        if len(best) < TUNING.n_fitted and all(abs(place.frame - other.frame) > 3 for other in best):
+        if len(best) < 4 and all(abs(place.frame - other.frame) > 3 for other in best):
             best.append(place)
     return best
 
 
-def _padded(change: NDArray[np.float32], pad: int) -> NDArray[np.float32]:
-    """Add a dark margin: an array may lie at the frame's border."""
-    return np.asarray(cv2.copyMakeBorder(change, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0), np.float32)
+def _padded_alternation(frames: Sequence[Frame], first: int, pad: int) -> tuple[Change, tuple[int, int]]:
+    """Return the alternation of four frames with a dark margin, as an array may lie at the border, and the corner."""
+    x, y = frames[first].origin
+    return np.pad(alternation_of(frames[first : first + 4]), pad), (x - pad, y - pad)
 
 
 def _fit(
@@ -160,13 +139,12 @@ def _fit(
 ) -> Fit | None:
     """Fit a header near a place, from several blurs."""
     weights = np.sign(place.score) * cell_weights(headers(ORIENTATIONS).cells[place.header], side)
-    four, origin = frames[place.frame : place.frame + 4], frames[place.frame].origin
-    change, corner = _padded(alternation_of(four), pad), (origin[0] - pad, origin[1] - pad)
+    change, corner = _padded_alternation(frames, place.frame, pad)
     # motion blur of the alternation of four frames
     smear = abs(speed[0]) * (0.35 + 1 / 12) ** 0.5, abs(speed[1]) * (0.35 + 1 / 12) ** 0.5
     best: Fit | None = None
     for tilt in (DETECT.upright_sigma, DETECT.tilted_sigma):
-        for blur in TUNING.blurs:
+        for blur in BLURS_PX:
             start = Pose(place.x - 0.5, place.y - 0.5, place.size / side, 0.0, reduced_blur(blur, level))
             fit = fit_near(change, corner, start, weights, tilt, smear=smear)
             if fit is not None and (best is None or fit.score > best.score + (tilt > DETECT.upright_sigma) * 0.03):
@@ -183,7 +161,8 @@ def _find_starts(
     late = np.arange(len(frames)) - (place.frame + 1.5)
     poses = [match.fit.pose.moved(speed[0] * t, speed[1] * t) for t in late]
     shown = _amplitudes(frames, poses, cell_weights(headers(ORIENTATIONS).cells[place.header], match.side))
-    threshold = TUNING.min_amplitude * float(np.abs(shown[place.frame : place.frame + 4]).max())
+    # a format dims some headers to 0.75
+    threshold = 0.6 * float(np.abs(shown[place.frame : place.frame + 4]).max())
     lit = np.minimum(np.abs(shown[1:]), np.abs(shown[:-1])) > threshold
     ends = [0, *(np.flatnonzero(~(lit & (shown[1:] * shown[:-1] < 0))) + 1).tolist(), len(shown)]
     # a single pair of data may resemble the header; headers begin with the pattern, not with the inverse

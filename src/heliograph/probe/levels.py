@@ -11,23 +11,7 @@ Counts = NDArray[np.int64]
 """Pixel count by gray level."""
 
 
-@dataclass(frozen=True, slots=True)
-class PileUp:
-    """Rule for pixels that pile up at the top of a region's gray levels."""
-
-    # Width of the pile as a fraction of the ceiling: noise and codecs smear a level
-    width: float = 0.06
-    # Maximum width as a fraction of the region's range of levels: less than a level of the light
-    range_part: float = 0.15
-    # Minimum part of the region's pixels: of random data 1/16 of the LEDs have the highest of five levels
-    part: float = 0.3
-    # Minimum ratio of the pixels in the pile to the pixels in an equal width just below
-    ratio: float = 3.0
-    # Minimum top level as a fraction of the ceiling
-    level: float = 0.5
-
-
-def overexposed_part(counts: Counts, ceiling: int, rule: PileUp = PileUp()) -> float:
+def overexposed_part(counts: Counts, ceiling: int) -> float:
     """Return the overexposed part of a region's pixels, also for highlights that end below full scale.
 
     Clipping, a tone curve or limited range ends the levels of a region early, and the brightest pixels pile up there.
@@ -36,10 +20,12 @@ def overexposed_part(counts: Counts, ceiling: int, rule: PileUp = PileUp()) -> f
     clipped = float(counts[ceiling:].sum()) / total
     cumulative = np.cumsum(counts)
     bottom, top = (int(np.searchsorted(cumulative, part * total)) for part in (0.005, 0.995))
-    width = max(round(min(rule.width * ceiling, rule.range_part * (top - bottom))), 1)
+    # noise and codecs smear a level over 6 % of the ceiling; a level of the light covers over 15 % of the range
+    width = max(round(min(0.06 * ceiling, 0.15 * (top - bottom))), 1)
     begin = max(top - width, 0)
     piled, below = int(counts[begin + 1 :].sum()), int(counts[max(begin + 1 - width, 0) : begin + 1].sum())
-    is_piled = top >= rule.level * ceiling and piled >= rule.part * total and piled >= rule.ratio * below
+    # of random data 1/16 of the LEDs have the highest of five levels
+    is_piled = top >= 0.5 * ceiling and piled >= max(0.3 * total, 3 * below)
     return max(clipped, piled / total) if is_piled else clipped
 
 
@@ -90,16 +76,10 @@ class LevelWatch:
         full_scale, total = counts.size - 1, max(int(counts.sum()), 1)
         cumulative = np.cumsum(counts) / total
         brightest = int(np.flatnonzero(counts)[-1]) if counts.any() else 0
-        is_clipped = 1 < brightest < 0.9 * full_scale and _is_piled(counts, brightest)
+        # unclipped light and noise make the highest level the rarest, except in a uniform image
+        usual = max(float(counts[max(brightest - 8, 0) : brightest].mean()), 1.0) if brightest else 1.0
+        is_clipped = 1 < brightest < 0.9 * full_scale and 20 * usual < counts[brightest] <= 0.5 * total
         return Levels(
             full_scale, {p: float(np.searchsorted(cumulative, p / 100)) for p in (1, 50, 99)}, brightest,
             float(counts[-1]) / total, float(counts[0]) / total, brightest if is_clipped else full_scale,
         )  # fmt: skip
-
-
-def _is_piled(counts: Counts, level: int) -> bool:
-    """Return True if a level has far more pixels than the levels just below, as after clipping."""
-    if 2 * counts[level] > counts.sum():  # uniform image
-        return False
-    # unclipped light and noise make the highest level the rarest
-    return bool(counts[level] > 20.0 * max(float(counts[max(level - 8, 0) : level].mean()), 1.0))

@@ -22,39 +22,17 @@ from heliograph.probe.regions import Region, subsample
 from heliograph.receive.sync.combine import COVARIANCE
 from heliograph.signal.pwm import SLOTS
 
+LAGS = (1, 2, 3)
+"""Compared differences of frame numbers."""
 
-@dataclass(frozen=True, slots=True)
-class LightTuning:
-    """Hypotheses and thresholds for the duration of a pattern."""
+PIECE = 24
+"""Frames of a piece in which the duration may be off by 1 %, an eighth of a pattern at the ends."""
 
-    # Compared differences of frame numbers
-    lags: tuple[int, ...] = (1, 2, 3)
-    # Frames of a piece in which the duration may be off by 1 %, an eighth of a pattern at the ends
-    segment: int = 24
-    # Shortest and longest duration in frames, and the step as a fraction: a shorter pattern and the inverse cancel in
-    # a frame, and a piece shows fewer than three longer patterns
-    shortest: float = 0.6
-    longest: float = 8.0
-    step: float = 0.02
-    # Phases within a pair, and exposures as fractions of the frame period
-    n_phases: int = 12
-    exposures: tuple[float, ...] = (0.3, 0.65, 1.0)
-    # Minimum part of the correlations' variation that a duration explains within pieces, over the stretch, and over the
-    # stretch for one frame per pattern. Arrays have 0.65 to 0.95, but tiny, blurred and saturated ones 0.2 to 0.3;
-    # water and shadows up to 0.4 for long durations
-    min_piece: float = 0.12
-    min_explained: float = 0.5
-    min_explained_in_step: float = 0.2
-    # Number of refined durations, and sufficient explained part
-    n_refined: int = 2
-    sufficient: float = 0.6
-    # Additional variance of a frame's light, for a lit LED of variance 1; the light of a pair has no variance
-    min_variance: float = 0.01
-    # Maximum pixels of a region
-    max_pixels: int = 4096
+STEP = 0.02
+"""Relative step of the tried durations."""
 
-
-TUNING = LightTuning()
+MIN_VARIANCE = 0.01
+"""Additional variance of a frame's light, for a lit LED of variance 1; the light of a pair has no variance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,23 +50,23 @@ def light_rate(
 ) -> LightRate | None:
     """Measure the duration of a pattern in a region; None if the region shows no patterns."""
     known = correlations(frames, region, noise, ceiling)
-    if np.isfinite(known).any(1).sum() < TUNING.segment:
+    if np.isfinite(known).any(1).sum() < PIECE:
         return None
     order = tuple(slot_order)
     durations, expected = _piece_table(order)
     # up to ten pieces, spread over the stretch
-    starts = np.unique(np.linspace(0, max(len(known) - TUNING.segment, 0), 10).round().astype(int))
-    scores = np.mean([_explained(known[k : k + TUNING.segment], expected).max(1) for k in starts], axis=0)
-    best = _refine(known, durations, scores, order) if scores.max() >= TUNING.min_piece else None
-    if best is None:
-        return None
-    threshold = TUNING.min_explained_in_step if abs(best.frames - 1) < 0.02 else TUNING.min_explained
-    return best if best.explained >= threshold else None
+    starts = np.unique(np.linspace(0, max(len(known) - PIECE, 0), 10).round().astype(int))
+    scores = np.mean([_explained(known[k : k + PIECE], expected).max(1) for k in starts], axis=0)
+    best = _refine(known, durations, scores, order) if scores.max() >= 0.12 else None
+    # arrays have 0.65 to 0.95, but tiny, blurred and saturated ones 0.2 to 0.3; water and shadows up to 0.4 for long
+    # durations
+    threshold = 0.2 if best is not None and abs(best.frames - 1) < 0.02 else 0.5
+    return best if best is not None and best.explained >= threshold else None
 
 
 def _region_pixels(frames: Sequence[Frame], region: Region, numbers: range) -> Floats:
-    """Copy a subsample of a region's pixels, (numbers, pixels)."""
-    step = max(1, int(np.ceil((region.width * region.height / TUNING.max_pixels) ** 0.5)))
+    """Copy a subsample of a region's pixels, (numbers, pixels), at most 4096 pixels of a frame."""
+    step = max(1, int(np.ceil((region.width * region.height) ** 0.5 / 64)))
     return np.array([subsample(frames[k], region.box_at(k, len(frames)), step).ravel() for k in numbers])
 
 
@@ -101,7 +79,7 @@ def correlations(frames: Sequence[Frame], region: Region, noise: float, ceiling:
         pixels = pixels[:, clear]
     every = max(1, min(b.index - a.index for a, b in itertools.pairwise(frames)))
     numbers = [(frame.index - frames[0].index) // every for frame in frames]
-    out = np.full((min(numbers[-1] + 1, 4 * count), len(TUNING.lags)), np.nan)
+    out = np.full((min(numbers[-1] + 1, 4 * count), len(LAGS)), np.nan)
     # PWM dims all LEDs together: remove the part proportional to the mean image
     mean = np.median(pixels, axis=0)
     shape = np.linalg.qr(np.stack([np.ones_like(mean), mean], axis=1))[0]
@@ -112,7 +90,7 @@ def correlations(frames: Sequence[Frame], region: Region, noise: float, ceiling:
     power[power <= 0.5 * noise**2 * freedom] = np.nan  # noise dominates
     places = {number: k for k, number in enumerate(numbers)}
     for number, k in places.items():
-        for column, lag in enumerate(TUNING.lags):
+        for column, lag in enumerate(LAGS):
             other = places.get(number + lag)
             if other is not None and number < len(out):
                 out[number, column] = rest[k] @ rest[other] / np.sqrt(power[k] * power[other])
@@ -160,20 +138,21 @@ def pair_covariance(slot_order: Sequence[int]) -> Floats:
 @lru_cache(maxsize=2)
 def _piece_table(slot_order: tuple[int, ...]) -> tuple[Floats, Floats]:
     """Durations, and the expected correlations of a piece for each."""
-    count = int(np.ceil(np.log(TUNING.longest / TUNING.shortest) / TUNING.step)) + 1
-    durations = np.geomspace(TUNING.shortest, TUNING.longest, count)
-    return durations, _expected(durations, TUNING.segment, slot_order)
+    # a pattern shorter than 0.6 frames and the inverse cancel in a frame, and a piece shows three patterns of 8 frames
+    durations = np.geomspace(0.6, 8.0, int(np.ceil(np.log(8.0 / 0.6) / STEP)) + 1)
+    return durations, _expected(durations, PIECE, slot_order)
 
 
 def _expected(durations: Floats, frames: int, slot_order: Sequence[int]) -> Floats:
     """Compute expected correlations, (durations, phases and exposures, frames and lags)."""
-    phases = 2 * np.arange(TUNING.n_phases) / TUNING.n_phases
-    out = np.empty((len(durations), len(phases), len(TUNING.exposures), frames, len(TUNING.lags)))
+    # phases within a pair, and exposures as fractions of the frame period
+    phases, exposures = np.arange(12) / 6, np.array([0.3, 0.65, 1.0])
+    out = np.empty((len(durations), len(phases), len(exposures), frames, len(LAGS)))
     kernels.expected_correlations(
-        durations, phases, np.array(TUNING.exposures), np.arange(frames, dtype=float), np.array(TUNING.lags),
-        pair_covariance(slot_order), TUNING.min_variance, out,
+        durations, phases, exposures, np.arange(float(frames)), np.array(LAGS), pair_covariance(slot_order),
+        MIN_VARIANCE, out,
     )  # fmt: skip
-    return out.reshape(len(durations), -1, frames * len(TUNING.lags))
+    return out.reshape(len(durations), -1, frames * len(LAGS))
 
 
 def _explained(known: Floats, expected: Floats) -> Floats:
@@ -197,14 +176,14 @@ def _refine(known: Floats, durations: Floats, scores: Floats, slot_order: tuple[
     best: LightRate | None = None
     tried = list[float]()
     for k in np.argsort(-scores):
-        is_done = len(tried) >= TUNING.n_refined or (best is not None and best.explained >= TUNING.sufficient)
+        is_done = len(tried) >= 2 or (best is not None and best.explained >= 0.6)
         if is_done or scores[k] < 0.5 * scores.max():
             break
-        if any(abs(np.log(durations[k] / other)) < 2.5 * TUNING.step for other in tried):
+        if any(abs(np.log(durations[k] / other)) < 2.5 * STEP for other in tried):
             continue
         tried.append(float(durations[k]))
         # steps of 0.002: at most a quarter of a pattern off after 250 patterns
-        fine = durations[k] * np.exp(np.linspace(-1.5 * TUNING.step, 1.5 * TUNING.step, 31))
+        fine = durations[k] * np.exp(np.linspace(-1.5 * STEP, 1.5 * STEP, 31))
         explained = _explained(known, _expected(fine, len(known), slot_order)).max(1)
         i = int(np.argmax(explained))
         if best is None or explained[i] > best.explained:

@@ -26,30 +26,8 @@ Obstacle = Literal["", "one level", "moving", "wiped", "no slope", "few"]
 """Reason for a missing gain; empty if the gain is known."""
 
 
-@dataclass(frozen=True, slots=True)
-class PhotonTransferTuning:
-    """Thresholds of photon transfer."""
-
-    # Minimum blocks of a group: the quarter of the variances then has a standard error of 7 %
-    min_blocks: int = 40
-    # Maximum part of the blocks with less than half the variance of rounding: more were wiped out by compression
-    max_wiped: float = 0.25
-    # Maximum range of gray levels in a group, as a fraction of the ceiling
-    group_range: float = 0.01
-    # Maximum ratio of a block's variance to the variance of the finest detail: 5 % of white noise has more
-    max_coarseness: float = 2.0
-    # Maximum ratio of median to quarter of a group's variances over the ratio of white noise: moving groups have more
-    max_spread: float = 1.35
-    # Minimum range of gray levels for a slope, as a fraction of the ceiling
-    min_range: float = 0.02
-    # Minimum slope in standard errors
-    min_slope: float = 4.0
-
-
-TUNING = PhotonTransferTuning()
-
-# Quarter and median of the variances of 64 pixels of white noise: chi-square with 63 degrees of freedom over 63
-QUARTER, MEDIAN = 0.8791, 0.9894
+# Minimum blocks of a group: the quarter of the variances then has a standard error of 7 %
+MIN_BLOCKS = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,23 +121,25 @@ def block_statistics(first: Frame, second: Frame) -> Floats:
 def photon_transfer(blocks: Floats, ceiling: int) -> NoiseEstimate:
     """Estimate gain and dark noise from the blocks of many pairs of frames."""
     exposed = blocks[(blocks[:, 2] > 0) & (blocks[:, 3] < ceiling)]
-    if len(exposed) < 2 * TUNING.min_blocks:
+    if len(exposed) < 2 * MIN_BLOCKS:
         return NoiseEstimate("few")
-    if np.mean(exposed[:, 1] < ROUNDING / 2) > TUNING.max_wiped:
+    # less than half the variance of rounding: compression removed the noise
+    if np.mean(exposed[:, 1] < ROUNDING / 2) > 0.25:
         level, variance = np.median(exposed[:, :2], axis=0)
         return NoiseEstimate("wiped", float(level), float(np.sqrt(max(variance, 0.0))))
-    fine = exposed[exposed[:, 1] <= TUNING.max_coarseness * exposed[:, 4]]
-    points, errors = _static_groups(fine, TUNING.group_range * ceiling)
+    # white noise has twice the variance of the finest detail in 5 % of the blocks
+    fine = exposed[exposed[:, 1] <= 2 * exposed[:, 4]]
+    points, errors = _static_groups(fine, 0.01 * ceiling)
     if not len(points):
         return NoiseEstimate("moving")
     level, variance = np.median(points, axis=0)
     estimate = NoiseEstimate("", float(level), float(variance) ** 0.5, tuple((float(x), float(y)) for x, y in points))
-    if len(points) < 2 or float(np.ptp(points[:, 0])) < TUNING.min_range * ceiling:
+    if len(points) < 2 or float(np.ptp(points[:, 0])) < 0.02 * ceiling:
         return replace(estimate, untold="one level")
     (slope, base), covariance = np.polyfit(points[:, 0], points[:, 1], 1, w=1 / errors, cov="unscaled")
     chi_square = float((((points @ (-slope, 1) - base) / errors) ** 2).sum()) / max(len(points) - 2, 1)
     error = float(covariance[0, 0] * max(chi_square, 1.0)) ** 0.5
-    if not (slope > TUNING.min_slope * error and base > 0):
+    if not (slope > 4 * error and base > 0):
         return replace(estimate, untold="no slope")
     dark_e = float(max(base - ROUNDING, 0.0) ** 0.5 / slope)
     return replace(estimate, gain_dn_per_e=float(slope), gain_error=error, dark_e=dark_e)
@@ -168,20 +148,18 @@ def photon_transfer(blocks: Floats, ceiling: int) -> NoiseEstimate:
 def _static_groups(blocks: Floats, max_range: float) -> tuple[Floats, Floats]:
     """Group blocks by gray level; return level and variance (groups, 2) of static groups, and standard errors."""
     blocks = blocks[np.argsort(blocks[:, 0], kind="stable")]
-    points, errors = list[tuple[float, float]](), list[float]()
-    first = 0
+    points, errors, first = list[tuple[float, float]](), list[float](), 0
     while first < len(blocks):
         end = int(np.searchsorted(blocks[:, 0], blocks[first, 0] + max_range, "right"))
-        end = min(first + max(len(blocks) // 16, TUNING.min_blocks), end)
+        end = min(first + max(len(blocks) // 16, MIN_BLOCKS), end)
         group, first = blocks[first:end], end
-        if len(group) < TUNING.min_blocks:
-            continue
         quarter, median = np.quantile(group[:, 1], [0.25, 0.5])
-        variance = float(quarter / QUARTER)
-        is_moving = median / max(quarter, 1e-9) * QUARTER / MEDIAN > TUNING.max_spread
-        if is_moving or variance < ROUNDING / 2:  # a wiped-out group would weigh as if it were exact
-            continue
-        points.append((float(np.median(group[group[:, 1] <= median, 0])), variance))
-        # the quarter of n variances with the spread 0.18 has the error 1.36 * 0.18 / sqrt(n)
-        errors.append(variance * 0.25 / len(group) ** 0.5)
+        # of 64 pixels of white noise: chi-square with 63 degrees of freedom over 63
+        variance = float(quarter / 0.8791)
+        is_moving = median / 0.9894 > 1.35 * max(variance, 1e-9)
+        # a wiped-out group would weigh as if it were exact
+        if len(group) >= MIN_BLOCKS and not is_moving and variance >= ROUNDING / 2:
+            points.append((float(np.median(group[group[:, 1] <= median, 0])), variance))
+            # the quarter of n variances with the spread 0.18 has the error 1.36 * 0.18 / sqrt(n)
+            errors.append(variance * 0.25 / len(group) ** 0.5)
     return np.array(points).reshape(-1, 2), np.array(errors)

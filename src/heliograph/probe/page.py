@@ -167,22 +167,12 @@ def _verdict(found: Findings) -> str:
 def _write_regions(page: Report, stretch: Stretch, reports: Sequence[RegionReport]) -> None:
     first, last = stretch.frames[0].index, stretch.frames[-1].index
     page.figure(frame_picture(stretch, reports), f"Strongest regions in frames {first} to {last}, and the causes.")
-    head = ["region", "place (px)", "size (px)", "speed (px a frame)", "contrast", "frames a pattern", "header"]
-    page.table(head, [_row(number, report) for number, report in enumerate(reports, 1)])
     for number, report in enumerate(reports, 1):
         page.heading(f"Region {number}: {report.causes[0].kind if report.causes else ''}")
         for cause in report.causes:
             page.text(cause_words(cause))
         for line in would_be_lines(report):
             page.text(f"{line.strip()}.", note=True)
-        caption = f"Region {number}, {place(report)}. Two frames, alternation, sum; below, the brightness."
+        rate = f"; a pattern lasts {report.rate.frames:.2f} frames" if report.rate else ""
+        caption = f"Region {number}, {place(report)}{rate}. Two frames, alternation, sum; below, the brightness."
         page.figure(region_picture(stretch, report), caption)
-
-
-def _row(number: int, report: RegionReport) -> list[str]:
-    region, scored = report.region, report.array if report.array is not None else report.header
-    return [
-        str(number), f"{region.x:.0f}, {region.y:.0f}", f"{region.width:.1f} x {region.height:.1f}",
-        f"{region.speed_px:.2f}", f"{region.contrast:.3f}", f"{report.rate.frames:.2f}" if report.rate else "-",
-        "-" if scored is None else f"{scored.score:.2f}",
-    ]  # fmt: skip

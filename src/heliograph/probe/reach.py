@@ -47,13 +47,13 @@ def reaches(
         return {}
     # distances over the distance in the film, to 12 times as far
     steps = [max(0.25, pose.pitch / MAX_PITCH_PX) * 1.03**step for step in range(132)]
-    images = cache(lambda step: _symbol_images(replace(pose, pitch=pose.pitch / steps[step]), signal.side))
+    images = cache(lambda step, kind: _symbol_images(replace(pose, pitch=pose.pitch / steps[step]), signal.side, kind))
     snr = gain / noise.lit**0.5
 
     def end_m(kind: Kind, layer: int) -> float:
         required = required_information(getattr(signal.rate, LAYERS[layer]))
         numbers = range(len(steps))
-        count = bisect_left(numbers, True, key=lambda step: images(step).information(kind, layer, snr) < required)
+        count = bisect_left(numbers, True, key=lambda step: images(step, kind).information(kind, layer, snr) < required)
         return inf if count == len(steps) else distance_m * steps[count - 1] if count else 0.0
 
     reach = {}
@@ -67,19 +67,21 @@ def reaches(
 @one_thread()
 def high_information(receiver: str, pose: Pose, gain: float, noise: Noise, side: int) -> float:
     """Return the information in the high layer in bit per sent bit."""
-    return _symbol_images(pose, side).information(_KINDS[receiver], 0, gain / noise.lit**0.5)
+    return _symbol_images(pose, side, _KINDS[receiver]).information(_KINDS[receiver], 0, gain / noise.lit**0.5)
 
 
-def _symbol_images(pose: Pose, side: int) -> SymbolImages:
-    """Render the symbols of an array in differences of pattern and inverse."""
+def _symbol_images(pose: Pose, side: int, kind: Kind) -> SymbolImages:
+    """Render the symbols of an array in differences of pattern and inverse; sample only for the kind "sampled"."""
     # neither on a pixel nor between two
     pose = replace(pose, x=0.29, y=0.29)
     x, y, width, height = window_around(pose, side, RIM_PX)
     light = light_of_symbols(footprints(pose, (x, y), (height, width), side)).astype(np.float64)
+    layers = np.repeat(np.arange(3.0), np.array(MULTIPLICITY) * (side // 2) ** 2)
+    if kind != "sampled":
+        return SymbolImages((light @ light.T,), (), layers)
     # neighbouring LEDs share pixels and noise: sample 64 images of noise, 3 % standard error at most
     white = np.random.default_rng(0).standard_normal((64, height, width))
     images = [*light.reshape(-1, height, width), *white]
     samples = np.array([to_quarters(at_leds(image, (x, y), pose, side)) for image in images])
     responses, noise = np.split(transform_quarters(samples.T), [side * side], axis=1)
-    layers = np.repeat(np.arange(3.0), np.array(MULTIPLICITY) * (side // 2) ** 2)
     return SymbolImages((light @ light.T,), ((responses, np.sqrt((noise**2).mean(1))),), layers)

@@ -15,29 +15,8 @@ from heliograph.receive.detect.alternation import ALTERNATION
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.window import Window, covered, cut_out
 
-Blocks = NDArray[np.bool_]
-"""Set of blocks, (blocks down, blocks across)."""
-
-
-@dataclass(frozen=True, slots=True)
-class RegionTuning:
-    """Thresholds and limits of regions."""
-
-    # Maximum rows and columns of pixels per region: larger regions are subsampled
-    max_side_px: int = 256
-    # Maximum pixels per region over all frames: fewer frames of large regions are used
-    max_pixels: int = 16_000_000
-    # Minimum amplitude of the core over the maximum: LEDs differ, and a blurred rim has half
-    core: float = 0.35
-    # Minimum power of a pixel: over the maximum, over the surroundings, and the upper limit of the latter
-    tail: float = 0.02
-    rim: float = 4.0
-    max_tail: float = 0.25
-    # Distance in px from the frame's border at which a region counts as cut
-    border_px: float = 2.0
-
-
-TUNING = RegionTuning()
+MAX_SIDE_PX = 256
+"""Maximum rows and columns of pixels per region: larger regions are subsampled."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +114,10 @@ class Region:
 
 def regions_of(stretch: Stretch, ceiling: int) -> tuple[list[Region], int]:
     """Measure up to six blinking regions, the strongest first; return them and the number of all regions."""
-    groups = group_blocks(stretch.busy)
+    # groups of adjacent busy blocks, over gaps of up to two blocks
+    closed = cv2.morphologyEx(stretch.busy.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    count, labels = cv2.connectedComponents(closed, connectivity=8)
+    groups = [labels == number for number in range(1, count)]
     strength = np.maximum(stretch.alternation.mean(0) - ALTERNATION_NOISE * stretch.noise, 0.0)
     groups.sort(key=lambda blocks: -float(strength[blocks].sum()))
     regions = list[Region]()
@@ -147,14 +129,7 @@ def regions_of(stretch: Stretch, ceiling: int) -> tuple[list[Region], int]:
     return regions, len(groups)
 
 
-def group_blocks(busy: Blocks) -> list[Blocks]:
-    """Group adjacent busy blocks, over gaps of up to two blocks."""
-    closed = cv2.morphologyEx(busy.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    count, labels = cv2.connectedComponents(closed, connectivity=8)
-    return [labels == number for number in range(1, count)]
-
-
-def _measure(stretch: Stretch, blocks: Blocks, ceiling: int) -> Region | None:
+def _measure(stretch: Stretch, blocks: NDArray[np.bool_], ceiling: int) -> Region | None:
     """Measure a group of blocks: first motion by blocks, then size by pixels."""
     frames, power = stretch.frames, stretch.alternation**2 - (ALTERNATION_NOISE * stretch.noise) ** 2
     near = cv2.dilate(blocks.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
@@ -186,7 +161,7 @@ def _resize(rough: Region, frames: Sequence[Frame], noise: float) -> Region:
     count = len(frames)
     # the blurred rim must not reach the border of the window
     width, height = rough.box_at(0, count, 1.15 + 3 * BLOCK_PX / rough.side)[2:]
-    step = max(1, int(np.ceil(max(width, height) / TUNING.max_side_px)))
+    step = max(1, int(np.ceil(max(width, height) / MAX_SIDE_PX)))
     changes = list[Floats]()
     for k in _spread(count - 3, 4 * width * height // step**2):
         x, y = rough.centre_at(k + 1.5, count)
@@ -196,9 +171,10 @@ def _resize(rough: Region, frames: Sequence[Frame], noise: float) -> Region:
     smooth = cv2.GaussianBlur(power, (0, 0), max(0.7, 0.04 * rough.side / step))
     peak = float(smooth.max())
     rim = np.concatenate([smooth[:2].ravel(), smooth[-2:].ravel(), smooth[:, :2].ravel(), smooth[:, -2:].ravel()])
-    threshold = min(max(TUNING.tail * peak, TUNING.rim * float(np.median(rim))), TUNING.max_tail * peak)
+    threshold = min(max(0.02 * peak, 4 * float(np.median(rim))), 0.25 * peak)
     (dx, dy), size = _uniform_box(np.where(smooth > threshold, power, 0.0))
-    core = np.array(changes)[:, smooth > TUNING.core**2 * smooth.max()]
+    # LEDs differ, and a blurred rim has half the amplitude
+    core = np.array(changes)[:, smooth > 0.35**2 * peak]
     # position in the window, which is centred on the region except for rounding
     x, y = (rough.x, rough.y) if step > 1 else (rough.x + dx - 0.5 * (width - 1), rough.y + dy - 0.5 * (height - 1))
     if step == 1 and rough.speed_px * count < 1:
@@ -211,7 +187,7 @@ def _resize(rough: Region, frames: Sequence[Frame], noise: float) -> Region:
 def _expose(region: Region, frames: Sequence[Frame], ceiling: int) -> Region:
     """Measure brightness, overexposure and window of a region."""
     count, (rows, cols) = len(frames), frames[0].pixels.shape
-    step = max(1, int(np.ceil(region.side / TUNING.max_side_px)))
+    step = max(1, int(np.ceil(region.side / MAX_SIDE_PX)))
     used = _spread(count, int(region.width * region.height / step**2))
     means, levels = np.zeros(len(used)), np.zeros(frames[0].full_scale + 1, np.int64)
     for number, k in enumerate(used):
@@ -220,7 +196,7 @@ def _expose(region: Region, frames: Sequence[Frame], ceiling: int) -> Region:
         levels += np.bincount(pixels.astype(np.intp).ravel(), minlength=levels.size)
     half, low = 0.5 * np.array([region.width, region.height]), np.array(frames[0].origin)
     high, corners = np.add(low, (cols, rows)), region.corners
-    inside = (corners >= low - 0.5 + TUNING.border_px) & (corners <= high - 0.5 - TUNING.border_px)
+    inside = (corners >= low + 1.5) & (corners <= high - 2.5)  # a region counts as cut 2 px from the border
     ends = np.array([region.centre_at(0, count), region.centre_at(count - 1, count)])
     margin = half + max(16.0, 0.6 * region.side)
     corner = np.maximum(ends.min(0) - margin, low).astype(int)
@@ -233,7 +209,7 @@ def _expose(region: Region, frames: Sequence[Frame], ceiling: int) -> Region:
 
 def _spread(count: int, pixels: int) -> list[int]:
     """Return evenly spread frame numbers, fewer for many pixels."""
-    limit = max(min(256, TUNING.max_pixels // max(pixels, 1)), 16)
+    limit = max(min(256, 16_000_000 // max(pixels, 1)), 16)
     return [*map(int, np.unique(np.linspace(0, max(count, 1) - 1, min(limit, max(count, 1))).round()))]
 
 

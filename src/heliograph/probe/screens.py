@@ -136,37 +136,14 @@ def usual(rate_hz: float) -> float:
     return rate_hz
 
 
-@dataclass(frozen=True, slots=True)
-class ScreenTuning:
-    """Thresholds of the causes of screens."""
+MAX_SLANT = 1.6
+"""Maximum ratio of sides, or of diagonals: at 45 degrees it is 1.5, and all is decoded."""
 
-    # Minimum ratio of sides, or of diagonals, of an oblique view: at 45 degrees it is 1.5, and all is decoded
-    slant: float = 1.6
-    # Minimum px per cell in a hand; in good light 2.3 px are decoded
-    cell_px: float = 5.0
-    # Minimum light of the array over full scale; in a lit room it is 0.5
-    light: float = 0.2
-    # Minimum gray level over full scale of glare; below it the screen is dark
-    glare: float = 0.5
-    # Maximum overexposed part: 0.34 is decoded in good light, of 0.8 an eighth
-    saturated: float = 0.25
-    # Minimum frames per pattern: of fewer nearly all frames show two patterns
-    frames: float = 1.7
-    # Relative tolerance of the receiver's rates
-    rate: float = 0.02
-    # Minimum correlation and maximum light over full scale of a reliable header fit: wrong fits have 0.83 to 0.88, and
-    # light of 1.4 to 2.5
-    header: float = 0.9
-    header_light: float = 1.2
-    # Maximum size of a reliable header over the changing area, and size below which the area is wide due to motion: 20
-    # px to either side have 0.82, 12 px have 0.88
-    size: float = 1.25
-    motion: float = 0.85
-    # Maximum blur in cells: square cells in focus have 0.4; 0.66 is decoded, of 0.8 half
-    blur: float = 0.7
+MIN_CELL_PX = 5.0
+"""Minimum px per cell in a hand; in good light 2.3 px are decoded."""
 
-
-TUNING = ScreenTuning()
+MIN_FRAMES = 1.7
+"""Minimum frames per pattern: of fewer nearly all frames show two patterns."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,11 +161,14 @@ class ScreenMeasures(RegionMeasures):
     side_px = property(lambda self: self.header.size_px if self.is_reliable else self.area_px)
     cell_px = property(lambda self: self.side_px / self.side)
     percent = property(lambda self: 100 * self.light)
-    is_burnt = property(lambda self: self.region.saturated > TUNING.saturated)
-    is_weak = property(lambda self: self.light < TUNING.light)
-    is_bright = property(lambda self: np.mean(self.region.brightness) / self.full_scale > TUNING.glare)
-    # the changing area is larger than the array due to motion of the hand
-    moves = property(lambda self: self.is_reliable and self.side_px < TUNING.motion * self.area_px)
+    # 0.34 is decoded in good light, of 0.8 an eighth
+    is_burnt = property(lambda self: self.region.saturated > 0.25)
+    # in a lit room the array has half of full scale
+    is_weak = property(lambda self: self.light < 0.2)
+    is_bright = property(lambda self: np.mean(self.region.brightness) / self.full_scale > 0.5)
+    # the changing area is larger than the array due to motion of the hand: 20 px to either side have a ratio of 0.82,
+    # 12 px have 0.88
+    moves = property(lambda self: self.is_reliable and self.side_px < 0.85 * self.area_px)
     pattern_s = property(lambda self: 1 / self.rate_hz)
     frames = property(lambda self: self.setup.rate_hz / self.rate_hz if self.rate_hz else np.inf)
 
@@ -203,9 +183,10 @@ class ScreenMeasures(RegionMeasures):
     def is_reliable(self) -> bool:
         """True if the header's fit gives blur and size of the array."""
         header = self.header
-        if header is None or header.score < TUNING.header or header.fit.gain > TUNING.header_light * self.full_scale:
+        if header is None or self.slant >= MAX_SLANT or header.size_px >= 1.25 * self.area_px:
             return False
-        return self.slant < TUNING.slant and header.size_px < TUNING.size * self.area_px
+        # wrong fits have scores of 0.83 to 0.88, and light of 1.4 to 2.5 of full scale
+        return header.score >= 0.9 and header.fit.gain <= 1.2 * self.full_scale
 
     @property
     def light(self) -> float:
@@ -224,20 +205,17 @@ class ScreenMeasures(RegionMeasures):
     def is_expected_rate(self) -> bool:
         """True if the receiver tries the rate of the patterns."""
         rate_hz = self.rate_hz or 0.0
-        is_given = abs(rate_hz * self.setup.signal.pattern_period_s - 1) < TUNING.rate
-        is_tried = (1 - TUNING.rate) * ANY_RATES[0] < rate_hz < (1 + TUNING.rate) * ANY_RATES[-1]
+        is_given = abs(rate_hz * self.setup.signal.pattern_period_s - 1) < 0.02
+        is_tried = 0.98 * ANY_RATES[0] < rate_hz < 1.02 * ANY_RATES[-1]
         return is_given or (self.setup.settings.screen.find_rate and is_tried)
 
 
-BURNT: tuple[Rule[ScreenMeasures], ...] = (  # neither outline nor header of the array show
+SCREEN: tuple[Rule[ScreenMeasures], ...] = (
     Rule("exposure", lambda m: m.is_burnt, "{m.saturated:.0f} % of the patterns are white blots, levels are lost",
          "lower the brightness of the screen, or the exposure by touching the patterns in the phone's picture"),
-)  # fmt: skip
-
-SCREEN: tuple[Rule[ScreenMeasures], ...] = (
     Rule("sight", lambda m: m.is_cut, "the patterns reach the picture's border",
          "show all of the patterns, with a dark margin of two cells about them"),
-    Rule("angle", lambda m: m.slant >= TUNING.slant,
+    Rule("angle", lambda m: m.slant >= MAX_SLANT,
          "the patterns are seen from a side: one direction is {m.slant:.1f} times as long",
          "hold the phone straight before the screen"),
     Rule("motion", lambda m: m.moves, "the patterns move in the picture",
@@ -248,21 +226,21 @@ SCREEN: tuple[Rule[ScreenMeasures], ...] = (
     Rule("exposure", lambda m: m.is_weak and not m.is_bright,
          "the patterns are dark: their light is {m.percent:.0f} % of full scale",
          "make the screen brighter, and touch the patterns in the phone's picture"),
-    Rule("resolution", lambda m: m.cell_px < TUNING.cell_px,
-         f"a cell has {{m.cell_px:.1f}} px; {TUNING.cell_px:g} or more are read in a hand",
+    Rule("resolution", lambda m: m.cell_px < MIN_CELL_PX,
+         f"a cell has {{m.cell_px:.1f}} px; {MIN_CELL_PX:g} or more are read in a hand",
          "go nearer, zoom in before filming, or film in 1080p",
          "or show fewer cells: on page Transmit, or by --set signal.side=8 at both ends"),
-    Rule("focus",
-         lambda m: m.cell_px >= TUNING.cell_px and m.is_reliable and not m.moves and m.blur > TUNING.blur,
+    # square cells in focus have a blur of 0.4 cells; 0.66 is decoded, of 0.8 half
+    Rule("focus", lambda m: m.cell_px >= MIN_CELL_PX and m.is_reliable and not m.moves and m.blur > 0.7,
          "the patterns are blurred by {m.blur:.1f} cells",
          "touch the patterns in the phone's picture, wipe the lens, go 30 cm away at least; hold the phone still"),
     Rule("cells", lambda m: m.cells not in (None, m.side) and m.is_reliable and not m.moves,
          "the screen shows {m.cells} x {m.cells} cells, not {m.side} x {m.side}",
          "change the setting: on page Receive, or by --set signal.side={m.cells}"),
-    Rule("rate", lambda m: m.frames < TUNING.frames,
+    Rule("rate", lambda m: m.frames < MIN_FRAMES,
          "a pattern lasts {m.frames:.1f} frames of the film; two or more are read",
          "choose fewer patterns a second, or film at more frames a second"),
-    Rule("rate", lambda m: m.rate_hz is not None and m.frames >= TUNING.frames and not m.is_expected_rate,
+    Rule("rate", lambda m: m.rate_hz and m.frames >= MIN_FRAMES and not m.is_expected_rate,
          "the screen shows {m.rate_hz:.3g} patterns a second, a rate out of range",
          "change the setting: on page Receive, or by --set signal.pattern_period_s={m.pattern_s:.3g}",
          "or, for slow motion that plays slower than it was filmed, by --fps RATE"),
@@ -320,7 +298,9 @@ def screen_causes(report: RegionReport, area: Floats, frames: Sequence[Frame], s
         setup=setup, full_scale=full_scale, corners=corners, rate_hz=rate_hz, cells=cells_of_a_side(frames), size=size,
         **vars(report),
     )  # fmt: skip
-    return diagnose(BURNT, measured) or diagnose(SCREEN, measured) or diagnose(UNREAD, measured)
+    causes = diagnose(SCREEN, measured) or diagnose(UNREAD, measured)
+    # neither outline nor header of an overexposed array show
+    return causes[:1] if measured.is_burnt else causes
 
 
 def screen_cause(frames: Sequence[Frame], rate_hz: float) -> Cause | None:
@@ -333,7 +313,7 @@ def screen_cause(frames: Sequence[Frame], rate_hz: float) -> Cause | None:
     if cells is None or _side_px(area) < 3.0 * cells:
         return None
     patterns_hz = patterns_per_s(frames)
-    if patterns_hz is None or rate_hz < TUNING.frames * patterns_hz:
+    if patterns_hz is None or rate_hz < MIN_FRAMES * patterns_hz:
         return None
     periods = {name: changes["signal"]["pattern_period_s"] for name, (_, changes) in PRESETS.items() if "phone" in name}
     preset = min(periods, key=lambda name: abs(np.log(periods[name] * patterns_hz)))

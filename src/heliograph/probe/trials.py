@@ -22,30 +22,11 @@ from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
+SURE_HEADER = 0.85
+"""Minimum correlation with a certain header: clutter seldom exceeds 0.8."""
 
-@dataclass(frozen=True, slots=True)
-class TrialTuning:
-    """Thresholds of trials."""
-
-    # Numbers of LEDs per row for arrays with a header but no codeword, the most usual first
-    sides: tuple[int, ...] = (8, 16, 32, 12, 24, 4, 20, 48, 64)
-    # Minimum correlation with a header for a trial, and for a certain header: clutter seldom exceeds 0.8
-    min_header: float = 0.7
-    sure_header: float = 0.85
-    # Minimum blur of a defocused lens in pitches, and in px: the reference lens has 0.5 px
-    blurred: float = 1.2
-    blurred_px: float = 1.2
-    # Minimum pitch in px for another number of LEDs, and for arrays beyond the model of the information
-    min_pitch_px: float = 0.3
-    min_unknown_pitch_px: float = 1.0
-    # Minimum information of the high layer over its rate: decoding needs 1.3, the model is cautious
-    min_information: float = 0.8
-    # Minimum turn in degrees, and ratio of an outline's sides, of arrays found only by corners
-    min_turn_deg: float = 5.0
-    min_skew: float = 1.1
-
-
-TUNING = TrialTuning()
+MIN_TURN_DEG = 5.0
+"""Minimum turn in degrees of arrays that need corners."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +47,15 @@ def find_remedy(
     frames: Sequence[Frame], setup: Setup, rate: LightRate | None, header: HeaderMatch, noise: Noise, is_square: bool
 ) -> Remedy | None:
     """Try settings for the header of a region; other numbers of LEDs only for a complete, square region."""
-    if header.score < TUNING.min_header or setup.signal.header != "m_sequence":
+    if header.score < 0.7 or setup.signal.header != "m_sequence":
         return None
     duration = rate.frames if rate is not None else setup.frames_a_pattern
     form = other_packets(header, setup.signal, duration)
     pose, size = header.fit.pose, header.fit.pose.pitch * setup.signal.side
     sides = list[int]()
-    if is_square and header.score >= TUNING.sure_header and not is_blurred(pose):
-        sides = [n for n in TUNING.sides if n != setup.signal.side and size / n > TUNING.min_pitch_px]
+    if is_square and header.score >= SURE_HEADER and not is_blurred(pose):
+        # the most usual first
+        sides = [n for n in (8, 16, 32, 12, 24, 4, 20, 48, 64) if n != setup.signal.side and size / n > 0.3]
     # a frame of each pattern may miss a pair of a header: if the period is right, the form may be right too
     as_long = bool(form) and round(header.period / duration) == setup.signal.packet_patterns
     forms = [*([{}] if as_long else []), form, *({**form, "side": side} for side in sides)]
@@ -85,7 +67,7 @@ def find_remedy(
     packet = _first_packet(frames, header, duration, setup.changed({"signal": form}).signal)
 
     def candidates() -> Iterator[Mapping[str, Any]]:
-        for place, signal, receiver in itertools.product(places, forms, trials.receivers):
+        for signal, place, receiver in itertools.product(forms, places, trials.receivers):
             if not _is_hopeless(header, receiver, noise, setup.changed({"signal": signal}).signal):
                 receive = _needed(settings, receiver, header, size, frames[0].full_scale)
                 yield {"signal": signal, "receive": merge(receive, place)}
@@ -101,7 +83,7 @@ def find_turned_remedy(
     if found is None or setup.signal.header != "m_sequence":
         return None
     corners, turn, skew = found
-    if abs(turn) < TUNING.min_turn_deg and skew < TUNING.min_skew:
+    if abs(turn) < MIN_TURN_DEG and skew < 1.1:
         return None
     trials = _Trials(frames, setup, rate)
     place = {"detect": {"corners": corners, "region": ()}}
@@ -123,20 +105,15 @@ class _Trials:
             every = max(1, min((b.index - a.index for a, b in itertools.pairwise(frames)), default=1))
             step_s = setup.signal.pattern_period_s / (1.0 if abs(duration - 1) < STEP_TOLERANCE else duration)
             numbers = [(frame.index - frames[0].index) / every for frame in frames]
-            self._frames = [
-                replace(frame, index=int(number), time_s=number * step_s)
-                for frame, number in zip(frames, numbers, strict=True)
-            ]
+            stamped = zip(frames, numbers, strict=True)
+            self._frames = [replace(frame, index=int(number), time_s=number * step_s) for frame, number in stamped]
 
     def find(
-        self,
-        candidates: Iterable[Mapping[str, Any]],
-        part: slice = slice(None),
-        limits: Mapping[str, Any] | None = None,
+        self, candidates: Iterable[Mapping[str, Any]], part: slice = slice(None), limits: Mapping[str, Any] = {}
     ) -> Remedy | None:
         """Return the first changes of the settings that decode a part of the frames, with a limited search."""
         for changes in candidates:
-            frames, setup = self._frames[part], self._setup.changed(merge(changes, limits or {}))
+            frames, setup = self._frames[part], self._setup.changed(merge(changes, limits))
             trial = run_receiver(frames, setup)
             if trial.packets:
                 return Remedy(trial, changes, self._retimed, clock_of(trial.packets, frames, setup.signal))
@@ -144,8 +121,8 @@ class _Trials:
 
 
 def is_blurred(pose: Pose) -> bool:
-    """Return True if the lens is out of focus."""
-    return pose.blur > max(TUNING.blurred * pose.pitch, TUNING.blurred_px)
+    """Return True if the lens is out of focus; the reference lens blurs by 0.5 px."""
+    return pose.blur > 1.2 * max(pose.pitch, 1.0)
 
 
 def _is_hopeless(header: HeaderMatch, receiver: str, noise: Noise, signal: SignalSettings) -> bool:
@@ -153,11 +130,11 @@ def _is_hopeless(header: HeaderMatch, receiver: str, noise: Noise, signal: Signa
     pose = header.fit.pose
     pose = replace(pose, pitch=pose.pitch * header.side / signal.side)
     if signal.side > MAX_SIDE or signal.modulation != "haar":
-        return pose.pitch < TUNING.min_unknown_pitch_px or (receiver == "soft" and signal.side > MAX_SIDE)
+        return pose.pitch < 1.0 or (receiver == "soft" and signal.side > MAX_SIDE)
     while pose.pitch > MAX_PITCH_PX:
         pose = replace(pose, pitch=pose.pitch / 2, blur=pose.blur / 2)
-    information = high_information(receiver, pose, header.fit.gain, noise, signal.side)
-    return information < TUNING.min_information * signal.rate.high
+    # decoding needs 1.3 times the rate, but the model is cautious
+    return high_information(receiver, pose, header.fit.gain, noise, signal.side) < 0.8 * signal.rate.high
 
 
 def other_packets(header: HeaderMatch, signal: SignalSettings, duration: float) -> dict[str, int]:
@@ -185,43 +162,33 @@ def _needed(
     settings: ReceiveSettings, receiver: str, header: HeaderMatch, size_px: float, full_scale: int
 ) -> dict[str, Any]:
     """Return settings for the size, contrast and blur of a header, as a nested mapping."""
-    out, detect = _other_receiver(settings, receiver), dict[str, float]()
+    detect: dict[str, float] = {}
     if size_px < (settings.detect.min_side_px or SMALLEST_SIDE_PX[receiver]):
         detect["min_side_px"] = max(floor(2 * SLACK * size_px) / 2, 3.0)
     if size_px > settings.detect.max_side_px:
         detect["max_side_px"] = float(min(ceil(size_px / SLACK / 16) * 16, 4096))
     if header.fit.gain < settings.detect.min_contrast * full_scale:
         detect["min_contrast"] = float(f"{SLACK * header.fit.gain / full_scale:.1g}")
-    if detect:
-        out["detect"] = detect
     # a fit reaches twice the initial blur; half a pitch of blur does not affect a header's cells of four LEDs
     pose = header.fit.pose
-    if pose.blur > max(2.5 * settings.calibration.blur_px, 0.5 * pose.pitch):
-        out["calibration"] = {"blur_px": min(round(pose.blur, 1), 5.0)}
-    return out
+    is_wide = pose.blur > max(2.5 * settings.calibration.blur_px, 0.5 * pose.pitch)
+    calibration = {"calibration": {"blur_px": min(round(pose.blur, 1), 5.0)}} if is_wide else {}
+    return {**_other_receiver(settings, receiver), **({"detect": detect} if detect else {}), **calibration}
 
 
-def options(changes: Mapping[str, Any]) -> tuple[str, ...]:
+def options(changes: Mapping[str, Any], name: str = "") -> tuple[str, ...]:
     """Return the command's options for changed settings, the receiver first."""
-    receive = dict(changes.get("receive", {}))
-    receiver = receive.pop("receiver", None)
-    settings = [*_flat("signal", changes.get("signal", {})), *_flat("receive", receive)]
-    out = [f"--receiver {receiver}"] if receiver else []
-    for key, value in settings:
-        if not isinstance(value, tuple):
-            out.append(f"--set {key}={value:g}")
-        elif value:  # an empty place has no option
-            out.append(f"--{key.rpartition('.')[2]} {','.join(f'{n:g}' for n in value)}")
-    return tuple(out)
-
-
-def _flat(name: str, tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield dotted keys and values of a nested mapping."""
-    for key, value in tree.items():
+    out: list[str] = []
+    for key, value in changes.items():
         if isinstance(value, Mapping):
-            yield from _flat(f"{name}.{key}", value)
-        else:
-            yield f"{name}.{key}", value
+            out += options(value, f"{name}{key}.")
+        elif key == "receiver":
+            out.append(f"--receiver {value}")
+        elif not isinstance(value, tuple):
+            out.append(f"--set {name}{key}={value:g}")
+        elif value:  # an empty place has no option
+            out.append(f"--{key} {','.join(f'{n:g}' for n in value)}")
+    return tuple(sorted(out, key=lambda option: not option.startswith("--receiver ")))
 
 
 def outline(

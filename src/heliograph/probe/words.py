@@ -160,7 +160,8 @@ def _optics_words(pose: Pose, contrast: float) -> str:
 
 def clock_words(clock: Clock) -> str:
     """Describe the clock of the light."""
-    text = f"patterns begin {clock.phase_patterns:+.2f} of a pattern after frames"
+    phase = round(clock.phase_patterns, 2) + 0.0  # no negative zero
+    text = f"patterns begin {phase:+.2f} of a pattern after frames"
     if clock.rate_ppm is None:
         return f"{text}; the rate of the light is unknown"
     longer = "longer" if clock.rate_ppm >= 0 else "shorter"
