@@ -12,12 +12,7 @@ from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages
 from heliograph.link.truth import open_truth, truth_path
 
-SMALL = (
-    "channel.camera.width=192",
-    "channel.camera.height=160",
-    "channel.arrays.0.x_m=0",
-    "channel.arrays.0.y_m=0",
-)
+SMALL = ("channel.camera.width=192", "channel.camera.height=160", "channel.arrays.0.x_m=0", "channel.arrays.0.y_m=0")
 
 
 def scene(data: Path, clip: str, seed: int, *changes: str) -> RealScene:
