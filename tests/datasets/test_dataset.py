@@ -24,11 +24,7 @@ from heliograph.link.simulate import simulate, transmitters
 from heliograph.measure.bench import dithered, random_messages
 
 SMALL: dict[str, Any] = {
-    "channel": {
-        "distance_m": 30.0,
-        "camera": {"width": 64, "height": 48},
-        "arrays": [{"x_m": 0.0, "y_m": 0.0}],
-    },
+    "channel": {"distance_m": 30.0, "camera": {"width": 64, "height": 48}, "arrays": [{"x_m": 0.0, "y_m": 0.0}]},
     "signal": {"data_pairs": 8},
 }
 VARY = {"channel.distance_m": [30.0, 40.0]}

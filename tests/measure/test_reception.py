@@ -50,9 +50,7 @@ def test_results_without_a_packet_are_not_counted(film: Path, monkeypatch: pytes
     """A false packet from a known array is excluded too; the sent packet counts as missed."""
     push = StreamReceiver.push
     monkeypatch.setattr(
-        StreamReceiver,
-        "push",
-        lambda *a: [replace(p, status=status) if p.first_frame == 100 else p for p in push(*a)],
+        StreamReceiver, "push", lambda *a: [replace(p, status=status) if p.first_frame == 100 else p for p in push(*a)]
     )
     settings, reception = small(), Reception(open_truth(truth_path(film)))
     with open_film(film) as source:
