@@ -62,6 +62,7 @@ def test_repetition_reaches_further(short_films: None) -> None:
     assert counted.errors < 5
 
 
+@pytest.mark.slow
 def test_an_array_out_of_reach_ends(short_films: None) -> None:
     counted = count_bits(2000, 0, ("repeat2", 400.0))
     assert counted.found == 0

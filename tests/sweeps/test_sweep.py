@@ -360,6 +360,7 @@ def imu_point(path: Path, rate: float) -> Point:
     return point
 
 
+@pytest.mark.slow
 def test_recording_changed_since_planning_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "car.csv"
     work = json.loads(json.dumps(imu_point(path, 0.0).job(0)))
@@ -377,7 +378,11 @@ def test_recording_changed_since_planning_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [((0,), "at least 1 worker"), ((2, "tcp://127.0.0.1:1"), "not both"), ((None, "localhost"), "no address")],
+    [
+        ((0,), "at least 1 worker"),
+        ((2, "tcp://127.0.0.1:1"), "not both"),
+        pytest.param((None, "localhost"), "no address", marks=pytest.mark.slow),  # imports Dask
+    ],
 )
 def test_workers_are_checked_before_a_folder_is_created(arguments: Any, message: str, tmp_path: Path) -> None:
     if "address" in message:

@@ -28,7 +28,7 @@ def written(value: Any) -> str:
     return to_toml({"v": value}).removeprefix("v = ").rstrip("\n")
 
 
-@examples(200)
+@examples(100)
 @given(first=DECIMALS, count=st.integers(0, 60), step=STEPS, down=st.booleans())
 def test_a_range_has_its_ends_and_even_steps(first: Decimal, count: int, step: Decimal, down: bool) -> None:
     step = -step if down else step
@@ -43,7 +43,7 @@ def test_a_range_has_its_ends_and_even_steps(first: Decimal, count: int, step: D
     assert parse_vary(f"a={first}:{last + step / 2}:{step}")[1] == values
 
 
-@examples(200)
+@examples(100)
 @given(values=st.lists(VALUES, min_size=1, max_size=6))
 def test_a_list_holds_its_values_as_they_are(values: list[Any]) -> None:
     found = parse_vary(f" a.b = {','.join(map(written, values))}")

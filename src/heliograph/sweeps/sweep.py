@@ -154,8 +154,8 @@ def sweep(
     seed
         Random seed; results are independent of the workers.
     workers
-        Number of processes; 1 for this process, None for a process per core. In a script, several processes need a call under
-        ``if __name__ == "__main__":``.
+        Number of processes; 1 for this process, None for a process per core. In a script, several processes need a
+        call under ``if __name__ == "__main__":``.
     scheduler
         Address of a Dask scheduler in place of `workers` (then None).
     output
