@@ -441,8 +441,11 @@ def report(
         pictures=pictures,
         tables=[*_score_tables(scores), _identity_table(alone, beside)],
         data={
-            "scores": {name: _plain(scores[name], "true", _rounded) for name in VARIANTS},
-            "receiver": _plain(scores[RECEIVER], "found", _counts),
+            "scores": {
+                name: _plain(scores[name], "true", lambda part: [round(score, 4) for score in part])
+                for name in VARIANTS
+            },
+            "receiver": _plain(scores[RECEIVER], "found", lambda part: [int(sum(part)), len(part)]),
             "identities": {f"{z:g} m": c.counts.tolist() for z, c in alone.items()},
             "identities_two_in_view": {f"{z:g} m": c.counts.tolist() for z, c in beside.items()},
         },
@@ -455,14 +458,6 @@ def _plain(scores: DetectionScores, true: str, plain: Callable[[list[float]], li
         "false": {scene: plain(values) for (scene, z), values in scores.films.items() if z is None},
         true: {f"{scene}, {z:g} m": plain(values) for (scene, z), values in scores.films.items() if z is not None},
     }
-
-
-def _rounded(scores: list[float]) -> list[float]:
-    return [round(score, 4) for score in scores]
-
-
-def _counts(scores: list[float]) -> list[float]:
-    return [int(sum(scores)), len(scores)]
 
 
 def _example(score: float, film: ClutterFilm, pose: Pose) -> Figure:
