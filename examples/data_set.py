@@ -38,7 +38,7 @@ def examples(split: str) -> tuple[np.ndarray, np.ndarray]:
 
 def main(few: bool) -> None:
     """Write the data set, train, test and plot."""
-    films, changes = (10, [*SMALL, "signal.data_pairs=8"]) if few else (40, SMALL)
+    films, changes = (5, [*SMALL, "signal.data_pairs=8"]) if few else (40, SMALL)
     plan = heliograph.write_dataset(FOLDER, {"channel.distance_m": [30]}, set=changes, films=films, splits=(8, 1, 1))
     print(f"{len(plan.films)} films, {plan.frames} frames, {plan.bytes / 1e6:.1f} MB")
     pixels, levels = examples("train")

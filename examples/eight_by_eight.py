@@ -18,6 +18,8 @@ SMALL = [
     "transmit.identities=[5]",
     "channel.distance_m=20",
     "channel.duration_s=0.25",
+    "channel.camera.width=512",
+    "channel.camera.height=384",
     "receive.receiver='soft'",
 ]
 """Panel and film settings. A packet holds a quarter of the bits for 16 x 16 LEDs."""

@@ -24,11 +24,7 @@ from heliograph.link.simulate import simulate, transmitters
 from heliograph.measure.bench import dithered, random_messages
 
 SMALL: dict[str, Any] = {
-    "channel": {
-        "distance_m": 30.0,
-        "camera": {"width": 64, "height": 48},
-        "arrays": [{"x_m": 0.0, "y_m": 0.0}],
-    },
+    "channel": {"distance_m": 30.0, "camera": {"width": 64, "height": 48}, "arrays": [{"x_m": 0.0, "y_m": 0.0}]},
     "signal": {"data_pairs": 8},
 }
 VARY = {"channel.distance_m": [30.0, 40.0]}
@@ -46,8 +42,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DatasetPlan]:
     return folder, plan
 
 
-@examples(30)
+@examples(15)
 @given(st.integers(3, 40), st.tuples(*[st.integers(0, 100)] * 3).filter(any))
+@pytest.mark.slow
 def test_splits_have_their_shares_and_every_film_its_own_seed(films: int, splits: tuple[int, int, int]) -> None:
     plan = plan_of(films, splits, seed=2)
     counts = Counter((film.split, film.point.text) for film in plan.films)
@@ -61,6 +58,7 @@ def test_splits_have_their_shares_and_every_film_its_own_seed(films: int, splits
     assert sorted(film.seed for film in plan.films) == [2 * SEEDS + k for k in range(2 * films)]
 
 
+@pytest.mark.slow
 def test_a_file_is_the_film_its_truth_and_its_cut_outs(made: tuple[Path, DatasetPlan]) -> None:
     folder, plan = made
     known = plan.films[4]
@@ -92,6 +90,7 @@ def test_a_file_is_the_film_its_truth_and_its_cut_outs(made: tuple[Path, Dataset
             assert size > 1.4 * np.ptp(file["truth/corners"][k, 0][:, 0])
 
 
+@pytest.mark.slow
 def test_truth_and_cut_outs_are_where_the_array_shines(made: tuple[Path, DatasetPlan]) -> None:
     folder, plan = made
     with h5py.File(folder / plan.films[0].name) as file:
@@ -103,6 +102,7 @@ def test_truth_and_cut_outs_are_where_the_array_shines(made: tuple[Path, Dataset
         assert abs(y.min() - box[:, 1].min()) < 2.5 > abs(y.max() - box[:, 1].max())
 
 
+@pytest.mark.slow
 def test_the_table_and_the_datasheet_name_every_film(made: tuple[Path, DatasetPlan]) -> None:
     folder, plan = made
     rows = list(csv.DictReader((folder / "films.csv").read_text().splitlines()))
@@ -115,6 +115,7 @@ def test_the_table_and_the_datasheet_name_every_film(made: tuple[Path, DatasetPl
     assert plan.bytes < pixels < plan.bytes + 200_000 * len(plan.films)
 
 
+@pytest.mark.slow
 def test_the_datasheets_code_reads_it(made: tuple[Path, DatasetPlan], monkeypatch: pytest.MonkeyPatch) -> None:
     folder, _ = made
     monkeypatch.chdir(folder)
@@ -149,6 +150,7 @@ def test_an_interrupted_run_resumes_and_keeps_finished_films(tmp_path: Path) -> 
             done(other, tmp_path / "set")
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_films(made: tuple[Path, DatasetPlan], tmp_path: Path) -> None:
     folder, plan = made
     write_dataset(tmp_path / "again", {"channel.distance_m": [30.0]}, films=1, splits=(1, 0, 0), set=[
@@ -159,6 +161,7 @@ def test_the_same_seed_makes_the_same_films(made: tuple[Path, DatasetPlan], tmp_
             np.testing.assert_array_equal(one[name], other[name])
 
 
+@pytest.mark.slow
 def test_no_footage_is_in_two_splits(tmp_path: Path) -> None:
     clips = [tmp_path / f"{k}.h5" for k in range(4)]
     for k, path in enumerate(clips):

@@ -46,14 +46,11 @@ def test_bits_are_counted_by_their_predicted_error_probability() -> None:
     assert len(bins) == len(EDGES) - 1
 
 
-@pytest.mark.parametrize(("factor", "verdict"), [(1.0, "holds"), (1.5, "differs"), (0.7, "differs")])
-def test_only_a_true_prediction_holds(factor: float, verdict: str) -> None:
-    finding = calibrated("", reliability_bins(bits_of(factor)))
-    assert finding.verdict == verdict
-    assert bool(finding.why) == (verdict == "differs")
-
-
-def test_zero_bits_are_not_judged() -> None:
+def test_only_a_true_prediction_holds() -> None:
+    for factor, verdict in ((1.0, "holds"), (1.5, "differs"), (0.7, "differs")):
+        finding = calibrated("", reliability_bins(bits_of(factor)))
+        assert finding.verdict == verdict
+        assert bool(finding.why) == (verdict == "differs")
     assert calibrated("", reliability_bins([])).verdict == "shown"
 
 
@@ -81,11 +78,9 @@ def test_packets_at_rest_and_driving_give_a_result() -> None:
     assert [f.verdict for f in result.findings][-1] == "holds"
     assert "4 packets" in result.findings[-1].ours
     for figure, caption in result.pictures:
-        figure.savefig(io.BytesIO(), format="png", dpi=30)
+        figure.savefig(io.BytesIO(), format="png", dpi=10)
         assert caption
-    for table in result.tables:
-        assert table.rows
-        assert all(len(row) == len(table.head) for row in table.rows)
+    assert all(table.rows and {len(row) for row in table.rows} == {len(table.head)} for table in result.tables)
 
 
 @pytest.mark.parametrize(("distance_m", "wrong"), [(80.0, 0), (150.0, 1)])

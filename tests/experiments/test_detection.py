@@ -10,35 +10,8 @@ import pytest
 
 from heliograph.base.frames import Frame
 from heliograph.channel import Placement
-from heliograph.experiments.detection.clutter import (
-    FRAMES,
-    LAMPS,
-    SIZE,
-    ClutterFilm,
-    Surroundings,
-    backdrops,
-    clip_backdrop,
-    drawn_backdrop,
-    film_moment,
-    lamp_backdrop,
-)
-from heliograph.experiments.detection.experiment import FAR_M, compared, curve, ingredients, is_lower, report
-from heliograph.experiments.detection.trials import (
-    DISTANCES_M,
-    RECEIVER,
-    Confusion,
-    DetectionScores,
-    Scores,
-    confusion,
-    film_scene,
-    identities_seen,
-    measure,
-    score_of_array,
-    small_camera,
-    threshold_for_false,
-    threshold_for_found,
-)
-from heliograph.experiments.detection.variants import REFERENCE, VARIANTS, VariantDetector
+from heliograph.experiments.detection import clutter
+from heliograph.experiments.detection import experiment as detection
 from heliograph.experiments.report import Context
 from heliograph.measure.statistics import Count
 from heliograph.media import create_film
@@ -48,12 +21,14 @@ from heliograph.signal.header import IDENTITIES
 pytestmark = pytest.mark.slow
 
 BEST = "M-sequence, 4 frames"
-SURROUNDINGS = Surroundings({LAMPS: lamp_backdrop, "drawn scene": drawn_backdrop}, None, 3)
+SURROUNDINGS = clutter.Surroundings(
+    {clutter.LAMPS: clutter.lamp_backdrop, "drawn scene": clutter.drawn_backdrop}, None, 3
+)
 
 
 def test_curve_rises_from_zero_to_one() -> None:
     rng = np.random.default_rng(0)
-    alarms, found = curve(rng.random(50), rng.random(40) ** 0.3)
+    alarms, found = detection.curve(rng.random(50), rng.random(40) ** 0.3)
     assert alarms == sorted(alarms)
     assert found == sorted(found)
     assert (alarms[0], found[0]) == (0, 0)
@@ -62,65 +37,70 @@ def test_curve_rises_from_zero_to_one() -> None:
 
 def test_thresholds_pass_the_requested_fraction() -> None:
     scores = np.arange(100) / 100
-    assert (scores > threshold_for_false(scores, 0.01)).sum() == 1
-    assert (scores > threshold_for_false(scores, 0.0)).sum() == 0
-    assert (scores > threshold_for_found(scores, 0.95)).sum() == 95
+    assert (scores > detection.threshold_for_false(scores, 0.01)).sum() == 1
+    assert (scores > detection.threshold_for_false(scores, 0.0)).sum() == 0
+    assert (scores > detection.threshold_for_found(scores, 0.95)).sum() == 95
     # equal scores pass together
-    assert (np.full(7, 0.5) > threshold_for_found(np.full(7, 0.5), 0.9)).all()
+    assert (np.full(7, 0.5) > detection.threshold_for_found(np.full(7, 0.5), 0.9)).all()
 
 
 def test_a_lower_rate_needs_separate_intervals() -> None:
-    assert is_lower(Count(100, 0), Count(100, 20))
-    assert is_lower(Count(100, 20), Count(100, 0)) is False
-    assert is_lower(Count(10, 0), Count(10, 2)) is None
+    assert detection.is_lower(Count(100, 0), Count(100, 20))
+    assert detection.is_lower(Count(100, 20), Count(100, 0)) is False
+    assert detection.is_lower(Count(10, 0), Count(10, 2)) is None
 
 
 def test_m_sequences_separate_arrays_from_lamps_better_than_lit_arrays() -> None:
-    false, example = film_scene(SURROUNDINGS, (LAMPS, None, range(2)))
-    true, none = film_scene(SURROUNDINGS, (LAMPS, 50.0, range(1)))
+    false, example = detection.film_scene(SURROUNDINGS, (clutter.LAMPS, None, range(2)))
+    true, none = detection.film_scene(SURROUNDINGS, (clutter.LAMPS, 50.0, range(1)))
     assert {len(scores) for scores in false.values()} == {2}
     assert {len(scores) for scores in true.values()} == {1}
-    assert max(false[BEST]) < max(false[REFERENCE])
+    assert max(false[BEST]) < max(false[detection.REFERENCE])
     assert max(false[BEST]) < true[BEST][0]
-    assert true[RECEIVER] == [1.0]
+    assert true[detection.RECEIVER] == [1.0]
     assert none is None
     assert example is not None
-    assert example[0] == max(false[REFERENCE])
+    assert example[0] == max(false[detection.REFERENCE])
 
 
 def test_scores_do_not_depend_on_batches() -> None:
-    street = Surroundings({"drawn scene": drawn_backdrop}, None, 0)
-    scores, _ = measure(street, 2, 0, Context())
-    for name, values in film_scene(street, ("drawn scene", None, range(1, 2)))[0].items():
-        assert scores[name].false["drawn scene"][1:] == values
+    street = clutter.Surroundings({"drawn scene": clutter.drawn_backdrop}, None, 0)
+    scores, _ = detection.measure(street, 2, 0, Context())
+    for name, values in detection.film_scene(street, ("drawn scene", None, range(1, 2)))[0].items():
+        assert scores[name].films["drawn scene", None][1:] == values
         assert scores[name].all_true().size == 0
 
 
-def synthetic_scores() -> Scores:
+def synthetic_scores() -> detection.Scores:
     """Scores with many false alarms of lit arrays among lamps, and none elsewhere."""
     scenes = {"clip": 40, "drawn scene": 40, "lamps": 120}
-    false = {scene: [0.0] * films for scene, films in scenes.items()}
-    true = {(scene, z): [0.99] for scene in scenes for z in DISTANCES_M}
-    alarms = false | {"lamps": [0.95] * 60 + [0.0] * 60}
-    kinds = {name: kind for name, (kind, _) in VARIANTS.items()} | {RECEIVER: "m_sequence"}
-    return {name: DetectionScores(alarms if kind == "all_on" else false, true) for name, kind in kinds.items()}
+    quiet: dict[tuple[str, float | None], list[float]] = {
+        (scene, z): [0.99] for scene in scenes for z in detection.DISTANCES_M
+    }
+    quiet |= {(scene, None): [0.0] * films for scene, films in scenes.items()}
+    alarms = quiet | {("lamps", None): [0.95] * 60 + [0.0] * 60}
+    kinds = {name: kind for name, (kind, _) in detection.VARIANTS.items()} | {detection.RECEIVER: "m_sequence"}
+    return {name: detection.DetectionScores(alarms if kind == "all_on" else quiet) for name, kind in kinds.items()}
 
 
 def test_lamps_are_judged_apart_from_other_scenes() -> None:
-    claims = compared(synthetic_scores())
+    claims = detection.compared(synthetic_scores())
     assert [claim.verdict for claim in claims] == ["differs", "holds", "shown", "holds"]
     assert "clip 0 of 40" in claims[0].ours
     assert "none had a candidate" in claims[0].why
     assert "lamps" not in claims[0].ours
     assert "lamps 60 of 120" in claims[1].ours
-    assert not any("of 200" in claim.ours for claim in (*claims, ingredients(synthetic_scores())))
+    assert not any("of 200" in claim.ours for claim in (*claims, detection.ingredients(synthetic_scores())))
 
 
 def test_the_result_has_counts_figures_and_tables() -> None:
-    every = {z: Confusion(np.eye(IDENTITIES, IDENTITIES + 1, dtype=np.int64)) for z in (*DISTANCES_M, FAR_M)}
+    every = {
+        z: detection.Confusion(np.eye(IDENTITIES, IDENTITIES + 1, dtype=np.int64))
+        for z in (*detection.DISTANCES_M, detection.FAR_M)
+    }
     frame = Frame(0, 0.0, np.zeros((32, 32), np.uint8))
-    example = 0.95, ClutterFilm([frame] * 2, 0, ()), Pose(16.0, 16.0, 1.0, 0.0)
-    done = report(synthetic_scores(), example, every, every)
+    example = 0.95, clutter.ClutterFilm([frame] * 2, 0, ()), Pose(16.0, 16.0, 1.0, 0.0)
+    done = detection.report(synthetic_scores(), example, every, every)
     assert all(" of " in finding.ours for finding in done.findings)
     assert [finding.verdict for finding in done.findings[-4:]] == ["holds", "holds", "shown", "shown"]
     assert "right 90 of 90" in done.findings[-4].ours
@@ -134,9 +114,9 @@ def test_films_are_repeatable_and_show_the_header_at_the_array() -> None:
     films = []
     for _ in range(2):
         rng = np.random.default_rng(5)
-        films.append(film_moment(lamp_backdrop(rng), rng, None, 50.0, "all_on"))
+        films.append(clutter.film_moment(clutter.lamp_backdrop(rng), rng, None, 50.0, "all_on"))
     one, other = films
-    assert len(one.frames) == FRAMES
+    assert len(one.frames) == clutter.FRAMES
     assert all(np.array_equal(a.pixels, b.pixels) for a, b in zip(one.frames, other.frames, strict=True))
     (truth,) = one.truths
     x, y = round(truth.x), round(truth.y)
@@ -144,21 +124,21 @@ def test_films_are_repeatable_and_show_the_header_at_the_array() -> None:
     light = [frame.pixels[y - 3 : y + 4, x - 3 : x + 4].mean() for frame in one.frames[one.first : one.first + 4]]
     assert min(light[0], light[2]) > 150
     assert max(light[1], light[3]) < 30
-    found = VariantDetector(*VARIANTS[REFERENCE]).candidates(one)
-    assert score_of_array(found, truth, None) > 0.9
-    assert score_of_array(found, truth.moved(40, 0), None) == 0
+    found = detection.VariantDetector(*detection.VARIANTS[detection.REFERENCE]).candidates(one)
+    assert detection.score_of_array(found, truth, None) > 0.9
+    assert detection.score_of_array(found, truth.moved(40, 0), None) == 0
 
 
 def test_lamps_change_between_frames() -> None:
-    images = list(lamp_backdrop(np.random.default_rng(1))[0].frames())
-    assert images[0].shape == SIZE
+    images = list(clutter.lamp_backdrop(np.random.default_rng(1))[0].frames())
+    assert images[0].shape == clutter.SIZE
     assert any(np.abs(a.astype(int) - b).max() > 50 for a, b in pairwise(images))
 
 
 @pytest.mark.parametrize("two_in_view", [False, True])
 def test_identities_are_distinguished(two_in_view: bool) -> None:
-    street = Surroundings({"drawn scene": drawn_backdrop}, None, 0)
-    by_distance = confusion(street, (150.0,), (6, 28), 1, Context(), (0, 1), two_in_view=two_in_view)
+    street = clutter.Surroundings({"drawn scene": clutter.drawn_backdrop}, None, 0)
+    by_distance = detection.confusion(street, (150.0,), (6, 28), 1, Context(), (0, 1), two_in_view=two_in_view)
     found = by_distance[150.0]
     assert found.counts.sum() == found.right.trials == (4 if two_in_view else 2)
     assert found.right.errors == found.right.trials
@@ -170,19 +150,21 @@ def test_identities_are_distinguished(two_in_view: bool) -> None:
 def test_two_arrays_in_one_view_are_counted_each_at_its_place() -> None:
     places = [Placement(x_m=-0.4, y_m=0.0), Placement(x_m=0.4, y_m=0.1)]
     rng = np.random.default_rng(2)
-    film = film_moment(drawn_backdrop(rng), rng, None, 50.0, "m_sequence", (3, 17), small_camera(places))
-    assert identities_seen(film) == [3, 17]
+    film = clutter.film_moment(
+        clutter.drawn_backdrop(rng), rng, None, 50.0, "m_sequence", (3, 17), detection.small_camera(places)
+    )
+    assert detection.identities_seen(film) == [3, 17]
     left, right = film.truths
     assert right.x - left.x == pytest.approx(0.8 * 2917 / 50, abs=0.5)
     # a position without an array is a miss, despite the neighbouring array
-    assert identities_seen(replace(film, truths=(left.moved(0, 60), right))) == [IDENTITIES, 17]
+    assert detection.identities_seen(replace(film, truths=(left.moved(0, 60), right))) == [IDENTITIES, 17]
 
 
 @pytest.mark.real_data
 def test_clips_are_backdrops(data: Path) -> None:
-    scenes = backdrops({"night": data / "driving" / "night-road.mp4"}, 4)
+    scenes = clutter.backdrops({"night": data / "driving" / "night-road.mp4"}, 4)
     rng = np.random.default_rng(0)
-    film = film_moment(scenes["night"](rng), rng, None)
+    film = clutter.film_moment(scenes["night"](rng), rng, None)
     assert film.truths == ()
     assert film.frames[0].pixels.shape == (512, 1024)
     assert film.frames[0].pixels.std() > 5
@@ -193,8 +175,8 @@ def test_a_moment_of_a_clip_is_a_pair_of_successive_frames(tmp_path: Path) -> No
     with create_film(path, width=64, height=48, rate_hz=30) as film:
         for k in range(4):
             film.write(Frame(k, k / 30, np.full((48, 64), 40 * k, np.uint8)))
-    footage, start_s = clip_backdrop(path, 4, np.random.default_rng(0))
+    footage, start_s = clutter.clip_backdrop(path, 4, np.random.default_rng(0))
     levels = [int(image.mean()) for image in footage.frames()]
     assert levels in (pytest.approx([0, 40], abs=1), pytest.approx([80, 120], abs=1))
     assert footage.rate_hz == 30
-    assert 0 <= start_s <= 1 / 30 - FRAMES / 1000
+    assert 0 <= start_s <= 1 / 30 - clutter.FRAMES / 1000

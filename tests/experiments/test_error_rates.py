@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.experiments.error_rates import comparison, experiment, films
+from heliograph.experiments.error_rates import experiment
 from heliograph.experiments.report import Context
 from heliograph.link.settings import load_settings
 from heliograph.measure.bench import run_block
@@ -19,13 +19,13 @@ from heliograph.signal.settings import LAYERS
 NONE_LOST = Count(200, 0), Count(200, 0)
 
 
-def records(rate: float, count: int, rng: np.random.Generator) -> list[films.PacketRecord]:
+def records(rate: float, count: int, rng: np.random.Generator) -> list[experiment.PacketRecord]:
     """Draw packets at 50 m to 60 m with overdispersed error rates."""
     out = []
     for z in np.linspace(50.1, 59.9, count):
         errors = rng.binomial(3072, min(rate * rng.lognormal(0, 0.3), 0.5), 3)
         layers = {n: LayerCounts(raw_bits=3072, raw_errors=int(e)) for n, e in zip(LAYERS, errors, strict=True)}
-        out.append(films.PacketRecord(float(z), layers))
+        out.append(experiment.PacketRecord(float(z), layers))
     return out
 
 
@@ -37,7 +37,7 @@ def test_rates_are_alike_apart_or_open(
     seed: int, factor: float, packets: int, verdicts: set[str], verdict: str
 ) -> None:
     rng = np.random.default_rng(seed)
-    found = comparison.compare(records(0.02 * factor, packets, rng), records(0.02, packets, rng), rng)
+    found = experiment.compare(records(0.02 * factor, packets, rng), records(0.02, packets, rng), rng)
     assert {c.bin_m for c in found} <= {52.5, 57.5, None}
     assert len(found) == 9 or packets == 4
     assert {c.verdict for c in found} == verdicts
@@ -46,7 +46,7 @@ def test_rates_are_alike_apart_or_open(
 
 
 def test_zero_packets_decide_no_claim() -> None:
-    assert comparison.compare([], [], np.random.default_rng(0)) == []
+    assert experiment.compare([], [], np.random.default_rng(0)) == []
     assert experiment.alike([], *NONE_LOST).verdict == "shown"
 
 
@@ -56,14 +56,14 @@ def test_false_alarms_are_rare() -> None:
     alarms = [
         c.verdict == "apart"
         for _ in range(20)
-        for c in comparison.compare(records(0.01, 20, rng), records(0.01, 20, rng), rng)
+        for c in experiment.compare(records(0.01, 20, rng), records(0.01, 20, rng), rng)
     ]
     assert np.mean(alarms) < 0.02
 
 
 def test_lost_packets_count() -> None:
     rng = np.random.default_rng(0)
-    found = comparison.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
+    found = experiment.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
     worse = experiment.alike(found, Count(200, 20), Count(200, 2))
     assert worse.verdict == "differs"
     assert "20 of 200 driving, 2 of 200 at rest" in worse.ours
@@ -81,7 +81,7 @@ def test_different_drives_widen_the_interval() -> None:
         replace(r, layers={n: replace(c, raw_errors=c.raw_errors * (k + 1) // 2) for n, c in r.layers.items()})
         for k, r in zip(drives, one, strict=True)
     ]
-    plain, by_drive = (comparison.compare(one, other, np.random.default_rng(5), drives=d)[-1] for d in ((), drives))
+    plain, by_drive = (experiment.compare(one, other, np.random.default_rng(5), drives=d)[-1] for d in ((), drives))
     assert by_drive.ratio == plain.ratio
     assert by_drive.high - by_drive.low > 2 * (plain.high - plain.low)
 
@@ -90,7 +90,7 @@ def test_unread_layers_are_not_compared() -> None:
     rng = np.random.default_rng(6)
     one, other = records(0.02, 50, rng), records(0.02, 50, rng)
     other[0] = replace(other[0], layers={**other[0].layers, "low": LayerCounts()})
-    pairs = {c.layer: c.pairs for c in comparison.compare(one, other, rng) if c.bin_m is None}
+    pairs = {c.layer: c.pairs for c in experiment.compare(one, other, rng) if c.bin_m is None}
     assert pairs == {"high": 50, "middle": 50, "low": 49}
 
 
@@ -107,7 +107,7 @@ def test_unread_layers_are_not_compared() -> None:
     ],
 )
 def test_reasons_of_wrong_codewords(counts: LayerCounts, verdict: str, why: str) -> None:
-    finding = next(experiment.error_free(films.CountsByDistance({77.5: dict.fromkeys(LAYERS, counts)})))
+    finding = next(experiment.error_free(experiment.CountsByDistance({77.5: dict.fromkeys(LAYERS, counts)})))
     assert finding.verdict == verdict
     assert why in finding.why
     assert bool(finding.why) == bool(why)
@@ -127,22 +127,22 @@ class RepeatingReceiver:
 @pytest.mark.parametrize(("times", "packets", "lost"), [(0, 0, 1), (2, 1, 0)])
 @pytest.mark.slow
 def test_lost_and_repeated_packets(monkeypatch: pytest.MonkeyPatch, times: int, packets: int, lost: int) -> None:
-    monkeypatch.setattr(films, "make_receiver", lambda *args: RepeatingReceiver(make_receiver(*args), times))
-    one = films.count_film(films.FilmTask(35.0, "haar", (7,)))
+    monkeypatch.setattr(experiment, "make_receiver", lambda *args: RepeatingReceiver(make_receiver(*args), times))
+    one = experiment.count_film(experiment.FilmTask(35.0, "haar", (7,)))
     assert (len(one.packets), list(one.lost)) == (packets, [37.5] * lost)
-    assert films.lost_packets([one, one]) == Count(2, 2 * lost)
+    assert experiment.lost_packets([one, one]) == Count(2, 2 * lost)
 
 
 def test_holm() -> None:
-    assert comparison.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    assert comparison.holm([0.5, 0.9]) == [1.0, 1.0]
-    assert comparison.holm([]) == []
+    assert experiment.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert experiment.holm([0.5, 0.9]) == [1.0, 1.0]
+    assert experiment.holm([]) == []
 
 
 @pytest.mark.slow
 def test_packets_of_a_drive_add_up_to_the_count_of_a_block() -> None:
     settings = load_settings("paper", {"channel": {"distance_m": 62.0, "duration_s": 0.25}})
-    one = films.film_packets(settings, np.random.default_rng(4))
+    one = experiment.film_packets(settings, np.random.default_rng(4))
     assert len(one.packets) == 2
     assert one.false_codewords == 0
     assert all(55 < record.distance_m < 62 for record in one.packets)
@@ -166,7 +166,7 @@ def test_on_off_keying_end_to_end() -> None:
 
 
 def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
-    one = films.count_film(films.FilmTask(60.0, "ook", (6,)))
+    one = experiment.count_film(experiment.FilmTask(60.0, "ook", (6,)))
     rates = [one.packets[0].layers[name].raw_errors / one.packets[0].layers[name].raw_bits for name in LAYERS]
     assert min(rates) > 0.03
     assert max(rates) < 0.2
@@ -175,7 +175,7 @@ def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
 @pytest.mark.slow
 def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
     short = load_settings("paper", {"channel": {"distance_m": 66.0, "duration_s": 0.34}})
-    monkeypatch.setattr(films, "load_settings", lambda *_: short)
+    monkeypatch.setattr(experiment, "load_settings", lambda *_: short)
     done: list[float] = []
     context = Context(progress=lambda _, share: done.append(share))
     result = experiment.run(context, experiment.ErrorRateEffort([30.0, 60.0], films=1, drives=1))

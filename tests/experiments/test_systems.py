@@ -15,18 +15,14 @@ from heliograph.link.settings import LinkSettings
 from heliograph.measure.statistics import Clustered, Count
 
 
-@pytest.mark.parametrize("key", SCHEMES)
-def test_bits_come_back(key: str) -> None:
-    scheme = SCHEMES[key]
-    bits = np.random.default_rng(0).integers(0, 2, (3, scheme.bits), dtype=np.uint8)
-    patterns = scheme.encode(bits)
-    assert patterns.shape == (3, 16, 16)
-    assert patterns.dtype == np.uint8
-    for pattern, sent in zip(patterns, bits, strict=True):
-        assert np.array_equal(scheme.decode(pattern.astype(float) - 2) < 0, sent)
-
-
-def test_bits_of_a_pattern() -> None:
+def test_bits_of_a_pattern_come_back() -> None:
+    for scheme in SCHEMES.values():
+        bits = np.random.default_rng(0).integers(0, 2, (3, scheme.bits), dtype=np.uint8)
+        patterns = scheme.encode(bits)
+        assert patterns.shape == (3, 16, 16)
+        assert patterns.dtype == np.uint8
+        for pattern, sent in zip(patterns, bits, strict=True):
+            assert np.array_equal(scheme.decode(pattern.astype(float) - 2) < 0, sent)
     assert {key: s.bits for key, s in SCHEMES.items()} == {"ook": 256, "haar": 256, "repeat2": 64, "repeat4": 16}
     square = SCHEMES["repeat4"].encode(np.eye(16, dtype=np.uint8)[:1])[0]
     assert not square[:4, :4].any()
@@ -66,6 +62,7 @@ def test_repetition_reaches_further(short_films: None) -> None:
     assert counted.errors < 5
 
 
+@pytest.mark.slow
 def test_an_array_out_of_reach_ends(short_films: None) -> None:
     counted = count_bits(2000, 0, ("repeat2", 400.0))
     assert counted.found == 0

@@ -9,16 +9,7 @@ import pytest
 from heliograph.base.frames import Frame
 from heliograph.experiments.report import Finding
 from heliograph.experiments.tracking import experiment as tracking
-from heliograph.experiments.tracking.experiment import (
-    BACKGROUND,
-    TrackingScore,
-    findings,
-    rate_finding,
-    rates,
-    score,
-    scores,
-)
-from heliograph.experiments.tracking.runs import KNOWN, OURS, TRACKERS, TrackingFilm, TrackingRun, run_trackers
+from heliograph.experiments.tracking.experiment import KNOWN, OURS, TRACKERS, TrackingRun, TrackingScore, score
 from heliograph.experiments.tracking.trackers import GROWTH, KNOWN_SPREAD, KnownPattern, known_leds, known_light
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.receive import Pose
@@ -44,14 +35,18 @@ def settings(background: dict[str, Any]) -> LinkSettings:
     return load_settings("paper", {"channel": channel})
 
 
+def run_of(name: str, background: dict[str, Any]) -> TrackingRun:
+    return tracking.run_trackers({}, None, 3, (name, settings(background)))
+
+
 @pytest.fixture(scope="module")
 def day() -> TrackingRun:
-    return run_trackers(TrackingFilm(name=DAY, settings=settings({"kind": "synthetic", "gain": 0.3}), seed=3))
+    return run_of(DAY, {"kind": "synthetic", "gain": 0.3})
 
 
 @pytest.fixture(scope="module")
 def dark() -> TrackingRun:
-    return run_trackers(TrackingFilm(name=DARK, settings=settings({"kind": "flat", "level": 0.0}), seed=3))
+    return run_of(DARK, {"kind": "flat", "level": 0.0})
 
 
 def test_all_trackers_process_the_same_pairs(day: TrackingRun) -> None:
@@ -61,15 +56,13 @@ def test_all_trackers_process_the_same_pairs(day: TrackingRun) -> None:
     assert len(day.cuts) == 8
 
 
-@pytest.mark.parametrize("name", [OURS, KNOWN])
-@pytest.mark.parametrize("light", [DAY, DARK])
-def test_trackers_of_the_array_need_no_background(name: str, light: str, request: pytest.FixtureRequest) -> None:
-    run = request.getfixturevalue(light)
-    found = score(run, run.errors[name])
-    assert found.rms_px < 0.1
-    assert found.lost == 0
-    assert found.pitch is not None
-    assert found.pitch < 0.03
+def test_trackers_of_the_array_need_no_background(day: TrackingRun, dark: TrackingRun) -> None:
+    for run in (day, dark):
+        for found in (score(run, run.errors[name]) for name in (OURS, KNOWN)):
+            assert found.rms_px < 0.1
+            assert found.lost == 0
+            assert found.pitch is not None
+            assert found.pitch < 0.03
 
 
 def test_the_array_leaves_a_fixed_pose(day: TrackingRun) -> None:
@@ -80,15 +73,14 @@ def test_the_array_leaves_a_fixed_pose(day: TrackingRun) -> None:
 
 
 def test_the_background_shows_the_vibration_by_day_but_not_the_approach(day: TrackingRun, dark: TrackingRun) -> None:
-    by_day, still, ours = (score(day, day.errors[name]) for name in (BACKGROUND, "none", OURS))
+    by_day, still, ours = (score(day, day.errors[name]) for name in (tracking.BACKGROUND, "none", OURS))
     assert by_day.shake_px < 0.3 * still.shake_px
     assert by_day.rms_px > 3 * ours.rms_px
-    assert score(dark, dark.errors[BACKGROUND]).shake_px > 0.5 * score(dark, dark.errors["none"]).shake_px
+    assert score(dark, dark.errors[tracking.BACKGROUND]).shake_px > 0.5 * score(dark, dark.errors["none"]).shake_px
 
 
-@pytest.mark.parametrize("name", ["OpenCV MIL", "OpenCV template"])
-def test_general_trackers_stay_near(name: str, dark: TrackingRun) -> None:
-    assert score(dark, dark.errors[name]).lost == 0
+def test_general_trackers_stay_near(dark: TrackingRun) -> None:
+    assert [score(dark, dark.errors[name]).lost for name in ("OpenCV MIL", "OpenCV template")] == [0, 0]
 
 
 def test_known_light_keeps_its_leds_lit_and_is_not_inverted() -> None:
@@ -140,16 +132,16 @@ AWAY = TrackingScore(pairs=100, rms_px=9.0, q999_px=20.0, near=0, lost=60, shake
 def fake(**changes: TrackingScore) -> dict[str, dict[str, TrackingScore]]:
     """Return a table that meets all tracking claims; changes are named film_tracker."""
     row = dict.fromkeys(TRACKERS, GOOD) | {"none": AWAY}
-    table = {DAY: dict(row), DARK: row | {BACKGROUND: AWAY}}
+    table = {DAY: dict(row), DARK: row | {tracking.BACKGROUND: AWAY}}
     for key, value in changes.items():
         film, name = key.split("_")
-        table[film][{"ours": OURS, "back": BACKGROUND}.get(name, name)] = value
+        table[film][{"ours": OURS, "back": tracking.BACKGROUND}.get(name, name)] = value
     return table
 
 
 def finding(table: dict[str, dict[str, TrackingScore]], start: str, *clips: str, full: bool = True) -> Finding:
     dark = {"at night": {DARK: [DAY], **tracking.night_clips(clips)}}
-    (found,) = (f for f in findings(table, dark, full=full) if f.claim.startswith(start))
+    (found,) = (f for f in tracking.findings(table, dark, full=full) if f.claim.startswith(start))
     return found
 
 
@@ -192,7 +184,7 @@ def night(drawn: TrackingScore, clip: TrackingScore, by_day: TrackingScore) -> F
     """Judge the background tracker's scores on a rendered film and a clip at night, and on a clip by day."""
     table = fake(dark_back=drawn)
     for name, one in (("night-road", clip), ("dashcam", by_day)):
-        table[name] = table[DARK] | {BACKGROUND: one}
+        table[name] = table[DARK] | {tracking.BACKGROUND: one}
     return finding(table, "IV.B.2", "dashcam", "night-road")
 
 
@@ -205,14 +197,14 @@ def test_a_dark_film_is_not_judged_if_the_background_fails_by_day() -> None:
 
 
 def test_the_claim_about_data_rates_depends_on_the_lost_leds() -> None:
-    by = {rate.method: rate.kb_s for rate in rates()}
+    by = {rate.method: rate.kb_s for rate in tracking.rates()}
     assert (by["inverted signals"], by["known pattern"]) == (128, 192)
-    assert rate_finding(rates()).verdict == "differs"
-    assert rate_finding(rates(lost=129)).verdict == "holds"
+    assert tracking.rate_finding(tracking.rates()).verdict == "differs"
+    assert tracking.rate_finding(tracking.rates(lost=129)).verdict == "holds"
 
 
 def test_tables_and_pictures_of_two_films(day: TrackingRun, dark: TrackingRun) -> None:
-    table = scores([day, dark])
+    table = tracking.scores([day, dark])
     for one in tracking.tables(table):
         assert {len(row) for row in one.rows} == {len(one.head)}
     assert len(tracking._pictures([day, dark])) == 3

@@ -21,7 +21,7 @@ OUT_OF_STEP = (
     "channel.camera.repeated=0.02",
     "channel.camera.jitter_s=3e-5",
 )
-SMALL = ("signal.data_pairs=8", "channel.camera.width=480", "channel.camera.height=288")
+SMALL = ("signal.data_pairs=8", "channel.camera.width=320", "channel.camera.height=224")
 
 
 def link(preset: str, *changes: str) -> LinkSettings:
@@ -43,9 +43,9 @@ def by_film(settings: LinkSettings, seed: int, path: Path) -> Reception:
     ("preset", "changes"),
     [
         ("static", ("channel.distance_m=40", "receive.receiver=soft", *OUT_OF_STEP)),
-        ("paper", ("channel.distance_m=60", "channel.duration_s=0.2")),
+        ("paper", ("channel.distance_m=60", "channel.duration_s=0.08")),
         ("static", ("channel.distance_m=100", "receive.receiver=soft")),
-        ("two-arrays", ("channel.distance_m=45", "channel.duration_s=0.16", "channel.arrays.1.start_s=0.02")),
+        ("two-arrays", ("channel.distance_m=45", "channel.duration_s=0.09", "channel.arrays.1.start_s=0.02")),
     ],
 )
 @pytest.mark.slow
@@ -61,17 +61,7 @@ def test_bench_and_film_give_equal_counts(preset: str, changes: tuple[str, ...],
     assert counts.frames == film.frames
     assert list(counts.bins) == list(film.errors.bins())
     assert counts.false_codewords == film.errors.false_codewords == 0
-
-
-def test_clean_block_has_the_counts_of_its_film(tmp_path: Path) -> None:
-    settings = link("static", "channel.distance_m=30")
-    film, counts = by_film(settings, 1, tmp_path / "film.h5"), run_block(settings, 1)
-    assert film.errors is not None
-    assert counts.layers == film.errors.total()
-    assert counts.layers["high"].codewords == 1
-    assert counts.layers["high"].codeword_errors == 0
-    assert counts.layers["high"].packets == 1
-    assert (counts.false_packets, counts.duplicates) == (film.errors.false_packets, film.errors.duplicates) == (0, 0)
+    assert (counts.false_packets, counts.duplicates) == (film.errors.false_packets, film.errors.duplicates)
 
 
 def test_counts_depend_only_on_settings_and_seed() -> None:
@@ -95,8 +85,8 @@ def test_packet_cut_by_the_end_of_the_film_is_not_counted() -> None:
     late = link("two-arrays", "channel.speed_m_s=0.0", "channel.shake='none'", "channel.distance_m=40",
                 "channel.arrays.1.start_s=0.013")  # fmt: skip
     counts = run_block(late, 1)
-    assert counts.layers["high"].codewords == 2
-    assert counts.layers["high"].codeword_errors == 0
+    high = counts.layers["high"]
+    assert (high.codewords, high.codeword_errors, high.packets) == (2, 0, 2)
 
 
 def test_static_blocks_last_a_packet_and_drives_their_duration() -> None:

@@ -11,6 +11,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages
 from heliograph.measure.counts import pooled
 from heliograph.measure.errors import BIN_M, ErrorCounter
+from heliograph.receive import Packet
 from heliograph.receive.packet import ERASED
 
 SETTINGS = small()
@@ -24,18 +25,6 @@ def counter_of(settings: LinkSettings = SETTINGS, frames: range = range(0)) -> E
     return counter
 
 
-def test_perfect_packets_have_no_error() -> None:
-    counter = counter_of(frames=range(300))
-    for number in range(3):
-        counter.received(perfect(SETTINGS, number))
-    assert list(sums(counter)) == [
-        ("high", 3 * K, 0, 0, 3, 0, 0),
-        ("middle", 6 * K, 0, 0, 6, 0, 0),
-        ("low", 3 * K, 0, 0, 3, 0, 0),
-    ]
-    assert counter.false_codewords == 0
-
-
 def test_dropped_frames_count_as_filmed() -> None:
     counter = counter_of()
     for first, last in ((0, 40), (44, 99), (102, 200)):
@@ -44,32 +33,70 @@ def test_dropped_frames_count_as_filmed() -> None:
     assert next(sums(counter)) == ("high", 0, 0, 0, 2, 2, 2)
 
 
-def test_wrong_bits_are_counted() -> None:
-    counter = counter_of(frames=range(200))
-    packet = tampered(perfect(SETTINGS, 0), "middle", 1, [0, 5, 1023], raw=[7, 8], status="crc_fail", block=None)
-    counter.received(tampered(packet, "low", 0, [3], status="crc_fail", block=None))
-    counter.received(perfect(SETTINGS, 1))
-    assert list(sums(counter)) == [
-        ("high", 2 * K, 0, 0, 2, 0, 0),
-        ("middle", 4 * K, 3, 2, 4, 1, 0),
-        ("low", 2 * K, 1, 0, 2, 1, 0),
-    ]
-    assert counter.false_codewords == 0
+FAILED = {"status": "crc_fail", "block": None}
 
 
-@pytest.mark.parametrize(("bits", "changes", "errors", "n_false"), [
-    ([], {"status": "crc_fail", "block": None}, 0, 0), ([9], {}, 1, 1),
-], ids=["failed with correct bits", "accepted with wrong bits"])  # fmt: skip
-def test_failed_and_false_codewords_are_errors(bits: list[int], changes: Any, errors: int, n_false: int) -> None:
-    counter = counter_of(frames=range(100))
-    counter.received(tampered(perfect(SETTINGS, 0), "high", 0, bits, **changes))
-    assert counter.false_codewords == n_false
-    assert next(sums(counter)) == ("high", K, errors, 0, 1, 1, 0)
+def packet(number: int, *changes: tuple[str, int, list[int], dict[str, Any]], **to: Any) -> Packet:
+    """Return a packet with wrong bits in codewords, by layer and number, and changed fields."""
+    changed = perfect(SETTINGS, number)
+    for layer, word, bits, fields in changes:
+        changed = tampered(changed, layer, word, bits, **fields)
+    return replace(changed, **to)
+
+
+BETTER = packet(0, ("low", 0, [3], FAILED))
+WORSE = packet(0, ("low", 0, [3], FAILED), ("high", 0, [5, 6], FAILED))
+READ_ONE_OF_TWO: list[tuple[int, ...]] = [(K, 0, 2, 1, 1), (2 * K, 0, 4, 2, 2), (K, 0, 2, 1, 1)]
+NONE_OF_TWO: list[tuple[int, ...]] = [(0, 0, 2, 2, 2), (0, 0, 4, 4, 4), (0, 0, 2, 2, 2)]
+BETTER_READ: list[tuple[int, ...]] = [(K, 0, 1, 0, 0), (2 * K, 0, 2, 0, 0), (K, 1, 1, 1, 0)]
+
+CASES: dict[str, tuple[int, list[Packet], list[tuple[int, ...]], tuple[int, int, int]]] = {
+    "all packets right": (
+        300, [packet(0), packet(1), packet(2)],
+        [(3 * K, 0, 3, 0, 0), (6 * K, 0, 6, 0, 0), (3 * K, 0, 3, 0, 0)], (0, 0, 0),
+    ),
+    "wrong bits": (
+        200, [packet(0, ("middle", 1, [0, 5, 1023], FAILED), ("low", 0, [3], FAILED)), packet(1)],
+        [(2 * K, 0, 2, 0, 0), (4 * K, 3, 4, 1, 0), (2 * K, 1, 2, 1, 0)], (0, 0, 0),
+    ),
+    "failed with right bits": (
+        100, [packet(0, ("high", 0, [], FAILED))], [(K, 0, 1, 1, 0), (2 * K, 0, 2, 0, 0), (K, 0, 1, 0, 0)], (0, 0, 0)
+    ),
+    "accepted with wrong bits": (
+        100, [packet(0, ("high", 0, [9], {}))], [(K, 1, 1, 1, 0), (2 * K, 0, 2, 0, 0), (K, 0, 1, 0, 0)], (1, 0, 0)
+    ),
+    "missed": (300, [packet(1)], [(K, 0, 3, 2, 2), (2 * K, 0, 6, 4, 4), (K, 0, 3, 2, 2)], (0, 0, 0)),
+    "other array": (200, [packet(1, identity=5)], NONE_OF_TWO, (4, 1, 0)),
+    "before the film": (200, [packet(1, start_time_s=-0.9)], NONE_OF_TWO, (4, 1, 0)),
+    "after the film": (200, [packet(1, start_time_s=7.0)], NONE_OF_TWO, (4, 1, 0)),
+    "repeated": (200, [packet(1), packet(1)], READ_ONE_OF_TWO, (0, 0, 1)),
+    "better packet first": (100, [BETTER, WORSE], BETTER_READ, (0, 0, 1)),
+    "better packet second": (100, [WORSE, BETTER], BETTER_READ, (0, 0, 1)),
+    "repeated with false content": (
+        100, [packet(0), packet(0, ("high", 0, [9], {}))],
+        [(K, 0, 1, 0, 0), (2 * K, 0, 2, 0, 0), (K, 0, 1, 0, 0)], (1, 0, 1),
+    ),
+}  # fmt: skip
+"""Frames; packets; bits, bit errors, codewords, wrong and missed codewords by layer; false codewords and packets, and
+duplicates."""
+
+
+@pytest.mark.parametrize(("frames", "packets", "rows", "false"), CASES.values(), ids=list(CASES))
+def test_packets_are_counted(
+    frames: int, packets: list[Packet], rows: list[tuple[int, ...]], false: tuple[int, int, int]
+) -> None:
+    counter = counter_of(frames=range(frames))
+    for received in packets:
+        counter.received(received)
+    for _ in range(2):  # a repeated request changes nothing
+        assert [(*row[1:3], *row[4:]) for row in sums(counter)] == rows
+        assert [row[3] for row in sums(counter)] == [0, 0, 0]
+    assert (counter.false_codewords, counter.false_packets, counter.duplicates) == false
 
 
 def test_raw_bits_of_both_equalisations_are_counted_without_erasures() -> None:
-    packet = perfect(SETTINGS, 0)
-    word = packet.layers["high"][0]
+    received = packet(0)
+    word = received.layers["high"][0]
     first, last = word.raw.copy(), word.raw.copy()
     first[:7] ^= 1
     first[100:110] = ERASED
@@ -81,21 +108,10 @@ def test_raw_bits_of_both_equalisations_are_counted_without_erasures() -> None:
     for llr, expected in ((np.zeros(0, np.float32), (known, 7, 49)), (llrs, (first.size - 3, 2, 4))):
         counter = counter_of(frames=range(100))
         words = (replace(word, raw=first, llr=llr),)
-        counter.received(replace(packet, layers={**packet.layers, "high": words}))
+        counter.received(replace(received, layers={**received.layers, "high": words}))
         high = counter.total()["high"]
         assert (high.raw_bits, high.raw_errors, high.raw_squares) == (known, 7, 49)
         assert (high.final_raw_bits, high.final_raw_errors, high.final_raw_squares) == expected
-
-
-def test_missed_packets_are_codeword_errors_without_bits() -> None:
-    counter = counter_of(frames=range(300))
-    counter.received(perfect(SETTINGS, 1))
-    assert list(sums(counter)) == [
-        ("high", K, 0, 0, 3, 2, 2),
-        ("middle", 2 * K, 0, 0, 6, 4, 4),
-        ("low", K, 0, 0, 3, 2, 2),
-    ]
-    assert next(sums(counter)) == ("high", K, 0, 0, 3, 2, 2), "asking twice changes nothing"
 
 
 def test_late_packet_is_no_longer_missed() -> None:
@@ -121,44 +137,6 @@ def test_early_packet_counts_once_its_last_frame_is_known() -> None:
     watch(counter, range(70, 100), distances=(62.0,))
     assert list(counter.bins()) == [60.0]
     assert counter.total()["high"].codewords == 1
-
-
-@pytest.mark.parametrize("change", [{"identity": 5}, {"start_time_s": -0.9}, {"start_time_s": 7.0}])
-def test_packet_that_was_not_sent_is_false(change: dict[str, Any]) -> None:
-    counter = counter_of(frames=range(200))
-    before = list(sums(counter))
-    counter.received(replace(perfect(SETTINGS, 1), **change))
-    assert (counter.false_packets, counter.false_codewords, counter.duplicates) == (1, 4, 0)
-    assert list(sums(counter)) == before, "a false packet is no packet sent"
-
-
-def test_repeated_packet_is_a_duplicate() -> None:
-    counter, packet = counter_of(frames=range(200)), perfect(SETTINGS, 1)
-    counter.received(packet)
-    before = list(sums(counter))
-    counter.received(packet)
-    assert (counter.duplicates, counter.false_packets, counter.false_codewords) == (1, 0, 0)
-    assert list(sums(counter)) == before
-
-
-@pytest.mark.parametrize("better_first", [True, False])
-def test_better_duplicate_counts(better_first: bool) -> None:
-    counter = counter_of(frames=range(100))
-    better = tampered(perfect(SETTINGS, 0), "low", 0, [3], status="crc_fail", block=None)
-    worse = tampered(better, "high", 0, [5, 6], status="crc_fail", block=None)
-    for packet in (better, worse) if better_first else (worse, better):
-        counter.received(packet)
-    assert (counter.duplicates, counter.false_codewords) == (1, 0)
-    assert [row[1:6:2] for row in sums(counter)] == [(K, 0, 0), (2 * K, 0, 0), (K, 0, 1)]
-    assert [row[2] for row in sums(counter)] == [0, 0, 1]
-
-
-def test_duplicate_with_false_content_is_false() -> None:
-    counter = counter_of(frames=range(100))
-    counter.received(perfect(SETTINGS, 0))
-    counter.received(tampered(perfect(SETTINGS, 0), "high", 0, [9]))
-    assert (counter.duplicates, counter.false_packets, counter.false_codewords) == (1, 0, 1)
-    assert next(sums(counter)) == ("high", K, 0, 0, 1, 0, 0), "the first is the better"
 
 
 def test_packet_of_another_time_has_wrong_content() -> None:
@@ -231,14 +209,14 @@ def test_packet_in_another_format_is_wrong() -> None:
     assert total["low"].codeword_errors == 0
 
 
-@pytest.mark.parametrize("packet", [3, 6])
-def test_first_frame_of_a_packet_belongs_to_this_packet(packet: int) -> None:
+@pytest.mark.parametrize("number", [3, 6])
+def test_first_frame_of_a_packet_belongs_to_this_packet(number: int) -> None:
     """Rounding puts the frame slightly early. The packet hidden only in this frame is not missed; the others are."""
-    first = 100 * packet
+    first = 100 * number
     # 0.3 / 0.1 is 2.9999999999999996
-    assert first * 1e-3 / 0.1 < packet
+    assert first * 1e-3 / 0.1 < number
     counter = counter_of(small("channel.duration_s=1"))
     # each packet has a different distance
     watch(counter, range(1000), lambda frame: (20.0 + 10 * (frame // 100),), lambda frame: (frame != first,))
     missed = {near_m: errors["high"].missed for near_m, errors in counter.bins().items()}
-    assert missed == {20.0 + 10 * k: 1 for k in range(10) if k != packet}
+    assert missed == {20.0 + 10 * k: 1 for k in range(10) if k != number}

@@ -1,36 +1,19 @@
 """Journal of a reception in progress."""
 
 import base64
-from collections.abc import Iterator
 
 import pytest
 
-from heliograph.base.frames import Frame
-from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import simulate
+from heliograph.link.settings import load_settings
 from heliograph.measure.journal import Journal, Row, approach, message_row, sentence
+from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.signal.message import Message
 
 CHANGES = (
     "channel.camera.width=160", "channel.camera.height=128", "channel.distance_m=30", "channel.stop_m=20",
-    "channel.arrays.0.x_m=0", "channel.arrays.0.y_m=0", "channel.duration_s=0.75", "receive.receiver=plain",
+    "channel.arrays.0.x_m=0", "channel.arrays.0.y_m=0", "channel.duration_s=0.75", "channel.arrays.0.off_s=[[0.43,1]]",
 )  # fmt: skip
-DARK_FRAME = 430
-
-
-class Film:
-    path = "the film"
-
-    def __init__(self, settings: LinkSettings):
-        self._settings = settings
-
-    def __iter__(self) -> Iterator[Frame]:
-        messages = [{"high": [b"\xff\x00"], "middle": [b"left lane closed"]}]
-        for frame, _ in simulate(self._settings, messages, 3):
-            if frame.index >= DARK_FRAME:
-                frame.pixels[:] = 0
-            yield frame
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +21,8 @@ def rows() -> list[Row]:
     """Journal of an approach in which the array goes dark after four packets."""
     settings, rows = load_settings("paper", None, CHANGES), list[Row]()
     journal = Journal(settings.receive.calibration, rows.append)
-    for packet, messages in receive_film(Film(settings), settings.signal, settings, Reception(), journal.observe):
+    film = LiveFilm(settings, [{"high": [b"\xff\x00"], "middle": [b"left lane closed"]}], 3, None, None)
+    for packet, messages in receive_film(film, settings.signal, settings, Reception(), journal.observe):
         journal.read(packet, messages)
     return rows
 

@@ -29,6 +29,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_report_is_available_at_any_time(film: Path) -> None:
     settings, reception = small(), Reception(open_truth(truth_path(film)))
 
@@ -46,13 +47,12 @@ def test_report_is_available_at_any_time(film: Path) -> None:
 
 
 @pytest.mark.parametrize("status", ["no_header", "no_array"])
+@pytest.mark.slow
 def test_results_without_a_packet_are_not_counted(film: Path, monkeypatch: pytest.MonkeyPatch, status: Status) -> None:
     """A false packet from a known array is excluded too; the sent packet counts as missed."""
     push = StreamReceiver.push
     monkeypatch.setattr(
-        StreamReceiver,
-        "push",
-        lambda *a: [replace(p, status=status) if p.first_frame == 100 else p for p in push(*a)],
+        StreamReceiver, "push", lambda *a: [replace(p, status=status) if p.first_frame == 100 else p for p in push(*a)]
     )
     settings, reception = small(), Reception(open_truth(truth_path(film)))
     with open_film(film) as source:

@@ -22,7 +22,7 @@ from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.signal.settings import LAYERS
-from heliograph.sweeps import dataset, executors, plot, runner, sweep
+from heliograph.sweeps import dataset, executors, plot, sweep
 from heliograph.sweeps import points as points_module
 from heliograph.sweeps.executors import Result, Work
 from heliograph.sweeps.plan import grid, merge_changes, parse_vary, plan, size_warning, varied
@@ -59,11 +59,18 @@ def test_values_are_parsed(text: str, values: list[Any]) -> None:
     assert parse_vary(text) == ("a", values)
 
 
-@pytest.mark.parametrize("text", ["a", "=1", "a=", "a=1,,2", "a=1:2", "a=1:2:0", "a=1:2:-1", "a=0:1e9:1"])
-def test_text_without_values_is_one_line(text: str) -> None:
-    with pytest.raises(SettingsError) as caught:
+@pytest.mark.parametrize(
+    "text",
+    ["a", "=1", "a=", "a=1,,2", "a=1:2", "a=1:2:0", "a=1:2:-1", "a=0:1e9:1", "a=1e999999999:2:1", "a=0:1e400:1e399",
+     "a=1:2:1e-999999", "a=" + "9" * 5000, "a=" + "[" * 50_000, "a=" + "1" * 100_000 + "x"],
+    ids=lambda text: text[:16],
+)  # fmt: skip
+def test_invalid_values_are_refused_in_one_line(text: str) -> None:
+    """A regular expression with backtracking took hours for long numbers."""
+    with pytest.raises(SettingsError) as refused:
         parse_vary(text)
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(refused.value)
+    assert len(str(refused.value)) < 400
 
 
 def test_grid_has_a_point_without_keys_and_a_limit() -> None:
@@ -82,6 +89,7 @@ def test_too_many_values_are_refused_before_they_are_created(values: str) -> Non
         parse_vary(f"channel.distance_m={values}")
     with pytest.raises(SettingsError, match="'a' has more than 10000 values"):
         grid({"a": itertools.count()})
+    assert len(parse_vary("a=9999:0:-1")[1]) == 10_000
 
 
 def test_repeated_values_are_refused() -> None:
@@ -91,12 +99,6 @@ def test_repeated_values_are_refused() -> None:
         with pytest.raises(SettingsError, match="twice"):
             grid({"a": doubled})
     assert len(grid({"a": ["1", 1, [1], [[1]], {"x": 1}, None]})) == 6
-
-
-def test_long_number_is_refused_quickly() -> None:
-    # a regular expression with backtracking took hours
-    with pytest.raises(SettingsError, match="more than 64 bits"):
-        parse_vary("a=" + "1" * 1_000_000 + "x")
 
 
 def test_values_and_seed_may_be_numbers_of_numpy() -> None:
@@ -109,32 +111,25 @@ def test_values_and_seed_may_be_numbers_of_numpy() -> None:
     assert plan({"signal.data_pairs": [np.int64(8)]})[0].choice == {"signal.data_pairs": 8}
 
 
-@pytest.mark.parametrize("values", [5, "5", [], np.array([]), np.array(5), {"a": 1}])
-def test_values_must_be_a_list(values: Any) -> None:
-    with pytest.raises(SettingsError, match=r"channel\.distance_m"):
-        plan({"channel.distance_m": values})
-
-
-@pytest.mark.parametrize("seed", [-1, 2**63, "a", 1.5])
-def test_seed_must_fit_the_store(seed: Any) -> None:
-    with pytest.raises(SettingsError, match="seed"):
-        plan({}, seed=seed)
+NO_LISTS: list[Any] = [5, "5", [], np.array([]), np.array(5), {"a": 1}]
 
 
 @pytest.mark.parametrize(
-    ("vary", "message"),
+    ("vary", "seed", "message"),
     [
-        ({"channel.distanc_m": [40]}, r"did you mean 'channel\.distance_m'"),
-        ({"preset": ["papr"]}, "did you mean 'paper'"),
-        ({"receiver": ["plain", "plane"]}, "receiver=plane"),
-        ({"receiver": ["plain"], "receive.receiver": ["plain"]}, "short for"),
-        ({"channel.background.kind": ["footage"]}, "--background"),
-        ({"channel.shake": ["imu"]}, "--imu"),
+        *(({"channel.distance_m": values}, 0, r"channel\.distance_m") for values in NO_LISTS),
+        *(({}, seed, "seed") for seed in (-1, 2**63, "a", 1.5)),
+        ({"channel.distanc_m": [40]}, 0, r"did you mean 'channel\.distance_m'"),
+        ({"preset": ["papr"]}, 0, "did you mean 'paper'"),
+        ({"receiver": ["plain", "plane"]}, 0, "receiver=plane"),
+        ({"receiver": ["plain"], "receive.receiver": ["plain"]}, 0, "short for"),
+        ({"channel.background.kind": ["footage"]}, 0, "--background"),
+        ({"channel.shake": ["imu"]}, 0, "--imu"),
     ],
 )
-def test_plan_names_the_invalid_point(vary: dict[str, list[str]], message: str) -> None:
+def test_plan_names_invalid_values_seeds_and_points(vary: dict[str, Any], seed: Any, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
-        plan(vary)
+        plan(vary, seed=seed)
 
 
 def test_presets_and_receivers_vary() -> None:
@@ -252,7 +247,7 @@ def test_store_is_resumed_and_extended(
         raise AssertionError("computed again")
 
     with monkeypatch.context() as patch:
-        patch.setattr(runner, "run_job", never)
+        patch.setattr(sweep, "run_job", never)
         assert count(tmp_path) == first
     assert computed(tmp_path) == [1] * 6
     longer = count(tmp_path, StopRule(max_codewords=4))
@@ -261,20 +256,13 @@ def test_store_is_resumed_and_extended(
     assert longer == count(None, StopRule(max_codewords=4))
 
 
-def test_seed_settings_and_version_are_in_the_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_seed_settings_and_version_are_in_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
     (point,) = plan({}, "static", SMALL)
     (reseeded,) = plan({}, "static", SMALL, seed=1)
     (moved,) = plan({"channel.distance_m": [51]}, "static", SMALL)
     keys = {point.key, reseeded.key, moved.key}
     monkeypatch.setattr("heliograph.sweeps.points.__version__", "0.0.0")
     assert len(keys | {point.key}) == 4
-    with closing(Store(tmp_path)) as store:
-        store.note(point)
-    with closing(sqlite3.connect(tmp_path / NAME)) as db:
-        version, seed, settings = db.execute("SELECT version, seed, settings FROM points").fetchone()
-    assert version == points_module.build()
-    assert seed == 0
-    assert json.loads(settings)["signal"]["data_pairs"] == 8
 
 
 def test_code_of_the_package_is_in_the_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -337,10 +325,10 @@ class FragileWorkers(executors.Workers):
 def test_lost_workers_are_replaced_up_to_a_limit() -> None:
     tallies = [PointTally(point, StopRule(max_codewords=1)) for point in points()]
     with closing(Store()) as store:
-        runner.run(tallies, store, FragileWorkers(2))
+        sweep.run(tallies, store, FragileWorkers(2))
     assert all(tally.done for tally in tallies)
     with closing(Store()) as store, pytest.raises(HeliographError, match="died"):
-        runner.run([tally_of()], store, FragileWorkers(100))
+        sweep.run([tally_of()], store, FragileWorkers(100))
 
 
 def test_error_of_a_block_names_the_point() -> None:
@@ -360,7 +348,7 @@ def fail(work: Any) -> Any:
 def test_failure_and_other_version_of_a_worker_are_one_line(
     job: Any, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(runner, "run_job", job)
+    monkeypatch.setattr(sweep, "run_job", job)
     with pytest.raises(HeliographError, match=message):
         sweep.count([tally_of()], workers=1)
 
@@ -372,6 +360,7 @@ def imu_point(path: Path, rate: float) -> Point:
     return point
 
 
+@pytest.mark.slow
 def test_recording_changed_since_planning_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "car.csv"
     work = json.loads(json.dumps(imu_point(path, 0.0).job(0)))
@@ -389,7 +378,11 @@ def test_recording_changed_since_planning_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [((0,), "at least 1 worker"), ((2, "tcp://127.0.0.1:1"), "not both"), ((None, "localhost"), "no address")],
+    [
+        ((0,), "at least 1 worker"),
+        ((2, "tcp://127.0.0.1:1"), "not both"),
+        pytest.param((None, "localhost"), "no address", marks=pytest.mark.slow),  # imports Dask
+    ],
 )
 def test_workers_are_checked_before_a_folder_is_created(arguments: Any, message: str, tmp_path: Path) -> None:
     if "address" in message:
@@ -442,7 +435,6 @@ def test_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 def altered(folder: Path, statement: str, *values: Any) -> None:
     """Create a store, and modify a block of the first point."""
     with closing(Store(folder)) as store:
-        store.note(points()[0])
         store.add(points()[0], 0, fake_counts(4, 2), 1.0)
     with closing(sqlite3.connect(folder / NAME)) as db, db:
         db.execute(statement, values)
@@ -455,14 +447,11 @@ def changed_counts(change: Callable[[Any], Any]) -> str:
 
 CHANGES: dict[str, Callable[[Any], Any]] = {
     "a list": lambda plain: [1],
-    "a text": lambda plain: "counts",
     "a missing name": lambda plain: plain.pop("frames") and None,
     "an additional name": lambda plain: plain.update(extra=1),
     "a missing layer": lambda plain: plain["layers"].pop("low") and None,
-    "layers in a list": lambda plain: plain.update(layers=[1]),
     "a renamed layer": lambda plain: plain["layers"].update(lowest=plain["layers"].pop("low")),
     "a missing count": lambda plain: plain["layers"]["low"].pop("bits") and None,
-    "a text for a count": lambda plain: plain["layers"]["low"].update(codewords="4"),
     "a fraction for a count": lambda plain: plain["layers"]["low"].update(codewords=4.5),
     "true for a count": lambda plain: plain["layers"]["low"].update(codewords=True),
     "a negative count": lambda plain: plain["layers"]["low"].update(codewords=-4, codeword_errors=-4),
@@ -472,12 +461,10 @@ CHANGES: dict[str, Callable[[Any], Any]] = {
     "squares without errors": lambda plain: plain["layers"]["low"].update(bit_squares=3),
     "an immense count": lambda plain: plain["layers"]["low"].update(codewords=10**400),
     "bins in a mapping": lambda plain: plain.update(bins={"a": 1}),
-    "a bin of one item": lambda plain: plain.update(bins=[[1]]),
     "a bin at a text": lambda plain: plain.update(bins=[["near", plain["layers"]]]),
     "a number as payload": lambda plain: plain.update(payload_bits=7),
     "an infinite film": lambda plain: plain.update(film_s=float("inf")),
     "a film of nan seconds": lambda plain: plain.update(film_s=float("nan")),
-    "no film length": lambda plain: plain.update(film_s=None),
     "more detected than sent": lambda plain: plain.update(detected=1),
 }
 
@@ -488,13 +475,12 @@ CHANGES: dict[str, Callable[[Any], Any]] = {
         *(("UPDATE blocks SET counts = ?", (changed_counts(change),)) for change in CHANGES.values()),
         *(
             ("UPDATE blocks SET counts = ?", (text,))
-            for text in ("", "{", "null", "7", "[" * 50_000 + "]" * 50_000, b"\xff\x00")
+            for text in ("{", "null", "[" * 50_000 + "]" * 50_000, b"\xff\x00")
         ),
         *(("UPDATE blocks SET seconds = ?", (value,)) for value in ("soon", -1.0, float("inf"), b"1")),
         ("UPDATE blocks SET block = ?", ("first",)),
         ("UPDATE blocks SET counts = CAST(x'ff' AS TEXT)", ()),
         ("ALTER TABLE blocks DROP COLUMN seconds", ()),
-        ("ALTER TABLE points DROP COLUMN settings", ()),
         ("PRAGMA user_version = 7", ()),
     ],
     ids=lambda value: str(value)[:40],
@@ -572,9 +558,7 @@ def test_undetected_array_differs_from_an_unreadable_one(tmp_path: Path) -> None
 @pytest.mark.slow
 def test_raw_error_rate_of_the_soft_receiver_grows_with_the_distance() -> None:
     """The first equalisation's rate rises per layer; the last equalisation depends on the decoded codewords."""
-    arrays = {"channel.arrays.0.x_m": 0, "channel.arrays.0.y_m": 0, "channel.camera.width": 160}
-    small = {**arrays, "channel.camera.height": 120, "channel.duration_s": 0.2, "receive.receiver": "soft"}
-    data = sweep.sweep({"channel.distance_m": [60, 80, 120]}, set=small, max_codewords=2)
+    data = sweep.sweep({"channel.distance_m": [60, 80, 120]}, set={"receive.receiver": "soft"}, max_codewords=1)
     assert (data.raw_bits > 0).all()
     assert (np.diff(data.raw_ber.values, axis=0) > 0).all()
     low = data.final_raw_ber.sel(layer="low").values
@@ -604,7 +588,7 @@ def test_plot_has_a_line_for_each_choice_and_names_invalid_arguments(tmp_path: P
     save(plot.plot_rates(data, along="receiver"), tmp_path / "plot.png")
     single = data.isel({"receiver": 0, "channel.distance_m": 0})
     for arguments, message in (
-        ((data, "per"), "there are ber, raw_ber, fer"),
+        ((data, "per"), "there are ber, raw_ber, final_raw_ber, fer"),
         ((data, "fer", "channel.x"), r"nothing varies by 'channel\.x'; there are receiver, channel\.distance_m"),
         ((single,), "nothing varies in this Dataset"),
     ):
@@ -621,7 +605,7 @@ def test_progress_is_visible_on_a_terminal_or_on_request(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
-    with runner.bar(1, shown) as advance:
+    with sweep.bar(1, shown) as advance:
         advance([tally_of()])
     err = capsys.readouterr().err
     assert bool(err) == ("0 of 1 points" in err) == is_visible

@@ -1,7 +1,6 @@
 """Sweeps in worker processes and on a cluster: custom components, killed workers, Ctrl-C."""
 
 import json
-import multiprocessing
 import os
 import signal
 import sqlite3
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_runs import COMMAND, called, heed_ctrl_c
+from cli_runs import COMMAND, heed_ctrl_c
 from processes import HAS_PROC, is_running, worker_processes
 from waiting import HANG_S, wait_until
 
@@ -89,7 +88,7 @@ def counted(kill: Kill = lambda: None, output: Path | None = None, **crew: Any) 
         if pending and sum(tally.blocks for tally in tallies) >= 2:
             pending.pop()()
 
-    tallies = tallies_of(VARY, 6)
+    tallies = tallies_of(VARY, 4)
     count(tallies, output, progress=progress, **crew)
     assert not pending
     return [tally.report() for tally in tallies]
@@ -121,26 +120,9 @@ def test_custom_receiver_code_and_motion_run_in_this_process(reference: list[dic
     high = [point["layers"]["high"] for point in reference]
     plain, plain_again, renamed, renamed_again = ((layer["codewords"], layer["codeword_errors"]) for layer in high)
     assert plain == plain_again
-    assert plain[0] >= 6
+    assert plain[0] >= 4
     assert plain[1] == 0
     assert renamed == renamed_again == (plain[0], plain[0])  # no packet from array 0 arrives
-
-
-@pytest.mark.slow
-def test_killed_worker_is_replaced_and_results_stay_the_same(reference: list[dict[str, Any]], tmp_path: Path) -> None:
-    killed, remaining, earlier = list[int](), list[int](), multiprocessing.active_children()
-
-    def kill() -> None:
-        first, other = (child for child in multiprocessing.active_children() if child not in earlier)
-        killed.append(first.pid or 0)
-        remaining.append(other.pid or 0)
-        first.kill()
-
-    assert counted(kill, tmp_path, workers=2) == reference
-    assert json.loads((tmp_path / "points.json").read_text()) == reference
-    assert set(stored(tmp_path)) == {1}
-    assert len(stored(tmp_path)) >= sum(point["blocks"] for point in reference) == 12
-    assert not any(map(is_running, killed + remaining))
 
 
 @contextmanager
@@ -172,7 +154,9 @@ def test_cluster_survives_a_killed_worker_and_has_the_custom_components(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not HAS_PROC, reason="needs /proc to find worker processes")
-def test_ctrl_c_shows_the_results_so_far_and_the_sweep_resumes(parts_file: Path, tmp_path: Path) -> None:
+def test_a_killed_worker_is_replaced_ctrl_c_shows_the_results_so_far_and_the_sweep_resumes(
+    parts_file: Path, tmp_path: Path
+) -> None:
     changes = [word for change in SMALL for word in ("--set", change)]
     # long enough to be interrupted
     options = ["--vary", "channel.distance_m=60:70:10", "--max-codewords", "20000", "--workers", "2", "--json"]
@@ -180,7 +164,15 @@ def test_ctrl_c_shows_the_results_so_far_and_the_sweep_resumes(parts_file: Path,
         [*COMMAND, "--load", str(parts_file), "sweep", *options, *changes, "--output", str(tmp_path)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=heed_ctrl_c,
     )  # fmt: skip
-    wait_until(lambda: len(stored(tmp_path)) >= 2 or process.poll() is not None)
+
+    def wait_for_blocks(count: int) -> None:
+        wait_until(lambda: len(stored(tmp_path)) >= count or process.poll() is not None)
+
+    wait_for_blocks(2)
+    first = worker_processes(process.pid)
+    os.kill(first[0], signal.SIGKILL)
+    wait_until(lambda: not any(map(is_running, first)))
+    wait_for_blocks(len(stored(tmp_path)) + 2)
     workers = worker_processes(process.pid)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=HANG_S)
@@ -190,7 +182,7 @@ def test_ctrl_c_shows_the_results_so_far_and_the_sweep_resumes(parts_file: Path,
     points = json.loads(out)
     assert sum(point["blocks"] for point in points) >= 1
     assert json.loads((tmp_path / "points.json").read_text()) == points
-    assert len(workers) == 2
+    assert (len(first), len(workers), set(first) & set(workers)) == (2, 2, set())
     assert not any(map(is_running, workers))
 
     reports = []
@@ -201,31 +193,11 @@ def test_ctrl_c_shows_the_results_so_far_and_the_sweep_resumes(parts_file: Path,
     resumed, uninterrupted = reports
     assert resumed == uninterrupted
     with closing(sqlite3.connect(tmp_path / NAME)) as db:
-        assert db.execute("SELECT count(*) FROM points").fetchone() == (2,), "the resumed sweep has the same points"
+        keys = db.execute("SELECT count(DISTINCT key) FROM blocks").fetchone()
+    assert keys == (2,), "the resumed sweep has the same points"
     assert set(stored(tmp_path)) == {1}
     for point in resumed:
         for layer in point["layers"].values():
             assert layer["codeword_errors"] >= 50 or layer["codewords"] >= 6
             assert layer["fer_ci"][0] <= layer["fer"] <= layer["fer_ci"][1]
     assert resumed[0]["net_bits_per_second"] > resumed[1]["net_bits_per_second"] > 0
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--vary", "channel.distanc_m=1"], "did you mean 'channel.distance_m'"),
-        (["--vary", "channel.distance_m=1:2"], "first:last:step"),
-        (["--vary", "receiver=plane"], "plane"),
-        (["--max-seconds", "0"], "max_seconds"),
-        (["--scheduler", "nowhere"], "tcp://"),
-        (["--vary", "channel.distance_m=9", "--vary", "channel.distance_m=8"], "twice"),
-    ],
-)
-def test_wrong_input_is_one_line(
-    options: list[str], message: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    done = called("sweep", *options, capfd=capfd, monkeypatch=monkeypatch)
-    assert done.returncode in (1, 2)
-    assert done.stdout == ""
-    assert len(done.stderr.splitlines()) == 1
-    assert message in done.stderr

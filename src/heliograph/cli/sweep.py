@@ -11,8 +11,7 @@ from heliograph.cli.options import option
 from heliograph.measure.statistics import Count
 from heliograph.sweeps.executors import fewer_workers
 from heliograph.sweeps.plan import plan, size_warning
-from heliograph.sweeps.runner import bar
-from heliograph.sweeps.sweep import count
+from heliograph.sweeps.sweep import bar, count
 from heliograph.sweeps.tally import PointTally, StopRule
 
 

@@ -60,7 +60,6 @@ def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int =
     return figure
 
 
-@styled
 def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, title: str, largest: float = 255) -> Figure:
     """Frame with the array marked, and an enlarged view of the array."""
     figure = Figure(figsize=(12, 3.6))
@@ -79,7 +78,6 @@ def mark_square(axes: Axes, x: float, y: float, half: float) -> None:
     axes.plot(x + corners[0], y + corners[1], color="#ff6b35", lw=1)
 
 
-@styled
 def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping[str, NDArray[Any]]) -> Figure:
     """Estimated and true position and distance over time, and position errors."""
     figure = Figure(figsize=(12, 6))
@@ -99,7 +97,6 @@ def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping
     return figure
 
 
-@styled
 def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]], offset_m: float = 0.7) -> Figure:
     """Bit error rates before and after the turbo code, with the layers `offset_m` apart in distance."""
     figure = Figure(figsize=(12, 4.2))

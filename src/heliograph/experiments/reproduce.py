@@ -97,16 +97,14 @@ def reproduce(
 
 def run_experiment(key: str, context: Context) -> ExperimentResult:
     """Run an experiment, and draw the figures."""
+    from heliograph.experiments import plots  # Matplotlib is slow to import
+
     name, title = EXPERIMENTS[key]
     module = import_module(f"heliograph.experiments.{name}")
-    result: ExperimentResult = module.run(context)
+    result: ExperimentResult = plots.styled(module.run)(context)
     # the description is the docstring of the module after the summary
     description = (module.__doc__ or "").partition("\n\n")[2]
-    drawn = []
-    if result.pictures:
-        from heliograph.experiments.plots import figure_png  # Matplotlib is slow to import
-
-        drawn = [(figure_png(figure), caption) for figure, caption in result.pictures]
+    drawn = [(plots.figure_png(figure), caption) for figure, caption in result.pictures]
     return replace(result, key=key, title=title, text=f"{result.text} {description}".strip(), pictures=(), drawn=drawn)
 
 

@@ -243,7 +243,6 @@ def range_m(points: Points, rate: float) -> float | None:
     return None
 
 
-@plots.styled
 def _rates_plot(points: Mapping[str, Points]) -> Figure:
     """On-off keying and repetition left, the hierarchical code right."""
     figure = Figure(figsize=(12, 5))

@@ -72,10 +72,7 @@ def _types() -> dict[int, tuple[Any, str]]:
         from pycrate_asn1dir import ITS_IS
     except ImportError:
         raise SettingsError("road messages need the package pycrate: pip install 'heliograph[its]'") from None
-    return {
-        4: (ITS_IS.SPATEM_PDU_Descriptions.SPATEM, "spat"),
-        5: (ITS_IS.MAPEM_PDU_Descriptions.MAPEM, "map"),
-    }
+    return {4: (ITS_IS.SPATEM_PDU_Descriptions.SPATEM, "spat"), 5: (ITS_IS.MAPEM_PDU_Descriptions.MAPEM, "map")}
 
 
 STATES: dict[Phase, str] = {

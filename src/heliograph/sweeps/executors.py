@@ -38,7 +38,7 @@ def fewer_workers(count: int | None) -> str:
 
 
 def open_workers(count: int | None = None, scheduler: str | None = None) -> "Workers":
-    """Return workers for a number of processes, by default one per core, or for a Dask scheduler."""
+    """Return workers for a number of processes, by default a process per core, or for a Dask scheduler."""
     if scheduler is not None:
         if count is not None:
             raise HeliographError("a scheduler provides the workers: give --workers or --scheduler, not both")

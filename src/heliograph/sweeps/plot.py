@@ -7,19 +7,11 @@ import numpy as np
 
 from heliograph.base.errors import HeliographError, shown
 from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.dataset import ERROR_RATES
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
-
-RATES = {
-    "ber": "bit error rate",
-    "raw_ber": "raw bit error rate",
-    "fer": "codeword error rate",
-    "final_raw_ber": "raw bit error rate of the last equalisation",
-}
-
-MARKS = "osD^vP*X"
 
 ARROW = r"$\downarrow$"
 """Marker of an upper bound."""
@@ -60,8 +52,8 @@ def plot_rates(
     # a Dataset implies that xarray is loaded
     if not isinstance(data, getattr(sys.modules.get("xarray"), "Dataset", ())):
         raise HeliographError(f"plot_rates draws the xarray.Dataset of heliograph.sweep, not {shown(data)}")
-    if rate not in RATES:
-        raise HeliographError(f"unknown rate '{rate}'; there are {', '.join(RATES)}")
+    if rate not in ERROR_RATES:
+        raise HeliographError(f"unknown rate '{rate}'; there are {', '.join(ERROR_RATES)}")
     keys = [str(key) for key in data[rate].dims if key != "layer"]
     key = _along(data, keys) if along is None else along
     if key not in keys:
@@ -80,7 +72,7 @@ def plot_rates(
             label = ", ".join(filter(None, (about, layer)))
             _line(axes, part.sel(layer=layer), rate, key, label, (LAYERS.index(layer), number))
     unit = data[key].attrs.get("units", "1")
-    axes.set(xlabel=key if unit == "1" else f"{key} ({unit})", ylabel=RATES[rate], yscale="log")
+    axes.set(xlabel=key if unit == "1" else f"{key} ({unit})", ylabel=ERROR_RATES[rate], yscale="log")
     axes.grid(alpha=0.3)
     axes.legend(*legend_entries(axes), fontsize="small")
     return axes
@@ -113,7 +105,8 @@ def _line(axes: "Axes", part: Any, rate: str, key: str, label: str, style: tuple
     low, high = part[f"{rate}_low"].values, part[f"{rate}_high"].values
     bound, found = part[f"{rate}_is_bound"].values.astype(bool), part["detected"].values > 0
     counted = ~np.isnan(y) & found
-    style_of_line: dict[str, Any] = {"color": f"C{layer}", "marker": MARKS[number % len(MARKS)]}
+    marks = "osD^vP*X"
+    style_of_line: dict[str, Any] = {"color": f"C{layer}", "marker": marks[number % len(marks)]}
     measured = counted & ~bound
     axes.plot(x[measured], y[measured], lw=1, label=label, **style_of_line)
     errors = [(y - low)[measured], (high - y)[measured]]

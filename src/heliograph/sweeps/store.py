@@ -10,23 +10,19 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from heliograph.base.config import to_mapping
 from heliograph.base.errors import MediaError
 from heliograph.measure.counts import MAX_NUMBER, BlockCounts
-from heliograph.sweeps.points import Point, build
+from heliograph.sweeps.points import Point
 
 NAME = "results.sqlite"
 
 FORMAT = 1
-"""Version of the tables, the user_version of the file."""
+"""Version of the table, the user_version of the file."""
 
-_TABLES = """
-CREATE TABLE IF NOT EXISTS points (
-    key TEXT PRIMARY KEY, version TEXT NOT NULL, seed INTEGER NOT NULL,
-    choice TEXT NOT NULL, settings TEXT NOT NULL, recordings TEXT NOT NULL);
+_TABLE = """
 CREATE TABLE IF NOT EXISTS blocks (
     key TEXT NOT NULL, block INTEGER NOT NULL, counts TEXT NOT NULL, seconds REAL NOT NULL,
-    computed INTEGER NOT NULL DEFAULT 1, PRIMARY KEY (key, block)) WITHOUT ROWID;
+    computed INTEGER NOT NULL DEFAULT 1, PRIMARY KEY (key, block)) WITHOUT ROWID
 """
 
 
@@ -41,10 +37,10 @@ class Store:
             self._db = sqlite3.connect(self.path or ":memory:", timeout=60.0, isolation_level=None)
             with contextlib.ExitStack() as undo:
                 undo.callback(self._db.close)
-                self._create_tables()
+                self._create_table()
                 undo.pop_all()
 
-    def _create_tables(self) -> None:
+    def _create_table(self) -> None:
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = NORMAL")
         with self._db:  # a transaction
@@ -53,26 +49,12 @@ class Store:
             (tables,) = self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()
             if found not in (0, FORMAT) or (not found and tables):
                 raise MediaError(f"{self.path} holds no results of this version of heliograph; choose another folder")
-            for statement in _TABLES.split(";"):
-                self._db.execute(statement)
+            self._db.execute(_TABLE)
             self._db.execute(f"PRAGMA user_version = {FORMAT}")
 
     def close(self) -> None:
         """Close the file."""
         self._db.close()
-
-    def note(self, point: Point) -> None:
-        """Store the settings of a point."""
-        about = (
-            point.key,
-            build(),
-            point.seed,
-            json.dumps(dict(point.choice)),
-            json.dumps(to_mapping(point.settings)),
-            json.dumps({name: [one.path, one.digest] for name, one in point.recordings.items()}),
-        )
-        with self._media_errors():
-            self._db.execute("INSERT OR IGNORE INTO points VALUES (?, ?, ?, ?, ?, ?)", about)
 
     def add(self, point: Point, block: int, counts: BlockCounts, seconds: float) -> None:
         """Store a block; an existing row of another sweep is kept."""

@@ -89,23 +89,18 @@ def record(film: CalibrationFilm) -> CalibrationRecord:
         sent = [layers[n].code.encode([pack(b, layers[n].code.k) for b in blocks[n]]).ravel() for n in layers]
         llrs = [np.concatenate([llr[n].ravel() for n in layers]) for llr in iterations]
         iterations.clear()
-        _count_iterations(llrs, np.concatenate(sent), out.reliability)
+        # other lengths: the receiver assumed another packet format
+        if llrs and len(llrs[0]) == sum(map(len, sent)):
+            last = np.zeros_like(llrs[0])
+            for llr in llrs[1:]:
+                # the equaliser skips decoded codewords
+                last = np.where(llr != 0, llr, last)
+            out.reliability[FIRST].append(count_bits(llrs[0], np.concatenate(sent)))
+            out.reliability[LAST].append(count_bits(last, np.concatenate(sent)))
         true = truths[(packet.first_frame + packet.last_frame) // 2].distance_m
         found = packet.distance_m if packet.status in ("ok", "partial") else float("nan")
         out.distances.append((true, found, number))
     return out
-
-
-def _count_iterations(llrs: Sequence[Floats], sent: NDArray[np.uint8], reliability: Mapping[str, list[Floats]]) -> None:
-    """Count the bits of a packet."""
-    # other lengths: the receiver assumed another packet format
-    if llrs and len(llrs[0]) == len(sent):
-        last = np.zeros_like(llrs[0])
-        for llr in llrs[1:]:
-            # the equaliser skips decoded codewords
-            last = np.where(llr != 0, llr, last)
-        reliability[FIRST].append(count_bits(llrs[0], sent))
-        reliability[LAST].append(count_bits(last, sent))
 
 
 def count_bits(llr: Floats, sent: NDArray[np.uint8]) -> Floats:
@@ -182,28 +177,20 @@ def calibrated(name: str, bins: Sequence[ReliabilityBin]) -> Finding:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class DistanceErrors:
-    """Distance errors of packets in a distance bin."""
-
-    # Case of the films, and first or later packets
-    case: str
-    from_m: float
-    to_m: float
-    # (packets,) errors in m
-    errors_m: Floats
+DistanceErrors = Mapping[tuple[str, float, float], Floats]
+"""Distance errors of packets in m, (packets,), by case of the films and edges of the distance bin in m."""
 
 
-def by_distance(distances: Mapping[str, Floats]) -> list[DistanceErrors]:
+def by_distance(distances: Mapping[str, Floats]) -> DistanceErrors:
     """Errors by case and distance, with the first packets separate."""
     edges = (22.5, 32.5, 50.0, 65.0, 75.0, 82.5, 95.0, 110.0, 140.0, 165.0, 195.0, 225.0)
-    out = []
+    out: dict[tuple[str, float, float], Floats] = {}
     for case, rows in distances.items():
         for name, chosen in (("first packet", rows[:, 2] == 0), ("later packets", rows[:, 2] > 0)):
             for low, high in pairwise(edges):
                 here = rows[chosen & (rows[:, 0] >= low) & (rows[:, 0] < high) & np.isfinite(rows[:, 1])]
                 if len(here):
-                    out.append(DistanceErrors(f"{case}, {name}", low, high, here[:, 1] - here[:, 0]))
+                    out[f"{case}, {name}", low, high] = here[:, 1] - here[:, 0]
     return out
 
 
@@ -214,22 +201,21 @@ def rms_m(errors_m: Floats) -> tuple[float, float, float]:
     return (total / n) ** 0.5, (total / chdtri(n, 0.025)) ** 0.5, (total / chdtri(n, 0.975)) ** 0.5
 
 
-def accurate(errors: Sequence[DistanceErrors]) -> Finding:
+def accurate(errors: DistanceErrors) -> Finding:
     """Check the distance errors up to 80 m."""
-    near = [part for part in errors if part.to_m <= 82.5]
-    worst = max(near, key=lambda part: rms_m(part.errors_m)[0])
-    rms, low, high = rms_m(worst.errors_m)
-    pooled = np.concatenate([part.errors_m for part in near])
+    near = [(place, errors_m) for place, errors_m in errors.items() if place[2] <= 82.5]
+    (case, from_m, to_m), worst = max(near, key=lambda part: rms_m(part[1])[0])
+    rms, low, high = rms_m(worst)
+    pooled = np.concatenate([errors_m for _, errors_m in near])
     return Finding(
         f"Question: distance from one camera below {GOOD_M:g} m rms up to 80 m.",
-        f"{len(pooled)} packets to 80 m: {rms_m(pooled)[0]:.3f} m rms; worst are {len(worst.errors_m)} packets "
-        f"{worst.case}, {worst.from_m:g} to {worst.to_m:g} m: {rms:.3f} m ({low:.3f} to {high:.3f}).",
+        f"{len(pooled)} packets to 80 m: {rms_m(pooled)[0]:.3f} m rms; worst are {len(worst)} packets "
+        f"{case}, {from_m:g} to {to_m:g} m: {rms:.3f} m ({low:.3f} to {high:.3f}).",
         verdict_of(rms < GOOD_M),
         "Published: 0.5 m at 60 m from two cameras, 0.75 m within 100 m from an event camera.",
     )
 
 
-@plots.styled
 def _reliability_diagram(bins: Mapping[str, Sequence[ReliabilityBin]]) -> Figure:
     """Observed over predicted error probability of the judged bins, with 95 % intervals."""
     figure = Figure(figsize=(8, 4))
@@ -245,7 +231,6 @@ def _reliability_diagram(bins: Mapping[str, Sequence[ReliabilityBin]]) -> Figure
     return figure
 
 
-@plots.styled
 def _distance_plot(distances: Mapping[str, Floats]) -> Figure:
     """Distance error of each packet."""
     figure = Figure(figsize=(8, 4))
@@ -279,13 +264,11 @@ def run(context: Context, films: Sequence[CalibrationFilm] = ()) -> ExperimentRe
         "expected": lambda part: f"{part.expected:.1f}",
         "ratio": ReliabilityBin.ratio_text,
     }
-    distance_columns: dict[str, Callable[[DistanceErrors], str]] = {
-        "case": lambda part: part.case,
-        "distance": lambda part: f"{part.from_m:g} to {part.to_m:g} m",
-        "packets": lambda part: str(len(part.errors_m)),
-        "rms (95 %)": lambda part: "{:.3f} ({:.3f} to {:.3f})".format(*rms_m(part.errors_m)),
-        "bias": lambda part: f"{part.errors_m.mean():+.3f}",
-    }
+    distance_rows = [
+        [case, f"{low:g} to {high:g} m", str(len(part)), "{:.3f} ({:.3f} to {:.3f})".format(*rms_m(part)),
+         f"{part.mean():+.3f}"]
+        for (case, low, high), part in errors.items()
+    ]  # fmt: skip
     title = "Bits by predicted error probability"
     return ExperimentResult(
         findings=[*(calibrated(name, part) for name, part in bins.items()), accurate(errors)],
@@ -295,7 +278,7 @@ def run(context: Context, films: Sequence[CalibrationFilm] = ()) -> ExperimentRe
         ],
         tables=[
             *(Table.of(f"{title}, {name}", part, reliability_columns) for name, part in bins.items()),
-            Table.of("Error of distance in m", errors, distance_columns),
+            Table("Error of distance in m", ["case", "distance", "packets", "rms (95 %)", "bias"], distance_rows),
         ],
         data={
             "reliability": {name: np.sum(part, 0).tolist() for name, part in counts.items()},

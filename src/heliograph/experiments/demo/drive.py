@@ -1,13 +1,15 @@
 """Demonstration: the drive of the paper simulated, received, and reported as a page."""
 
+import io
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,27 +18,168 @@ from numpy.typing import NDArray
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import HeliographError
 from heliograph.base.files import write_whole
+from heliograph.base.frames import Frame
 from heliograph.channel.background import draw_street
 from heliograph.experiments import plots
-from heliograph.experiments.demo.animation import DIM, LIGHTS, DriveRecorder, animated, is_picture, pixels_of
 from heliograph.experiments.report import Report
 from heliograph.link.film import frames_of, sent_s, write_film
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings
 from heliograph.link.truth import TruthFile, open_truth, truth_path
 from heliograph.measure.errors import BIN_M
+from heliograph.measure.journal import message_row
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import open_film
-from heliograph.receive import Pose
+from heliograph.receive import Packet, Pose
+from heliograph.receive.events import DetectEvent, Event, ExtractEvent, TrackEvent
 from heliograph.receive.geometry.window import AnyFrame, cut_out
 from heliograph.road.codec import Values, is_there, kind_of, mapem, road_values, road_words, updates
+from heliograph.road.countdown import Countdown
 from heliograph.road.junction import Junction, example
 from heliograph.signal.message import Message, Updates
 from heliograph.signal.settings import LAYERS
 from heliograph.transmit import Content
 
+Rgb = NDArray[np.uint8]
+Colour = tuple[int, int, int]
 
-@plots.styled
+PALE: Colour = (201, 206, 214)
+DIM: Colour = (110, 118, 128)
+
+LIGHTS: Mapping[str, Colour] = {
+    "red": (220, 60, 48), "red-yellow": (230, 135, 40), "yellow": (235, 185, 50), "flashing": (235, 185, 50),
+    "green": (55, 170, 85), "green-free": (55, 170, 85),
+}  # fmt: skip
+"""Colour of each signal phase."""
+
+CUT_PX = 240
+"""Side of the cut-out of the array."""
+
+
+@dataclass(slots=True)
+class DriveRecorder:
+    """Observer that records the array detected first."""
+
+    # Numbers of the frames at which pairs are kept
+    cut_frames: list[int]
+    # Identity of the array
+    identity: int | None = None
+    # Time in s, number of the first frame and pose of each pair
+    track: list[tuple[float, int, Pose]] = field(default_factory=list)
+    # Number of the first frame, pose and frames of each kept pair
+    cuts: list[tuple[int, Pose, Frame, Frame]] = field(default_factory=list)
+    # Image of the state after each packet
+    images: list[Rgb] = field(default_factory=list)
+    _seen: tuple[Pose, Frame] | None = None
+    _picture: bytes | None = None
+    _lights: Countdown = field(default_factory=Countdown)
+
+    def __call__(self, event: Event) -> None:
+        """Record an event."""
+        if isinstance(event, DetectEvent) and self.identity is None:
+            self.identity = event.detection.identity
+        elif isinstance(event, TrackEvent) and event.identity == self.identity:
+            state = event.tracked.state
+            self.track.append((state.time_s, event.frame, state.pose))
+        elif isinstance(event, ExtractEvent) and event.identity == self.identity:
+            pattern, inverted = event.frames
+            # combined frames are sections of the image
+            if not isinstance(pattern, Frame) or not isinstance(inverted, Frame):
+                return
+            self._seen = event.poses[0], pattern
+            if self.cut_frames and pattern.index >= self.cut_frames[0]:
+                self.cut_frames.pop(0)
+                self.cuts.append((pattern.index, event.poses[0], pattern, inverted))
+
+    def add_packet(self, packet: Packet, messages: Sequence[Message]) -> None:
+        """Record a packet of the array, and the messages completed by the packet."""
+        if packet.identity != self.identity:
+            return
+        for message in messages:
+            row = message_row(message)
+            if "road" in row:
+                self._lights.take(row["road"], packet.start_time_s)
+            if is_picture(message.data) and len(message.data) > len(self._picture or b""):
+                self._picture = message.data
+        cut = None if self._seen is None else cut_out_of(*self._seen)
+        layers = {name: (sum(w.status == "ok" for w in words), len(words)) for name, words in packet.layers.items()}
+        lights = [group for one in self._lights.at(packet.start_time_s) for group in one["groups"]]
+        self.images.append(drawn(cut, self._picture, packet.distance_m, layers, lights))
+        self._seen = None
+
+
+def is_picture(data: bytes) -> bool:
+    """True for a PNG or WebP file."""
+    return data.startswith(b"\x89PNG") or (data.startswith(b"RIFF") and data[8:12] == b"WEBP")
+
+
+def pixels_of(data: bytes) -> Rgb | None:
+    """Pixels of a picture file, (height, width, 3) uint8 red, green, blue; None for a damaged file."""
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    return None if pixels is None else np.asarray(pixels[..., ::-1], np.uint8)
+
+
+def cut_out_of(pose: Pose, frame: Frame) -> NDArray[np.uint8]:
+    """Array and surroundings, 22 pitches wide, scaled to a fixed size with no interpolation."""
+    scale = CUT_PX / (22.0 * pose.pitch)
+    x, y = pose.x - frame.origin[0], pose.y - frame.origin[1]
+    place = np.array([[scale, 0, CUT_PX / 2 - scale * x], [0, scale, CUT_PX / 2 - scale * y]])
+    pixels = (frame.pixels.astype(np.float32) * (255 / frame.full_scale)).astype(np.uint8)
+    return np.asarray(cv2.warpAffine(pixels, place, (CUT_PX, CUT_PX), flags=cv2.INTER_NEAREST), np.uint8)
+
+
+def drawn(
+    cut: NDArray[np.uint8] | None,
+    picture: bytes | None,
+    distance_m: float,
+    layers: Mapping[str, tuple[int, int]],
+    lights: Sequence[Mapping[str, Any]],
+) -> Rgb:
+    """Image of the state after a packet, (304, 640, 3) uint8 red, green, blue.
+
+    Cut-out of the tracked array, file of the best received picture, read and sent codewords by layer, signal groups.
+    """
+    image = np.full((304, 640, 3), (24, 27, 32), np.uint8)
+    if cut is not None:
+        image[12 : 12 + CUT_PX, 12 : 12 + CUT_PX] = cut[..., None]
+    x, view = 268, image[12:252, 268:628]
+    pixels = pixels_of(picture) if picture else None
+    if pixels is None:
+        view[:] = (44, 48, 56)
+        _write(image, "the picture comes with the low layer", (x + 46, 136), DIM)
+    else:
+        view[:] = cv2.resize(pixels, view.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    _write(image, f"{distance_m:.0f} m", (12, 286), PALE, 0.7)
+    for k, (name, (read, sent)) in enumerate(layers.items()):
+        _write(image, f"{name} {read}/{sent}", (102, 266 + 15 * k), PALE if read == sent else DIM, 0.38)
+    for k, group in enumerate(lights[:2]):
+        at = x + 180 * k
+        cv2.circle(image, (at + 12, 279), 10, LIGHTS.get(group["phase"], DIM), -1, cv2.LINE_AA)
+        left_s = "" if group["left_s"] is None else f"{max(group['left_s'], 0):.0f} s"
+        _write(image, f"{group['phase']} {left_s}", (at + 30, 284), PALE, 0.55)
+    return image
+
+
+def animated(images: Sequence[Rgb]) -> bytes:
+    """Animated WebP of images in an endless loop; empty for no images."""
+    if not images:
+        return b""
+    out, rate_hz = io.BytesIO(), 10
+    with av.open(out, "w", format="webp", options={"loop": "0"}) as container:
+        stream = container.add_stream("libwebp_anim", rate=rate_hz)
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt, stream.options = "yuv420p", {"quality": "60"}
+        # the last image stays for a second
+        for image in (*images, *[images[-1]] * rate_hz):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode(None))
+    return out.getvalue()
+
+
+def _write(image: Rgb, text: str, place: tuple[int, int], colour: Colour, size: float = 0.45) -> None:
+    cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
+
+
 def junction_plot(junction: Values, groups: Mapping[int, Mapping[str, Any]]) -> Figure:
     """Map of a junction with the phases of its signal groups."""
     figure = Figure(figsize=(7.5, 6.2))
@@ -68,6 +211,7 @@ def junction_plot(junction: Values, groups: Mapping[int, Mapping[str, Any]]) -> 
     return figure
 
 
+@plots.styled
 def write_page(
     path: Path,
     truth: TruthFile,
@@ -282,7 +426,7 @@ def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings,
     counts = reception.report(time.perf_counter() - began)
     for message in messages:
         write_whole(folder / message_name(message), message.data)
-    moving = animated(recorder.moments)
+    moving = animated(recorder.images)
     if moving:
         write_whole(folder / "drive.webp", moving)
     write_page(folder / "report.html", truth, recorder, moving, reception, counts, messages)

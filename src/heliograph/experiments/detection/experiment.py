@@ -21,31 +21,28 @@ filmed separately, and with an array of another identity 0.5 m to 1.2 m away, wi
 searched at the true place. Intervals are Clopper-Pearson, 95 %.
 """
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
-from itertools import chain
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
+from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
+from heliograph.channel import Placement
+from heliograph.channel.settings import ChannelSettings
 from heliograph.experiments import plots
-from heliograph.experiments.detection.clutter import LAMPS, ClutterFilm, Surroundings, backdrops
-from heliograph.experiments.detection.trials import (
-    DISTANCES_M,
-    FOUND,
-    RECEIVER,
-    SCORE,
-    Confusion,
-    DetectionScores,
-    Example,
-    Scores,
-    confusion,
-    measure,
+from heliograph.experiments.detection.clutter import (
+    LAMPS,
+    ClutterFilm,
+    HeaderKind,
+    Surroundings,
+    backdrops,
+    film_moment,
 )
-from heliograph.experiments.detection.variants import PAPER, REFERENCE, VARIANTS
 from heliograph.experiments.report import (
     Context,
     ExperimentResult,
@@ -55,10 +52,339 @@ from heliograph.experiments.report import (
     interval_text,
     verdict_of,
 )
+from heliograph.link.settings import load_settings
 from heliograph.link.simulate import load_imu
 from heliograph.measure.statistics import Count
 from heliograph.receive import Pose
+from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
+from heliograph.receive.detect.alternation import (
+    DETECT,
+    SearchRegion,
+    alternation_means,
+    alternation_of,
+    busy_blocks,
+    coarse_search,
+)
+from heliograph.receive.detect.candidate import cell_weights, fit_near, is_in_size_range, is_plausible
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.detect.header_bank import ALL_ON, headers
+from heliograph.receive.detect.kernels import BLOCK_PX
+from heliograph.receive.detect.search import PyramidSearch
+from heliograph.receive.geometry.pose import UPRIGHT
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.header import IDENTITIES
+from heliograph.signal.settings import SignalSettings
+
+REFERENCE, PAPER = "all on, 2 frames", "M-sequence, 2 frames"
+
+VARIANTS: dict[str, tuple[HeaderKind, int]] = {
+    REFERENCE: ("all_on", 2),
+    "all on, 4 frames": ("all_on", 4),
+    PAPER: ("m_sequence", 2),
+    "M-sequence, 4 frames": ("m_sequence", 4),
+}
+"""Searched header and number of combined frames by variant: the reference and the detector of the paper; the last is
+that of the receiver."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeaderCandidate:
+    """Candidate of a header in the image."""
+
+    # Correlation of the pixels with the fitted header, 0 to 1
+    score: float
+    pose: Pose
+    # Identity of the header; 0 for a lit array
+    identity: int
+
+
+class VariantDetector:
+    """Search of the receiver with no score threshold and no check of adjacent frames."""
+
+    def __init__(self, header: HeaderKind, frames: int):
+        settings, signal = ReceiveSettings(), SignalSettings()
+        all_on = header == "all_on"
+        usual = search_parameters(settings, signal, PLAIN_REGULARITY)
+        # candidates of each size range
+        self._parameters = replace(usual, coarse_score=0.2, score=0.0, candidates=5, all_on=all_on)
+        self._frames_used, self._side = frames, signal.side
+        self._cells = (ALL_ON if all_on else headers((UPRIGHT,))).cells
+        # separate size ranges, as parts of a lit square are lit squares
+        self._size_ranges = np.array_split(self._parameters.sides(), 3)
+
+    def candidates(self, film: ClutterFilm) -> list[HeaderCandidate]:
+        """Candidates in the header frames of a film; with an array in the film, only at its place."""
+        window = film.frames[film.first : film.first + self._frames_used]
+        change, first = alternation_of(window), window[0]
+        busy = busy_blocks(alternation_means(window), first, (), self._side, self._parameters.min_contrast)
+        for truth in film.truths:
+            busy &= _blocks_near(truth, busy.shape)
+        if not busy.any():
+            return []
+        region = SearchRegion(change, busy, first)
+        rows = [coarse_search(region, self._parameters, self._cells, sides)[0] for sides in self._size_ranges]
+        fitted = [self._fit(change, row, first.full_scale) for row in np.concatenate(rows)]
+        return [candidate for candidate in fitted if candidate is not None]
+
+    def _fit(self, change: NDArray[np.float32], row: Floats, full_scale: int) -> HeaderCandidate | None:
+        """Fit a candidate like the detector: first with a blur that hides single LEDs, then with the nominal blur."""
+        number, blur = int(row[4]), self._parameters.blur_px
+        weights = float(np.sign(row[0])) * cell_weights(self._cells[number], self._side)
+        start = Pose(row[1] - 0.5, row[2] - 0.5, row[3] / self._side, 0.0, blur)
+        rough = fit_near(change, (0, 0), start, weights, DETECT.upright_sigma, DETECT.hiding_blur)
+        if rough is None:
+            return None
+        fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, DETECT.upright_sigma)
+        if fit is None or fit.score < 0 or not is_plausible(fit, self._parameters, full_scale):
+            return None
+        if not is_in_size_range(fit, self._parameters, self._side):
+            return None
+        return HeaderCandidate(fit.score, fit.pose, number)
+
+
+def _blocks_near(truth: Pose, blocks: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Blocks of the search, (rows, columns), within half the side of an array from its centre."""
+    reach = 8 * truth.pitch + BLOCK_PX
+    y, x = ((np.arange(n) + 0.5) * BLOCK_PX for n in blocks)
+    return np.asarray((abs(y - truth.y) < reach)[:, None] & (abs(x - truth.x) < reach))
+
+
+def detections(film: ClutterFilm, min_side_px: float | None = None) -> list[Detection]:
+    """Detections of the receiver in a film."""
+    settings, signal = ReceiveSettings(), SignalSettings()
+    if min_side_px:
+        settings = replace(settings, detect=replace(settings.detect, min_side_px=min_side_px))
+    detector = PyramidSearch(search_parameters(settings, signal, PLAIN_REGULARITY), signal)
+    return [detection for frame in film.frames for detection in detector.search(frame)]
+
+
+def is_same(pose: Pose, truth: Pose) -> bool:
+    """True if a pose is within a quarter of the side and a factor 1.25 in size of the true pose."""
+    distance = np.hypot(pose.x - truth.x, pose.y - truth.y)
+    return bool(distance < 0.25 * 16 * truth.pitch and 1 / 1.25 < pose.pitch / truth.pitch < 1.25)
+
+
+DISTANCES_M = (25.0, 50.0, 80.0)
+
+FOUND = 0.95
+"""Fraction of the arrays above the fitted threshold."""
+
+SCORE = ReceiveSettings().detect.score
+"""Threshold of the receiver."""
+
+RECEIVER = "receiver as set"
+"""Name of the receiver in tables; its scores are 1 for a detection, else 0."""
+
+
+@dataclass(slots=True)
+class DetectionScores:
+    """Best scores of a detector in each film."""
+
+    # By scene and distance in m: score of the array, 0 if missed; distance None: of the best candidate with no array
+    films: dict[tuple[str, float | None], list[float]] = field(default_factory=dict)
+
+    def chosen(self, distances_m: Collection[float | None], scenes: Collection[str] | None = None) -> Floats:
+        """Scores of films of some distances and scenes, (n,)."""
+        chosen = list[float]()
+        for (scene, distance_m), scores in self.films.items():
+            if distance_m in distances_m and (scenes is None or scene in scenes):
+                chosen += scores
+        return np.array(chosen)
+
+    def all_false(self, scenes: Collection[str] | None = None) -> Floats:
+        """Scores of films with no array, (n,)."""
+        return self.chosen([None], scenes)
+
+    def all_true(self, distance_m: float | None = None, scenes: Collection[str] | None = None) -> Floats:
+        """Scores of films with an array, (n,)."""
+        return self.chosen([distance_m] if distance_m else DISTANCES_M, scenes)
+
+    def false_alarms(self, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
+        """Films with no array and a candidate above a threshold."""
+        return _count_above(self.all_false(scenes), threshold)
+
+    def found(
+        self, threshold: float = SCORE, scenes: Collection[str] | None = None, distance_m: float | None = None
+    ) -> Count:
+        """Arrays with a score above a threshold."""
+        return _count_above(self.all_true(distance_m, scenes), threshold)
+
+    def fitted_threshold(self) -> float:
+        """Threshold that the fraction `FOUND` of all arrays exceeds."""
+        return threshold_for_found(self.all_true(), FOUND)
+
+    def found_at(self, distance_m: float, fraction: float) -> Count:
+        """Arrays found at the threshold that at most a fraction of the films with no array exceeds."""
+        return self.found(threshold_for_false(self.all_false(), fraction), distance_m=distance_m)
+
+
+def _count_above(scores: Floats, threshold: float) -> Count:
+    return Count(scores.size, int((scores > threshold).sum()))
+
+
+def threshold_for_false(false: Floats, fraction: float) -> float:
+    """Lowest threshold that at most a fraction of the scores of films with no array exceeds."""
+    allowed = int(fraction * false.size)
+    return float(np.sort(false)[::-1][allowed]) if false.size > allowed else 0.0
+
+
+def threshold_for_found(true: Floats, fraction: float) -> float:
+    """Highest threshold that at least a fraction of the scores of arrays exceeds."""
+    needed = int(np.ceil(fraction * true.size))
+    return float(np.nextafter(np.sort(true)[::-1][needed - 1], -1)) if needed else 1.0
+
+
+Scores = dict[str, DetectionScores]
+"""Scores by detector."""
+
+Example = tuple[float, ClutterFilm, Pose]
+"""Score, film and pose of a false alarm."""
+
+
+def measure(
+    surroundings: Surroundings, without: int, with_array: int, context: Context
+) -> tuple[Scores, Example | None]:
+    """Score all detectors in films with no array and with an array; return the worst false alarm of `REFERENCE`."""
+    batches: list[tuple[str, float | None, range]] = []
+    for scene in surroundings.scenes:
+        for distance_m in (None, *DISTANCES_M):
+            # three times as many films of lamps
+            films = range(with_array if distance_m else without * (3 if scene == LAMPS else 1))
+            batches += [(scene, distance_m, films[start : start + 15]) for start in films[::15]]
+    results = context.each("detection", partial(film_scene, surroundings), batches, (0, 0.7))
+    scores = {name: DetectionScores() for name in (*VARIANTS, RECEIVER)}
+    for (scene, distance_m, _), (found, _) in zip(batches, results, strict=True):
+        for name, values in found.items():
+            scores[name].films.setdefault((scene, distance_m), []).extend(values)
+    return scores, _worst([example for _, example in results])
+
+
+def _worst(examples: Sequence[Example | None]) -> Example | None:
+    return max((example for example in examples if example), key=lambda example: example[0], default=None)
+
+
+def film_scene(
+    surroundings: Surroundings, batch: tuple[str, float | None, range]
+) -> tuple[dict[str, list[float]], Example | None]:
+    """Search the films of a scene by all variants and by the receiver: scores, and the worst false alarm."""
+    scene, distance_m, films = batch
+    number, backdrop = list(surroundings.scenes).index(scene), surroundings.scenes[scene]
+    detectors = {name: VariantDetector(*variant) for name, variant in VARIANTS.items()}
+    scores: dict[str, list[float]] = {name: [] for name in (*VARIANTS, RECEIVER)}
+    examples: list[Example | None] = []
+    for trial in films:
+        seed = (surroundings.seed, number, trial, round(distance_m or 0))
+        if distance_m is None:
+            rng = np.random.default_rng(seed)
+            film = film_moment(backdrop(rng), rng, surroundings.imu)
+            for name, detector in detectors.items():
+                best = max(detector.candidates(film), key=lambda candidate: candidate.score, default=None)
+                scores[name].append(best.score if best else 0.0)
+                if best and name == REFERENCE:
+                    examples.append((best.score, film, best.pose))
+            scores[RECEIVER].append(float(bool(detections(film))))
+            continue
+        # the same moment with an array of each kind of header
+        kinds: tuple[HeaderKind, ...] = ("all_on", "m_sequence")
+        for kind in kinds:
+            rng = np.random.default_rng(seed)
+            identity = int(rng.integers(IDENTITIES))
+            film = film_moment(backdrop(rng), rng, surroundings.imu, distance_m, kind, (identity,))
+            (truth,) = film.truths
+            for name, detector in detectors.items():
+                if VARIANTS[name][0] == kind:
+                    wanted = identity if kind == "m_sequence" else None
+                    scores[name].append(score_of_array(detector.candidates(film), truth, wanted))
+            if kind == "m_sequence":
+                hit = any(is_same(d.fit.pose, truth) and d.identity == identity for d in detections(film))
+                scores[RECEIVER].append(float(hit))
+    return scores, _worst(examples)
+
+
+def score_of_array(found: Sequence[HeaderCandidate], truth: Pose, identity: int | None) -> float:
+    """Highest score of candidates at the array, 0 for none."""
+    return max((c.score for c in found if is_same(c.pose, truth) and identity in (None, c.identity)), default=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Confusion:
+    """Confusion matrix of identities."""
+
+    # (30, 31): shown identities in rows, found identities in columns; the last column: missed
+    counts: NDArray[np.int64]
+
+    @property
+    def right(self) -> Count:
+        """Arrays found with the correct identity, of all arrays."""
+        return Count(int(self.counts.sum()), int(np.trace(self.counts)))
+
+    @property
+    def wrong(self) -> Count:
+        """Arrays found with another identity, of all arrays found."""
+        found = int(self.counts[:, :-1].sum())
+        return Count(found, found - int(np.trace(self.counts)))
+
+    @property
+    def missed(self) -> Count:
+        """Missed arrays, of all arrays."""
+        return Count(int(self.counts.sum()), int(self.counts[:, -1].sum()))
+
+
+def confusion(
+    surroundings: Surroundings,
+    distances_m: Sequence[float],
+    identities: Sequence[int],
+    repeats: int,
+    context: Context,
+    span: tuple[float, float],
+    *,
+    two_in_view: bool = False,
+) -> dict[float, Confusion]:
+    """Film each identity at each distance, from a car at rest with shake."""
+    works = [(z, identity) for z in distances_m for identity in identities]
+    title = "identities, two in view" if two_in_view else "identities"
+    results = context.each(title, partial(film_identity, surroundings, repeats, two_in_view), works, span)
+    counts = {z: np.zeros((IDENTITIES, IDENTITIES + 1), dtype=np.int64) for z in distances_m}
+    for (z, _), pairs in zip(works, results, strict=True):
+        for shown, found in pairs:
+            counts[z][shown, found] += 1
+    return {z: Confusion(matrix) for z, matrix in counts.items()}
+
+
+def film_identity(
+    surroundings: Surroundings, repeats: int, two_in_view: bool, work: tuple[float, int]
+) -> list[tuple[int, int]]:
+    """Shown and found identity (30: none) of each array in films of an identity, each with another scene."""
+    (distance_m, identity), backdrops = work, list(surroundings.scenes.values())
+    pairs: list[tuple[int, int]] = []
+    for repeat in range(repeats):
+        kind = [1] if two_in_view else []
+        rng = np.random.default_rng([surroundings.seed, round(10 * distance_m), identity, repeat, *kind])
+        shown, places = [identity], [Placement(x_m=0.0, y_m=0.0)]
+        if two_in_view:
+            shown.append(int((identity + rng.integers(1, IDENTITIES)) % IDENTITIES))
+            # panels are 0.36 m wide
+            half = 0.5 * float(rng.choice([-1, 1]) * rng.uniform(0.5, 1.2))
+            places = [Placement(x_m=x, y_m=float(rng.uniform(-0.2, 0.2))) for x in (-half, half)]
+        scene = backdrops[(identity + repeat) % len(backdrops)](rng)
+        film = film_moment(scene, rng, surroundings.imu, distance_m, "m_sequence", shown, small_camera(places))
+        pairs += zip(shown, identities_seen(film), strict=True)
+    return pairs
+
+
+def small_camera(places: Sequence[Placement]) -> ChannelSettings:
+    """Reference link at rest, with a section of the sensor around the arrays."""
+    channel = load_settings("paper", {"channel": {"speed_m_s": 0.0, "camera": {"width": 256, "height": 192}}}).channel
+    return replace(channel, arrays=tuple(places))
+
+
+def identities_seen(film: ClutterFilm) -> list[int]:
+    """Identity found for each array of a film; 30: missed."""
+    # the side is 6.2 px at 150 m, less than the default limit of the receiver
+    hits = detections(film, 5.0)
+    near = ([hit for hit in hits if is_same(hit.fit.pose, truth)] for truth in film.truths)
+    return [max(found, key=lambda hit: hit.score).identity if found else IDENTITIES for found in near]
+
 
 FAR_M = 150.0
 """Distance in m beyond the range of the paper."""
@@ -115,8 +441,11 @@ def report(
         pictures=pictures,
         tables=[*_score_tables(scores), _identity_table(alone, beside)],
         data={
-            "scores": {name: _plain(scores[name], "true", _rounded) for name in VARIANTS},
-            "receiver": _plain(scores[RECEIVER], "found", _counts),
+            "scores": {
+                name: _plain(scores[name], "true", lambda part: [round(score, 4) for score in part])
+                for name in VARIANTS
+            },
+            "receiver": _plain(scores[RECEIVER], "found", lambda part: [int(sum(part)), len(part)]),
             "identities": {f"{z:g} m": c.counts.tolist() for z, c in alone.items()},
             "identities_two_in_view": {f"{z:g} m": c.counts.tolist() for z, c in beside.items()},
         },
@@ -126,20 +455,11 @@ def report(
 def _plain(scores: DetectionScores, true: str, plain: Callable[[list[float]], list[float]]) -> dict[str, Any]:
     """Plain values of the scores, by scene, and with the key `true` by scene and distance."""
     return {
-        "false": {scene: plain(values) for scene, values in scores.false.items()},
-        true: {f"{scene}, {z:g} m": plain(values) for (scene, z), values in scores.true.items()},
+        "false": {scene: plain(values) for (scene, z), values in scores.films.items() if z is None},
+        true: {f"{scene}, {z:g} m": plain(values) for (scene, z), values in scores.films.items() if z is not None},
     }
 
 
-def _rounded(scores: list[float]) -> list[float]:
-    return [round(score, 4) for score in scores]
-
-
-def _counts(scores: list[float]) -> list[float]:
-    return [int(sum(scores)), len(scores)]
-
-
-@plots.styled
 def _example(score: float, film: ClutterFilm, pose: Pose) -> Figure:
     first, second = (film.frames[film.first + k].pixels.astype(float) for k in (0, 1))
     figure = Figure(figsize=(12, 3.4))
@@ -159,7 +479,6 @@ def curve(false: Floats, true: Floats) -> tuple[list[float], list[float]]:
     return alarms, found
 
 
-@plots.styled
 def _roc(measured: Scores) -> Figure:
     figure = Figure(figsize=(12, 5))
     smallest = 0.5 / max(measured[REFERENCE].all_false().size, 1)
@@ -181,7 +500,6 @@ def _roc(measured: Scores) -> Figure:
     return figure
 
 
-@plots.styled
 def _matrices(confusions: Mapping[float, Confusion]) -> Figure:
     figure = Figure(figsize=(12, 3.4))
     for axes, (distance, one) in zip(figure.subplots(1, len(confusions)), confusions.items(), strict=True):
@@ -207,7 +525,7 @@ def compared(measured: Scores) -> list[Finding]:
 
 def _kinds(measured: Scores) -> dict[str, list[str]]:
     """Scenes by kind: recorded and drawn scenes at rest, and the drawn lamps."""
-    names = list(measured[REFERENCE].false)
+    names = _scenes(measured)
     groups = {
         "footage and a street at rest": [name for name in names if name != LAMPS],
         "drawn lamps": [name for name in names if name == LAMPS],
@@ -215,11 +533,16 @@ def _kinds(measured: Scores) -> dict[str, list[str]]:
     return {kind: scenes for kind, scenes in groups.items() if scenes}
 
 
+def _scenes(measured: Scores) -> list[str]:
+    """Scenes with no array."""
+    return [scene for scene, distance_m in measured[REFERENCE].films if distance_m is None]
+
+
 def _false_alarms(measured: Scores, kind: str, scenes: list[str]) -> Finding:
     all_on = measured[REFERENCE]
     alarms, why = all_on.false_alarms(scenes=scenes), ""
     if not alarms.errors:
-        highest = max(chain.from_iterable(all_on.false[scene] for scene in scenes), default=0.0)
+        highest = max(all_on.all_false(scenes), default=0.0)
         best = f"the best candidate scored {highest:.2f}" if highest else "none had a candidate"
         why = (
             f"No false alarm in {alarms.trials} films: {best}. The shake leaves only edges of the background; the "
@@ -318,7 +641,7 @@ def _score_tables(measured: Scores) -> list[Table]:
         )
     ]
     fitted = {name: measured[name].fitted_threshold() for name in VARIANTS}
-    scenes = list(measured[REFERENCE].false)
+    scenes = _scenes(measured)
     for thresholds, title in (
         (dict.fromkeys(VARIANTS, SCORE), "the receiver's threshold"),
         (fitted, f"the threshold that {FOUND:.0%} of the arrays exceed"),

@@ -12,30 +12,253 @@ rates account for dependent bits in a packet; with no error after the code, the 
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from scipy.stats import fisher_exact
 
+from heliograph.base.arrays import Floats
 from heliograph.experiments import plots
-from heliograph.experiments.error_rates.comparison import MARGIN, RISK, Comparison, ComparisonVerdict, compare
-from heliograph.experiments.error_rates.films import (
-    CountsByDistance,
-    FilmTask,
-    Modulation,
-    add_counts,
-    all_layers,
-    bin_of,
-    count_film,
-    lost_packets,
-)
+from heliograph.experiments.links import receive_link, static_link
 from heliograph.experiments.plots import LAYER_COLOURS
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, Verdict, count_text
-from heliograph.measure.errors import BIN_M
-from heliograph.measure.statistics import Count
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import Recordings, load_imu
+from heliograph.measure.bench import random_messages
+from heliograph.measure.counts import LayerCounts, Layers, pooled
+from heliograph.measure.errors import BIN_M, ErrorCounter
+from heliograph.measure.statistics import Clustered, Count
+from heliograph.receive import Packet, make_receiver
+from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
+
+
+@dataclass(frozen=True, slots=True)
+class PacketRecord:
+    """Received packet."""
+
+    # True distance in m in the middle of the packet
+    distance_m: float
+    layers: Layers
+
+
+@dataclass(frozen=True, slots=True)
+class FilmCounts:
+    """Counts of a film, packet by packet."""
+
+    packets: Sequence[PacketRecord]
+    # Counts of missed packets, by the lower edge of the distance bin in m
+    missed: Mapping[float, Layers]
+    # Middle of the distance bin in m of each missed packet
+    lost: Sequence[float] = ()
+    # Accepted codewords that were not sent
+    false_codewords: int = 0
+
+
+Modulation = Literal["haar", "ook"]
+"""The hierarchical code; on-off keying of each LED."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilmTask:
+    """Film at rest, or drive."""
+
+    # Distance at rest in m; None: a drive from 80 m to 25 m at 30 km/h
+    distance_m: float | None
+    modulation: Modulation
+    seed: tuple[int, ...]
+    # File of the recorded motion of the drive; None: a road
+    imu: Path | None = None
+
+
+def count_film(task: FilmTask) -> FilmCounts:
+    """Simulate, receive and count a film."""
+    rng = np.random.default_rng(task.seed)
+    signal = {"modulation": task.modulation}
+    if task.distance_m is not None:
+        return film_packets(static_link(task.distance_m, rng, signal=signal), rng)
+    if task.imu is None:
+        return film_packets(load_settings("paper", {"signal": signal}), rng)
+    trace = load_imu(task.imu)
+    shake = {"shake": "imu", "imu_start_s": float(rng.uniform(0, trace.t_s[-1]))}
+    return film_packets(load_settings("paper", {"signal": signal, "channel": shake}), rng, Recordings(imu=trace))
+
+
+def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: Recordings | None = None) -> FilmCounts:
+    """Count the packets of a film separately, as errors within a packet are dependent."""
+    seed = int(rng.integers(2**31))
+    messages = random_messages(settings, seed)
+    counter, receiver = ErrorCounter(settings, messages), make_receiver(settings.signal, settings.receive)
+    times: list[float] = []
+    distances: list[float] = []
+    records: list[PacketRecord] = []
+    for truth, packets in receive_link(settings, messages, seed, receiver, recordings):
+        array = truth.arrays[0]
+        counter.saw(truth.time_s, [array.distance_m], [array.visible])
+        times.append(truth.time_s)
+        distances.append(array.distance_m)
+        for packet in packets:
+            if packet.status not in ("no_header", "no_array"):
+                middle = packet.start_time_s + settings.signal.packet_s / 2
+                record = _counted(counter, packet, float(np.interp(middle, times, distances)))
+                records += [record] if record else []
+    missed = {
+        start: {name: LayerCounts.of_missed(counts.missed) for name, counts in layers.items()}
+        for start, layers in counter.bins().items()
+        if any(counts.missed for counts in layers.values())
+    }
+    words = PacketFormat(settings.signal).layers["high"].codewords
+    lost = [start + BIN_M / 2 for start, layers in missed.items() for _ in range(layers["high"].missed // words)]
+    return FilmCounts(records, missed, lost, counter.false_codewords)
+
+
+def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> PacketRecord | None:
+    """Counts of a packet; None if the packet was cut by the end of the film, or received before."""
+    before = counter.total()
+    counter.received(packet)
+    after = counter.total()
+    # a packet counts as missed before the reception
+    counts = {name: after[name].received - before[name].received for name in LAYERS}
+    complete = all(layer.codewords > 0 and min(asdict(layer).values()) >= 0 for layer in counts.values())
+    return PacketRecord(distance_m, counts) if complete and any(c.raw_bits for c in counts.values()) else None
+
+
+CountsByDistance = dict[float, Layers]
+"""Counts of several packets by layer, by distance in m."""
+
+
+def add_counts(counts: CountsByDistance, distance_m: float, layers: Layers) -> None:
+    """Add counts at a distance."""
+    counts[distance_m] = pooled([counts.get(distance_m, {}), layers])
+
+
+def bin_of(distance_m: float) -> float:
+    """Middle in m of the distance bin."""
+    return float(distance_m // BIN_M * BIN_M + BIN_M / 2)
+
+
+def lost_packets(films: Sequence[FilmCounts]) -> Count:
+    """Filmed and missed packets."""
+    lost = sum(len(film.lost) for film in films)
+    return Count(sum(len(film.packets) for film in films) + lost, lost)
+
+
+def all_layers(layers: Layers) -> Clustered:
+    """Raw errors of all layers, clustered by packet."""
+    parts = [counts.raw for counts in layers.values()]
+    # upper bound of the squares of sums over layers, by Minkowski
+    squares = round(sum(np.sqrt(part.squares) for part in parts) ** 2)
+    trials, errors = sum(part.trials for part in parts), sum(part.errors for part in parts)
+    return Clustered(trials, errors, max(part.clusters for part in parts), squares, scattered=True)
+
+
+MARGIN = 1.5
+"""Factor between driving and static up to which they are alike; about the change of an error rate over 3 m."""
+
+RISK = 0.05
+"""Significance level of the tests."""
+
+ComparisonVerdict = Literal["alike", "apart", "open"]
+"""Interval within the margin; significantly different beyond the margin; neither."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Raw error rates driving and static in a distance bin."""
+
+    layer: str
+    # Middle of the bin; None: all bins together
+    bin_m: float | None
+    # Packets of the drives, each with a packet at rest at the same distance
+    pairs: int
+    # Mean raw error rates of the packets
+    driving: float
+    static: float
+    # Driving over static with 95 % interval over packets or drives, whichever is wider
+    ratio: float
+    low: float
+    high: float
+    # p value of the test of equality, adjusted by Holm
+    p: float
+    verdict: ComparisonVerdict = "open"
+
+
+def compare(
+    driving: Sequence[PacketRecord],
+    static: Sequence[PacketRecord],
+    rng: np.random.Generator,
+    drives: Sequence[int] = (),
+) -> list[Comparison]:
+    """Compare the raw error rates of packets of drives with packets at rest at the same distances.
+
+    The test of equality flips the signs of the differences of pairs, with the correction of Holm over all layers and
+    bins, and separately over the layers with all bins together. The interval of the ratio is the wider
+    interval of a bootstrap over pairs (dependent errors in a packet) and over drives (dependent packets in a drive).
+    """
+    bins = np.array([bin_of(record.distance_m) for record in driving])
+    films = np.array(drives or [0] * len(driving))
+    found: list[Comparison] = []
+    for layer in LAYERS:
+        bits, errors = (
+            np.array([[getattr(r.layers[layer], name) for r in side] for side in (driving, static)])
+            for name in ("raw_bits", "raw_errors")
+        )
+        rates = errors / np.maximum(bits, 1)
+        for bin_m in (*map(float, np.unique(bins)), None):
+            here = bits.min(0) > 0
+            if bin_m is not None:
+                here &= bins == bin_m
+            # fewer packets or errors allow no comparison
+            if here.sum() >= 3 and errors[:, here].sum() >= 30:
+                found.append(_compare_pairs(layer, bin_m, rates[:, here], films[here], rng))
+    for is_overall in (False, True):
+        family = [k for k, one in enumerate(found) if (one.bin_m is None) == is_overall]
+        for k, p in zip(family, holm([found[k].p for k in family]), strict=True):
+            found[k] = replace(found[k], p=p, verdict=_verdict(found[k], p))
+    return found
+
+
+def _compare_pairs(
+    layer: str, bin_m: float | None, rates: Floats, drives: NDArray[np.int_], rng: np.random.Generator
+) -> Comparison:
+    """Compare (2, pairs) rates, driving and static; `drives` has the drive of each pair."""
+    a, b = rates
+    tiny, resamples = 1e-9, 4000
+    names, film = np.unique(drives, return_inverse=True)
+    spans = []
+    for one, other in ((a, b), (np.bincount(film, a), np.bincount(film, b))):
+        draws = rng.integers(0, len(one), (resamples, len(one)))
+        ratios = (one[draws].sum(1) + tiny) / (other[draws].sum(1) + tiny)
+        spans.append(np.quantile(ratios, (RISK / 2, 1 - RISK / 2)))
+    # a single drive does not show the variation between drives
+    low, high = (min(spans[0][0], spans[1][0]), max(spans[0][1], spans[1][1])) if len(names) > 1 else spans[0]
+    signs = rng.choice((-1.0, 1.0), (resamples, len(a)))
+    difference = a - b
+    more = np.abs(signs @ difference) >= abs(difference.sum()) * (1 - 1e-12)
+    # the data themselves count as a resample
+    p = (1 + np.count_nonzero(more)) / (1 + resamples)
+    values = (a.mean(), b.mean(), (a.sum() + tiny) / (b.sum() + tiny), low, high, p)
+    driving, at_rest, ratio, lower, upper, chance = map(float, values)
+    return Comparison(layer, bin_m, len(a), driving, at_rest, ratio, lower, upper, chance)
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Adjusted p values of Holm 1979: m - k times the k-th smallest of m, nondecreasing, at most 1."""
+    order = np.argsort(p)
+    out = np.empty(len(p))
+    out[order] = np.minimum(np.maximum.accumulate(np.arange(len(p), 0, -1) * np.array(p)[order]), 1)
+    return [float(value) for value in out]
+
+
+def _verdict(one: Comparison, p: float) -> ComparisonVerdict:
+    if one.low >= 1 / MARGIN and one.high <= MARGIN:
+        return "alike"
+    apart = p < RISK and not one.low <= 1 <= one.high and not 1 / MARGIN <= one.ratio <= MARGIN
+    return "apart" if apart else "open"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,19 +273,8 @@ class ErrorRateEffort:
     drives: int
 
 
-@dataclass(frozen=True, slots=True)
-class ErrorRates:
-    """Counts of all films, and the comparison of driving and static."""
-
-    static: CountsByDistance
-    driving: CountsByDistance
-    # On-off keying at rest
-    keyed: CountsByDistance
-    comparisons: Sequence[Comparison]
-    # Filmed and missed packets, "driving" and "static"
-    lost: Mapping[str, Count]
-    # Accepted codewords that were not sent
-    false_codewords: int
+Rates = Mapping[str, CountsByDistance]
+"""Counts of films "static", "driving" and "ook", on-off keying at rest."""
 
 
 def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentResult:
@@ -70,16 +282,16 @@ def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentRe
     quick = ErrorRateEffort((25.0, 35.0, 45.0, 50.0, 55.0, 60.0, 70.0, 80.0), films=3, drives=1)
     full = ErrorRateEffort(tuple(float(z) for z in range(25, 85, 5)), films=16, drives=16)
     effort = effort or (quick if context.quick else full)
-    rates = measure(context, effort)
+    rates, comparisons, lost, false_codewords = measure(context, effort)
     road = "a road of class B"
     shake = f"{road} and a recorded trace in turn" if context.imu and effort.drives > 1 else road
     films = f"{effort.films} static films a distance; {effort.drives} drives"
     return ExperimentResult(
         text=f"{films}, shaken by {shake}, in bins of {BIN_M:g} m.",
         findings=[
-            alike(rates.comparisons, rates.lost["driving"], rates.lost["static"]),
-            *error_free(rates.driving),
-            keying(rates.static, rates.keyed),
+            alike(comparisons, lost["driving"], lost["static"]),
+            *error_free(rates["driving"]),
+            keying(rates["static"], rates["ook"]),
         ],
         pictures=[
             (
@@ -89,19 +301,17 @@ def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentRe
                 "upper bound (3/n) for no error in n bits before the code, in n packets after it.",
             ),
             (
-                _ratio_plot(rates.comparisons),
+                _ratio_plot(comparisons),
                 "Raw errors driving over static at the same distances, 95 % over packets or drives; "
                 f"gray: alike, a factor {MARGIN:g}.",
             ),
         ],
-        tables=[_rates_table(rates), _comparison_table(rates.comparisons)],
+        tables=[_rates_table(rates), _comparison_table(comparisons)],
         data={
-            "static": _plain(rates.static),
-            "driving": _plain(rates.driving),
-            "ook": _plain(rates.keyed),
-            "comparison": [asdict(comparison) for comparison in rates.comparisons],
-            "lost": {name: asdict(count) for name, count in rates.lost.items()},
-            "false_codewords": rates.false_codewords,
+            **{name: _plain(counts) for name, counts in rates.items()},
+            "comparison": [asdict(comparison) for comparison in comparisons],
+            "lost": {name: asdict(count) for name, count in lost.items()},
+            "false_codewords": false_codewords,
         },
     )
 
@@ -110,8 +320,11 @@ def _plain(counts: CountsByDistance) -> list[dict[str, Any]]:
     return [{"distance_m": z, **{n: asdict(c) for n, c in layers.items()}} for z, layers in sorted(counts.items())]
 
 
-def measure(context: Context, effort: ErrorRateEffort) -> ErrorRates:
-    """Count all films, and compare each packet of the drives with a packet at rest at the same distance."""
+def measure(context: Context, effort: ErrorRateEffort) -> tuple[Rates, Sequence[Comparison], Mapping[str, Count], int]:
+    """Count all films, and compare each packet of the drives with a packet at rest at the same distance.
+
+    Returns counts, comparisons, filmed and missed packets driving and at rest, and false codewords.
+    """
     seed = context.seed
     # every second drive has the recorded motion
     drives = [FilmTask(None, "haar", (seed, 1, k), context.imu if k % 2 else None) for k in range(effort.drives)]
@@ -134,7 +347,7 @@ def measure(context: Context, effort: ErrorRateEffort) -> ErrorRates:
     comparisons = compare(moving, at_rest, np.random.default_rng([seed, 9]), drives=numbers)
     lost = {"driving": lost_packets(driven), "static": lost_packets(twins)}
     false = sum(film.false_codewords for film in (*driven, *twins))
-    return ErrorRates(static, driving, keyed, comparisons, lost, false)
+    return {"static": static, "driving": driving, "ook": keyed}, comparisons, lost, false
 
 
 def _count_static(
@@ -151,10 +364,10 @@ def _count_static(
 
 def alike(comparisons: Sequence[Comparison], driving: Count, static: Count) -> Finding:
     """Compare error rates and losses while driving and at rest."""
-    single, pooled = ([c for c in comparisons if (c.bin_m is None) == every] for every in (False, True))
+    single, overall = ([c for c in comparisons if (c.bin_m is None) == every] for every in (False, True))
     count = {name: sum(c.verdict == name for c in single) for name in ("alike", "apart", "open")}
     apart = "; ".join(f"{c.layer} at {c.bin_m:g} m: {c.ratio:.2f}" for c in single if c.verdict == "apart")
-    ratios = ", ".join(f"{c.layer} {c.ratio:.2f} ({c.low:.2f} to {c.high:.2f})" for c in pooled)
+    ratios = ", ".join(f"{c.layer} {c.ratio:.2f} ({c.low:.2f} to {c.high:.2f})" for c in overall)
     ours = (
         f"Raw errors driving over static, by packets at the same distances: {ratios or 'too few errors'}. "
         f"Of {len(single)} bins by layer {count['alike']} are alike within a factor {MARGIN:g}, "
@@ -168,7 +381,7 @@ def alike(comparisons: Sequence[Comparison], driving: Count, static: Count) -> F
         reasons.append(f"Significantly more packets are lost driving (Fisher, one-sided, {RISK:g}).")
     verdict: Verdict = "differs"
     if not reasons:
-        holds = pooled and all(c.verdict == "alike" for c in pooled) and loss == "alike"
+        holds = overall and all(c.verdict == "alike" for c in overall) and loss == "alike"
         verdict, reasons = ("holds", []) if holds else ("shown", ["Too few packets to decide."])
     claim = "The driving field trial shows tendencies similar to the static case."
     return Finding(claim, ours, verdict, " ".join(reasons))
@@ -229,8 +442,7 @@ def keying(static: CountsByDistance, keyed: CountsByDistance) -> Finding:
     )
 
 
-@plots.styled
-def _rates_plot(rates: ErrorRates) -> Figure:
+def _rates_plot(rates: Rates) -> Figure:
     """Plot with a column for each layer, and a row before and after the code."""
     figure = Figure(figsize=(12, 7.4))
     panels = figure.subplots(2, len(LAYERS), sharex=True, sharey="row")
@@ -238,13 +450,13 @@ def _rates_plot(rates: ErrorRates) -> Figure:
         for axes, name in zip(row, LAYERS, strict=True):
             static, driving = (
                 [(z + offset, getattr(layers[name], kind)) for z, layers in sorted(counts.items())]
-                for counts, offset in ((rates.static, -0.5), (rates.driving, 0.5))
+                for counts, offset in ((rates["static"], -0.5), (rates["driving"], 0.5))
             )
             plots.draw_rates(axes, static, "static", color=LAYER_COLOURS[name], lw=1.8)
             squares = {"marker": "s", "mfc": "none", "ms": 6, "ls": "none"}
             plots.draw_rates(axes, driving, "driving", color="black", lw=1.2, **squares)
             if kind == "raw":
-                keyed = [(z, all_layers(layers)) for z, layers in sorted(rates.keyed.items())]
+                keyed = [(z, all_layers(layers)) for z, layers in sorted(rates["ook"].items())]
                 plots.draw_rates(axes, keyed, "on-off keying, static", color=plots.GRAY, ls="--", lw=1.8)
             axes.set(yscale="log", title=f"{name}, {title} the turbo code")
         # intervals may reach below the smallest drawn rate
@@ -255,7 +467,6 @@ def _rates_plot(rates: ErrorRates) -> Figure:
     return figure
 
 
-@plots.styled
 def _ratio_plot(comparisons: Sequence[Comparison]) -> Figure:
     figure = Figure(figsize=(9, 3.6))
     axes = figure.add_subplot(xlabel="distance (m)", ylabel="driving / static", yscale="log", ylim=(0.2, 5))
@@ -276,11 +487,11 @@ def _ratio_plot(comparisons: Sequence[Comparison]) -> Figure:
     return figure
 
 
-def _rates_table(rates: ErrorRates) -> Table:
+def _rates_table(rates: Rates) -> Table:
     """Error rates at rest, driving and of on-off keying, with a row per distance."""
     head = ["distance", *(f"{n}: {part}" for n in LAYERS for part in ("raw", "decoded", "codewords wrong"))]
-    places = [(f"static {z:g} m", layers, rates.keyed.get(z)) for z, layers in sorted(rates.static.items())]
-    places += [(f"driving {_bin_text(z)}", layers, None) for z, layers in sorted(rates.driving.items())]
+    places = [(f"static {z:g} m", layers, rates["ook"].get(z)) for z, layers in sorted(rates["static"].items())]
+    places += [(f"driving {_bin_text(z)}", layers, None) for z, layers in sorted(rates["driving"].items())]
     rows = []
     for name, layers, keyed in places:
         cells = [

@@ -125,7 +125,6 @@ def pair_means(flux: Floats) -> Floats:
     return np.asarray(flux.reshape(-1, 2 * pwm.SLOTS).mean(1))
 
 
-@plots.styled
 def _waveforms(waves: Mapping[Signal, Floats], slot_s: float) -> Figure:
     """Light of the array over a header, shaded, and the following data."""
     shown = (Signal.PAIRS, Signal.ALL_ON, Signal.BARE, Signal.ALL_ON_BARE)
@@ -142,7 +141,6 @@ def _waveforms(waves: Mapping[Signal, Floats], slot_s: float) -> Figure:
     return figure
 
 
-@plots.styled
 def _spectra(waves: Mapping[Signal, Floats], slot_s: float) -> Figure:
     """Modulation by frequency of a stretch, and the limit of low risk."""
     figure = Figure(figsize=(12, 4.2))

@@ -20,31 +20,26 @@ def run(context: Context) -> ExperimentResult:
     images = [levels * 63, *(static_frame(z, levels, context.seed)[0].pixels for z in distances_m[:4])]
     names = ["sent", *(f"received at {z:g} m" for z in distances_m[:4])]
     rows = [[f"{z:g} m", str(c.errors), str(c.trials), interval_text(c, ".2%")] for z, c in wrong.items()]
-    head = ["distance", "wrong", "of", "95 % interval"]
+    head, near = ["distance", "wrong", "of", "95 % interval"], wrong[25.0]
+    peaks = [periodic_correlation(m_sequence(p), m_sequence(p)) for p in HEADER_POLYNOMIALS]
     caption = "The header of identity 0; Fig. 7 of the paper has another layout."
     return ExperimentResult(
-        findings=[_autocorrelation(), _received(wrong[25.0])],
+        findings=[
+            Finding(
+                "Section IV-A: the 15-bit M-sequence of x^4 + x^3 + 1 has a good autocorrelation.",
+                f"Periodic autocorrelation of both polynomials: {peaks[0][0]} at shift 0, "
+                f"{peaks[0][1:].min()} to {peaks[0][1:].max()} at the 14 others.",
+                verdict_of(all(p[0] == 15 and set(p[1:].tolist()) == {-1} for p in peaks)),
+            ),
+            Finding(
+                "Fig. 7(b): the pattern is received at 25 m.",
+                f"{near.errors} of {near.trials} cells read wrong at 25 m (rate {near.text()}).",
+                verdict_of(not near.errors),
+            ),
+        ],
         pictures=[(plots.image_row(images, names), caption)],
         tables=[Table("Cells of the header read wrong, one frame each", head, rows)],
         data={"wrong_cells": {f"{z:g} m": [c.errors, c.trials] for z, c in wrong.items()}},
-    )
-
-
-def _autocorrelation() -> Finding:
-    peaks = [periodic_correlation(m_sequence(p), m_sequence(p)) for p in HEADER_POLYNOMIALS]
-    return Finding(
-        "Section IV-A: the 15-bit M-sequence of x^4 + x^3 + 1 has a good autocorrelation.",
-        f"Periodic autocorrelation of both polynomials: {peaks[0][0]} at shift 0, "
-        f"{peaks[0][1:].min()} to {peaks[0][1:].max()} at the 14 others.",
-        verdict_of(all(p[0] == 15 and set(p[1:].tolist()) == {-1} for p in peaks)),
-    )
-
-
-def _received(wrong: Count) -> Finding:
-    return Finding(
-        "Fig. 7(b): the pattern is received at 25 m.",
-        f"{wrong.errors} of {wrong.trials} cells read wrong at 25 m (rate {wrong.text()}).",
-        verdict_of(not wrong.errors),
     )
 
 

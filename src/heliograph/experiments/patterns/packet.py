@@ -7,6 +7,7 @@ Packets follow each other immediately.
 from itertools import islice
 
 import numpy as np
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -48,14 +49,13 @@ def run(context: Context) -> ExperimentResult:
     )
 
 
-@plots.styled
 def _timeline(packet: NDArray[np.uint8], head: int) -> Figure:
     figure = Figure(figsize=(12, 2.4))
     axes = figure.add_subplot(xlabel="time (patterns of T_b)", ylabel="mean level of the LEDs")
     axes.set(xlim=(0, len(packet)), ylim=(0, 1))
-    for k, mean in enumerate(packet.mean((1, 2)) / 4):
-        colour = plots.BLUE if k < head else plots.ORANGE
-        axes.bar(k + 0.5, mean, width=1, color=colour, alpha=0.55 if k % 2 else 0.95, lw=0)
+    means, numbers = packet.mean((1, 2)) / 4, np.arange(len(packet))
+    colours = [to_rgba(plots.BLUE if k < head else plots.ORANGE, 0.55 if k % 2 else 0.95) for k in numbers]
+    axes.bar(numbers + 0.5, means, width=1, color=colours, lw=0)
     axes.text(head / 2, 0.75, "header", ha="center", fontsize=9, color=plots.BLUE)
     axes.text((len(packet) + head) / 2, 0.75, "data: pattern dark, inverse pale", ha="center", fontsize=9)
     return figure

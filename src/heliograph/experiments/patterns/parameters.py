@@ -5,56 +5,44 @@ left out unless stated.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.experiments.tracking.experiment import rates
 from heliograph.link.settings import LinkSettings, load_settings
 
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """Parameter of the paper and of the preset."""
-
-    name: str
-    # Value of the paper in `unit`
-    paper: float
-    unit: str
-    # Value of the preset in the same unit
-    ours: Callable[[LinkSettings], float]
-
-    def equal(self, link: LinkSettings) -> bool:
-        """True if the values agree to 0.1 %."""
-        return abs(self.ours(link) - self.paper) <= 1e-3 * abs(self.paper)
-
-    def cells(self, link: LinkSettings) -> list[str]:
-        """Name, both values, and the agreement."""
-        values = (f"{v:.6g} {self.unit}".strip() for v in (self.paper, self.ours(link)))
-        return [self.name, *values, "yes" if self.equal(link) else "no"]
+Parameter = tuple[str, float, str, Callable[[LinkSettings], float]]
+"""Name, value of the paper, unit, and value of the preset in the same unit."""
 
 
-CAMERA = (
-    Parameter("focal length", 35.0, "mm", lambda s: 1e3 * s.channel.camera.focal_m),
-    Parameter("frame rate used, of 60 to 16000", 1000.0, "fps", lambda s: s.channel.camera.fps),
-    Parameter("pixel (FASTCAM-1280PCI)", 12.0, "um", lambda s: 1e6 * s.channel.camera.pixel_m),
+def cells(parameter: Parameter, link: LinkSettings) -> list[str]:
+    """Name, both values, and their agreement to 0.1 %."""
+    name, paper, unit, ours = parameter
+    values = (f"{value:.6g} {unit}".strip() for value in (paper, ours(link)))
+    return [name, *values, "yes" if abs(ours(link) - paper) <= 1e-3 * abs(paper) else "no"]
+
+
+CAMERA: tuple[Parameter, ...] = (
+    ("focal length", 35.0, "mm", lambda s: 1e3 * s.channel.camera.focal_m),
+    ("frame rate used, of 60 to 16000", 1000.0, "fps", lambda s: s.channel.camera.fps),
+    ("pixel (FASTCAM-1280PCI)", 12.0, "um", lambda s: 1e6 * s.channel.camera.pixel_m),
 )
 """Table I; the pixel is that of the camera model."""
 
-EXPERIMENT = (
-    Parameter("vehicle speed", 30.0, "km/h", lambda s: 3.6 * s.channel.speed_m_s),
-    Parameter("lighting frequency of the LEDs", 4.0, "kHz", lambda s: 4e-3 / s.signal.pattern_period_s),
-    Parameter("shutter speed", 1000.0, "fps", lambda s: s.channel.camera.fps),
-    Parameter("turbo code rate, high layer", 1 / 3, "", lambda s: s.signal.rate.high),
-    Parameter("turbo code rate, middle layer", 1 / 3, "", lambda s: s.signal.rate.middle),
-    Parameter("turbo code rate, low layer", 1 / 3, "", lambda s: s.signal.rate.low),
-    Parameter("focal length", 35.0, "mm", lambda s: 1e3 * s.channel.camera.focal_m),
-    Parameter("resolution, across", 1024.0, "px", lambda s: s.channel.camera.width),
-    Parameter("resolution, down", 512.0, "px", lambda s: s.channel.camera.height),
-    Parameter("distance, from", 80.0, "m", lambda s: s.channel.distance_m),
-    Parameter("distance, to", 25.0, "m", lambda s: s.channel.stop_m),
-    Parameter("LEDs in a row", 16.0, "", lambda s: s.signal.side),
-    Parameter("LED spacing", 20.0, "mm", lambda s: 1e3 * s.channel.emitter.pitch_m),
-    Parameter("half-value angle", 22.6, "deg", lambda s: s.channel.emitter.half_angle_deg),
+EXPERIMENT: tuple[Parameter, ...] = (
+    ("vehicle speed", 30.0, "km/h", lambda s: 3.6 * s.channel.speed_m_s),
+    ("lighting frequency of the LEDs", 4.0, "kHz", lambda s: 4e-3 / s.signal.pattern_period_s),
+    ("shutter speed", 1000.0, "fps", lambda s: s.channel.camera.fps),
+    ("turbo code rate, high layer", 1 / 3, "", lambda s: s.signal.rate.high),
+    ("turbo code rate, middle layer", 1 / 3, "", lambda s: s.signal.rate.middle),
+    ("turbo code rate, low layer", 1 / 3, "", lambda s: s.signal.rate.low),
+    ("focal length", 35.0, "mm", lambda s: 1e3 * s.channel.camera.focal_m),
+    ("resolution, across", 1024.0, "px", lambda s: s.channel.camera.width),
+    ("resolution, down", 512.0, "px", lambda s: s.channel.camera.height),
+    ("distance, from", 80.0, "m", lambda s: s.channel.distance_m),
+    ("distance, to", 25.0, "m", lambda s: s.channel.stop_m),
+    ("LEDs in a row", 16.0, "", lambda s: s.signal.side),
+    ("LED spacing", 20.0, "mm", lambda s: 1e3 * s.channel.emitter.pitch_m),
+    ("half-value angle", 22.6, "deg", lambda s: s.channel.emitter.half_angle_deg),
 )
 """Table II, and the data of the array from the text before it."""
 
@@ -62,7 +50,7 @@ EXPERIMENT = (
 def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experiment takes a context
     """Compare the preset with the paper."""
     link = load_settings("paper")
-    tables = [[row.cells(link) for row in rows] for rows in (CAMERA, EXPERIMENT)]
+    tables = [[cells(row, link) for row in rows] for rows in (CAMERA, EXPERIMENT)]
     camera = link.channel.camera
     fits = "yes" if camera.width <= 1280 and camera.height <= 1024 else "no"
     tables[0].append(["fits within 1280 x 1024 pixels", "yes", fits, fits])

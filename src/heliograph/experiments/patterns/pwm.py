@@ -71,7 +71,6 @@ def filmed(exposure_s: float, seed: int) -> Floats:
     return np.asarray((light - light[0]) / (light[4] - light[0]))
 
 
-@plots.styled
 def _waveforms() -> Figure:
     order, times = SignalSettings().slot_order, np.arange(9) / 4
     figure = Figure(figsize=(9, 4))

@@ -80,7 +80,6 @@ def contrast(frame: Frame, truth: ArrayTruth) -> float:
     return float((on - gap) / (on + gap))
 
 
-@plots.styled
 def _contrast_plot(contrasts: Mapping[float, Sequence[float]]) -> Figure:
     figure = Figure(figsize=(7, 3.4))
     axes = figure.add_subplot(xlabel="distance (m)", ylabel="contrast of single LEDs", ylim=(-0.05, 1))

@@ -9,8 +9,7 @@ relative to that of the levels. Rest: the same for the part nonlinear in the lev
 each symbol if the adjacent pairs are known. Header: largest contrast of the header in any frame within the header.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -23,20 +22,10 @@ CASES = ((1.0, 1.0), (1.0, 0.75), (1.0, 0.5), (1.0, 0.25), (1.5, 2 / 3), (2.0, 0
 """Frames per pattern, and exposure in T_b."""
 
 
-@dataclass(frozen=True, slots=True)
-class TimingLoss:
-    """Loss of a case; the module docstring defines the values."""
+HEAD = ("rate", "exposure", "phase", "slope", "noise", "loss (dB)", "around", "rest", "bits", "header")
 
-    rate: float
-    exposure: float
-    phase: float
-    slope: float
-    noise: float
-    loss_db: float
-    around: float
-    rest: float
-    bits: float
-    header: float
+TimingLoss = Mapping[str, float]
+"""Loss of a case: the values by the names in `HEAD`; the module docstring defines them."""
 
 
 def measure() -> list[TimingLoss]:
@@ -57,7 +46,8 @@ def timing_loss(rate: float, exposure: float, phase: float) -> TimingLoss:
     with np.errstate(divide="ignore"):
         loss = float(20 * np.log10(rows[:, 1] / rows[:, 0]).max())
     slope, noise, around, rest, bits = map(float, rows.mean(0))
-    return TimingLoss(rate, exposure, phase, slope, noise, loss, around, rest, bits, _header(rate, exposure, phase))
+    values = (rate, exposure, phase, slope, noise, loss, around, rest, bits, _header(rate, exposure, phase))
+    return dict(zip(HEAD, values, strict=True))
 
 
 def _row(combination: Combination | None) -> Floats:
@@ -84,8 +74,6 @@ def _header(rate: float, exposure: float, phase: float) -> float:
 
 def table(losses: Iterable[TimingLoss]) -> Table:
     """Table with a row per case and phase."""
-    head = ("rate", "exposure", "phase", "slope", "noise", "loss (dB)", "around", "rest", "bits", "header")
-    forms = {"rate": "g", "loss_db": ".1f"}
-    columns = [(field.name, forms.get(field.name, ".2f")) for field in fields(TimingLoss)]
-    rows = [[format(getattr(loss, name), form) for name, form in columns] for loss in losses]
-    return Table("The best combination for a pair", head, rows)
+    forms = {"rate": "g", "loss (dB)": ".1f"}
+    rows = [[format(value, forms.get(name, ".2f")) for name, value in loss.items()] for loss in losses]
+    return Table("The best combination for a pair", HEAD, rows)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from itertools import count
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,39 +24,31 @@ from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import SLOTS
 
 
-class Follower(Protocol):
-    """Tracker of an array over pairs of frames, from a detection and the last pair of the detected header on."""
+class Follower:
+    """Tracker of an array over pairs of frames, from the last pair of the detected header on; by default, no tracking.
+
+    The base class keeps the pose of the detection.
+    """
 
     # True if the tracker estimates the pitch
-    sized: bool
-
-    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame): ...
-
-    def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Estimate the pose in the middle of the next pair."""
-        ...
-
-
-class NoTracking:
-    """No tracking: the pose of the detection."""
-
     sized = False
 
-    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
-        self._pose = found.fit.pose
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - for subclasses
+        self._settings, self._pose = settings, found.fit.pose
 
-    def update(self, pattern: Frame, inverted: Frame) -> Pose:  # noqa: ARG002 - the protocol
-        """Return the first pose."""
+    def update(self, pattern: Frame, inverted: Frame) -> Pose:  # noqa: ARG002 - for subclasses
+        """Estimate the pose in the middle of the next pair."""
         return self._pose
 
 
-class InvertedSignals:
+class InvertedSignals(Follower):
     """Tracker of the receiver and the paper: the sum of a pattern and the inverse shows every LED."""
 
     sized = True
 
-    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
-        self._settings, side = settings, settings.signal.side
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):
+        super().__init__(settings, found, pattern, inverted)
+        side = settings.signal.side
         model = MotionModel(settings.signal.pattern_period_s, settings.receive.track.acceleration_px)
         self._tracker = Tracker(side, model)
         self._weights = header_levels(found.identity, side) / 2.0 - 1.0
@@ -84,7 +76,7 @@ REACH_PX = 3
 """Search range in px from pair to pair; the motion in these drives is at most 2 px."""
 
 
-class BackgroundMotion:
+class BackgroundMotion(Follower):
     """Background motion, section IV.B.2: the position of the array follows the median motion of background features.
 
     Pyramidal Lucas-Kanade from a key pair to the following pairs, on the sums of pairs, scaled to 8 bits. A mask
@@ -92,13 +84,13 @@ class BackgroundMotion:
     near array moves like the far background.
     """
 
-    sized = False
     _old: NDArray[np.float32]
     _key: Gray
     _way: tuple[float, float]
 
-    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
-        self._pose, self._side = found.fit.pose, 16 * found.fit.pose.pitch
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):
+        super().__init__(settings, found, pattern, inverted)
+        self._side = 16 * self._pose.pitch
         self._renew(_sum(pattern, inverted))
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
@@ -139,22 +131,21 @@ class BackgroundMotion:
         return np.asarray(cv2.convertScaleAbs(both, alpha=self._alpha), np.uint8)
 
 
-class MultipleInstance:
+class MultipleInstance(Follower):
     """OpenCV TrackerMIL on the sums: the only general tracker of OpenCV 5 that needs no trained model.
 
     The box is twice as wide as the array, with a fixed size and integer coordinates. The random generator of the
     features has no seed.
     """
 
-    sized = False
-
-    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):
+        super().__init__(settings, found, pattern, inverted)
         opencv: Any = cv2  # the type hints lack this tracker
         params = opencv.TrackerMIL_Params()
         params.samplerSearchWinSize = float(REACH_PX)
         cv2.setRNGSeed(0)
         self._tracker: Any = opencv.TrackerMIL_create(params)
-        self._pose, side = found.fit.pose, round(32 * found.fit.pose.pitch)
+        side = round(32 * self._pose.pitch)
         left, top = round(self._pose.x - side / 2), round(self._pose.y - side / 2)
         # distance of the array from the corner of the box
         self._offset = self._pose.x - left, self._pose.y - top
@@ -175,16 +166,15 @@ def _half_sum(pattern: Frame, inverted: Frame) -> Gray:
     return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
-class TemplateMatch:
+class TemplateMatch(Follower):
     """OpenCV template matching on the sums: normalised correlation with a parabolic peak between pixels.
 
     The template is twice as wide as the array and adapts by a tenth per pair, so it grows with the array.
     """
 
-    sized = False
-
-    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
-        self._pose, self._side = found.fit.pose, 2 * round(16 * found.fit.pose.pitch) + 1
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):
+        super().__init__(settings, found, pattern, inverted)
+        self._side = 2 * round(16 * self._pose.pitch) + 1
         self._template = self._patch(_sum(pattern, inverted), self._side)
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
@@ -240,7 +230,7 @@ def known_light(settings: LinkSettings, identity: int, seed: int) -> Iterator[ND
             yield np.where(known, SLOTS, data).astype(np.uint8)
 
 
-class KnownPattern:
+class KnownPattern(Follower):
     """Fit of the expected image to each frame: known LEDs lit, data LEDs at the mean with a large variance.
 
     The tracker is lost and stops when the fit leaves the frame or has an implausible size.
@@ -248,8 +238,9 @@ class KnownPattern:
 
     sized = True
 
-    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):  # noqa: ARG002 - the protocol
-        self._settings, self._side = settings, settings.signal.side
+    def __init__(self, settings: LinkSettings, found: Detection, pattern: Frame, inverted: Frame):
+        super().__init__(settings, found, pattern, inverted)
+        self._side = settings.signal.side
         self._model = MotionModel(settings.signal.pattern_period_s, settings.receive.track.acceleration_px)
         wider = widen_covariance(found.fit.covariance)[:POSE_SIZE, :POSE_SIZE]
         self._state = PoseState.start(found.time_s, found.fit.vector[:POSE_SIZE], wider, self._model)
