@@ -33,7 +33,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, default_messages, simulate
 from heliograph.link.truth import FrameTruth
 from heliograph.measure.bench import block_settings, dithered, random_messages, window_margin_px
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.signal.settings import LAYERS
 
@@ -91,8 +91,8 @@ def count(name: str, number: int) -> dict[str, Row]:
     rows = {}
     for receiver in one.receivers:
         settings = replace(rendered.settings, receive=replace(rendered.settings.receive, receiver=receiver))
-        reception = Reception(rendered)
-        deque(receive_film(rendered, settings.signal, settings, reception), maxlen=0)
+        reception = ReceptionCounter(rendered)
+        deque(receive_and_count(rendered, settings.signal, settings, reception), maxlen=0)
         errors = reception.errors
         assert errors is not None  # ground truth is available
         row = {"undetected errors": errors.false_codewords, "foreign packets": errors.false_packets}

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings, list_presets, load_settings
     from heliograph.link.simulate import simulate
     from heliograph.link.truth import TruthFile, open_truth
+    from heliograph.measure.reception import Reception, receive_film
     from heliograph.media import convert_film, create_film, open_colours, open_film, open_slots
     from heliograph.media.live.camera import register_camera
     from heliograph.panel import Place, UnmixedColours, follow, locate, sample, unmix_colours
@@ -52,6 +53,7 @@ _HOMES = {
     "Place": "panel",
     "ReceiveSettings": "receive",
     "Receiver": "receive",
+    "Reception": "measure.reception",
     "SettingsError": "base.errors",
     "SignalSettings": "signal.settings",
     "Transmitter": "transmit",
@@ -76,6 +78,7 @@ _HOMES = {
     "open_truth": "link.truth",
     "own_settings": "receive",
     "plot_rates": "sweeps.plot",
+    "receive_film": "measure.reception",
     "receive_frames": "receive",
     "register_background": "channel.parts",
     "register_camera": "media.live.camera",
@@ -102,6 +105,7 @@ __all__ = [
     "Place",
     "ReceiveSettings",
     "Receiver",
+    "Reception",
     "SettingsError",
     "SignalSettings",
     "Transmitter",
@@ -126,6 +130,7 @@ __all__ = [
     "open_truth",
     "own_settings",
     "plot_rates",
+    "receive_film",
     "receive_frames",
     "register_background",
     "register_camera",

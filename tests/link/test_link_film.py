@@ -15,7 +15,7 @@ from heliograph.link.film import packet_row, read_packets, write_film
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import open_truth, signal_of, truth_path
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import open_film
 from heliograph.receive import make_receiver
 from heliograph.signal.message import Message
@@ -24,17 +24,17 @@ LONG = bytes(np.random.default_rng(5).integers(0, 256, 500, dtype=np.uint8))
 """Longer than four codewords of 116 bytes."""
 
 
-def through(path: Path, settings: LinkSettings, messages: Sequence[Messages]) -> tuple[list[Message], Reception]:
+def through(path: Path, settings: LinkSettings, messages: Sequence[Messages]) -> tuple[list[Message], ReceptionCounter]:
     """Return the messages decoded from a film, and the reception."""
     write_film(path, settings, messages, seed=3)
     return read(path, settings)
 
 
-def read(path: Path, settings: LinkSettings) -> tuple[list[Message], Reception]:
-    reception = Reception(open_truth(truth_path(path)))
+def read(path: Path, settings: LinkSettings) -> tuple[list[Message], ReceptionCounter]:
+    reception = ReceptionCounter(open_truth(truth_path(path)))
     with open_film(path) as source:
         signal, _ = signal_of(source, settings.signal)
-        packets = list(receive_film(source, signal, settings, reception))
+        packets = list(receive_and_count(source, signal, settings, reception))
     return [message for _, whole in packets for message in whole], reception
 
 
@@ -102,9 +102,9 @@ def test_packets_are_read_without_counts_and_become_rows_of_plain_values(film: P
 def test_truncated_film_gives_all_packets_before_the_end(film: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mkv"
     cut.write_bytes(film.read_bytes()[: int(film.stat().st_size * 0.99)])
-    reception, found = Reception(), list[Message]()
+    reception, found = ReceptionCounter(), list[Message]()
     with open_film(cut) as source, pytest.raises(MediaError, match="ends in the middle"):
-        found.extend(m for _, whole in receive_film(source, small().signal, small(), reception) for m in whole)
+        found.extend(m for _, whole in receive_and_count(source, small().signal, small(), reception) for m in whole)
     assert 280 < reception.frames < 300
     assert by_place(found) == {(0, "middle", 0): b"only this"}
     # a partial packet counts

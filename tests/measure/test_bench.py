@@ -11,7 +11,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import transmitters
 from heliograph.link.truth import open_truth, truth_path
 from heliograph.measure.bench import block_settings, dithered, is_static, random_messages, run_block, window_margin_px
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import open_film
 
 OUT_OF_STEP = (
@@ -28,13 +28,13 @@ def link(preset: str, *changes: str) -> LinkSettings:
     return load_settings(preset, None, [*SMALL, *changes])
 
 
-def by_film(settings: LinkSettings, seed: int, path: Path) -> Reception:
+def by_film(settings: LinkSettings, seed: int, path: Path) -> ReceptionCounter:
     """Return the reception of a film with full frames of the same block."""
     settings = dithered(block_settings(settings), seed)
     write_film(path, settings, random_messages(settings, seed), seed)
-    reception = Reception(open_truth(truth_path(path)))
+    reception = ReceptionCounter(open_truth(truth_path(path)))
     with open_film(path) as film:
-        for _ in receive_film(film, settings.signal, settings, reception):
+        for _ in receive_and_count(film, settings.signal, settings, reception):
             pass
     return reception
 

@@ -7,7 +7,7 @@ import pytest
 from heliograph.link.settings import load_settings
 from heliograph.measure.journal import Journal, Row, approach, message_row, sentence
 from heliograph.measure.live_film import LiveFilm
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.signal.message import Message
 
 CHANGES = (
@@ -22,7 +22,7 @@ def rows() -> list[Row]:
     settings, rows = load_settings("paper", None, CHANGES), list[Row]()
     journal = Journal(settings.receive.calibration, rows.append)
     film = LiveFilm(settings, [{"high": [b"\xff\x00"], "middle": [b"left lane closed"]}], 3, None, None)
-    for packet, messages in receive_film(film, settings.signal, settings, Reception(), journal.observe):
+    for packet, messages in receive_and_count(film, settings.signal, settings, ReceptionCounter(), journal.observe):
         journal.read(packet, messages)
     return rows
 

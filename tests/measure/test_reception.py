@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 from link_packets import perfect, small
 
+from heliograph.base.errors import MediaError, SettingsError
 from heliograph.link.film import write_film
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, default_messages
 from heliograph.link.truth import FrameTruth, open_truth, truth_path
 from heliograph.measure.journal import Journal, sentence
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count, receive_film
 from heliograph.media import open_film
 from heliograph.receive import Packet
 from heliograph.receive.events import LostEvent
@@ -31,19 +32,51 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_report_is_available_at_any_time(film: Path) -> None:
-    settings, reception = small(), Reception(open_truth(truth_path(film)))
+    settings, reception = small(), ReceptionCounter(open_truth(truth_path(film)))
 
     def check_report(_: int) -> None:
         assert reception.report(1.0)["frames"] == reception.frames
 
     with open_film(film) as source:
-        (packet, *_), *_ = receive_film(source, settings.signal, settings, reception, progress=check_report)
+        (packet, *_), *_ = receive_and_count(source, settings.signal, settings, reception, progress=check_report)
     assert reception.errors is not None
     high = reception.errors.total()["high"]
     assert (high.codewords, high.codeword_errors, reception.errors.false_codewords) == (3, 0, 0)
-    other = Reception()
+    other = ReceptionCounter()
     assert list(other.add(replace(packet, identity=9, status="no_header"))) == []
     assert other.arrays == {}
+
+
+@pytest.mark.slow
+def test_a_film_gives_messages_packets_and_arrays_in_one_call(film: Path) -> None:
+    by_path, by_name = receive_film(film), receive_film(str(film), small(), receiver="plain")
+    assert (by_path.receiver, by_name.receiver) == ("soft", "plain")
+    with open_film(film) as source:
+        by_film = receive_film(source, receiver="auto")
+    for reception in (by_path, by_name, by_film):
+        assert [packet.first_frame for packet in reception.packets] == [0, 100, 200]
+        assert reception.arrays.keys() == {0}
+        assert reception.arrays[0].layers["high"].ok == 3
+        assert (reception.messages, reception.incomplete) == ([], [])
+
+
+@pytest.mark.slow
+def test_messages_and_missing_bytes_are_given(tmp_path: Path) -> None:
+    path, settings = tmp_path / "a.mkv", small("channel.duration_s=0.1")
+    write_film(path, settings, [{"high": [b"red for 12 s"], "low": [bytes(500)]}], seed=1)
+    reception = receive_film(path)
+    assert [(message.layer, message.data) for message in reception.messages] == [("high", b"red for 12 s")]
+    ((identity, layer, stream, received, size),) = reception.incomplete
+    assert (identity, layer, stream, size) == (0, "low", 0, 500)
+    assert 0 < received < 500
+
+
+def test_a_wrong_name_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(MediaError):
+        receive_film(tmp_path / "none.mkv")
+    for settings in ("no preset", 3):
+        with pytest.raises(SettingsError):
+            receive_film(tmp_path / "none.mkv", settings)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("status", ["no_header", "no_array"])
@@ -54,9 +87,9 @@ def test_results_without_a_packet_are_not_counted(film: Path, monkeypatch: pytes
     monkeypatch.setattr(
         StreamReceiver, "push", lambda *a: [replace(p, status=status) if p.first_frame == 100 else p for p in push(*a)]
     )
-    settings, reception = small(), Reception(open_truth(truth_path(film)))
+    settings, reception = small(), ReceptionCounter(open_truth(truth_path(film)))
     with open_film(film) as source:
-        found = [packet.first_frame for packet, _ in receive_film(source, settings.signal, settings, reception)]
+        found = [packet.first_frame for packet, _ in receive_and_count(source, settings.signal, settings, reception)]
     assert found == [0, 200]
     assert reception.arrays[0].packets == 2
     report = reception.report(1.0)
@@ -95,7 +128,7 @@ def without_codewords(packet: Packet) -> Packet:
 
 def test_identity_without_a_decoded_codeword_is_uncertain() -> None:
     settings = small()
-    reception = Reception(TruthOf(settings))
+    reception = ReceptionCounter(TruthOf(settings))
     for frame in range(300):
         reception.saw(frame)
     for packet in (uncertain(0), without_codewords(perfect(settings, 0)), uncertain(1), perfect(settings, 1)):

@@ -10,7 +10,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import simulate
 from heliograph.measure.journal import Journal, Row, sentence
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 
 SIZE = (
     "signal.data_pairs=24",
@@ -37,11 +37,11 @@ class Film:
         return iter(self._frames)
 
 
-def received(film: tuple[Frame, ...], receiver: str) -> tuple[list[Row], Reception]:
+def received(film: tuple[Frame, ...], receiver: str) -> tuple[list[Row], ReceptionCounter]:
     settings = load_settings("static", None, [*SIZE, f"receive.receiver={receiver}"])
-    rows, reception = list[Row](), Reception()
+    rows, reception = list[Row](), ReceptionCounter()
     journal = Journal(settings.receive.calibration, rows.append)
-    for packet, messages in receive_film(Film(film), settings.signal, settings, reception, journal.observe):
+    for packet, messages in receive_and_count(Film(film), settings.signal, settings, reception, journal.observe):
         journal.read(packet, messages)
     return rows, reception
 

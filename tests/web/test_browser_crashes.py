@@ -34,7 +34,7 @@ def expect_notice(page: Page) -> None:
 def test_page_watch_shows_a_crash_of_its_reception(
     chromium: Browser, address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("heliograph.web.watching.run.receive_film", broken)
+    monkeypatch.setattr("heliograph.web.watching.run.receive_and_count", broken)
     with quiet_page(chromium, f"{address}watch") as page:
         page.wait_for_selector("#named option", state="attached")
         page.click("#open")

@@ -30,7 +30,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.truth import TruthFile, check_truth, open_truth
 from heliograph.measure.errors import BIN_M, ErrorCounter
 from heliograph.measure.journal import Journal, missed_words
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import FilmReader, open_film, tiff
 from heliograph.media.images import PICTURE_SUFFIXES, is_pattern
 from heliograph.media.live.reader import film_path, is_camera, live_of
@@ -58,7 +58,7 @@ class Outcome:
     """Results of a reception."""
 
     report: dict[str, Any]
-    reception: Reception
+    reception: ReceptionCounter
     monitor: FilmMonitor
     files: FileOutput
     # Names of the written messages
@@ -97,7 +97,7 @@ def receive(
     request = ReceiveOptions(film, chosen, results, live, events, as_json, settings.is_auto(detect.receiver))
     chosen.load()  # reports invalid settings once
     if not is_many(films) and crew == options.WorkerOptions():
-        reports = [_receive_film(films[0], request, truth)]
+        reports = [_receive_single(films[0], request, truth)]
     else:
         is_watched = events.follow or events.send or events.verbose
         if truth or live.camera or live.record or live.duration is not None or is_watched:
@@ -109,7 +109,7 @@ def receive(
         sys.exit(console.NO_ARRAY)
 
 
-def _receive_film(film: Path, request: ReceiveOptions, truth_path: Path | None) -> dict[str, Any]:
+def _receive_single(film: Path, request: ReceiveOptions, truth_path: Path | None) -> dict[str, Any]:
     """Receive a film or live camera; show the results so far after an early end, and diagnose a missing array."""
     if truth_path and is_camera(film):
         raise MediaError("a live camera has no truth: leave out --truth")
@@ -152,7 +152,7 @@ def receive_source(
         if not is_quiet:
             console.say(choice)
     link = settings if is_batch else _adapted(settings, source)
-    reception, files = Reception(truth), FileOutput(options.files_folder, is_quiet=is_quiet)
+    reception, files = ReceptionCounter(truth), FileOutput(options.files_folder, is_quiet=is_quiet)
     files.begin(reception.files)
 
     def receive_packets() -> BaseException | None:
@@ -163,7 +163,7 @@ def receive_source(
             monitor.observe(event)
 
         try:
-            for packet, messages in receive_film(monitor, signal, link, reception, observe, advance):
+            for packet, messages in receive_and_count(monitor, signal, link, reception, observe, advance):
                 folder.log(packet_row(packet, reception.confirmed))
                 journal.read(packet, messages, reception.progress)
                 monitor.add_packet(packet)

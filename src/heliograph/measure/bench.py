@@ -15,7 +15,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings
 from heliograph.measure.counts import BlockCounts, pooled
 from heliograph.measure.live_film import LiveFilm
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS
 from heliograph.signal.formats import AGREED
 from heliograph.signal.packet import LayerFormat, PacketFormat
@@ -28,8 +28,8 @@ def run_block(
     """Simulate, receive and count a block; a function of settings and seed."""
     settings = dithered(block_settings(settings, max_packets), seed)
     film = LiveFilm(settings, random_messages(settings, seed), seed, recordings, window_margin_px(settings))
-    reception = Reception(film)
-    deque(receive_film(film, settings.signal, settings, reception), maxlen=0)
+    reception = ReceptionCounter(film)
+    deque(receive_and_count(film, settings.signal, settings, reception), maxlen=0)
     return _counts(reception, settings)
 
 
@@ -101,7 +101,7 @@ def window_margin_px(settings: LinkSettings) -> int:
     return max(12, math.ceil(min(side, settings.receive.detect.max_side_px) / 2))
 
 
-def _counts(reception: Reception, settings: LinkSettings) -> BlockCounts:
+def _counts(reception: ReceptionCounter, settings: LinkSettings) -> BlockCounts:
     errors = reception.errors
     assert errors is not None
     bins = errors.bins()

@@ -1,17 +1,21 @@
 """Reception of a film: codewords by array and layer, messages, and errors if the truth is known."""
 
+import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any, Protocol
 
+from heliograph.base.errors import SettingsError, shown
 from heliograph.base.frames import Frame
 from heliograph.link.film import FrameProgress, FrameSource, is_packet, read_packets, silent
-from heliograph.link.settings import LinkSettings
+from heliograph.link.settings import LinkSettings, load_settings, preset
 from heliograph.link.simulate import Messages
-from heliograph.link.truth import FrameTruth
+from heliograph.link.truth import FrameTruth, signal_of
 from heliograph.measure.errors import ErrorCounter
+from heliograph.media import FilmReader, open_film
 from heliograph.receive import Packet, make_receiver
-from heliograph.receive.api import AnyObserver
+from heliograph.receive.api import AnyObserver, choose_receiver
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, DropEvent, MissedStartEvent
@@ -74,8 +78,8 @@ class ArrayTally:
                 tally.bytes += len(word.block.payload) if word.block else 0
 
 
-class Reception:
-    """Collector of messages and counts."""
+class ReceptionCounter:
+    """Collector of messages and counts; memory does not grow with the film."""
 
     def __init__(self, truth: TruthSource | None = None, files: FileGatherer | None = None):
         self.arrays: dict[int, ArrayTally] = {}
@@ -161,11 +165,11 @@ class Reception:
         return out
 
 
-def receive_film(
+def receive_and_count(
     film: FrameSource,
     signal: SignalSettings,
     settings: LinkSettings,
-    reception: Reception,
+    reception: ReceptionCounter,
     observe: AnyObserver | None = None,
     progress: FrameProgress = silent,
 ) -> Iterator[tuple[Packet, list[Message]]]:
@@ -193,6 +197,85 @@ def receive_film(
     receiver = make_receiver(signal, settings.receive, count_event)
     for packet in read_packets(CountedFilm(), signal, receiver):
         yield packet, list(reception.add(packet))
+
+
+@dataclass(frozen=True, slots=True)
+class Reception:
+    """Reception of a film.
+
+    Attributes
+    ----------
+    receiver
+        Name of the receiver.
+    messages
+        Complete messages, in the order of completion.
+    packets
+        All packets, also those with failed codewords.
+    arrays
+        Counts of each array with a decoded codeword, by identity.
+    incomplete
+        Incomplete messages: identity, layer, stream, received bytes and length in bytes.
+    """
+
+    receiver: str
+    messages: list[Message]
+    packets: list[Packet]
+    arrays: dict[int, ArrayTally]
+    incomplete: list[tuple[int, str, int, int, int]]
+
+
+def receive_film(
+    film: FilmReader | Path | str,
+    settings: LinkSettings | str = "paper",
+    receiver: str | None = None,
+    observe: AnyObserver | None = None,
+) -> Reception:
+    """Receive a film.
+
+    The note of a simulated film on its signal overrides `settings`. All packets stay in memory, about 0.1 MB each; for
+    films of hours use `receive_frames`.
+
+    Parameters
+    ----------
+    film
+        Path of a film, or an open film.
+    settings
+        Settings of the link, or the name of a preset.
+    receiver
+        Name of the receiver; "auto" chooses by the frame rate of the film. If left out, that of the settings, and
+        "auto" for a preset that names none.
+    observe
+        Observer of the events, see `heliograph.receive.events`.
+
+    Raises
+    ------
+    HeliographError
+        The film cannot be read, the settings are invalid, or the receiver refuses the film.
+
+    Examples
+    --------
+    >>> reception = heliograph.receive_film("drive.mkv")
+    >>> [message.data for message in reception.messages]
+    [b'red for 12 s']
+    """
+    link = load_settings(settings) if isinstance(settings, str) else settings
+    if not isinstance(link, LinkSettings):
+        raise SettingsError(f"settings are LinkSettings or the name of a preset, not {shown(settings)}")
+    with contextlib.ExitStack() as closing:
+        source = film if isinstance(film, FilmReader) else closing.enter_context(open_film(film, expand_range=True))
+        signal, _ = signal_of(source, link.signal)
+        if receiver is None and isinstance(settings, str) and "receiver" not in preset(settings).get("receive", {}):
+            receiver = "auto"
+        if receiver == "auto":
+            receiver, _ = choose_receiver(signal, source.rate_hz)
+        if receiver is not None:
+            link = replace(link, receive=replace(link.receive, receiver=receiver))
+        counter, packets, messages = ReceptionCounter(), list[Packet](), list[Message]()
+        for packet, complete in receive_and_count(source, signal, link, counter, observe):
+            packets.append(packet)
+            messages += complete
+    arrays = {identity: tally for identity, tally in counter.arrays.items() if tally.confirmed}
+    return Reception(link.receive.receiver, messages, packets, arrays, counter.unfinished())
 
 
 def file_counts(progress: FileProgress) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.probe.screens import SIDES, cells_of_a_side, patterns_per_s
 from heliograph.web.camera_frames import Frames
 from heliograph.web.sending import MAX_RATE_HZ, MIN_RATE_HZ, screen_settings
@@ -80,7 +80,7 @@ def estimate_link(
 
 def _try(frames: list[Frame], settings: LinkSettings, is_late: Callable[[], bool]) -> tuple[bool, bool]:
     """Return True for a detected header, and for a decoded codeword."""
-    reception, film = Reception(), Frames("the film", takewhile(lambda _: not is_late(), frames))
+    reception, film = ReceptionCounter(), Frames("the film", takewhile(lambda _: not is_late(), frames))
     with contextlib.suppress(HeliographError):  # such as too few frames; the reception reports the error
-        deque(receive_film(film, settings.signal, settings, reception), maxlen=0)
+        deque(receive_and_count(film, settings.signal, settings, reception), maxlen=0)
     return bool(reception.detections), bool(reception.confirmed)

@@ -13,7 +13,7 @@ from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.measure.journal import Journal
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import FilmReader, open_film
 from heliograph.probe import probe_film
 from heliograph.probe.words import in_sentences
@@ -52,7 +52,7 @@ class PageReader:
 
     def __init__(self, request: LinkRequest, tell: Tell, recorder: FailureRecorder, bundles: Store[StoredFilm]):
         self._request, self._tell, self._recorder, self._bundles = request, tell, recorder, bundles
-        self._reception = Reception()
+        self._reception = ReceptionCounter()
         # Last frames of a camera with the present settings; True if no codeword was decoded for `PATIENCE_S`
         self._last_frames, self._is_exhausted = deque[Frame](maxlen=PROBE_FRAMES), False
 
@@ -68,7 +68,7 @@ class PageReader:
             settings = estimate_link(window, self._request, self._tell, rejected_sides if is_retry else ())
             if is_retry and settings.signal.side in rejected_sides:
                 continue
-            self._reception = Reception()
+            self._reception = ReceptionCounter()
             self._recorder.restart(settings.signal)
             with open_film(path, expand_range=True, binning=binning) as film:
                 self._read(Frames("the film", self._recorded(film)), settings, film.frame_count)
@@ -160,7 +160,9 @@ class PageReader:
             if timer.is_due():
                 self._tell({"event": "progress", "frames": frames, "of": count})
 
-        for packet, messages in receive_film(film, settings.signal, settings, reception, journal.observe, progress):
+        for packet, messages in receive_and_count(
+            film, settings.signal, settings, reception, journal.observe, progress
+        ):
             journal.read(packet, messages, reception.progress)
             self._recorder.add_packet(packet)
 

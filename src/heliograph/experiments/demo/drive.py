@@ -28,7 +28,7 @@ from heliograph.link.simulate import Messages, Recordings
 from heliograph.link.truth import TruthFile, open_truth, truth_path
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.journal import message_row
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import open_film
 from heliograph.receive import Packet, Pose
 from heliograph.receive.events import DetectEvent, Event, ExtractEvent, TrackEvent
@@ -217,7 +217,7 @@ def write_page(
     truth: TruthFile,
     recorder: DriveRecorder,
     moving: bytes,
-    reception: Reception,
+    reception: ReceptionCounter,
     counts: Mapping[str, Any],
     messages: Sequence[Message],
 ) -> None:
@@ -256,7 +256,7 @@ def write_page(
     page.write(path)
 
 
-def _badges(counts: Mapping[str, Any], reception: Reception) -> Iterator[tuple[str, str]]:
+def _badges(counts: Mapping[str, Any], reception: ReceptionCounter) -> Iterator[tuple[str, str]]:
     """Read codewords by array and layer, and false codewords, with a verdict each."""
     for array in counts["arrays"]:
         for name, layer in array["layers"].items():
@@ -268,7 +268,7 @@ def _badges(counts: Mapping[str, Any], reception: Reception) -> Iterator[tuple[s
         yield ("differs" if false else "holds"), f"accepted, but not sent: {false}"
 
 
-def _show_messages(page: Report, messages: Sequence[Message], reception: Reception) -> None:
+def _show_messages(page: Report, messages: Sequence[Message], reception: ReceptionCounter) -> None:
     """Show road messages, the best version of each picture, texts, and the progress of incomplete messages."""
     page.heading("What arrived")
     rows = [(message, road_values(message.data)) for message in messages]
@@ -334,7 +334,7 @@ def _sum_at(pose: Pose, up: AnyFrame, down: AnyFrame) -> NDArray[np.float64]:
     return cut_out(up, window) + cut_out(down, window)
 
 
-def _show_errors(page: Report, reception: Reception) -> None:
+def _show_errors(page: Report, reception: ReceptionCounter) -> None:
     assert reception.errors is not None  # the film has its truth
     bins = reception.errors.bins()
     page.heading("Errors by distance")
@@ -398,7 +398,7 @@ def film_bytes(settings: LinkSettings) -> int:
 class Demonstration:
     """Result of the demonstration."""
 
-    # Counts of `Reception.report`
+    # Counts of `ReceptionCounter.report`
     counts: dict[str, Any]
     # Error or interruption of the reception; the page shows the results before
     ending: BaseException | None = None
@@ -412,13 +412,13 @@ def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings,
         count = write_film(film, settings, demo_messages(settings), seed, recordings, advance, crf=18)
     truth = open_truth(truth_path(film))
     recorder = DriveRecorder([int(k) for k in np.linspace(0.02, 0.98, 8) * count])
-    reception = Reception(truth)
+    reception = ReceptionCounter(truth)
     messages: list[Message] = []
     began = time.perf_counter()
     ending: BaseException | None = None
     try:
         with bar("receiving", count) as advance, open_film(film) as source:
-            for packet, complete in receive_film(source, settings.signal, settings, reception, recorder, advance):
+            for packet, complete in receive_and_count(source, settings.signal, settings, reception, recorder, advance):
                 messages += complete
                 recorder.add_packet(packet, complete)
     except (HeliographError, KeyboardInterrupt) as error:

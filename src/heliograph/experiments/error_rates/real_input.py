@@ -22,7 +22,7 @@ from heliograph.link.simulate import Recordings, default_messages, load_footage,
 from heliograph.link.truth import TruthFile
 from heliograph.measure.errors import BIN_M, ErrorCounter
 from heliograph.measure.live_film import LiveFilm
-from heliograph.measure.reception import Reception, TruthSource, receive_film
+from heliograph.measure.reception import ReceptionCounter, TruthSource, receive_and_count
 from heliograph.measure.statistics import Count
 from heliograph.media import open_film
 from heliograph.receive import Packet, make_receiver
@@ -47,16 +47,16 @@ class RealScene:
         return settings, Recordings(footage=load_footage(self.clip), imu=load_imu(self.imu))
 
 
-def drive(scene: RealScene, margin_px: int | None = None) -> Reception:
+def drive(scene: RealScene, margin_px: int | None = None) -> ReceptionCounter:
     """Receive and count a drive over real footage."""
     settings, recordings = scene.load()
     film = LiveFilm(settings, default_messages(settings), scene.seed, recordings, margin_px)
     return _received(film, film)
 
 
-def _received(film: FrameSource, truth: TruthSource) -> Reception:
-    reception = Reception(truth)
-    deque(receive_film(film, truth.settings.signal, truth.settings, reception), maxlen=0)
+def _received(film: FrameSource, truth: TruthSource) -> ReceptionCounter:
+    reception = ReceptionCounter(truth)
+    deque(receive_and_count(film, truth.settings.signal, truth.settings, reception), maxlen=0)
     return reception
 
 
@@ -136,7 +136,7 @@ def encode_again(source: Path, target: Path) -> None:
         out.mux(stream.encode())
 
 
-def receive_again(film: Path, truth: TruthFile) -> Reception:
+def receive_again(film: Path, truth: TruthFile) -> ReceptionCounter:
     """Receive a transcoded film, with the truth of the original film."""
     with open_film(film) as source:
         return _received(source, truth)

@@ -11,7 +11,7 @@ from heliograph.link.warm_up import warm_up
 from heliograph.measure.errors import ErrorCounter
 from heliograph.measure.journal import Journal, Row
 from heliograph.measure.live_film import LiveFilm
-from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.media.live.reader import LiveReader
 from heliograph.receive.events import DecodeEvent, DetectEvent, EqualiseEvent, ExtractEvent, LostEvent, TrackEvent
@@ -87,7 +87,7 @@ class Run:
             self._shared.folder, source.signal, rate_hz=source.rate_hz, metadata=source.metadata
         )
         observer = SceneObserver(source.signal, source.settings.receive.calibration)
-        reception = Reception(source.truth)
+        reception = ReceptionCounter(source.truth)
         try:
             self._report_packets(source, observer, reception, self.recorder)
         finally:
@@ -110,7 +110,7 @@ class Run:
             warm_up(source.signal, source.settings.receive, live.bits)
 
     def _report_packets(
-        self, source: Source, observer: SceneObserver, reception: Reception, recorder: FailureRecorder
+        self, source: Source, observer: SceneObserver, reception: ReceptionCounter, recorder: FailureRecorder
     ) -> None:
         """Receive the frames, and report events and packets."""
         journal = Journal(source.settings.receive.calibration, self._outbox.tell)
@@ -137,7 +137,7 @@ class Run:
                 self._mark("search")
 
         film = Frames(source.name, frames())
-        for packet, messages in receive_film(film, source.signal, source.settings, reception, observe):
+        for packet, messages in receive_and_count(film, source.signal, source.settings, reception, observe):
             self._mark("search")
             for row in observer.packet_rows():
                 self._outbox.tell(row)
@@ -153,7 +153,7 @@ class Run:
         self._stages[stage] = self._stages.get(stage, 0.0) + now - self._mark_s
         self._mark_s = now
 
-    def _show(self, observer: SceneObserver, reception: Reception) -> None:
+    def _show(self, observer: SceneObserver, reception: ReceptionCounter) -> None:
         """Show the last frame and report the counts, periodically and before a pause."""
         now, is_held = time.monotonic(), self.gate.holds
         if self._newest is not None and (now >= self._scene_s + SCENE_S or is_held):
@@ -164,7 +164,7 @@ class Run:
             self._counts_s = now
             self._outbox.tell(self._counts(reception))
 
-    def _counts(self, reception: Reception) -> Row:
+    def _counts(self, reception: ReceptionCounter) -> Row:
         row: dict[str, Any] = {
             "event": "state",
             "frames": reception.frames,
