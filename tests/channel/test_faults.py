@@ -9,36 +9,34 @@ import pytest
 from numpy.typing import NDArray
 
 from heliograph.base.config import from_mapping
-from heliograph.base.errors import SettingsError
 from heliograph.channel import ChannelSettings, film
 
 SIDE = 16
-NEAR = {"distance_m": 10, "camera": {"width": 160, "height": 160}, "sensor": {"full_well_e": 1e7, "dark_noise_e": 0}}
+NEAR = {
+    "distance_m": 10, "speed_m_s": 0, "shake": "none", "camera": {"width": 160, "height": 160},
+    "sensor": {"full_well_e": 1e7, "dark_noise_e": 0},
+}  # fmt: skip
 """LED pitch 5.8 px, so that LED images do not overlap."""
 
 
 def shoot(level: int, frames: int = 1, **place: Any) -> list[NDArray[np.float64]]:
     """Render an array at a constant level, in gray levels."""
     lights: Iterator[NDArray[np.uint8]] = itertools.repeat(np.full((SIDE, SIDE), level, np.uint8))
-    settings = from_mapping(
-        ChannelSettings,
-        {
-            "speed_m_s": 0,
-            "shake": "none",
-            "duration_s": 1e-3 * frames,
-            **NEAR,
-            "arrays": [{"x_m": 0, "y_m": 0, "brightness": 0.1, **place}],
-        },
-    )
+    scene = {**NEAR, "duration_s": 1e-3 * frames, "arrays": [{"x_m": 0, "y_m": 0, "brightness": 0.1, **place}]}
+    settings = from_mapping(ChannelSettings, scene)
     shot = film(settings, [lights], np.random.default_rng(3), pattern_period_s=1e-3)
     return [frame.pixels.astype(float) for frame, _ in shot]
 
 
+def at_leds(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the pixels at LED centres."""
+    at = np.round(79.5 + (np.arange(SIDE) - 7.5) * 35 / 12 * 20 / 10).astype(int)
+    return np.asarray(image[np.ix_(at, at)])
+
+
 def leds(image: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return the mask of lit LEDs from pixels at LED centres."""
-    pitch = 35 / 12 * 20 / 10
-    at = np.round(79.5 + (np.arange(SIDE) - 7.5) * pitch).astype(int)
-    return np.asarray(image[np.ix_(at, at)] > 20)
+    """Return the mask of lit LEDs."""
+    return np.asarray(at_leds(image) > 20)
 
 
 def test_all_leds_of_a_sound_array_shine() -> None:
@@ -54,10 +52,8 @@ def test_dead_leds_stay_dark_and_stuck_ones_lit() -> None:
 
 
 def test_leds_differ_by_their_spread() -> None:
-    pitch = 35 / 12 * 20 / 10
-    at = np.round(79.5 + (np.arange(SIDE) - 7.5) * pitch).astype(int)
     even, first, second = (shoot(4, 2, spread=spread)[k] for spread, k in ((0.0, 0), (0.2, 0), (0.2, 1)))
-    gains = [frame[np.ix_(at, at)] / even[np.ix_(at, at)] for frame in (first, second)]
+    gains = [at_leds(frame) / at_leds(even) for frame in (first, second)]
     assert gains[0].std() == pytest.approx(0.2, rel=0.15)
     assert gains[0].mean() == pytest.approx(1, abs=0.04)
     assert np.abs(gains[1] - gains[0]).max() < 0.05
@@ -73,42 +69,15 @@ def test_a_part_is_hidden_by_something_of_its_own_light() -> None:
     image = shoot(4, hidden=(0.0, 0.5, 0.25, 1.0), hidden_level=0.3)[0]
     part = np.zeros((SIDE, SIDE), bool)
     part[8:, :4] = True
-    pitch = 35 / 12 * 20 / 10
-    at = np.round(79.5 + (np.arange(SIDE) - 7.5) * pitch).astype(int)
-    seen = image[np.ix_(at, at)]
+    seen = at_leds(image)
     assert seen[part] == pytest.approx(0.3 * 255, abs=1)
     assert not np.isclose(seen[~part], 0.3 * 255, atol=1).any()
 
 
 def test_an_array_drives_away() -> None:
-    still, moving = (
-        from_mapping(
-            ChannelSettings,
-            {"speed_m_s": 10, "distance_m": 30, "shake": "none", "duration_s": 0.01, "arrays": [{"vz_m_s": v}]},
-        )
-        for v in (0, 25)
-    )
-    level = np.zeros((SIDE, SIDE), np.uint8)
-    depths = []
-    for settings in (still, moving):
-        truth = [
-            t for _, t in film(settings, [itertools.repeat(level)], np.random.default_rng(0), pattern_period_s=1e-3)
-        ]
-        depths.append(truth[-1].arrays[0].distance_m)
-    assert depths[0] == pytest.approx(30 - 10 * 0.0095, abs=1e-6)
-    assert depths[1] == pytest.approx(30 + 15 * 0.0095, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("place", "says"),
-    [
-        ({"dead": 0.6, "stuck": 0.5}, "at most 1 together"),
-        ({"hidden": (0.5, 0, 0.5, 1)}, "left < right"),
-        ({"hidden": (0.5, 0)}, "hidden"),
-        ({"off_s": [(0.2, 0.1)]}, "from < to"),
-    ],
-)
-def test_bad_settings_in_one_line(place: dict[str, Any], says: str) -> None:
-    with pytest.raises(SettingsError, match=says) as caught:
-        from_mapping(ChannelSettings, {"arrays": [place]})
-    assert "\n" not in str(caught.value)
+    lights = [itertools.repeat(np.zeros((SIDE, SIDE), np.uint8))]
+    for speed, rate in ((0, -10), (25, 15)):
+        scene = {**NEAR, "speed_m_s": 10, "distance_m": 30, "duration_s": 0.01, "arrays": [{"vz_m_s": speed}]}
+        settings = from_mapping(ChannelSettings, scene)
+        *_, (_, truth) = film(settings, lights, np.random.default_rng(0), pattern_period_s=1e-3)
+        assert truth.arrays[0].distance_m == pytest.approx(30 + rate * 0.0095, abs=1e-6)

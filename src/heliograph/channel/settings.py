@@ -52,6 +52,9 @@ EXPOSURE_SLACK = 1e-9
 MAX_MOTION_PX = 1e3
 """Maximum motion of an array in the image during an exposure in px; limits the memory of a frame to 0.13 GB."""
 
+MAX_JITTER = 0.45
+"""Largest error of a frame time in frame periods; below 1/2, so that frame times rise."""
+
 MIN_DISTANCE_M = 0.3
 """Minimum distance of a rendered panel; the image is much larger than the sensor there."""
 
