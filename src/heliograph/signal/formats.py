@@ -98,9 +98,7 @@ AGREED = Format()
 
 
 def format_of(number: int) -> Format:
-    """Return the format for a number, the inverse of `Format.number`; raise a ValueError if the number is invalid."""
-    if not 0 <= number < 512 * len(MODES):
-        raise ValueError(f"a format is 0 to {512 * len(MODES) - 1}, not {number}")
+    """Return the format for a number, the inverse of `Format.number`."""
     codes = [number // step % 8 for step in (64, 8, 1)]
     high, middle, low = (SIGNALLED_RATES[code - 1] if code else None for code in codes)
     return Format(mode=MODES[number // 512], high=high, middle=middle, low=low)

@@ -1,6 +1,6 @@
 """Turbo code from 3GPP TS 36.212 (section 9): encoder, rate matching, soft-in soft-out decoder.
 
-LLR = ln P(b=0)/P(b=1). Importing this package requires NumPy only; the first decoding imports Numba.
+LLR = ln P(b=0)/P(b=1). The first decoding imports Numba.
 """
 
 from heliograph.signal.code import Check

@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.base.errors import SettingsError
 from heliograph.signal.code import Algorithm, Check, CodePlan
 from heliograph.signal.turbo.decoder import DecoderOptions, Stop, TurboResult, decode_blocks
-from heliograph.signal.turbo.encoder import TERMINATION, encode_mother
+from heliograph.signal.turbo.encoder import STREAMS, TERMINATION, encode_mother, selection
 from heliograph.signal.turbo.qpp import QPP_SIZES, coefficients, interleaver
-from heliograph.signal.turbo.rate_match import STREAMS, selection
 
 HIGHEST_RATE = (9, 10)
 """Maximum rate as a fraction (section 9.1), at which noiseless blocks decode at every size."""
@@ -136,7 +135,7 @@ class TurboCode:
         check : callable, optional
             Check for ``stop="crc"``: maps decisions, uint8 (n, k), to bool (n,), True for each correct block.
         coded_output : bool
-            True to compute `coded_llr` and `coded_extrinsic`, which costs an iteration.
+            True to compute `coded_extrinsic`, which costs an iteration.
 
         Returns
         -------
@@ -146,7 +145,7 @@ class TurboCode:
         Raises
         ------
         ValueError
-            A shape is wrong, an LLR is NaN, or the return value of `check` is invalid.
+            A shape is wrong, or an LLR is NaN.
         SettingsError
             An option is unknown or out of range, or `check` and `stop` are incompatible.
         """
@@ -156,9 +155,7 @@ class TurboCode:
             raise SettingsError(f'check goes with stop="crc" and only with it; stop is "{stop}" and check is {check}')
         received = self._clip_llrs(np.asarray(llr))
         leading, flat = received.shape[:-1], received.reshape(-1, self.length)
-        result = decode_blocks(
-            flat, self.positions, interleaver(self.k), options, check=check, coded_output=coded_output
-        )
+        result = decode_blocks(flat, self.positions, interleaver(self.k), options, check, coded_output)
         arrays: dict[str, Any] = {
             name: None if array is None else array.reshape((*leading, *array.shape[1:]))
             for name, array in vars(result).items()
@@ -167,9 +164,7 @@ class TurboCode:
 
     def _clip_llrs(self, llr: NDArray[Any]) -> NDArray[np.float32]:
         self._check_shape("llr", llr, self.length)
-        if llr.dtype.kind not in "fiu":
-            raise ValueError(f"llr must hold real numbers, not {llr.dtype}")
-        if llr.dtype.kind == "f" and (wrong := int(np.isnan(llr).sum())):
+        if wrong := int(np.isnan(llr).sum()):
             raise ValueError(f"llr must not hold NaN; {wrong} of {llr.size} values are NaN")
         return np.clip(llr, -1e4, 1e4).astype(np.float32)  # float32 resolves 0.001 there
 

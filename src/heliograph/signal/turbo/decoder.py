@@ -1,12 +1,14 @@
 """Iterative block decoding: options, result, and decoding loop with early stopping."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass as checked
 
-from heliograph.base.errors import SettingsError
+from heliograph.base.config import CONFIG, clear_errors
 from heliograph.signal.code import Algorithm, Check
 from heliograph.signal.turbo.encoder import TERMINATION
 
@@ -17,7 +19,8 @@ _DEFAULT_SCALE: dict[str, float] = {"max-log": 0.7, "log-map": 1.0}
 """Default factor on extrinsic LLRs, which max-log overestimates (docs/decisions.md)."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@clear_errors
+@checked(frozen=True, kw_only=True, config=CONFIG)
 class DecoderOptions:
     """Settings for the iterative decoder."""
 
@@ -25,21 +28,11 @@ class DecoderOptions:
     # replaces each sum by the maximum
     algorithm: Algorithm = "max-log"
     # Maximum number of full iterations (both constituent decoders), at least 1
-    iterations: int = 8
+    iterations: Annotated[int, Field(ge=1)] = 8
     # Factor on the extrinsic LLRs between decoders, above 0 and at most 1; None for 0.7 with max-log, 1 with log-map
-    scale: float | None = None
+    scale: Annotated[float, Field(gt=0, le=1)] | None = None
     # Stopping rule: never; when both half iterations agree on all bits; or when the check accepts the decisions
     stop: Stop = "agreement"
-
-    def __post_init__(self) -> None:
-        if self.algorithm not in _DEFAULT_SCALE:
-            raise SettingsError(f"algorithm must be one of {', '.join(_DEFAULT_SCALE)}, not {self.algorithm!r}")
-        if self.stop not in get_args(Stop):
-            raise SettingsError(f"stop must be one of {', '.join(get_args(Stop))}, not {self.stop!r}")
-        if self.iterations < 1:
-            raise SettingsError(f"iterations must be at least 1, not {self.iterations}")
-        if self.scale is not None and not 0 < self.scale <= 1:
-            raise SettingsError(f"scale must be above 0 and at most 1, not {self.scale}")
 
     @property
     def factor(self) -> float:
@@ -55,15 +48,11 @@ class TurboResult:
     bits: NDArray[np.uint8]
     # A-posteriori LLRs for the information bits, (..., K)
     llr: NDArray[np.float32]
-    # `llr` minus the channel LLRs for the same bits
-    extrinsic: NDArray[np.float32]
     # Full iterations per block, at least 1, (...)
     iterations: NDArray[np.int32]
     # True if the block met the stopping rule, (...)
     stopped: NDArray[np.bool_]
-    # A-posteriori LLRs for the coded bits, (..., E); None unless requested
-    coded_llr: NDArray[np.float32] | None = None
-    # `coded_llr` minus the input LLRs: a-priori LLRs for an equaliser; None unless requested
+    # A-posteriori minus input LLRs for the coded bits, (..., E): a-priori LLRs for an equaliser; None unless requested
     coded_extrinsic: NDArray[np.float32] | None = None
 
 
@@ -72,7 +61,6 @@ def decode_blocks(
     positions: NDArray[np.int64],
     order: NDArray[np.int64],
     options: DecoderOptions,
-    *,
     check: Check | None = None,
     coded_output: bool = False,
 ) -> TurboResult:
@@ -96,23 +84,21 @@ def decode_blocks(
         kernel.iterate(mother, passed, work, app, active, orders, step, scale, exact)
         iterations[active] = iteration
         if check is not None:
-            stopped[active] = _call_check(check, (app[1, active] < 0).astype(np.uint8))
+            stopped[active] = check((app[1, active] < 0).astype(np.uint8))
         elif options.stop == "agreement":
             stopped[active] = ((app[0, active] < 0) == (app[1, active] < 0)).all(axis=1)
         active = active[~stopped[active]]
-    coded = None
+    extrinsic = None
     if coded_output:
         posterior = np.empty_like(mother)
         kernel.mother_posterior(mother, passed, work, app[1], orders, scale, exact, posterior)
-        coded = posterior[:, positions]
+        extrinsic = posterior[:, positions] - llr
     return TurboResult(
         bits=(app[1] < 0).astype(np.uint8),
         llr=app[1],
-        extrinsic=app[1] - mother[:, : 3 * k : 3],
         iterations=iterations,
         stopped=stopped,
-        coded_llr=coded,
-        coded_extrinsic=None if coded is None else coded - llr,
+        coded_extrinsic=extrinsic,
     )
 
 
@@ -122,13 +108,3 @@ def _accumulate(llr: NDArray[np.float32], positions: NDArray[np.int64], length: 
     for start in range(0, len(positions), length):
         mother[:, positions[start : start + length]] += llr[:, start : start + length]
     return mother
-
-
-def _call_check(check: Check, decisions: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Call the check; raise a ValueError unless the result is a bool per block."""
-    verdict = np.asarray(check(decisions))
-    if verdict.shape != (len(decisions),) or verdict.dtype != np.bool_:
-        raise ValueError(
-            f"check must return {len(decisions)} bools, one a block, not {verdict.dtype} of shape {verdict.shape}"
-        )
-    return verdict
