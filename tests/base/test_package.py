@@ -18,6 +18,7 @@ def run(code: str) -> str:
     return out.stdout.strip()
 
 
+@pytest.mark.slow
 def test_package_and_command_import_no_heavy_library() -> None:
     code = f"print([m for m in {HEAVY} if m in sys.modules])"
     imports = f"import sys, heliograph; {code}\nimport heliograph.cli.main; {code}"
