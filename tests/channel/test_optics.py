@@ -7,7 +7,7 @@ import pytest
 from scipy.special import erf
 
 from heliograph.base.arrays import Floats
-from heliograph.channel.optics import LIMIT_SIGMA, PER_SIGMA, cover, disc_cubature, normal_table
+from heliograph.channel.optics import cover, normal_table
 from heliograph.channel.render import Canvas, add_array
 from heliograph.channel.scene import CameraPose, homography, project, square
 from heliograph.channel.settings import ChannelSettings, EmitterSettings, Placement
@@ -110,20 +110,6 @@ def test_smear_equals_many_short_exposures(late_s: float) -> None:
     for t in late_s + length * ((np.arange(20) + 0.5) / 20 - 0.5):
         add_array(settings, one + t * drift, np.zeros((3, 3)), eye, at_rest(level / 20), exact)
     assert np.abs(canvas.light - exact.light).max() < 5e-4 * exact.light.max()
-
-
-@pytest.mark.parametrize("resolution", [0.1, 0.5, 1.0, 1.5, 3.0, 10.0])
-def test_cubature_has_the_moments_of_a_disc(resolution: float) -> None:
-    points, rest = disc_cubature(resolution)
-    assert points.mean(0) == pytest.approx([0, 0], abs=1e-12)
-    assert (points**2).mean(0) + rest == pytest.approx([0.25, 0.25])
-    assert rest > 0
-
-
-def test_table_is_the_normal_distribution() -> None:
-    z = np.linspace(-LIMIT_SIGMA, LIMIT_SIGMA, 100_001)
-    grid = np.arange(normal_table().size) / PER_SIGMA - LIMIT_SIGMA
-    assert np.abs(np.interp(z, grid, normal_table()) - 0.5 * (1 + erf(z / np.sqrt(2)))).max() < 1.5e-7
 
 
 def test_lobe_halves_at_the_half_angle() -> None:

@@ -10,7 +10,7 @@ from heliograph.base.errors import SettingsError
 from heliograph.signal.formats import AGREED, MODES, SIGNALLED_RATES, Format, format_of, words
 from heliograph.signal.header import IDENTITIES, all_header_cells
 from heliograph.signal.packet import PacketFormat
-from heliograph.signal.settings import RateSettings, SignalSettings
+from heliograph.signal.settings import SignalSettings
 
 NUMBERS = range(512 * len(MODES))
 
@@ -40,13 +40,6 @@ def test_a_detector_of_the_plain_header_finds_all() -> None:
     others = np.abs(shown @ cells[:, 0].T) / np.linalg.norm(shown, axis=-1)[..., None] / 4
     others[np.arange(IDENTITIES), :, np.arange(IDENTITIES)] = 0
     assert others.max() < 0.75
-
-
-def test_rates_named_and_agreed() -> None:
-    settings = SignalSettings(rate=RateSettings(high=0.4, middle=1 / 3, low=0.55))
-    form = PacketFormat(settings, Format(middle=0.75))
-    codes = [layer.code for layer in form.layers.values()]
-    assert [round(code.k / code.length, 2) for code in codes] == [0.40, 0.75, 0.55]
 
 
 @pytest.mark.parametrize("text", ["2/3", 0.667, 2 / 3])

@@ -78,16 +78,6 @@ def test_levels_and_round_trip(half: int, seed: int) -> None:
     assert np.array_equal(haar.encode(d[1, 2]), levels[1, 2])
 
 
-def test_blur_over_a_pair_takes_the_low_layer_only() -> None:
-    """Averaging neighbouring LEDs preserves the sums: D11, and D21 for averaging along v."""
-    d = data(1, 8, 8)
-    x = haar.inverse_transform(d).reshape(8, 4, 2)
-    blurred = np.broadcast_to(x.mean(2, keepdims=True), x.shape).reshape(8, 8)
-    soft = haar.decode(blurred)
-    assert np.allclose(soft[:, :4], d[:, :4])
-    assert np.allclose(soft[:, 4:], 0)
-
-
 @pytest.mark.parametrize("shape", [(3, 3), (4, 6), (4,), (0, 0)])
 def test_wrong_shapes(shape: tuple[int, ...]) -> None:
     for transform in (haar.encode, haar.decode, haar.inverse_transform):

@@ -1,14 +1,16 @@
-"""Headers: half lit, orthogonal, low cross-correlation at every shift."""
+"""M-sequences against SciPy, and headers: half lit, orthogonal, low cross-correlation at every shift."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import max_len_seq
 from scipy.special import erf
 
 from heliograph.experiments.detection.header_separation import separation, tables
 from heliograph.signal.header import CHIPS, IDENTITIES, all_header_cells, header_cells, header_levels
+from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence, periodic_correlation
 from heliograph.signal.pwm import invert
 
 ROOT = Path(__file__).parents[2]
@@ -70,3 +72,39 @@ def test_separation_under_the_blur() -> None:
     near = [(x, y) for x in np.arange(-0.3, 0.6, 0.1) for y in np.arange(3.4, 4.3, 0.1)]
     apart = min(np.linalg.norm(image(28, 0.2 + x * pitch, 0.3 + y * pitch, pitch) - still) for x, y in near)
     assert apart / np.sqrt(2) / 0.006 == pytest.approx(695, abs=1)
+
+
+# primitive polynomials: Peterson and Weldon, Error-Correcting Codes, appendix C (octal)
+PRIMITIVE = [0o7, 0o13, 0o23, 0o45, 0o103, 0o211, 0o435]
+
+
+def phases(chips: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> set[bytes]:
+    return {np.roll(chips, s).astype(np.uint8).tobytes() for s in range(len(chips))}
+
+
+def test_header_polynomials_are_the_papers_and_its_reciprocal() -> None:
+    assert HEADER_POLYNOMIALS == (0b11001, 0b10011)
+    forward, backward = (m_sequence(p) for p in HEADER_POLYNOMIALS)
+    assert phases(forward[::-1]) == phases(backward)
+    assert not phases(forward) & phases(backward)
+
+
+@pytest.mark.parametrize("polynomial", HEADER_POLYNOMIALS)
+def test_autocorrelation_of_every_phase(polynomial: int) -> None:
+    seen = set()
+    for state in range(1, 16):
+        chips = m_sequence(polynomial, state)
+        assert [int(chips[k]) for k in range(4)] == [state >> k & 1 for k in range(4)]
+        assert periodic_correlation(chips, chips).tolist() == [15] + [-1] * 14
+        assert chips.sum() == 8
+        seen.add(chips.tobytes())
+    # each nonzero state selects a distinct phase
+    assert seen == phases(m_sequence(polynomial))
+
+
+@pytest.mark.parametrize("polynomial", [*HEADER_POLYNOMIALS, *PRIMITIVE])
+def test_same_as_scipy(polynomial: int) -> None:
+    m = polynomial.bit_length() - 1
+    taps = [i for i in range(1, m) if polynomial >> i & 1]
+    theirs, _ = max_len_seq(m, taps=taps)
+    assert phases(m_sequence(polynomial)) == phases(theirs)

@@ -20,12 +20,6 @@ def test_defaults_are_the_papers_array_in_100_ms() -> None:
     assert len(LAYERS) == len(MULTIPLICITY) == 3
 
 
-def test_packet_length_counts_inverses() -> None:
-    settings = SignalSettings(header_pairs=3, data_pairs=7, pattern_period_s=0.5)
-    assert settings.packet_patterns == 20
-    assert settings.packet_s == 10
-
-
 @pytest.mark.parametrize(
     ("text", "rate"), [("1/3", 1 / 3), ("2/3", 2 / 3), ("0.5", 0.5), (0.333, 0.333), (0.9, 0.9), ("9/10", 0.9)]
 )

@@ -12,7 +12,7 @@ from scipy.stats import binom
 
 from heliograph.signal.code import Algorithm
 from heliograph.signal.turbo import QPP_SIZES, DecoderOptions, TurboCode
-from heliograph.signal.turbo.decoder import Stop, decode_blocks
+from heliograph.signal.turbo.code import Stop, decode_blocks
 from heliograph.signal.turbo.encoder import encode_constituent, encode_mother
 from heliograph.signal.turbo.qpp import interleaver
 

@@ -42,10 +42,9 @@ def film(
     """Simulate a film of arrays, given as patterns of (n, n) uint8 levels 0 to 4, from a moving vehicle."""
     if len(lights) != len(settings.arrays):
         raise SettingsError(f"expected a pattern stream per array: {len(settings.arrays)}, not {len(lights)}")
-    if settings.camera.exposure_s > pattern_period_s * (1 + EXPOSURE_SLACK):
-        raise SettingsError(
-            f"the exposure is at most T_b = {pattern_period_s:g} s, not {settings.camera.exposure_s:g} s"
-        )
+    camera = settings.camera
+    if camera.exposure_s > pattern_period_s * (1 + EXPOSURE_SLACK):
+        raise SettingsError(f"the exposure is at most T_b = {pattern_period_s:g} s, not {camera.exposure_s:g} s")
     if roi_margin_px is not None and roi_margin_px < 0:
         raise SettingsError(f"roi_margin_px is at least 0, not {roi_margin_px}")
     seeds = [int(s) for s in rng.integers(0, 2**63, 3)]

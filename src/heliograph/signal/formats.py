@@ -114,10 +114,8 @@ def check_mode(number: int, data_pairs: int) -> None:
     if mode >= len(MODES):
         raise UnreadableModeError(f"its mode, {mode}, is not known to this version")
     if not readable(data_pairs)[number]:
-        raise UnreadableModeError(
-            f"its mode, short, has {SHORT_PAIRS} data pairs, and signal.data_pairs is {data_pairs}: set it to "
-            f"{SHORT_PAIRS}"
-        )
+        pairs = f"{SHORT_PAIRS} data pairs, and signal.data_pairs is {data_pairs}"
+        raise UnreadableModeError(f"its mode, short, has {pairs}: set it to {SHORT_PAIRS}")
 
 
 def known_format(number: int, data_pairs: int) -> Format:

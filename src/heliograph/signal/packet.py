@@ -99,17 +99,12 @@ class PacketFormat:
 
     def __post_init__(self) -> None:
         if self.format != AGREED and (self.settings.header_pairs < 2 or self.settings.header == "all_on"):
-            raise SettingsError(
-                "a format is named by the second header pair: set signal.header_pairs to 2 or more and "
-                'signal.header to "m_sequence"'
-            )
+            cure = 'set signal.header_pairs to 2 or more and signal.header to "m_sequence"'
+            raise SettingsError(f"the second header pair signals a format: {cure}")
         if self.single and self.settings.modulation != "haar":
             raise SettingsError('the single mode is one of signal.modulation = "haar"')
         if self.format.mode == "short" and self.settings.data_pairs != SHORT_PAIRS:
-            raise SettingsError(
-                f"a packet of the short mode has {SHORT_PAIRS} data pairs, not {self.settings.data_pairs}: set "
-                f"signal.data_pairs to {SHORT_PAIRS}, or transmit another mode"
-            )
+            raise SettingsError(f"short mode needs signal.data_pairs = {SHORT_PAIRS}, not {self.settings.data_pairs}")
 
     @cached_property
     def layers(self) -> dict[str, LayerFormat]:
@@ -187,10 +182,8 @@ def _plan(name: str, count: int, quarter: int, pairs: int, rate: float, family: 
     except ValueError as error:
         raise SettingsError(f"{few} ({error})") from None
     if plan.codewords * plan.code.length != bits:
-        raise SettingsError(
-            f"{name} layer: {plan.codewords} codewords of {plan.code.length} bits do not fill {bits} bits; "
-            f"a code's plan must fill them exactly"
-        )
+        words = f"{plan.codewords} codewords of {plan.code.length} bits"
+        raise SettingsError(f"{name} layer: {words} do not fill {bits} bits; a code's plan must fill them exactly")
     if plan.code.k < MIN_BITS:
         raise SettingsError(few)
     return LayerFormat(name, count * plan.codewords, plan.code, pairs, count * quarter)

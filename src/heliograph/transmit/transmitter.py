@@ -198,9 +198,8 @@ class Transmitter:
 
 def _check_messages(messages: Any) -> None:
     if not isinstance(messages, Mapping):
-        raise SettingsError(
-            f'messages are lists of bytes by layer, such as {{"high": [b"..."]}}, not {shown(messages)}'
-        )
+        example = '{"high": [b"..."]}'
+        raise SettingsError(f"messages are lists of bytes by layer, such as {example}, not {shown(messages)}")
     for name, listed in messages.items():
         if name not in LAYERS:
             raise SettingsError(f"layers are {', '.join(LAYERS)}, not {name!s:.60}")
@@ -211,10 +210,7 @@ def _check_messages(messages: Any) -> None:
                 times = [time_s for time_s, _ in data.contents]
                 is_bytes = all(isinstance(content, bytes) for _, content in data.contents)
                 if not times or times != sorted(times) or not is_bytes:
-                    raise SettingsError(
-                        f"updates of the {name} layer are times in s, in order, each with bytes, at least one"
-                    )
+                    raise SettingsError(f"updates of the {name} layer are times in s, in order, each with bytes")
             elif not isinstance(data, (bytes, bytearray, memoryview, SentFile)):
-                raise SettingsError(
-                    f"a message of the {name} layer is bytes, not {type(data).__name__}; text.encode() makes them"
-                )
+                kind = type(data).__name__
+                raise SettingsError(f"a message of the {name} layer is bytes, not {kind}; text.encode() makes them")

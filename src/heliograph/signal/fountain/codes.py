@@ -81,9 +81,7 @@ def _package() -> Any:
     try:
         import raptorq
     except ImportError:
-        raise HeliographError(
-            "files sent by RaptorQ need the package raptorq: pip install 'heliograph[raptorq]'"
-        ) from None
+        raise HeliographError("RaptorQ needs the package raptorq: pip install 'heliograph[raptorq]'") from None
     return raptorq
 
 
