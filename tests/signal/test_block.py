@@ -10,7 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from heliograph.signal.block import MIN_BITS, Block, check, pack, payload_bytes, unpack
+from heliograph.signal.block import (
+    MIN_BITS,
+    AnyFileBlock,
+    Block,
+    FileBlock,
+    FileNotice,
+    check,
+    pack,
+    payload_bytes,
+    unpack,
+)
 from heliograph.signal.packet import whitening
 from heliograph.signal.settings import LAYERS
 from heliograph.signal.turbo import QPP_SIZES
@@ -69,6 +79,15 @@ def test_reserved_versions_and_layers_are_ignored(first: int) -> None:
     bits = np.unpackbits(np.frombuffer(body + zlib.crc32(body).to_bytes(4, "big"), dtype=np.uint8))
     assert check(bits)
     assert unpack(bits) is None
+
+
+def test_files_without_length_or_symbol_size_are_ignored() -> None:
+    blocks: list[AnyFileBlock] = [FileNotice("low", 0, 0, 0)]
+    blocks += [FileBlock("low", 0, 0, 0, length, size, 0, b"") for length, size in ((5, 0), (0, 4))]
+    for block in blocks:
+        bits = pack(block, 336)
+        assert check(bits)
+        assert unpack(bits) is None
 
 
 def test_payload_beyond_the_message_is_cut_off() -> None:
