@@ -17,7 +17,7 @@ from scipy.stats import beta
 
 from heliograph.signal.code import Algorithm
 from heliograph.signal.turbo import DecoderOptions, TurboCode
-from heliograph.signal.turbo.decoder import Stop
+from heliograph.signal.turbo.code import Stop
 from heliograph.signal.turbo.qpp import interleaver
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "oracles"))

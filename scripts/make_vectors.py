@@ -23,10 +23,9 @@ from heliograph.signal.fountain.cauchy import CauchyEncoder
 from heliograph.signal.fountain.files import FileCarousel, SentFile
 from heliograph.signal.header import IDENTITIES, header_cells, header_levels, identity, signalling_levels
 from heliograph.signal.m_sequence import m_sequence
-from heliograph.signal.packet import PacketFormat
+from heliograph.signal.packet import PacketFormat, whitening
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
 from heliograph.signal.turbo import TurboCode
-from heliograph.signal.whitening import whitening
 from heliograph.transmit import Transmitter
 
 FOLDER = Path(__file__).parents[1] / "docs" / "vectors"

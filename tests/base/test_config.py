@@ -102,10 +102,6 @@ def test_the_value_of_an_assignment_is_toml_or_bare_text(text: str, value: Any) 
     assert parse_assignment(f"a.b={text}") == {"a": {"b": value}}
 
 
-def test_a_fraction_may_be_written_as_one() -> None:
-    assert load_settings(assignments=["signal.rate.high=1/2"]).signal.rate.high == 0.5
-
-
 def test_toml_is_read_and_its_errors_are_settings_errors() -> None:
     assert parse_toml("[a]\nb = 1") == {"a": {"b": 1}}
     with pytest.raises(SettingsError, match=r"not valid TOML.*line 2"):

@@ -1,6 +1,6 @@
 """Round trips: merged, assigned and TOML settings keep their values."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
 
@@ -24,56 +24,25 @@ TREES = st.recursive(
 )
 
 
-def leaves(tree: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield path and value of each leaf; an empty mapping counts as a leaf."""
-    for key, value in tree.items():
-        if isinstance(value, Mapping) and value:
-            yield from leaves(value, (*path, key))
-        else:
-            yield (*path, key), value
-
-
-def at(tree: Any, path: tuple[str, ...]) -> Any:
-    """Return the value at a path, or None if the path does not exist."""
-    for key in path:
-        tree = tree.get(key) if isinstance(tree, Mapping) else None
-    return tree
-
-
-NESTED = st.recursive(LEAVES, lambda inner: st.dictionaries(KEYS, inner, max_size=4), max_leaves=12)
-MAPPINGS = st.dictionaries(KEYS, NESTED, max_size=4)
-"""Trees without lists; merging a mapping into a list changes list items by number."""
-
-
-@examples(200)
+@examples(60)
 @given(tree=TREES)
 @pytest.mark.slow
 def test_toml_and_back(tree: dict[str, Any]) -> None:
     assert parse_toml(to_toml(tree)) == tree
 
 
-@examples(150)
-@given(base=MAPPINGS, over=MAPPINGS)
-@pytest.mark.slow
-def test_what_is_laid_over_stands_and_the_rest_stays(base: dict[str, Any], over: dict[str, Any]) -> None:
-    # exclude lists: a mapping merged into a list changes list items
-    base = {k: v for k, v in base.items() if not any(isinstance(value, list) for _, value in leaves({k: v}))}
+def test_changes_replace_values_and_keep_the_rest() -> None:
+    base = {"a": 1, "b": {"c": 2, "d": {"e": 3}}, "f": [1, 2]}
+    over = {"a": {}, "b": {"c": [5], "d": {}}, "f": 4, "g": {"h": 6}}
     before = deepcopy((base, over))
     merged = merge(base, over)
+    assert merged == {"a": {}, "b": {"c": [5], "d": {"e": 3}}, "f": 4, "g": {"h": 6}}
     assert (base, over) == before
-    for path, value in leaves(over):
-        under = at(base, path)
-        # merging an empty mapping keeps an existing mapping
-        assert at(merged, path) == (under if value == {} and isinstance(under, Mapping) else value)
-    for path, value in leaves(base):
-        above = [at(over, path[: k + 1]) for k in range(len(path))]
-        if above[-1] is None and all(one is None or isinstance(one, Mapping) for one in above):
-            assert at(merged, path) == value
     assert merge(merged, over) == merged
-    assert merge(base, {}) == merge({}, base) == merge(base, base) == base
+    assert merge(base, {}) == merge({}, base) == base
 
 
-@examples(100)
+@examples(40)
 @given(
     items=st.lists(st.fixed_dictionaries({"a": st.integers(), "b": st.integers()}), min_size=1, max_size=4),
     changes=st.dictionaries(st.integers(0, 3), st.dictionaries(st.sampled_from("abc"), st.integers(), min_size=1)),
@@ -88,7 +57,7 @@ def test_a_mapping_laid_on_a_list_changes_items_by_number(
     assert merge(items, {str(len(items)): {"a": 1}}) == [*items, {"a": 1}]
 
 
-@examples(200)
+@examples(60)
 @given(path=st.lists(KEYS, min_size=1, max_size=4), value=LEAVES)
 @pytest.mark.slow
 def test_an_assignment_and_back(path: list[str], value: Any) -> None:
@@ -101,38 +70,19 @@ def test_an_assignment_and_back(path: list[str], value: Any) -> None:
     assert type(tree) is type(value)
 
 
-@examples(100)
-@given(text=TEXTS.filter(lambda t: t.strip() == t and "\n" not in t and "\r" not in t))
-def test_what_is_no_toml_is_bare_text(text: str) -> None:
-    found = parse_assignment(f"key=a {text}")["key"]
-    assert found == f"a {text}".strip()
+def optional(**values: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+    return st.fixed_dictionaries({}, optional=values)
 
 
-SETTINGS = st.fixed_dictionaries(
-    {},
-    optional={
-        "signal": st.fixed_dictionaries(
-            {}, optional={"side": st.sampled_from([4, 8, 16, 32]), "data_pairs": st.integers(1, 200)}
-        ),
-        "channel": st.fixed_dictionaries(
-            {},
-            optional={
-                "distance_m": st.floats(5, 300),
-                "arrays": st.lists(
-                    st.fixed_dictionaries({"x_m": st.floats(-3, 3), "start_s": st.floats(0, 0.1)}),
-                    min_size=1,
-                    max_size=1,
-                ),
-            },
-        ),
-        "receive": st.fixed_dictionaries(
-            {}, optional={"receiver": st.sampled_from(["plain", "soft"]), "detect": st.just({"candidates": 3})}
-        ),
-    },
+ARRAY = st.fixed_dictionaries({"x_m": st.floats(-3, 3), "start_s": st.floats(0, 0.1)})
+SETTINGS = optional(
+    signal=optional(side=st.sampled_from([4, 8, 16, 32]), data_pairs=st.integers(1, 200)),
+    channel=optional(distance_m=st.floats(5, 300), arrays=st.lists(ARRAY, min_size=1, max_size=1)),
+    receive=optional(receiver=st.sampled_from(["plain", "soft"]), detect=st.just({"candidates": 3})),
 )
 
 
-@examples(60)
+@examples(20)
 @given(over=SETTINGS)
 @pytest.mark.slow
 def test_settings_of_the_link_and_back(over: dict[str, Any]) -> None:

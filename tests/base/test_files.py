@@ -1,12 +1,13 @@
-"""Atomic file creation."""
+"""Atomic file creation, and printable names."""
 
 import errno
 import os
+import pickle
 from pathlib import Path
 
 import pytest
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import HeliographError, MediaError, printable
 from heliograph.base.files import clear_write_errors, whole_file, write_whole
 
 
@@ -75,3 +76,31 @@ def test_a_name_that_is_too_long_is_refused_before_anything_is_written(tmp_path:
         begun = True
     assert not begun
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("drive 2.h5", "drive 2.h5"),
+        ("試験-سلام-\N{GRINNING FACE}", "試験-سلام-\N{GRINNING FACE}"),
+        ("می\u200cخواهم \N{WOMAN}\u200d\N{MICROSCOPE}\u3000", "می\u200cخواهم \N{WOMAN}\u200d\N{MICROSCOPE}\u3000"),
+        ("caf\udce9.h5", r"caf\xe9.h5"),
+        ("a\nb\tc\rd", r"a\nb\tc\rd"),
+        ("\x1b[31mred\x7f", r"\x1b[31mred\x7f"),
+        ("a\u2028b\u0085c", r"a\u2028b\x85c"),
+        ("\u202egpj.exe", r"\u202egpj.exe"),
+        ("\ud800", r"\ud800"),
+        (r"C:\new\table", r"C:\new\table"),
+    ],
+)
+def test_what_a_terminal_cannot_show_is_escaped(text: str, shown: str) -> None:
+    assert printable(text) == shown
+    assert printable(shown) == shown
+    shown.encode()
+
+
+@pytest.mark.parametrize("kind", [HeliographError, MediaError])
+def test_a_message_is_one_line_whatever_it_names(kind: type[HeliographError]) -> None:
+    error = kind("cannot read caf\udce9\n\x1b[2J.h5")
+    assert str(error) == r"cannot read caf\xe9\n\x1b[2J.h5"
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)

@@ -17,11 +17,9 @@ from heliograph.link.settings import LinkSettings, load_settings
 TEXTS = {
     "a = " + "[" * 50_000: "more than 32 deep",
     "a = " + "[" * 200 + "]" * 200: "more than 32 deep",
-    ".".join("a" * 5000) + " = 1": "more than 32 deep",
     ".".join("a" * 50_000) + " = 1": "more than 32 deep",
     "v.w = {x = 'a.b', " + " . ".join(["'a.b'"] * 40_000) + " = 1}": "more than 32 deep",
     "a = " + "1" * 5000: "more than 64 bits",
-    "a = 0x" + "f" * 5000: "more than 64 bits",
     "a = 9223372036854775808": "more than 64 bits",
     "a = -9223372036854775809": "more than 64 bits",
 }
@@ -52,22 +50,12 @@ def test_dots_that_part_no_key(quotes: str) -> None:
 VALUES = {
     "channel.duration_s=1e308": "3600",
     "channel.camera.pixel_m=1e-300": "0.0000001",
-    "channel.camera.focal_m=1e30": "10",
     "channel.camera.start_s=-1e9": "-60",
-    "channel.arrays.0.start_s=-1e9": "-60",
-    "channel.arrays.0.x_m=1e300": "10000",
     "channel.arrays.0.vx_m_s=1e300": "1000",
-    "channel.arrays.0.brightness=1e300": "100",
-    "channel.emitter.half_angle_deg=1e-9": "0.1",
-    "channel.emitter.pitch_m=1e300": "10",
-    "channel.sensor.offset_dn=1e300": "4095",
     "channel.distance_m=1e300": "10000",
     "channel.camera.fps=1e-300": "0.1",
-    "channel.camera.jitter_s=1e300": "10",
     "channel.speed_profile=[[0, 1e300]]": "60",
-    "channel.imu_start_s=1e300": "1000000",
     "receive.calibration.pixel_m=1e-300": "0.0000001",
-    "receive.track.acceleration_px=1e300": "1000",
     "receive.track.coast_patterns=1e300": "1000000",
 }
 
@@ -109,9 +97,8 @@ def test_numbers_of_numpy_are_numbers() -> None:
 
 def test_an_array_behind_the_camera() -> None:
     behind = "channel.arrays.0.z_offset_m=-60"
-    with pytest.raises(
-        SettingsError, match=r"array 0 lies 10 m behind the camera.*raise channel\.arrays\.0\.z_offset_m"
-    ):
+    message = r"array 0 lies 10 m behind the camera.*raise channel\.arrays\.0\.z_offset_m"
+    with pytest.raises(SettingsError, match=message):
         load_settings("static", None, [behind])
     load_settings("static", None, [behind, "channel.arrays.0.vz_m_s=20"])  # the array overtakes the camera
 
@@ -157,7 +144,6 @@ def test_patterns_that_no_frame_shows(change: str) -> None:
         ("channel.arrays.0.x", r"did you mean 'channel\.arrays\.0\.x_m'"),
         ("k" * 100_000, "known are"),
         ("receive.decode.beside", r"it is called 'receive\.decode\.in_background' now"),
-        ("receive.detect.busy_part", r"it is called 'receive\.detect\.cpu_share' now"),
         ("receive.own", r"it is called 'receive\.custom' now"),
     ],
     ids=lambda text: text[:20],

@@ -18,9 +18,11 @@ def run(code: str) -> str:
     return out.stdout.strip()
 
 
+@pytest.mark.slow
 def test_package_and_command_import_no_heavy_library() -> None:
     code = f"print([m for m in {HEAVY} if m in sys.modules])"
-    assert run(f"import sys, heliograph; {code}\nimport heliograph.cli.main; {code}") == "[]\n[]"
+    imports = f"import sys, heliograph; {code}\nimport heliograph.cli.main; {code}"
+    assert run(f"{imports}\nimport heliograph.signal.turbo; print('numba' in sys.modules)") == "[]\n[]\nFalse"
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """Invalid arguments of public functions raise a one-line HeliographError at the call."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 
 import heliograph as h
-from heliograph.channel.settings import CameraSettings
 
 SIGNAL = h.SignalSettings()
 LINK = h.LinkSettings()
@@ -31,7 +29,6 @@ def opened(path: Path, rate_hz: Any) -> None:
 Anything: Any = h
 DOORS: dict[str, tuple[Callable[[Path], object], str]] = {
     "receive no signal": (lambda _: Anything.receive_frames([], None), "SignalSettings, not NoneType"),
-    "receive a mapping": (lambda _: Anything.receive_frames([], {}), "SignalSettings, not dict"),
     "receive a link": (lambda _: Anything.receive_frames([], LINK), "those of a link are .signal"),
     "receive by name": (lambda _: Anything.receive_frames([], SIGNAL, "soft"), "ReceiveSettings, not 'soft'"),
     "receive as a link": (lambda _: Anything.receive_frames([], SIGNAL, LINK), "those of a link are .receive"),
@@ -45,14 +42,12 @@ DOORS: dict[str, tuple[Callable[[Path], object], str]] = {
     "a camera of no name": (lambda _: Anything.open_film("camera:"), "a camera is camera:KIND or camera:KIND:ADDRESS"),
     "a camera's wish": (lambda _: Anything.open_film("camera:aravis", camera={"gain": "x"}), "setting 'gain'"),
     "a wish of text": (lambda _: Anything.open_film("a.h5", camera="gain=3"), "settings of a camera are by name"),
-    "a wish of nothing": (lambda _: Anything.open_film("a.h5", camera=None), "settings of a camera are by name"),
     "a code of a number": (lambda _: Anything.register_code("mine", 3), "a function or a class, not by 3"),
     "open at no end": (lambda path: opened(path, 10**400), "1e-06 to 1e+06 frames/s, not"),
     "write an array": (lambda path: written(path, np.zeros((8, 8), np.uint8)), "heliograph.Frame, not ndarray"),
     "write nothing": (lambda path: written(path, None), "write Frame(index, time_s, pixels, bits)"),
     "metadata": (lambda path: created(path, metadata="x"), "metadata of a film is texts by name, got 'x'"),
     "a width of text": (lambda path: created(path, width="64"), "width of a film is a whole number, got '64'"),
-    "half a column": (lambda path: created(path, width=64.5), "width of a film is a whole number, got 64.5"),
     "bits": (lambda path: created(path, bits=None), "bits of a film is a whole number, got NoneType"),
     "a rate of text": (lambda path: created(path, rate_hz="fast"), "rate_hz of a film is a number, got 'fast'"),
     "a rate of digits": (lambda path: created(path, rate_hz=10**5000), "got a number of thousands of digits"),
@@ -66,10 +61,7 @@ DOORS: dict[str, tuple[Callable[[Path], object], str]] = {
     "a light": (lambda _: Anything.LightSettings(candela=-1), "setting 'candela': input should be greater than"),
     "vary text": (lambda _: Anything.sweep("channel.distance_m=3"), "such as {"),
     "vary numbers": (lambda _: Anything.sweep({1: [2]}), "a key is text, such as 'channel.distance_m', not 1"),
-    "vary nothing": (lambda _: Anything.sweep(None), "a sweep varies lists, such as"),
     "set a number": (lambda _: Anything.sweep({}, set=3), "changes are values by key"),
-    "set numbers": (lambda _: Anything.sweep({}, set=[3]), "an assignment is text"),
-    "set by numbers": (lambda _: Anything.sweep({}, set={1: 3}), "a key is text"),
     "as many as x": (lambda _: Anything.sweep({}, max_codewords="x"), "'max_codewords': input should be"),
     "as long as x": (lambda _: Anything.sweep({}, max_seconds="x"), "'max_seconds': input should be a valid number"),
     "workers of text": (lambda _: Anything.sweep({}, workers="2"), "workers are a whole number"),
@@ -78,7 +70,6 @@ DOORS: dict[str, tuple[Callable[[Path], object], str]] = {
     "load no preset": (lambda _: Anything.load_settings(None), "a preset is one of paper, "),
     "load text": (lambda _: Anything.load_settings("paper", "signal.side=8"), "changes are nested mappings"),
     "load letters": (lambda _: Anything.load_settings("paper", None, "signal.side=8"), "assignments are a list"),
-    "load by numbers": (lambda _: Anything.load_settings("paper", {1: 2}), "keys should be strings"),
     "load items": (
         lambda _: Anything.load_settings("paper", {"channel": {"arrays": {7: {}}}}), "'7' is not an item of a list of 1"
     ),
@@ -88,13 +79,7 @@ DOORS: dict[str, tuple[Callable[[Path], object], str]] = {
     "load no parts": (lambda _: Anything.load_parts(None), "the path of a Python file, not NoneType"),
     "simulate an array": (lambda _: Anything.simulate(np.zeros((3, 3)), [], 0), "load_settings(...), not ndarray"),
     "a side": (lambda _: Anything.SignalSettings(side=5), "setting 'side': input should be a multiple of 4, not 5"),
-    "a side replaced": (lambda _: replace(SIGNAL, side=5), "setting 'side': input should be a multiple of 4, not 5"),
-    "a key": (lambda _: Anything.SignalSettings(foo=1), "unknown setting 'foo'; known are code, "),
-    "a near key": (lambda _: Anything.SignalSettings(sides=8), "did you mean 'side'?"),
     "no key": (lambda _: Anything.SignalSettings(8), "settings are given by name, such as side=..., not 8 alone"),
-    "a part of a link": (lambda _: Anything.LinkSettings(signal=3), "an instance of SignalSettings, not 3"),
-    "an order": (lambda _: Anything.SignalSettings(slot_order=(1, 2)), "a permutation of 0 to 3, not [1, 2]"),
-    "a camera": (lambda _: CameraSettings(fps=-1), "setting 'fps': input should be greater than"),
 }  # fmt: skip
 
 

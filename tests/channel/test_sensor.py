@@ -52,7 +52,7 @@ def test_kernel_is_its_reference() -> None:
     assert (got != gray).mean() < 1e-4  # float32 rounding at gray level boundaries
 
 
-@pytest.mark.parametrize("bits", [8, 10, 12])
+@pytest.mark.parametrize("bits", [8, 12])
 def test_photon_transfer_slope_is_the_gain(bits: int) -> None:
     sensor = SensorSettings(bits=bits)
     levels = np.linspace(0.05, 0.9, 8)
@@ -79,7 +79,7 @@ def test_tails_are_those_of_a_normal_variable() -> None:
     sensor = SensorSettings(full_well_e=1e6, dark_noise_e=0, bits=12, offset_dn=0)
     mean = 0.5e6
     gain = sensor.gain_dn_per_e
-    z = np.concatenate([normals(11, k, (512, 1024)).ravel() for k in range(8)])
+    z = np.concatenate([normals(11, k, (512, 1024)).ravel() for k in range(4)])
     count = z.size
     assert stats.kurtosis(z) == pytest.approx(0, abs=5 * np.sqrt(24 / count))
     assert z.std() == pytest.approx(1, abs=5 / np.sqrt(2 * count))
@@ -90,12 +90,12 @@ def test_tails_are_those_of_a_normal_variable() -> None:
     assert gray.std() == pytest.approx(np.sqrt(gain**2 * mean + 1 / 12), rel=0.01)
 
 
-@pytest.mark.parametrize(("column", "row", "frame"), [(1, 0, 0), (2, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1)])
-def test_neighbours_in_space_and_time_are_independent(column: int, row: int, frame: int) -> None:
+def test_neighbours_in_space_and_time_are_independent() -> None:
     z = np.stack([normals(4, k, (400, 600)) for k in range(3)])
-    a, b = z[frame:, row:, column:], z[: 3 - frame, : 400 - row, : 600 - column]
-    assert abs((a * b).mean()) < 5 / np.sqrt(a.size)
-    assert abs(((a**2 - 1) * (b**2 - 1)).mean() / 2) < 5 / np.sqrt(a.size)
+    for column, row, frame in ((1, 0, 0), (2, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1)):
+        a, b = z[frame:, row:, column:], z[: 3 - frame, : 400 - row, : 600 - column]
+        assert abs((a * b).mean()) < 5 / np.sqrt(a.size)
+        assert abs(((a**2 - 1) * (b**2 - 1)).mean() / 2) < 5 / np.sqrt(a.size)
 
 
 @pytest.mark.parametrize("mean", [0.3, 3.0, 12.0, 30.0])
@@ -118,11 +118,8 @@ def test_dark_noise_is_cut_at_black_and_kept_above_an_offset() -> None:
     assert gray.std() == pytest.approx(np.sqrt(0.68**2 + 1 / 12), rel=0.02)
 
 
-def test_bright_light_saturates() -> None:
+def test_bright_light_saturates_and_wrong_types_are_refused() -> None:
     assert (read_out(flat(1.2), SensorSettings(), 1, 0) == 255).all()
     assert (read_out(flat(1e9), SensorSettings(bits=12), 1, 0) == 4095).all()
-
-
-def test_malformed_light_is_refused() -> None:
     with pytest.raises(ValueError, match=r"light is \(h, w\) float32, not \(4, 4\) float64"):
         read_out(np.zeros((4, 4)), SensorSettings(), 1, 0)  # type: ignore[arg-type]

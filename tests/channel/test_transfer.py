@@ -1,16 +1,13 @@
 """Frame loss, repetition and late timestamps between camera and receiver."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from heliograph.base.config import from_mapping
-from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
+from heliograph.channel.camera import Transfer
 from heliograph.channel.settings import CameraSettings
-from heliograph.channel.transfer import Transfer
 
 
 def frames(count: int, fps: float = 1000.0) -> list[Frame]:
@@ -29,9 +26,9 @@ def test_nothing_happens_unless_asked_for() -> None:
 
 
 def test_dropped_frames_leave_gaps() -> None:
-    out = deliver(CameraSettings(dropped=0.1), 5000)
+    out = deliver(CameraSettings(dropped=0.1), 2000)
     # five standard deviations at loss probability 0.1
-    assert len(out) / 5000 == pytest.approx(0.9, abs=5 * np.sqrt(0.09 / 5000))
+    assert len(out) / 2000 == pytest.approx(0.9, abs=5 * np.sqrt(0.09 / 2000))
     assert all(f.pixels[0, 0] == f.index % 251 and f.time_s == f.index / 1000 for f in out)
 
 
@@ -42,9 +39,9 @@ def test_a_camera_that_numbers_what_it_delivers_leaves_no_gap() -> None:
 
 
 def test_a_repeated_frame_is_the_one_delivered_before() -> None:
-    out = deliver(CameraSettings(repeated=0.1, dropped=0.05), 5000)
+    out = deliver(CameraSettings(repeated=0.1, dropped=0.05), 2000)
     copies = [(a, b) for a, b in pairwise(out) if np.array_equal(a.pixels, b.pixels)]
-    assert len(copies) / 5000 == pytest.approx(0.1, abs=0.02)
+    assert len(copies) / 2000 == pytest.approx(0.1, abs=0.02)
     # repeated frames keep new timestamps and the source window
     assert all(b.time_s == b.index / 1000 and a.origin == b.origin for a, b in copies)
 
@@ -64,15 +61,3 @@ def test_accidents_depend_on_seed_and_frame_alone() -> None:
     part = [out for f in frames(300)[200:] if (out := late(f)) is not None]
     assert all(whole[f.index] == f.time_s for f in part)
     assert whole != {f.index: f.time_s for f in deliver(camera, 300, seed=2)}
-
-
-@pytest.mark.parametrize("bad", [{"dropped": 1.0}, {"repeated": -0.1}, {"jitter_s": -1e-6}])
-def test_settings_are_checked(bad: dict[str, float]) -> None:
-    with pytest.raises(SettingsError, match=next(iter(bad))):
-        from_mapping(CameraSettings, bad)
-
-
-def test_more_accidents_than_frames_are_refused() -> None:
-    with pytest.raises(SettingsError, match="below 1 together"):
-        from_mapping(CameraSettings, {"dropped": 0.6, "repeated": 0.5})
-    assert replace(CameraSettings(), dropped=0.5, repeated=0.4).dropped == 0.5

@@ -1,62 +1,29 @@
-"""Headers: half lit, orthogonal, low cross-correlation at every shift."""
+"""M-sequences against SciPy, and headers: half lit, orthogonal, low cross-correlation at every shift."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import max_len_seq
 from scipy.special import erf
 
 from heliograph.experiments.detection.header_separation import separation, tables
-from heliograph.signal.header import (
-    CHIPS,
-    IDENTITIES,
-    all_header_cells,
-    all_on_levels,
-    header_cells,
-    header_levels,
-    identity,
-)
-from heliograph.signal.m_sequence import HEADER_POLYNOMIALS
+from heliograph.signal.header import CHIPS, IDENTITIES, all_header_cells, header_cells, header_levels
+from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence, periodic_correlation
 from heliograph.signal.pwm import invert
 
 ROOT = Path(__file__).parents[2]
 
 
-def half_cells(number: int) -> NDArray[np.int64]:
-    """Return an identity's header in half cells, padded with dark cells (0)."""
-    return np.pad(np.kron(header_cells(number).astype(np.int64), np.ones((2, 2), np.int64)), 8)
-
-
-def correlations(a: int, b: int) -> NDArray[np.float64]:
-    """Return correlations for shifts -7 to 7 half cells down and right; 1 for equal headers at shift 0."""
-    still, moved = half_cells(a), half_cells(b)
-    shifts = range(-7, 8)
-    return np.array([[np.sum(still * np.roll(moved, (s, t), (0, 1))) / 64 for t in shifts] for s in shifts])
-
-
-@pytest.mark.parametrize("number", range(IDENTITIES))
 @pytest.mark.parametrize("side", [4, 16, 20])
-def test_half_of_the_array_is_lit(number: int, side: int) -> None:
-    levels = header_levels(number, side)
-    assert levels.shape == (side, side)
-    assert set(np.unique(levels)) == {0, 4}
-    assert levels.mean() == invert(levels).mean() == 2
-    cells = levels.reshape(4, side // 4, 4, side // 4)
-    assert np.all(cells == cells[:, :1, :, :1])
-    assert np.array_equal(np.where(cells[:, 0, :, 0] > 0, 1, -1), header_cells(number))
-
-
-def test_identity_numbers() -> None:
-    assert IDENTITIES == 30
+def test_half_of_the_array_is_lit(side: int) -> None:
     for number in range(IDENTITIES):
-        assert identity(number) == (HEADER_POLYNOMIALS[number // 15], number % 15)
-
-
-def test_chips_run_to_and_fro() -> None:
-    # x^4 + x^3 + 1 from 1000: the paper's sequence, arranged by hand
-    assert (header_cells(0) > 0).astype(int).tolist() == [[1, 0, 0, 0], [1, 1, 1, 1], [0, 1, 0, 1], [0, 0, 0, 1]]
-    assert all(header_cells(number)[3, 0] == -1 for number in range(IDENTITIES))
+        levels = header_levels(number, side)
+        assert levels.mean() == invert(levels).mean() == 2
+        cells = levels.reshape(4, side // 4, 4, side // 4)
+        assert np.all(cells == cells[:, :1, :, :1])
+        assert np.array_equal(2 * header_cells(number) + 2, cells[:, 0, :, 0])
 
 
 def test_identities_of_a_polynomial_are_orthogonal() -> None:
@@ -68,14 +35,16 @@ def test_identities_of_a_polynomial_are_orthogonal() -> None:
     assert np.abs(gram[:CHIPS, CHIPS:]).max() <= 8
 
 
-@pytest.mark.slow
 def test_identities_stay_apart_at_every_shift() -> None:
-    for a in range(IDENTITIES):
-        for b in range(a, IDENTITIES):
-            found = np.abs(correlations(a, b))
-            if a == b:
-                assert found[7, 7] == 1
-                found[7, 7] = 0
+    """Shift headers by up to 7 half cells down and right; the background has no light."""
+    still = np.pad(np.kron(all_header_cells().astype(np.int64), np.ones((1, 2, 2), np.int64)), ((0, 0), (8, 8), (8, 8)))
+    for down in range(-7, 8):
+        for right in range(-7, 8):
+            moved = np.roll(still, (down, right), (1, 2)).reshape(IDENTITIES, -1)
+            found = np.abs(still.reshape(IDENTITIES, -1) @ moved.T) / 64
+            if not down and not right:
+                assert np.all(np.diag(found) == 1)
+                np.fill_diagonal(found, 0)
             assert found.max() <= 0.625
 
 
@@ -105,17 +74,37 @@ def test_separation_under_the_blur() -> None:
     assert apart / np.sqrt(2) / 0.006 == pytest.approx(695, abs=1)
 
 
-@pytest.mark.parametrize("number", [-1, 30])
-def test_unknown_identity(number: int) -> None:
-    with pytest.raises(ValueError, match="identity is 0 to 29"):
-        header_levels(number)
+# primitive polynomials: Peterson and Weldon, Error-Correcting Codes, appendix C (octal)
+PRIMITIVE = [0o7, 0o13, 0o23, 0o45, 0o103, 0o211, 0o435]
 
 
-def test_side_is_a_multiple_of_four() -> None:
-    with pytest.raises(ValueError, match="multiple of 4"):
-        header_levels(0, 18)
+def phases(chips: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> set[bytes]:
+    return {np.roll(chips, s).astype(np.uint8).tobytes() for s in range(len(chips))}
 
 
-def test_all_on_header_is_all_light_then_none() -> None:
-    assert np.array_equal(all_on_levels(8), np.full((8, 8), 4))
-    assert not invert(all_on_levels(8)).any()
+def test_header_polynomials_are_the_papers_and_its_reciprocal() -> None:
+    assert HEADER_POLYNOMIALS == (0b11001, 0b10011)
+    forward, backward = (m_sequence(p) for p in HEADER_POLYNOMIALS)
+    assert phases(forward[::-1]) == phases(backward)
+    assert not phases(forward) & phases(backward)
+
+
+@pytest.mark.parametrize("polynomial", HEADER_POLYNOMIALS)
+def test_autocorrelation_of_every_phase(polynomial: int) -> None:
+    seen = set()
+    for state in range(1, 16):
+        chips = m_sequence(polynomial, state)
+        assert [int(chips[k]) for k in range(4)] == [state >> k & 1 for k in range(4)]
+        assert periodic_correlation(chips, chips).tolist() == [15] + [-1] * 14
+        assert chips.sum() == 8
+        seen.add(chips.tobytes())
+    # each nonzero state selects a distinct phase
+    assert seen == phases(m_sequence(polynomial))
+
+
+@pytest.mark.parametrize("polynomial", [*HEADER_POLYNOMIALS, *PRIMITIVE])
+def test_same_as_scipy(polynomial: int) -> None:
+    m = polynomial.bit_length() - 1
+    taps = [i for i in range(1, m) if polynomial >> i & 1]
+    theirs, _ = max_len_seq(m, taps=taps)
+    assert phases(m_sequence(polynomial)) == phases(theirs)

@@ -5,32 +5,25 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 
-from heliograph.base.errors import SettingsError
-from heliograph.signal.block import AnyBlock, Block, pack, unpack
-from heliograph.signal.header import header_levels
-from heliograph.signal.packet import LayerFormat, PacketFormat, with_inverses
+from heliograph.signal.block import AnyBlock, Block, unpack
+from heliograph.signal.packet import LayerFormat, PacketFormat
 from heliograph.signal.pwm import waveform
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
-from heliograph.signal.turbo import QPP_SIZES, TurboCode
+from heliograph.signal.turbo import QPP_SIZES
 
 Bits = NDArray[np.uint8]
 
 
 def make(
-    side: int = 16,
-    pairs: int = 48,
-    rate: float = 1 / 3,
-    modulation: Literal["haar", "ook"] = "haar",
-    header_pairs: int = 2,
+    side: int = 16, pairs: int = 48, rate: float = 1 / 3, modulation: Literal["haar", "ook"] = "haar"
 ) -> PacketFormat:
     rates = RateSettings(high=rate, middle=rate, low=rate)
-    return PacketFormat(
-        SignalSettings(side=side, data_pairs=pairs, rate=rates, modulation=modulation, header_pairs=header_pairs)
-    )
+    return PacketFormat(SignalSettings(side=side, data_pairs=pairs, rate=rates, modulation=modulation))
 
 
 def random_blocks(form: PacketFormat, identity: int, seed: int = 1) -> dict[str, list[Block]]:
@@ -58,7 +51,7 @@ CASES = [(4, 78, 1 / 3), (4, 117, 0.5), (8, 21, 1 / 3), (8, 33, 0.75), (16, 48, 
 
 
 @pytest.mark.parametrize(("side", "pairs", "rate"), CASES)
-def test_patterns_give_the_blocks_back(side: int, pairs: int, rate: float) -> None:
+def test_patterns_give_the_blocks_back_and_pairs_have_constant_light(side: int, pairs: int, rate: float) -> None:
     form = make(side, pairs, rate)
     blocks = random_blocks(form, 7)
     patterns = form.patterns(7, blocks)
@@ -68,6 +61,9 @@ def test_patterns_give_the_blocks_back(side: int, pairs: int, rate: float) -> No
     assert read(form, patterns) == blocks
     # gain invariance
     assert read(form, patterns, 0.3) == blocks
+    assert np.all(patterns[0::2] + patterns[1::2] == 4)
+    # constant flux in every pair, header and data
+    assert np.allclose(waveform(patterns).reshape(-1, 8).sum(1), 4)
 
 
 def test_on_off_keying_gives_the_blocks_back() -> None:
@@ -78,51 +74,8 @@ def test_on_off_keying_gives_the_blocks_back() -> None:
     assert read(form, patterns) == blocks
 
 
-def test_blocks_of_an_other_packet_do_not_come_out() -> None:
-    form = make(8, 21)
-    assert read(form, form.patterns(7, random_blocks(form, 7, 1))) != random_blocks(form, 7, 2)
-
-
-def test_header_then_data_then_inverses() -> None:
-    form = make(8, 21, header_pairs=3)
-    blocks = random_blocks(form, 4)
-    patterns = form.patterns(4, blocks)
-    assert np.array_equal(patterns[0:6:2], [header_levels(4, 8)] * 3)
-    assert np.array_equal(patterns[6::2], form.data_patterns(blocks))
-
-
-@pytest.mark.parametrize(("side", "pairs", "rate"), CASES)
-def test_each_pair_sums_to_all_on(side: int, pairs: int, rate: float) -> None:
-    form = make(side, pairs, rate)
-    patterns = form.patterns(3, random_blocks(form, 3))
-    assert np.all(patterns[0::2] + patterns[1::2] == 4)
-    # constant flux in every pair, header and data
-    flux = waveform(patterns).reshape(-1, 8).sum(1)
-    assert np.allclose(flux, 4)
-
-
-@given(st.integers(1, 9), st.integers(0, 2**32 - 1))
-def test_inverses_follow(count: int, seed: int) -> None:
-    patterns = np.random.default_rng(seed).integers(0, 5, (count, 4, 4)).astype(np.uint8)
-    both = with_inverses(patterns)
-    assert np.array_equal(both[0::2], patterns)
-    assert np.array_equal(both[1::2], 4 - patterns)
-
-
-@pytest.mark.parametrize(("side", "pairs", "rate"), CASES)
-def test_interleaver_is_a_bijection(side: int, pairs: int, rate: float) -> None:
-    for layer in make(side, pairs, rate).layers.values():
-        size = layer.codewords * layer.code.length
-        assert size == layer.pairs * layer.symbols
-        assert np.array_equal(np.sort(layer.places), np.arange(size))
-        coded = np.random.default_rng(1).integers(0, 2, (layer.codewords, layer.code.length), dtype=np.uint8)
-        soft = 1.0 - 2.0 * layer.interleave(coded ^ layer.chips).astype(np.float64)
-        assert np.array_equal(layer.deinterleave(soft), 1.0 - 2.0 * coded)
-
-
-@settings(deadline=None)
+@examples(30)
 @given(st.sampled_from([4, 8, 12, 16, 20, 24, 32, 44, 48, 64]), st.integers(1, 200))
-@pytest.mark.slow
 def test_interleaver_is_a_bijection_for_any_size(side: int, pairs: int) -> None:
     code = make().layers["high"].code
     for quarters in (1, 2):
@@ -130,6 +83,7 @@ def test_interleaver_is_a_bijection_for_any_size(side: int, pairs: int) -> None:
         assert np.array_equal(np.sort(places), np.arange(pairs * quarters * (side // 2) ** 2))
 
 
+@examples(40)
 @given(st.sampled_from([4, 8, 16]), st.integers(1, 5), st.integers(0, 2**32 - 1))
 def test_split_undoes_join(side: int, pairs: int, seed: int) -> None:
     form = make(side)
@@ -157,38 +111,6 @@ def test_layers_are_where_blur_leaves_them(modulation: Literal["haar", "ook"]) -
     assert found["low"] != blocks["low"]
 
 
-def systematic(layer: LayerFormat, codeword: int) -> Bits:
-    """Return marks (pairs, symbols): 1 for systematic bits in the codeword."""
-    marks = np.zeros((layer.codewords, layer.code.length), np.uint8)
-    assert isinstance(layer.code, TurboCode)
-    positions = layer.code.positions
-    marks[codeword] = (positions % 3 == 0) & (positions < 3 * layer.code.k)
-    return layer.interleave(marks)
-
-
-@pytest.mark.parametrize(("name", "codeword"), [("high", 0), ("middle", 0), ("middle", 1), ("low", 0)])
-def test_every_part_of_the_array_holds_its_share(name: str, codeword: int) -> None:
-    layer = make().layers[name]
-    marks = systematic(layer, codeword).reshape(48, -1, 8, 8).astype(int)
-    total = marks.sum()
-    quarters = marks.reshape(48, -1, 2, 4, 2, 4).sum((0, 3, 5)).ravel()
-    rows, columns = marks.sum((0, 3)).ravel(), marks.sum((0, 2)).ravel()
-    assert np.all(np.abs(quarters / total * len(quarters) - 1) < 0.1)
-    assert np.all(np.abs(rows / total * len(rows) - 1) < 0.15)
-    assert np.all(np.abs(columns / total * len(columns) - 1) < 0.15)
-
-
-@pytest.mark.parametrize("lost", [1, 4, 12])
-@pytest.mark.parametrize("name", LAYERS)
-def test_a_burst_of_lost_pairs_takes_its_share(name: str, lost: int) -> None:
-    layer = make().layers[name]
-    for codeword in range(layer.codewords):
-        by_pair = systematic(layer, codeword).sum(1).astype(int)
-        for start in range(48):
-            taken = by_pair[np.arange(start, start + lost) % 48].sum()
-            assert abs(taken / by_pair.sum() * 48 / lost - 1) < 0.06
-
-
 def test_a_lost_quarter_of_the_array_or_of_the_packet_is_decoded() -> None:
     """Rate 1/3 tolerates the loss of any quarter."""
     form = make()
@@ -203,8 +125,8 @@ def test_a_lost_quarter_of_the_array_or_of_the_packet_is_decoded() -> None:
             assert np.array_equal(layer.code.decode(4 * layer.deinterleave(kept)).bits, info), name
 
 
-@pytest.mark.parametrize("rate", [1 / 3, 0.4, 0.5, 0.6, 2 / 3, 0.75, 0.8, 0.9])
-@pytest.mark.parametrize(("side", "pairs"), [(8, 48), (8, 77), (16, 16), (16, 48), (32, 48), (64, 101)])
+@pytest.mark.parametrize("rate", [1 / 3, 0.5, 0.75, 0.9])
+@pytest.mark.parametrize(("side", "pairs"), [(8, 77), (16, 48), (64, 101)])
 def test_codewords_fill_the_packet_at_about_the_rate(side: int, pairs: int, rate: float) -> None:
     layers = make(side, pairs, rate).layers
     quarter = (side // 2) ** 2 * pairs
@@ -234,37 +156,12 @@ def test_layers_may_differ_in_rate() -> None:
     assert read(form, form.patterns(1, blocks)) == blocks
 
 
-@pytest.mark.parametrize("pairs", [16, 31, 44, 51, 104])
-@pytest.mark.parametrize("side", [4, 8, 16])
-def test_highest_rate_never_exceeds_what_the_code_allows(side: int, pairs: int) -> None:
-    """If the nearest size exceeds rate 9/10, the next smaller size applies."""
-    try:
-        layers = make(side, pairs, 0.9).layers
-    except SettingsError as error:
-        assert "raise signal.data_pairs" in str(error)  # noqa: PT017  # too few bits for a block
-        assert side**2 // 4 * pairs < 116
-    else:
-        assert layers["high"].code.k / layers["high"].code.length <= 0.9
-
-
 def test_whitening_is_in_the_light() -> None:
     """Nearly empty idle blocks light half the LEDs: levels follow 1 4 6 4 1."""
     form = make()
     idle = {name: [Block(name, 0, 0, 0, 0, b"")] * layer.codewords for name, layer in form.layers.items()}
     shares = np.bincount(form.data_patterns(idle).ravel(), minlength=5) / (48 * 256)
     assert np.allclose(shares, np.array([1, 4, 6, 4, 1]) / 16, atol=0.02)
-
-
-def test_encode_is_pack_code_whiten_place() -> None:
-    layer = make().layers["middle"]
-    blocks = random_blocks(make(), 5)["middle"]
-    symbols = layer.encode(blocks)
-    assert symbols.shape == (48, 128)
-    coded = np.stack([layer.code.encode(pack(block, layer.code.k)) for block in blocks]) ^ layer.chips
-    for j in (0, 1, 47, 48, 3071, 3072, 6143):
-        # formula from the air interface
-        pair = j % 48
-        assert symbols[pair, (j // 48 + 23 * pair) % 128] == coded[j // 3072, j % 3072]
 
 
 def test_all_on_header_changes_the_header_alone() -> None:

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 
 from heliograph.base.errors import SettingsError
 from heliograph.signal.block import unpack
@@ -32,6 +33,7 @@ def random_data(half: int, count: int, seed: int) -> np.ndarray[Any, np.dtype[np
     return np.random.default_rng(seed).choice(np.array([-1, 1], np.int8), (count, half, half - 1))
 
 
+@examples(40)
 @given(st.sampled_from([2, 4, 8, 16]), st.integers(1, 30), st.integers(0, 2**32 - 1), st.integers(-9, 9))
 def test_data_come_back_and_polarities_are_what_was_done(half: int, count: int, seed: int, ahead: int) -> None:
     data = random_data(half, count, seed)
@@ -44,17 +46,12 @@ def test_data_come_back_and_polarities_are_what_was_done(half: int, count: int, 
 
 
 def test_the_running_sum_stays_at_zero() -> None:
-    sums = np.cumsum(balance(random_data(8, 20_000, 1)).sum((1, 2)))
+    data = random_data(8, 4000, 1)
+    sums = np.cumsum(balance(data).sum((1, 2)))
     assert np.abs(sums).max() <= 8
     assert np.mean(sums == 0) > 0.98
     # unbalanced random data exceed 8 in almost a third of patterns
-    assert np.mean(np.abs(random_data(8, 20_000, 1).sum((1, 2))) > 8) > 0.2
-
-
-def test_what_was_ahead_is_taken_back() -> None:
-    data = random_data(8, 1, 5)
-    for ahead in (-12, 4, 12):
-        assert abs(ahead + int(balance(data, ahead).sum())) <= 2
+    assert np.mean(np.abs(data.sum((1, 2))) > 8) > 0.2
 
 
 def test_even_the_worst_data_are_balanced_over_two_patterns() -> None:

@@ -1,11 +1,11 @@
 """Pulse width modulation: slots and exposure integrals."""
 
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from heliograph.signal import pwm
 
@@ -20,22 +20,13 @@ def test_waveforms_of_the_paper() -> None:
     assert pwm.waveform(levels).tolist() == np.ravel(expected).tolist()
 
 
-@given(orders, st.integers(0, 2**32 - 1))
-def test_exposure_over_a_period_is_the_level(order: list[int], seed: int) -> None:
-    levels = np.random.default_rng(seed).integers(0, 5, (3, 2, 6, 6))
-    lit = pwm.lit_slots(levels, order)
-    assert lit.shape == (3, 2, 4, 6, 6)
-    assert lit.dtype == np.bool_
-    assert np.array_equal(lit.sum(-3), levels)
-
-
-@pytest.mark.parametrize("order", list(permutations(range(4))))
-def test_slots_are_lit_in_their_order(order: tuple[int, ...]) -> None:
-    for level in range(5):
+def test_slots_are_lit_in_their_order() -> None:
+    for order, level in product(permutations(range(4)), range(5)):
         lit = pwm.lit_slots(np.full((1, 1), level), order)[:, 0, 0]
         assert set(np.flatnonzero(lit)) == set(order[:level])
 
 
+@examples(40)
 @given(orders, st.integers(0, 2**32 - 1))
 def test_pattern_and_inverse_make_a_constant(order: list[int], seed: int) -> None:
     levels = np.random.default_rng(seed).integers(0, 5, (5, 4, 4)).astype(np.uint8)
@@ -52,15 +43,3 @@ def test_pattern_and_inverse_make_a_constant(order: list[int], seed: int) -> Non
 def test_waveform_is_the_share_of_leds() -> None:
     levels = np.array([[[4, 0], [1, 2]]])
     assert pwm.waveform(levels).tolist() == [0.75, 0.5, 0.25, 0.25]
-
-
-@pytest.mark.parametrize("level", [-1, 5])
-def test_level_out_of_range(level: int) -> None:
-    with pytest.raises(ValueError, match="levels are 0 to 4"):
-        pwm.lit_slots(np.full((2, 2), level))
-
-
-@pytest.mark.parametrize("order", [(0, 1, 2), (0, 1, 2, 2), (1, 2, 3, 4), (0, 1, 2, 3, 4)])
-def test_order_is_a_permutation(order: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="permutation of 0 to 3"):
-        pwm.lit_slots(np.zeros((2, 2), np.uint8), order)

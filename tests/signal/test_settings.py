@@ -20,12 +20,6 @@ def test_defaults_are_the_papers_array_in_100_ms() -> None:
     assert len(LAYERS) == len(MULTIPLICITY) == 3
 
 
-def test_packet_length_counts_inverses() -> None:
-    settings = SignalSettings(header_pairs=3, data_pairs=7, pattern_period_s=0.5)
-    assert settings.packet_patterns == 20
-    assert settings.packet_s == 10
-
-
 @pytest.mark.parametrize(
     ("text", "rate"), [("1/3", 1 / 3), ("2/3", 2 / 3), ("0.5", 0.5), (0.333, 0.333), (0.9, 0.9), ("9/10", 0.9)]
 )
@@ -65,10 +59,10 @@ def test_refused_in_one_line(change: dict[str, Any], words: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("side", [4, 8, 12, 16, 20, 32, 64])
-@pytest.mark.parametrize("rate", [1 / 3, 0.4, 0.5, 2 / 3, 0.75, 0.9])
+@pytest.mark.parametrize("side", [4, 8, 20, 64])
+@pytest.mark.parametrize("rate", [1 / 3, 0.9])
 def test_whatever_is_accepted_makes_a_format_or_says_what_to_raise(side: int, rate: float) -> None:
-    for pairs in [*range(1, 60), 127, 128, 1000, 4093, 4096]:
+    for pairs in [*range(1, 60, 2), 127, 1000, 4093, 4096]:
         settings = SignalSettings(side=side, data_pairs=pairs, rate=RateSettings(high=rate, middle=rate, low=rate))
         try:
             layers = PacketFormat(settings).layers

@@ -1,7 +1,5 @@
 """Turbo decoder: reference against exhaustive enumeration, kernel against reference, and behaviour."""
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +10,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import binom
 
-from heliograph.base.errors import SettingsError
 from heliograph.signal.code import Algorithm
-from heliograph.signal.turbo import DecoderOptions, TurboCode
-from heliograph.signal.turbo.decoder import Stop, decode_blocks
+from heliograph.signal.turbo import QPP_SIZES, DecoderOptions, TurboCode
+from heliograph.signal.turbo.code import Stop, decode_blocks
 from heliograph.signal.turbo.encoder import encode_constituent, encode_mother
 from heliograph.signal.turbo.qpp import interleaver
 
@@ -58,38 +55,27 @@ def test_one_siso_is_the_exact_posterior(algorithm: Algorithm, spread: float) ->
     assert np.allclose(np.concatenate(posterior, axis=1), by_enumeration(words, llr, algorithm), atol=1e-9)
 
 
-def test_iterations_reach_the_optimum_of_a_toy_code() -> None:
-    """At 4 dB, iterative decisions nearly always match exact a-posteriori decisions."""
-    words = encode_mother(all_words(8), TOY_ORDER)
-    rng = np.random.default_rng(4)
-    sent = words[rng.integers(0, 256, 500)]
-    variance = 1 / (2 * 8 / 36 * 10**0.4)
-    llr = 2 / variance * (1 - 2.0 * sent + rng.normal(scale=variance**0.5, size=sent.shape))
-    best = by_enumeration(words, llr, "log-map")[:, :24:3] < 0
-    found = reference.decode(llr, TOY_ORDER, DecoderOptions(algorithm="log-map")).llr < 0
-    assert (found == best).all(axis=1).mean() > 0.97
-
-
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("order", [TOY_ORDER, interleaver(40), interleaver(528)], ids=["8", "40", "528"])
 @pytest.mark.parametrize("stop", ["none", "agreement"])
-@pytest.mark.parametrize("blocks", [3, 35])
 @pytest.mark.slow
-def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64], stop: Stop, blocks: int) -> None:
+def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64], stop: Stop) -> None:
     rng = np.random.default_rng(5)
-    k = len(order)
+    k, blocks = len(order), 9
     bits = rng.integers(0, 2, (blocks, k), dtype=np.uint8)
     mother = encode_mother(bits, order)
     llr = (2.0 * (1 - 2.0 * mother) + 2 * rng.normal(size=mother.shape)).astype(np.float32)
     llr[:, : 3 * k : 3] += (0.5 * (1 - 2.0 * bits) + rng.normal(size=bits.shape)).astype(np.float32)
     options = DecoderOptions(algorithm=algorithm, iterations=4, stop=stop)
     fast = decode_blocks(llr, np.arange(mother.shape[1]), order, options, coded_output=True)
+    assert fast.coded_extrinsic is not None
     slow = reference.decode(llr.astype(np.float64), order, options)
     # kernel ln(1 + exp(-x)) has error 0.032, accumulated a few hundred times, mostly common to all states
     atol = 1.5 if algorithm == "log-map" else 0.01
     assert np.allclose(fast.llr, slow.llr, rtol=1e-3, atol=atol)
-    assert fast.coded_llr is not None
-    assert np.allclose(fast.coded_llr, slow.mother_llr, rtol=1e-3, atol=atol)
+    coded_llr = fast.coded_extrinsic + llr
+    assert np.allclose(coded_llr, slow.mother_llr, rtol=1e-3, atol=atol)
+    assert np.allclose(coded_llr[:, : 3 * k : 3], fast.llr, atol=1e-3)
     assert np.array_equal(fast.iterations, slow.iterations)
     assert np.array_equal(fast.stopped, slow.stopped)
     assert np.std(fast.llr - slow.llr) < 0.2 * atol
@@ -107,7 +93,8 @@ def test_correction_of_log_map() -> None:
 
 
 @pytest.mark.real_data
-@pytest.mark.parametrize("k", [40, 112, 168, 432])
+@pytest.mark.slow
+@pytest.mark.parametrize("k", [40, 432])
 def test_sionna_decisions(data: Path, k: int) -> None:
     """Sionna's decisions after ten iterations at Eb/N0 0 dB, rate 1/3: N0 = 3, LLR = 4 y / N0 (0 maps to +1)."""
     bits, samples, theirs = (np.load(data / "turbo" / f"ref_k{k}_{name}.npy") for name in ("u", "y", "uhat"))
@@ -122,23 +109,11 @@ def test_sionna_decisions(data: Path, k: int) -> None:
     assert (ours != theirs).mean() < 0.02
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-@pytest.mark.parametrize("rate", [None, 0.2, 1 / 3, 0.5, 0.75, 0.9])
-@pytest.mark.parametrize("k", [40, 200, 1056])
-def test_without_noise_nothing_changes(algorithm: Algorithm, rate: float | None, k: int) -> None:
-    code = TurboCode(k=k, coded_bits=None if rate is None else int(np.ceil(k / rate - 1e-9)))
-    bits = np.random.default_rng(k).integers(0, 2, (5, k), dtype=np.uint8)
-    for stop in ("none", "agreement"):
-        result = code.decode(8 * (1 - 2.0 * code.encode(bits)), algorithm=algorithm, stop=stop)
-        assert np.array_equal(result.bits, bits)
-
-
-def test_every_size_at_the_highest_rate() -> None:
-    """Puncturing at rate 9/10 leaves all information bits decodable for every size."""
-    from heliograph.signal.turbo import QPP_SIZES
-
-    for k in QPP_SIZES:
-        code = TurboCode(k=k, coded_bits=-(-10 * k // 9))
+def test_noiseless_blocks_of_every_size_are_decoded() -> None:
+    """Puncturing at rate 9/10 leaves all information bits decodable for every size; lower rates repeat bits."""
+    cases = [(k, -(-10 * k // 9)) for k in QPP_SIZES] + [(200, None), (200, 201 * 3), (1056, 2112), (40, 200)]
+    for k, coded_bits in cases:
+        code = TurboCode(k=k, coded_bits=coded_bits)
         bits = np.random.default_rng(k).integers(0, 2, (2, k), dtype=np.uint8)
         assert np.array_equal(code.decode(8 * (1 - 2.0 * code.encode(bits))).bits, bits), k
 
@@ -148,11 +123,11 @@ def test_every_size_at_the_highest_rate() -> None:
 def test_blocks_do_not_see_each_other(algorithm: Algorithm, stop: Stop) -> None:
     """Batching does not change results, although blocks stop at different iterations and are compacted."""
     code = TurboCode(k=104, coded_bits=300)
-    _, llr = noisy(code, 600, 1.0, 6)
+    _, llr = noisy(code, 200, 1.0, 6)
     whole = code.decode(llr, algorithm=algorithm, stop=stop, coded_output=True)
     if stop == "agreement":
         assert len(np.unique(whole.iterations)) > 3
-    for parts in (np.split(llr, [1, 34, 100, 357]), [llr[::-1]], [llr.reshape(20, 30, -1)]):
+    for parts in (np.split(llr, [1, 34, 100]), [llr[::-1]], [llr.reshape(20, 10, -1)]):
         results = [code.decode(part, algorithm=algorithm, stop=stop, coded_output=True) for part in parts]
         for name, expected in vars(whole).items():
             got = np.concatenate([getattr(result, name).reshape(-1, *expected.shape[1:]) for result in results])
@@ -164,9 +139,7 @@ def test_check_stops_blocks_one_by_one() -> None:
     code = TurboCode(k=104)
     bits, llr = noisy(code, 100, 1.0, 7)
     known = {word.tobytes() for word in bits}
-    result = code.decode(
-        llr, stop="crc", check=lambda words: np.array([word.tobytes() in known for word in words], dtype=np.bool_)
-    )
+    result = code.decode(llr, check=lambda words: np.array([word.tobytes() in known for word in words], dtype=np.bool_))
     assert np.array_equal(result.stopped, (result.bits == bits).all(axis=1))
     assert result.stopped.mean() > 0.5
     assert np.all(result.iterations[~result.stopped] == 8)
@@ -179,124 +152,80 @@ def test_check_stops_blocks_one_by_one() -> None:
             assert not np.array_equal(before.bits, bits[block])
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_soft_outputs_fit_together(algorithm: Algorithm) -> None:
-    """llr = channel + extrinsic; a repeated bit has one posterior, and each extrinsic includes the other copy."""
-    code = TurboCode(k=40, coded_bits=200)
-    _, llr = noisy(code, 3, 0.0, 8)
-    result = code.decode(llr, algorithm=algorithm, coded_output=True, stop="none")
-    assert result.coded_llr is not None
-    assert result.coded_extrinsic is not None
-    mother = np.zeros((3, 132))
-    for column, position in enumerate(code.positions):
-        mother[:, position] += llr[:, column]
-    assert np.allclose(result.llr, mother[:, :120:3] + result.extrinsic, atol=1e-3)
-    assert np.allclose(result.coded_extrinsic, result.coded_llr - llr, atol=1e-4)
-    posterior = np.full((3, 132), np.nan)
-    posterior[:, code.positions] = result.coded_llr
-    assert np.array_equal(posterior[:, code.positions], result.coded_llr)
-    assert np.allclose(posterior[:, :120:3], result.llr)
-
-
 def test_coded_llrs_are_calibrated() -> None:
     """Among coded bits with LLR near 1, the fraction of zeros is near e / (1 + e)."""
     code = TurboCode(k=1024)
     bits, llr = noisy(code, 100, -1.0, 10)
     result = code.decode(llr, algorithm="log-map", iterations=1, stop="none", coded_output=True)
     coded = code.encode(bits)
-    assert result.coded_llr is not None
+    assert result.coded_extrinsic is not None
     parity = np.s_[:, 1:3072:3]
-    value = result.coded_llr[parity]
+    value = (result.coded_extrinsic + llr)[parity]
     near = (value > 0.9) & (value < 1.1)
     assert near.sum() > 1000
     assert abs((coded[parity][near] == 0).mean() - 1 / (1 + np.exp(-1.0))) < 0.04
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-@pytest.mark.parametrize("size", [1e-30, 1e-6, 1e4, 1e6, 1e300, np.inf])
-def test_extreme_llrs(algorithm: Algorithm, size: float) -> None:
-    """Very large and small LLRs give finite output, correct bits and no warning."""
-    code = TurboCode(k=1024, coded_bits=1600)
-    bits = np.random.default_rng(12).integers(0, 2, (3, 1024), dtype=np.uint8)
-    llr = np.where(code.encode(bits) == 0, size, -size)
-    result = code.decode(llr, algorithm=algorithm, stop="none", coded_output=True)
-    assert np.isfinite(result.llr).all()
-    assert result.coded_llr is not None
-    assert np.isfinite(result.coded_llr).all()
-    # log-MAP also counts paths, which outweigh LLRs near 1e-6 for punctured bits
-    if size > 1 or algorithm == "max-log":
-        assert np.array_equal(result.bits, bits)
+def test_llrs_of_any_size_and_type_give_finite_output(algorithm: Algorithm) -> None:
+    code, rng = TurboCode(k=1024, coded_bits=1600), np.random.default_rng(12)
+    bits = rng.integers(0, 2, (3, 1024), dtype=np.uint8)
+    for size in (1e-30, 1e-6, 1e4, 1e6, 1e300, np.inf):
+        result = code.decode(np.where(code.encode(bits) == 0, size, -size), algorithm=algorithm, coded_output=True)
+        assert np.isfinite(result.llr).all()
+        assert result.coded_extrinsic is not None
+        assert np.isfinite(result.coded_extrinsic).all()
+        # log-MAP also counts paths, which outweigh LLRs near 1e-6 for punctured bits
+        if size > 1 or algorithm == "max-log":
+            assert np.array_equal(result.bits, bits)
+    contradictions = rng.choice([-np.inf, -1e6, -1.0, 0.0, 1.0, 1e6, np.inf], (2, 1600))
+    assert np.isfinite(code.decode(contradictions, algorithm=algorithm, stop="none").llr).all()
+    assert np.abs(TurboCode(k=40).decode(np.zeros(132), algorithm=algorithm, iterations=2).llr).max() < 0.01
+    llr = 5 * (1 - 2.0 * code.encode(bits))
+    for dtype in (np.float16, np.float32, np.int8, np.int64):
+        assert np.array_equal(code.decode(llr.astype(dtype), algorithm=algorithm).bits, bits)
+    empty = TurboCode(k=40).decode(np.zeros((0, 132)), algorithm=algorithm)
+    assert (empty.bits.shape, empty.iterations.shape) == ((0, 40), (0,))
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_contradicting_extremes_stay_finite(algorithm: Algorithm) -> None:
-    rng = np.random.default_rng(13)
-    code = TurboCode(k=6144)
-    llr = rng.choice([-np.inf, -1e6, -1.0, 0.0, 1.0, 1e6, np.inf], (2, code.length))
-    result = code.decode(llr, algorithm=algorithm, stop="none")
-    assert np.isfinite(result.llr).all()
-    assert np.isfinite(result.extrinsic).all()
+def test_repeated_bits_have_one_posterior() -> None:
+    """The extrinsic LLR of a repeated bit includes the other copy."""
+    code = TurboCode(k=40, coded_bits=200)
+    _, llr = noisy(code, 3, 0.0, 8)
+    result = code.decode(llr, coded_output=True, stop="none")
+    assert result.coded_extrinsic is not None
+    posterior = np.full((3, 132), np.nan)
+    posterior[:, code.positions] = result.coded_extrinsic + llr
+    assert np.allclose(posterior[:, code.positions], result.coded_extrinsic + llr, atol=1e-4)
+    assert np.allclose(posterior[:, :120:3], result.llr, atol=1e-4)
 
 
-def test_no_evidence_gives_no_opinion() -> None:
-    result = TurboCode(k=40).decode(np.zeros(132), algorithm="log-map", iterations=2)
-    assert np.abs(result.llr).max() < 0.01
+INVALID: list[tuple[Any, dict[str, Any], str]] = [
+    (np.zeros((2, 131)), {}, r"llr must have 132 values a block .* shape \(2, 131\)"),
+    (np.full(132, np.nan), {}, r"llr must not hold NaN; 132 of 132"),
+    (np.zeros(132), {"algorithm": "sova"}, "setting 'algorithm': input should be 'max-log' or 'log-map', not 'sova'"),
+    (np.zeros(132), {"stop": "soon"}, "setting 'stop'"),
+    (np.zeros(132), {"iterations": 0}, "setting 'iterations': .* equal to 1, not 0"),
+    (np.zeros(132), {"scale": 1.5}, "setting 'scale': .* equal to 1, not 1.5"),
+    (np.zeros(132), {"scale": float("nan")}, "setting 'scale'"),
+    (np.zeros(132), {"stop": "crc"}, 'stop is "crc" and check is None'),
+    (np.zeros(132), {"stop": "agreement", "check": len}, 'stop is "agreement" and check is <built-in'),
+]
 
 
-@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.int8, np.int64])
-def test_any_real_dtype(dtype: type[Any]) -> None:
-    code = TurboCode(k=40)
-    bits = np.random.default_rng(14).integers(0, 2, (2, 40))
-    assert np.array_equal(code.decode((5 * (1 - 2.0 * code.encode(bits))).astype(dtype)).bits, bits)
+def test_invalid_llrs_and_options_are_refused() -> None:
+    for llr, options, message in INVALID:
+        with pytest.raises(ValueError, match=message):
+            TurboCode(k=40).decode(llr, **options)
 
 
-def test_empty_batch() -> None:
-    result = TurboCode(k=40).decode(np.zeros((0, 132)))
-    assert result.bits.shape == (0, 40)
-    assert result.iterations.shape == (0,)
-
-
-@pytest.mark.parametrize(
-    ("llr", "options", "message"),
-    [
-        (np.zeros((2, 131)), {}, r"llr must have 132 values a block .* shape \(2, 131\)"),
-        (np.full(132, np.nan), {}, r"llr must not hold NaN; 132 of 132"),
-        (np.zeros(132, dtype=complex), {}, r"real numbers, not complex128"),
-        (np.zeros((2, 132)), {"stop": "crc", "check": lambda _: [True]}, r"2 bools, .* not bool of shape \(1,\)"),
-    ],
-)
-def test_inputs_that_cannot_be_decoded(llr: Floats, options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        TurboCode(k=40).decode(llr, **options)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"algorithm": "sova"}, "one of max-log, log-map, not 'sova'"),
-        ({"stop": "soon"}, "one of none, agreement, crc, not 'soon'"),
-        ({"iterations": 0}, "at least 1, not 0"),
-        ({"scale": 1.5}, "above 0 and at most 1, not 1.5"),
-        ({"scale": float("nan")}, "not nan"),
-        ({"stop": "crc"}, 'stop is "crc" and check is None'),
-        ({"stop": "agreement", "check": len}, 'stop is "agreement" and check is <built-in'),
-    ],
-)
-def test_options_out_of_range(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
-        TurboCode(k=40).decode(np.zeros(132), **options)
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "stop", "blocks", "limit"),
-    [("max-log", "agreement", 2048, 0.17), ("max-log", "none", 2048, 0.17), ("log-map", "agreement", 1024, 0.08)],
-)
+@pytest.mark.parametrize(("algorithm", "blocks", "limit"), [("max-log", 2048, 0.17), ("log-map", 1024, 0.08)])
 @pytest.mark.slow
-def test_block_error_rate(algorithm: Algorithm, stop: Stop, blocks: int, limit: float) -> None:
+def test_block_error_rate(algorithm: Algorithm, blocks: int, limit: float) -> None:
     """K = 1024 at 0.5 dB: error rate between half the limit and the limit, with a 1e-4 tail on each side."""
     code = TurboCode(k=1024)
     bits, llr = noisy(code, blocks, 0.5, 15)
-    errors = int((code.decode(llr, algorithm=algorithm, stop=stop).bits != bits).any(axis=1).sum())
+    errors = int((code.decode(llr, algorithm=algorithm).bits != bits).any(axis=1).sum())
     assert binom.ppf(1e-4, blocks, 0.5 * limit) <= errors <= binom.ppf(1 - 1e-4, blocks, limit)
 
 
@@ -308,6 +237,29 @@ def test_scaling_pays() -> None:
     assert errors[0] > 2 * errors[1]
 
 
-def test_importing_the_package_does_not_import_numba() -> None:
-    probe = "import sys, heliograph.signal.turbo; sys.exit('numba' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", probe], check=False).returncode == 0
+LIMIT = 1e4
+
+
+def llrs(size: float) -> tuple[TurboCode, NDArray[np.float64]]:
+    """Return noisy codeword LLRs with mean magnitude `size`."""
+    rng, code = np.random.default_rng(0), TurboCode(k=104, coded_bits=312)
+    signs = 1.0 - 2.0 * code.encode(rng.integers(0, 2, 104))
+    return code, size * (signs + rng.normal(0, 0.5, 312))
+
+
+@pytest.mark.parametrize("size", [10.0, 100.0, 1000.0])
+def test_max_log_is_linear_in_its_llrs(size: float) -> None:
+    """Doubled input LLRs give equal bits and doubled output LLRs."""
+    code, llr = llrs(size)
+    once, twice = (code.decode(factor * llr, algorithm="max-log", iterations=2, coded_output=True) for factor in (1, 2))
+    assert np.array_equal(once.bits, twice.bits)
+    assert twice.llr == pytest.approx(2 * once.llr, rel=1e-4)
+
+
+def test_beyond_the_limit_llrs_are_all_the_same() -> None:
+    code, llr = llrs(1.0)
+    signs = np.sign(llr)
+    at, beyond = (code.decode(signs * size, algorithm="max-log", iterations=2) for size in (LIMIT, 100 * LIMIT))
+    below = code.decode(signs * 0.5 * LIMIT, algorithm="max-log", iterations=2)
+    assert np.array_equal(at.llr, beyond.llr)
+    assert not np.allclose(at.llr, below.llr)

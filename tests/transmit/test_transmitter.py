@@ -9,17 +9,13 @@ from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.signal.block import Block
 from heliograph.signal.formats import Format
-from heliograph.signal.header import header_levels, signalling_levels
+from heliograph.signal.header import header_levels
 from heliograph.signal.message import Message, Reassembler, Updates
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
-from heliograph.transmit import Content, TimedPattern, TransmitSettings, Transmitter
+from heliograph.transmit import Content, TransmitSettings, Transmitter
 
 SMALL = SignalSettings(side=8, header_pairs=2, data_pairs=21, pattern_period_s=2e-3)
 MESSAGES = {"high": [b"stop line in 40 m", b"red, 12 s left"], "low": [bytes(range(256))]}
-
-
-def patterns(count: int, settings: SignalSettings = SMALL, identity: int = 0) -> list[TimedPattern]:
-    return list(islice(Transmitter(settings, identity, MESSAGES).patterns(), count))
 
 
 def segments(sender: Transmitter, packet: int, layer: str) -> list[Block]:
@@ -27,7 +23,7 @@ def segments(sender: Transmitter, packet: int, layer: str) -> list[Block]:
 
 
 def test_patterns_are_on_time_with_part_and_inverse() -> None:
-    shown, lit = patterns(3 * 46 + 5), header_levels(0, 8)
+    shown, lit = list(islice(Transmitter(SMALL, 0, MESSAGES).patterns(), 3 * 46 + 5)), header_levels(0, 8)
     assert [p.index for p in shown] == list(range(len(shown)))
     # multiplied, not accumulated, so a long transmission does not drift
     assert [p.time_s for p in shown] == [i * 2e-3 for i in range(len(shown))]
@@ -41,14 +37,6 @@ def test_patterns_are_on_time_with_part_and_inverse() -> None:
     for first, second in pairwise(shown):
         if second.inverted:
             assert np.all(first.levels + second.levels == 4)
-
-
-def test_two_identities_differ() -> None:
-    one, other = patterns(46, identity=0), patterns(46, identity=7)
-    assert not np.array_equal(one[0].levels, other[0].levels)
-    # each block carries the identity, and the CRC spreads it over the data
-    differing = np.mean([np.any(a.levels != b.levels) for a, b in zip(one[4:], other[4:], strict=True)])
-    assert differing > 0.5
 
 
 def test_packets_levels_patterns_and_single_packets_agree() -> None:
@@ -70,34 +58,6 @@ def test_blocks_bring_the_messages_from_any_packet_on() -> None:
         found = {m for m in map(reassembler.add, blocks) if m is not None}
         sent = {Message(3, layer, i, data) for layer in MESSAGES for i, data in enumerate(MESSAGES[layer])}
         assert found == sent
-
-
-def test_segments_go_on_from_packet_to_packet() -> None:
-    """Codeword c of packet p carries segment (p W + c) mod S."""
-    sender = Transmitter(SMALL, 3, {"middle": [bytes(range(40)), b"next"]})
-    room, words = (sender.format.layers["middle"].payload_bytes, sender.format.layers["middle"].codewords)
-    sent = [block for packet in range(60) for block in segments(sender, packet, "middle")]
-    count = -(-40 // room) + -(-4 // room)
-    assert words == 2
-    assert len({(b.stream, b.sequence) for b in sent}) == count
-    order = sorted({(b.stream, b.sequence) for b in sent})
-    assert [(b.stream, b.sequence) for b in sent] == [order[i % count] for i in range(120)]
-
-
-def test_a_layer_without_messages_is_idle() -> None:
-    for packet in (0, 9):
-        blocks = segments(Transmitter(SMALL, 3, MESSAGES), packet, "middle")
-        assert [(b.length, b.stream, b.payload) for b in blocks] == [(0, 0, b"")] * 2
-
-
-def test_packets_take_formats_in_turn() -> None:
-    formats = (Format(high=0.9), Format(), Format(middle=0.5))
-    sender = Transmitter(SMALL, 3, MESSAGES, formats)
-    shown = list(islice(sender.packets(), 7))
-    for number, packet in enumerate(shown):
-        assert sender.format_of(number).format == formats[number % 3]
-        assert np.array_equal(packet[2], signalling_levels(3, formats[number % 3].number, 8))
-        assert len(packet) == SMALL.packet_patterns
 
 
 def test_every_size_of_block_brings_the_messages() -> None:

@@ -1,8 +1,4 @@
-"""Settings as frozen, checked dataclasses.
-
-A settings class is a ``pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config=CONFIG)`` under
-`clear_errors`. `toml_text` reads and writes the text.
-"""
+"""Settings as frozen pydantic dataclasses with `CONFIG` and `clear_errors`; `toml_text` reads and writes the text."""
 
 import contextlib
 import re
@@ -119,9 +115,8 @@ def _unknown_key(key: str, cls: type) -> SettingsError:
     if near := get_close_matches(key, [known for known, name in names.items() if name in close], 1, cutoff=0):
         return SettingsError(f"unknown setting '{key}'; did you mean '{near[0]}'?")
     members = {known.removeprefix(parent + dot).partition(".")[0] for known in keys if known.startswith(parent + dot)}
-    return SettingsError(
-        f"unknown setting '{key}'; known are {', '.join(sorted(members or {field.name for field in fields(cls)}))}"
-    )
+    known = ", ".join(sorted(members or {field.name for field in fields(cls)}))
+    return SettingsError(f"unknown setting '{key}'; known are {known}")
 
 
 def _misplaced_booleans(kind: Any, given: Any, key: str = "") -> Iterator[str]:

@@ -5,13 +5,7 @@ from numbers import Number
 
 
 class HeliographError(Exception):
-    """Misuse or broken input; the message states the rule and the wrong value on a single line.
-
-    Parameters
-    ----------
-    message
-        Text; unprintable characters, such as a line break in a file name, are escaped.
-    """
+    """Misuse or broken input; the message states the rule and the wrong value on a single line, and is printable."""
 
     def __init__(self, message: object = ""):
         super().__init__(printable(str(message)))

@@ -57,14 +57,12 @@ class Frame:
         if not (_is_whole(self.index) and abs(self.index) < 1 << 62):  # neighbouring indices must fit 64 bits too
             raise HeliographError(f"a frame's index is its number, a whole one, not {shown(self.index)}")
         if not (isinstance(self.time_s, (int, float, np.integer, np.floating)) and abs(self.time_s) <= LATEST_S):
-            raise HeliographError(
-                f"a frame's time_s is a time in seconds, at most {LATEST_S:g}, not {shown(self.time_s)}; if the camera "
-                f"gives no times, divide index by the frame rate"
-            )
+            cure = "if the camera gives no times, divide index by the frame rate"
+            time = f"a time in seconds, at most {LATEST_S:g}, not {shown(self.time_s)}"
+            raise HeliographError(f"a frame's time_s is {time}; {cure}")
         if not (isinstance(self.origin, tuple) and len(self.origin) == 2 and all(map(_is_whole, self.origin))):
-            raise HeliographError(
-                f"a frame's origin is (x, y) on the sensor in whole pixels, a tuple, not {shown(self.origin)}"
-            )
+            place = "(x, y) on the sensor in whole pixels, a tuple"
+            raise HeliographError(f"a frame's origin is {place}, not {shown(self.origin)}")
 
     @classmethod
     def from_array(

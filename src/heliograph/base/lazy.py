@@ -6,15 +6,7 @@ from typing import Any
 
 
 class LazyModule(ModuleType):
-    """Module that loads with the first use of an attribute.
-
-    Assign it where type checkers do not look::
-
-        if TYPE_CHECKING:
-            import h5py
-        else:
-            h5py = LazyModule("h5py")
-    """
+    """Module that loads with the first use of an attribute; a type checker needs a plain import."""
 
     def __getattr__(self, name: str) -> Any:
         module = import_module(self.__name__)

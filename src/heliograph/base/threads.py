@@ -1,7 +1,4 @@
-"""Limit BLAS to a single thread in receivers and panels.
-
-For small matrices several threads are slower, and rounding depends on the thread count.
-"""
+"""Limit BLAS to a single thread: several are slower for small matrices, and rounding depends on the thread count."""
 
 import threading
 from collections.abc import Callable, Iterable, Iterator

@@ -1,7 +1,4 @@
-"""Local worker processes with a single thread each; only the parent process handles Ctrl-C.
-
-Importing this module does not import NumPy.
-"""
+"""Local worker processes with a single thread each, imported without NumPy; only the parent handles Ctrl-C."""
 
 import contextlib
 import multiprocessing

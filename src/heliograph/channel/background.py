@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import cv2
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Gray
 from heliograph.base.compiled import compiled
 from heliograph.base.errors import SettingsError
-from heliograph.channel.parts import BACKGROUNDS
 from heliograph.channel.scene import CameraPose, Corner, Light
 from heliograph.channel.settings import CameraSettings, ChannelSettings
 
@@ -69,30 +67,36 @@ KERB_M = 4.6
 FINER = 3
 """Supersampling of the drawing for smooth edges."""
 
-Points = list[tuple[float, float, float]]
-"""Corners in m: right, up from the road, ahead."""
 
+class _Street:
+    """Image of a street in perspective; positions are in m to the right, up from the road and ahead."""
 
-class _Canvas:
-    """Image for drawing gray polygons in perspective."""
-
-    def __init__(self, size: tuple[int, int]):
+    def __init__(self, size: tuple[int, int], rng: np.random.Generator, night: bool):
         self.height, self.width = (FINER * edge for edge in size)
         self.pixels = np.zeros((self.height, self.width), np.uint8)
+        self.horizon = self.height // 2
         self._focal = 2.85 * self.width  # as in the reference camera
+        self._rng, self._night, self._light = rng, night, 0.16 if night else 1.0
 
-    @property
-    def horizon(self) -> int:
-        return self.height // 2
+    def _fill(self, points: list[tuple[float, float, float]], level: float) -> None:
+        cv2.fillConvexPoly(self.pixels, self._project(points), float(np.clip(level, 0, 255)), cv2.LINE_AA)
 
-    def fill(self, points: Points, level: float) -> None:
-        cv2.fillConvexPoly(self.pixels, self.project(points), float(np.clip(level, 0, 255)), cv2.LINE_AA)
+    def _fill_front(self, left: float, right: float, low: float, high: float, at: float, level: float) -> None:
+        """Fill a rectangle that faces the camera."""
+        self._fill([(left, low, at), (right, low, at), (right, high, at), (left, high, at)], level)
 
-    def disc(self, at: tuple[float, float, float], radius_m: float, level: float) -> None:
-        (x, y), radius = self.project([at])[0], max(1, round(radius_m * self._focal / at[2]))
+    def _fill_ground(self, left: float, right: float, near: float, far: float, level: float) -> None:
+        self._fill([(left, 0, near), (right, 0, near), (right, 0, far), (left, 0, far)], level)
+
+    def _fill_wall(self, x: float, low: float, high: float, near: float, far: float, level: float) -> None:
+        """Fill a rectangle along the street."""
+        self._fill([(x, low, near), (x, high, near), (x, high, far), (x, low, far)], level)
+
+    def _disc(self, at: tuple[float, float, float], radius_m: float, level: float) -> None:
+        (x, y), radius = self._project([at])[0], max(1, round(radius_m * self._focal / at[2]))
         cv2.circle(self.pixels, (int(x), int(y)), radius, float(level), -1, cv2.LINE_AA)
 
-    def project(self, points: Points) -> NDArray[np.int32]:
+    def _project(self, points: list[tuple[float, float, float]]) -> NDArray[np.int32]:
         """Return pixel positions within the range of OpenCV."""
         corners = np.array(points, float)
         scale = self._focal / corners[:, 2]
@@ -100,24 +104,79 @@ class _Canvas:
         x, y = self.width / 2 + corners[:, 0] * scale, self.horizon - (corners[:, 1] - height_m) * scale
         return np.clip(np.stack([x, y], 1), -30_000, 30_000).round().astype(np.int32)
 
+    def draw_ground(self) -> None:
+        self.pixels[self.horizon :] = round(120 * self._light)
+        self._fill_ground(-KERB_M, KERB_M, 5, FAR_M, 72 * self._light)
+        for side in (-1, 1):
+            self._fill_ground(side * (KERB_M - 0.5), side * (KERB_M - 0.35), 5, FAR_M, 190 * self._light)
+        for at in np.arange(14.0, FAR_M, 9.0):
+            self._fill_ground(-0.07, 0.07, at, at + 4, 205 * self._light)
+        for x in np.arange(-4.0, 3.6, 1.0):
+            self._fill_ground(x, x + 0.5, 38, 42, 210 * self._light)
+
+    def draw_house(self, side: int, near: float, far: float) -> None:
+        """Draw a front along the street with rows of windows, and the gable towards the camera."""
+        rng = self._rng
+        x, floors = side * (8.0 + float(rng.uniform(0, 0.8))), int(rng.integers(2, 6))
+        top, shade = 3.1 * floors + 1.0, float(rng.uniform(70, 175))
+        haze = 0.35 * near / FAR_M
+        wall = (shade * (1 - haze) + 190 * haze) * self._light
+        self._fill_wall(x, 0, top, near, far, wall)
+        self._fill_front(x, x + side * 40, 0, top, near, 0.8 * wall)
+        self._fill_wall(x, top, top + 0.35, near, far, 0.55 * wall)
+        for floor in range(floors):
+            low = 3.1 * floor + 1.0
+            for at in np.arange(near + 1.2, far - 1.6, 2.6):
+                lit = self._night and rng.random() < 0.3
+                level = float(rng.uniform(130, 230)) if lit else (0.5 if rng.random() < 0.8 else 1.35) * wall
+                self._fill_wall(x, low, low + 1.5, at, at + 1.2, level)
+
+    def draw_tree(self, side: int, at: float) -> None:
+        x, rng, light = side * (KERB_M + 1.2), self._rng, self._light
+        self._fill([(x - 0.12, 0, at), (x + 0.12, 0, at), (x + 0.08, 2.6, at), (x - 0.08, 2.6, at)], 45 * light)
+        for _ in range(14):
+            place = x + float(rng.normal(0, 0.7)), 3.6 + float(rng.normal(0, 0.7)), at
+            self._disc(place, float(rng.uniform(0.4, 0.8)), float(rng.uniform(45, 85)) * light)
+
+    def draw_car(self, side: int, at: float) -> None:
+        """Draw a parked car from behind."""
+        light = self._light
+        middle, shade = side * (KERB_M - 1.15), float(self._rng.choice([40, 90, 140, 205])) * light
+        left, right = middle - 0.85, middle + 0.85
+        self._fill_front(left, right, 0.05, 0.2, at, 15 * light)
+        self._fill_front(left, right, 0.2, 0.9, at, shade)
+        glass = (40 if shade > 60 * light else 95) * light
+        for low, high, bottom, top, level in ((0.1, 0.3, 0.9, 1.45, shade), (0.22, 0.35, 0.95, 1.38, glass)):
+            corners = [(left + low, bottom), (right - low, bottom), (right - high, top), (left + high, top)]
+            self._fill([(x, y, at) for x, y in corners], level)
+        for x in (left + 0.18, right - 0.18):
+            self._disc((x, 0.75, at), 0.09, 210 if self._night and self._rng.random() < 0.4 else 110 * light)
+
+    def draw_lamp(self, side: int, at: float) -> None:
+        x, light = side * (KERB_M + 0.5), self._light
+        end = x - side * 1.4
+        self._fill([(x - 0.06, 0, at), (x + 0.06, 0, at), (x + 0.05, 6.4, at), (x - 0.05, 6.4, at)], 55 * light)
+        self._fill([(x, 6.35, at), (end, 6.45, at), (end, 6.55, at), (x, 6.45, at)], 55 * light)
+        self._fill_front(end - 0.3, end + 0.3, 6.35, 6.5, at, 255 if self._night else 70)
+
 
 def draw_street(size: tuple[int, int], rng: np.random.Generator, night: bool = False) -> Gray:
     """Draw a straight street as (height, width) uint8: sky, houses, trees, lamps, parked cars, markings."""
-    canvas, light = _Canvas(size), 0.16 if night else 1.0
-    _draw_sky(canvas, night)
-    _draw_ground(canvas, light)
-    sides = [(side, list(_lots(rng))) for side in (-1, 1)]
-    for side, lots in sides:
+    street = _Street(size, rng, night)
+    sky = np.linspace(*((5, 22) if night else (150, 225)), street.horizon)
+    street.pixels[: street.horizon] = sky[:, None].astype(np.uint8)
+    street.draw_ground()
+    for side, lots in [(side, list(_lots(rng))) for side in (-1, 1)]:
         for far, near in reversed(lots):
-            _draw_house(canvas, side, near, far, rng, light, night)
+            street.draw_house(side, near, far)
     for at in reversed(list(np.arange(26.0, FAR_M, 22.0))):
         for side in (-1, 1):
             if rng.random() < 0.55:
-                _draw_tree(canvas, side, at + 6 * rng.random(), rng, light)
+                street.draw_tree(side, at + 6 * rng.random())
             if rng.random() < 0.5:
-                _draw_car(canvas, side, at + 8 * rng.random(), rng, light, night)
-            _draw_lamp(canvas, side, at, light, night)
-    drawn = cv2.GaussianBlur(canvas.pixels, (0, 0), 0.5 * FINER)
+                street.draw_car(side, at + 8 * rng.random())
+            street.draw_lamp(side, at)
+    drawn = cv2.GaussianBlur(street.pixels, (0, 0), 0.5 * FINER)
     if night:
         glow = cv2.GaussianBlur(np.where(drawn > 150, drawn, 0).astype(np.uint8), (0, 0), 7.0 * FINER)
         drawn = cv2.add(drawn, cv2.convertScaleAbs(glow, alpha=0.8))
@@ -131,74 +190,6 @@ def _lots(rng: np.random.Generator) -> Iterator[tuple[float, float]]:
         far = near + float(rng.uniform(14.0, 30.0))
         yield min(far, FAR_M), near
         near = far
-
-
-def _draw_sky(canvas: _Canvas, night: bool) -> None:
-    top, bottom = (5, 22) if night else (150, 225)
-    rows = np.linspace(top, bottom, canvas.horizon)
-    canvas.pixels[: canvas.horizon] = rows[:, None].astype(np.uint8)
-
-
-def _draw_ground(canvas: _Canvas, light: float) -> None:
-    canvas.fill([(-60, 0, NEAR_M), (60, 0, NEAR_M), (60, 0, FAR_M), (-60, 0, FAR_M)], 120 * light)
-    canvas.pixels[canvas.horizon :] = round(120 * light)
-    canvas.fill([(-KERB_M, 0, 5), (KERB_M, 0, 5), (KERB_M, 0, FAR_M), (-KERB_M, 0, FAR_M)], 72 * light)
-    for side in (-1, 1):
-        edge, inner = side * (KERB_M - 0.35), side * (KERB_M - 0.5)
-        canvas.fill([(inner, 0, 5), (edge, 0, 5), (edge, 0, FAR_M), (inner, 0, FAR_M)], 190 * light)
-    for at in np.arange(14.0, FAR_M, 9.0):
-        canvas.fill([(-0.07, 0, at), (0.07, 0, at), (0.07, 0, at + 4), (-0.07, 0, at + 4)], 205 * light)
-    for x in np.arange(-4.0, 3.6, 1.0):
-        canvas.fill([(x, 0, 38), (x + 0.5, 0, 38), (x + 0.5, 0, 42), (x, 0, 42)], 210 * light)
-
-
-def _draw_house(
-    canvas: _Canvas, side: int, near: float, far: float, rng: np.random.Generator, light: float, night: bool
-) -> None:
-    """Draw a front along the street with rows of windows, and the gable towards the camera."""
-    x, floors = side * (8.0 + float(rng.uniform(0, 0.8))), int(rng.integers(2, 6))
-    top, shade = 3.1 * floors + 1.0, float(rng.uniform(70, 175))
-    haze = 0.35 * near / FAR_M
-    wall = (shade * (1 - haze) + 190 * haze) * light
-    canvas.fill([(x, 0, near), (x, top, near), (x, top, far), (x, 0, far)], wall)
-    canvas.fill([(x, 0, near), (x + side * 40, 0, near), (x + side * 40, top, near), (x, top, near)], 0.8 * wall)
-    canvas.fill([(x, top, near), (x, top + 0.35, near), (x, top + 0.35, far), (x, top, far)], 0.55 * wall)
-    for floor in range(floors):
-        low = 3.1 * floor + 1.0
-        for at in np.arange(near + 1.2, far - 1.6, 2.6):
-            lit = night and rng.random() < 0.3
-            level = float(rng.uniform(130, 230)) if lit else (0.5 if rng.random() < 0.8 else 1.35) * wall
-            canvas.fill([(x, low, at), (x, low + 1.5, at), (x, low + 1.5, at + 1.2), (x, low, at + 1.2)], level)
-
-
-def _draw_tree(canvas: _Canvas, side: int, at: float, rng: np.random.Generator, light: float) -> None:
-    x = side * (KERB_M + 1.2)
-    canvas.fill([(x - 0.12, 0, at), (x + 0.12, 0, at), (x + 0.08, 2.6, at), (x - 0.08, 2.6, at)], 45 * light)
-    for _ in range(14):
-        place = x + float(rng.normal(0, 0.7)), 3.6 + float(rng.normal(0, 0.7)), at
-        canvas.disc(place, float(rng.uniform(0.4, 0.8)), float(rng.uniform(45, 85)) * light)
-
-
-def _draw_car(canvas: _Canvas, side: int, at: float, rng: np.random.Generator, light: float, night: bool) -> None:
-    """Draw a parked car from behind."""
-    middle, shade = side * (KERB_M - 1.15), float(rng.choice([40, 90, 140, 205])) * light
-    left, right = middle - 0.85, middle + 0.85
-    canvas.fill([(left, 0.05, at), (right, 0.05, at), (right, 0.2, at), (left, 0.2, at)], 15 * light)
-    canvas.fill([(left, 0.2, at), (right, 0.2, at), (right, 0.9, at), (left, 0.9, at)], shade)
-    canvas.fill([(left + 0.1, 0.9, at), (right - 0.1, 0.9, at), (right - 0.3, 1.45, at), (left + 0.3, 1.45, at)], shade)
-    canvas.fill([(left + 0.22, 0.95, at), (right - 0.22, 0.95, at), (right - 0.35, 1.38, at), (left + 0.35, 1.38, at)],
-                (40 if shade > 60 * light else 95) * light)  # fmt: skip
-    for x in (left + 0.18, right - 0.18):
-        canvas.disc((x, 0.75, at), 0.09, 210 if night and rng.random() < 0.4 else 110 * light)
-
-
-def _draw_lamp(canvas: _Canvas, side: int, at: float, light: float, night: bool) -> None:
-    x = side * (KERB_M + 0.5)
-    canvas.fill([(x - 0.06, 0, at), (x + 0.06, 0, at), (x + 0.05, 6.4, at), (x - 0.05, 6.4, at)], 55 * light)
-    end = x - side * 1.4
-    canvas.fill([(x, 6.35, at), (end, 6.45, at), (end, 6.55, at), (x, 6.45, at)], 55 * light)
-    canvas.fill([(end - 0.3, 6.35, at), (end + 0.3, 6.35, at), (end + 0.3, 6.5, at), (end - 0.3, 6.5, at)],
-                255 if night else 70)  # fmt: skip
 
 
 @compiled()
@@ -306,33 +297,33 @@ def flat_background(scenery: Scenery) -> Painter:
     return lambda light, *_: light.fill(level)
 
 
-def _still_background(draw: Callable[[tuple[int, int], np.random.Generator], Gray]) -> Callable[[Scenery], Painter]:
-    """Return the maker of the painter of a drawn scene at a distance of 300 m."""
-
-    def make(scenery: Scenery) -> Painter:
-        scene = draw(scenery.size, scenery.rng).astype(np.float32)
-        return _painter(scenery, lambda _: scene, 300.0)
-
-    return make
+def synthetic_background(scenery: Scenery) -> Painter:
+    """Return the painter of a scene with many lamps."""
+    return _still_painter(scenery, draw_scene(scenery.size, scenery.rng))
 
 
-drawn_background = _still_background(draw_scene)
-street_background = _still_background(draw_street)
-night_background = _still_background(partial(draw_street, night=True))
+def street_background(scenery: Scenery) -> Painter:
+    """Return the painter of a street by day."""
+    return _still_painter(scenery, draw_street(scenery.size, scenery.rng))
+
+
+def street_night_background(scenery: Scenery) -> Painter:
+    """Return the painter of a street at night."""
+    return _still_painter(scenery, draw_street(scenery.size, scenery.rng, night=True))
 
 
 def footage_background(scenery: Scenery) -> Painter:
     """Return the painter of recorded frames."""
     if scenery.footage is None:
-        raise SettingsError("background.kind = footage needs recorded frames")
+        raise SettingsError("background.kind = footage needs recorded frames: pass footage, or choose another kind")
     # footage contains the expansion of the drive
     return _painter(scenery, Clip(scenery.footage, scenery.size).at, np.inf)
 
 
-def background(settings: ChannelSettings, footage: Footage | None, rng: np.random.Generator) -> Painter:
-    """Return the painter of the background of a film."""
-    painter: Painter = BACKGROUNDS[settings.background.kind](Scenery(settings, footage, rng))
-    return painter
+def _still_painter(scenery: Scenery, scene: Gray) -> Painter:
+    """Return the painter of a drawn scene at a distance of 300 m."""
+    image = scene.astype(np.float32)
+    return _painter(scenery, lambda _: image, 300.0)
 
 
 def _painter(scenery: Scenery, image_at: Callable[[float], NDArray[np.float32]], depth_m: float) -> Painter:

@@ -2,26 +2,22 @@
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
-from heliograph.channel.background import Footage, background
+from heliograph.channel.background import Footage, Scenery
 from heliograph.channel.exposure import Faults, Lighting, PatternFeed
 from heliograph.channel.motion import ImuTrace, film_duration, motion
-from heliograph.channel.render import Canvas, render
+from heliograph.channel.parts import BACKGROUNDS
+from heliograph.channel.render import Canvas, StillLight, render, surroundings_gain
 from heliograph.channel.sensor import read_out
-from heliograph.channel.settings import EXPOSURE_SLACK, ChannelSettings
-from heliograph.channel.still import StillLight
-from heliograph.channel.transfer import Transfer
+from heliograph.channel.settings import EXPOSURE_SLACK, MAX_JITTER, CameraSettings, ChannelSettings
 from heliograph.channel.truth import NoiseModel, Truth
 from heliograph.channel.views import FilmScene, frame_block, windows
-from heliograph.channel.white_balance import surroundings_gain
-
-Patterns = Iterable[NDArray[np.uint8]]
-"""Patterns of an array in temporal order, each (n, n) uint8 levels 0 to 4."""
 
 
 def frame_count(settings: ChannelSettings) -> int:
@@ -33,7 +29,7 @@ def frame_count(settings: ChannelSettings) -> int:
 
 def film(
     settings: ChannelSettings,
-    lights: Sequence[Patterns],
+    lights: Sequence[Iterable[NDArray[np.uint8]]],
     rng: np.random.Generator,
     *,
     pattern_period_s: float,
@@ -43,19 +39,14 @@ def film(
     imu: ImuTrace | None = None,
     roi_margin_px: int | None = None,
 ) -> Iterator[tuple[Frame, Truth]]:
-    """Simulate a film of arrays from a moving vehicle."""
+    """Simulate a film of arrays, given as patterns of (n, n) uint8 levels 0 to 4, from a moving vehicle."""
     if len(lights) != len(settings.arrays):
         raise SettingsError(f"expected a pattern stream per array: {len(settings.arrays)}, not {len(lights)}")
-    if settings.camera.exposure_s > pattern_period_s * (1 + EXPOSURE_SLACK):
-        raise SettingsError(
-            f"the exposure is at most T_b = {pattern_period_s:g} s, not {settings.camera.exposure_s:g} s"
-        )
-    if sorted(slot_order) != [0, 1, 2, 3]:
-        raise SettingsError(f"the slot order is a permutation of 0 to 3, not {list(slot_order)}")
+    camera = settings.camera
+    if camera.exposure_s > pattern_period_s * (1 + EXPOSURE_SLACK):
+        raise SettingsError(f"the exposure is at most T_b = {pattern_period_s:g} s, not {camera.exposure_s:g} s")
     if roi_margin_px is not None and roi_margin_px < 0:
         raise SettingsError(f"roi_margin_px is at least 0, not {roi_margin_px}")
-    if settings.background.kind == "footage" and footage is None:
-        raise SettingsError("background.kind = footage needs recorded frames: pass footage, or choose another kind")
     seeds = [int(s) for s in rng.integers(0, 2**63, 3)]
     arrays = []
     for k, (place, patterns) in enumerate(zip(settings.arrays, lights, strict=True)):
@@ -64,7 +55,7 @@ def film(
         faults = Faults.of(place, feed.side, np.random.default_rng([seeds[1], k]))
         arrays.append(Lighting(feed, place.start_s, period_s, tuple(slot_order), faults, steady))
     drive = motion(settings, imu, np.random.default_rng(seeds[0]))
-    paint = background(settings, footage, np.random.default_rng(seeds[1]))
+    paint = BACKGROUNDS[settings.background.kind](Scenery(settings, footage, np.random.default_rng(seeds[1])))
     return _shoot(FilmScene(settings, arrays, drive, paint, seeds[2]), roi_margin_px)
 
 
@@ -91,3 +82,31 @@ def _shoot(scene: FilmScene, roi: int | None) -> Iterator[tuple[Frame, Truth]]:
             delivered = transfer(Frame(index, stamp_s, pixels, settings.sensor.bits, (x, y)))
             if delivered is not None:
                 yield delivered, Truth(delivered.index, float(block.times_s[k, 0]), truths, noise)
+
+
+class Transfer:
+    """Frame transfer; faults depend on the seed and the frame number only.
+
+    With ``gaps`` off, delivered frames have consecutive numbers and times.
+    """
+
+    def __init__(self, camera: CameraSettings, seed: int):
+        self._camera, self._seed = camera, seed
+        self._last: Frame | None = None
+        self._lost = 0
+
+    def __call__(self, frame: Frame) -> Frame | None:
+        """Return the delivered frame; None for a dropped frame."""
+        camera = self._camera
+        if not (camera.dropped or camera.repeated or camera.jitter_s):
+            return frame
+        rng = np.random.default_rng([self._seed, frame.index])
+        draw, late = rng.random(), rng.normal(0.0, camera.jitter_s)
+        if draw < camera.dropped:
+            self._lost += not camera.gaps
+            return None
+        limit = MAX_JITTER / camera.fps
+        time_s = frame.time_s - self._lost / camera.fps + float(np.clip(late, -limit, limit))
+        source = self._last if self._last is not None and draw < camera.dropped + camera.repeated else frame
+        self._last = replace(source, index=frame.index - self._lost, time_s=time_s)
+        return self._last

@@ -31,20 +31,19 @@ class PatternFeed:
             pattern = next(self._source, None)
             if pattern is None:
                 break
-            self._recent[self._next] = self._checked(pattern)
+            self._check(pattern)
+            self._recent[self._next] = pattern
             # a rolling shutter and the response of a screen need recent patterns
             self._recent.pop(self._next - 64, None)
             self._next += 1
         return self._recent.get(number)
 
-    def _checked(self, pattern: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        p = np.asarray(pattern)
-        self.side = self.side or (p.shape[0] if p.ndim else 0)
-        if p.shape != (self.side, self.side) or p.dtype != np.uint8 or p.size == 0:
-            raise ValueError(f"patterns of {self._name} are (n, n) uint8 of equal n, not {p.shape} {p.dtype}")
-        if p.max() > SLOTS:
-            raise ValueError(f"levels of {self._name} are 0 to {SLOTS}, not {p.max()}")
-        return p
+    def _check(self, pattern: NDArray[np.uint8]) -> None:
+        self.side = self.side or len(pattern)
+        if pattern.shape != (self.side, self.side) or pattern.dtype != np.uint8:
+            raise ValueError(f"patterns of {self._name} are (n, n) uint8, not {pattern.shape} {pattern.dtype}")
+        if pattern.max() > SLOTS:
+            raise ValueError(f"levels of {self._name} are 0 to {SLOTS}, not {pattern.max()}")
 
 
 Moments = tuple[Floats, Floats, Floats]

@@ -1,14 +1,14 @@
-"""Camera motion: speed profile, half-car model on a rough road, recorded trace, or hand."""
+"""Camera motion: speed profile, half-car model on a rough road (ISO 8608), recorded trace, or hand."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import expm
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
-from heliograph.channel.half_car import HalfCar, RoadProfile, road_profile
 from heliograph.channel.parts import MOTIONS
 from heliograph.channel.scene import CameraPose
 from heliograph.channel.settings import ChannelSettings
@@ -16,11 +16,105 @@ from heliograph.channel.settings import ChannelSettings
 Shake = Callable[[Floats], Floats]
 """Times (...) in s -> (..., 4): heave in m, upward; pitch, yaw, roll in rad."""
 
+Motion = Callable[[Floats], CameraPose]
+"""Times in s -> camera poses."""
+
 STEP_S = 2e-3
 """Step of the half-car simulation."""
 
 RUN_IN_S = 5.0
 """Drive time of the half-car before time 0; the slowest mode decays as exp(-1.76 t)."""
+
+
+ROUGHNESS_M3 = {"A": 16e-6, "B": 64e-6, "C": 256e-6, "D": 1024e-6}
+"""Displacement density G_d(n0) in m^3 by road class: geometric means of ISO 8608."""
+
+STEP_M = 0.0125
+"""Distance between samples, a twentieth of the shortest wave: linear interpolation loses at most 1.2 %."""
+
+
+def roughness(road_class: str, per_m: ArrayLike) -> Floats:
+    """Return the displacement power spectral density of a road (ISO 8608)."""
+    # ISO 8608: G_d(n) = G_d(n0) (n / n0)^-2, n0 = 0.1 cycle/m
+    return ROUGHNESS_M3[road_class] * (np.asarray(per_m) / 0.1) ** -2.0
+
+
+def road_profile(road_class: str, length_m: float, rng: np.random.Generator) -> Floats:
+    """Draw the heights of a random road in m, upward, every `STEP_M`: sine waves with the spectrum of ISO 8608."""
+    # a power of two of at least 2^14 samples, twice the longest wave; 1e-9: rounding
+    samples = 1 << int(np.ceil(np.log2(max(length_m, 204.8) / STEP_M - 1e-9)))
+    per_m = np.fft.rfftfreq(samples, STEP_M)
+    # from 100 m, far below the modes of the body, to 0.25 m, the length of the tyre contact
+    band = (per_m >= 0.01) & (per_m <= 4.0)
+    # a wave of amplitude A has the power A^2 / 2 = G_d(n) dn
+    amplitude = np.sqrt(2 * roughness(road_class, per_m[band]) * per_m[1])
+    spectrum = np.zeros(per_m.size, complex)
+    spectrum[band] = amplitude / 2 * samples * np.exp(2j * np.pi * rng.random(int(band.sum())))
+    return np.fft.irfft(spectrum, samples)
+
+
+def road_height(profile: Floats, distance_m: ArrayLike) -> Floats:
+    """Return the interpolated height along a periodic road in m."""
+    return np.interp(np.asarray(distance_m) / STEP_M, np.arange(profile.size), profile, period=profile.size)
+
+
+@dataclass(frozen=True)
+class HalfCar:
+    """Passenger car in side view: body with heave and pitch, two axles on springs, two tyres.
+
+    Masses, springs and dampers are sums over both sides. With the defaults, the body modes are at 1.01 and 1.27 Hz,
+    and wheel hop at 10.4 and 10.9 Hz.
+    """
+
+    # Mass of the body in kg
+    body_kg: float = 1380.0
+    # Moment of inertia about the pitch axis in kg m^2
+    inertia_kg_m2: float = 2440.0
+    # Front axle before the centre of mass in m
+    front_m: float = 1.25
+    # Rear axle behind the centre of mass in m
+    rear_m: float = 1.51
+    # Masses of the front and the rear axle in kg
+    axle_kg: tuple[float, float] = (81.0, 91.0)
+    # Stiffness of the front and the rear springs in N/m
+    spring_n_m: tuple[float, float] = (34e3, 44e3)
+    # Damping of the front and the rear dampers in N s/m
+    damper_n_s_m: tuple[float, float] = (3e3, 3e3)
+    # Stiffness of the front and the rear tyres in N/m
+    tyre_n_m: tuple[float, float] = (384e3, 384e3)
+    # Camera before the centre of mass in m: near the windscreen
+    camera_m: float = 0.5
+
+    def matrices(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the matrices of the equation of motion M q" + C q' + K q = B r."""
+        travel = np.array([[1, self.front_m, -1, 0], [1, -self.rear_m, 0, -1]])  # of the springs
+        tyres = np.array([[0, 0], [0, 0], [self.tyre_n_m[0], 0], [0, self.tyre_n_m[1]]])
+        mass = np.diag([self.body_kg, self.inertia_kg_m2, *self.axle_kg])
+        damping = travel.T @ np.diag(self.damper_n_s_m) @ travel
+        stiffness = travel.T @ np.diag(self.spring_n_m) @ travel + np.diag([0, 0, *self.tyre_n_m])
+        return mass, damping, stiffness, tyres
+
+    def ride(self, road_m: Floats, step_s: float) -> Floats:
+        """Return the displacements of the car on a road, from rest at the first heights."""
+        _, _, stiffness, tyres = self.matrices()
+        advance, enter = self._discretise(step_s)
+        drive = road_m @ enter.T
+        state = np.zeros((len(road_m) + 1, 8))
+        state[0, :4] = np.linalg.solve(stiffness, tyres @ road_m[0])
+        for k in range(len(road_m)):
+            state[k + 1] = advance @ state[k] + drive[k]
+        return state[:-1, :4]
+
+    def _discretise(self, step_s: float) -> tuple[Floats, Floats]:
+        """Return A and B of x[k+1] = A x[k] + B r[k], x = (q, q'), exact for a constant road height over the step."""
+        mass, damping, stiffness, tyres = self.matrices()
+        system = np.zeros((10, 10))
+        system[:4, 4:8] = np.eye(4)
+        system[4:8, :4] = -np.linalg.solve(mass, stiffness)
+        system[4:8, 4:8] = -np.linalg.solve(mass, damping)
+        system[4:8, 8:] = np.linalg.solve(mass, tyres)
+        step = expm(system * step_s)
+        return step[:8, :8], step[:8, 8:]
 
 
 @dataclass(frozen=True)
@@ -91,20 +185,6 @@ class Travel:
         return float(brentq(lambda t: float(self.distance(t)) - distance_m, 0.0, max_s, xtol=1e-12))
 
 
-@dataclass(frozen=True)
-class Motion:
-    """Camera pose as a smooth function of time."""
-
-    travel: Travel
-    # None for no shake
-    shake: Shake | None
-
-    def pose(self, times_s: Floats) -> CameraPose:
-        """Return the poses at times."""
-        shake = np.zeros((*times_s.shape, 4)) if self.shake is None else self.shake(times_s)
-        return CameraPose(self.travel.distance(times_s), *np.moveaxis(shake, -1, 0))
-
-
 def film_duration(settings: ChannelSettings) -> float:
     """Return the film length in s: ``duration_s``, or the time to ``stop_m``, or 1 s for a vehicle at rest."""
     if settings.duration_s is not None:
@@ -112,14 +192,14 @@ def film_duration(settings: ChannelSettings) -> float:
     return Travel.of(settings).time_of(settings.distance_m - settings.stop_m) if settings.moves else 1.0
 
 
-def road_shake(travel: Travel, road: RoadProfile, start_s: float, end_s: float, car: HalfCar | None = None) -> Shake:
+def road_shake(travel: Travel, road: Floats, start_s: float, end_s: float) -> Shake:
     """Return heave and pitch of the camera in a half-car on a road as a cubic spline."""
     from scipy.interpolate import CubicSpline
 
-    car = car or HalfCar()
-    times = np.arange(start_s - RUN_IN_S, end_s + 0.1, STEP_S)  # to beyond the last exposure
+    car, times = HalfCar(), np.arange(start_s - RUN_IN_S, end_s + 0.1, STEP_S)  # to beyond the last exposure
     distance = travel.distance(times + STEP_S / 2)
-    q = car.ride(np.stack([road.at(distance + car.front_m), road.at(distance - car.rear_m)], -1), STEP_S)
+    axles = [road_height(road, distance + car.front_m), road_height(road, distance - car.rear_m)]
+    q = car.ride(np.stack(axles, -1), STEP_S)
     zero = np.zeros(len(q))
     # heave of the camera = heave of the body + lever * pitch
     return CubicSpline(times, np.stack([q[:, 0] + car.camera_m * q[:, 1], q[:, 1], zero, zero], -1))
@@ -171,7 +251,7 @@ class Drive:
     rng: np.random.Generator
 
 
-def no_motion(drive: Drive) -> None:
+def none_motion(drive: Drive) -> None:
     """Return no shake."""
 
 
@@ -192,10 +272,16 @@ def imu_motion(drive: Drive) -> Shake | None:
 
 
 def motion(settings: ChannelSettings, imu: ImuTrace | None, rng: np.random.Generator) -> Motion:
-    """Return the vehicle motion over the film."""
+    """Return the motion of the camera over the film."""
     travel = Travel.of(settings)
     drive = Drive(settings, travel, min(0.0, settings.camera.start_s), film_duration(settings), imu, rng)
-    return Motion(travel, MOTIONS[settings.shake](drive))
+    shake: Shake | None = MOTIONS[settings.shake](drive)
+
+    def pose(times_s: Floats) -> CameraPose:
+        turns = np.zeros((*times_s.shape, 4)) if shake is None else shake(times_s)
+        return CameraPose(travel.distance(times_s), *np.moveaxis(turns, -1, 0))
+
+    return pose
 
 
 def hand_motion(drive: Drive) -> Shake | None:

@@ -19,6 +19,12 @@ LedOptics = tuple[tuple[float, float, float], tuple[float, float], Floats, float
 """Pitch in m, radius in m and Lambertian order; focal length and blur in px; cubature points and remaining variance of
 the disc (`disc_cubature`); `normal_table`."""
 
+LedMaps = tuple[Floats, Floats, Floats]
+"""Homography, the rate of change per s, and camera position of an array."""
+
+LitMoments = tuple[float, float, float]
+"""Fraction of an exposure, centroid and variance of the light of an LED."""
+
 
 def spots(settings: ChannelSettings, plane: Floats) -> list[tuple[float, Floats, LedOptics]]:
     """Return share of light, (3, 3) shift and optics of the Gaussians of the point-spread function at a pose."""
@@ -143,9 +149,7 @@ def _deposit(
 
 
 @compiled()
-def add_leds(
-    light: Light, corner: Corner, homography: Floats, drift: Floats, eye: Floats, moments: Moments, optics: LedOptics
-) -> None:
+def add_leds(light: Light, corner: Corner, maps: LedMaps, moments: Moments, optics: LedOptics) -> None:
     """Add the light of the LEDs of an array to a window of the image, in place."""
     n, pitch = moments[0].shape[0], optics[0][0]
     scratch = np.empty((2, max(light.shape) + 1))
@@ -154,23 +158,15 @@ def add_leds(
             if moments[0][u, v] != 0.0:
                 place = ((v - (n - 1) / 2) * pitch, (u - (n - 1) / 2) * pitch)
                 lit = (moments[0][u, v], moments[1][u, v], moments[2][u, v])
-                _add_led(light, corner, place, homography, drift, eye, lit, optics, scratch)
+                _add_led(light, corner, place, maps, lit, optics, scratch)
 
 
 @compiled()
 def _add_led(
-    light: Light,
-    corner: Corner,
-    place: Pair,
-    homography: Floats,
-    drift: Floats,
-    eye: Floats,
-    lit: tuple[float, float, float],
-    optics: LedOptics,
-    scratch: Floats,
+    light: Light, corner: Corner, place: Pair, maps: LedMaps, lit: LitMoments, optics: LedOptics, scratch: Floats
 ) -> None:
     """Add the light of an LED at (a, b) in the array plane with the moments `lit`."""
-    (a, b), (level, late, spread) = place, lit
+    (a, b), (level, late, spread), (homography, drift, eye) = place, lit, maps
     (pitch, radius, order), (focal, blur), points, rest, table = optics
     # equation (6): the homography of the temporal centroid of the light
     h = homography + late * drift

@@ -14,12 +14,7 @@ Maker = Callable[..., Any]
 MOTIONS: Registry[Maker] = Registry(
     "motion",
     "heliograph.motions",
-    {
-        "none": "heliograph.channel.motion:no_motion",
-        "road": "heliograph.channel.motion:road_motion",
-        "imu": "heliograph.channel.motion:imu_motion",
-        "hand": "heliograph.channel.motion:hand_motion",
-    },
+    {kind: f"heliograph.channel.motion:{kind}_motion" for kind in ("none", "road", "imu", "hand")},
 )
 """Motions by ``channel.shake``; each takes a `motion.Drive` and returns a `motion.Shake`."""
 
@@ -27,11 +22,8 @@ BACKGROUNDS: Registry[Maker] = Registry(
     "background",
     "heliograph.backgrounds",
     {
-        "flat": "heliograph.channel.background:flat_background",
-        "synthetic": "heliograph.channel.background:drawn_background",
-        "street": "heliograph.channel.background:street_background",
-        "street-night": "heliograph.channel.background:night_background",
-        "footage": "heliograph.channel.background:footage_background",
+        kind: f"heliograph.channel.background:{kind.replace('-', '_')}_background"
+        for kind in ("flat", "synthetic", "street", "street-night", "footage")
     },
 )
 """Backgrounds by ``channel.background.kind``; each takes a `background.Scenery` and returns a `background.Painter`."""
@@ -39,7 +31,7 @@ BACKGROUNDS: Registry[Maker] = Registry(
 POINT_SPREADS: Registry[Maker] = Registry(
     "point-spread function",
     "heliograph.point_spreads",
-    {"gaussian": "heliograph.channel.psf:gaussian_spread", "halo": "heliograph.channel.psf:halo_spread"},
+    {kind: f"heliograph.channel.psf:{kind}_spread" for kind in ("gaussian", "halo")},
 )
 """Point-spread functions by ``channel.camera.psf``; each takes `CameraSettings` and returns a `psf.PointSpread`."""
 

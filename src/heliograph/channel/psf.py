@@ -39,10 +39,8 @@ class PointSpread:
         """Check shapes and widths."""
         count = len(self.fraction)
         if self.shift_px.shape != (count, 2) or self.sigma_px.shape != (count,):
-            raise SettingsError(
-                f"a point-spread function of {count} Gaussians has shift_px of shape {(count, 2)} and sigma_px of "
-                f"shape {(count,)}, not {self.shift_px.shape} and {self.sigma_px.shape}"
-            )
+            shapes = f"{self.shift_px.shape} and {self.sigma_px.shape}"
+            raise SettingsError(f"{count} Gaussians have (k, 2) shift_px and (k,) sigma_px, not shapes {shapes}")
         if not (self.sigma_px > 0).all():
             raise SettingsError(f"the Gaussians of a point-spread function have widths above 0, not {self.sigma_px}")
 

@@ -1,6 +1,9 @@
-"""Light on the sensor during an exposure: background, panels and moving LEDs."""
+"""Light on the sensor during an exposure: background, panels and moving LEDs; static scenes as sums of LED images."""
 
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +12,12 @@ from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.channel.cells import SAMPLES, add_screen, cell_light
 from heliograph.channel.exposure import Lit, Moments
-from heliograph.channel.optics import add_leds, cover, normal_table, spots
+from heliograph.channel.optics import REACH_SIGMA, add_images, add_leds, cover, normal_table, spots
 from heliograph.channel.parts import POINT_SPREADS
-from heliograph.channel.scene import Corner, Light
-from heliograph.channel.settings import MAX_MOTION_PX, CameraSettings, ChannelSettings
+from heliograph.channel.scene import Corner, Light, centre_scale, project
+from heliograph.channel.settings import MAX_MOTION_PX, CameraSettings, ChannelSettings, Colour
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, panel_view
-from heliograph.channel.white_balance import array_gain
 
 SMEAR_PX = 0.25
 """Largest motion for rendering motion blur by centroid and variance; longer motion is split into pieces. The neglected
@@ -109,7 +111,7 @@ def _add_leds(
         )
     lit = lit.split((end - start) * SMEAR_PX / float(view.motion_px[k]))
     times = (lit.start_s + lit.end_s) / 2
-    maps, eyes = scene.maps(array, times, scene.drive.pose(times))
+    maps, eyes = scene.maps(array, times, scene.drive(times))
     for on, length, plane, eye in zip(lit.on, lit.end_s - lit.start_s, maps, eyes, strict=True):
         moments = (on * (level * length / (end - start)), np.zeros_like(on), np.full_like(on, length**2 / 12))
         add_array(settings, plane, view.drift[k], eye, moments, canvas)
@@ -150,7 +152,7 @@ def _add_screen(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: 
     parts = (np.random.default_rng(0).permutation(SAMPLES**2) + 0.5) / SAMPLES**2 * camera.exposure_s
     n_poses = 9  # with linear interpolation, 0.5 % error of the fastest tremor
     times = start_s + np.linspace(0, rows[-1] + camera.exposure_s, n_poses)
-    maps, _ = scene.maps(array, times, scene.drive.pose(times))
+    maps, _ = scene.maps(array, times, scene.drive(times))
     place = (rows[:, None] + parts) / (times[-1] - times[0]) * (n_poses - 1)
     before = np.minimum(place.astype(int), n_poses - 2)
     share = (place - before)[..., None, None]
@@ -170,4 +172,113 @@ def add_array(
     light, late, spread = moments
     for fraction, shift, optics in spots(settings, plane):
         parts = (fraction * light, late, spread)
-        add_leds(canvas.light, canvas.corner, shift @ plane, shift @ drift, eye, parts, optics)
+        add_leds(canvas.light, canvas.corner, (shift @ plane, shift @ drift, eye), parts, optics)
+
+
+LedImages = tuple[NDArray[np.float32], NDArray[np.int64]]
+"""Light of each LED of an array at level 1 in full scales, (n, n, s, s), and first pixels (x, y), (n, n, 2)."""
+
+
+@dataclass(slots=True)
+class StillLight:
+    """Renderer for static parts of a film."""
+
+    scene: FilmScene
+    _view: tuple[bytes, ...] = ()
+    _base: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0), np.float32))
+    _images: Sequence[LedImages | None] = ()
+
+    def take(self, block: FrameBlock, window: NDArray[np.int64]) -> bool:
+        """Prepare a block of frames; return True if the scene is static and `render` applies."""
+        settings, views = self.scene.settings, block.views
+        # other backgrounds may depend on time
+        is_still = settings.background.kind in ("flat", "synthetic", "street", "street-night")
+        if not is_still or settings.emitter.shape == "cell" or settings.camera.row_time_s:
+            return False
+        inputs = [window, *vars(block.pose).values()]
+        inputs += [part for view in views for part in (view.homography, view.eye, view.panel.inverse)]
+        boxes = [view.panel.box[0] for view in views]
+        occludes = any((a[:2] <= b[2:]).all() and (b[:2] <= a[2:]).all() for a, b in combinations(boxes, 2))
+        moves = any(np.ptp(part, 0).any() for part in inputs) or any(view.drift.any() for view in views)
+        if occludes or moves:
+            return False
+        state = tuple(part[0].tobytes() for part in inputs)
+        if state != self._view:
+            x, y, last_x, last_y = map(int, window[0])
+            canvas = Canvas(np.empty((last_y - y + 1, last_x - x + 1), np.float32), (x, y))
+            render(self.scene, block, 0, canvas, with_leds=False)
+            self._base, self._view = canvas.light, state
+            self._images = [
+                led_images(settings, view.homography[0], view.eye[0], lighting.feed.side)
+                if view.ahead[0] and canvas.meets(view.panel.box[0])
+                else None
+                for view, lighting in zip(views, self.scene.lightings, strict=True)
+            ]
+        return True
+
+    def render(self, block: FrameBlock, k: int, canvas: Canvas) -> tuple[ArrayTruth, ...]:
+        """Render the light of a frame in the window, like `render.render`."""
+        start, middle, end = block.times_s[k].tolist()
+        shown = [lighting.shown(start, end) for lighting in self.scene.lightings]
+        np.copyto(canvas.light, self._base)
+        for array, (lit, images) in enumerate(zip(shown, self._images, strict=True)):
+            if lit is not None and images is not None:
+                levels = level_of(self.scene.settings, array, middle) * lit.moments(start, end)[0]
+                add_images(canvas.light, canvas.corner, levels.astype(np.float32), *images)
+        return tuple(view.truth(k, lit) for view, lit in zip(block.views, shown, strict=True))
+
+
+def led_images(settings: ChannelSettings, plane: Floats, eye: Floats, side: int) -> LedImages:
+    """Return the images of the LEDs of a static array."""
+    at = (np.arange(side) - (side - 1) / 2) * settings.emitter.pitch_m
+    b, a = np.meshgrid(at, at, indexing="ij")
+    places, depths = project(plane, np.stack([a.ravel(), b.ravel()], 1))
+    # px/m at the nearest LED
+    scale = float(np.linalg.norm(centre_scale(plane))) * (float(plane[2, 2]) / float(depths.min())) ** 2
+    diameter_px = settings.emitter.diameter_m * scale
+    reach = [
+        REACH_SIGMA * math.hypot(optics[1][1], diameter_px / 2) + diameter_px + float(np.abs(shift[:2, 2]).max())
+        for _, shift, optics in spots(settings, plane)
+    ]
+    half = math.ceil(max(reach)) + 1
+    corners = np.rint(places).astype(np.int64).reshape(side, side, 2) - half
+    images = np.zeros((side, side, 2 * half + 1, 2 * half + 1), np.float32)
+    zero = np.zeros((side, side))
+    for u, v in np.ndindex(side, side):
+        level = zero.copy()
+        level[u, v] = 1
+        canvas = Canvas(images[u, v], (int(corners[u, v, 0]), int(corners[u, v, 1])))
+        add_array(settings, plane, np.zeros((3, 3)), eye, (level, zero, zero), canvas)
+    # remove the rows and columns that are dark in all images
+    i, j = (np.flatnonzero(images.any(axes)) for axes in ((0, 1, 3), (0, 1, 2)))
+    if not i.size:
+        return images, corners
+    return images[:, :, i[0] : i[-1] + 1, j[0] : j[-1] + 1].copy(), corners + np.array([j[0], i[0]])
+
+
+def luma_gain(camera: CameraSettings, gamma: float, colour: Colour, time_s: float) -> float:
+    """Return the factor of white balance on the light of a colour, 1 for a constant balance.
+
+    A camera applies gains to red and blue and a power of 1 / gamma to all primaries. The luma of a film is the weighted
+    sum of the primaries, the light times a gain that depends on colour and time.
+    """
+    if not camera.white_balance_swing:
+        return 1.0
+    swing = camera.white_balance_swing * math.sin(2 * math.pi * time_s / camera.white_balance_period_s)
+    gains = (1 + swing, 1.0, 1 - swing)
+    # Y(t) = (w_r (a_r(t) c_r)^(1/gamma) + w_g c_g^(1/gamma) + w_b (a_b(t) c_b)^(1/gamma)) L^(1/gamma)
+    weights = (0.2126, 0.7152, 0.0722)  # of red, green and blue in luma (Rec. ITU-R BT.709)
+    luma = sum(w * (a * c) ** (1 / gamma) for w, a, c in zip(weights, gains, colour, strict=True))
+    reference = sum(w * c ** (1 / gamma) for w, c in zip(weights, colour, strict=True))
+    return (luma / reference) ** gamma
+
+
+def surroundings_gain(settings: ChannelSettings, time_s: float) -> float:
+    """Return the factor of white balance on the light of background and panels."""
+    return luma_gain(settings.camera, settings.sensor.gamma, settings.background.colour, time_s)
+
+
+def array_gain(settings: ChannelSettings, time_s: float) -> float:
+    """Return the factor of white balance on the light of arrays relative to the surroundings."""
+    gain = luma_gain(settings.camera, settings.sensor.gamma, settings.emitter.colour, time_s)
+    return gain / surroundings_gain(settings, time_s)

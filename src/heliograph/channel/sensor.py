@@ -86,12 +86,7 @@ def _poisson(mean: float, key: np.uint64, column: int) -> int:
 
 @compiled()
 def fill_levels(
-    out: NDArray[Any],
-    light: Light,
-    corner: Corner,
-    seed: np.uint64,
-    frame: int,
-    scales: tuple[float, float, float, float, float],
+    out: NDArray[Any], light: Light, corner: Corner, seed: np.uint64, frame: int, scales: tuple[float, ...]
 ) -> None:
     """Write the gray levels of `read_out`."""
     well, dark, gain = np.float32(scales[0]), np.float32(scales[1]), np.float32(scales[2])

@@ -52,6 +52,9 @@ EXPOSURE_SLACK = 1e-9
 MAX_MOTION_PX = 1e3
 """Maximum motion of an array in the image during an exposure in px; limits the memory of a frame to 0.13 GB."""
 
+MAX_JITTER = 0.45
+"""Largest error of a frame time in frame periods; below 1/2, so that frame times rise."""
+
 MIN_DISTANCE_M = 0.3
 """Minimum distance of a rendered panel; the image is much larger than the sensor there."""
 
@@ -126,9 +129,7 @@ class Placement:
     @model_validator(mode="after")
     def _consistent(self) -> "Placement":
         if self.dead + self.stuck > 1:
-            raise ValueError(
-                f"dead and stuck are fractions of all LEDs, at most 1 together, not {self.dead + self.stuck:g}"
-            )
+            raise ValueError(f"dead and stuck are at most 1 together, not {self.dead + self.stuck:g}")
         if self.hidden and not (self.hidden[0] < self.hidden[2] and self.hidden[1] < self.hidden[3]):
             raise ValueError(f"hidden is left, top, right, lower with left < right, top < lower, not {self.hidden}")
         if any(end <= begin for begin, end in self.off_s):
@@ -241,11 +242,9 @@ class CameraSettings:
     def _consistent(self) -> "CameraSettings":
         if self.exposure_s * self.fps > 1 + EXPOSURE_SLACK:
             raise ValueError(f"exposure_s is at most 1 / fps = {1 / self.fps:g} s, not {self.exposure_s:g} s")
-        if self.row_time_s * self.height * self.fps > 1 + EXPOSURE_SLACK:
-            raise ValueError(
-                f"row_time_s times height is at most 1 / fps = {1 / self.fps:g} s, not "
-                f"{self.row_time_s * self.height:g} s"
-            )
+        rows_s = self.row_time_s * self.height
+        if rows_s * self.fps > 1 + EXPOSURE_SLACK:
+            raise ValueError(f"row_time_s times height is at most 1 / fps = {1 / self.fps:g} s, not {rows_s:g} s")
         if self.focal_px > 1e6:
             raise ValueError(f"focal_m is at most 1e+06 pixels of pixel_m, not {self.focal_px:g}")
         if self.dropped + self.repeated >= 1:
@@ -322,9 +321,7 @@ class EmitterSettings:
         if self.diameter_m > self.pitch_m:
             raise ValueError(f"diameter_m is at most pitch_m = {self.pitch_m:g}, not {self.diameter_m:g}")
         if self.shape == "disc" and (self.response_s or self.backlight_hz or self.scan_s):
-            raise ValueError(
-                'response_s, backlight_hz and scan_s apply to a screen: set shape to "cell", or set all three to 0'
-            )
+            raise ValueError('response_s, backlight_hz and scan_s apply to a screen: set shape to "cell", or them to 0')
         return self
 
     @property
@@ -436,31 +433,23 @@ class ChannelSettings:
         if any(speed < 0 for _, speed in self.speed_profile):
             raise ValueError(f"speeds are at least 0, not {min(speed for _, speed in self.speed_profile):g}")
         if self.moves and self.duration_s is None and self.stop_m >= self.distance_m:
-            raise ValueError(
-                f"stop_m is below distance_m = {self.distance_m:g}, not {self.stop_m:g}; or set duration_s"
-            )
+            raise ValueError(f"stop_m is below distance_m = {self.distance_m:g}, not {self.stop_m:g}; set duration_s")
         for k, place in enumerate(self.arrays):
             ahead_m = self.distance_m + place.z_offset_m
             if ahead_m <= 0 and place.vz_m_s <= 0:
-                raise ValueError(
-                    f"array {k} lies {-ahead_m:g} m behind the camera during the film; raise "
-                    f"channel.arrays.{k}.z_offset_m above -{self.distance_m:g}"
-                )
+                cure = f"raise channel.arrays.{k}.z_offset_m above -{self.distance_m:g}"
+                raise ValueError(f"array {k} lies {-ahead_m:g} m behind the camera during the film; {cure}")
             # the renderer checks later motion and shake
             motion_px = math.hypot(place.vx_m_s, place.vy_m_s) * self.camera.exposure_s * self.camera.focal_px
             motion_px /= max(ahead_m, MIN_DISTANCE_M)
             if ahead_m > 0 and motion_px > MAX_MOTION_PX:
-                raise ValueError(
-                    f"array {k} moves {motion_px:g} px in the image within an exposure, at most {MAX_MOTION_PX:g}; "
-                    f"lower channel.arrays.{k}.vx_m_s or vy_m_s, channel.camera.exposure_s or focal_m, or raise "
-                    "channel.distance_m"
-                )
+                cure = f"lower channel.arrays.{k}.vx_m_s or vy_m_s, channel.camera.exposure_s or focal_m"
+                limit = f"in the image within an exposure, at most {MAX_MOTION_PX:g}"
+                raise ValueError(f"array {k} moves {motion_px:g} px {limit}; {cure}, or raise channel.distance_m")
         parts = ((MOTIONS, self.shake), (BACKGROUNDS, self.background.kind), (POINT_SPREADS, self.camera.psf))
         if self.custom and all(registry.is_built_in(name) for registry, name in parts):
             keys = ", ".join(f"channel.custom.{key}" for key in self.custom)
-            raise ValueError(
-                f"{keys} has no effect: shake, background.kind and camera.psf are built in; remove the setting"
-            )
+            raise ValueError(f"{keys} has no effect, as shake, background.kind and camera.psf are built in; remove it")
         return self
 
     @property

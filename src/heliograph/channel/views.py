@@ -11,8 +11,7 @@ from heliograph.channel.background import Painter
 from heliograph.channel.exposure import Lighting, Lit
 from heliograph.channel.motion import Motion
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
-from heliograph.channel.settings import MIN_DISTANCE_M, CameraSettings, ChannelSettings
-from heliograph.channel.transfer import MAX_JITTER
+from heliograph.channel.settings import MAX_JITTER, MIN_DISTANCE_M, CameraSettings, ChannelSettings
 from heliograph.channel.truth import ArrayTruth
 
 
@@ -104,21 +103,15 @@ class FrameBlock:
 def frame_block(scene: FilmScene, index: NDArray[np.int64]) -> FrameBlock:
     """Compute poses and views of frames."""
     camera = scene.settings.camera
-    late = _unevenness(camera, scene.seed, index)
+    late = np.zeros(len(index))
+    if camera.uneven_s:  # a function of seed and frame number
+        drawn = [np.random.default_rng([scene.seed, int(number), 1]).normal(0, camera.uneven_s) for number in index]
+        late = np.clip(drawn, -MAX_JITTER / camera.fps, MAX_JITTER / camera.fps)
     start = camera.start_s + index * camera.frame_period_s + late
     times = start[:, None] + camera.exposure_s * np.array([0, 0.5, 1])
-    pose = scene.drive.pose(times)
+    pose = scene.drive(times)
     views = tuple(_array_view(scene, k, times, pose) for k in range(len(scene.lightings)))
     return FrameBlock(index, times, late, pose, views)
-
-
-def _unevenness(camera: CameraSettings, seed: int, index: NDArray[np.int64]) -> Floats:
-    """Return the delay of exposures at a variable frame rate in s, a function of seed and frame number."""
-    if not camera.uneven_s:
-        return np.zeros(len(index))
-    drawn = [np.random.default_rng([seed, int(number), 1]).normal(0, camera.uneven_s) for number in index]
-    limit = MAX_JITTER / camera.fps
-    return np.clip(drawn, -limit, limit)
 
 
 def _array_view(scene: FilmScene, array: int, times_s: Floats, pose: CameraPose) -> ArrayView:

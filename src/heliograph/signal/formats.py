@@ -98,9 +98,7 @@ AGREED = Format()
 
 
 def format_of(number: int) -> Format:
-    """Return the format for a number, the inverse of `Format.number`; raise a ValueError if the number is invalid."""
-    if not 0 <= number < 512 * len(MODES):
-        raise ValueError(f"a format is 0 to {512 * len(MODES) - 1}, not {number}")
+    """Return the format for a number, the inverse of `Format.number`."""
     codes = [number // step % 8 for step in (64, 8, 1)]
     high, middle, low = (SIGNALLED_RATES[code - 1] if code else None for code in codes)
     return Format(mode=MODES[number // 512], high=high, middle=middle, low=low)
@@ -116,10 +114,8 @@ def check_mode(number: int, data_pairs: int) -> None:
     if mode >= len(MODES):
         raise UnreadableModeError(f"its mode, {mode}, is not known to this version")
     if not readable(data_pairs)[number]:
-        raise UnreadableModeError(
-            f"its mode, short, has {SHORT_PAIRS} data pairs, and signal.data_pairs is {data_pairs}: set it to "
-            f"{SHORT_PAIRS}"
-        )
+        pairs = f"{SHORT_PAIRS} data pairs, and signal.data_pairs is {data_pairs}"
+        raise UnreadableModeError(f"its mode, short, has {pairs}: set it to {SHORT_PAIRS}")
 
 
 def known_format(number: int, data_pairs: int) -> Format:

@@ -13,11 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 def encode(d: ArrayLike) -> NDArray[np.uint8]:
     """Transform data matrices, (..., n, n) with values -1 and +1, to uint8 luminance levels 0 to 4."""
-    data = _square(d)
-    if not np.isin(data, (-1, 1)).all():
-        raise ValueError("a data matrix holds -1 and +1 only")
     # (8) x' = 1/2 H^T D H, in -2 .. 2; level = 4 x = x' + 2
-    return (inverse_transform(data) + 2).astype(np.uint8)
+    return (inverse_transform(d) + 2).astype(np.uint8)
 
 
 def inverse_transform(d: ArrayLike) -> NDArray[np.float64]:
@@ -26,8 +23,7 @@ def inverse_transform(d: ArrayLike) -> NDArray[np.float64]:
     H is the matrix in equation (9): sums of neighbours in the upper half, differences in the lower half.
     """
     # (8) x' = 1/2 H^T D H
-    s = _halves_to_pairs(_halves_to_pairs(_square(d).astype(np.float64), -1), -2)
-    return 0.5 * s
+    return 0.5 * _halves_to_pairs(_halves_to_pairs(_square(d).astype(np.float64), -1), -2)
 
 
 def decode(x: ArrayLike) -> NDArray[np.float64]:

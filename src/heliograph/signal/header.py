@@ -24,8 +24,6 @@ IDENTITIES = CHIPS * len(HEADER_POLYNOMIALS)
 
 def identity(number: int) -> tuple[int, int]:
     """Return the polynomial and the cyclic advance in chips, 0 to 14, for an identity number I = 15 q + s."""
-    if not 0 <= number < IDENTITIES:
-        raise ValueError(f"an identity is 0 to {IDENTITIES - 1}, not {number}")
     return HEADER_POLYNOMIALS[number // CHIPS], number % CHIPS
 
 
@@ -40,8 +38,6 @@ def header_cells(number: int) -> NDArray[np.int8]:
 
 def header_levels(number: int, side: int = 16) -> NDArray[np.uint8]:
     """Return the header pattern, (side, side) uint8: level 4 in lit cells, 0 in dark cells."""
-    if side % CELLS:
-        raise ValueError(f"the header needs a side that is a multiple of {CELLS}, not {side}")
     return SLOTS * _enlarge(header_cells(number) > 0, side).astype(np.uint8)
 
 
@@ -59,11 +55,6 @@ def dimmed_leds(form: int, side: int = 16) -> NDArray[np.bool_]:
 def _enlarge(cells: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
     """Repeat header cells for the LEDs of an array, (side, side)."""
     return cells.repeat(side // CELLS, 0).repeat(side // CELLS, 1)
-
-
-def all_on_levels(side: int = 16) -> NDArray[np.uint8]:
-    """Return the header pattern for the mode "all on", for comparison: (side, side) uint8, every LED at level 4."""
-    return np.full((side, side), SLOTS, dtype=np.uint8)
 
 
 def all_header_cells() -> NDArray[np.int8]:

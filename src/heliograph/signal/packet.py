@@ -1,8 +1,8 @@
-"""Packets: header pairs, then data pairs with a codeword set for each layer (sections 3, 5, 9.1 and 11)."""
+"""Packets: header pairs, then data pairs with a codeword set for each layer (sections 3, 5, 9.1, 10 and 11)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -13,12 +13,31 @@ from heliograph.signal import haar, ook, pwm
 from heliograph.signal.block import MIN_BITS, AnyBlock, pack, payload_bytes
 from heliograph.signal.code import CODES, Code, CodeFamily
 from heliograph.signal.formats import AGREED, SHORT_PAIRS, Format
-from heliograph.signal.header import all_on_levels, header_levels, signalling_levels
+from heliograph.signal.header import header_levels, signalling_levels
+from heliograph.signal.m_sequence import m_sequence
 from heliograph.signal.polarity import balance
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
-from heliograph.signal.whitening import whitening
 
 Value = TypeVar("Value", bound=np.generic)
+
+
+@cache
+def _period() -> NDArray[np.uint8]:
+    """Return the 32767 chips of the primitive polynomial x^15 + x^14 + 1, starting with 15 ones."""
+    chips = m_sequence(0b1100_0000_0000_0001, (1 << 15) - 1)
+    chips.setflags(write=False)
+    return chips
+
+
+def whitening(e: int, layer: str, codeword: int = 0) -> NDArray[np.uint8]:
+    """Return whitening chips 0 and 1 for a codeword with `e` coded bits, (e,) uint8, to add modulo 2 (section 10).
+
+    Whitened patterns for repeated bytes look random.
+    """
+    # g((8192 l + 509 i + j) mod 32767): first codewords up to 8192 bits share no chips between layers
+    start = 8192 * LAYERS.index(layer) + 509 * codeword
+    chips = _period()
+    return chips[np.arange(start, start + e) % chips.size]
 
 
 @dataclass(frozen=True)
@@ -80,17 +99,12 @@ class PacketFormat:
 
     def __post_init__(self) -> None:
         if self.format != AGREED and (self.settings.header_pairs < 2 or self.settings.header == "all_on"):
-            raise SettingsError(
-                "a format is named by the second header pair: set signal.header_pairs to 2 or more and "
-                'signal.header to "m_sequence"'
-            )
+            cure = 'set signal.header_pairs to 2 or more and signal.header to "m_sequence"'
+            raise SettingsError(f"the second header pair signals a format: {cure}")
         if self.single and self.settings.modulation != "haar":
             raise SettingsError('the single mode is one of signal.modulation = "haar"')
         if self.format.mode == "short" and self.settings.data_pairs != SHORT_PAIRS:
-            raise SettingsError(
-                f"a packet of the short mode has {SHORT_PAIRS} data pairs, not {self.settings.data_pairs}: set "
-                f"signal.data_pairs to {SHORT_PAIRS}, or transmit another mode"
-            )
+            raise SettingsError(f"short mode needs signal.data_pairs = {SHORT_PAIRS}, not {self.settings.data_pairs}")
 
     @cached_property
     def layers(self) -> dict[str, LayerFormat]:
@@ -130,7 +144,7 @@ class PacketFormat:
         """Return the pattern for a header pair, (n, n) uint8; pair 0 signals no format."""
         side = self.settings.side
         if self.settings.header == "all_on":
-            return all_on_levels(side)
+            return np.full((side, side), pwm.SLOTS, np.uint8)
         return signalling_levels(identity, self.format.number, side) if pair else header_levels(identity, side)
 
     def soft_data(self, x: ArrayLike) -> NDArray[np.float64]:
@@ -168,10 +182,8 @@ def _plan(name: str, count: int, quarter: int, pairs: int, rate: float, family: 
     except ValueError as error:
         raise SettingsError(f"{few} ({error})") from None
     if plan.codewords * plan.code.length != bits:
-        raise SettingsError(
-            f"{name} layer: {plan.codewords} codewords of {plan.code.length} bits do not fill {bits} bits; "
-            f"a code's plan must fill them exactly"
-        )
+        words = f"{plan.codewords} codewords of {plan.code.length} bits"
+        raise SettingsError(f"{name} layer: {words} do not fill {bits} bits; a code's plan must fill them exactly")
     if plan.code.k < MIN_BITS:
         raise SettingsError(few)
     return LayerFormat(name, count * plan.codewords, plan.code, pairs, count * quarter)

@@ -122,6 +122,4 @@ class SignalSettings:
 def check_signal(settings: object) -> None:
     """Raise a SettingsError unless `settings` is a `SignalSettings`."""
     if not isinstance(settings, SignalSettings):
-        raise SettingsError(
-            f"settings of a signal are SignalSettings, not {shown(settings)}; those of a link are .signal"
-        )
+        raise SettingsError(f"a signal has SignalSettings, not {shown(settings)}; those of a link are .signal")

@@ -105,29 +105,25 @@ class Transmitter:
         if not isinstance(identity, (int, np.integer)) or not 0 <= identity < IDENTITIES:
             raise SettingsError(f"an identity is a whole number, 0 to {IDENTITIES - 1}, not {shown(identity)}")
         self.identity = int(identity)
-        # a carousel for each block size (section 8)
-        self._carousels = {
-            (name, layer.payload_bytes): self._carousel(name, messages.get(name, ()), layer.payload_bytes)
-            for form in self.formats
-            for name, layer in form.layers.items()
-        }
-        self._files = {name: self._file_carousel(name, listed) for name, listed in messages.items() if _files(listed)}
-        self._mixed = {name for name in self._files if len(_files(messages[name])) < len(messages[name])}
-
-    def _carousel(self, name: str, messages: Sequence[Content], room: int) -> Carousel:
-        contents = [m if isinstance(m, Updates) else bytes(m) for m in messages if not isinstance(m, SentFile)]
-        try:
-            return Carousel(self.identity, name, contents, room)
-        except ValueError as error:
-            raise SettingsError(f"array {self.identity}: {error}; send less, or cut it up") from None
-
-    def _file_carousel(self, name: str, messages: Sequence[Content]) -> FileCarousel:
-        bits = [form.layers[name].code.k for form in self.formats]
-        first = LAYERS.index(name) * (NUMBERS // len(LAYERS))
-        try:
-            return FileCarousel(self.identity, name, _files(messages), bits, first)
-        except ValueError as error:
-            raise SettingsError(f"array {self.identity}, {name} layer: {error}; send less, or raise N_d") from None
+        layers = {name: [form.layers[name] for form in self.formats] for name in LAYERS}
+        self._carousels: dict[tuple[str, int], Carousel] = {}  # for each block size (section 8)
+        self._files: dict[str, FileCarousel] = {}
+        self._mixed = set[str]()  # layers with messages and files
+        for number, (name, formed) in enumerate(layers.items()):
+            listed = messages.get(name, ())
+            files = [message for message in listed if isinstance(message, SentFile)]
+            others = [m if isinstance(m, Updates) else bytes(m) for m in listed if not isinstance(m, SentFile)]
+            try:
+                for room in {layer.payload_bytes for layer in formed}:
+                    self._carousels[name, room] = Carousel(self.identity, name, others, room)
+                if files:
+                    bits, first = [layer.code.k for layer in formed], number * (NUMBERS // len(LAYERS))
+                    self._files[name] = FileCarousel(self.identity, name, files, bits, first)
+            except ValueError as error:
+                cure = "send less, or cut it up, or raise signal.data_pairs"
+                raise SettingsError(f"array {self.identity}, {name} layer: {error}; {cure}") from None
+            if files and others:
+                self._mixed.add(name)
 
     @property
     def format(self) -> PacketFormat:
@@ -202,9 +198,8 @@ class Transmitter:
 
 def _check_messages(messages: Any) -> None:
     if not isinstance(messages, Mapping):
-        raise SettingsError(
-            f'messages are lists of bytes by layer, such as {{"high": [b"..."]}}, not {shown(messages)}'
-        )
+        example = '{"high": [b"..."]}'
+        raise SettingsError(f"messages are lists of bytes by layer, such as {example}, not {shown(messages)}")
     for name, listed in messages.items():
         if name not in LAYERS:
             raise SettingsError(f"layers are {', '.join(LAYERS)}, not {name!s:.60}")
@@ -215,14 +210,7 @@ def _check_messages(messages: Any) -> None:
                 times = [time_s for time_s, _ in data.contents]
                 is_bytes = all(isinstance(content, bytes) for _, content in data.contents)
                 if not times or times != sorted(times) or not is_bytes:
-                    raise SettingsError(
-                        f"updates of the {name} layer are times in s, in order, each with bytes, at least one"
-                    )
+                    raise SettingsError(f"updates of the {name} layer are times in s, in order, each with bytes")
             elif not isinstance(data, (bytes, bytearray, memoryview, SentFile)):
-                raise SettingsError(
-                    f"a message of the {name} layer is bytes, not {type(data).__name__}; text.encode() makes them"
-                )
-
-
-def _files(messages: Sequence[Content]) -> list[SentFile]:
-    return [message for message in messages if isinstance(message, SentFile)]
+                kind = type(data).__name__
+                raise SettingsError(f"a message of the {name} layer is bytes, not {kind}; text.encode() makes them")

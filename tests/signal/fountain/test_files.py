@@ -6,7 +6,6 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from heliograph.base.errors import SettingsError
@@ -14,9 +13,8 @@ from heliograph.measure.statistics import Count
 from heliograph.signal.block import AnyFileBlock, FileBlock, FileNotice, SymbolBlock, pack, unpack
 from heliograph.signal.formats import Format
 from heliograph.signal.fountain import cauchy
-from heliograph.signal.fountain import cauchy as field
 from heliograph.signal.fountain.codes import CodeName
-from heliograph.signal.fountain.files import FileGatherer, FileProgress, SentFile
+from heliograph.signal.fountain.files import FileGatherer, FileProgress, SentFile, WholeFile
 from heliograph.signal.settings import SignalSettings
 from heliograph.transmit import Transmitter
 
@@ -43,25 +41,13 @@ def gathered(blocks: Sequence[AnyFileBlock], files: FileGatherer | None = None) 
     return last
 
 
-def test_the_field_is_one() -> None:
-    """Log-domain products equal polynomial products; each nonzero element has an inverse."""
-
-    def product(a: int, b: int) -> int:
-        out = 0
-        for bit in range(16):
-            out ^= (a << bit) * (b >> bit & 1)
-        for bit in range(30, 15, -1):
-            out ^= (field.POLYNOMIAL << bit - 16) * (out >> bit & 1)
-        return out
-
-    rng = random.Random(1)
-    for _ in range(200):
-        a, b = rng.randrange(1 << 16), rng.randrange(1 << 16)
-        assert int(field.power(np.array(field.log(np.array(a)) + field.log(np.array(b))))) == product(a, b)
-    logs = field.log(np.arange(1, 1 << 16))
-    assert len(set(logs.tolist())) == field.ORDER
+def whole_of(progress: FileProgress | None) -> WholeFile:
+    assert progress is not None
+    assert progress.whole is not None
+    return progress.whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", CODES)
 def test_a_picture_of_20_kb_arrives_with_a_fifth_of_its_packets_lost(code: CodeName) -> None:
     """All 40 seeded receptions succeed, with random start and order, over one to three layers."""
@@ -85,9 +71,9 @@ def test_a_picture_of_20_kb_arrives_with_a_fifth_of_its_packets_lost(code: CodeN
 
 
 def test_any_symbols_that_are_as_many_as_the_files_own_are_enough() -> None:
-    """300 random choices with k symbols from all 65536 decode; files have 1 to 60 symbols."""
+    """100 random choices with k symbols from all 65536 decode; files have 1 to 60 symbols."""
     rng = random.Random(7)
-    for _ in range(300):
+    for _ in range(100):
         data = rng.randbytes(rng.randrange(1, 240))
         encoder = cauchy.CauchyEncoder(data, 4)
         chosen = rng.sample(range(cauchy.NUMBERS), encoder.count)
@@ -103,30 +89,9 @@ def test_progress_is_told_from_the_first_symbol_and_passages_are_joined() -> Non
     assert told[0] is not None
     assert told[0].key.count == -(-(20_000 + 1 + len(PICTURE.name)) // 108)
     assert files.add(first[0]) is None
-    whole = gathered(second, files)
-    assert whole is not None
-    assert whole.whole is not None
-    assert (whole.whole.name, whole.whole.data) == (PICTURE.name, PICTURE.data)
+    assert whole_of(gathered(second, files)) == WholeFile(PICTURE.name, PICTURE.data)
     assert files.add(first[5]) is None
     assert list(files.unfinished()) == []
-
-
-def test_a_symbol_whose_crc_is_wrong_never_reaches_a_file() -> None:
-    """Every third block has bit errors: the CRC rejects these blocks and the file is correct."""
-    rng = random.Random(3)
-    files, refused, found = FileGatherer(), 0, None
-    for number, block in enumerate(sent(PICTURE, range(320))):
-        bits = pack(block, 1024)
-        if number % 3 == 0:
-            bits[rng.sample(range(1024), 5)] ^= 1
-        read = unpack(bits)
-        refused += read is None
-        if isinstance(read, FileBlock):
-            found = files.add(read) or found
-    assert refused == 107
-    assert found is not None
-    assert found.whole is not None
-    assert found.whole.data == PICTURE.data
 
 
 def test_a_false_symbol_with_a_right_crc_is_noticed_and_the_file_gathered_anew() -> None:
@@ -136,9 +101,7 @@ def test_a_false_symbol_with_a_right_crc_is_noticed_and_the_file_gathered_anew()
     last = gathered([false, *blocks[1:186]], files)
     assert last is not None
     assert "collected again" in last.reason
-    again = gathered(blocks[186:], files)
-    assert again is not None
-    assert again.whole is not None
+    assert whole_of(gathered(blocks[186:], files)).data == PICTURE.data
 
 
 def test_memory_is_bounded_whatever_comes() -> None:
@@ -177,10 +140,7 @@ def test_blocks_of_different_sizes_carry_symbols_of_one_file() -> None:
     sender = Transmitter(SignalSettings(), 0, {"low": [PICTURE]}, formats)
     blocks = [block for packet in range(90) for block in sender.blocks(packet)["low"]]
     assert {len(block.payload) // block.size for block in blocks if isinstance(block, FileBlock)} == {1, 6}
-    found = gathered([block for block in blocks if isinstance(block, FileBlock)])
-    assert found is not None
-    assert found.whole is not None
-    assert found.whole.data == PICTURE.data
+    assert whole_of(gathered([block for block in blocks if isinstance(block, FileBlock)])).data == PICTURE.data
 
 
 @pytest.mark.parametrize(
@@ -220,9 +180,8 @@ def test_small_blocks_bring_a_file_whole_in_any_order_with_losses(rate: float, s
     random.Random(1).shuffle(blocks)
     # 20 % loss
     found = gathered(blocks[: 4 * len(blocks) // 5])
-    assert found is not None
-    assert found.whole is not None
-    assert (found.whole.name, found.whole.data, found.key.size) == (file.name, file.data, size)
+    assert whole_of(found) == WholeFile(file.name, file.data)
+    assert {len(block.payload) for block in blocks if isinstance(block, SymbolBlock)} == {size}
 
 
 def test_small_blocks_tell_what_they_are_of_in_every_second_packet() -> None:
@@ -239,8 +198,7 @@ def test_symbols_wait_for_what_they_are_of_and_do_no_harm_to_others() -> None:
     symbols = [block for block in mixed if isinstance(block, SymbolBlock)]
     assert [files.add(block) for block in symbols] == [None] * len(symbols)
     found = [files.add(block) for block in mixed if isinstance(block, FileNotice)]
-    whole = {progress.whole.data for progress in found if progress is not None and progress.whole is not None}
-    assert whole == {one.data, two.data}
+    assert [whole_of(progress).data for progress in found if progress is not None] == [one.data, two.data]
 
 
 def test_symbols_of_no_known_file_are_bounded() -> None:

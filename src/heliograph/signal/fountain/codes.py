@@ -1,10 +1,11 @@
-"""Fountain codes by name and by block field number (section 8.1)."""
+"""Fountain codes by name and by block field number (section 8.1): Cauchy, and RaptorQ of the package `raptorq`."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
-from heliograph.signal.fountain import cauchy, raptor
+from heliograph.base.errors import HeliographError
+from heliograph.signal.fountain import cauchy
 
 CodeName = Literal["cauchy", "raptorq"]
 
@@ -51,10 +52,43 @@ def _decode_cauchy(symbols: Mapping[int, bytes], length: int, size: int) -> byte
     return cauchy.decode(symbols, -(-length // size))
 
 
+class RaptorEncoder:
+    """Symbol encoder for a file; raise a HeliographError if the package `raptorq` is not installed."""
+
+    def __init__(self, data: bytes, size: int):
+        self.count = -(-len(data) // size)
+        packets = _package().Encoder.with_defaults(data, size).get_encoded_packets(4 * self.count)
+        # each packet starts with 4 header bytes: source block number, here 0, and symbol number
+        self._symbols = [packet[4:] for packet in packets]
+        self.numbers = len(self._symbols)
+
+    def symbol(self, number: int) -> bytes:
+        """Return a source symbol, or one of 4 repair symbols per source symbol."""
+        return self._symbols[number]
+
+
+def _decode_raptor(symbols: Mapping[int, bytes], length: int, size: int) -> bytes | None:
+    """Decode a file from symbols with `size` bytes each; return None if the symbols are insufficient."""
+    decoder = _package().Decoder.with_defaults(length, size)
+    for number, data in symbols.items():
+        found: bytes | None = decoder.decode(number.to_bytes(4) + data)
+        if found is not None:
+            return found
+    return None
+
+
+def _package() -> Any:
+    try:
+        import raptorq
+    except ImportError:
+        raise HeliographError("RaptorQ needs the package raptorq: pip install 'heliograph[raptorq]'") from None
+    return raptorq
+
+
 CODES: Mapping[CodeName, FountainCode] = {
     "cauchy": FountainCode(0, 2, 2, (1 << 24) - 1, cauchy.NUMBERS, cauchy.CauchyEncoder, _decode_cauchy),
     # the package aligns symbols to 8 bytes, and splits symbols below 64 bytes and files from 10 MiB on
-    "raptorq": FountainCode(1, 8, 64, 1 << 23, 1 << 24, raptor.RaptorEncoder, raptor.decode),
+    "raptorq": FountainCode(1, 8, 64, 1 << 23, 1 << 24, RaptorEncoder, _decode_raptor),
 }
 """Codes by name. Every receiver supports "cauchy"; "raptorq" requires the package raptorq."""
 

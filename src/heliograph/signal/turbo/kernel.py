@@ -5,7 +5,7 @@ loop with independent iterations, which LLVM vectorises.
 
 ``u`` is the information bit in a step and ``z`` the parity bit, with the LLRs ``lu`` and ``lp``. ``exact`` is True for
 log-MAP and None for max-log: Numba compiles a version for each and drops the unused branch. Arrays are float32.
-`tests/oracles/turbo.py` contains a readable reference implementation.
+`tests/oracles/turbo_oracle.py` contains a readable reference implementation.
 """
 
 from typing import Any

@@ -44,9 +44,7 @@ def coefficients(k: int) -> tuple[int, int]:
     if k not in _COEFFICIENTS:
         place = bisect_left(QPP_SIZES, k)
         near = " or ".join(str(size) for size in QPP_SIZES[max(place - 1, 0) : place + 1])
-        raise SettingsError(
-            f"k must be one of the 188 sizes of TS 36.212 table 5.1.3-3, not {k}; the nearest is {near}"
-        )
+        raise SettingsError(f"k is one of the 188 sizes in TS 36.212 table 5.1.3-3, not {k}; the nearest is {near}")
     return _COEFFICIENTS[k]
 
 
