@@ -41,7 +41,9 @@ def budget(
     wavelength_nm: float = option("Wavelength of the LEDs.", "NM", "--wavelength", default=625.0),
     as_json: options.JsonList = False,
 ) -> None:
-    """Calculate the budget of a planned link: light, electrons, pixels, blur, range of each layer, flicker.
+    """Calculate light, range and flicker of a planned link.
+
+    Light, electrons, pixels, blur, range of each layer and flicker.
 
     Geometry, lens, sensor and LEDs are settings of 'channel'; see --set and --vary.
     """

@@ -7,7 +7,10 @@ from heliograph.media.live.settings import camera_settings
 
 @options.command
 def cameras(camera: options.CameraOption = None, as_json: options.Json = False) -> None:
-    """List the connected live cameras by names for 'receive', and the missing requirements of other kinds."""
+    """List the connected live cameras.
+
+    Prints the names for 'receive', and the missing requirements of other kinds.
+    """
     found, missing = list_cameras(camera_settings(camera or ()))
     if as_json:
         console.say_json({"cameras": found, "lacking": missing})

@@ -25,7 +25,9 @@ def convert(
     crf: float | None = option("Quality of lossy H.264, 0 to 51; by default all gray levels are kept."),
     live: options.LiveOptions,
 ) -> None:
-    """Convert a film to another format, with gray levels and times; .h5 is the fastest to read.
+    """Convert a film to another format.
+
+    Gray levels and times are kept; .h5 is the fastest to read.
 
     A live camera is recorded until Ctrl-C, or for --duration S.
     """

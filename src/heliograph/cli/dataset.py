@@ -38,7 +38,9 @@ def dataset(
     imu: options.Imu = None,
     size: bool = option("Print the size and write no data.", None, "--size", default=False),
 ) -> None:
-    """Write films with truth and cut-outs, split for training detectors and decoders.
+    """Write labelled films for training.
+
+    Films have truth and cut-outs, and are split for training detectors and decoders.
 
     The size is printed first. The same command continues a stopped run. DATASHEET.md in DIR describes the data set.
     """

@@ -20,7 +20,10 @@ def demo(
     settings: options.SettingsOptions,
     scene: options.SceneOptions,
 ) -> None:
-    """Simulate the paper's drive, receive the film, and report the results in report.html."""
+    """Simulate the paper's drive, receive it, and write a report.
+
+    The report is DIR/report.html.
+    """
     channel = settings.overlay().get("channel", {})
     if not isinstance(channel, dict) or "background" not in channel:
         kind = "street-night" if settings.preset == "night" else "street"

@@ -16,18 +16,18 @@ from heliograph.base.registry import load_parts
 from heliograph.cli import console
 
 COMMANDS = {
-    "simulate": "Film a drive past the arrays, and write the truth next to the film.",
+    "simulate": "Film a drive past the arrays, with the truth.",
     "transmit": "Write the LED patterns of a transmission.",
-    "receive": "Find arrays in films or in front of a live camera, and read the messages; diagnose unreadable films.",
-    "cameras": "List the connected live cameras by names for 'receive', and the missing requirements of other kinds.",
-    "probe": "Describe a film: frames, light and noise, blinking regions, why each is or is not an array, the remedy.",
-    "convert": "Convert a film to another format, with gray levels and times; .h5 is the fastest to read.",
-    "demo": "Simulate the paper's drive, receive the film, and report the results in report.html.",
-    "serve": "Serve pages for a browser: watch the receiver, transmit by a screen, receive by the camera of a phone.",
+    "receive": "Find arrays in films or live cameras, and read the messages.",
+    "cameras": "List the connected live cameras.",
+    "probe": "Diagnose a film: light, regions, arrays, causes, remedies.",
+    "convert": "Convert a film to another format.",
+    "demo": "Simulate the paper's drive, receive it, and write a report.",
+    "serve": "Serve pages to watch a receiver, transmit and receive.",
     "sweep": "Count errors over a grid of settings, without films.",
-    "budget": "Calculate the budget of a planned link: light, electrons, pixels, blur, range of each layer, flicker.",
-    "dataset": "Write films with truth and cut-outs, split for training detectors and decoders.",
-    "reproduce": "Run the paper's experiments, and compare claims with the measurements.",
+    "budget": "Calculate light, range and flicker of a planned link.",
+    "dataset": "Write labelled films for training.",
+    "reproduce": "Run the paper's experiments, and compare the claims.",
     "presets": "List the presets, or print all settings of a preset.",
     "measure": "Run a measurement and print the counts.",
 }

@@ -37,6 +37,11 @@ def main(context: typer.Context) -> None:
     console.help_unless_command(context)
 
 
+def complete_scene(start: str) -> list[str]:
+    """Return scenes for shell completion."""
+    return [name for name in hard_scenes.SCENES if name.startswith(start)]
+
+
 def measurement(function: Callable[..., None]) -> Callable[..., None]:
     """Make a measurement of a function; see `options.with_options`."""
     return measure.command()(options.with_options(function))
@@ -44,14 +49,19 @@ def measurement(function: Callable[..., None]) -> Callable[..., None]:
 
 @measurement
 def scenes(
-    scene: Annotated[list[str] | None, typer.Argument(metavar="[SCENE ...]", help="All by default.")] = None,
+    scene: Annotated[
+        list[str] | None, typer.Argument(metavar="[SCENE ...]", help="All by default.", autocompletion=complete_scene)
+    ] = None,
     at: str = option("Distances in m.", "M,M", default="50,80"),
     packets: int = option("Blocks: packets of arrays at rest, or films.", default=20, min=1),
     first: First = 0,
     receiver: str = option("Receiver to use.", default="soft"),
     workers: options.WorkersOption = None,
 ) -> None:
-    """Measure error rates in hard scenes: tilted, occluded, failed LEDs, night, sun, six arrays."""
+    """Measure error rates in hard scenes.
+
+    Tilted and occluded arrays, failed LEDs, night, sun and six arrays.
+    """
     if unknown := sorted({*(scene or ())} - {*hard_scenes.SCENES}):
         raise SettingsError(f"there is no scene {', '.join(unknown)}; there are {', '.join(hard_scenes.SCENES)}")
     distances, context = _numbers(at), _context(workers)
@@ -69,7 +79,7 @@ def acquisition(
     assignments: options.Assignments = None,
     workers: options.WorkersOption = None,
 ) -> None:
-    """Measure the probability and time of detection after an array is switched on."""
+    """Measure the detection of arrays that are switched on."""
     changes = tuple(assignments or ())
     todo = [detection.AcquisitionTrial(seed, within, changes) for seed in range(first, first + trials)]
     with console.progress("trials", trials) as advance:
@@ -89,7 +99,7 @@ def repeated_packets(
     assignments: options.Assignments = None,
     workers: options.WorkersOption = None,
 ) -> None:
-    """Count wrong codewords in each reception of a repeated packet."""
+    """Count wrong codewords of repeated packets."""
     settings = repetition.film_settings(distance, receptions, assignments or ())
     counts = repetition.measure(settings, _layer(layer), receptions, films, _context(workers))
     for number, count in enumerate(counts, 1):
@@ -104,7 +114,10 @@ def known_channel(
     packets: int = option("Packets at each brightness.", default=100, min=1),
     workers: options.WorkersOption = None,
 ) -> None:
-    """Measure the loss of the soft receiver from estimates of pose, blur, gain and noise."""
+    """Measure the loss of the soft receiver by its estimates.
+
+    Estimates of pose, blur, gain and noise, compared with the known channel.
+    """
     todo = known_receiver.tasks(distance, _layer(layer), _numbers(brightness), packets)
     with console.progress("cases", len(todo)) as advance:
         context = _context(workers, lambda done: advance(done * len(todo)))
@@ -122,7 +135,10 @@ def drives(
     assignments: options.Assignments = None,
     margin: int | None = option("Film only the array with a margin of PX; default: complete frames.", "PX"),
 ) -> None:
-    """Count wrong codewords in a drive over each clip, with the recorded shake."""
+    """Count wrong codewords of drives with recorded footage.
+
+    A drive over each clip, with the recorded shake.
+    """
     for clip in clips:
         found = real_input.drive(real_input.RealScene(clip, imu, seed, tuple(assignments or ())), margin)
         console.say_lines("\n  ".join([f"{clip.name}: {found.frames} frames", *real_input.error_lines(found.errors)]))
@@ -138,7 +154,7 @@ def empty(
     seconds: float = option("Length of each film, unless --native.", default=6.7),
     frames: int | None = option("Maximum number of frames of each clip.", "N", min=1),
 ) -> None:
-    """Count false detections and packets in clips that show no array."""
+    """Count false detections in clips that show no array."""
     changes, total = (f"channel.duration_s={seconds}", *(assignments or ())), None
     for clip in clips:
         found = real_input.empty(real_input.RealScene(clip, imu, seed, changes), frames, native=native)
@@ -153,7 +169,10 @@ def lossy(
     film: Annotated[Path, typer.Argument(help="Simulated film, with the truth in the same folder.")],
     out: Annotated[Path, typer.Argument(help="Film to write.")],
 ) -> None:
-    """Count errors of a film after encoding by libx264 (preset medium, crf 18, yuv420p)."""
+    """Count errors of a film after lossy encoding.
+
+    By libx264, preset medium, crf 18, yuv420p.
+    """
     truth = open_truth(truth_path(film))
     real_input.encode_again(film, out)
     reception = real_input.receive_again(out, truth)
@@ -169,14 +188,20 @@ def header_separation(
         list[float] | None, typer.Argument(metavar="[M ...]", help="Distances in m; default: a selection.")
     ] = None,
 ) -> None:
-    """Calculate distances between headers under the blur of the reference link, as tables in Markdown."""
+    """Calculate the distances between blurred headers.
+
+    Tables in Markdown, for the blur of the reference link.
+    """
     found = [headers.separation(distance_m) for distance_m in distances or headers.DISTANCES_M]
     console.say_lines("\n\n".join(table.markdown() for table in headers.tables(found)))
 
 
 @measurement
 def timing_loss() -> None:
-    """Calculate the loss of an unsynchronised camera by rate, exposure and phase, as a table in Markdown."""
+    """Calculate the loss of an unsynchronised camera.
+
+    A table in Markdown by rate, exposure and phase.
+    """
     console.say_lines(timing.table(timing.measure()).markdown())
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from heliograph.base.config import merge
+from heliograph.base.config import keys_of, merge
 from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.base.toml_text import parse_assignment, parse_toml
@@ -80,6 +80,11 @@ def complete_receiver(start: str) -> list[str]:
     return [name for name in ("auto", *RECEIVERS.names()) if name.startswith(start)]
 
 
+def complete_key(start: str) -> list[str]:
+    """Return keys of settings for shell completion."""
+    return [f"{key}=" for key in keys_of(LinkSettings) if key.startswith(start)]
+
+
 def parse_vary_options(texts: list[str] | None) -> dict[str, list[Any]]:
     """Return the values of varied settings by key."""
     vary: dict[str, list[Any]] = {}
@@ -92,7 +97,12 @@ def parse_vary_options(texts: list[str] | None) -> dict[str, list[Any]]:
 
 def vary_option(text: str) -> Any:
     """Declare the option of varied settings."""
-    return option(f"Key and values: 1,2 or first:last:step. {text}", "KEY=VALUES", "--vary")
+    return option(
+        f"Key and values: 1,2 or first:last:step, with last included. {text}",
+        "KEY=VALUES",
+        "--vary",
+        autocompletion=complete_key,
+    )
 
 
 FILM_KINDS = (
@@ -105,7 +115,8 @@ Json = Annotated[bool, typer.Option("--json", help="Print only a JSON object.")]
 JsonList = Annotated[bool, typer.Option("--json", help="Print only a JSON list.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the road, the scene and the noise.")]
 Assignments = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting; may be repeated.")
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a setting; may be repeated.", autocompletion=complete_key),
 ]
 Imu = Annotated[Path | None, typer.Option(metavar="CSV", help="Recorded car motion; sets channel.shake=imu.")]
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="Worker processes; default: number of cores.")]

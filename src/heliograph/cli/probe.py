@@ -29,7 +29,9 @@ def probe(
     settings: options.SettingsOptions,
     as_json: options.Json = False,
 ) -> None:
-    """Describe a film: frames, light and noise, blinking regions, why each is or is not an array, the remedy.
+    """Diagnose a film: light, regions, arrays, causes, remedies.
+
+    Describes frames, light and noise, and why each blinking region is or is not an array.
 
     The exit status is 0 if an array is read with these settings, 3 if no array is read, and 1 if the film is truncated,
     or the receiver refuses the frame rate.

@@ -83,7 +83,9 @@ def receive(
     events: options.EventOptions,
     crew: options.WorkerOptions,
 ) -> None:
-    """Find arrays in films or in front of a live camera, and read the messages; diagnose unreadable films.
+    """Find arrays in films or live cameras, and read the messages.
+
+    If no array is found, the cause is diagnosed.
 
     A live camera is camera:KIND or camera:KIND:ADDRESS; 'heliograph cameras' lists the connected cameras. The reception
     ends with Ctrl-C, after --duration S, or at the end of the camera.

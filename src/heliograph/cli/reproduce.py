@@ -12,12 +12,24 @@ from heliograph.experiments import reproduce as experiments
 from heliograph.experiments.report import Context
 from heliograph.sweeps.executors import cores, fewer_workers
 
+VERDICTS = {"holds": "pass", "differs": "differs", "shown": "not tested"}
+"""Words for the verdicts of findings."""
+
+
+def complete_experiment(start: str) -> list[str]:
+    """Return experiments for shell completion."""
+    return [name for name in experiments.EXPERIMENTS if name.startswith(start)]
+
 
 @options.command
 def reproduce(
     figures: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME ...]", help="Experiments, such as fig13 or scenes; default: all of the paper's."),
+        typer.Argument(
+            metavar="[NAME ...]",
+            help="Experiments, such as fig13 or scenes; default: all of the paper's.",
+            autocompletion=complete_experiment,
+        ),
     ] = None,
     quick: bool = option("Fewer trials: two minutes on two cores in place of ten.", None, "--quick", default=False),
     output: Path = option("Folder for the report, the pictures and the data.", "DIR", default=Path("reproduction")),
@@ -28,7 +40,7 @@ def reproduce(
     seed: options.Seed = 0,
     workers: options.WorkersOption = None,
 ) -> None:
-    """Run the paper's experiments, and compare claims with the measurements."""
+    """Run the paper's experiments, and compare the claims."""
     keys = experiments.chosen(figures or [])
     fields = {"quick": quick, "seed": seed, "workers": workers or cores(), **experiments.recordings_in(data)}
     with clear_write_errors(output):
@@ -58,7 +70,8 @@ def reproduce(
         )
     for result in results:
         for finding in result.findings:
-            console.say_prose(f"{result.key:8} {finding.verdict:8} {finding.claim} Measured: {finding.ours}")
+            measured = f" Measured: {finding.ours}" if finding.verdict == "differs" else ""
+            console.say_prose(f"{result.key:12} {VERDICTS[finding.verdict]:10} {finding.claim}{measured}")
     if quick:
         console.say("a quick run: the intervals are wide")
     console.say(f"open {output / 'report.html'}")

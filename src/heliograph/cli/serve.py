@@ -31,7 +31,9 @@ def serve(
     receiver: options.Receiver = None,
     settings: options.SettingsOptions,
 ) -> None:
-    """Serve pages for a browser: watch the receiver, transmit by a screen, receive by the camera of a phone.
+    """Serve pages to watch a receiver, transmit and receive.
+
+    Watch the receiver, transmit by a screen, receive by the camera of a phone.
 
     By default only this machine has access. With --host, an address with a token is printed, on a terminal also as a
     QR code. Uploaded films are deleted when the server ends. Ctrl-C ends the server.

@@ -41,7 +41,10 @@ def simulate(
     lossless: Annotated[bool, typer.Option(help="Store H.264 without loss.")] = False,
     mbit_s: float | None = option("Bit rate of H.264 or H.265 in Mbit/s, as in films of phones."),
 ) -> None:
-    """Film a drive past the arrays, and write the truth next to the film."""
+    """Film a drive past the arrays, with the truth.
+
+    The truth is written next to the film.
+    """
     for output in (film, truth_path(film)):
         options.refuse_to_replace(output, (*sent.inputs, scene.background, scene.imu, settings.settings_file))
     link, recordings = load_scene(settings, scene)

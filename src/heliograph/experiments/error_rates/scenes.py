@@ -46,18 +46,18 @@ SCENES: Mapping[str, Sequence[str]] = {
     "tilted": _array(yaw_deg=25, pitch_deg=15, roll_deg=5),
     "hidden quarter": _array(hidden=[0, 0, 0.5, 0.5]),
     "hidden side": _array(hidden=[0, 0, 0.25, 1]),
-    "hidden side, sunlit": _array(hidden=[0, 0, 0.25, 1], hidden_level=0.5),
+    "sunlit hidden side": _array(hidden=[0, 0, 0.25, 1], hidden_level=0.5),
     "behind a post": _array(hidden=[0.375, 0, 0.625, 1]),
     "dead 5 %": _array(dead=0.05),
     "stuck 5 %": _array(stuck=0.05),
     "dead and stuck 5 %": _array(dead=0.025, stuck=0.025),
-    "night, 4 times dimmer": _light(0.2, 0, 0),
-    "night, 10 times dimmer": _light(0.08, 0, 0),
-    "sun, contrast 1.7": _light(0.33, 0.47, 0.4),
+    "night 4 times dimmer": _light(0.2, 0, 0),
+    "night 10 times dimmer": _light(0.08, 0, 0),
+    "sun contrast 1.7": _light(0.33, 0.47, 0.4),
     "saturated 2.5 times": ("channel.emitter.all_on=2",),
     "off for 300 ms": ("channel.duration_s=1", *_array(off_s=[[0.23, 0.53]])),
     "six arrays": _SIX_ARRAYS,
-    "six arrays, driving": ("channel.speed_m_s=8.333", "channel.stop_m=20", "channel.shake=road", *_SIX_ARRAYS),
+    "six arrays driving": ("channel.speed_m_s=8.333", "channel.stop_m=20", "channel.shake=road", *_SIX_ARRAYS),
 }
 """Settings of each scene. A block is a packet of an array at rest, or a film of a scene with a duration."""
 
