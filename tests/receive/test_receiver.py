@@ -206,6 +206,7 @@ def test_film_too_short_or_small_gives_no_packet() -> None:
         assert list(receive_frames(frames, SIGNAL)) == []
 
 
+@pytest.mark.slow
 def test_search_for_uniform_squares_reports_no_foreign_data() -> None:
     # the receiver finds a filled square and must not report data for identity 0
     frames = film(link("transmit.identities=[9]", distance_m=45.0), 120)
@@ -219,6 +220,7 @@ def test_search_for_uniform_squares_reports_no_foreign_data() -> None:
 
 
 @pytest.mark.parametrize(("receiver", "preset"), [("plain", "static"), ("soft", "static"), ("screen", "phone")])
+@pytest.mark.slow
 def test_receiver_keeps_no_array_of_the_caller(receiver: str, preset: str) -> None:
     settings = load_settings(preset, None, [f"receive.receiver={receiver}"])
     live = make_receiver(settings.signal, settings.receive)

@@ -180,3 +180,9 @@ def test_pixels_that_the_caller_may_reuse_are_copied(kind: str) -> None:
     assert not np.shares_memory(kept, pixels)
     assert kept.flags.c_contiguous
     assert not kept.flags.writeable
+
+
+def test_read_only_pixels_are_kept() -> None:
+    pixels = np.zeros((3, 4), np.uint8)
+    pixels.setflags(write=False)
+    assert owned(Frame(0, 0.0, pixels)).pixels is pixels
