@@ -93,6 +93,16 @@ def test_complete_packets_between_gaps_are_read(receiver: str, gaps: Sequence[Ga
 
 
 @pytest.mark.slow
+def test_gap_while_tracking_a_screen_loses_one_packet() -> None:
+    """The light pauses too, so its phase jumps."""
+    (settings, frames), gap_s = screens_film(), 0.9
+    late = [replace(frame, time_s=frame.time_s + gap_s * (frame.index >= 100)) for frame in frames]
+    packets = received(settings, "screen", late)
+    assert packets[0].status == "ok"
+    assert sum(packet.status == "ok" and packet.start_time_s > frames[100].time_s + gap_s for packet in packets) >= 1
+
+
+@pytest.mark.slow
 def test_repeated_frames_are_a_gap() -> None:
     """Repeat one frame for ten seconds of timestamps."""
     settings, frames = screens_film()
