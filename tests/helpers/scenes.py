@@ -82,6 +82,15 @@ def words_of(packet: Packet) -> list[Codeword]:
     return [word for words in packet.layers.values() for word in words]
 
 
+def comparable(packets: Iterable[Packet]) -> list[Packet]:
+    """Return the packets with codewords as plain values, to compare them by `==`."""
+
+    def values(word: Codeword) -> Any:
+        return word.status, word.block, word.iterations, word.margin, word.bits.tobytes(), word.raw.tobytes()
+
+    return [replace(p, layers={name: tuple(map(values, by)) for name, by in p.layers.items()}) for p in packets]
+
+
 def codewords(settings: LinkSettings, seed: int = 1, max_packets: int | None = None) -> list[tuple[int, int]]:
     """Simulate a link; return the numbers of sent and lost codewords by layer. No codeword may be false."""
     counts = run_block(settings, seed, max_packets=max_packets)
@@ -120,7 +129,10 @@ def drawn_film(
     for index in range(frames):
         light, first = np.full((size, size), 0.1), index * exposed_slots
         moments = path((first + np.arange(exposed_slots) + 0.5) / 4 * 1e-3)
-        for (x, y), lit in zip(moments, islice(slots, exposed_slots), strict=True):
+        lights = list(islice(slots, exposed_slots))
+        if (moments == moments[0]).all():
+            moments, lights = moments[:1], [np.sum(lights, axis=0)]
+        for (x, y), lit in zip(moments, lights, strict=True):
             if not any(index in gap for gap in hidden):
                 pose = Pose(float(x), float(y), pitch_at(distance_m), 0.0, 0.52)
                 light += 0.8 / exposed_slots * draw(pose, lit.astype(float), (0, 0), light.shape)

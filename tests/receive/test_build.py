@@ -1,19 +1,20 @@
 """Assembly of the plain and soft receivers."""
 
 from dataclasses import replace
+from functools import partial
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scenes import codewords, drawn_film, film, link, pitch_at, received, statuses, words_of
+from scenes import codewords, comparable, drawn_film, film, link, pitch_at, received, statuses
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from heliograph.base.errors import HeliographError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.receive import Packet, ReceiveSettings, make_receiver
+from heliograph.receive import ReceiveSettings, make_receiver
 from heliograph.receive.decode import turbo_equaliser
 from heliograph.receive.equalise import led_gains, single_mode
 from heliograph.receive.equalise.lmmse import Estimate, equalise
@@ -31,15 +32,9 @@ def test_soft_receiver_reads_all_layers_at_100_m_and_the_plain_only_the_high() -
 
 
 @pytest.mark.slow
-def test_soft_receiver_reads_while_driving() -> None:
-    settings = preset("motorway", "soft", "channel.distance_m=90", "channel.duration_s=0.3")
-    assert codewords(settings) == [(3, 0), (6, 0), (3, 0)]
-
-
-@pytest.mark.slow
 def test_noisy_pairs_of_a_far_array_count_as_visible() -> None:
-    settings = preset("static", "soft", "channel.distance_m=215")
-    (packet,) = received(film(settings, 101, roi_margin_px=30), settings)
+    settings = link("signal.data_pairs=24", "receive.receiver=soft", distance_m=190.0)
+    (packet,) = received(film(settings, 53, roi_margin_px=30), settings)
     assert packet.pairs_seen == 1
     assert packet.layers["high"][0].status == "ok"
 
@@ -72,22 +67,21 @@ def test_soft_receiver_refuses_another_signal_in_one_line(setting: str, read: st
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("module", [turbo_equaliser, led_gains, single_mode])
-def test_soft_receiver_limits_blas_to_one_thread(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_soft_receiver_limits_blas_to_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     """Multithreaded BLAS is slow for small matrices."""
-    threads: list[int] = []
+    threads = {module: set[int]() for module in (turbo_equaliser, led_gains, single_mode)}
 
-    def counting(*arguments: Any) -> Estimate:
-        threads.extend(info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas")
+    def counting(module: ModuleType, *arguments: Any) -> Estimate:
+        threads[module] |= {info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas"}
         return equalise(*arguments)
 
-    monkeypatch.setattr(module, "equalise", counting)
+    for module in threads:
+        monkeypatch.setattr(module, "equalise", partial(counting, module))
     single = "signal.data_pairs=8", "transmit.formats=[{mode='single'}]"
     settings = link("receive.receiver=soft", *single, distance_m=40.0)
     with threadpool_limits(limits=2, user_api="blas"):
         received(film(settings, 21, roi_margin_px=12), settings)
-    assert threads
-    assert set(threads) == {1}
+    assert list(threads.values()) == [{1}] * 3
 
 
 @pytest.mark.parametrize("cut_px", [0, 1])
@@ -101,13 +95,7 @@ def test_array_at_the_edge_of_the_image_is_read(cut_px: int) -> None:
     assert statuses(received(frames, settings)) == ["ok", "ok"]
 
 
-def content(packet: Packet) -> list[Any]:
-    """Return packet content except times."""
-    bits = [(w.status, w.block, w.iterations, w.bits.tobytes(), w.raw.tobytes()) for w in words_of(packet)]
-    return [packet.identity, packet.status, packet.first_frame, packet.last_frame, packet.pairs_seen, bits]
-
-
-@pytest.mark.parametrize(("receiver", "exposed_slots"), [("plain", 4), ("soft", 4), ("soft", 3)])
+@pytest.mark.parametrize(("receiver", "exposed_slots"), [("plain", 4), ("soft", 3)])
 @pytest.mark.slow
 def test_times_count_in_patterns(receiver: str, exposed_slots: int) -> None:
     """Slow motion gives equal packets if patterns slow down equally. The array moves and is hidden for a while."""
@@ -126,7 +114,9 @@ def test_times_count_in_patterns(receiver: str, exposed_slots: int) -> None:
     again = received([replace(frame, time_s=slower * frame.time_s) for frame in frames], slow_settings)
     assert statuses(packets) == ["ok", "ok"]
     assert packets[1].pairs_seen < 1
-    assert [content(packet) for packet in again] == [content(packet) for packet in packets]
+    assert [packet.layers for packet in comparable(again)] == [packet.layers for packet in comparable(packets)]
     for packet, slow in zip(packets, again, strict=True):
+        assert (slow.first_frame, slow.last_frame) == (packet.first_frame, packet.last_frame)
+        assert (slow.identity, slow.status, slow.pairs_seen) == (packet.identity, packet.status, packet.pairs_seen)
         assert slow.start_time_s == pytest.approx(slower * packet.start_time_s, abs=1e-9)
         assert slow.pose.full_vector() == pytest.approx(packet.pose.full_vector(), abs=1e-9)

@@ -17,16 +17,16 @@ TURNED = "[78,43,96,58,81,76,63,61]"
 
 @cache
 def film(**array: float) -> list[Frame]:
-    settings = link("signal.data_pairs=24", distance_m=40.0, arrays=[{"x_m": 0.0, "y_m": 0.0, **array}])
+    settings = link("signal.data_pairs=8", distance_m=40.0, arrays=[{"x_m": 0.0, "y_m": 0.0, **array}])
     settings = block_settings(settings, 1)
     return [frame for frame, _ in simulate(settings, random_messages(settings, 1), 1)]
 
 
 def read(frames: list[Frame], *changes: str) -> list[str]:
-    return statuses(received(frames, link("signal.data_pairs=24", *changes)))
+    return statuses(received(frames, link("signal.data_pairs=8", *changes)))
 
 
-@pytest.mark.parametrize(("receiver", "roll_deg"), [("plain", 40.0), ("plain", -140.0), ("soft", -140.0)])
+@pytest.mark.parametrize(("receiver", "roll_deg"), [("plain", 40.0), ("soft", -140.0)])
 @pytest.mark.slow
 def test_turned_array_is_read_at_its_corners(roll_deg: float, receiver: str) -> None:
     """Corners do not identify the array's first corner; the header does."""

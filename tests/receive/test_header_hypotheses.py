@@ -1,7 +1,7 @@
 """Competing hypotheses for the header of an array: the first valid codeword selects one."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -46,26 +46,43 @@ def pushed(array: HeaderHypotheses) -> list[Any]:
     return list(array.push(FRAME))
 
 
-def test_others_follow_after_the_first_packet_of_the_first() -> None:
-    a, b = Scripted("a", UPRIGHT, every=3), Scripted("b", ORIENTATIONS[2], every=3, proves_at=6)
-    array = array_of(a, b)
-    frames = [Frame(k, 1e-3 * k, np.zeros((4, 4), np.uint8)) for k in range(7)]
-    packets = []
-    for k, frame in enumerate(frames):
-        packets += list(array.push(frame))
-        assert len(a.frames) == min(k + 1, 6)
-        assert len(b.frames) == (k + 1 if k >= 2 else 0)
-    assert cast(list[Any], packets) == ["a3", "b6"]
-    # the other receivers get each frame exactly once
-    assert [frame.index for frame in b.frames] == list(range(7))
+CASES: dict[str, tuple[list[Scripted], int, list[str], list[int]]] = {
+    "others follow after the first packet of the first": (
+        [Scripted("a", UPRIGHT, every=3), Scripted("b", ORIENTATIONS[2], every=3, proves_at=6)],
+        *(7, ["a3", "b6"], [6, 7]),
+    ),
+    "others get no frame if the first packet is right": (
+        [Scripted("a", UPRIGHT, every=3, proves_at=3), Scripted("b", ORIENTATIONS[2])],
+        *(6, ["a3", "a6"], [6, 0]),
+    ),
+    "the first gives the packets until a codeword is right": (
+        [Scripted("a", UPRIGHT), Scripted("b", ORIENTATIONS[2])],
+        *(2, ["a1", "a2"], [2, 2]),
+    ),
+    "a right codeword selects and stops less plausible ones": (
+        [Scripted("a", UPRIGHT), Scripted("b", ORIENTATIONS[1], proves_at=2), Scripted("c", ORIENTATIONS[2])],
+        *(3, ["a1", "b2", "b3"], [2, 3, 1]),
+    ),
+    "the more plausible of two right ones is selected": (
+        [Scripted("a", ORIENTATIONS[1], proves_at=1), Scripted("b", ORIENTATIONS[2], proves_at=1)],
+        *(1, ["a1"], [1, 0]),
+    ),
+    "ended ones get no frame": (
+        [Scripted("a", UPRIGHT), Scripted("b", ORIENTATIONS[1], done=True), Scripted("c", ORIENTATIONS[2])],
+        *(2, ["a1", "a2"], [2, 1, 2]),
+    ),
+}
+"""Receivers, number of frames, packets, and number of frames that each receiver gets."""
 
 
-def test_others_get_no_frame_if_the_first_packet_is_right() -> None:
-    a, b = Scripted("a", UPRIGHT, every=3, proves_at=3), Scripted("b", ORIENTATIONS[2])
-    array = array_of(a, b)
-    packets = [packet for _ in range(6) for packet in pushed(array)]
-    assert packets == ["a3", "a6"]
-    assert not b.frames
+@pytest.mark.parametrize("case", CASES)
+def test_first_right_codeword_selects_a_hypothesis(case: str) -> None:
+    receivers, count, expected, frames = CASES[case]
+    array = array_of(*receivers)
+    packets = [packet for k in range(count) for packet in array.push(replace(FRAME, index=k))]
+    assert cast(list[Any], packets) == expected
+    # each frame once and in order
+    assert [[frame.index for frame in receiver.frames] for receiver in receivers] == [list(range(n)) for n in frames]
 
 
 def test_others_read_the_missed_frames_at_the_end_of_the_film() -> None:
@@ -86,35 +103,6 @@ def test_settled_hypothesis_reads_the_missed_frames() -> None:
     assert pushed(array) == ["b4"]
     assert pushed(array) == []
     assert (len(a.frames), len(b.frames)) == (3, 5)
-
-
-def test_first_gives_the_packets_until_a_codeword_is_right() -> None:
-    a, b = Scripted("a", UPRIGHT), Scripted("b", ORIENTATIONS[2])
-    array = array_of(a, b)
-    assert pushed(array) == ["a1"]
-    assert pushed(array) == ["a2"]
-    assert array.leading is cast(Any, a)
-    assert (len(a.frames), len(b.frames)) == (2, 2)
-    assert [*cast(Any, array.flush())] == ["a at the end"]
-
-
-def test_hypothesis_with_a_right_codeword_is_selected() -> None:
-    a, b, c = (Scripted(name, way) for name, way in zip("abc", ORIENTATIONS[:3], strict=True))
-    b.proves_at = 2
-    array = array_of(a, b, c)
-    assert pushed(array) == ["a1"]
-    # the selected receiver returns its packet, and less plausible receivers stop
-    assert pushed(array) == ["b2"]
-    assert pushed(array) == ["b3"]
-    assert (len(a.frames), len(b.frames), len(c.frames)) == (2, 3, 1)
-    assert array.leading is cast(Any, b)
-
-
-def test_more_plausible_of_two_right_hypotheses_is_selected() -> None:
-    a, b = Scripted("a", ORIENTATIONS[1], proves_at=1), Scripted("b", ORIENTATIONS[2], proves_at=1)
-    array = array_of(a, b)
-    assert pushed(array) == ["a1"]
-    assert array.leading is cast(Any, a)
 
 
 @pytest.mark.parametrize(
@@ -151,17 +139,12 @@ def test_settling_on_another_orientation_changes_nothing() -> None:
     assert array.leading.orientation == ORIENTATIONS[1]
 
 
-def test_ended_hypotheses_get_no_frame_and_the_first_ends_all() -> None:
-    a, b, c = Scripted("a", UPRIGHT), Scripted("b", ORIENTATIONS[1], done=True), Scripted("c", ORIENTATIONS[2])
-    array = array_of(a, b, c)
-    for _ in range(2):
-        pushed(array)
-    assert (len(a.frames), len(b.frames), len(c.frames)) == (2, 1, 2)
+def test_end_of_the_first_ends_all() -> None:
+    a, b = Scripted("a", UPRIGHT), Scripted("b", ORIENTATIONS[1])
+    array = array_of(a, b)
     assert not array.done
     a.done = True
-    pushed(array)
     assert array.done
-    assert array.leading is cast(Any, a)
 
 
 @pytest.mark.parametrize("confidence", Confidence)

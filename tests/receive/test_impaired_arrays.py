@@ -10,9 +10,6 @@ from scenes import codewords, film, link, received
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet
 
-QUARTER = {"hidden": (0.0, 0.0, 0.5, 0.5)}
-SIDE = {"hidden": (0.0, 0.0, 0.25, 1.0)}
-POST = {"hidden": (0.375, 0.0, 0.625, 1.0)}
 SUN = {"emitter": {"all_on": 0.33, "panel_level": 0.47}, "background": {"level": 0.4}}
 NIGHT = {"emitter": {"all_on": 0.08, "panel_level": 0.0}, "background": {"level": 0.0}}
 
@@ -31,13 +28,10 @@ def lost(settings: LinkSettings) -> list[int]:
     ("distance_m", "place", "channel"),
     [
         (80.0, {"yaw_deg": 30.0}, {}),
-        (50.0, {"yaw_deg": -40.0}, {}),
         (50.0, {"yaw_deg": 25.0, "pitch_deg": 15.0, "roll_deg": 5.0}, {}),
-        (80.0, QUARTER, {}),
-        (80.0, {**QUARTER, "start_s": 0.00015}, {}),
-        (50.0, SIDE, {}),
-        (50.0, {**SIDE, "hidden_level": 0.5}, {}),
-        (50.0, POST, {}),
+        (80.0, {"hidden": (0.0, 0.0, 0.5, 0.5), "start_s": 0.00015}, {}),
+        (50.0, {"hidden": (0.0, 0.0, 0.25, 1.0), "hidden_level": 0.5}, {}),
+        (50.0, {"hidden": (0.375, 0.0, 0.625, 1.0)}, {}),
         (80.0, {"dead": 0.025, "stuck": 0.025}, {}),
         (50.0, {}, NIGHT),
         (80.0, {}, SUN),
@@ -50,6 +44,7 @@ def test_impaired_array_is_read_completely(distance_m: float, place: dict[str, A
     assert lost(soft(distance_m, place, **channel)) == [0, 0, 0]
 
 
+@pytest.mark.slow
 def test_half_hidden_array_gives_no_false_codeword() -> None:
     assert lost(soft(60.0, {"hidden": (0.0, 0.0, 0.5, 1.0)}))[2] == 1
 
@@ -61,12 +56,8 @@ def starts_ms(packets: list[Packet], identity: int = 0) -> list[int]:
 
 @pytest.mark.parametrize(
     ("distance_m", "off_s", "expected"),
-    [
-        (50.0, (0.07, 0.25), [0, 260]),
-        # amid a header
-        (50.0, (0.053, 0.18), [0, 208]),
-        (80.0, (0.055, 0.18), [0, 208]),
-    ],
+    # within a header at 80 m
+    [(50.0, (0.07, 0.25), [0, 260]), (80.0, (0.055, 0.18), [0, 208])],
 )
 @pytest.mark.slow
 def test_array_is_lost_while_off_and_found_by_the_next_header(
@@ -100,9 +91,9 @@ def test_array_passing_before_another_loses_no_packet() -> None:
         distance_m=50.0,
         arrays=[near, {"x_m": 0.0, "y_m": 0.0}],
     )
-    packets = received(film(settings, 312), settings)
-    assert starts_ms(packets, 7) == [0, 52, 104, 156, 208, 260]
-    assert {0, 260} <= set(starts_ms(packets, 3)) < {0, 52, 104, 156, 208, 260}
+    packets = received(film(settings, 260), settings)
+    assert starts_ms(packets, 7) == [0, 52, 104, 156, 208]
+    assert {0, 208} <= set(starts_ms(packets, 3)) < {0, 52, 104, 156, 208}
 
 
 @pytest.mark.slow

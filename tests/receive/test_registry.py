@@ -75,25 +75,10 @@ def test_custom_receiver_has_settings() -> None:
         from_mapping(ReceiveSettings, {"receiver": name, "custom": {"frames": 5}})
 
 
-@pytest.mark.parametrize(
-    ("name", "message"), [("plian", "did you mean 'plain'"), ("soft2", "did you mean 'soft'"), ("", "there are plain")]
-)
-def test_unknown_receiver_is_refused_in_one_line(name: str, message: str) -> None:
-    with pytest.raises(SettingsError, match=message) as error:
-        from_mapping(ReceiveSettings, {"receiver": name})
+def test_unknown_receiver_is_refused_in_one_line() -> None:
+    with pytest.raises(SettingsError, match="did you mean 'plain'") as error:
+        from_mapping(ReceiveSettings, {"receiver": "plian"})
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        *((name, "one of the package") for name in ("plain", "soft")),
-        *((name, "letters, digits") for name in ("", "a b", "a=b")),
-    ],
-)
-def test_reserved_and_invalid_names_are_refused(name: str, message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
-        register_receiver(name, Counting)
 
 
 @pytest.fixture

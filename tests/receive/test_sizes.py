@@ -40,14 +40,13 @@ def camera_at(fps: float, start_s: float) -> dict[str, Any]:
     return {"camera": camera, "arrays": [{"x_m": 0.0, "y_m": 0.0, "start_s": start_s}]}
 
 
-@pytest.mark.parametrize(("side", "distance_m"), [(8, 50.0), (32, 60.0)])
 @pytest.mark.parametrize(
-    ("changes", "channel"),
+    ("side", "distance_m", "changes", "channel"),
     [
-        ([], camera_at(1000.0, 4e-4)),
-        ([], camera_at(1500.0, 2e-4)),
-        (["transmit.formats=[{mode='single'}]"], {}),
-        ([], {"arrays": [{"x_m": 0.0, "y_m": 0.0, "hidden": (0.0, 0.0, 0.5, 0.5)}]}),
+        (8, 50.0, [], camera_at(1000.0, 4e-4)),
+        (32, 60.0, [], camera_at(1500.0, 2e-4)),
+        (32, 60.0, ["transmit.formats=[{mode='single'}]"], {}),
+        (8, 50.0, [], {"arrays": [{"x_m": 0.0, "y_m": 0.0, "hidden": (0.0, 0.0, 0.5, 0.5)}]}),
     ],
     ids=["half a pattern late", "1500 frames/s", "without inverses", "a quarter hidden"],
 )

@@ -30,7 +30,7 @@ def read(settings: LinkSettings, frames: list[Frame]) -> list[tuple[int, str, Or
     return [(p.identity, p.status, p.orientation) for p in received(frames, settings)]
 
 
-@pytest.mark.parametrize(("receiver", "distance_m"), [("plain", 2.5), ("soft", 2.5), ("soft", 6.0)])
+@pytest.mark.parametrize(("receiver", "distance_m"), [("plain", 2.5), ("soft", 2.5)])
 @pytest.mark.slow
 def test_near_array_is_read(distance_m: float, receiver: str) -> None:
     settings = near(distance_m, receiver, "signal.data_pairs=16", identity=11)
@@ -104,13 +104,10 @@ def test_array_that_fills_the_frame_is_found(receiver: str) -> None:
     assert found.score > 0.99
 
 
-ROLLS_DEG = np.random.default_rng(5).uniform(-180, 180, 4).round(1).tolist()
-
-
 @pytest.mark.parametrize(
-    ("receiver", "roll_deg"),
-    [*(("plain", roll_deg) for roll_deg in (-45.0, 30.0, *ROLLS_DEG)), ("soft", -45.0), ("soft", 60.0)],
+    ("receiver", "roll_deg"), [("plain", -45.0), ("plain", 30.0), ("plain", 109.8), ("soft", -45.0), ("soft", 60.0)]
 )
+@pytest.mark.slow
 def test_array_of_any_roll_is_read(roll_deg: float, receiver: str) -> None:
     """Includes angles midway between two orientations; decoding starts with the second header at the latest."""
     settings = block_settings(near(30.0, receiver, f"channel.arrays.0.roll_deg={roll_deg}", size=96), 3)

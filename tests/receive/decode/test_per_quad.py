@@ -1,11 +1,11 @@
 """Decoding of 2 x 2 LED squares for unsynchronised packets, before the equaliser."""
 
-from dataclasses import replace
+import itertools
 
 import numpy as np
 import pytest
 from recorder import Recorder
-from scenes import film, link, received, statuses, words_of
+from scenes import film, link, received, statuses
 
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
@@ -15,7 +15,6 @@ from heliograph.receive.decode.per_quad import decode_per_quad
 from heliograph.receive.events import DecodeEvent, EqualiseEvent
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
-from heliograph.receive.settings import SoftSettings
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
 
@@ -34,9 +33,7 @@ def is_decoded(words: Words | None, layer: str) -> list[bool]:
     return [word.status == "ok" for word in words[layer]]
 
 
-@pytest.mark.parametrize(
-    ("phase", "distance_m"), [(0.07, 30.0), (0.3, 45.0), (0.5, 30.0), (0.5, 45.0), (0.9, 45.0), (0.2, 65.0)]
-)
+@pytest.mark.parametrize(("phase", "distance_m"), [(0.07, 30.0), (0.5, 45.0), (0.9, 45.0), (0.2, 65.0)])
 @pytest.mark.slow
 def test_unsynchronised_packets_are_decoded_without_the_equaliser(phase: float, distance_m: float) -> None:
     settings, recorder = unsynchronised(distance_m, phase), Recorder()
@@ -46,31 +43,18 @@ def test_unsynchronised_packets_are_decoded_without_the_equaliser(phase: float, 
 
 
 @pytest.mark.slow
-def test_equaliser_decodes_the_same_codewords() -> None:
-    settings, recorder = unsynchronised(45.0, 0.5), Recorder()
-    frames = film(settings, PACKET + 3, roi_margin_px=20)
-    (packet,) = received(frames, settings)
-    equalising = replace(settings, receive=replace(settings.receive, soft=SoftSettings(led_by_led=False)))
-    (equalised,) = received(frames, equalising, recorder)
-    assert recorder.of(EqualiseEvent)
-    assert [word.block for word in words_of(packet)] == [word.block for word in words_of(equalised)]
-
-
-@pytest.mark.parametrize("misplaced", [0.0, 3.0])
-@pytest.mark.slow
-def test_decoding_depends_on_the_pose_and_hardly_on_the_gain(misplaced: float) -> None:
+def test_decoding_depends_on_the_pose_and_hardly_on_the_gain() -> None:
     settings, recorder = unsynchronised(40.0, 0.4), Recorder()
     received(film(settings, PACKET + 5, roi_margin_px=20), settings, recorder)
     (event,) = recorder.of(DecodeEvent)
-    cutouts = [cutout and cutout.moved(np.array([misplaced, 0.0, 0.0, 0.0])) for cutout in event.cutouts or ()]
-    assert any(cutout is not None and cutout.combination is not None for cutout in cutouts)
-    for gain in (140.0, 200.0, 280.0):
+    for misplaced_px, gain in itertools.product((0.0, 3.0), (140.0, 280.0)):
+        cutouts = [cutout and cutout.moved(np.array([misplaced_px, 0.0, 0.0, 0.0])) for cutout in event.cutouts or ()]
+        assert any(cutout is not None and cutout.combination is not None for cutout in cutouts)
         words = decode_per_quad(cutouts, gain, PacketFormat(settings.signal), event.identity, Decoding())
         assert words is not None
-        assert all(word.status == ("crc_fail" if misplaced else "ok") for by in words.values() for word in by)
+        assert {word.status for by in words.values() for word in by} == {"crc_fail" if misplaced_px else "ok"}
 
 
-@pytest.mark.slow
 def test_far_layers_are_decoded_once_the_light_of_the_others_is_known() -> None:
     settings, recorder = link("signal.data_pairs=48", "receive.receiver=soft", distance_m=85.0), Recorder()
     received(film(settings, 105, roi_margin_px=20), settings, recorder)

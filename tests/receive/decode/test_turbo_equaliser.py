@@ -86,15 +86,14 @@ def test_more_feedback_decodes_farther_packets(feedback: Feedback, distance_m: f
     assert feedback != "none" or not packet.known
 
 
-@pytest.mark.parametrize(("distance_m", "number", "seeds"), [(148, 1, (0, 1)), (212, 0, (3, 5))])
 @pytest.mark.slow
-def test_binary_prior_decodes_more_than_a_gaussian(distance_m: float, number: int, seeds: tuple[int, int]) -> None:
+def test_binary_prior_decodes_more_than_a_gaussian() -> None:
     read, gaussian = 0, 0
-    for seed in seeds:
+    for seed in (0, 1):
         blocks = random_blocks(seed)
-        packet = statistics_of(blocks, distance_m, seed)
-        read += right(decoded(packet), blocks)[number]
-        gaussian += right(decoded(packet, "soft"), blocks)[number]
+        packet = statistics_of(blocks, 148, seed)
+        read += right(decoded(packet), blocks)[1]
+        gaussian += right(decoded(packet, "soft"), blocks)[1]
     assert gaussian < read
 
 
@@ -143,14 +142,12 @@ def against_its_symbols(symbols: Floats, rng: np.random.Generator) -> PairStatis
     return by_matrices(b, GAIN * (b @ symbols + o) + rng.normal(0, NOISE**0.5, len(b)), o)
 
 
-@pytest.mark.parametrize(("late", "distance_m"), [(0.25, 110), (0.5, 80)])
-@pytest.mark.slow
-def test_combined_frames_are_decoded(late: float, distance_m: float) -> None:
+def test_combined_frames_are_decoded() -> None:
     """Each observation contains symbol products and leakage from adjacent pairs or the header."""
-    combination = combine_pair(late + np.arange(-2.0, 5.0), 1.0, (0, 1, 2, 3))
+    combination = combine_pair(0.5 + np.arange(-2.0, 5.0), 1.0, (0, 1, 2, 3))
     assert combination is not None
     blocks = random_blocks(2)
-    assert right(decoded(combined_statistics_of(blocks, distance_m, combination)), blocks) == [True] * 4
+    assert right(decoded(combined_statistics_of(blocks, 80, combination)), blocks) == [True] * 4
 
 
 @pytest.mark.slow

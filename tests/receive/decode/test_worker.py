@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from recorder import Recorder
-from scenes import SIDE, film, link, received, statuses, words_of
+from scenes import SIDE, comparable, film, link, received, statuses
 from waiting import HANG_S
 
 from heliograph.base.errors import HeliographError
@@ -57,25 +57,14 @@ def two_arrays(receiver: str, in_background: bool) -> LinkSettings:
     return soft(*changes, arrays=arrays, distance_m=60.0)
 
 
-def content(packets: Sequence[Packet]) -> list[Any]:
-    """Return all packet content."""
-    return [
-        (
-            *(packet.identity, packet.status, packet.first_frame, packet.last_frame, packet.pose, packet.start_time_s),
-            [(w.status, w.bits.tobytes(), w.raw.tobytes(), w.margin) for w in words_of(packet)],
-        )
-        for packet in packets
-    ]
-
-
 @cache
 def film_of_two() -> list[Frame]:
-    return film(two_arrays("plain", False), 3 * PACKET + 32)
+    return film(two_arrays("plain", False), 2 * PACKET + 32)
 
 
 @cache
 def film_of_one() -> list[Frame]:
-    return film(soft(), 4 * PACKET + 10, roi_margin_px=20)
+    return film(soft(), 3 * PACKET + 10, roi_margin_px=20)
 
 
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
@@ -86,9 +75,9 @@ def test_decoding_in_the_background_gives_the_same_packets_and_events(receiver: 
         settings, recorder = two_arrays(receiver, in_background), Recorder()
         read.append(received(film_of_two(), settings, recorder))
         events.append(Counter(type(event).__name__ for event in recorder.events))
-    assert content(read[0]) == content(read[1])
+    assert comparable(read[0]) == comparable(read[1])
     identities = [packet.identity for packet in read[0]]
-    assert identities.count(3) == identities.count(7) == 4
+    assert identities.count(3) == identities.count(7) == 3
     assert events[0] == events[1]
 
 
@@ -141,7 +130,7 @@ def test_receiver_takes_frames_while_a_packet_is_decoded(monkeypatch: pytest.Mon
             assert free.wait(HANG_S)
 
     decode_in_a_thread(monkeypatch, hold)
-    settings, frames = soft(), film_of_one()[: 3 * PACKET + 10]
+    settings, frames = soft(), film_of_one()
     receiver = make_receiver(settings.signal, settings.receive)
     packets = [packet for frame in frames[: PACKET + 40] for packet in receiver.push(frame)]
     assert not packets, "the first packet is still being decoded, and the receiver took the next packet's frames"
@@ -190,7 +179,6 @@ def test_receiver_waits_for_the_decoder_at_the_end_of_a_film(decoded_lazily: lis
         ("transmit.identities=[7]", UPRIGHT, False),
         # the rotated header has another identity: LED sampling, if enabled, resolves the ambiguity
         ("transmit.identities=[3]", UPRIGHT, False),
-        ("transmit.identities=[7]", ORIENTATIONS[1], False),
         ("transmit.identities=[3]; receive.soft.led_by_led=false", UPRIGHT, True),
         ("transmit.identities=[7]; receive.soft.led_by_led=false", ORIENTATIONS[1], True),
         # dark areas may be hidden LEDs or no LEDs
@@ -203,10 +191,10 @@ def test_tracking_waits_for_a_first_packet_with_an_ambiguous_header(
     change: str, orientation: Orientation, waits: bool
 ) -> None:
     settings = soft(*change.split("; "), camera={"width": 80, "height": 80})
-    frames = [replace(frame, pixels=orientation.turned(frame.pixels)) for frame in film(settings, 2 * PACKET + 42)]
+    frames = [replace(frame, pixels=orientation.turned(frame.pixels)) for frame in film(settings, 2 * PACKET + 2)]
     early, late = receive_in_parts(frames, settings, PACKET + 40)
     assert [packet.first_frame for packet in early] == ([0] if waits else [])
-    assert statuses([*early, *late]) == ["ok"] * 3
+    assert statuses([*early, *late]) == ["ok"] * 2
 
 
 @pytest.mark.usefixtures("decoded_lazily")
@@ -214,7 +202,7 @@ def test_tracking_waits_for_a_first_packet_with_an_ambiguous_header(
 def test_tracking_half_a_pattern_late_waits_only_for_the_first_packet() -> None:
     """No header pair alternates half a pattern out of step, but the light clock measures the header."""
     settings = soft(arrays=[{"x_m": 0.0, "y_m": 0.0, "start_s": 0.0025}])
-    early, late = receive_in_parts(film(settings, 3 * PACKET + 40, roi_margin_px=20), settings, 2 * PACKET + 40)
+    early, late = receive_in_parts(film(settings, 3 * PACKET + 2, roi_margin_px=20), settings, 2 * PACKET + 40)
     assert [packet.header_score for packet in early] == [0.0]
     assert statuses([*early, *late])[:3] == ["ok"] * 3
 
@@ -274,13 +262,17 @@ def test_learning_without_a_solution_keeps_the_state() -> None:
 
 
 def test_pickled_decoder_keeps_a_separate_state() -> None:
-    here, led_gains = PacketDecoder(), LedGains.sound(SIDE)
+    here, led_gains, buffer = PacketDecoder(), LedGains.sound(SIDE), SoftBuffer()
     there = pickle.loads(pickle.dumps(here))
-    decode(there, Decoded({}, learn=lambda: led_gains))
+    decode(there, Decoded({}, buffer=buffer, learn=lambda: led_gains))
     there.learn(KEY)
     assert pickle.loads(pickle.dumps(here)) is there
-    assert decode(there, Decoded({}))[0] is led_gains
-    assert decode(here, Decoded({}))[0] is None
+    gains_there, buffer_there = decode(there, Decoded({}))
+    assert gains_there is led_gains
+    assert buffer_there is buffer
+    gains_here, buffer_here = decode(here, Decoded({}))
+    assert gains_here is None
+    assert buffer_here is not buffer
 
 
 def test_decoder_keeps_the_states_of_the_latest_arrays_and_identities() -> None:
@@ -323,7 +315,7 @@ def test_led_brightness_of_a_packet_reaches_the_tracker(monkeypatch: pytest.Monk
         return after
 
     monkeypatch.setattr(array, "update_brightness", noted)
-    received(film_of_one(), soft("receive.decode.in_background=true"))
+    received(film_of_one()[: 2 * PACKET + 10], soft("receive.decode.in_background=true"))
     assert updates
     for learnt, after in updates:
         assert np.array_equal(learnt.brightness, after.brightness)
@@ -338,14 +330,3 @@ def test_worker_process_that_died_is_reported_and_restarted() -> None:
     with pytest.raises(HeliographError, match=r"^the process that decodes packets has ended.*in_background = false"):
         lost.packet()
     assert statuses(received(frames, settings)) == ["ok"]
-
-
-@pytest.mark.slow
-def test_worker_process_keeps_the_soft_buffer() -> None:
-    """Soft combining works across processes for packets too dim to decode individually."""
-    read = []
-    for in_background in ("false", "true"):
-        settings = soft(f"receive.decode.in_background={in_background}", "receive.detect.score=0.5", distance_m=170.0)
-        read.append(content(received(film(settings, 3 * PACKET + 10, roi_margin_px=30), settings)))
-    assert read[0] == read[1]
-    assert read[0]

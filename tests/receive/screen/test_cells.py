@@ -10,7 +10,7 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame, Pixels
 from heliograph.probe.screens import sharpen_corners
 from heliograph.receive.screen import locate
-from heliograph.receive.screen.cells import PARAMETERS, SAMPLES_PER_S, CellFitter, Place, SearchBudget
+from heliograph.receive.screen.cells import PARAMETERS, SAMPLES_PER_S, CellFitter, CellTracker, Place, SearchBudget
 from heliograph.receive.screen.locate import ArraySearch, Candidate, find_quadrilaterals, mean_change, reduce_frame
 
 SIDE = 16
@@ -47,6 +47,15 @@ def test_cells_are_measured_at_a_known_place() -> None:
 def test_place_is_fitted_from_half_a_cell_away(off: tuple[float, float]) -> None:
     seen = FITTER(Frame(0, 0.0, drawn(levels(2))), Place.of(CORNERS + off, SIDE), 10)
     assert np.abs(seen.place.corners(SIDE) - CORNERS).max() < 0.5
+
+
+def test_jump_by_a_cell_is_tracked() -> None:
+    tracker = CellTracker(CellFitter(SIDE, 1.0, LINEAR, SearchBudget()), Place.of(CORNERS, SIDE))
+    for k in range(5):
+        corners = CORNERS + np.array([10.0 * (k == 4), 0.0])
+        seen = tracker.track(Frame(k, k / 30, drawn(levels(k), corners)))
+        assert seen is not None
+        assert np.abs(seen.place.corners(SIDE) - corners).max() < 0.5
 
 
 def test_changing_array_is_outlined() -> None:

@@ -1,11 +1,9 @@
-"""Screen reception: phone rates, rotation, unknown rates, tracking loss, other sources, and films without a screen."""
+"""Screen reception: phone rates, rotation, unknown rates, other sources, and films without a screen."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
 import pytest
@@ -16,12 +14,10 @@ from screen_light import shown
 import heliograph
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
-from heliograph.base.frames import Frame, Pixels
+from heliograph.base.frames import Frame
 from heliograph.link.film import write_film
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.media.live.camera import register_camera
-from heliograph.media.live.webcam import Webcam
 from heliograph.receive.events import (
     DecodeEvent,
     DetectEvent,
@@ -38,21 +34,20 @@ from heliograph.signal.block import Block
 from heliograph.signal.fountain.files import FileGatherer, SentFile, WholeFile
 from heliograph.web.sending import sending_of
 
-SMALL = (
-    "channel.camera.width=320",
-    "channel.camera.height=180",
-    "channel.camera.pixel_m=1.65e-5",
-    "channel.distance_m=0.75",
-    "receive.calibration.pixel_m=1.65e-5",
-)
-"""A 103 px array in a small frame, for speed; the readout time for all rows is unchanged."""
 
-
-def link(preset: str, packets: float, *changes: str) -> LinkSettings:
-    base = load_settings(preset)
-    readout = base.channel.camera.row_time_s * base.channel.camera.height
-    rows = f"channel.camera.row_time_s={readout / 180}"
-    return load_settings(preset, None, [*SMALL, rows, f"channel.duration_s={packets * base.signal.packet_s}", *changes])
+def link(preset: str, packets: float, *changes: str, rows: int = 144) -> LinkSettings:
+    """Return a link with an array of 0.57 `rows` in a small frame; the readout time of all rows is unchanged."""
+    base, pixel_m = load_settings(preset), 2.97e-3 / rows
+    small = (
+        f"channel.camera.width={16 * rows // 9}",
+        f"channel.camera.height={rows}",
+        f"channel.camera.row_time_s={base.channel.camera.row_time_s * base.channel.camera.height / rows}",
+        f"channel.camera.pixel_m={pixel_m}",
+        f"receive.calibration.pixel_m={pixel_m}",
+        "channel.distance_m=0.75",
+        f"channel.duration_s={packets * base.signal.packet_s}",
+    )
+    return load_settings(preset, None, [*small, *changes])
 
 
 def frames(settings: LinkSettings, seed: int = 3) -> list[Frame]:
@@ -65,43 +60,26 @@ def phone_60() -> tuple[LinkSettings, list[Frame]]:
     return settings, frames(settings)
 
 
-@pytest.mark.parametrize("preset", ["phone", "phone-15", "phone-60", "phone-240"])
+@pytest.mark.parametrize("preset", ["phone", "phone-60", "phone-240"])
 @pytest.mark.slow
 def test_phones_of_any_rate_read_a_screen(preset: str) -> None:
-    settings = link(preset, 2.2 if preset == "phone-240" else 1.2)
+    settings = link(preset, 1.4 if preset == "phone-240" else 1.2)
     packets = received(phone_60()[1] if preset == "phone-60" else frames(settings), settings)
     assert packets[0].status == "ok"
     assert packets[0].format.mode == "short"
     assert packets[0].distance_m == pytest.approx(0.75, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("turn", "said"), [(lambda p: p.T[::-1], "turned 270"), (lambda p: p[::-1, ::-1], "turned 180")]
-)
 @pytest.mark.slow
-def test_turned_phone_reads_the_screen(turn: Callable[[Pixels], Pixels], said: str) -> None:
-    settings, film = phone_60()
-    packets = received([replace(frame, pixels=turn(frame.pixels).copy()) for frame in film], settings)
-    assert statuses(packets) == ["ok"]
-    assert str(packets[0].orientation) == said
-
-
-@pytest.mark.slow
-def test_rate_and_packet_length_are_estimated() -> None:
-    settings = link("phone-60", 1.3, "signal.side=8", "channel.emitter.pitch_m=0.04")
-    other = replace(settings, signal=replace(settings.signal, pattern_period_s=0.1, data_pairs=48))
-    assert statuses(received(frames(settings), other)) == ["ok"]
-
-
-@pytest.mark.slow
-def test_file_is_received_from_8_by_8_cells() -> None:
-    file = SentFile("a.txt", bytes(range(70)))
+def test_file_is_received_from_8_by_8_cells_at_an_unknown_rate_and_packet_length() -> None:
+    file = SentFile("a.txt", bytes(range(50)))
     form = "transmit.formats.0.high=3/4", "transmit.formats.0.middle=3/4", "transmit.formats.0.low=3/4"
-    settings = link("phone-60", 4.3, "signal.side=8", "channel.emitter.pitch_m=0.04", *form)
+    settings = link("phone-60", 3.3, "signal.side=8", "channel.emitter.pitch_m=0.04", *form, rows=90)
     content = {layer: [file] for layer in ("high", "middle", "low")}
     film = [frame for frame, _ in simulate(settings, [content], 3)]
+    other = replace(settings, signal=replace(settings.signal, pattern_period_s=0.1, data_pairs=48))
     files, whole = FileGatherer(), list[WholeFile]()
-    for packet in received(film, settings):
+    for packet in received(film, other):
         for word in words_of(packet):
             if word.block is not None and not isinstance(word.block, Block):
                 progress = files.add(word.block)
@@ -109,18 +87,12 @@ def test_file_is_received_from_8_by_8_cells() -> None:
     assert [(found.name, found.data) for found in whole] == [(file.name, file.data)]
 
 
-@pytest.fixture(scope="module")
-def compressed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    settings = link("phone-60", 1.2, "channel.emitter.backlight_hz=240", "channel.emitter.backlight_duty=0.6")
-    path = tmp_path_factory.mktemp("films") / "phone.mp4"
-    write_film(path, settings, default_messages(settings), 3, mbit_s=4)
-    return path
-
-
 @pytest.mark.slow
-def test_compressed_phone_film_is_read(compressed: Path) -> None:
-    events: list[object] = []
-    with heliograph.open_film(compressed) as film:
+def test_compressed_phone_film_is_read(tmp_path: Path) -> None:
+    path, events = tmp_path / "phone.mp4", list[object]()
+    settings = link("phone-60", 1.2, "channel.emitter.backlight_hz=240", "channel.emitter.backlight_duty=0.6")
+    write_film(path, settings, default_messages(settings), 3, mbit_s=4)
+    with heliograph.open_film(path) as film:
         packets = received(film, link("phone-60", 1.2), events.append)
     assert statuses(packets) == ["ok"]
     assert [type(event) for event in events if not isinstance(event, TrackEvent | ExtractEvent)] == [
@@ -130,7 +102,7 @@ def test_compressed_phone_film_is_read(compressed: Path) -> None:
     ]
     boxes = [event for event in events if isinstance(event, TrackEvent)]
     assert len(boxes) > 30
-    assert all(box.tracked.state.pose.pitch == pytest.approx(103 / 16, rel=0.1) for box in boxes)
+    assert all(box.tracked.state.pose.pitch == pytest.approx(82.4 / 16, rel=0.1) for box in boxes)
     cuts = [event for event in events if isinstance(event, ExtractEvent)]
     # the first pairs may end before the header is decoded
     assert [cut.number for cut in cuts][-9:] == list(range(4, 13))
@@ -159,7 +131,7 @@ def test_repeated_frames_cost_no_packet() -> None:
 @pytest.mark.slow
 def test_noise_is_not_taken_for_an_array() -> None:
     rng, settings = np.random.default_rng(1), load_settings("phone")
-    film = [Frame(k, k / 30, rng.integers(90, 110, (120, 160), dtype=np.uint8)) for k in range(40)]
+    film = [Frame(k, k / 30, rng.integers(90, 110, (120, 160), dtype=np.uint8)) for k in range(24)]
     assert received(film, settings) == []
 
 
@@ -171,57 +143,38 @@ def test_unreadable_signal_is_refused() -> None:
         load_settings("paper", None, ["receive.screen.gamma=2.0"])
 
 
-def filmed(display_hz: float, lasts: int, skipped: float, seconds: float, seed: int = 1) -> list[Frame]:
+def filmed(display_hz: float, lasts: int, skipped: float, seconds: float) -> list[Frame]:
     """Film a display at 30 frames/s; each pattern lasts `lasts` refreshes and a fraction of refreshes is skipped."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     grabs = shown(sending_of(rng.bytes(3000), "a.bin", 16, display_hz / lasts), seconds, cell_px=8)
     refreshes = np.flatnonzero(rng.random(int(seconds * display_hz)) >= skipped)
     patterns, first = np.unique(refreshes // lasts, return_index=True)
     times_s = grabs.times_s[0] + refreshes[first] / display_hz
-    phone = Phone(width=240, height=240, side_px=200, blur_px=0.8, seed=seed)
+    phone = Phone(width=160, height=160, side_px=130, blur_px=0.6)
     seen = phone_frames(Grabs(times_s, grabs.pictures[patterns]), phone)
     return [Frame(k, time_s, pixels) for k, (time_s, pixels) in enumerate(seen)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("display_hz", "lasts", "skipped"), [(72, 5, 0.2), (77, 7, 0.0)])
-def test_any_rate_is_found_with_skipped_refreshes(display_hz: float, lasts: int, skipped: float) -> None:
-    settings = load_settings("phone")
-    film = filmed(display_hz, lasts, skipped, 2.3 * 30 * lasts / display_hz)
-    assert statuses(received(film, settings))[:2] == ["ok", "ok"]
-
-
-class FilterCamera(Webcam):
-    """FFmpeg's lavfi device: a filter graph as a real-time webcam."""
-
-    device = "lavfi"
-
-
-register_camera("screen-drawn", FilterCamera)
+def test_rate_is_found_with_skipped_refreshes() -> None:
+    film = filmed(display_hz=72, lasts=5, skipped=0.2, seconds=2.3 * 30 * 5 / 72)
+    assert statuses(received(film, load_settings("phone")))[:2] == ["ok", "ok"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["{}.png", "IMG_{:04d}.JPG"])
-def test_folder_of_pictures_is_read(tmp_path: Path, name: str) -> None:
+def test_folder_of_pictures_of_a_turned_phone_is_read(tmp_path: Path) -> None:
     settings, film = phone_60()
     for frame in film:
-        picture = frame.pixels if "png" in name else cv2.cvtColor(frame.pixels, cv2.COLOR_GRAY2BGR)
-        assert cv2.imwrite(str(tmp_path / name.format(frame.index)), picture)
+        picture = cv2.cvtColor(np.rot90(frame.pixels), cv2.COLOR_GRAY2BGR)
+        assert cv2.imwrite(str(tmp_path / f"IMG_{frame.index:04d}.JPG"), picture)
     with heliograph.open_film(tmp_path, rate_hz=60) as pictures:
-        assert statuses(received(pictures, settings)) == ["ok"]
+        packets = received(pictures, settings)
+    assert [(packet.status, str(packet.orientation)) for packet in packets] == [("ok", "turned 270")]
 
 
-@pytest.mark.slow
-def test_webcam_is_read(compressed: Path) -> None:
-    if "lavfi" not in av.formats_available:
-        pytest.skip("this PyAV has no device lavfi")
-    with heliograph.open_film(f"camera:screen-drawn:movie={compressed},format=gray,realtime") as film:
-        assert statuses(received(film, link("phone-60", 1.2))) == ["ok"]
-
-
-def flickering(seconds: float, seed: int = 1) -> list[Frame]:
+def flickering(seconds: float) -> list[Frame]:
     """Return a hand-held film with uniformly blinking squares in noise."""
-    rng, out = np.random.default_rng(seed), list[Frame]()
+    rng, out = np.random.default_rng(1), list[Frame]()
     squares = [(rng.integers(5, 180), rng.integers(5, 60), rng.integers(40, 90), rng.uniform(1, 6)) for _ in range(3)]
     for k in range(int(seconds * 30)):
         light = np.full((160, 280), 60.0)
@@ -235,7 +188,7 @@ def flickering(seconds: float, seed: int = 1) -> list[Frame]:
 
 @pytest.mark.slow
 def test_film_without_a_screen_costs_a_fraction_of_its_length(monkeypatch: pytest.MonkeyPatch) -> None:
-    spent_s, events, seconds, limits = [0.0], list[Event](), 6.0, SearchBudget()
+    spent_s, events, seconds, limits = [0.0], list[Event](), 5.4, SearchBudget()
     spend = SearchBudget.spend
 
     def counted(budget: SearchBudget, samples: float) -> None:

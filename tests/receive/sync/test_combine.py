@@ -28,7 +28,6 @@ from heliograph.signal import haar, pwm
 
 Floats = NDArray[np.float64]
 SIDE, PAIRS = 8, 5
-PHASES = (0.1, 0.37, 0.5, 0.6)
 FINE = 400
 """Simulation steps per T_b."""
 
@@ -51,9 +50,9 @@ def light_of(pairs: NDArray[np.int8], order: tuple[int, ...]) -> Floats:
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0, 3, 1)])
-@pytest.mark.parametrize("exposure", [0.13, 0.5, 0.9, 1.0])
-@pytest.mark.parametrize("phase", [0.0, 0.1, 0.37, 0.6])
-@pytest.mark.parametrize("rate", [1.0, 1.5, 2.7])
+@pytest.mark.parametrize("exposure", [0.13, 0.5, 1.0])
+@pytest.mark.parametrize("phase", [0.0, 0.37, 0.6])
+@pytest.mark.parametrize("rate", [1.0, 2.7])
 def test_combination_shows_stated_symbols(order: tuple[int, ...], exposure: float, phase: float, rate: float) -> None:
     exposure = min(exposure, 1 / rate)
     pairs = random_data(5, 3)
@@ -251,11 +250,10 @@ def packet(phase: float, seed: int = 0) -> tuple[Combination, UnsynchronisedPack
     )
 
 
-@pytest.mark.parametrize("phase", PHASES[1:3])
 @pytest.mark.slow
-def test_unknown_symbols_have_the_moments_of_random_data(phase: float) -> None:
-    found = np.stack([packet(phase, seed)[3] for seed in range(400)])
-    own, leak = packet(phase)[1].expected(np.zeros((PAIRS, SIDE**2)))
+def test_unknown_symbols_have_the_moments_of_random_data() -> None:
+    found = np.stack([packet(0.37, seed)[3] for seed in range(400)])
+    own, leak = packet(0.37)[1].expected(np.zeros((PAIRS, SIDE**2)))
     # headers next to the packet are known
     inside = slice(1, PAIRS - 1)
     mean, variance = (own[0] + leak[0])[inside], (own[1] + leak[1])[inside]
@@ -264,7 +262,7 @@ def test_unknown_symbols_have_the_moments_of_random_data(phase: float) -> None:
     assert kinds.var((0, 2)) == pytest.approx(variance.reshape(-1, 4, SIDE**2 // 4).mean((0, 2)), rel=0.1)
 
 
-@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize("phase", [0.1, 0.37, 0.5, 0.6])
 def test_known_symbols_predict_the_observation_and_unknown_ones_follow(phase: float) -> None:
     _, pairs, symbols, shown = packet(phase)
     own, leak = pairs.expected(symbols)
@@ -327,10 +325,6 @@ def test_header_light_counts_in_synchronous_packets() -> None:
     _, leak = pairs.expected(mean)
     assert leak[0] == pytest.approx(pairs.headers)
     assert pairs.llrs(found, variance, leak, mean) == pytest.approx(2 * (found - pairs.headers))
-
-
-def test_half_of_each_slot_shows_the_symbols() -> None:
-    assert np.allclose(response(np.full(4, 0.5)), VALUES)
 
 
 def test_lit_slots_have_the_stated_moments() -> None:

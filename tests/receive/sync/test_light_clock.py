@@ -57,13 +57,23 @@ def measured(view: HeaderAmplitudes, period: float = 1.0, exposure_s: float | No
     return clock
 
 
+def distinct_formats() -> list[int]:
+    """Return formats dimming most lit cells, most dark cells, all cells, and equally many lit and dark cells."""
+    cells, dimmed = header_cells(IDENTITY).ravel(), words().astype(int)
+    lit, count = dimmed @ cells, dimmed.sum(1)
+    return [int(np.argmax(lit)), int(np.argmin(lit)), int(np.argmax(count)), int(np.argmax((lit == 0) & (count == 8)))]
+
+
+@pytest.mark.parametrize("form", [0, *distinct_formats()])
 @pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37), (0.25, 0.25)])
-@pytest.mark.parametrize("start", [0.3, -0.37, 0.12])
-def test_header_gives_start_and_exposure(start: float, exposure: float, period: float) -> None:
-    clock = measured(header_view(start, exposure, period), period)
+@pytest.mark.parametrize("start", [0.12, 0.3, -0.37])
+def test_header_gives_start_and_exposure_despite_dimmed_cells(
+    start: float, exposure: float, period: float, form: int
+) -> None:
+    clock = measured(header_view(start, exposure, period, form=form), period)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
     assert clock.exposure == pytest.approx(exposure, abs=0.04)
-    assert clock.gain == pytest.approx(200, rel=0.04)
+    assert clock.gain == pytest.approx(200, rel=0.05 if form else 0.04)
     assert clock.explained > 0.95
 
 
@@ -103,40 +113,18 @@ def test_clipped_brightness_is_ignored() -> None:
     assert starts[1] < 0.2
 
 
-def distinct_formats() -> list[int]:
-    """Return formats dimming most lit cells, most dark cells, all cells, and equally many lit and dark cells."""
-    cells, dimmed = header_cells(IDENTITY).ravel(), words().astype(int)
-    lit, count = dimmed @ cells, dimmed.sum(1)
-    return [int(np.argmax(lit)), int(np.argmin(lit)), int(np.argmax(count)), int(np.argmax((lit == 0) & (count == 8)))]
-
-
-@pytest.mark.parametrize("form", distinct_formats())
-@pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37)])
-@pytest.mark.parametrize("start", [0.0, 0.3, -0.37])
-def test_dimmed_cells_do_not_mislead_the_clock(start: float, exposure: float, period: float, form: int) -> None:
-    clock = measured(header_view(start, exposure, period, form=form), period)
-    assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
-    assert clock.exposure == pytest.approx(exposure, abs=0.04)
-    assert clock.gain == pytest.approx(200, rel=0.05)
-    assert clock.explained > 0.95
-
-
 @pytest.mark.parametrize(("exposure", "period"), [(0.9, 1.0), (0.5, 1.0), (0.3, 2 / 3)])
 @pytest.mark.parametrize("start", [0.3, -0.37, 0.12])
 def test_header_with_known_exposure_gives_the_start(start: float, exposure: float, period: float) -> None:
     clock = measured(header_view(start, exposure, period), period, exposure_s=exposure * 1e-3)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=5e-5)
+    assert clock.exposure == pytest.approx(exposure)
 
 
 def test_longest_of_equivalent_exposures_is_chosen() -> None:
     # the central 60 % of a pattern and the full pattern give equal header amplitudes
     clock = measured(header_view(-0.2, 0.6, 1.0))
     assert clock.exposure == pytest.approx(1, abs=0.05)
-
-
-def test_known_exposure_is_not_estimated() -> None:
-    clock = measured(header_view(0.2, 0.45, 1.0), exposure_s=0.45e-3)
-    assert clock.exposure == pytest.approx(0.45)
 
 
 def test_noise_is_not_explained() -> None:
@@ -174,13 +162,14 @@ def normed_error(
     return (clock.time_s(0) * 1e3 - start) / clock.deviation
 
 
-@pytest.mark.parametrize("again", [False, True])
-@pytest.mark.parametrize("period", [1.0, 0.5])
-@pytest.mark.parametrize("clipped", [False, True])
+@pytest.mark.parametrize(
+    ("period", "clipped", "again"),
+    [(1.0, False, False), (1.0, True, True), (0.5, False, True), (0.5, True, False)],
+)
 @pytest.mark.slow
 def test_start_errors_match_the_stated_deviation(period: float, clipped: bool, again: bool) -> None:
     """Start errors match the stated deviation, also after repeated measurement."""
-    errors = [normed_error(0.3, period, seed, clipped=clipped, again=again) for seed in range(60)]
+    errors = [normed_error(0.3, period, seed, clipped=clipped, again=again) for seed in range(40)]
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
 
 
