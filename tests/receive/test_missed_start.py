@@ -23,19 +23,9 @@ class Film(tuple[Frame, ...]):
     path = "the film"
 
 
-<<<<<<< HEAD
-    def __iter__(self) -> Any:
-        return iter(self._frames)
-
-
-def received(film: tuple[Frame, ...], receiver: str) -> tuple[list[Row], ReceptionCounter]:
-    settings = load_settings("static", None, [*SIZE, f"receive.receiver={receiver}"])
-    rows, reception = list[Row](), ReceptionCounter()
-=======
-def received(film: Sequence[Frame], receiver: str) -> tuple[list[Row], Reception]:
+def received(film: Sequence[Frame], receiver: str) -> tuple[list[Row], ReceptionCounter]:
     settings = link("signal.data_pairs=24", f"receive.receiver={receiver}")
-    rows, reception = list[Row](), Reception()
->>>>>>> rtB
+    rows, reception = list[Row](), ReceptionCounter()
     journal = Journal(settings.receive.calibration, rows.append)
     for packet, messages in receive_and_count(Film(film), settings.signal, settings, reception, journal.observe):
         journal.read(packet, messages)

@@ -19,7 +19,6 @@ from heliograph.link import truth
 from heliograph.link.settings import PRESETS, LinkSettings, load_settings, preset
 from heliograph.media import FilmReader
 from heliograph.media.live.reader import film_path, is_camera
-from heliograph.receive.api import choose_receiver
 from heliograph.receive.registry import RECEIVERS
 from heliograph.signal.settings import SignalSettings
 from heliograph.sweeps.plan import parse_vary
@@ -182,12 +181,6 @@ class SettingsOptions:
 
 
 STATIC = SettingsOptions("static")
-
-
-def with_receiver_for(film: FilmReader, signal: SignalSettings, link: LinkSettings) -> tuple[LinkSettings, str]:
-    """Return settings with the receiver for a film, and a line on the choice."""
-    name, reason = choose_receiver(signal, film.rate_hz)
-    return replace(link, receive=replace(link.receive, receiver=name)), f"receiver {name}: {reason}"
 
 
 @dataclass(frozen=True, slots=True)

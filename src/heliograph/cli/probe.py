@@ -9,6 +9,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.files import clear_write_errors
 from heliograph.base.words import counted
 from heliograph.cli import console, options
+from heliograph.cli.choice import with_receiver_for
 from heliograph.cli.options import option
 from heliograph.media import open_film
 from heliograph.media.live.reader import is_camera
@@ -46,7 +47,7 @@ def probe(
         if departure:
             console.complain(departure)
         if is_auto:
-            link, _ = options.with_receiver_for(source, signal, link)
+            link, _ = with_receiver_for(source, signal, link)
         if output is not None:
             with clear_write_errors(output):
                 output.mkdir(parents=True, exist_ok=True)

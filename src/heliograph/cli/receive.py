@@ -22,9 +22,10 @@ from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.base.words import counted
 from heliograph.cli import console, options
+from heliograph.cli.choice import with_receiver_for
 from heliograph.cli.files import FileOutput, join
 from heliograph.cli.live import FilmMonitor, monitored, open_events
-from heliograph.cli.options import ReceiveOptions, WorkerOptions, option, with_receiver_for
+from heliograph.cli.options import ReceiveOptions, WorkerOptions, option
 from heliograph.link.film import packet_row
 from heliograph.link.settings import LinkSettings
 from heliograph.link.truth import TruthFile, check_truth, open_truth
