@@ -139,7 +139,7 @@ BAD = {
     "receive {}/one.mkv --region 1,2,3,3": "receive.detect.region",
     "receive {}/one.mkv --region=": "--region takes",
     f"receive {{}}/one.mkv --region 1,2,1{'0' * 5000},9": "--region takes",
-    "receive {}/one.mkv --receiver plain --region 500,0,40,40": "the region 500,0,40,40 that was given lies beyond the frames",
+    "receive {}/one.mkv --receiver plain --region 500,0,40,40": "500,0,40,40 that was given lies beyond the frames",
     # signals
     "receive {}/a.mkv --truth {}/a.mkv.truth.npz --set signal.rate.high=0.5": "signal.rate.high is 0.5, but ",
     "receive {}/a.mkv --truth {}/a.mkv.truth.npz --set signal.data_pairs=24": "signal.data_pairs is 24, but ",
