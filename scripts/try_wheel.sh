@@ -1,4 +1,4 @@
-# Try an installed command: film a tenth of a second, read it by both receivers, and show the demonstration.
+# Try an installed command: film a tenth of a second, read it by each receiver, and show the demonstration.
 # sh -e scripts/try_wheel.sh COMMAND, in a folder that may be written to
 unset PYTHONPATH
 command=$1
@@ -12,11 +12,11 @@ $command --version
 $command simulate drive.mkv $short
 for receiver in plain soft; do
     $command receive drive.mkv --receiver $receiver --truth drive.mkv.truth.npz > said.txt
-    says "array 0: 1 packets"
+    says "array 0: 1 packet,"
     says "high   1 codewords read, 0 not"
 done
 $command serve > said.txt 2>&1 || true
 says "pip install 'heliograph\[web\]'"
 $command demo --output demo $short > said.txt
-says "array 0: 1 packets"
+says "array 0: 1 packet,"
 test -s demo/report.html

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from heliograph.sweeps.sweep import sweep
     from heliograph.transmit import Transmitter
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 _HOMES = {
     "Budget": "link.budget",

@@ -15,12 +15,10 @@ from heliograph.measure.counts import LayerCounts
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.statistics import Count
 from heliograph.signal.settings import LAYERS
-from heliograph.sweeps.plot import ARROW, BOUND, legend_entries
+from heliograph.sweeps.plot import ARROW, BOUND, LAYER_COLOURS, legend_entries
 
-BLUE, ORANGE, GREEN, RED = "#1b6ca8", "#d1741f", "#5b8c3a", "#c0392b"
-DARK_GRAY, GRAY = "#4a5056", "#8a929b"
-
-LAYER_COLOURS = dict(zip(LAYERS, (BLUE, ORANGE, GREEN), strict=True))
+BLUE, ORANGE, GREEN = LAYER_COLOURS.values()
+RED, DARK_GRAY, GRAY = "#c0392b", "#4a5056", "#8a929b"
 
 styled = mpl.rc_context(fname=Path(__file__).with_name("plots.mplstyle"))
 """Decorator of functions that draw or save a figure in the common style."""
@@ -89,7 +87,7 @@ def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping
         panel.set_ylabel(label)
     for name in ("x", "y"):
         axes[1, 1].plot(times, found[name] - truth[name], lw=0.6, label=f"error of {name}")
-    axes[1, 1].set(ylabel="error (px)", ylim=(-0.3, 0.3))
+    axes[1, 1].set(ylabel="error (px)")
     for panel in (axes[0, 0], axes[1, 1]):
         panel.legend(ncols=2)
     for panel in axes[1]:
@@ -121,7 +119,10 @@ def draw_rates(axes: Axes, counts: Sequence[tuple[float, Count]], label: str, **
     style = {"marker": "o", "label": label} | style
     measured = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
     z, rate, low, high = np.array(measured).reshape(-1, 4).T
-    axes.errorbar(z, rate, (rate - low, high - rate), **style)
-    if bounds := [(z, c.bound) for z, c in counts if not c.errors]:
+    _, caps, bars = axes.errorbar(z, rate, (rate - low, high - rate), **style)
+    for part in (*caps, *bars):
+        part.set_alpha(0.4)
+    # a bound near 1 is no measurement
+    if bounds := [(z, c.bound) for z, c in counts if not c.errors and c.bound < 0.3]:
         z, bound = np.array(bounds).T
         axes.plot(z, bound, color=style["color"], marker=ARROW, ms=8, ls="none", alpha=0.7, gid=BOUND)

@@ -254,7 +254,7 @@ def _rates_plot(points: Mapping[str, Points]) -> Figure:
             plots.draw_rates(axes, points[curve.name], curve.name, capsize=0, **style)
     for axes, title in ((left, "on-off keying, inverse and repetition"), (right, "the hierarchical code")):
         axes.set(title=title, xlabel="distance (m)", yscale="log", ylim=(1e-6, 1))
-        axes.legend(*legend_entries(axes), fontsize=8, loc="lower right")
+        axes.legend(*legend_entries(axes), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
     for z in (40.0, 60.0):
         left.axvline(z, color="lightgray", lw=1, zorder=0)
     left.set_ylabel("bit error rate")

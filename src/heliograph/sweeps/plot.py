@@ -16,8 +16,11 @@ if TYPE_CHECKING:
 ARROW = r"$\downarrow$"
 """Marker of an upper bound."""
 
-BOUND, MISSED = "no error: upper bound of the rate (95 %)", "no packet found"
-"""Legend texts, and ids in axes, of upper bounds and missed arrays."""
+BOUND, MISSED, UNCODED = "no error: upper bound of the rate (95 %)", "no packet found", "bit error rate without a code"
+"""Legend texts, and ids in axes, of upper bounds, missed arrays and uncoded bits."""
+
+LAYER_COLOURS = dict(zip(LAYERS, ("#1b6ca8", "#d1741f", "#5b8c3a"), strict=True))
+"""Colours of the layers in all plots."""
 
 
 def plot_rates(
@@ -25,8 +28,9 @@ def plot_rates(
 ) -> "Axes":
     """Plot an error rate of a sweep over a key, a line for each layer and combination of the other keys.
 
-    Measured rates have 95 % intervals. An open marker with an arrow is an upper bound for zero errors. A cross at the
-    lower edge marks a point with no received packet. The legend explains arrows and crosses.
+    The colour is that of the layer, dashes and marker are those of the other keys. Measured rates have 95 % intervals.
+    An arrow is an upper bound for zero errors, and joins no line. A cross at the lower edge marks a point with no
+    received packet. Behind rates after the decoder, a dotted line is the bit error rate without a code.
 
     Parameters
     ----------
@@ -70,11 +74,24 @@ def plot_rates(
         about = ", ".join(str(part[other].values) for other in others)
         for layer in layers:
             label = ", ".join(filter(None, (about, layer)))
-            _line(axes, part.sel(layer=layer), rate, key, label, (LAYERS.index(layer), number))
+            one = part.sel(layer=layer)
+            _line(axes, one, rate, key, label, LAYER_COLOURS[layer], number)
+            if rate in ("ber", "fer"):
+                # without a code a layer has the errors of its coded bits
+                x, raw = one[key].values, one["raw_ber"].where(one["detected"] > 0).values
+                uncoded = {
+                    "color": LAYER_COLOURS[layer],
+                    "ls": ":",
+                    "lw": 0.8,
+                    "alpha": 0.6,
+                    "zorder": 1,
+                    "gid": UNCODED,
+                }
+                axes.plot(x[raw > 0], raw[raw > 0], **uncoded)
     unit = data[key].attrs.get("units", "1")
     axes.set(xlabel=key if unit == "1" else f"{key} ({unit})", ylabel=ERROR_RATES[rate], yscale="log")
     axes.grid(alpha=0.3)
-    axes.legend(*legend_entries(axes), fontsize="small")
+    axes.legend(*legend_entries(axes), fontsize="small", loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     return axes
 
 
@@ -84,9 +101,9 @@ def legend_entries(axes: "Axes") -> tuple[list[Any], list[str]]:
 
     handles, labels = axes.get_legend_handles_labels()
     drawn = {line.get_gid() for line in axes.lines}
-    for note, marker in ((BOUND, ARROW), (MISSED, "x")):
+    for note, marker, line in ((BOUND, ARROW, "none"), (MISSED, "x", "none"), (UNCODED, "", ":")):
         if note in drawn:
-            handles.append(Line2D([], [], color="k", ls="none", marker=marker))
+            handles.append(Line2D([], [], color="k", ls=line, lw=0.8, marker=marker))
             labels.append(note)
     return handles, labels
 
@@ -98,24 +115,20 @@ def _along(data: "xarray.Dataset", keys: list[str]) -> str:
     return (several or keys)[0]
 
 
-def _line(axes: "Axes", part: Any, rate: str, key: str, label: str, style: tuple[int, int]) -> None:
+def _line(axes: "Axes", part: Any, rate: str, key: str, label: str, colour: str, number: int) -> None:
     """Plot measured rates with intervals, bounds with arrows, and missed points with crosses."""
-    layer, number = style
     x, y = part[key].values, part[rate].values
     low, high = part[f"{rate}_low"].values, part[f"{rate}_high"].values
     bound, found = part[f"{rate}_is_bound"].values.astype(bool), part["detected"].values > 0
     counted = ~np.isnan(y) & found
-    marks = "osD^vP*X"
-    style_of_line: dict[str, Any] = {"color": f"C{layer}", "marker": marks[number % len(marks)]}
-    measured = counted & ~bound
-    axes.plot(x[measured], y[measured], lw=1, label=label, **style_of_line)
+    marks, dashes = "osD^vP*X", ("-", "--", "-.", (0, (1, 1)))
+    style: dict[str, Any] = {"color": colour, "marker": marks[number % len(marks)], "ms": 5}
+    measured, bounds = counted & ~bound, counted & bound
+    axes.plot(x[measured], y[measured], lw=1.2, ls=dashes[number % len(dashes)], label=label, **style)
     errors = [(y - low)[measured], (high - y)[measured]]
-    axes.errorbar(x[measured], y[measured], errors, fmt="none", ecolor=f"C{layer}", lw=1)
-    bounds = counted & bound
+    axes.errorbar(x[measured], y[measured], errors, fmt="none", ecolor=colour, lw=1, alpha=0.4)
     if bounds.any():
-        reach = [high[bounds] * 0.5, np.zeros(bounds.sum())]
-        axes.plot(x[bounds], high[bounds], ls="none", mfc="none", gid=BOUND, **style_of_line)
-        axes.errorbar(x[bounds], high[bounds], reach, fmt="none", ecolor=f"C{layer}", uplims=True, lw=1)
+        axes.plot(x[bounds], high[bounds], ls="none", gid=BOUND, **style | {"marker": ARROW, "ms": 8})
     if (~found).any():
         edge = np.full((~found).sum(), 0.02)
         axes.plot(x[~found], edge, "x", color="k", gid=MISSED, transform=axes.get_xaxis_transform())
