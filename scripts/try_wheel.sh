@@ -12,11 +12,11 @@ $command --version
 $command simulate drive.mkv $short
 for receiver in plain soft; do
     $command receive drive.mkv --receiver $receiver --truth drive.mkv.truth.npz > said.txt
-    says "array 0: 1 packet,"
+    says "array 0: 1 packet"
     says "high   1 codewords read, 0 not"
 done
 $command serve > said.txt 2>&1 || true
 says "pip install 'heliograph\[web\]'"
 $command demo --output demo $short > said.txt
-says "array 0: 1 packet,"
+says "array 0: 1 packet"
 test -s demo/report.html
