@@ -63,6 +63,10 @@ ARRAY = re.compile(r"(?:numpy\.)?ndarray\[tuple\[Any, \.\.\.\], (?:numpy\.)?dtyp
 """NumPy's definition of `NDArray[...]`."""
 
 
+MODULE = re.compile(r"\b(?:heliograph|collections|pathlib|typing|numpy)\.(?:[a-z_]+\.)*(?=[A-Z])")
+"""Path of a module before a type."""
+
+
 def _short_types(_app: Sphinx, doctree: nodes.document) -> None:
     """Write `ArrayLike` and `NDArray[...]` in place of their definitions."""
     for signature in doctree.findall(addnodes.desc_signature):
@@ -99,6 +103,7 @@ def _take_returns(_app: Sphinx, _what: str, name: str, _obj: Any, _options: Any,
 def _put_returns(_app: Sphinx, _what: str, name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
     """Put the paragraph back as a field between the parameters and the exceptions; shorten the types of attributes."""
     lines[:] = [ARRAY.sub(r"NDArray[\1]", line) for line in lines]
+    lines[:] = [MODULE.sub("", line) if line.strip().startswith(":type:") else line for line in lines]
     if field := returned.pop(name, None):
         at = next((k for k, line in enumerate(lines) if line.startswith(":raises")), None)
         if at is not None:
@@ -113,8 +118,10 @@ def _put_returns(_app: Sphinx, _what: str, name: str, _obj: Any, _options: Any, 
 def _readable_defaults(
     _app: Sphinx, _what: str, _name: str, _obj: Any, _options: Any, signature: str | None, returns: str | None
 ) -> Any:
-    """Write a default made by a factory as an ellipsis: `<factory>` is no Python."""
-    return (signature.replace("<factory>", "..."), returns) if signature and "<factory>" in signature else None
+    """Write defaults that are no Python, such as `<factory>`, as an ellipsis; leave out the signatures of protocols."""
+    if signature == "(*args, **kwargs)":
+        return "", returns
+    return (re.sub(r"<[\w ]+>", "...", signature), returns) if signature and "<" in signature else None
 
 
 def _add_download(app: Sphinx, doctree: nodes.document) -> None:
