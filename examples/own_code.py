@@ -107,7 +107,7 @@ def main(few: bool) -> None:
     data = heliograph.sweep(
         {
             "signal.code": ["turbo", "repeat-accumulate"],
-            "channel.distance_m": [30, 60] if few else [50, 55, 60, 65, 70],
+            "channel.distance_m": [30, 60] if few else [66, 70, 74, 78, 82],
         },
         set={"signal.data_pairs": 16 if few else 48},
         min_errors=5 if few else 30,

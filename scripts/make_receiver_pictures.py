@@ -1,4 +1,4 @@
-"""Make the pictures of docs/receiver.md: each stage of the soft receiver on a packet, and how well it does."""
+"""Make the pictures of docs/theory.md: each stage of the soft receiver on a packet, and how well it does."""
 
 from collections.abc import Mapping
 from pathlib import Path
