@@ -158,11 +158,16 @@ def _orientation(picture: "av.VideoFrame") -> tuple[bool, bool, bool]:
     return (True, b < 0, c < 0) if not a and not d else planes.NO_TURN
 
 
+def _tag_options() -> dict[str, Any]:
+    """Return the options of PyAV for tags that are no UTF-8; from PyAV 19 on none are needed."""
+    return {"metadata_errors": "replace"} if int(av.__version__.partition(".")[0]) < 19 else {}
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator["av.container.InputContainer"]:
     try:
         # "file:" because a colon in a name would denote a protocol
-        container = av.open(f"file:{path}", "r", metadata_errors="replace")
+        container = av.open(f"file:{path}", "r", **_tag_options())
     except PermissionError as error:
         raise MediaError(f"not allowed to read {path}: check its rights") from error
     except (av.error.FFmpegError, OSError) as error:
