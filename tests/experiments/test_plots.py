@@ -12,12 +12,19 @@ from heliograph.sweeps.plot import ARROW, BOUND, legend_entries
 
 def test_no_line_joins_a_bound() -> None:
     axes = Figure().add_subplot()
-    counts = [(40.0, Count(100, 0)), (60.0, Count(100, 5)), (80.0, Count(0, 0)), (100.0, Count(10, 0))]
+    counts = [
+        (40.0, Count(100, 0)),
+        (60.0, Count(100, 5)),
+        (80.0, Count(0, 0)),
+        (100.0, Count(12, 0)),
+        (120.0, Count(5, 0)),
+    ]
     plots.draw_rates(axes, counts, "soft", color="C0")
     joined = [line for line in axes.lines if line.get_linestyle() != "None"]
     assert [np.asarray(line.get_xdata()).tolist() for line in joined] == [[60.0]]
     (bounds,) = (line for line in axes.lines if line.get_marker() == ARROW)
-    assert np.asarray(bounds.get_ydata()).tolist() == [0.03, 0.3]
+    # a bound of 0.6 is no measurement
+    assert np.asarray(bounds.get_ydata()).tolist() == [0.03, 0.25]
     assert legend_entries(axes)[1] == ["soft", BOUND]
 
 

@@ -204,7 +204,7 @@ def test_a_drive_without_a_frame_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("data", [b"x" * 8_000_000, b"x" * 20_000_000])
 def test_a_message_too_long_is_refused(data: bytes) -> None:
-    with pytest.raises(SettingsError, match=r"array 0: .* at most"):
+    with pytest.raises(SettingsError, match=r"array 0, high layer: .* at most"):
         simulate(small(), [{"high": [data]}], 0)
 
 
