@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from observe_oracle import transform
 from render_oracle import blur_matrix
 
-from heliograph.experiments.plots import LAYER_COLOURS, image_row
+from heliograph.experiments.plots import image_row
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
@@ -20,6 +20,7 @@ from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import whiten
 from heliograph.signal.block import pack
 from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.plot import LAYER_COLOURS
 
 Floats = NDArray[np.float64]
 

@@ -583,7 +583,7 @@ def test_plot_has_a_line_for_each_choice_and_names_invalid_arguments(tmp_path: P
     assert np.concatenate([line.get_ydata() for line in bounds]) == pytest.approx([clopper_pearson(0, 10)[1]] * 3)
     legend = axes.get_legend()
     assert legend is not None
-    assert [text.get_text() for text in legend.get_texts()] == [*labels, plot.BOUND, plot.UNCODED]
+    assert [text.get_text() for text in legend.get_texts()] == [*labels, plot.BOUND]
     assert plot.plot_rates(data.sel(layer="low", receiver="soft")).get_legend_handles_labels()[1] == ["low"]
     save(plot.plot_rates(data, along="receiver"), tmp_path / "plot.png")
     single = data.isel({"receiver": 0, "channel.distance_m": 0})

@@ -21,7 +21,7 @@ from heliograph.base.arrays import Floats
 from heliograph.channel import ArrayTruth, film
 from heliograph.experiments import plots
 from heliograph.experiments.links import static_link, true_pose
-from heliograph.experiments.plots import DARK_GRAY, LAYER_COLOURS
+from heliograph.experiments.plots import DARK_GRAY
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.link.settings import LinkSettings
 from heliograph.measure.bench import window_margin_px
@@ -33,7 +33,7 @@ from heliograph.signal import haar, ook
 from heliograph.signal.header import header_levels
 from heliograph.signal.packet import PacketFormat, with_inverses
 from heliograph.signal.settings import SignalSettings
-from heliograph.sweeps.plot import legend_entries
+from heliograph.sweeps.plot import LAYER_COLOURS, legend_entries
 
 ReadMethod = Literal["plain", "inverse", "known"]
 """Luminance at each LED position; the blur inverted; the blur inverted with the true pose and blur."""

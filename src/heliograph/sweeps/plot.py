@@ -79,15 +79,8 @@ def plot_rates(
             if rate in ("ber", "fer"):
                 # without a code a layer has the errors of its coded bits
                 x, raw = one[key].values, one["raw_ber"].where(one["detected"] > 0).values
-                uncoded = {
-                    "color": LAYER_COLOURS[layer],
-                    "ls": ":",
-                    "lw": 0.8,
-                    "alpha": 0.6,
-                    "zorder": 1,
-                    "gid": UNCODED,
-                }
-                axes.plot(x[raw > 0], raw[raw > 0], **uncoded)
+                if (wrong := raw > 0).any():
+                    axes.plot(x[wrong], raw[wrong], ":", color=LAYER_COLOURS[layer], lw=0.8, zorder=1, gid=UNCODED)
     unit = data[key].attrs.get("units", "1")
     axes.set(xlabel=key if unit == "1" else f"{key} ({unit})", ylabel=ERROR_RATES[rate], yscale="log")
     axes.grid(alpha=0.3)
@@ -128,7 +121,7 @@ def _line(axes: "Axes", part: Any, rate: str, key: str, label: str, colour: str,
     errors = [(y - low)[measured], (high - y)[measured]]
     axes.errorbar(x[measured], y[measured], errors, fmt="none", ecolor=colour, lw=1, alpha=0.4)
     if bounds.any():
-        axes.plot(x[bounds], high[bounds], ls="none", gid=BOUND, **style | {"marker": ARROW, "ms": 8})
+        axes.plot(x[bounds], high[bounds], color=colour, marker=ARROW, ms=8, ls="none", gid=BOUND)
     if (~found).any():
         edge = np.full((~found).sum(), 0.02)
         axes.plot(x[~found], edge, "x", color="k", gid=MISSED, transform=axes.get_xaxis_transform())

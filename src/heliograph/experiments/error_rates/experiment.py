@@ -24,7 +24,6 @@ from scipy.stats import fisher_exact
 from heliograph.base.arrays import Floats
 from heliograph.experiments import plots
 from heliograph.experiments.links import receive_link, static_link
-from heliograph.experiments.plots import LAYER_COLOURS
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, Verdict, count_text
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, load_imu
@@ -35,6 +34,7 @@ from heliograph.measure.statistics import Clustered, Count
 from heliograph.receive import Packet, make_receiver
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.plot import LAYER_COLOURS
 
 
 @dataclass(frozen=True, slots=True)
