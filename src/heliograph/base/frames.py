@@ -79,21 +79,19 @@ class Frame:
         Parameters
         ----------
         image
-            Gray levels (rows, columns), or colours (rows, columns, 3 or 4) in the order red, green, blue; uint8, uint16
-            or real numbers from 0 to 1. Colours become their luma, 0.299 R + 0.587 G + 0.114 B.
+            uint8, uint16 or real numbers from 0 to 1: gray levels (rows, columns), or colours (rows, columns, 3 or 4)
+            in the order red, green, blue, which become their luma, 0.299 R + 0.587 G + 0.114 B.
         index
-            Number of the frame in the film.
-        time_s
-            Start time of the exposure in seconds; by default ``index / rate_hz``.
-        rate_hz
-            Frames per second, if there is no time.
+            Frame number.
+        time_s, rate_hz
+            Start time of the exposure in s, or frames per second for ``time_s = index / rate_hz``.
         bits
             Bits per gray level; by default 8 for uint8 and 16 for other numbers.
 
         Raises
         ------
         HeliographError
-            The image is none, or neither time nor rate is given.
+            The image has another form, or neither or both of time and rate are given.
         """
         pixels = np.asarray(image)
         if (time_s is None) == (rate_hz is None) or rate_hz == 0:
