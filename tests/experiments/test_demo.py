@@ -66,6 +66,13 @@ def test_the_page_has_animation_sections_pictures_and_messages_and_is_self_conta
     assert re.findall(r"<a href=#(part-\d+)>([^<]*)</a>", page) == headings
     assert page.count("Signal ahead: red for 12 s. Prepare to stop.") == 2
     assert page.count("Tram 4 crosses") == 6
+    assert [text for _, text in headings][-3:] == [
+        "The receivers", "Errors by distance, receiver plain", "Errors by distance, receiver soft",
+    ]  # fmt: skip
+    rows = re.findall(r"<td>(plain|soft)</td>" + r"<td>(\d+) of (\d+)</td>" * 3, page)
+    assert [name for name, *_ in rows] == ["plain", "soft"]
+    assert rows[0][2::2] == rows[1][2::2], "both receivers were sent the same codewords"
+    assert sum(map(int, rows[1][1::2])) >= sum(map(int, rows[0][1::2])) > 30
     for text in (
         "Array 0, high priority", "Array 7, high priority", "What the camera saw", "rms error of position",
         "Accepted codewords that were not sent: 0.", '<span class="badge good">accepted, but not sent: 0</span>',

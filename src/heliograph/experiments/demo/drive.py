@@ -2,9 +2,10 @@
 
 import io
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,10 @@ from heliograph.measure.journal import message_row
 from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import open_film
 from heliograph.receive import Packet, Pose
+from heliograph.receive.api import choose_receiver
 from heliograph.receive.events import DetectEvent, Event, ExtractEvent, TrackEvent
 from heliograph.receive.geometry.window import AnyFrame, cut_out
+from heliograph.receive.settings import PlainSettings
 from heliograph.road.codec import Values, is_there, kind_of, mapem, road_values, road_words, updates
 from heliograph.road.countdown import Countdown
 from heliograph.road.junction import Junction, example
@@ -217,18 +220,19 @@ def write_page(
     truth: TruthFile,
     recorder: DriveRecorder,
     moving: bytes,
-    reception: ReceptionCounter,
+    receptions: Mapping[str, ReceptionCounter],
     counts: Mapping[str, Any],
     messages: Sequence[Message],
 ) -> None:
-    """Write the page; `moving` is the animation."""
+    """Write the page; `moving` is the animation, and the first receiver has recorded and received the messages."""
+    receiver, reception = next(iter(receptions.items()))
     page = Report("Heliograph: a drive past an LED array")
     channel, side, cuts = truth.settings.channel, truth.settings.signal.side, recorder.cuts
     page.text(
         f"A {side} x {side} LED array sends to a {channel.camera.fps:.0f} fps camera behind the windscreen of a car "
         f"driving from {channel.distance_m:.0f} m to {channel.stop_m:.0f} m at {channel.speed_m_s * 3.6:.0f} km/h. "
         f"The film is simulated; the receiver gets only its frames. {counts['frames']} frames were read at "
-        f"{counts['frames_per_second']:.0f} frames/s."
+        f"{counts['frames_per_second']:.0f} frames/s by the receiver {receiver}."
     )
     page.badges(_badges(counts, reception))
     if moving:
@@ -252,8 +256,20 @@ def write_page(
         for title, fixed in (("without tracking", True), ("with tracking", False)):
             images = [_sum_at(cuts[0][1] if fixed else pose, up, down) for _, pose, up, down in cuts]
             page.figure(plots.image_row(images, names, largest=largest), f"Pattern plus inverse, cut out {title}.")
-    _show_errors(page, reception)
+    if len(receptions) > 1:
+        page.heading("The receivers")
+        page.table(["receiver", *LAYERS], [[name, *_read_by_layer(one)] for name, one in receptions.items()])
+        page.text("Codewords read: the receiver of the paper, and the receiver at the limit of the channel.", note=True)
+    for name, one in receptions.items():
+        _show_errors(page, name, one)
     page.write(path)
+
+
+def _read_by_layer(reception: ReceptionCounter) -> list[str]:
+    """Return the read codewords of each layer over all arrays, of those sent."""
+    assert reception.errors is not None  # the film has its truth
+    total = reception.errors.total()
+    return [f"{total[name].codewords - total[name].codeword_errors} of {total[name].codewords}" for name in LAYERS]
 
 
 def _badges(counts: Mapping[str, Any], reception: ReceptionCounter) -> Iterator[tuple[str, str]]:
@@ -334,10 +350,10 @@ def _sum_at(pose: Pose, up: AnyFrame, down: AnyFrame) -> NDArray[np.float64]:
     return cut_out(up, window) + cut_out(down, window)
 
 
-def _show_errors(page: Report, reception: ReceptionCounter) -> None:
+def _show_errors(page: Report, receiver: str, reception: ReceptionCounter) -> None:
     assert reception.errors is not None  # the film has its truth
     bins = reception.errors.bins()
-    page.heading("Errors by distance")
+    page.heading(f"Errors by distance, receiver {receiver}")
     if not bins:
         page.text("No packet was received, and none was completely filmed.")
         return
@@ -424,12 +440,24 @@ def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings,
     except (HeliographError, KeyboardInterrupt) as error:
         ending = error
     counts = reception.report(time.perf_counter() - began)
+    receptions, receiver = {settings.receive.receiver: reception}, settings.receive.receiver
+    best, _ = choose_receiver(settings.signal, settings.channel.camera.fps)
+    if ending is None and receiver == "plain" and best == "soft":
+        # the same film by the other receiver
+        other = replace(settings, receive=replace(settings.receive, receiver=best, plain=PlainSettings()))
+        receptions[best] = ReceptionCounter(truth)
+        try:
+            with bar(f"receiving by {best}", count) as advance, open_film(film) as source:
+                received = receive_and_count(source, settings.signal, other, receptions[best], progress=advance)
+                deque(received, maxlen=0)
+        except KeyboardInterrupt as error:
+            ending = error
     for message in messages:
         write_whole(folder / message_name(message), message.data)
     moving = animated(recorder.images)
     if moving:
         write_whole(folder / "drive.webp", moving)
-    write_page(folder / "report.html", truth, recorder, moving, reception, counts, messages)
+    write_page(folder / "report.html", truth, recorder, moving, receptions, counts, messages)
     return Demonstration(counts, ending)
 
 
