@@ -13,7 +13,7 @@ $command simulate drive.mkv $short
 for receiver in plain soft; do
     $command receive drive.mkv --receiver $receiver --truth drive.mkv.truth.npz > said.txt
     says "array 0: 1 packet"
-    says "high   1 codewords read, 0 not"
+    says "high   1 codeword read, 0 not"
 done
 $command serve > said.txt 2>&1 || true
 says "pip install 'heliograph\[web\]'"

@@ -12,7 +12,7 @@ from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.cli.options import SentOptions, read_toml
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Messages, default_messages
+from heliograph.link.simulate import DEFAULT_TEXTS, Messages
 from heliograph.road.codec import mapem, updates
 from heliograph.road.junction import Junction
 from heliograph.signal.block import MAX_MESSAGE
@@ -41,7 +41,8 @@ def read_messages(settings: LinkSettings, sent: SentOptions, seconds: float) -> 
         raise MediaError("--file needs a layer that has no message: leave out --high, --middle or --low")
     if files:
         content = dict.fromkeys(LAYERS, files) | content
-    return [content for _ in settings.transmit.identities] if content else default_messages(settings, repeats=1)
+    content = content or {layer: [text.encode()] for layer, text in DEFAULT_TEXTS.items()}
+    return [content for _ in settings.transmit.identities]
 
 
 def _road_messages(sent: SentOptions, seconds: float) -> Messages:

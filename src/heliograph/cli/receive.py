@@ -338,7 +338,7 @@ def _show(outcome: Outcome, output: Path | None) -> None:
     for name in outcome.messages:
         console.say(f"message {output}/{name}")
     for identity, layer, stream, received, size in reception.unfinished():
-        missing = f"{size - received} missing: film longer, or until the array repeats the message"
+        missing = f"{size - received} missing: record until the array repeats the message"
         console.say(f"array {identity}, {layer}, message {stream}: {received} of {size} bytes, {missing}")
     if reception.errors is not None:
         _show_errors(reception.errors)

@@ -76,16 +76,19 @@ class Recordings:
     imu: ImuTrace | None = None
 
 
-def default_messages(settings: LinkSettings, repeats: int = 8) -> list[Messages]:
-    """Return a text for each array and layer, repeated in the message."""
-    rules = {
-        "high": "Signal ahead: red for 12 s. Prepare to stop.",
-        "middle": "Junction 7: right lane closed, detour by Harbour Road, 4 minutes of delay.",
-        "low": "Map of the junction, timetable of the tram, weather and parking follow with this array's data.",
-    }
+DEFAULT_TEXTS = {
+    "high": "Signal ahead: red for 12 s. Prepare to stop.",
+    "middle": "Junction 7: right lane closed, detour by Harbour Road, 4 minutes of delay.",
+    "low": "Map of the junction, timetable of the tram, weather and parking follow with this array's data.",
+}
+"""Texts by layer, each of a codeword."""
+
+
+def default_messages(settings: LinkSettings) -> list[Messages]:
+    """Return a long text for each array and layer."""
     return [
-        {layer: [f"Array {identity}, {layer} priority. {text} ".encode() * repeats] for layer, text in rules.items()}
-        for identity in settings.transmit.identities
+        {layer: [f"Array {who}, {layer} priority. {text} ".encode() * 8] for layer, text in DEFAULT_TEXTS.items()}
+        for who in settings.transmit.identities
     ]
 
 
