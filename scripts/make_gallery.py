@@ -19,7 +19,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 MAX_WIDTH, MAX_BYTES = 1000, 150_000
 
 DEMO = ("", "demo-far", "demo-near", "demo-junction", "demo-picture", "demo-tracking", "demo-untracked", "demo-tracked",
-        "demo-errors")  # fmt: skip
+        "demo-errors", "demo-errors-soft")  # fmt: skip
 """Names of the pictures of the demo's report, in order; the first is the animation."""
 
 NOTEBOOKS = {

@@ -107,7 +107,7 @@ def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]], offset_m
         axes.set(yscale="log", ylim=(1e-5, 1), xlabel="distance (m)", ylabel="bit error rate")
         axes.set_title(f"{title} the turbo code")
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(*legend_entries(axes))
+            axes.legend(*legend_entries(axes), loc="upper left")
     return figure
 
 
