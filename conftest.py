@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-# before NumPy is imported: two processes of tests whose algebra has two threads each wait for one another, and the
-# matrices are too small to share. Those that test what becomes of more threads ask for them
+# set before the NumPy import: two test processes with two BLAS threads each wait for each other, and the matrices are
+# too small for threads. Tests of the thread limit set other counts
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from sybil import Example, Sybil

@@ -30,7 +30,7 @@ SIDE, PITCH_M_PX = 16, 58.33
 
 
 class Packet:
-    """One packet received from a distance at rest, with all that the receiver shows of it and what was sent."""
+    """Packet received from a fixed distance: sent bits, cut-outs and iterations of the receiver."""
 
     def __init__(self, distance_m: float, *other: str, seed: int = 0):
         changes = [f"channel.distance_m={distance_m}", "channel.duration_s=0.1", "receive.receiver=soft", *other]
@@ -49,7 +49,7 @@ class Packet:
         self.symbols = 1.0 - 2.0 * bits
 
     def information(self, name: str, word: int) -> tuple[NDArray[np.intp], list[float]]:
-        """Iterations in which a codeword was open, and the information in its LLRs in bit a bit, by what was sent."""
+        """Return the iterations of an open codeword, and the information in the LLRs given the sent bits."""
         llr = np.array([one[name][word] for one in self.iterations])
         sent = 1.0 - 2.0 * self.sent[name][word]
         open_ = np.flatnonzero((llr != 0).any(1))

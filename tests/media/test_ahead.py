@@ -52,7 +52,7 @@ def test_at_most_ten_frames_are_read_ahead() -> None:
     assert next(frames).index == 0
     wait_until(lambda: source.made >= 10)
     time.sleep(0.05)
-    assert source.made == 10  # those that wait, the one in use, and one that waits for room
+    assert source.made == 10  # eight queued frames, a frame in use, and a frame at the full queue
     frames.close()
     assert source.closed
     assert source.made < 100

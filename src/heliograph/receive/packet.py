@@ -157,11 +157,11 @@ class Packet:
     pose_std_px: float = math.nan
 
     def explain(self) -> str:
-        """Return why codewords are missing: each condition of a reception with its value, one line each.
+        """Explain missing codewords: return the conditions of the reception, one per line.
 
-        The first line has the scores of header and tracking (1 if all is seen without noise), the pairs in which the
-        array was visible and the tracked position's error. A line for each layer has the codewords decoded, and of
-        those that failed the information in their LLRs beside the least that the code needs.
+        The first line has the scores of header and tracking (1 for an ideal image), the fraction of visible pairs and
+        the error of the tracked position. A line for each layer has the number of decoded codewords and, for failed
+        codewords, the information in the LLRs and the minimum that the code needs.
         """
         pose = "" if math.isnan(self.pose_std_px) else f", position error {self.pose_std_px:.2f} px"
         lines = [
