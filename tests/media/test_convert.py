@@ -11,6 +11,7 @@ from made_recordings import noise, write_kinds
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import convert_film, create_film, open_film
+from heliograph.receive.sync.frame_clock import owned
 
 PLACES = (0, 1, 2, 5, 6, 9)
 """Frame positions on the time grid, with gaps."""
@@ -72,6 +73,7 @@ def test_recordings_of_cameras_are_converted(tmp_path: Path) -> None:
         with open_film(target) as opened:
             got = list(opened)
             assert (opened.bits, opened.rate_hz) == (8, 500.0)
+        assert all(owned(frame) is frame for frame in got), "receivers would copy them"
         assert same(got, levels)
         assert [frame.time_s for frame in got] == pytest.approx(np.arange(5) / 500, abs=2e-9)
 

@@ -103,7 +103,9 @@ def _plane(picture: "av.VideoFrame", index: int, bits: int) -> Pixels:
 
 
 def upright(pixels: Pixels, is_transposed: bool, rows_reversed: bool, columns_reversed: bool) -> Pixels:
-    """Transpose levels, then reverse the order of rows and columns."""
+    """Transpose levels, then reverse the order of rows and columns; upright pixels stay the same array."""
+    if (is_transposed, rows_reversed, columns_reversed) == NO_TURN:
+        return pixels
     turned: Any = pixels.T if is_transposed else pixels
     return np.ascontiguousarray(turned[:: -1 if rows_reversed else 1, :: -1 if columns_reversed else 1])
 
