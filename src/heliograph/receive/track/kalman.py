@@ -5,13 +5,13 @@ Times are in seconds, but spreads are per pattern: the motion from pattern to pa
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
-from math import exp, hypot, inf
+from math import exp, hypot, inf, isfinite
 
 import numpy as np
-from scipy.linalg import lapack
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.track import kernels
 
 POSE_SIZE, RATE_STATES, STATE_SIZE = 5, slice(5, 8), 10
 """State: pose vector (x, y, ln pitch, roll, ln blur), rates per second of x, y and ln pitch, and systematic errors of
@@ -109,14 +109,9 @@ class PoseState:
         return PoseState(time_s, mean, full, *tilt)
 
     def predict(self, time_s: float, model: MotionModel) -> "PoseState":
-        """Predict the state at a later time: x = F x, P = F P F^T + Q."""
-        dt, (linear, quadratic, cubic) = time_s - self.time_s, model.noise_by_powers
-        mean, covariance = self.mean.copy(), self.covariance.copy()
-        # F adds dt times the rates to x, y and ln pitch
-        mean[:3] += dt * mean[RATE_STATES]
-        covariance[:3] += dt * covariance[RATE_STATES]
-        covariance[:, :3] += dt * covariance[:, RATE_STATES]
-        covariance += dt * (linear + dt * (quadratic + dt * cubic))
+        """Predict the state at a later time."""
+        dt = time_s - self.time_s
+        mean, covariance = kernels.predict(self.mean, self.covariance, dt, *model.noise_by_powers)
         # stretch and shear walk by 0.01 in 1000 patterns, and change by up to 0.3 for a turn by 1 rad. A turn goes on
         # for tau = 100 patterns: it adds tau^2, as a walk of the variance tau dt
         turn = 0.3 * hypot(self._numbers[5], self._numbers[6]) / model.focal_px
@@ -124,23 +119,17 @@ class PoseState:
         return PoseState(time_s, mean, covariance, self.tilt, self.tilt_covariance + variance * np.eye(2))
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
-        """Predict the mean (5,) and the covariance (5, 5) of a fit: H x, H P H^T + R."""
-        matrix, errors = observation
-        return matrix @ self.mean, matrix @ self.covariance @ matrix.T + errors
+        """Predict the mean (5,) and the covariance (5, 5) of a fit."""
+        mean, covariance, _ = kernels.project(self.mean, self.covariance, *observation)
+        return mean, covariance
 
-    def condition(
-        self, vector: Floats, covariance: Floats, observation: Observation, prior: tuple[Floats, Floats] | None = None
-    ) -> "PoseState":
-        """Update the state by a fit with the prior `expected`, if known (an iterated Kalman update)."""
-        # the posterior C of the fit: K = P H^T S^-1, x += K (z - H x), P += K (C - S) K^T
-        expected, spread = prior or self.expected(observation)
-        _, gain, failed = lapack.dposv(spread, observation[0] @ self.covariance)
-        if failed:
+    def condition(self, vector: Floats, covariance: Floats, observation: Observation) -> "PoseState":
+        """Update the state by a fit whose prior was `expected` (an iterated Kalman update)."""
+        covariance = np.ascontiguousarray(covariance)
+        mean, full = kernels.condition(self.mean, self.covariance, *observation, vector, covariance)
+        if not isfinite(full[0, 0]):
             raise np.linalg.LinAlgError("the covariance of an array's pose is not positive definite")
-        gain = gain.T
-        full = self.covariance + gain @ (covariance - spread) @ gain.T
-        mean = self.mean + gain @ (vector - expected)
-        return PoseState(self.time_s, mean, 0.5 * (full + full.T), self.tilt, self.tilt_covariance)
+        return PoseState(self.time_s, mean, full, self.tilt, self.tilt_covariance)
 
     @cached_property
     def pose(self) -> Pose:

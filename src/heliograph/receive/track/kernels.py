@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from heliograph.base.compiled import compiled
-from heliograph.receive.geometry.kernels import median, smallest
+from heliograph.receive.geometry.kernels import invert, median, smallest
 
 LINE_RATE, COVERED_LINE_RATE = 0.1, 0.02
 """Weights of a pair in the usual level of a line, and of a covered line: a slow post covers the rim for 45 pairs."""
@@ -191,3 +191,62 @@ def power_around(change, noise, x, y, axes, width, around):
             for k in range(u - reach, u + reach + 1):
                 total += rows[-1 - k if k < 0 else 2 * side - 1 - k if k >= side else k, v]
             around[u, v] = total / (width * width)
+
+
+@compiled()
+def predict(mean, covariance, dt, linear, quadratic, cubic):
+    """Predict a state at a later time: F x, F P F^T + Q, where F adds dt times the rates to x, y and ln pitch."""
+    x, p = mean.copy(), covariance.copy()
+    for k in range(3):
+        x[k] += dt * x[5 + k]
+        for n in range(x.size):
+            p[k, n] += dt * p[5 + k, n]
+    for n in range(x.size):
+        for k in range(3):
+            p[n, k] += dt * p[n, 5 + k]
+        for k in range(x.size):
+            p[n, k] += dt * (linear[n, k] + dt * (quadratic[n, k] + dt * cubic[n, k]))
+    return x, p
+
+
+@compiled()
+def project(mean, covariance, matrix, errors):
+    """Predict a fit: H x and H P H^T + R; also returns H P."""
+    shown, size = matrix.shape
+    fit, spread, across = np.zeros(shown), errors.copy(), np.zeros((shown, size))
+    for k in range(shown):
+        for n in range(size):
+            # H is nearly empty
+            if matrix[k, n] != 0.0:
+                fit[k] += matrix[k, n] * mean[n]
+                for i in range(size):
+                    across[k, i] += matrix[k, n] * covariance[n, i]
+    for k in range(shown):
+        for n in range(shown):
+            for i in range(size):
+                spread[k, n] += across[k, i] * matrix[n, i]
+    return fit, spread, across
+
+
+@compiled()
+def condition(mean, covariance, matrix, errors, vector, posterior):
+    """Update a state by a fit z of covariance C: K = P H^T S^-1, x + K (z - H x), P + K (C - S) K^T."""
+    fit, spread, across = project(mean, covariance, matrix, errors)
+    shown, size = matrix.shape
+    precision, gain, change = np.empty((shown, shown)), np.zeros((shown, size)), np.zeros((shown, size))
+    invert(spread, precision)
+    for k in range(shown):
+        for n in range(shown):
+            for i in range(size):
+                gain[k, i] += precision[k, n] * across[n, i]
+    x, p = mean.copy(), covariance.copy()
+    for k in range(shown):
+        for i in range(size):
+            x[i] += gain[k, i] * (vector[k] - fit[k])
+            for n in range(shown):
+                change[k, i] += (posterior[k, n] - spread[k, n]) * gain[n, i]
+    for k in range(shown):
+        for i in range(size):
+            for j in range(size):
+                p[i, j] += 0.5 * (gain[k, i] * change[k, j] + gain[k, j] * change[k, i])
+    return x, p

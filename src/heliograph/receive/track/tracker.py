@@ -67,7 +67,7 @@ class Tracker:
             return _coast(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
         observation = sum_observation(pair.late_s)
-        mean, covariance = expected = predicted.expected(observation)
+        mean, covariance = predicted.expected(observation)
         prior = Fit(np.concatenate([mean, predicted.tilt]), covariance, track.gain)
         shining = track.shining
         if header is not None and pair.combination is None:
@@ -102,7 +102,7 @@ class Tracker:
             gain = min(max(gain, track.data_gain / 1.5), track.data_gain * 1.5)
         after = replace(
             track,
-            state=predicted.condition(vector, fit.covariance, observation, expected),
+            state=predicted.condition(vector, fit.covariance, observation),
             gain=gain,
             score=track.score + 0.1 * (fit.score - track.score),
             last_seen_s=predicted.time_s,
@@ -113,7 +113,7 @@ class Tracker:
         """Refine pitch, roll, blur and tilt by a header, after the fit of the sum."""
         state = track.state
         corner, up, down = _cut(pair, window_around(state.pose, self._side, _margin(state.pose)))
-        mean, covariance = expected = state.expected(HEADER_OBSERVATION)
+        mean, covariance = state.expected(HEADER_OBSERVATION)
         both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
         both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, state.tilt_covariance
         prior = Fit(np.append(mean, state.tilt), both)
@@ -124,7 +124,7 @@ class Tracker:
         if fit.score < 0.6:
             return track
         posterior = fit.covariance[:POSE_SIZE, :POSE_SIZE]
-        state = state.condition(fit.vector[:POSE_SIZE], posterior, HEADER_OBSERVATION, expected)
+        state = state.condition(fit.vector[:POSE_SIZE], posterior, HEADER_OBSERVATION)
         tilt_covariance = fit.covariance[POSE_SIZE:, POSE_SIZE:]
         state = replace(state, tilt=fit.vector[POSE_SIZE:], tilt_covariance=tilt_covariance)
         return replace(track, state=state, data_gain=fit.gain)
