@@ -615,7 +615,7 @@ def test_bar_estimates_the_remaining_time_after_the_first_point(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = 0.0
-    monkeypatch.setattr(sweep.time, "monotonic", lambda: now)
+    monkeypatch.setattr("time.monotonic", lambda: now)
     tallies = [tally_of(StopRule(max_codewords=4)) for _ in range(4)]
     # an earlier run stored half of the first point
     tallies[0].add(0, fake_counts(2, 0), 1.0)

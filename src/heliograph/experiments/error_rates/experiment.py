@@ -301,8 +301,9 @@ def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentRe
                 _rates_plot(rates),
                 "Bit error rate before and after the turbo code, by layer: static (lines), driving (open squares), "
                 "on-off keying before any code (gray), with an offset of half a metre. 95 % intervals; an arrow is an "
-                "upper bound (3/n) for no error in n bits before the code, in n packets after it. Red: Nagura et al. "
-                "2010 report no error after the code from 25 m to 80 m; the text has no other values of Fig. 13.",
+                "upper bound (3/n) for no error in n bits before the code, in n packets after it. The titles count "
+                "codewords. Red: Nagura et al. 2010 report no error after the code from 25 m to 80 m; their text has "
+                "no other values of Fig. 13.",
             ),
             (
                 _ratio_plot(comparisons),
@@ -464,9 +465,8 @@ def _rates_plot(rates: Rates) -> Figure:
                 plots.draw_rates(axes, keyed, "on-off keying, static", color=plots.GRAY, ls="--", lw=1.8)
             axes.set(yscale="log", title=f"{name}, {title} the turbo code")
             if kind == "decoded":
-                words = ((part, pooled(rates[part].values())[name].words) for part in ("static", "driving"))
-                wrong = ", ".join(f"{part} {count_text(count)}" for part, count in words)
-                axes.set_title(f"{axes.get_title()}\nwrong codewords: {wrong}")
+                fixed, moving = (count_text(pooled(rates[k].values())[name].words) for k in ("static", "driving"))
+                axes.set_title(f"{axes.get_title()}\nwrong: {fixed} static, {moving} driving")
                 published = {"color": plots.RED, "marker": "s", "lw": 3, "label": "Nagura et al. 2010: no error"}
                 # the lower edge stands for zero
                 axes.plot(PUBLISHED_M, (0, 0), transform=axes.get_xaxis_transform(), clip_on=False, **published)
