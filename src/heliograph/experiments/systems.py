@@ -118,11 +118,9 @@ class BitCounts:
     found: int = 0
 
     def is_settled(self, target: int) -> bool:
-        """True if every count has enough bits or errors, or four films show the array to be out of reach."""
-        if self.films >= 4 and not self.found:
-            return True
-        # 200 errors give the rate to about 15 %
-        return bool(self.counts) and all(c.trials >= target or c.errors >= 200 for c in self.counts.values())
+        """True from four films on, if every count has enough bits or errors, or no film shows the array."""
+        # fewer films give no interval; 200 errors give the rate to about 15 %
+        return self.films >= 4 and all(c.trials >= target or c.errors >= 200 for c in self.counts.values())
 
 
 def count_bits(bits: int, seed: int, work: tuple[str, float]) -> BitCounts:
