@@ -60,6 +60,13 @@ export class Player {
     requestAnimationFrame(tick);
   }
 
+  /** The canvas is dark until `play`. */
+  stop(): void {
+    this.running += 1;
+    this.packets = null;
+    this.draw();
+  }
+
   restart(): void {
     [this.refreshes, this.skipped, this.lost, this.shown, this.last] = [0, 0, 0, -1, 0];
     this.paused = false;
