@@ -130,6 +130,10 @@ def test_transmit_obeys_keys_and_counts_skipped_refreshes(chromium: Browser, add
         page.keyboard.press("Enter")
         page.get_by_role("dialog").get_by_role("button", name="Start").click()
         expect(page.locator("#pause")).to_be_enabled()
+        page.fill("#text", "Another text")
+        expect(page.locator("#send")).to_have_text("Send changes")
+        page.click("#send")
+        expect(page.locator("#send")).to_have_text("Send")
         page.focus("#main")
         page.keyboard.press("Space")
         expect(page.locator("#pause")).to_have_text("Resume")
@@ -185,6 +189,24 @@ def test_reduced_motion_sends_slowly_and_asks_every_time(chromium: Browser, addr
             expect(page.locator("#pause")).to_be_enabled()
             expect(page.locator("#rate option:checked")).to_have_text("2")
             expect(page.locator("#array")).to_have_attribute("aria-label", "Patterns of 16 × 16 cells, 2.0 a second")
+
+
+@pytest.mark.parametrize("page_name", ["transmit", "receive"])
+def test_a_file_dropped_anywhere_is_taken(chromium: Browser, address: str, page_name: str) -> None:
+    with quiet_page(chromium, address + page_name) as page:
+        page.wait_for_load_state("networkidle")
+        is_kept = page.evaluate("""() => {
+          const dataTransfer = new DataTransfer();
+          dataTransfer.items.add(new File(["no film"], "dropped.mp4"));
+          return !document.querySelector("h1").dispatchEvent(
+            new DragEvent("drop", { dataTransfer, bubbles: true, cancelable: true }));
+        }""")
+        assert is_kept, "the browser would leave the page for the file"
+        if page_name == "transmit":
+            assert page.evaluate("document.getElementById('file').files[0].name") == "dropped.mp4"
+            expect(page.locator("#file-part")).to_be_visible()
+        else:
+            expect(page.locator(".notice.bad")).to_contain_text("is not a video that can be read")
 
 
 def test_empty_and_large_files_are_refused_in_the_page(chromium: Browser, address: str, tmp_path: Path) -> None:

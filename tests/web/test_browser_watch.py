@@ -42,10 +42,28 @@ def address(films: list[Path]) -> Iterator[str]:
         yield f"{url}watch"
 
 
+SLOW_PICTURES = """
+    const decode = createImageBitmap;
+    let count = 0;
+    window.drawn = [];
+    window.createImageBitmap = async (...given) => {
+      const picture = await decode(...given);
+      if (count++ % 3 === 0) await new Promise((done) => setTimeout(done, 40));
+      return picture;
+    };
+    addEventListener("DOMContentLoaded", () => {
+      const frame = document.getElementById("frame");
+      const note = () => window.drawn.push(Number(/Frame (\\d+)/.exec(frame.ariaLabel)?.[1] ?? -1));
+      new MutationObserver(note).observe(frame, { attributeFilter: ["aria-label"] });
+    });
+"""
+"""Every third picture is decoded late, and the numbers of the drawn frames are kept."""
+
+
 @pytest.fixture(scope="module")
 def ended(chromium: Browser, address: str) -> Iterator[Page]:
     """The page at the end of the film."""
-    with quiet_page(chromium, address, **DESK) as page:
+    with quiet_page(chromium, address, SLOW_PICTURES, **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.click("#open")
         page.get_by_text("The end: 1250 frames").wait_for()
@@ -63,6 +81,12 @@ def test_results_of_a_reception_are_shown_and_named(ended: Page) -> None:
         assert "levels" in (ended.get_attribute(f"#{name}", "aria-label") or "")
     assert "0 of" in ended.inner_text("#errors")
     assert "following" in ended.inner_text("#stages")
+
+
+def test_frames_are_drawn_in_order_though_some_are_decoded_late(ended: Page) -> None:
+    drawn = [number for number in ended.evaluate("window.drawn") if number >= 0]
+    assert len(drawn) > 3
+    assert drawn == sorted(drawn)
 
 
 @pytest.mark.parametrize("looks", [DESK, PHONE], ids=["desk", "phone"])

@@ -1,6 +1,6 @@
 import "../common/style.css";
 import "./transmit.css";
-import "../common/page";
+import { onDrop } from "../common/page";
 import { ask, save } from "../common/api";
 import { bytes, make, one } from "../common/dom";
 import { Notice } from "../common/notice";
@@ -19,6 +19,7 @@ const brightness = one("brightness", HTMLInputElement);
 const stage = one("stage", HTMLElement);
 const array = one("array", HTMLCanvasElement);
 const chart = one("chart", HTMLCanvasElement);
+const sendButton = one("send", HTMLButtonElement);
 const pauseButton = one("pause", HTMLButtonElement);
 const said = one("said", HTMLElement);
 const warning = one("warning", HTMLDialogElement);
@@ -150,6 +151,7 @@ async function send(): Promise<void> {
   enableControls(true);
   array.setAttribute("aria-label", `Patterns of ${facts.side} × ${facts.side} cells, ${facts.rate_hz.toFixed(1)} a second`);
   said.textContent = "Sending.";
+  sendButton.textContent = "Send";
   showPaused();
   showFacts();
   await stayAwake();
@@ -164,6 +166,7 @@ function stop(): void {
   if (player === null) return;
   player.stop();
   enableControls(false);
+  sendButton.textContent = "Send";
   said.textContent = "Stopped.";
   array.setAttribute("aria-label", "Patterns: stopped");
   stage.classList.remove("fills");
@@ -243,6 +246,20 @@ function lit(): void {
   player?.setLight(light());
 }
 
+/** Shows that the patterns are not yet those of the form. */
+function markChanged(): void {
+  if (player?.playing) sendButton.textContent = "Send changes";
+}
+
+function takeFile(dropped: File): void {
+  const files = new DataTransfer();
+  files.items.add(dropped);
+  file.files = files.files;
+  one("kind-file", HTMLInputElement).checked = true;
+  chooseKind();
+  markChanged();
+}
+
 function chooseKind(): void {
   const isText = (form.elements.namedItem("kind") as RadioNodeList).value === "text";
   one("text-part", HTMLElement).hidden = !isText;
@@ -265,6 +282,8 @@ form.addEventListener("submit", (event) => {
   send().catch((error: unknown) => notice.fail(error));
 });
 form.addEventListener("change", chooseKind);
+form.addEventListener("input", markChanged);
+onDrop(takeFile);
 rate.addEventListener("change", advise);
 gamma.addEventListener("input", lit);
 brightness.addEventListener("input", lit);

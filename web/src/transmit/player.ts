@@ -47,6 +47,10 @@ export class Player {
     return Math.floor(this.refreshes / this.lasts);
   }
 
+  get playing(): boolean {
+    return this.packets !== null;
+  }
+
   play(packets: Packets, lasts: number): void {
     this.packets = packets;
     this.lasts = lasts;
