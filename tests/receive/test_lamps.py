@@ -32,7 +32,7 @@ def test_array_among_lamps_is_found_within_the_search_budget() -> None:
     assert len(detected) <= 3
     # the last search may overdraw by one block and one fit
     bound = TokenBucket(2.0, 1e-3).capacity + len(frames) * 2.0 * WORK_PER_MS + 5e6
-    assert receiver.load.work < bound  # type: ignore[attr-defined]  # of those that search
+    assert receiver.search.load.work < bound  # type: ignore[attr-defined]  # of those that search
 
 
 def test_search_is_reproducible() -> None:
@@ -42,7 +42,7 @@ def test_search_is_reproducible() -> None:
         receiver = make_receiver(link.signal, link.receive)
         for frame in frames:
             list(receiver.push(frame))
-        loads.append(receiver.load)  # type: ignore[attr-defined]  # of those that search
+        loads.append(receiver.search.load)  # type: ignore[attr-defined]  # of those that search
     assert loads[0] == loads[1]
     assert loads[0].work > 0
 

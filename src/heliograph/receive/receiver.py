@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from heliograph.base.frames import Frame
 from heliograph.base.threads import in_one_thread
-from heliograph.receive.array import ArrayReceiver, Confidence
+from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.worker import PendingPacket
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
@@ -38,11 +38,6 @@ class HeaderHypotheses:
     def is_credible(self) -> bool:
         """True if packets without a codeword count: turned arrays are rare, clutter is not."""
         return self._settled or self.leading.has_codeword or self.leading.orientation == UPRIGHT
-
-    @property
-    def confidence(self) -> Confidence:
-        """Confidence of the leading receiver."""
-        return self.leading.confidence
 
     @property
     def done(self) -> bool:
@@ -127,11 +122,6 @@ class StreamReceiver:
         self._newest: PendingPacket | None = None
         self._load = SearchLoad()
 
-    @property
-    def load(self) -> SearchLoad:
-        """Work that the search has done and skipped so far."""
-        return self.search.load
-
     @in_one_thread
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packets it completes; see `Receiver`."""
@@ -185,14 +175,11 @@ class StreamReceiver:
         for array in [a for a in self._arrays if a.done]:
             yield from array.flush()
             self._forget(array)
-        kept = [
-            array
-            for array in self._arrays
-            if array.confidence > Confidence.CANDIDATE and not array.leading.has_outgrown_view(frame.time_s)
-        ]
-        for detection in self.search.search(frame, [array.leading.pose for array in kept]):
+        leading = [array.leading for array in self._arrays]
+        kept = [one for one in leading if one.is_confirmed and not one.has_outgrown_view(frame.time_s)]
+        for detection in self.search.search(frame, [receiver.pose for receiver in kept]):
             yield from self._handle_detection(detection)
-        before, self._load = self._load, self.load
+        before, self._load = self._load, self.search.load
         if self._load.left_out != before.left_out:
             self._observe(DropEvent(frame.time_s, self._load - before))
 

@@ -53,8 +53,7 @@ class HeaderSearch:
     @property
     def load(self) -> SearchLoad:
         """Work of all streams, with the skipped candidates and blocks."""
-        first, *others = [search.budget.load for _, search in self._streams] or [SearchLoad()]
-        return sum(others, first)
+        return sum((search.budget.load for _, search in self._streams), SearchLoad())
 
     def start(self, period_s: float) -> None:
         """Prepare for frames of a period, before the first frame: the light's period or less."""
@@ -143,17 +142,11 @@ class HeaderSearch:
 class PyramidSearch:
     """Detectors on the levels of a pyramid, the coarsest first, in a stream of one frame per pattern."""
 
-    def __init__(
-        self,
-        parameters: SearchParameters,
-        signal: SignalSettings,
-        budget: TokenBucket | None = None,
-        with_half_period: bool = False,
-    ):
+    def __init__(self, parameters: SearchParameters, signal: SignalSettings, with_half_period: bool = False):
         # rounding adds to the alternation of reduced frames
         self._min_contrast = 0.9 * DETECT.busy_contrast * parameters.min_contrast
         self._reduced: dict[tuple[object, ...], list[Frame]] = {}
-        self.budget = budget or TokenBucket(parameters.cpu_share, signal.pattern_period_s)
+        self.budget = TokenBucket(parameters.cpu_share, signal.pattern_period_s)
         # a header may have 1.2 times the alternation of on-off data, and no more. Data differ for a search from an
         # inverse on, so even and odd frames have separate baselines
         ratios = (1.1, 1.1) if signal.modulation == "ook" else (1.2, 1.4)
