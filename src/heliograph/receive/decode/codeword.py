@@ -52,10 +52,8 @@ def decode_packet(
     words: dict[tuple[str, int], Codeword] = {}
     for code, keys in groups.items():
         llrs = np.stack([received[name][i] for name, i in keys])
-        result = code.decode(llrs, algorithm=options.algorithm, iterations=options.iterations, check=check)
-        known = information(llrs)
-        for (name, i), *decoded in zip(keys, llrs, known, result.bits, result.iterations, result.llr, strict=True):
-            words[name, i] = _codeword(*decoded, identity=identity, layer=name)
+        decoded, _ = _decode_together(code, llrs, [name for name, _ in keys], identity, options)
+        words |= zip(keys, decoded, strict=True)
     return {name: tuple(words[name, i] for i in range(len(rows))) for name, rows in received.items()}
 
 
@@ -80,27 +78,24 @@ def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
     return np.clip(np.where(seen[:, None], llr, 0.0), -LARGEST_LLR, LARGEST_LLR)
 
 
-def _codeword(
-    llr: Floats,
-    known: float,
-    bits: NDArray[np.uint8],
-    iterations: int,
-    decoded_llr: Floats,
-    *,
-    identity: int,
-    layer: str,
-) -> Codeword:
-    """Codeword by its received LLRs and their information, decided bits and decoded LLRs."""
-    block = unpack(bits)
-    if block is None:
-        status: Literal["ok", "crc_fail", "mismatch"] = "crc_fail"
-    elif (block.identity, block.layer) != (identity, layer):
-        status, block = "mismatch", None
-    else:
-        status = "ok"
-    margin = float(np.abs(decoded_llr).mean())
-    raw, received = hard_decisions(llr), llr.astype(np.float32)
-    return Codeword(status, block, bits, raw, int(iterations), margin, received, float(known))
+def _decode_together(
+    code: Code, llrs: Floats, layers: Sequence[str], identity: int, options: Decoding, coded_output: bool = False
+) -> tuple[list[Codeword], Floats | None]:
+    """Decode LLRs (codewords, E) of some layers' codewords; return also the extrinsic LLRs of the coded bits."""
+    result = code.decode(
+        llrs, algorithm=options.algorithm, iterations=options.iterations, check=check, coded_output=coded_output
+    )
+    words, known = list[Codeword](), information(llrs)
+    rows = zip(llrs, layers, result.bits, result.iterations, result.llr, known, strict=True)
+    for llr, layer, bits, iterations, decoded_llr, information_ in rows:
+        block = unpack(bits)
+        status: Literal["ok", "crc_fail", "mismatch"] = "crc_fail" if block is None else "ok"
+        if block is not None and (block.identity, block.layer) != (identity, layer):
+            status, block = "mismatch", None
+        raw, margin = hard_decisions(llr), float(np.abs(decoded_llr).mean())
+        received = llr.astype(np.float32)
+        words.append(Codeword(status, block, bits, raw, int(iterations), margin, received, float(information_)))
+    return words, result.coded_extrinsic
 
 
 class Layer:
@@ -209,18 +204,12 @@ class Layer:
         """Decode LLRs (codewords, E) together, also to extrinsic LLRs; only one iteration if all are hopeless."""
         if not len(llr):
             return []
-        known = information(llr)
-        iterations = 1 if is_hopeless(known, self.form).all() else options.iterations
-        result = self.form.code.decode(
-            llr, algorithm=options.algorithm, iterations=iterations, check=check, coded_output=True
-        )
-        assert result.coded_extrinsic is not None  # by coded_output
-        extrinsic = np.clip(result.coded_extrinsic.astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
-        words = [
-            _codeword(*decoded, identity=self._identity, layer=self.form.name)
-            for decoded in zip(llr, known, result.bits, result.iterations, result.llr, strict=True)
-        ]
-        return list(zip(words, extrinsic, strict=True))
+        if is_hopeless(information(llr), self.form).all():
+            options = replace(options, iterations=1)
+        layers = [self.form.name] * len(llr)
+        words, extrinsic = _decode_together(self.form.code, llr, layers, self._identity, options, coded_output=True)
+        assert extrinsic is not None  # by coded_output
+        return list(zip(words, np.clip(extrinsic.astype(np.float64), -LARGEST_LLR, LARGEST_LLR), strict=True))
 
 
 def is_hopeless(information: Floats, form: LayerFormat) -> NDArray[np.bool_]:

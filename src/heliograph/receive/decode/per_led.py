@@ -27,13 +27,7 @@ ZERO_FORCING_LOADING = 1e-4
 """lambda: loading of the diagonal of A^T A, the image of a wide array with all LEDs on being 1; about noise / light."""
 
 
-def unblurred(
-    frames: tuple[AnyFrame, AnyFrame],
-    poses: tuple[Pose, Pose],
-    gain: float,
-    side: int,
-    loading: float = ZERO_FORCING_LOADING,
-) -> Floats:
+def unblurred(frames: tuple[AnyFrame, AnyFrame], poses: tuple[Pose, Pose], gain: float, side: int) -> Floats:
     """Normalised luminances x' = level - 2 of a pair, deblurred.
 
     With A_1 and A_2 at the poses of the two frames, the background equal in both and s = 2 x - 1:
@@ -53,23 +47,19 @@ def unblurred(
     across, down = footprints(middle, corner, shape, side, motion)
     # M^T M: <led_i, led_j> = <across_i, across_j> <down_i, down_j>
     gram = (across @ across.T) * (down @ down.T)
-    gram[np.diag_indices_from(gram)] += loading
+    gram[np.diag_indices_from(gram)] += ZERO_FORCING_LOADING
     light = np.einsum("kj,kj->k", down @ change, across)
     _, s, _ = lapack.dposv(gram, light, overwrite_a=1)
     return 2 * to_grid(s)
 
 
 def pair_luminances(
-    frames: tuple[AnyFrame, AnyFrame],
-    poses: tuple[Pose, Pose],
-    gain: float,
-    side: int,
-    equaliser: Equaliser = "none",
+    frames: tuple[AnyFrame, AnyFrame], poses: tuple[Pose, Pose], gain: float, side: int, equaliser: Equaliser
 ) -> Floats:
     """Normalised luminances x' = level - 2 of a data pair."""
     if equaliser == "inverse":
         return unblurred(frames, poses, gain, side)
-    up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
+    up, down = (at_leds(frame.pixels, frame.origin, pose, side) for frame, pose in zip(frames, poses, strict=True))
     return normalised(up - down, gain)
 
 
@@ -77,11 +67,6 @@ def normalised(change: NDArray[np.float64], gain: float) -> NDArray[np.float64]:
     """Normalised luminances x' = level - 2 by samples of a pattern less the inverse."""
     # r - r_inverted = gain (x - (1 - x)) = gain (2 x - 1) = gain x' / 2
     return 2 * change / max(gain, TINY)
-
-
-def luminances(frame: AnyFrame, pose: Pose, side: int) -> NDArray[np.float64]:
-    """Gray level at each LED's image position, by cubic interpolation. Returns (side, side) float64."""
-    return at_leds(frame.pixels, frame.origin, pose, side)
 
 
 def at_leds(pixels: NDArray[Any], corner: tuple[int, int], pose: Pose, side: int) -> NDArray[np.float64]:

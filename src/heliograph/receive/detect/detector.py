@@ -58,7 +58,6 @@ from heliograph.receive.detect.frame_window import (
     FrameWindow,
     fill_missing,
     find_header_start,
-    have_same_format,
     header_frames,
 )
 from heliograph.receive.detect.header_bank import ALL_ON, Headers, Hypothesis, headers
@@ -366,8 +365,7 @@ class HalfPeriodDetector:
     def search(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
         """Search with the next frame; see `HeaderSearch`."""
         detector, length = self._detector, self._detector.header_length
-        last = self._frames[-1] if self._frames else None
-        if last is not None and not (have_same_format(last, frame) and frame.index == last.index + 1):
+        if self._frames and frame.index != self._frames[-1].index + 1:
             self._frames.clear()
         self._frames.append(frame)
         if len(self._frames) <= length:

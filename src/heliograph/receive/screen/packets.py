@@ -144,10 +144,7 @@ class PacketAssembler:
     ):
         self._signal, self._calibration, self._budget = signal, settings.calibration, budget
         self._options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
-        screen = settings.screen
-        self._buffer = SampleBuffer(
-            shape, frame_s, signal.pattern_period_s, screen.row_time_s, screen.find_rate, budget
-        )
+        self._buffer = SampleBuffer(shape, frame_s, signal.pattern_period_s, settings.screen, budget)
         self.clock: Clock | None = None
         # start and header of the packet in progress; the last header if not visible
         self.start_s: float | None = None
@@ -284,8 +281,7 @@ class PacketAssembler:
         first = header.place + self._signal.header_pairs
         visible = solution.change[first : first + pairs] / np.maximum(solution.light, 0.05)
         change, seen = np.zeros((pairs, n, n)), np.zeros(pairs, bool)
-        for k, pair in enumerate(visible):
-            change[k] = header.orientation.upright(pair)
+        change[: len(visible)] = [header.orientation.upright(pair) for pair in visible]
         # a pair without frames has a large variance
         variance = solution.variance[first : first + pairs].mean((1, 2))
         seen[: len(visible)] = variance < 10 * float(np.median(solution.variance))

@@ -95,8 +95,7 @@ class EventEmitter:
         if seen or before is None:
             at_s, ones = self._windows[-1][0].time_s, np.ones((self._side,) * 2)
             state = PoseState.start(at_s, fit.vector, fit.covariance, MotionModel(1.0, 0.0))
-            pairs = 1 if before is None else before.pairs + 1
-            self._track = Track(state, fit.gain, fit.gain, ones, at_s, ones, fit.score, pairs)
+            self._track = Track(state, fit.gain, fit.gain, ones, at_s, ones, fit.score)
         assert self._track is not None
         self._observe(TrackEvent(identity, frame.index, TrackedPair(before or self._track, self._track, fit, seen)))
 
@@ -121,17 +120,14 @@ class EventEmitter:
         return min(self._windows, key=lambda window: abs(window[0].time_s - time_s))
 
 
-def screen_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> "ScreenReceiver":
-    """Make the receiver "screen"."""
-    if signal.modulation != "haar" or signal.header != "m_sequence":
-        raise SettingsError('the receiver screen reads signal.modulation = "haar" with signal.header = "m_sequence"')
-    return ScreenReceiver(signal, settings, observe)
-
-
 class ScreenReceiver:
     """Receiver of one screen array; see `packets.Receiver`."""
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
+        if signal.modulation != "haar" or signal.header != "m_sequence":
+            raise SettingsError(
+                'the receiver screen reads signal.modulation = "haar" with signal.header = "m_sequence"'
+            )
         self._signal, self._settings, self._observe = signal, settings, observe
         # headers below 10 patterns/s take longer
         slowness = max(1.0, 10 * signal.pattern_period_s)
