@@ -96,7 +96,7 @@ def find_header(
     place, fit = max(fits, key=lambda found: found[1].score)
     best = HeaderMatch(side, fit, headers(ORIENTATIONS).hypotheses[place.header])
     best = _find_starts(frames, best, place, speed) if best.score >= 0.6 else best
-    return replace(best, fit=View(level).fit_out(best.fit))
+    return replace(best, fit=View(level).map_fit(best.fit, inverse=True))
 
 
 def _search(frames: Sequence[Frame], centres: Floats, size: float, pad: int) -> list[_Place]:

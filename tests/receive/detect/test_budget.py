@@ -182,7 +182,7 @@ def test_data_before_the_first_header_cost_little(kind: str, distance_m: float, 
     receiver = live_receiver(settings, kind, recorder)
     for frame, _ in simulate(settings, default_messages(settings), 1):
         list(receiver.push(frame))
-    assert receiver.load.work / WORK_PER_MS < most_ms  # type: ignore[attr-defined]  # receivers with a search
+    assert receiver.search.load.work / WORK_PER_MS < most_ms  # type: ignore[attr-defined]  # receivers with a search
     assert not recorder.of(DropEvent)
 
 

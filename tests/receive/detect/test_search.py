@@ -45,7 +45,7 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> Searches:
 
 
 def search_all(fps: float, frames: list[Frame]) -> HeaderSearch:
-    search = HeaderSearch(SEARCH, SignalSettings())
+    search = HeaderSearch(SEARCH, SignalSettings(), synchronous=False)
     search.start(1 / fps)
     for frame in frames:
         assert search.search(frame) == []

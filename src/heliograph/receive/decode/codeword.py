@@ -80,7 +80,7 @@ def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
 
 def _decode_together(
     code: Code, llrs: Floats, layers: Sequence[str], identity: int, options: Decoding, coded_output: bool = False
-) -> tuple[list[Codeword], Floats | None]:
+) -> tuple[list[Codeword], NDArray[np.float32] | None]:
     """Decode LLRs (codewords, E) of some layers' codewords; return also the extrinsic LLRs of the coded bits."""
     result = code.decode(
         llrs, algorithm=options.algorithm, iterations=options.iterations, check=check, coded_output=coded_output

@@ -83,10 +83,14 @@ def decode_per_led(
     present = [cutout for cutout in cutouts if cutout is not None]
     if form.single or not present or any(cutout.combination is not None for cutout in present):
         return None
-    side = form.settings.side
-    luminances = np.zeros((len(cutouts), side, side))
+    seen = np.array([cutout is not None for cutout in cutouts])
+    return decode_packet(sample_differences(cutouts, form.settings.side), seen, form, identity, options)
+
+
+def sample_differences(cutouts: Sequence[Cutout | None], side: int) -> Floats:
+    """Difference of each pair at the LEDs, (pairs, n, n); 0 for missing pairs."""
+    out = np.zeros((len(cutouts), side, side))
     for place, cutout in enumerate(cutouts):
         if cutout is not None:
-            luminances[place] = at_leds(cutout.difference, cutout.corner, cutout.middle, side)
-    seen = np.array([cutout is not None for cutout in cutouts])
-    return decode_packet(luminances, seen, form, identity, options)
+            out[place] = at_leds(cutout.difference, cutout.corner, cutout.middle, side)
+    return out

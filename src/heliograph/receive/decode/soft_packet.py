@@ -15,7 +15,7 @@ from heliograph.receive.decode.header_reader import HeaderReader, data_late_s, t
 from heliograph.receive.decode.per_led import decode_per_led
 from heliograph.receive.decode.per_quad import decode_per_quad
 from heliograph.receive.decode.turbo_equaliser import TurboEqualiser, decode_iteratively
-from heliograph.receive.decode.worker import Decoded, renumber
+from heliograph.receive.decode.worker import Decoded
 from heliograph.receive.equalise.led_gains import LedGains, update_brightness
 from heliograph.receive.equalise.pose_refinement import ObservedPacket, align_by_power
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
@@ -91,8 +91,8 @@ class SoftPacket:
 
     def renumbered(self, place: int) -> "SoftPacket":
         """Return the packet with a lost pair; see `PacketObservations`."""
-        moved = copy(self)
-        moved._cutouts = renumber(self._cutouts, place, self._signal.data_pairs)
+        moved, pairs = copy(self), self._signal.data_pairs
+        moved._cutouts = {k + (k >= place): cutout for k, cutout in self._cutouts.items() if k + (k >= place) < pairs}
         return moved
 
     @one_thread()

@@ -68,8 +68,8 @@ class Detection:
 
     def in_view(self, view: View) -> "Detection":
         """Return the detection in the coordinates of a view."""
-        gains, drift = view.orientation.upright(self.led_gains), view.motion_in(self.drift)
-        return replace(self, fit=view.fit_in(self.fit), led_gains=gains, drift=drift)
+        gains, drift = view.orientation.upright(self.led_gains), view.map_motion(self.drift)
+        return replace(self, fit=view.map_fit(self.fit), led_gains=gains, drift=drift)
 
 
 def distinct(detections: list[Detection], side: int) -> list[Detection]:

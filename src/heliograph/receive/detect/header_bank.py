@@ -1,4 +1,4 @@
-"""Headers of all identities and orientations, and the amplitude of a header in a pair of frames.
+"""Headers of all identities and orientations.
 
 A turned or mirrored header may equal the header of another identity. The blocks of a packet name the identity and have
 a CRC, so the data resolve the ambiguity.
@@ -11,38 +11,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from heliograph.base.arrays import TINY, Floats
+from heliograph.base.arrays import Floats
 from heliograph.receive.detect.alternation import DETECT
-from heliograph.receive.geometry.fit import header_amplitudes
-from heliograph.receive.geometry.pose import Orientation, Pose
-from heliograph.receive.sync.combine import Combination
-from heliograph.receive.sync.pairing import FramePair
-from heliograph.signal.header import IDENTITIES, dimmed_leds, header_cells, header_levels, signalling_levels
-
-
-def header_weights(identity: int, form: int, side: int, combination: Combination | None = None) -> Floats:
-    """Return luminances of a header less the inverse, (n, n): +-1, or +-1/2 in dimmed cells."""
-    if combination is None:
-        # a kernel would be compiled again for a read-only array
-        return _synchronous_weights(identity, form, side).copy()
-    signs = header_levels(identity, side) / 2.0 - 1.0
-    contrast, light = combination.dimmed
-    return np.where(dimmed_leds(form, side), contrast * signs + light, signs)
-
-
-def header_score(pair: FramePair, pose: Pose, weights: Floats, gain: float) -> float:
-    """Return the amplitude of a header over the array's light, about 1."""
-    up, down = header_amplitudes((pair.pattern, pair.inverted), pose, weights)
-    return float(up - down) / max(gain, TINY)
-
-
-@lru_cache(maxsize=64)  # an array repeats the header
-def _synchronous_weights(identity: int, form: int, side: int) -> Floats:
-    """Return `header_weights` of two frames in step, read-only."""
-    weights = signalling_levels(identity, form, side) / 2.0 - 1.0
-    weights.setflags(write=False)
-    return weights
-
+from heliograph.receive.geometry.pose import Orientation
+from heliograph.signal.header import IDENTITIES, header_cells
 
 Hypothesis = tuple[int, Orientation]
 """Identity of an array, and the orientation in the camera's image."""
