@@ -3,7 +3,7 @@
 import contextlib
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from textwrap import shorten
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
@@ -21,9 +21,6 @@ PixelM = Annotated[float, Field(ge=1e-7, le=1e-3)]  # pixel pitch; light forms n
 PitchM = Annotated[float, Field(ge=1e-4, le=10)]  # distance between LEDs
 
 T = TypeVar("T")
-
-to_mapping = asdict
-"""Return settings as nested dictionaries, the inverse of `from_mapping`."""
 
 
 def clear_errors(cls: type[T]) -> type[T]:

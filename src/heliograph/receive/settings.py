@@ -275,7 +275,7 @@ class ReceiveSettings:
 
     def with_live_limits(self) -> "ReceiveSettings":
         """Return the settings with the CPU share of a live camera, which does not wait."""
-        if self.detect.cpu_share is not None or not RECEIVERS.is_built_in(self.receiver):
+        if self.detect.cpu_share is not None or self.receiver not in RECEIVERS.built_in:
             return self
         return replace(self, detect=replace(self.detect, cpu_share=LIVE_CPU_SHARE))
 
@@ -306,7 +306,7 @@ def _check_effects(settings: ReceiveSettings) -> None:
             changed += [(entry.name, key.name) for key in fields(group) if getattr(group, key.name) != key.default]
     if not changed:  # a registered receiver is not loaded yet
         return
-    part = None if RECEIVERS.is_built_in(name) else part_of(name)
+    part = None if name in RECEIVERS.built_in else part_of(name)
     reads = (*GROUPS, name) if part is None else (*part.reads, *(["custom"] if part.settings else []))
     for group, key in changed:
         if group in reads and (key != "exposure_s" or name == "soft" or part is not None):

@@ -70,7 +70,7 @@ def decode_per_quad(
 
 def _observed_symbols(cutouts: Sequence[Cutout | None], gain: float, form: PacketFormat) -> Floats:
     """Haar transform of the light at the LEDs of each cut-out about the mean, (pairs, symbols); 0 for None."""
-    combinations = [cutout and cutout.combination for cutout in cutouts]
+    combinations = [None if cutout is None else cutout.combination for cutout in cutouts]
     levels = np.array([(0.5, 0.5) if combination is None else combination.levels for combination in combinations])
     mean = gain * (levels[:, 0] - levels[:, 1])[:, None, None]
     light = normalised(sample_differences(cutouts, form.settings.side) - mean, gain)
