@@ -33,8 +33,8 @@ class Scripted:
         if len(self.frames) % self.every == 0:
             yield f"{self.name}{len(self.frames)}"
 
-    def flush(self, over: bool = False) -> Iterator[Any]:
-        yield f"{self.name} {'over' if over else 'at the end'}"
+    def flush(self) -> Iterator[Any]:
+        yield f"{self.name} at the end"
 
 
 def array_of(*receivers: Scripted, settled: bool = False) -> HeaderHypotheses:

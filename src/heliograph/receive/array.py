@@ -289,7 +289,7 @@ class ArrayReceiver:
         """Return True if tracking may continue without waiting for the packet to decode."""
         if packet.pairs_seen < MIN_PAIRS_SEEN or not self._all_visible:
             return False
-        if self._decoded is None and not (self.detection.is_complete and not self.detection.is_ambiguous):
+        if self._decoded is None and not self.detection.is_certain:
             self.has_codeword |= wait_for(self._submit(observations.has_codeword))
             return self.has_codeword
         return self._decoded is not False

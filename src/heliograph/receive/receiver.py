@@ -62,11 +62,11 @@ class HeaderHypotheses:
             self._only_first, self._held = False, []
         yield from self._select(packets_of)
 
-    def flush(self, over: bool = False) -> Iterator[PendingPacket]:
+    def flush(self) -> Iterator[PendingPacket]:
         """Yield the packet in progress; see `ArrayReceiver`."""
         packets_of = list[tuple[ArrayReceiver, list[PendingPacket]]]()
         for receiver in self._receivers:
-            packets_of.append((receiver, [*self._catch_up(receiver), *receiver.flush(over)]))
+            packets_of.append((receiver, [*self._catch_up(receiver), *receiver.flush()]))
             if self._only_first and receiver.has_codeword:
                 break
         self._only_first, self._held = False, []

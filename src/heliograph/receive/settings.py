@@ -8,8 +8,10 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM, clear_errors, from_mapping
+from heliograph.base.errors import SettingsError
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.registry import GROUPS, RECEIVERS, part_of
+from heliograph.signal.settings import SignalSettings
 
 Equaliser = Literal["none", "inverse"]
 """How the plain receiver reads the LEDs of a pair; see `PlainSettings`."""
@@ -288,6 +290,15 @@ class ReceiveSettings:
         if self.custom and (kind := part_of(self.receiver).settings) is not None:
             from_mapping(kind, self.custom)
         return self
+
+
+def check_pairs(signal: SignalSettings, name: str) -> None:
+    """Raise a SettingsError unless the light sends pairs of patterns as all receivers but "plain" read them."""
+    for key, value, wanted in (("modulation", signal.modulation, "haar"), ("header", signal.header, "m_sequence")):
+        if value != wanted:
+            raise SettingsError(
+                f'the {name} receiver reads signal.{key} = "{wanted}", not "{value}"; set receive.receiver = "plain"'
+            )
 
 
 def _is_around(corners: Corners) -> bool:

@@ -146,9 +146,9 @@ class SoftPacket:
     def _noise(self, cutouts: Cutouts, led_gains: LedGains) -> Noise:
         """Noise of the cut-outs."""
         side, values = self._signal.side, led_gains.values
-        if self._decided_noise is not None:
-            return Noise(self._decided_noise, noise_beside([cutout for cutout in cutouts if cutout], side))
         pairs = [cutout for cutout in cutouts if cutout is not None]
+        if self._decided_noise is not None:
+            return Noise(self._decided_noise, noise_beside(pairs, side))
         # an occluder is uneven too
         whole = [cutout for cutout in pairs if cutout.in_sight is None]
         even = whole if len(whole) > 1 else pairs

@@ -56,15 +56,11 @@ class Detection:
         return self.score >= DETECT.clear_score and self.regularity >= DETECT.min_hidden_regularity
 
     @property
-    def is_complete(self) -> bool:
-        """True if the header is beyond doubt and no cell is hidden or dark."""
-        # a hidden cell leaves at most 0.968
-        return self.is_clear and self.score >= 0.985
-
-    @property
-    def is_ambiguous(self) -> bool:
-        """True if the header leaves identity or orientation open: turned arrays are rare."""
-        return bool(self.alternatives) or self.orientation != UPRIGHT
+    def is_certain(self) -> bool:
+        """True if the header is clear, no cell is hidden or dark, and one upright array has this header."""
+        # a hidden cell leaves at most 0.968, and turned arrays are rare
+        is_unique = not self.alternatives and self.orientation == UPRIGHT
+        return self.is_clear and self.score >= 0.985 and is_unique
 
     def in_view(self, view: View) -> "Detection":
         """Return the detection in the coordinates of a view."""

@@ -54,17 +54,13 @@ class HeaderSearch:
     def start(self, period_s: float) -> None:
         """Prepare for frames of a period, before the first frame: the light's period or less."""
         light_s, max_frames = self._signal.pattern_period_s, 1000
-        if period_s > light_s * (1 + STEP_TOLERANCE):
+        is_slow = period_s > light_s * (1 + STEP_TOLERANCE)
+        if is_slow or period_s * max_frames < light_s:
+            needs = "needs at least one frame" if is_slow else f"takes at most {max_frames} frames"
             raise HeliographError(
-                f"the soft receiver needs at least one frame a pattern: the film has {1 / period_s:.1f} frames/s, the "
-                f"light {1 / light_s:.1f} patterns/s; film faster, give times in seconds, or say by --fps what the "
-                "camera did where the film misstates it"
-            )
-        if period_s * max_frames < light_s:
-            raise HeliographError(
-                f"the soft receiver takes at most {max_frames} frames a pattern: the film has "
-                f"{1 / period_s:.3g} frames/s, the light {1 / light_s:.1f} patterns/s; give times in seconds, say by "
-                "--fps what the camera did where the film misstates it, or leave out frames"
+                f"the soft receiver {needs} a pattern: the film has {1 / period_s:.1f} frames/s, the light "
+                f"{1 / light_s:.1f} patterns/s; {'film faster' if is_slow else 'leave out frames'}, give times in "
+                "seconds, or say by --fps what the camera did where the film misstates it"
             )
         phases: list[float | None] = [None]
         if period_s <= light_s * (1 - STEP_TOLERANCE):

@@ -88,7 +88,7 @@ def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None
     if cutout.combination is None:
         return residual, cutout.corner, float(motion)
     # in units of a sum of two frames; only a header's combined sum is even, and motion leaves no data in it
-    return residual / np.sqrt(cutout.combination.sum_noise), cutout.corner, 0.0
+    return residual / np.sqrt(0.5 * (cutout.combination.total**2).sum()), cutout.corner, 0.0
 
 
 def _overlap(light: Footprints, other: Footprints) -> float:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
 from heliograph.base.threads import in_one_thread
 from heliograph.receive.detect.detection import Detection
@@ -27,7 +26,7 @@ from heliograph.receive.packet import Packet
 from heliograph.receive.screen.cells import PARAMETERS, CellTracker, Sample, SearchBudget
 from heliograph.receive.screen.locate import ArraySearch
 from heliograph.receive.screen.packets import PacketAssembler, ScreenHeader
-from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.settings import ReceiveSettings, check_pairs
 from heliograph.receive.sync.frame_clock import check_next, check_order, owned
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.track import Track, TrackedPair
@@ -119,10 +118,7 @@ class ScreenReceiver:
     """Receiver of one screen array; see `packets.Receiver`."""
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
-        if signal.modulation != "haar" or signal.header != "m_sequence":
-            raise SettingsError(
-                'the receiver screen reads signal.modulation = "haar" with signal.header = "m_sequence"'
-            )
+        check_pairs(signal, "screen")
         self._signal, self._settings, self._observe = signal, settings, observe
         # headers below 10 patterns/s take longer
         slowness = max(1.0, 10 * signal.pattern_period_s)
