@@ -11,8 +11,8 @@ from heliograph.base.frames import Frame
 from heliograph.receive import make_receiver
 from heliograph.receive.detect.alternation import SearchRegion, coarse_search
 from heliograph.receive.detect.budget import WORK_PER_MS, TokenBucket
+from heliograph.receive.detect.detection import headers
 from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
-from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.events import DetectEvent, Event
 from heliograph.receive.geometry.pose import UPRIGHT
 from heliograph.signal.header import all_header_cells

@@ -18,8 +18,7 @@ from heliograph.probe.regions import Region
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DecodeEvent, DetectEvent, TrackEvent
-from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise, measure_noise
+from heliograph.receive.observe.cutout import Cutout, Noise, measure_noise
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.receive.track.track import Track
 from heliograph.signal.settings import SignalSettings

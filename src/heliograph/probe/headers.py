@@ -23,7 +23,7 @@ from heliograph.receive.detect.alternation import (
     coarse_search,
 )
 from heliograph.receive.detect.candidate import cell_weights, fit_near
-from heliograph.receive.detect.header_bank import Hypothesis, headers
+from heliograph.receive.detect.detection import Hypothesis, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.fit import Fit

@@ -10,8 +10,7 @@ from heliograph.base.errors import SettingsError
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.header_reader import HeaderReader
-from heliograph.receive.decode.per_led import pair_luminances
-from heliograph.receive.decode.plain_packet import PlainPacket, ReadPair
+from heliograph.receive.decode.per_led import PlainPacket, ReadPair, pair_luminances
 from heliograph.receive.decode.soft_packet import SoftPacket
 from heliograph.receive.decode.worker import PacketDecoder, PacketObservations, call_in_process, call_inline
 from heliograph.receive.detect.alternation import SearchParameters

@@ -18,8 +18,8 @@ from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import Receiver, ReceiveSettings, build, make_receiver
 from heliograph.receive.detect.alternation import SearchParameters, SearchRegion
 from heliograph.receive.detect.budget import WORK_PER_MS, NoveltyFilter, SearchLoad, TokenBucket
+from heliograph.receive.detect.detection import headers
 from heliograph.receive.detect.detector import Detector
-from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.events import DropEvent
 from heliograph.receive.geometry.pose import UPRIGHT

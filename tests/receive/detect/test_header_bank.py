@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scenes import SIDE, Floats, draw, pitch_at
 
 from heliograph.receive import Pose
-from heliograph.receive.detect.header_bank import headers
+from heliograph.receive.detect.detection import headers
 from heliograph.receive.detect.header_format import header_score, header_weights
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.geometry.window import CombinedFrame

@@ -10,8 +10,7 @@ from whole_pairs import GAIN, SYMBOLS, T, combination, moving, pair_of
 
 from heliograph.receive import Pose
 from heliograph.receive.observe import noise
-from heliograph.receive.observe.cutout import Cutout, take_cutout
-from heliograph.receive.observe.noise import measure_noise, noise_beside
+from heliograph.receive.observe.cutout import Cutout, measure_noise, noise_beside, take_cutout
 from heliograph.receive.sync.pairing import FramePair
 
 

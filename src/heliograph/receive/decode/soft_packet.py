@@ -20,8 +20,7 @@ from heliograph.receive.equalise.led_gains import LedGains, update_brightness
 from heliograph.receive.equalise.pose_refinement import ObservedPacket, align_by_power
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer, ignore
-from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
+from heliograph.receive.observe.cutout import Cutout, Noise, measure_noise, noise_beside
 from heliograph.receive.packet import Words, with_raw
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import Track, TrackedPair, mask_occluded_retroactively

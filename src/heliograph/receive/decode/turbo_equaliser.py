@@ -18,7 +18,7 @@ from heliograph.receive.equalise.lmmse import LEAST_PRECISION, ExpectationPropag
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.equalise.symbols import SymbolMapper
 from heliograph.receive.events import EqualiseEvent, ignore
-from heliograph.receive.observe.noise import LEAST_NOISE
+from heliograph.receive.observe.cutout import LEAST_NOISE
 from heliograph.receive.packet import Words, with_raw
 from heliograph.receive.sync.combine import UnsynchronisedPacket
 from heliograph.signal.pwm import SLOTS

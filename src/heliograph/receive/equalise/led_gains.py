@@ -30,8 +30,7 @@ from scipy.linalg import solve, solve_triangular
 from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.geometry.footprint import to_grid, to_quarters
-from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise, noise_beside
+from heliograph.receive.observe.cutout import Cutout, Noise, noise_beside
 from heliograph.receive.observe.statistics import (
     PairStatistics,
     WhitenedCutout,

@@ -21,8 +21,7 @@ from scipy.linalg import blas
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.geometry.footprint import Footprints, footprints, sum_of_leds, to_quarters
-from heliograph.receive.observe.cutout import RING_PX, Cutout
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import RING_PX, Cutout, Noise
 from heliograph.receive.sync.combine import SIGNS, Combination
 
 
