@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.decode.codeword import Decoding, Layer, is_hopeless
+from heliograph.receive.decode.codeword import Decoding, Layer, SymbolMapper, is_hopeless
 from heliograph.receive.decode.per_led import normalised, sample_differences
-from heliograph.receive.equalise.symbols import SymbolMapper
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
 from heliograph.receive.sync.combine import Moments, UnsynchronisedPacket
