@@ -42,11 +42,6 @@ class Decoding:
     # True to combine a codeword with repetitions received earlier
     combining: bool = True
 
-    @property
-    def soft(self) -> bool:
-        """True if soft values of failed codewords are fed back."""
-        return self.feedback in ("soft", "propagation")
-
 
 def decode_packet(
     luminances: Floats, seen: NDArray[np.bool_], form: PacketFormat, identity: int, options: Decoding = Decoding()
@@ -166,8 +161,9 @@ class Layer:
         for i, (word, _) in decoded.items():
             words[i] = replace(word, raw=self._raw[i], llr=self.llr[i].astype(np.float32))
         self.words = tuple(words[i] for i in range(len(self.llr)))
+        is_soft = options.feedback in ("soft", "propagation")
         for i, (_, extrinsic) in decoded.items():
-            self._feed_back(i, extrinsic if options.soft else None)
+            self._feed_back(i, extrinsic if is_soft else None)
 
     def reject_inconsistent(self) -> None:
         """Reject codewords that disagree with the LLRs of this packet; the bits are unknown again."""
