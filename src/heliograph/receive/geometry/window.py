@@ -86,7 +86,9 @@ def common(frames: Sequence[Frame]) -> list[Frame]:
         return list(frames)
     left, top = (max(f.origin[k] for f in frames) for k in (0, 1))
     right, low = (min(f.origin[k] + f.pixels.shape[1 - k] for f in frames) for k in (0, 1))
-    cropped = [crop(frame, (left, top, right - left, low - top)).copied() for frame in frames]
+    # frames without a common part have an empty part at the same place
+    parts = [crop(frame, (left, top, right - left, low - top)) for frame in frames]
+    cropped = [replace(part, origin=(left, top)).copied() for part in parts]
     for frame in cropped:
         frame.pixels.setflags(write=False)
     return cropped
