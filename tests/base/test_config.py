@@ -2,12 +2,13 @@
 
 import dataclasses
 import tomllib
+from dataclasses import asdict
 from typing import Any
 
 import pytest
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG, from_mapping, keys_of, merge, to_mapping
+from heliograph.base.config import CONFIG, from_mapping, keys_of, merge
 from heliograph.base.errors import SettingsError
 from heliograph.base.toml_text import parse_assignment, parse_toml, to_toml
 from heliograph.link.settings import PRESETS, LinkSettings, load_settings
@@ -31,7 +32,7 @@ class Tree:
 def test_a_mapping_becomes_settings_and_comes_back() -> None:
     tree = from_mapping(Tree, {"count": 4, "item": {"x_m": 2}, "items": [{"name": "b"}, {}]})
     assert tree == Tree(count=4, item=Item(x_m=2.0), items=(Item(name="b"), Item()))
-    assert from_mapping(Tree, to_mapping(tree)) == tree
+    assert from_mapping(Tree, asdict(tree)) == tree
 
 
 @pytest.mark.parametrize(
@@ -142,7 +143,7 @@ def test_keys_are_leaves_by_dots() -> None:
 @pytest.mark.parametrize("name", PRESETS)
 def test_toml_of_every_preset_reads_back_the_same(name: str) -> None:
     settings = load_settings(name)
-    text = to_toml(to_mapping(settings))
+    text = to_toml(asdict(settings))
     assert text.startswith("[signal]\n")
     assert from_mapping(LinkSettings, tomllib.loads(text)) == settings
 

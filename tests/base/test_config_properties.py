@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from copy import deepcopy
+from dataclasses import asdict
 from typing import Any
 
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from heliograph.base.config import from_mapping, merge, to_mapping
+from heliograph.base.config import from_mapping, merge
 from heliograph.base.toml_text import parse_assignment, parse_toml, to_toml
 from heliograph.link.settings import LinkSettings, load_settings
 
@@ -88,8 +89,8 @@ SETTINGS = optional(
 def test_settings_of_the_link_and_back(over: dict[str, Any]) -> None:
     """By mapping, by TOML, and by an assignment for each value."""
     settings = load_settings("static", over)
-    assert from_mapping(LinkSettings, to_mapping(settings)) == settings
-    assert from_mapping(LinkSettings, parse_toml(to_toml(to_mapping(settings)))) == settings
+    assert from_mapping(LinkSettings, asdict(settings)) == settings
+    assert from_mapping(LinkSettings, parse_toml(to_toml(asdict(settings)))) == settings
     assert load_settings("static", None, assignments(over)) == settings
 
 

@@ -23,7 +23,7 @@ from heliograph.receive.decode.turbo_equaliser import decode_iteratively
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.events import EqualiseEvent, ignore
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Noise
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import Words
 from heliograph.receive.settings import Feedback

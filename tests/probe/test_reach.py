@@ -6,7 +6,7 @@ import pytest
 
 from heliograph.probe.reach import reaches
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Noise
 from heliograph.signal.settings import SignalSettings
 
 NEAR = Pose(0.0, 0.0, 1.1667, 0.0, 0.5)

@@ -15,7 +15,7 @@ from scenes import Floats, at_rest, drawn_film, film, link, received, statuses, 
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet
-from heliograph.receive.decode.plain_packet import PlainPacket
+from heliograph.receive.decode.per_led import PlainPacket
 from heliograph.receive.decode.soft_packet import SoftPacket
 from heliograph.receive.packet import ERASED
 from heliograph.receive.track.track import TrackedPair

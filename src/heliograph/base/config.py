@@ -3,7 +3,7 @@
 import contextlib
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from textwrap import shorten
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
@@ -20,13 +20,7 @@ FocalM = Annotated[float, Field(ge=1e-4, le=10)]  # focal length, up to the long
 PixelM = Annotated[float, Field(ge=1e-7, le=1e-3)]  # pixel pitch; light forms no image below 0.1 um
 PitchM = Annotated[float, Field(ge=1e-4, le=10)]  # distance between LEDs
 
-# new names of settings by old name
-_RENAMED = {"beside": "in_background", "busy_part": "cpu_share", "own": "custom"}
-
 T = TypeVar("T")
-
-to_mapping = asdict
-"""Return settings as nested dictionaries, the inverse of `from_mapping`."""
 
 
 def clear_errors(cls: type[T]) -> type[T]:
@@ -106,8 +100,6 @@ def _unknown_key(key: str, cls: type) -> SettingsError:
     parent, dot, leaf = key.rpartition(".")
     item = re.search(r"\.\d+\.", key)
     keys = [known.replace(".0.", item[0]) if item else known for known in keys_of(cls)]
-    if (renamed := f"{parent}{dot}{_RENAMED.get(leaf)}") in keys:
-        return SettingsError(f"unknown setting '{key}'; it is called '{renamed}' now")
     tables = {known[: end.start()] for known in keys for end in re.finditer(r"\.", known)}
     names = {known: known.rpartition(".")[2] for known in {*keys, *tables}}
     with_unit = {name for name in names.values() if name.startswith(f"{leaf}_")}  # speed_m_s for speed
