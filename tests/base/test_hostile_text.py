@@ -143,6 +143,8 @@ def test_patterns_that_no_frame_shows(change: str) -> None:
         ("chanel.distance_m", r"did you mean 'channel'"),
         ("channel.arrays.0.x", r"did you mean 'channel\.arrays\.0\.x_m'"),
         ("k" * 100_000, "known are"),
+        ("receive.decode.beside", r"it is called 'receive\.decode\.in_background' now"),
+        ("receive.own", r"it is called 'receive\.custom' now"),
     ],
     ids=lambda text: text[:20],
 )

@@ -20,6 +20,9 @@ FocalM = Annotated[float, Field(ge=1e-4, le=10)]  # focal length, up to the long
 PixelM = Annotated[float, Field(ge=1e-7, le=1e-3)]  # pixel pitch; light forms no image below 0.1 um
 PitchM = Annotated[float, Field(ge=1e-4, le=10)]  # distance between LEDs
 
+# new names of settings by old name
+_RENAMED = {"beside": "in_background", "busy_part": "cpu_share", "own": "custom"}
+
 T = TypeVar("T")
 
 
@@ -100,6 +103,8 @@ def _unknown_key(key: str, cls: type) -> SettingsError:
     parent, dot, leaf = key.rpartition(".")
     item = re.search(r"\.\d+\.", key)
     keys = [known.replace(".0.", item[0]) if item else known for known in keys_of(cls)]
+    if (renamed := f"{parent}{dot}{_RENAMED.get(leaf)}") in keys:
+        return SettingsError(f"unknown setting '{key}'; it is called '{renamed}' now")
     tables = {known[: end.start()] for known in keys for end in re.finditer(r"\.", known)}
     names = {known: known.rpartition(".")[2] for known in {*keys, *tables}}
     with_unit = {name for name in names.values() if name.startswith(f"{leaf}_")}  # speed_m_s for speed
