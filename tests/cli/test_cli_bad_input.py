@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import SMALL, Call, failed, heliograph, lasting, names, succeeded
+from film_checks import write_levels
 
-from heliograph.base.frames import Frame
 from heliograph.cli import console
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
-from heliograph.media import create_film
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +42,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "cut.mkv").write_bytes(whole[: int(len(whole) * 0.6)])
     write_film(folder / "other.mkv", load_settings("static", None, [*changes, "channel.duration_s=0.01"]), [{}], seed=2)
     (folder / "cut-short.mkv").write_bytes((folder / "other.mkv").read_bytes()[:-2000])
-    with create_film(folder / "one.mkv", width=160, height=120, rate_hz=1000) as film:
-        film.write(Frame(0, 0.0, np.zeros((120, 160), np.uint8)))
+    write_levels(folder / "one.mkv", np.zeros((1, 120, 160), np.uint8))
     return folder
 
 

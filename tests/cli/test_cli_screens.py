@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import failed, succeeded, within
+from film_checks import write_levels
 from screen_films import Phone, phone_frames, write_phone_film
 from screen_light import shown
 
-from heliograph.base.frames import Frame
-from heliograph.media import create_film
 from heliograph.web.sending import sending_of
 
 PHONE = Phone(width=320, height=240, side_px=160.0, blur_px=0.8, seed=5)
@@ -30,10 +29,7 @@ def test_a_phone_film_is_recognised_and_another_receiver_refuses_it(tmp_path: Pa
 
 @pytest.mark.slow
 def test_receive_reports_a_missing_screen_early_and_at_the_end(tmp_path: Path) -> None:
-    rng = np.random.default_rng(1)
-    with create_film(tmp_path / "empty.h5", width=64, height=48, rate_hz=30.0) as film:
-        for k in range(170):
-            film.write(Frame(k, k / 30, rng.integers(90, 110, (48, 64), np.uint8)))
+    write_levels(tmp_path / "empty.h5", np.random.default_rng(1).integers(90, 110, (170, 48, 64), np.uint8), 30)
     run = within(tmp_path, "receive", "empty.h5", "--preset", "phone")
     assert "no readable screen is visible, in the first 5.0 s" in failed(run, 3)
     assert "no array found: no readable screen is visible" in run.stdout

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from link_packets import small
+from scenes import link
 
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import default_messages, simulate
@@ -18,7 +18,7 @@ def places(settings: LinkSettings) -> np.ndarray:
 @pytest.mark.slow
 def test_images_move_by_half_a_pixel_at_most() -> None:
     """The two arrays are nearer and farther than the scene distance."""
-    settings = small(
+    settings = link(
         "channel.distance_m=50",
         "channel.arrays=[{x_m=-0.4, y_m=0.0, z_offset_m=-20.0}, {x_m=0.4, y_m=0.1, z_offset_m=30.0}]",
         "transmit.identities=[0, 7]",

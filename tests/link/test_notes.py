@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from small_links import small
+from scenes import link
 
 from heliograph.base.errors import MediaError
 from heliograph.link.film import write_film
@@ -14,7 +14,7 @@ from heliograph.media import create_film, open_film
 
 
 def test_the_truth_of_another_film_is_refused(tmp_path: Path) -> None:
-    settings = small("channel.duration_s=0.01")
+    settings = link("channel.duration_s=0.01")
     write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
     write_film(tmp_path / "b.mkv", settings, [{}], seed=1)  # films with equal settings may hold different recordings
     truth = open_truth(tmp_path / "b.mkv.truth.npz")
@@ -42,21 +42,21 @@ def test_the_truth_of_another_film_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_a_truth_of_another_signal_is_refused(tmp_path: Path, changes: list[str], said: str) -> None:
-    write_film(tmp_path / "a.mkv", small("channel.duration_s=0.001"), [{}], seed=1)
+    write_film(tmp_path / "a.mkv", link("channel.duration_s=0.001"), [{}], seed=1)
     truth = open_truth(tmp_path / "a.mkv.truth.npz")
     with open_film(tmp_path / "a.mkv") as film, pytest.raises(MediaError, match=said):
-        check_truth(film, truth, small(*changes).signal)
+        check_truth(film, truth, link(*changes).signal)
 
 
 def test_the_films_note_lies_over_the_preset_and_changes_over_it(tmp_path: Path) -> None:
-    settings = small("channel.duration_s=0.001", "signal.data_pairs=64", "signal.rate.low=0.5")
+    settings = link("channel.duration_s=0.001", "signal.data_pairs=64", "signal.rate.low=0.5")
     write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
-    preset = small("signal.header_pairs=3", "signal.rate.high=0.8").signal
+    preset = link("signal.header_pairs=3", "signal.rate.high=0.8").signal
     with open_film(tmp_path / "a.mkv") as film:
         assert signal_of(film, preset) == (settings.signal, "")
         assert signal_of(film, preset, [{"data_pairs": 64}]) == (settings.signal, ""), "it says the same"
         signal, departure = signal_of(film, preset, [{"rate": {"high": 0.6}, "header_pairs": 1}, {"header_pairs": 4}])
-        expected = small("signal.data_pairs=64", "signal.rate.low=0.5", "signal.rate.high=0.6", "signal.header_pairs=4")
+        expected = link("signal.data_pairs=64", "signal.rate.low=0.5", "signal.rate.high=0.6", "signal.header_pairs=4")
         assert signal == expected.signal
         assert departure.startswith("not as the film's note says: signal.header_pairs=4 instead of 2, signal.rate.high")
         film.metadata = {SIGNAL_TAG: '{"data_pairs": 32}'}
@@ -67,7 +67,7 @@ def test_the_films_note_lies_over_the_preset_and_changes_over_it(tmp_path: Path)
 
 @pytest.mark.parametrize("note", ["", "{", "[1]", "null", '{"sied": 3}', '{"side": 3}'])
 def test_an_unreadable_note_on_the_signal_is_reported(tmp_path: Path, note: str) -> None:
-    settings = small("channel.duration_s=0.001")
+    settings = link("channel.duration_s=0.001")
     with create_film(tmp_path / "a.mkv", width=160, height=120, rate_hz=1000, metadata={SIGNAL_TAG: note}) as film:
         film.write(next(iter(simulate(settings, [{}], 0)))[0])
     with open_film(tmp_path / "a.mkv") as source:

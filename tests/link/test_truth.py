@@ -20,7 +20,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
-from small_links import small
+from scenes import link
 
 from heliograph.base.errors import MediaError
 from heliograph.channel import NoiseModel, Truth
@@ -30,7 +30,7 @@ from heliograph.link.simulate import Messages, default_messages, simulate
 from heliograph.link.truth import TruthWriter, open_truth, truth_path
 from heliograph.signal.settings import LAYERS
 
-SETTINGS = small("channel.duration_s=0.03")
+SETTINGS = link("channel.duration_s=0.03")
 MESSAGES: list[Messages] = [{"high": [b"one", b"two\x00"], "low": [bytes(range(256)) * 5]}]
 
 
@@ -83,7 +83,7 @@ def test_only_the_truth_file_is_written_with_the_noise(path: Path) -> None:
 
 
 def test_a_frame_across_two_patterns_names_both(path: Path) -> None:
-    settings = small("channel.duration_s=0.01", "channel.camera.start_s=0.0005")
+    settings = link("channel.duration_s=0.01", "channel.camera.start_s=0.0005")
     truths = simulated(settings)
     write(path, truths, settings)
     assert any(len(truth.arrays[0].patterns) == 2 for truth in truths)
@@ -275,7 +275,7 @@ def test_rows_of_another_type_or_number_are_damage(path: Path) -> None:
     assert "unknown setting 'channel.speed'" in complaint(path)
 
 
-TWO_ARRAYS = small("channel.arrays=[{x_m=-1.0, y_m=0.0}, {x_m=1.0, y_m=0.0}]", "transmit.identities=[4, 21]")
+TWO_ARRAYS = link("channel.arrays=[{x_m=-1.0, y_m=0.0}, {x_m=1.0, y_m=0.0}]", "transmit.identities=[4, 21]")
 NUMBERS = st.floats(-1e6, 1e6, width=32)
 
 ARRAYS = st.builds(

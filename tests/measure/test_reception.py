@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from link_packets import perfect, small
+from link_packets import perfect
+from scenes import link
 
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.link.film import write_film
@@ -26,13 +27,13 @@ from heliograph.receive.receiver import StreamReceiver
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Film of three packets, with the truth."""
     path = tmp_path_factory.mktemp("film") / "a.mkv"
-    write_film(path, small("channel.duration_s=0.3"), [{}], seed=1)
+    write_film(path, link("channel.duration_s=0.3"), [{}], seed=1)
     return path
 
 
 @pytest.mark.slow
 def test_report_is_available_at_any_time(film: Path) -> None:
-    settings, reception = small(), ReceptionCounter(open_truth(truth_path(film)))
+    settings, reception = link(), ReceptionCounter(open_truth(truth_path(film)))
 
     def check_report(_: int) -> None:
         assert reception.report(1.0)["frames"] == reception.frames
@@ -49,7 +50,7 @@ def test_report_is_available_at_any_time(film: Path) -> None:
 
 @pytest.mark.slow
 def test_a_film_gives_messages_packets_and_arrays_in_one_call(film: Path) -> None:
-    by_path, by_name = receive_film(film), receive_film(str(film), small(), receiver="plain")
+    by_path, by_name = receive_film(film), receive_film(str(film), link(), receiver="plain")
     assert (by_path.receiver, by_name.receiver) == ("soft", "plain")
     with open_film(film) as source:
         by_film = receive_film(source, receiver="auto")
@@ -62,7 +63,7 @@ def test_a_film_gives_messages_packets_and_arrays_in_one_call(film: Path) -> Non
 
 @pytest.mark.slow
 def test_messages_and_missing_bytes_are_given(tmp_path: Path) -> None:
-    path, settings = tmp_path / "a.mkv", small("channel.duration_s=0.1")
+    path, settings = tmp_path / "a.mkv", link("channel.duration_s=0.1")
     write_film(path, settings, [{"high": [b"red for 12 s"], "low": [bytes(500)]}], seed=1)
     reception = receive_film(path)
     assert [(message.layer, message.data) for message in reception.messages] == [("high", b"red for 12 s")]
@@ -87,7 +88,7 @@ def test_results_without_a_packet_are_not_counted(film: Path, monkeypatch: pytes
     monkeypatch.setattr(
         StreamReceiver, "push", lambda *a: [replace(p, status=status) if p.first_frame == 100 else p for p in push(*a)]
     )
-    settings, reception = small(), ReceptionCounter(open_truth(truth_path(film)))
+    settings, reception = link(), ReceptionCounter(open_truth(truth_path(film)))
     with open_film(film) as source:
         found = [packet.first_frame for packet, _ in receive_and_count(source, settings.signal, settings, reception)]
     assert found == [0, 200]
@@ -116,7 +117,7 @@ class TruthOf:
 
 def uncertain(number: int) -> Packet:
     """Return a packet with a header but no codeword, from an array that is not in the film."""
-    return without_codewords(replace(perfect(small(), number), identity=22))
+    return without_codewords(replace(perfect(link(), number), identity=22))
 
 
 def without_codewords(packet: Packet) -> Packet:
@@ -127,7 +128,7 @@ def without_codewords(packet: Packet) -> Packet:
 
 
 def test_identity_without_a_decoded_codeword_is_uncertain() -> None:
-    settings = small()
+    settings = link()
     reception = ReceptionCounter(TruthOf(settings))
     for frame in range(300):
         reception.saw(frame)
@@ -146,7 +147,7 @@ def test_identity_without_a_decoded_codeword_is_uncertain() -> None:
 
 
 def test_rows_mark_an_identity_as_uncertain_until_a_codeword_is_decoded() -> None:
-    settings, rows = small(), list[Mapping[str, Any]]()
+    settings, rows = link(), list[Mapping[str, Any]]()
     journal = Journal(settings.receive.calibration, rows.append)
     for packet in (uncertain(0), perfect(settings, 0), without_codewords(perfect(settings, 1))):
         journal.read(packet, [])

@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from film_checks import refused
+from film_checks import refused, write_levels
 
-from heliograph.base.frames import Frame
-from heliograph.media import create_film
 from heliograph.media.record import FilmRecord
 
 
@@ -31,9 +29,7 @@ def test_a_pipe_is_no_film(tmp_path: Path) -> None:
 
 
 def test_a_film_of_other_bits_than_its_record_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.mkv"
-    with create_film(path, width=16, height=16, rate_hz=1000) as film:
-        film.write(Frame(0, 0.0, np.zeros((16, 16), np.uint8)))
+    path = write_levels(tmp_path / "a.mkv", np.zeros((1, 16, 16), np.uint8))
     held = path.read_bytes()
     assert b'"bits": 8' in held
     path.write_bytes(held.replace(b'"bits": 8,', b'"bits":12,'))

@@ -7,19 +7,15 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from film_checks import read, refused
+from film_checks import read, refused, write_levels
 from made_recordings import Y4M_FORMS, noise, write_y4m
 
 from heliograph.base.errors import MediaError
-from heliograph.base.frames import Frame
-from heliograph.media import convert_film, create_film, open_film, planes
+from heliograph.media import convert_film, open_film, planes
 
 
 def film(path: Path, bits: int = 8) -> Path:
-    with create_film(path, width=10, height=6, rate_hz=100, bits=bits, metadata={"a": "b"}) as written:
-        for number, pixels in enumerate(noise(3, 6, 10, bits)):
-            written.write(Frame(number, number / 100, pixels, bits))
-    return path
+    return write_levels(path, noise(3, 6, 10, bits), 100, bits, metadata={"a": "b"})
 
 
 @pytest.mark.parametrize(("crop", "rotate", "kind"), [

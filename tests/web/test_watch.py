@@ -15,12 +15,12 @@ import played_camera  # noqa: F401 - registers camera:played
 import pytest
 from cli_runs import succeeded, within
 from fastapi.testclient import TestClient
+from film_checks import write_levels
 from starlette.testclient import WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 from waiting import wait_until
 from web_server import OWN
 
-from heliograph.base.frames import Frame
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.media import create_film, open_film
@@ -153,9 +153,7 @@ def test_sources_of_the_server_are_listed_without_folders(client: TestClient, fi
 
 def test_film_with_an_unprintable_name_is_watched(tmp_path: Path) -> None:
     odd, gone = (tmp_path / os.fsdecode(name) for name in (b"caf\xe9\n#%?.h5", b"\xff"))
-    form = {"width": 16, "height": 16, "rate_hz": 1000.0}
-    with create_film(odd, **form) as film:  # type: ignore[arg-type]
-        film.write(Frame(0, 0.0, np.zeros((16, 16), np.uint8)))
+    write_levels(odd, np.zeros((1, 16, 16), np.uint8))
     with TestClient(create_app(films=[str(odd), str(gone), "."]), base_url=OWN) as client:
         assert client.get("/api/watch/sources").json()["named"] == [r"caf\xe9\n#%?.h5", r"\xff", "."]
         seen = watch(client, kind="named", number=0)

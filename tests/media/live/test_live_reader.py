@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import played_camera
 import pytest
-from film_checks import counts_of, refused
+from film_checks import counts_of, refused, uniform, write_levels
 from played_camera import PlayedCamera, find
 
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.base.frames import Frame
-from heliograph.media import create_film, open_film
+from heliograph.media import open_film
 from heliograph.media.live.camera import CameraForm, CameraKind, Picture, register_camera
 from heliograph.media.live.grabber import CameraTiming
 from heliograph.media.live.reader import LiveReader, live_of
@@ -38,11 +38,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.fixture
 def film(tmp_path: Path) -> Path:
     """Write a film with the frame number as gray level."""
-    path = tmp_path / "a.h5"
-    with create_film(path, width=12, height=8, rate_hz=100) as made:
-        for number in range(FRAMES):
-            made.write(Frame(number, number / 100, np.full((8, 12), number, np.uint8)))
-    return path
+    return write_levels(tmp_path / "a.h5", uniform(range(FRAMES), 8, 12), 100)
 
 
 def live(film: Path, **asked: Any) -> LiveReader:

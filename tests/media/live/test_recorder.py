@@ -4,19 +4,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from film_checks import write_levels
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.media import FilmReader, create_film, open_film
+from heliograph.media import FilmReader, open_film
 from heliograph.media.live.recorder import Recorder
 
 
 @pytest.fixture
 def source(tmp_path: Path) -> FilmReader:
     """Return a film reader; only the frame size and format matter."""
-    with create_film(tmp_path / "source.h5", width=8, height=4, rate_hz=100, bits=12) as film:
-        film.write(frame(0))
-    return open_film(tmp_path / "source.h5")
+    return open_film(write_levels(tmp_path / "source.h5", np.zeros((1, 4, 8), np.uint16), 100, 12))
 
 
 def frame(number: int) -> Frame:
