@@ -2,11 +2,15 @@
 
 import contextlib
 import io
+import logging
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -72,6 +76,31 @@ def within(folder: Path, *arguments: str | Path) -> Run:
         os.environ.clear()
         os.environ.update(environment)
     return subprocess.CompletedProcess(words, int(ended.value.code or 0), out.getvalue(), err.getvalue())
+
+
+STATEMENT = re.compile(r".*<<'END'\n(?:.*\n)*?END\n|.*\n")
+"""A line of a script, or a text that the shell writes to a file."""
+
+
+def _is_own(statement: str) -> bool:
+    return statement.startswith("heliograph ") and not set("|&;$<>*") & set(statement)
+
+
+def run_script(script: str) -> None:
+    """Run a script of the documentation; commands of this package run in this process, which saves their start."""
+    # the environment's own programs come first on the path
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    for is_own, statements in groupby(STATEMENT.findall(script.replace("\\\n", " ")), _is_own):
+        for words in (shlex.split(line, comments=True) for line in statements) if is_own else ():
+            run = within(Path.cwd(), *words[1:])
+            logging.disable(logging.NOTSET)  # a sweep switches it off
+            assert run.returncode == 0, run.stdout + run.stderr
+        if not is_own:
+            done = subprocess.run(
+                ["sh", "-ec", "".join(statements)],
+                capture_output=True, text=True, env={**os.environ, "PATH": path}, check=False,
+            )  # fmt: skip
+            assert done.returncode == 0, done.stdout + done.stderr
 
 
 def succeeded(run: Run) -> str:
