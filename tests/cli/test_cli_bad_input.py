@@ -83,7 +83,6 @@ BAD = {
     "demo --output {}/file": "cannot write",
     "demo --output d --set channel.duration_s=1e-5": "raise channel.duration_s",
     "reproduce fig5 --data {}/missing --output d": "has no driving/*.mp4",
-    "sweep --scheduler nowhere --output d": "no address of a scheduler",
     f"simulate {{}}/a.mkv {S} --high {{}}/a.mkv": "is read and would be written: give the output another name",
     f"simulate {{}}/a.mkv {S} --background {{}}/a.mkv": "is read and would be written",
     f"simulate {{}}/a.mkv {S} --low {{}}/a.mkv.truth.npz": "is read and would be written",
@@ -199,6 +198,7 @@ WRONG_USAGE = {
     [
         *BAD.items(), *WRONG_USAGE.items(),
         pytest.param("probe {}/cut-short.mkv", "ends in the middle", marks=pytest.mark.slow),
+        pytest.param("sweep --scheduler nowhere --output d", "no address of a scheduler", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_clear_line_and_leaves_no_output(

@@ -129,6 +129,7 @@ def test_the_datasheets_code_reads_it(made: tuple[Path, DatasetPlan], monkeypatc
     assert names["cutout"].ndim == 2
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_resumes_and_keeps_finished_films(tmp_path: Path) -> None:
     def stop(films: float) -> None:
         if films > 2:  # within the third film

@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
 
+@pytest.mark.slow
 def test_settings_page_is_what_the_code_says() -> None:
     made = runpy.run_path(str(ROOT / "scripts" / "make_settings.py"))["page"]()
     assert (DOCS / "settings.md").read_text() == made, "run make settings"

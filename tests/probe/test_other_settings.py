@@ -21,6 +21,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("key", "value"), [("data_pairs", 24), ("slot_order", [1, 0, 2, 3]), ("rate.low", 0.5)])
+@pytest.mark.slow
 def test_each_differing_setting_is_named_with_both_values(key: str, value: object, film: Path) -> None:
     settings = link(f"signal.{key}={value!r}")
     with open_film(film) as source:

@@ -635,6 +635,7 @@ def written(value: Any) -> str:
 
 @examples(100)
 @given(first=DECIMALS, count=st.integers(0, 60), step=STEPS, down=st.booleans())
+@pytest.mark.slow
 def test_a_range_has_its_ends_and_even_steps(first: Decimal, count: int, step: Decimal, down: bool) -> None:
     step = -step if down else step
     last = first + count * step
