@@ -126,8 +126,8 @@ def names(folder: Path) -> list[str]:
     return found
 
 
-def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool], by: signal.Signals = signal.SIGINT) -> Run:
-    """Start a command and send a signal once `when` is true."""
+def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool]) -> Run:
+    """Start a command and send SIGINT once `when` is true."""
     command = [*COMMAND, *map(str, arguments)]
     with subprocess.Popen(
         command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c
@@ -135,7 +135,7 @@ def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool], by:
         try:
             wait_until(lambda: when() or process.poll() is not None)
             assert process.poll() is None, "over before it could be interrupted"
-            os.kill(process.pid, by)
+            os.kill(process.pid, signal.SIGINT)
             out, err = process.communicate(timeout=HANG_S)
         finally:
             process.kill()  # an endless command would block the tests

@@ -87,10 +87,10 @@ def shown(patterns: Sequence[NDArray[np.uint8]], settings: LinkSettings, seed: i
     return KeptFilm([frame for frame, _ in timed], settings.channel.camera.fps)
 
 
-def blinking_square(every: int = 3) -> KeptFilm:
-    """Film an array-sized lamp that is on and off for `every` frames each."""
+def blinking_square() -> KeptFilm:
+    """Film an array-sized lamp that is on and off for three frames each."""
     on = np.full((16, 16), 4, np.uint8)
-    return shown([*[on] * every, *[0 * on] * every], link())
+    return shown([*[on] * 3, *[0 * on] * 3], link())
 
 
 def write(film: KeptFilm, path: Path) -> Path:
