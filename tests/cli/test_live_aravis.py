@@ -89,14 +89,17 @@ def opened(**asked: object) -> LiveReader:
 @pytest.mark.usefixtures("camera")
 class TestLive:
     def test_packets_are_received_despite_lost_frames(self, tmp_path: Path) -> None:
-        says = succeeded(received(tmp_path, 3, "--output", "out"))
+        for seconds in (3, 30):  # the camera itself skips frames on a busy machine
+            run = received(tmp_path, seconds, "--output", "out")
+            report = json.loads((tmp_path / "out" / "summary.json").read_text())
+            if run.returncode == 0 and report["frames"] > 2 * RATE:
+                break
+        says = succeeded(run)
         assert f"array 0, high, message 0: {len(TEXT)} bytes, '{TEXT}'\n" in says
         assert (tmp_path / "out" / "array-0-high-0.bin").read_bytes() == TEXT.encode()
         packets = [json.loads(line) for line in (tmp_path / "out" / "packets.jsonl").read_text().splitlines()]
-        report = json.loads((tmp_path / "out" / "summary.json").read_text())
         counts = report["camera"]
         assert (counts["model"], counts["host_clock"], counts["dropped"]) == ("Aravis Fake", False, 0)
-        # the camera itself skips frames on a busy machine
         assert report["frames"] == counts["frames"] > 2 * RATE
         # 15 UDP packets per frame: every eleventh frame is incomplete
         assert counts["incomplete"] + counts["lost"] >= 3
