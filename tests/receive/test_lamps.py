@@ -35,6 +35,7 @@ def test_array_among_lamps_is_found_within_the_search_budget() -> None:
     assert receiver.search.load.work < bound  # type: ignore[attr-defined]  # of those that search
 
 
+@pytest.mark.slow
 def test_search_is_reproducible() -> None:
     """The budget counts work, not time."""
     (link, frames), loads = lamp_film(30, 1, 0.03, (128, 96)), []
