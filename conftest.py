@@ -1,10 +1,6 @@
 """Every code block of the documentation runs: Python in one namespace a page, commands in the page's own folder."""
 
-import logging
 import os
-import shlex
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,22 +15,9 @@ from sybil.parsers import myst, rest
 
 
 def _run(example: Example) -> None:
-    """Run commands, those of this package in this process to save the start of an interpreter for each."""
-    from cli_runs import within
+    from cli_runs import run_script
 
-    commands = [shlex.split(line, comments=True) for line in example.parsed.replace("\\\n", " ").splitlines()]
-    if all(words[:1] in ([], ["heliograph"]) for words in commands) and not set("|&;$<>*") & set(example.parsed):
-        for words in filter(None, commands):
-            ran = within(Path.cwd(), *words[1:])
-            logging.disable(logging.NOTSET)  # a sweep switches it off
-            assert ran.returncode == 0, ran.stdout + ran.stderr
-        return
-    # the environment's own programs come first on the path
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    done = subprocess.run(
-        ["sh", "-ec", example.parsed], capture_output=True, text=True, env={**os.environ, "PATH": path}, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    run_script(example.parsed)
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ nitpicky = False
 default_role = "code"
 myst_heading_anchors = 3
 myst_enable_extensions = ["dollarmath"]
-# notebooks are stored with their outputs; tests/docs/test_notebooks.py runs them
+# notebooks are stored with their outputs; tests/docs/test_pages.py runs them
 nb_execution_mode = "off"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"

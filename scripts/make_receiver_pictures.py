@@ -16,8 +16,7 @@ from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
 from heliograph.receive.events import DecodeEvent, EqualiseEvent, Event
-from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Cutout, Noise
 from heliograph.receive.observe.statistics import whiten
 from heliograph.signal.block import pack
 from heliograph.signal.settings import LAYERS

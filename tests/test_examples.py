@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from heliograph.base import registry
-
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 PICTURES = {
@@ -28,6 +26,7 @@ def test_each_example_is_run() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {*PICTURES, *SERVED}
 
 
+@pytest.mark.usefixtures("own_parts")
 @pytest.mark.parametrize("name", PICTURES)
 @pytest.mark.filterwarnings("default")
 @pytest.mark.slow
@@ -36,10 +35,6 @@ def test_example_prints_results_and_writes_its_files(
 ) -> None:
     pytest.importorskip("xarray")
     pytest.importorskip("ldpc")
-    # parts that the example registers end with the test
-    for parts in registry._registries.values():
-        monkeypatch.setattr(parts, "_registered", dict(parts._registered))
-        monkeypatch.setattr(parts, "origins", dict(parts.origins))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "--few"])
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")

@@ -155,6 +155,7 @@ def test_a_terminal_shows_once_that_it_compiles(call: Call) -> None:
     assert second == ""
 
 
+@pytest.mark.slow
 def test_garbage_collection_resumes_after_compiling() -> None:
     @compiled()
     def double(x: float) -> float:

@@ -27,7 +27,7 @@ def test_built_in_and_registered_parts_are_found() -> None:
     COLOURS.register("blue", "second", str)
     assert COLOURS["blue"] == "second"
     assert COLOURS.names() == ["red", "blue"]
-    assert [COLOURS.is_built_in(name) for name in COLOURS.names()] == [True, False]
+    assert [name in COLOURS.built_in for name in COLOURS.names()] == [True, False]
 
 
 def test_invalid_and_unknown_names_are_refused() -> None:
@@ -212,7 +212,7 @@ def offered(name: str, **groups: Any) -> Any:
 @pytest.mark.usefixtures("installed")
 def test_installed_receivers_get_the_settings_that_they_declare() -> None:
     assert {"offered", "offered-reader"} <= {*RECEIVERS.names()}
-    assert not RECEIVERS.is_built_in("offered")
+    assert "offered" not in RECEIVERS.built_in
     assert type(offered("")).__name__ == "Offered"
     assert offered("").own is None
     calibration = {"exposure_s": 5e-4}

@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import SMALL, Call, failed, heliograph, lasting, names, succeeded
+from film_checks import write_levels
 
-from heliograph.base.frames import Frame
 from heliograph.cli import console
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
-from heliograph.media import create_film
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +42,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "cut.mkv").write_bytes(whole[: int(len(whole) * 0.6)])
     write_film(folder / "other.mkv", load_settings("static", None, [*changes, "channel.duration_s=0.01"]), [{}], seed=2)
     (folder / "cut-short.mkv").write_bytes((folder / "other.mkv").read_bytes()[:-2000])
-    with create_film(folder / "one.mkv", width=160, height=120, rate_hz=1000) as film:
-        film.write(Frame(0, 0.0, np.zeros((120, 160), np.uint8)))
+    write_levels(folder / "one.mkv", np.zeros((1, 120, 160), np.uint8))
     return folder
 
 
@@ -85,7 +83,6 @@ BAD = {
     "demo --output {}/file": "cannot write",
     "demo --output d --set channel.duration_s=1e-5": "raise channel.duration_s",
     "reproduce fig5 --data {}/missing --output d": "has no driving/*.mp4",
-    "sweep --scheduler nowhere --output d": "no address of a scheduler",
     f"simulate {{}}/a.mkv {S} --high {{}}/a.mkv": "is read and would be written: give the output another name",
     f"simulate {{}}/a.mkv {S} --background {{}}/a.mkv": "is read and would be written",
     f"simulate {{}}/a.mkv {S} --low {{}}/a.mkv.truth.npz": "is read and would be written",
@@ -201,6 +198,7 @@ WRONG_USAGE = {
     [
         *BAD.items(), *WRONG_USAGE.items(),
         pytest.param("probe {}/cut-short.mkv", "ends in the middle", marks=pytest.mark.slow),
+        pytest.param("sweep --scheduler nowhere --output d", "no address of a scheduler", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_clear_line_and_leaves_no_output(

@@ -1,9 +1,9 @@
-"""`heliograph measure`: counts, and errors for invalid arguments."""
+"""`heliograph measure` and `heliograph dataset`: counts, sizes, and errors for invalid arguments."""
 
 from pathlib import Path
 
 import pytest
-from cli_runs import SMALL, Call, failed, succeeded
+from cli_runs import SMALL, Call, failed, names, succeeded
 
 from heliograph.base.threads import one_thread
 
@@ -91,3 +91,26 @@ def test_help_lists_the_measurements(measured: Call) -> None:
     assert run.returncode == 2
     assert "Usage: heliograph measure" in run.stderr
     assert "\n  header-separation " in run.stderr
+
+
+TINY = (
+    "--set", "channel.camera.width=64", "--set", "channel.camera.height=48", "--set", "signal.data_pairs=8",
+    "--set", "channel.arrays.0.x_m=0", "--set", "channel.arrays.0.y_m=0",
+)  # fmt: skip
+LARGE = ("--set", "channel.camera.width=4000", "--set", "channel.camera.height=4000")
+SPLIT = ("--vary", "channel.distance_m=30,40", "--films", "3", "--splits", "1,1,1")
+FILMS = ["test/000002.h5", "test/000005.h5", "train/000000.h5", "train/000003.h5", "validation/000001.h5",
+         "validation/000004.h5"]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_size_is_printed_and_existing_films_are_kept(call: Call, tmp_path: Path) -> None:
+    said = succeeded(call("dataset", "a", *TINY, *SPLIT, "--size"))
+    assert said.startswith("a: 6 films, 120 frames, ")
+    assert not (tmp_path / "a").exists()
+    made = succeeded(call("dataset", "a", *TINY, *SPLIT)).splitlines()
+    assert made == [said.strip(), "a/DATASHEET.md: seed 0; 2 train, 2 validation, 2 test"]
+    assert names(tmp_path / "a") == ["DATASHEET.md", "dataset.json", "films.csv", *FILMS]
+    again = succeeded(call("dataset", "a", *TINY, *SPLIT)).splitlines()
+    assert again[0] == f"{said.strip()}, of which 6 films exist"
+    assert "differs in seed" in failed(call("dataset", "a", *TINY, *SPLIT, "--seed", "1"))

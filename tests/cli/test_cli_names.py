@@ -10,26 +10,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import Call, failed, within
+from film_checks import write_levels
 
-from heliograph.base.frames import Frame
 from heliograph.cli import console, messages
 from heliograph.experiments.report import Report
 from heliograph.experiments.reproduce import recordings_in
-from heliograph.media import create_film
 
 ODD = os.fsdecode(b"-caf\xe9\n\x1b[31m 'q\" #%?\xe2\x80\xae.H5")
 SHOWN = r"""-caf\xe9\n\x1b[31m 'q" #%?\u202e.H5"""
 
 
-def write(path: Path) -> Path:
-    with create_film(path, width=16, height=16, rate_hz=1000) as film:
-        for number in range(20):
-            film.write(Frame(number, number / 1000, np.full((16, 16), 90, np.uint8)))
-    return path
+LEVELS = np.full((20, 16, 16), 90, np.uint8)
 
 
 def test_results_and_errors_name_a_film_on_one_line(tmp_path: Path, call: Call) -> None:
-    write(tmp_path / ODD)
+    write_levels(tmp_path / ODD, LEVELS)
     line = failed(call("receive", "--output", "results", "--", ODD))
     assert line.startswith(f"heliograph: {SHOWN} has 20 frames")
     assert json.loads(Path("results/summary.json").read_bytes())["film"] == ODD
@@ -54,14 +49,14 @@ def test_results_and_errors_name_a_film_on_one_line(tmp_path: Path, call: Call) 
 def test_characters_missing_from_the_encoding_are_escaped(
     tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write(tmp_path / "試.h5")
+    write_levels(tmp_path / "試.h5", LEVELS)
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(out := io.BytesIO(), "ascii", "strict"))
     assert call("convert", "試.h5", "験.h5").returncode == 0
     assert out.getvalue() == b"\\u9a13.h5: 20 frames\n"
 
 
 def test_a_film_named_like_a_camera_is_a_film(tmp_path: Path) -> None:
-    write(tmp_path / "camera:x.h5")
+    write_levels(tmp_path / "camera:x.h5", LEVELS)
     for name in ("./camera:x.h5", "camera:x.h5"):
         assert failed(within(tmp_path, "receive", name)).startswith("heliograph: ")
         assert within(tmp_path, "convert", name, "a.h5").stdout == "a.h5: 20 frames\n"

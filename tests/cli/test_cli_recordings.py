@@ -1,4 +1,4 @@
-"""Recordings in all camera formats give the same result."""
+"""Recordings of cameras and screens, and arrays at given corners, on the command line."""
 
 import json
 import os
@@ -8,9 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runs import Call, failed, lasting, succeeded, within
+from film_checks import write_levels
 from made_recordings import write_kinds, write_mraw
+from screen_films import Phone, phone_frames, write_phone_film
+from screen_light import shown
 
 from heliograph.media import open_film
+from heliograph.web.sending import sending_of
 
 pytestmark = pytest.mark.slow
 
@@ -148,3 +152,57 @@ def test_the_current_folder_is_a_film(shots: Path, tmp_path: Path, call: Call, m
     monkeypatch.chdir(shots / "shots")
     _, got = read(call, Path(), tmp_path / "got", "--fps", "1000")
     assert got == {"array-0-high-0.bin": HIGH}
+
+
+CORNERS = "78,43,96,58,81,76,63,61"
+TURNED = (*lasting(0.05), "--set", "channel.distance_m=40", "--set", "channel.arrays.0.roll_deg=40",
+          "--set", "signal.data_pairs=16")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("turned")
+    succeeded(within(folder, "simulate", "a.h5", *TURNED, "--high", "text:mind the gap"))
+    return folder / "a.h5"
+
+
+def test_skipped_blocks_of_a_busy_scene_are_reported(call: Call) -> None:
+    levels = np.random.default_rng(0).integers(0, 256, (130, 8, 10), np.uint8)
+    np.save("busy.npy", np.kron(levels, np.ones((1, 8, 8), np.uint8)))
+    read = ("receive", "busy.npy", "--fps", "1000", "--preset", "static", "--set", "receive.detect.cpu_share=0.01")
+    report, said = json.loads(call(*read, "--json").stdout), call(*read).stdout
+    assert report["dropped_blocks"] > 0
+    assert f"skipped {report['dropped_candidates']} candidates and {report['dropped_blocks']} blocks" in said
+    np.save("busy.npy", np.full((130, 120, 160), 40, np.uint8))
+    assert "skipped" not in call(*read).stdout
+
+
+def test_corners_refer_to_the_crop_and_apply_to_several_films(turned: Path, call: Call) -> None:
+    """`tests/receive/test_corners_and_region.py` reads the same film with both receivers."""
+    moved = ",".join(str(int(n) - (10, 5)[k % 2]) for k, n in enumerate(CORNERS.split(",")))
+    said = succeeded(call("receive", turned, "--workers", "1", "--preset", "static", "--output", "out",
+                          "--crop", "10,5,140,110", "--corners", moved))  # fmt: skip
+    assert [array["id"] for array in json.loads(said)["arrays"]] == [0]
+    assert Path("out", "a.h5", "array-0-high-0.bin").read_bytes() == b"mind the gap"
+
+
+PHONE = Phone(width=320, height=240, side_px=160.0, blur_px=0.8, seed=5)
+
+
+def test_a_phone_film_is_recognised_and_another_receiver_refuses_it(tmp_path: Path) -> None:
+    grabs = shown(sending_of(b"Hello from a laptop", None, 16, 15.0), 4.4, cell_px=8)
+    write_phone_film(tmp_path / "phone.mp4", phone_frames(grabs, PHONE), PHONE)
+    lines = succeeded(within(tmp_path, "receive", "phone.mp4")).splitlines()
+    assert lines[0].startswith("receiver screen: the film shows a screen: 16 x 16 cells")
+    assert "array 0, high, message 0: 19 bytes, 'Hello from a laptop'" in lines
+    run = within(tmp_path, "receive", "phone.mp4", "--receiver", "plain")
+    advice = [line for line in run.stdout.splitlines() if line.startswith("  - ")]
+    assert advice == ["  - read it by --preset phone-15, which chooses --receiver screen"]
+    assert "phone.mp4 shows a screen: read it by --preset phone-15" in failed(run)
+
+
+def test_receive_reports_a_missing_screen_early_and_at_the_end(tmp_path: Path) -> None:
+    write_levels(tmp_path / "empty.h5", np.random.default_rng(1).integers(90, 110, (170, 48, 64), np.uint8), 30)
+    run = within(tmp_path, "receive", "empty.h5", "--preset", "phone")
+    assert "no readable screen is visible, in the first 5.0 s" in failed(run, 3)
+    assert "no array found: no readable screen is visible" in run.stdout

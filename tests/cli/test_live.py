@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import Call, Run, failed, interrupted_at, lasting, names, succeeded, within
+from film_checks import uniform, write_levels
 
-from heliograph.base.frames import Frame
 from heliograph.media import create_film, open_film
 
 pytestmark = pytest.mark.slow
@@ -111,12 +111,8 @@ def test_it_ends_after_its_duration(call: Call, film: Path) -> None:
 @pytest.fixture
 def dark(tmp_path: Path) -> Path:
     """Create a film without an array, in a separate folder."""
-    path = tmp_path / "films" / "dark.h5"
-    path.parent.mkdir()
-    with create_film(path, width=64, height=48, rate_hz=1000) as made:
-        for number in range(120):
-            made.write(Frame(number, number / 1000, np.full((48, 64), 20 + number % 2, np.uint8)))
-    return path
+    (tmp_path / "films").mkdir()
+    return write_levels(tmp_path / "films" / "dark.h5", uniform(20 + np.arange(120) % 2, 48, 64))
 
 
 def test_a_missing_array_is_explained_by_probe(call: Call, dark: Path) -> None:

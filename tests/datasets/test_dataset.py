@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from film_checks import write_levels
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
@@ -128,6 +129,7 @@ def test_the_datasheets_code_reads_it(made: tuple[Path, DatasetPlan], monkeypatc
     assert names["cutout"].ndim == 2
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_resumes_and_keeps_finished_films(tmp_path: Path) -> None:
     def stop(films: float) -> None:
         if films > 2:  # within the third film
@@ -165,9 +167,7 @@ def test_the_same_seed_makes_the_same_films(made: tuple[Path, DatasetPlan], tmp_
 def test_no_footage_is_in_two_splits(tmp_path: Path) -> None:
     clips = [tmp_path / f"{k}.h5" for k in range(4)]
     for k, path in enumerate(clips):
-        with heliograph.create_film(path, width=64, height=48, rate_hz=30) as clip:
-            for n in range(2):
-                clip.write(heliograph.Frame(n, n / 30, np.full((48, 64), 40 * k, np.uint8)))
+        write_levels(path, np.full((2, 48, 64), 40 * k, np.uint8), 30)
     plan = plan_of(films=6, splits=(2, 1, 1), backgrounds=clips)
     used = {name: {f.point.recordings["footage"].path for f in plan.films if f.split == name}
             for name in ("train", "validation", "test")}  # fmt: skip

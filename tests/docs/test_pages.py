@@ -3,7 +3,10 @@ import runpy
 from dataclasses import fields
 from pathlib import Path
 
+import matplotlib.pyplot as plt
+import nbformat
 import pytest
+from cli_runs import run_script
 
 from heliograph.media.live.settings import CameraSettings
 
@@ -11,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
 
+@pytest.mark.slow
 def test_settings_page_is_what_the_code_says() -> None:
     made = runpy.run_path(str(ROOT / "scripts" / "make_settings.py"))["page"]()
     assert (DOCS / "settings.md").read_text() == made, "run make settings"
@@ -57,3 +61,31 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
         assert there.exists() or target.endswith("cli.md"), f"{page.name}: {target}"
         if anchor and there.suffix == ".md" and there.exists():
             assert anchor in anchors(there.read_text()), f"{page.name}: {target}#{anchor}"
+
+
+NOTEBOOKS = sorted((Path(__file__).parents[2] / "docs" / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_store_outputs_and_no_trace_of_a_machine(path: Path) -> None:
+    notebook = nbformat.read(path, as_version=4)
+    assert set(notebook.metadata) <= {"kernelspec", "language_info"}
+    assert all(not cell.metadata for cell in notebook.cells)
+    assert any("image/png" in output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", []))
+    assert not any(folder in path.read_text() for folder in ("/home/", "/tmp/", "/work/", "/root/"))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+@pytest.mark.usefixtures("own_parts")
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cells run in this process, which saves the start of a kernel for each notebook."""
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, object] = {"__name__": "__main__"}
+    for cell in nbformat.read(path, as_version=4).cells:
+        if cell.cell_type == "code" and cell.source.startswith("%%sh\n"):
+            run_script(f"{cell.source.removeprefix('%%sh')}\n")
+        elif cell.cell_type == "code":
+            exec(compile(cell.source, str(path), "exec"), namespace)
+    plt.close("all")

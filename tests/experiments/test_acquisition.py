@@ -3,6 +3,7 @@ import pytest
 from heliograph.experiments.detection.acquisition import Acquired, AcquisitionTrial, acquire, outcomes_text
 
 
+@pytest.mark.slow
 def test_an_array_is_found_by_its_first_header() -> None:
     assert acquire(AcquisitionTrial(seed=0, within=5)).headers == 1
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from film_checks import uniform, write_levels
 
 from heliograph.base.frames import Frame
 from heliograph.channel import Placement
@@ -14,7 +15,6 @@ from heliograph.experiments.detection import clutter
 from heliograph.experiments.detection import experiment as detection
 from heliograph.experiments.report import Context
 from heliograph.measure.statistics import Count
-from heliograph.media import create_film
 from heliograph.receive import Pose
 from heliograph.signal.header import IDENTITIES
 
@@ -172,9 +172,7 @@ def test_clips_are_backdrops(data: Path) -> None:
 
 def test_a_moment_of_a_clip_is_a_pair_of_successive_frames(tmp_path: Path) -> None:
     path = tmp_path / "clip.mkv"
-    with create_film(path, width=64, height=48, rate_hz=30) as film:
-        for k in range(4):
-            film.write(Frame(k, k / 30, np.full((48, 64), 40 * k, np.uint8)))
+    write_levels(path, uniform(40 * np.arange(4), 48, 64), 30)
     footage, start_s = clutter.clip_backdrop(path, 4, np.random.default_rng(0))
     levels = [int(image.mean()) for image in footage.frames()]
     assert levels in (pytest.approx([0, 40], abs=1), pytest.approx([80, 120], abs=1))

@@ -2,19 +2,29 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
+from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.experiments.error_rates import experiment
+from heliograph.experiments import plots
+from heliograph.experiments.error_rates import experiment, real_input, scenes
+from heliograph.experiments.error_rates.real_input import EmptyCounts, RealScene
+from heliograph.experiments.error_rates.repeated_packets import film_settings, measure
 from heliograph.experiments.report import Context
+from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
+from heliograph.link.simulate import default_messages
+from heliograph.link.truth import open_truth, truth_path
 from heliograph.measure.bench import run_block
-from heliograph.measure.counts import LayerCounts
+from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.measure.statistics import Count
 from heliograph.receive import Packet, Receiver, make_receiver
 from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.plot import ARROW, BOUND, legend_entries
 
 NONE_LOST = Count(200, 0), Count(200, 0)
 
@@ -194,3 +204,137 @@ def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
     assert data["lost"]["driving"]["trials"] == data["lost"]["static"]["trials"] > 0
     assert len(result.pictures) == 2
     assert all(len(row) == len(t.head) for t in result.tables for row in t.rows)
+
+
+def test_all_scenes_have_different_settings() -> None:
+    found = [scenes.scene_settings(name, 50.0) for name in scenes.SCENES]
+    assert all(one not in found[:k] for k, one in enumerate(found))
+    assert {one.receive.receiver for one in found} == {"soft"}
+    assert len(scenes.scene_settings("six arrays", 50.0).channel.arrays) == 6
+
+
+def test_blocks_are_counted_by_scene_and_distance() -> None:
+    found = scenes.measure(["upright"], [30.0, 300.0], range(2), "plain", Context())
+    near, far = found["upright", 30.0], found["upright", 300.0]
+    assert (near.layers["middle"].codewords, near.layers["middle"].codeword_errors) == (4, 0)
+    assert far.layers["high"].missed == 2
+
+
+def test_a_line_names_wrong_missed_and_false_codewords() -> None:
+    layers = {"high": LayerCounts(codewords=6), "low": LayerCounts(codewords=6, codeword_errors=3, missed=1)}
+    text = scenes.counts_text(BlockCounts(layers, false_codewords=2))
+    assert text.startswith("high 0/6 [0.0e+00, ")
+    assert "low 3/6 (1 missed) [" in text
+    assert text.endswith("false codewords 2, packets of nothing 0")
+
+
+def test_the_distance_is_that_of_the_middle_of_the_film() -> None:
+    settings = film_settings(100.0, 3)
+    channel = settings.channel
+    assert channel.duration_s == pytest.approx(0.305)
+    assert channel.distance_m - channel.speed_m_s * 0.305 / 2 == pytest.approx(100.0)
+    assert film_settings(100.0, 3, ["channel.road_class='A'"]).channel.road_class == "A"
+
+
+def test_a_near_packet_is_read_in_every_reception_and_a_far_one_in_none() -> None:
+    short = ["signal.data_pairs=8"]
+    near = measure(film_settings(40.0, 2, short), "middle", 2, 1, Context())
+    assert [(one.trials, one.errors) for one in near] == [(2, 0), (2, 0)]
+    far = measure(film_settings(600.0, 2, short), "middle", 2, 1, Context())
+    assert [(one.trials, one.errors) for one in far] == [(2, 2), (2, 2)]
+
+
+def test_no_line_joins_a_bound() -> None:
+    axes = Figure().add_subplot()
+    counts = [
+        (40.0, Count(100, 0)),
+        (60.0, Count(100, 5)),
+        (80.0, Count(0, 0)),
+        (100.0, Count(12, 0)),
+        (120.0, Count(5, 0)),
+    ]
+    plots.draw_rates(axes, counts, "soft", color="C0")
+    joined = [line for line in axes.lines if line.get_linestyle() != "None"]
+    assert [np.asarray(line.get_xdata()).tolist() for line in joined] == [[60.0]]
+    (bounds,) = (line for line in axes.lines if line.get_marker() == ARROW)
+    # a bound of 0.6 is no measurement
+    assert np.asarray(bounds.get_ydata()).tolist() == [0.03, 0.25]
+    assert legend_entries(axes)[1] == ["soft", BOUND]
+
+
+def test_a_system_without_any_error_keeps_its_place_in_the_legend() -> None:
+    bins = {40.0: {name: LayerCounts(raw_bits=1000) for name in LAYERS}}
+    before, _ = plots.errors_by_distance(bins).axes
+    legend = before.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == [*LAYERS, BOUND]
+
+
+def test_no_error_is_drawn_as_a_bound_of_three_by_n() -> None:
+    layers = {"high": LayerCounts(bits=6000), "middle": LayerCounts(), "low": LayerCounts(bits=1000, bit_errors=10)}
+    after = plots.errors_by_distance({50.0: layers}).axes[1]
+    points = [(float(x), float(y)) for line in after.lines for x, y in np.array(line.get_xydata())]
+    # each layer is drawn a little aside
+    assert (52.5 - 0.7, 3 / 6000) in points
+    assert (52.5 + 0.7, 0.01) in points
+
+
+SMALL = ("channel.camera.width=192", "channel.camera.height=160", "channel.arrays.0.x_m=0", "channel.arrays.0.y_m=0")
+
+
+def scene(data: Path, clip: str, seed: int, *changes: str) -> RealScene:
+    return RealScene(data / "driving" / f"{clip}.mp4", data / "motion" / "car-imu.csv", seed, changes)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(("clip", "distance_m", "readable"), [("day-shade", 75, 1), ("night-road", 45, 3)])
+@pytest.mark.slow
+def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, distance_m: int, readable: int) -> None:
+    drive = scene(data, clip, 1, f"channel.distance_m={distance_m}", "channel.duration_s=0.24")
+    # film only the array and a margin, for speed
+    found = real_input.drive(drive, 16)
+    assert found.frames == 240
+    assert found.errors is not None
+    total = found.errors.total()
+    # two packets are completely filmed
+    assert {n: e.codewords for n, e in total.items()} == {"high": 2, "middle": 4, "low": 2}
+    assert [total[n].codeword_errors for n in ("high", "middle", "low")[:readable]] == [0] * readable
+    assert found.errors.false_codewords == 0
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(("clip", "native"), [("day-shade", False), ("night-road", True)])
+@pytest.mark.slow
+def test_a_clip_without_an_array_has_no_packet(data: Path, clip: str, native: bool) -> None:
+    # short packets, so that a packet from a false detection ends within the clip
+    small = ("signal.data_pairs=8", "channel.camera.width=480", "channel.camera.height=270")
+    found = real_input.empty(
+        scene(data, clip, 3, "channel.duration_s=0.04", *small), 20 if native else None, native=native
+    )
+    assert found.frames == (20 if native else 40)
+    assert (found.right, found.words) == (0, 0)
+    # a false detection of native frames costs little time, but a valid codeword from noise is a wrong message
+    assert found.detections <= (1 if native else 0)
+
+
+def test_counts_of_empty_films_add_up() -> None:
+    one = EmptyCounts(100, 1, 1, 0, 2, 3)
+    total = one + one
+    assert (total.frames, total.detections, total.words, total.without_header) == (200, 2, 4, 6)
+    assert "0/200 (< 1.5e-02) packets with a right codeword" in total.text()
+
+
+@pytest.mark.slow
+def test_a_transcoded_film_is_compared_with_the_original_truth(tmp_path: Path) -> None:
+    settings = load_settings("static", None, ["channel.distance_m=30", "channel.duration_s=0.11", *SMALL])
+    film, again = tmp_path / "film.mp4", tmp_path / "again.mp4"
+    write_film(film, settings, default_messages(settings), 5, lossless=True)
+    with pytest.raises(MediaError, match="is the film itself"):
+        real_input.encode_again(film, film)
+    real_input.encode_again(film, again)
+    assert again.stat().st_size < film.stat().st_size
+    reception = real_input.receive_again(again, open_truth(truth_path(film)))
+    assert reception.errors is not None
+    lines = list(real_input.error_lines(reception.errors))
+    assert lines[0] == "30-35 m: high 0/1, middle 0/2, low 0/1"
+    assert lines[-1] == "false codewords 0, false packets 0"

@@ -2,11 +2,15 @@
 
 import contextlib
 import io
+import logging
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -74,6 +78,31 @@ def within(folder: Path, *arguments: str | Path) -> Run:
     return subprocess.CompletedProcess(words, int(ended.value.code or 0), out.getvalue(), err.getvalue())
 
 
+STATEMENT = re.compile(r".*<<'END'\n(?:.*\n)*?END\n|.*\n")
+"""A line of a script, or a text that the shell writes to a file."""
+
+
+def _is_own(statement: str) -> bool:
+    return statement.startswith("heliograph ") and not set("|&;$<>*") & set(statement)
+
+
+def run_script(script: str) -> None:
+    """Run a script of the documentation; commands of this package run in this process, which saves their start."""
+    # the environment's own programs come first on the path
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    for is_own, statements in groupby(STATEMENT.findall(script.replace("\\\n", " ")), _is_own):
+        for words in (shlex.split(line, comments=True) for line in statements) if is_own else ():
+            run = within(Path.cwd(), *words[1:])
+            logging.disable(logging.NOTSET)  # a sweep switches it off
+            assert run.returncode == 0, run.stdout + run.stderr
+        if not is_own:
+            done = subprocess.run(
+                ["sh", "-ec", "".join(statements)],
+                capture_output=True, text=True, env={**os.environ, "PATH": path}, check=False,
+            )  # fmt: skip
+            assert done.returncode == 0, done.stdout + done.stderr
+
+
 def succeeded(run: Run) -> str:
     """Check that a run succeeded with no other output than its result; return the output."""
     assert run.returncode == 0, run.stderr
@@ -97,8 +126,8 @@ def names(folder: Path) -> list[str]:
     return found
 
 
-def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool], by: signal.Signals = signal.SIGINT) -> Run:
-    """Start a command and send a signal once `when` is true."""
+def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool]) -> Run:
+    """Start a command and send SIGINT once `when` is true."""
     command = [*COMMAND, *map(str, arguments)]
     with subprocess.Popen(
         command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c
@@ -106,7 +135,7 @@ def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool], by:
         try:
             wait_until(lambda: when() or process.poll() is not None)
             assert process.poll() is None, "over before it could be interrupted"
-            os.kill(process.pid, by)
+            os.kill(process.pid, signal.SIGINT)
             out, err = process.communicate(timeout=HANG_S)
         finally:
             process.kill()  # an endless command would block the tests

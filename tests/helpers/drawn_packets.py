@@ -8,8 +8,7 @@ from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
 
 from heliograph.base.arrays import Floats
 from heliograph.receive import Pose
-from heliograph.receive.observe.cutout import Cutout, take_cutout
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Cutout, Noise, take_cutout
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal import haar
 

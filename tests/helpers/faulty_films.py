@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scenes
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.channel import film as filmed
-from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film
 
@@ -47,17 +48,12 @@ class KeptFilm:
         return iter(self.frames)
 
 
-SMALL: dict[str, Any] = {
-    "distance_m": 50.0,
-    "duration_s": 0.13,
-    "camera": {"width": 160, "height": 120},
-    "arrays": [{"x_m": 0.0, "y_m": 0.0}],
-}
-"""A small camera that faces the array for a packet and a third."""
+CAMERA = {"width": 160, "height": 120}
 
 
 def link(*changes: str, **channel: Any) -> LinkSettings:
-    return load_settings("static", {"channel": {**SMALL, **channel}}, changes)
+    """Return a small camera that faces the array for a packet and a third."""
+    return scenes.link(*changes, **{"duration_s": 0.13, "camera": CAMERA, **channel})
 
 
 def film(settings: LinkSettings, seed: int = 1) -> list[Frame]:
@@ -91,10 +87,10 @@ def shown(patterns: Sequence[NDArray[np.uint8]], settings: LinkSettings, seed: i
     return KeptFilm([frame for frame, _ in timed], settings.channel.camera.fps)
 
 
-def blinking_square(every: int = 3) -> KeptFilm:
-    """Film an array-sized lamp that is on and off for `every` frames each."""
+def blinking_square() -> KeptFilm:
+    """Film an array-sized lamp that is on and off for three frames each."""
     on = np.full((16, 16), 4, np.uint8)
-    return shown([*[on] * every, *[0 * on] * every], link())
+    return shown([*[on] * 3, *[0 * on] * 3], link())
 
 
 def write(film: KeptFilm, path: Path) -> Path:
@@ -115,7 +111,7 @@ FAULTY: dict[str, Callable[[], KeptFilm]] = {
     "too large": lambda: kept(link(distance_m=14.0, camera={"width": 112, "height": 112})),
     "too dim": lambda: kept(link(emitter={"all_on": 0.022})),
     "saturated": lambda: kept(link(emitter={"all_on": 4.0}, arrays=[{"x_m": 0, "y_m": 0, "brightness": 8.0}])),
-    "out of focus": lambda: kept(link(camera={**SMALL["camera"], "blur_px": 6.0})),
+    "out of focus": lambda: kept(link(camera={**CAMERA, "blur_px": 6.0})),
     "no header": blinking_square,
     "half the rate": lambda: kept(link("signal.pattern_period_s=0.002", duration_s=0.21)),
     "mislabelled": lambda: kept(link(), slowed(1000 / 30), 30.0),
@@ -125,7 +121,7 @@ FAULTY: dict[str, Callable[[], KeptFilm]] = {
     "cut": lambda: kept(link(arrays=[{"x_m": 1.27, "y_m": 0}])),
     "hidden": lambda: kept(link(arrays=[{"x_m": 0, "y_m": 0, "hidden": (0, 0, 1, 0.6)}])),
     "other packets": lambda: kept(link("signal.header_pairs=1", "signal.data_pairs=30")),
-    "out of step": lambda: kept(link(duration_s=0.21, camera={**SMALL["camera"], "start_s": 0.0005})),
-    "slow camera": lambda: kept(link(camera={**SMALL["camera"], "fps": 700.0})),
+    "out of step": lambda: kept(link(duration_s=0.21, camera={**CAMERA, "start_s": 0.0005})),
+    "slow camera": lambda: kept(link(camera={**CAMERA, "fps": 700.0})),
 }
 """Films that the default receiver cannot decode."""

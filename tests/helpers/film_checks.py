@@ -1,4 +1,4 @@
-"""Read whole, damaged and live films."""
+"""Write small films; read whole, damaged and live films."""
 
 from pathlib import Path
 from typing import Any
@@ -8,9 +8,23 @@ import pytest
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.media import open_film
+from heliograph.media import create_film, open_film
 from heliograph.media.live.grabber import CameraCounts
 from heliograph.media.live.reader import LiveReader
+
+
+def uniform(values: Any, rows: int, columns: int, kind: type = np.uint8) -> Any:
+    """Return a frame (rows, columns) of one level for each value."""
+    return np.multiply.outer(np.asarray(values, kind), np.ones((rows, columns), kind))
+
+
+def write_levels(path: Path | str, levels: Any, rate_hz: float = 1000.0, bits: int = 8, **options: Any) -> Path:
+    """Write frames (n, rows, columns) at a constant rate."""
+    rows, columns = levels.shape[1:]
+    with create_film(path, width=columns, height=rows, rate_hz=rate_hz, bits=bits, **options) as film:
+        for number, pixels in enumerate(levels):
+            film.write(Frame(number, number / rate_hz, pixels, bits))
+    return Path(path)
 
 
 def read(path: Path, **options: Any) -> list[Frame]:

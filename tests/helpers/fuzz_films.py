@@ -8,11 +8,11 @@ from typing import Any
 import cv2
 import numpy as np
 import tifffile
+from film_checks import write_levels
 from made_recordings import noise, write_cine, write_mraw, write_tiff, write_y4m
 
-from heliograph.base.frames import Frame
 from heliograph.link.truth import noted_signal
-from heliograph.media import create_film, open_film
+from heliograph.media import open_film
 
 FRAMES_READ = 200
 """Frame limit, since a damaged film may claim too many frames."""
@@ -111,11 +111,7 @@ def film_seeds(folder: Path, note: str) -> Seeds:
     found = {}
     for suffix, codec in CODECS.items():
         path = folder / f"b{suffix}"
-        with create_film(
-            path, width=24, height=16, rate_hz=1000, codec=codec, metadata={"heliograph_signal": note}
-        ) as film:
-            for k, pixels in enumerate(noise(12, 16, 24, 8)):
-                film.write(Frame(k, k / 1000, pixels))
+        write_levels(path, noise(12, 16, 24, 8), codec=codec, metadata={"heliograph_signal": note})
         found[suffix] = [path.read_bytes()]
     films = {f"film{suffix}": (film_parser(suffix), good) for suffix, good in (found | foreign(folder)).items()}
     for header in (".cih", ".cihx"):

@@ -6,25 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, default_messages, transmitters
 from heliograph.measure.errors import ErrorCounter
 from heliograph.receive import Packet, Pose
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 
-SMALL = (
-    "channel.camera.width=160",
-    "channel.camera.height=120",
-    "channel.arrays.0.x_m=0",
-    "channel.arrays.0.y_m=0",
-)
-"""A small camera that faces the array."""
-
 LAYERS = ("high", "middle", "low")
-
-
-def small(*changes: str) -> LinkSettings:
-    return load_settings("static", None, [*SMALL, *changes])
 
 
 def perfect(settings: LinkSettings, number: int, messages: Sequence[Messages] | None = None, array: int = 0) -> Packet:

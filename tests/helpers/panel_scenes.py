@@ -45,21 +45,18 @@ class Scene:
         points = np.stack([x.ravel(), y.ravel()], axis=1)[None]
         return np.asarray(cv2.perspectiveTransform(points, view)[0])
 
-    def error_pitches(self, corners: Floats, number: int = 0) -> float:
+    def error_pitches(self, corners: Floats) -> float:
         """Return the largest LED position error in pitches."""
-        off = self.leds(np.asarray(corners)) - self.leds(self.corners[number])
+        off = self.leds(np.asarray(corners)) - self.leds(self.corners[0])
         return float(np.linalg.norm(off, axis=1).max() / self.pitch)
 
 
-def draw_scene(
-    seed: int, family: int = 0, count: int = 6, shape: tuple[int, int] | None = None, lit: float | None = None
-) -> Scene:
-    """Draw a scene; `lit` selects random bits with that fraction lit."""
+def draw_scene(seed: int, family: int = 0, count: int = 6) -> Scene:
     rng = np.random.default_rng([seed, family, 40])
-    rows, columns = shape or SHAPES[rng.integers(len(SHAPES))]
+    rows, columns = SHAPES[rng.integers(len(SHAPES))]
     pitch = min(rng.uniform(3.5, 12.0), 440 / columns, 260 / rows)
-    text = lit is None and rng.random() < 0.5
-    share = rng.uniform(0.05, 0.5) if lit is None else lit
+    text = rng.random() < 0.5
+    share = rng.uniform(0.05, 0.5)
     patterns = _text_patterns(rng, rows, columns, count) if text else rng.random((count, rows, columns)) < share
     weights = _scan_weights(rng, rows, count)
     width, height = (int(n * pitch + rng.uniform(3, 9) * pitch + 20) for n in (columns, rows))

@@ -9,13 +9,13 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from fuzz_films import FRAMES_READ, MARK, Parser, Seeds, film_seeds
 
-from heliograph.base.config import to_mapping
 from heliograph.base.errors import HeliographError
 from heliograph.base.toml_text import parse_assignment, parse_toml, to_toml
 from heliograph.link.film import write_film
@@ -142,7 +142,7 @@ def seeds(folder: Path) -> Seeds:
     write_film(folder / "a.h5", settings, [{"high": [b"kept"], "low": [b"more"]}], seed=1)
     truth = (folder / "a.h5.truth.npz").read_bytes()
     found: Seeds = {"truth": (read_truth, [truth, unpacked(folder / "a.h5.truth.npz")])}
-    note = json.dumps(to_mapping(settings.signal))
+    note = json.dumps(asdict(settings.signal))
     slots = np.random.default_rng(0).integers(0, 2, (12, 8, 8), dtype=np.uint8)
     found |= film_seeds(folder, note)
     for suffix in SUFFIXES:
@@ -151,7 +151,7 @@ def seeds(folder: Path) -> Seeds:
             of_file(suffix, lambda path: list(open_slots(path))),
             [(folder / f"c{suffix}").read_bytes()],
         )
-    trees = [to_toml(to_mapping(load_settings(name))).encode() for name in ("paper", "two-arrays")]
+    trees = [to_toml(asdict(load_settings(name))).encode() for name in ("paper", "two-arrays")]
     keys = [b"channel.distance_m=60", b"channel.arrays.0.x_m=1.5", b"signal.rate.high=1/2",
             b"receive.receiver='soft'",
             b"channel.arrays=[{x_m=1}]", b"transmit.identities=[3]", b"channel.speed_profile=[[0, 3]]"]  # fmt: skip

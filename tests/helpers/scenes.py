@@ -116,18 +116,16 @@ def drawn_film(
     hidden: Sequence[range] = (),
     exposed_slots: int = 4,
     distance_m: float = 50.0,
-    size: int = 96,
-    seed: int = 0,
 ) -> list[Frame]:
     """Film an array with its centre on a path: time in s (n,) -> (x, y), shape (n, 2).
 
     Frames are contiguous. An exposure covers some of the four slots in a 1 ms pattern and averages an image per
     slot. Gain 0.8, background 0.1, no panel, reference noise.
     """
-    rng, out = np.random.default_rng(seed), []
+    rng, out = np.random.default_rng(0), []
     slots = (lit for pattern in levels(settings) for lit in lit_slots(pattern, settings.signal.slot_order))
     for index in range(frames):
-        light, first = np.full((size, size), 0.1), index * exposed_slots
+        light, first = np.full((96, 96), 0.1), index * exposed_slots
         moments = path((first + np.arange(exposed_slots) + 0.5) / 4 * 1e-3)
         lights = list(islice(slots, exposed_slots))
         if (moments == moments[0]).all():

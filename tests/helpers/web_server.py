@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import uvicorn
+from film_checks import uniform, write_levels
 from waiting import wait_until
 
-from heliograph.base.frames import Frame
-from heliograph.media import create_film
 from heliograph.web.app import create_app
 from heliograph.web.limits import Limits
 from heliograph.web.serve import Address, open_port, server_config
@@ -38,7 +37,4 @@ def serving(films: Sequence[Path] = (), limits: Limits | None = None) -> Iterato
 
 def write_dark_film(path: Path, frames: int = 40) -> Path:
     """Write a film without an array."""
-    with create_film(path, width=64, height=48, rate_hz=1000) as out:
-        for k in range(frames):
-            out.write(Frame(k, k / 1000, np.full((48, 64), 20 + k % 2, np.uint8)))
-    return path
+    return write_levels(path, uniform(20 + np.arange(frames) % 2, 48, 64))

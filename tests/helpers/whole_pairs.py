@@ -9,8 +9,7 @@ from scenes import SIDE, draw, pitch_at
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.geometry.window import CombinedFrame
-from heliograph.receive.observe.cutout import take_cutout
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Noise, take_cutout
 from heliograph.receive.sync.combine import Combination, combine_pair
 from heliograph.receive.sync.pairing import FramePair
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_links import SMALL, small
+from scenes import link
 
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.link import film as link_film
@@ -46,7 +46,7 @@ def by_place(messages: list[Message]) -> dict[tuple[int, str, int], bytes]:
 @pytest.mark.slow
 def test_messages_come_back_byte_for_byte_in_all_layers(tmp_path: Path) -> None:
     messages: list[Messages] = [{"high": [b"\x00stop\xff"], "middle": [LONG[:300], b"a"], "low": [LONG[:230]]}]
-    found, reception = through(tmp_path / "a.mkv", small("channel.duration_s=0.4"), messages)
+    found, reception = through(tmp_path / "a.mkv", link("channel.duration_s=0.4"), messages)
     assert by_place(found) == {
         (0, "high", 0): b"\x00stop\xff",
         (0, "middle", 0): LONG[:300],
@@ -72,13 +72,13 @@ def test_messages_come_back_byte_for_byte_in_all_layers(tmp_path: Path) -> None:
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a film of three packets with a message in "middle", and one in "high" that takes more packets."""
     path = tmp_path_factory.mktemp("film") / "a.mkv"
-    write_film(path, small("channel.duration_s=0.3"), [{"high": [LONG], "middle": [b"only this"]}], seed=3)
+    write_film(path, link("channel.duration_s=0.3"), [{"high": [LONG], "middle": [b"only this"]}], seed=3)
     return path
 
 
 @pytest.mark.slow
 def test_layers_are_empty_or_unfinished_without_a_whole_message(film: Path) -> None:
-    found, reception = read(film, small())
+    found, reception = read(film, link())
     assert by_place(found) == {(0, "middle", 0): b"only this"}
     assert reception.unfinished() == [(0, "high", 0, 348, 500)]
     tally = reception.arrays[0].layers
@@ -87,7 +87,7 @@ def test_layers_are_empty_or_unfinished_without_a_whole_message(film: Path) -> N
 
 @pytest.mark.slow
 def test_packets_are_read_without_counts_and_become_rows_of_plain_values(film: Path) -> None:
-    settings = small()
+    settings = link()
     with open_film(film) as source:
         packets = list(read_packets(source, settings.signal, make_receiver(settings.signal, settings.receive)))
     assert [(packet.first_frame, packet.status) for packet in packets] == [(0, "ok"), (100, "ok"), (200, "ok")]
@@ -104,7 +104,7 @@ def test_truncated_film_gives_all_packets_before_the_end(film: Path, tmp_path: P
     cut.write_bytes(film.read_bytes()[: int(film.stat().st_size * 0.99)])
     reception, found = ReceptionCounter(), list[Message]()
     with open_film(cut) as source, pytest.raises(MediaError, match="ends in the middle"):
-        found.extend(m for _, whole in receive_and_count(source, small().signal, small(), reception) for m in whole)
+        found.extend(m for _, whole in receive_and_count(source, link().signal, link(), reception) for m in whole)
     assert 280 < reception.frames < 300
     assert by_place(found) == {(0, "middle", 0): b"only this"}
     # a partial packet counts
@@ -113,11 +113,11 @@ def test_truncated_film_gives_all_packets_before_the_end(film: Path, tmp_path: P
 
 @pytest.mark.slow
 def test_film_may_start_within_a_packet_and_has_a_note_of_the_signal(tmp_path: Path) -> None:
-    settings = small(
+    settings = link(
         "channel.arrays.0.start_s=-0.0371", "channel.duration_s=0.4", "signal.data_pairs=40", "signal.rate.low=1/2"
     )
     write_film(tmp_path / "a.mkv", settings, [{"high": [b"odd"], "low": [LONG[:300]]}], seed=3)
-    found, reception = read(tmp_path / "a.mkv", small())
+    found, reception = read(tmp_path / "a.mkv", link())
     assert by_place(found) == {(0, "high", 0): b"odd", (0, "low", 0): LONG[:300]}
     assert reception.errors is not None
     assert reception.errors.false_codewords == 0
@@ -149,7 +149,7 @@ def test_two_arrays_send_different_messages(tmp_path: Path) -> None:
 
 
 def test_the_same_seed_gives_the_same_film(tmp_path: Path) -> None:
-    settings = small("channel.duration_s=0.02")
+    settings = link("channel.duration_s=0.02")
     films = [[frame.pixels for frame, _ in simulate(settings, [{}], seed)] for seed in (4, 4, 5)]
     assert np.array_equal(films[0], films[1])
     assert not np.array_equal(films[0], films[2])
@@ -170,10 +170,10 @@ def interrupted_after(monkeypatch: pytest.MonkeyPatch, frames: int, error: BaseE
 def test_ctrl_c_keeps_the_film_and_its_truth_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     interrupted_after(monkeypatch, 120, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
-        write_film(tmp_path / "a.mkv", small(), [{"high": [b"so far"]}], seed=1)
+        write_film(tmp_path / "a.mkv", link(), [{"high": [b"so far"]}], seed=1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mkv", "a.mkv.truth.npz"]
     assert len(list(open_truth(tmp_path / "a.mkv.truth.npz").rows())) == 120
-    found, reception = read(tmp_path / "a.mkv", small())
+    found, reception = read(tmp_path / "a.mkv", link())
     assert (by_place(found), reception.frames) == ({(0, "high", 0): b"so far"}, 120)
 
 
@@ -183,7 +183,7 @@ def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.Mon
     (tmp_path / "a.mkv.truth.npz").write_bytes(b"old truth")
     interrupted_after(monkeypatch, frames, SettingsError("broken") if frames else KeyboardInterrupt())
     with pytest.raises(SettingsError if frames else KeyboardInterrupt):
-        write_film(tmp_path / "a.mkv", small(), [{}], seed=1)
+        write_film(tmp_path / "a.mkv", link(), [{}], seed=1)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == {
         "a.mkv": b"old film", "a.mkv.truth.npz": b"old truth"
     }  # fmt: skip
@@ -192,28 +192,28 @@ def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_truth_that_cannot_be_written_takes_the_film_with_it(tmp_path: Path) -> None:
     (tmp_path / "a.mkv.truth.npz").mkdir()
     with pytest.raises(MediaError, match=r"truth\.npz is a folder: move it away"):
-        write_film(tmp_path / "a.mkv", small("channel.duration_s=0.01"), [{}], seed=1)
+        write_film(tmp_path / "a.mkv", link("channel.duration_s=0.01"), [{}], seed=1)
     assert [p.name for p in tmp_path.iterdir()] == ["a.mkv.truth.npz"]
 
 
 def test_a_drive_without_a_frame_is_refused(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match=r"no frames.*channel\.duration_s"):
-        write_film(tmp_path / "a.mkv", small("channel.duration_s=1e-5"), [{}], seed=1)
+        write_film(tmp_path / "a.mkv", link("channel.duration_s=1e-5"), [{}], seed=1)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("data", [b"x" * 8_000_000, b"x" * 20_000_000])
 def test_a_message_too_long_is_refused(data: bytes) -> None:
     with pytest.raises(SettingsError, match=r"array 0, high layer: .* at most"):
-        simulate(small(), [{"high": [data]}], 0)
+        simulate(link(), [{"high": [data]}], 0)
 
 
 def test_a_film_shorter_than_a_packet_is_reported(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match="has 99 frames; a packet takes 100"):
-        through(tmp_path / "a.mkv", small("channel.duration_s=0.099"), [{}])
+        through(tmp_path / "a.mkv", link("channel.duration_s=0.099"), [{}])
 
 
 def test_missing_recordings_are_reported() -> None:
     for change in ("channel.background.kind=footage", "channel.shake=imu"):
         with pytest.raises(SettingsError, match="needs"):
-            next(simulate(load_settings("static", None, [*SMALL, change]), [{}], 0, Recordings()))
+            next(simulate(link(change), [{}], 0, Recordings()))

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from film_checks import uniform, write_levels
 
 from heliograph.base.errors import MediaError
-from heliograph.base.frames import Frame
 from heliograph.link.simulate import IMU_COLUMNS, load_footage, load_imu
-from heliograph.media import create_film
 
 HEAD = ",".join(IMU_COLUMNS)
 
@@ -61,9 +60,7 @@ def test_motion_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
 
 
 def test_footage_can_be_read_again_and_again(tmp_path: Path) -> None:
-    with create_film(tmp_path / "a.mkv", width=32, height=16, rate_hz=25, bits=10) as film:
-        for k in range(3):
-            film.write(Frame(k, k / 25, np.full((16, 32), 300 + 100 * k, np.uint16), 10))
+    write_levels(tmp_path / "a.mkv", uniform([300, 400, 500], 16, 32, np.uint16), 25, 10)
     footage = load_footage(tmp_path / "a.mkv")
     assert footage.rate_hz == 25
     for _ in range(2):

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from link_packets import LAYERS, perfect, small, sums, tampered, watch
+from link_packets import LAYERS, perfect, sums, tampered, watch
+from scenes import link
 
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages
@@ -14,7 +15,7 @@ from heliograph.measure.errors import BIN_M, ErrorCounter
 from heliograph.receive import Packet
 from heliograph.receive.packet import ERASED
 
-SETTINGS = small()
+SETTINGS = link()
 K = 1024
 
 
@@ -166,7 +167,7 @@ def test_errors_are_binned_by_the_middle_of_the_packet() -> None:
 
 
 def test_array_sends_no_packet_before_its_start() -> None:
-    settings = small("channel.arrays.0.start_s=0.05")
+    settings = link("channel.arrays.0.start_s=0.05")
     counter = counter_of(settings, range(150))
     counter.received(perfect(settings, 0))
     assert next(sums(counter)) == ("high", K, 0, 0, 1, 0, 0)
@@ -189,7 +190,7 @@ def test_two_arrays_are_counted_separately() -> None:
 @pytest.mark.parametrize("ppm", [-10_000, 10_000])
 def test_camera_clock_differs_from_the_array_clock(ppm: int) -> None:
     """A 1 % clock error exceeds half a packet after a few seconds."""
-    settings = small(f"channel.camera.clock_ppm={ppm}", "channel.duration_s=10")
+    settings = link(f"channel.camera.clock_ppm={ppm}", "channel.duration_s=10")
     counter = counter_of(settings, range(8000, 9000))
     sent = perfect(settings, 85)
     counter.received(replace(sent, start_time_s=sent.start_time_s / (1 + ppm * 1e-6)))
@@ -198,10 +199,10 @@ def test_camera_clock_differs_from_the_array_clock(ppm: int) -> None:
 
 
 def test_packet_in_another_format_is_wrong() -> None:
-    sent = small("transmit.formats=[{high='9/10'}]")
+    sent = link("transmit.formats=[{high='9/10'}]")
     counter = ErrorCounter(sent, default_messages(sent))
     watch(counter, range(100))
-    counter.received(perfect(small(), 0))
+    counter.received(perfect(link(), 0))
     total = counter.total()
     assert (total["high"].codewords, total["high"].codeword_errors, total["high"].bits) == (1, 1, 0)
     assert counter.false_codewords == 1
@@ -215,7 +216,7 @@ def test_first_frame_of_a_packet_belongs_to_this_packet(number: int) -> None:
     first = 100 * number
     # 0.3 / 0.1 is 2.9999999999999996
     assert first * 1e-3 / 0.1 < number
-    counter = counter_of(small("channel.duration_s=1"))
+    counter = counter_of(link("channel.duration_s=1"))
     # each packet has a different distance
     watch(counter, range(1000), lambda frame: (20.0 + 10 * (frame // 100),), lambda frame: (frame != first,))
     missed = {near_m: errors["high"].missed for near_m, errors in counter.bins().items()}

@@ -1,38 +1,42 @@
-"""Receive and count a film; exclude false packets."""
+"""Receive and count a film; exclude false packets; journal of a reception in progress."""
 
+import base64
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from link_packets import perfect, small
+from link_packets import perfect
+from scenes import link
 
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.link.film import write_film
-from heliograph.link.settings import LinkSettings
+from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, default_messages
 from heliograph.link.truth import FrameTruth, open_truth, truth_path
-from heliograph.measure.journal import Journal, sentence
+from heliograph.measure.journal import Journal, Row, approach, message_row, sentence
+from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import ReceptionCounter, receive_and_count, receive_film
 from heliograph.media import open_film
 from heliograph.receive import Packet
 from heliograph.receive.events import LostEvent
 from heliograph.receive.packet import Status
 from heliograph.receive.receiver import StreamReceiver
+from heliograph.signal.message import Message
 
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Film of three packets, with the truth."""
     path = tmp_path_factory.mktemp("film") / "a.mkv"
-    write_film(path, small("channel.duration_s=0.3"), [{}], seed=1)
+    write_film(path, link("channel.duration_s=0.3"), [{}], seed=1)
     return path
 
 
 @pytest.mark.slow
 def test_report_is_available_at_any_time(film: Path) -> None:
-    settings, reception = small(), ReceptionCounter(open_truth(truth_path(film)))
+    settings, reception = link(), ReceptionCounter(open_truth(truth_path(film)))
 
     def check_report(_: int) -> None:
         assert reception.report(1.0)["frames"] == reception.frames
@@ -49,7 +53,7 @@ def test_report_is_available_at_any_time(film: Path) -> None:
 
 @pytest.mark.slow
 def test_a_film_gives_messages_packets_and_arrays_in_one_call(film: Path) -> None:
-    by_path, by_name = receive_film(film), receive_film(str(film), small(), receiver="plain")
+    by_path, by_name = receive_film(film), receive_film(str(film), link(), receiver="plain")
     assert (by_path.receiver, by_name.receiver) == ("soft", "plain")
     with open_film(film) as source:
         by_film = receive_film(source, receiver="auto")
@@ -62,7 +66,7 @@ def test_a_film_gives_messages_packets_and_arrays_in_one_call(film: Path) -> Non
 
 @pytest.mark.slow
 def test_messages_and_missing_bytes_are_given(tmp_path: Path) -> None:
-    path, settings = tmp_path / "a.mkv", small("channel.duration_s=0.1")
+    path, settings = tmp_path / "a.mkv", link("channel.duration_s=0.1")
     write_film(path, settings, [{"high": [b"red for 12 s"], "low": [bytes(500)]}], seed=1)
     reception = receive_film(path)
     assert [(message.layer, message.data) for message in reception.messages] == [("high", b"red for 12 s")]
@@ -87,7 +91,7 @@ def test_results_without_a_packet_are_not_counted(film: Path, monkeypatch: pytes
     monkeypatch.setattr(
         StreamReceiver, "push", lambda *a: [replace(p, status=status) if p.first_frame == 100 else p for p in push(*a)]
     )
-    settings, reception = small(), ReceptionCounter(open_truth(truth_path(film)))
+    settings, reception = link(), ReceptionCounter(open_truth(truth_path(film)))
     with open_film(film) as source:
         found = [packet.first_frame for packet, _ in receive_and_count(source, settings.signal, settings, reception)]
     assert found == [0, 200]
@@ -116,7 +120,7 @@ class TruthOf:
 
 def uncertain(number: int) -> Packet:
     """Return a packet with a header but no codeword, from an array that is not in the film."""
-    return without_codewords(replace(perfect(small(), number), identity=22))
+    return without_codewords(replace(perfect(link(), number), identity=22))
 
 
 def without_codewords(packet: Packet) -> Packet:
@@ -127,7 +131,7 @@ def without_codewords(packet: Packet) -> Packet:
 
 
 def test_identity_without_a_decoded_codeword_is_uncertain() -> None:
-    settings = small()
+    settings = link()
     reception = ReceptionCounter(TruthOf(settings))
     for frame in range(300):
         reception.saw(frame)
@@ -146,7 +150,7 @@ def test_identity_without_a_decoded_codeword_is_uncertain() -> None:
 
 
 def test_rows_mark_an_identity_as_uncertain_until_a_codeword_is_decoded() -> None:
-    settings, rows = small(), list[Mapping[str, Any]]()
+    settings, rows = link(), list[Mapping[str, Any]]()
     journal = Journal(settings.receive.calibration, rows.append)
     for packet in (uncertain(0), perfect(settings, 0), without_codewords(perfect(settings, 1))):
         journal.read(packet, [])
@@ -160,3 +164,68 @@ def test_rows_mark_an_identity_as_uncertain_until_a_codeword_is_decoded() -> Non
         ("lost", 0, False),
     ]
     assert ["uncertain" in sentence(row) for row in rows] == [True, False, False, True, False]
+
+
+CHANGES = (
+    "channel.camera.width=160", "channel.camera.height=128", "channel.distance_m=30", "channel.stop_m=20",
+    "channel.arrays.0.x_m=0", "channel.arrays.0.y_m=0", "channel.duration_s=0.75", "channel.arrays.0.off_s=[[0.43,1]]",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Row]:
+    """Journal of an approach in which the array goes dark after four packets."""
+    settings, rows = load_settings("paper", None, CHANGES), list[Row]()
+    journal = Journal(settings.receive.calibration, rows.append)
+    film = LiveFilm(settings, [{"high": [b"\xff\x00"], "middle": [b"left lane closed"]}], 3, None, None)
+    for packet, messages in receive_and_count(film, settings.signal, settings, ReceptionCounter(), journal.observe):
+        journal.read(packet, messages)
+    return rows
+
+
+@pytest.mark.slow
+def test_rows_have_distance_speed_and_messages_in_order(rows: list[Row]) -> None:
+    assert rows[0]["event"] == "found"
+    assert rows[0]["distance_m"] == pytest.approx(30, rel=0.05)
+    assert rows[0]["orientation"] == "upright"
+    packets = [row for row in rows if row["event"] == "packet" and row["status"] == "ok"]
+    assert len(packets) == 4
+    assert [row["approach_m_s"] for row in packets[:2]] == [None, None]
+    # 30 km/h
+    assert packets[-1]["approach_m_s"] == pytest.approx(8.33, rel=0.3)
+    messages = {row["layer"]: row for row in rows if row["event"] == "message"}
+    assert base64.b64decode(messages["high"]["data"]) == b"\xff\x00"
+    assert "text" not in messages["high"]
+    assert messages["middle"]["text"] == "left lane closed"
+    assert "array 0 found 30" in sentence(rows[0])
+    assert "px/s in the image, upright" in sentence(rows[0])
+    assert "message 0 of the middle layer is whole, 16 bytes" in sentence(messages["middle"])
+    assert "nearing at" in sentence(packets[-1])
+
+
+@pytest.mark.slow
+def test_dark_array_is_lost(rows: list[Row]) -> None:
+    (lost,) = (row for row in rows if row["event"] == "lost")
+    assert lost["distance_m"] < 30
+    assert lost["orientation"] == "upright"
+    assert lost["approach_m_s"] == pytest.approx(8.33, rel=0.3)
+    assert "array 0 lost, last seen" in sentence(lost)
+    nearing = sentence({**lost, "approach_m_s": 8.34})
+    assert nearing.endswith(f"last seen {lost['distance_m']:.1f} m away, nearing at 30 km/h, upright")
+    still = sentence({**lost, "approach_m_s": -0.1})
+    assert still.endswith(f"last seen {lost['distance_m']:.1f} m away, at rest, upright")
+
+
+def test_speed_is_a_slope() -> None:
+    assert approach([(0.0, 50.0), (0.1, 49.0)]) is None
+    assert approach([(0.0, 50.0), (0.1, 49.0), (0.2, 48.0)]) == pytest.approx(10)
+    assert approach([(0.0, 50.0)] * 3) is None
+    receding = {"event": "packet", "id": 1, "time_s": 2.0, "layers": {}, "distance_m": 9.0, "orientation": "mirrored"}
+    assert "receding at 36 km/h, mirrored" in sentence({**receding, "approach_m_s": -10.0})
+
+
+def test_message_is_plain_values() -> None:
+    row = message_row(Message(4, "low", 7, "grün".encode()))
+    assert (row["id"], row["stream"]) == (4, 7)
+    assert row["text"] == "grün"
+    assert row["bytes"] == 5

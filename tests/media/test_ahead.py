@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from film_checks import uniform, write_levels
 from waiting import wait_until
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.media import create_film, open_film
+from heliograph.media import open_film
 from heliograph.media.reader import read_ahead
 
 
@@ -85,11 +86,7 @@ def test_ctrl_c_ends_the_thread() -> None:
 
 @pytest.mark.parametrize("suffix", [".mkv", ".h5"])
 def test_a_film_left_early_is_read_again_and_closed(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"a{suffix}"
-    with create_film(path, width=48, height=32, rate_hz=1000.0) as written:
-        for number in range(60):
-            written.write(Frame(number, number / 1000, np.full((32, 48), number, np.uint8)))
-    with open_film(path) as read:
+    with open_film(write_levels(tmp_path / f"a{suffix}", uniform(range(60), 32, 48))) as read:
         next(iter(read))
         assert [frame.index for frame in read] == list(range(60))
         next(iter(read))

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from film_checks import write_levels
 from made_recordings import write_pictures
 
 from heliograph.base.errors import MediaError, SettingsError
-from heliograph.base.frames import Frame
-from heliograph.media import create_film, open_film
+from heliograph.media import open_film
 from heliograph.media.live.reader import is_camera
 
 NAMES = [
@@ -19,9 +19,7 @@ NAMES = [
 ]  # fmt: skip
 
 
-def write(path: str | Path) -> None:
-    with create_film(path, width=16, height=16, rate_hz=100) as film:
-        film.write(Frame(0, 0.0, np.zeros((16, 16), np.uint8)))
+FRAME = np.zeros((1, 16, 16), np.uint8)
 
 
 @pytest.mark.parametrize("name", NAMES, ids=lambda name: ascii(name[:20]))
@@ -29,7 +27,7 @@ def test_a_film_of_any_name_is_written_and_read(name: bytes, tmp_path: Path, mon
     monkeypatch.chdir(tmp_path)
     for suffix in (".H5", ".Mkv"):
         film = os.fsdecode(name + suffix.encode())
-        write(f"./{film}")
+        write_levels(f"./{film}", FRAME)
         assert [path.name for path in tmp_path.iterdir()] == [film]
         for given in (f"./{film}", tmp_path / film, film):
             with open_film(given) as source:
@@ -39,14 +37,14 @@ def test_a_film_of_any_name_is_written_and_read(name: bytes, tmp_path: Path, mon
 
 @pytest.mark.parametrize("suffix", [".NUT", ".mP4", ".AVI", ".Hdf5", ".MKV"])
 def test_a_suffix_may_have_capitals(suffix: str, tmp_path: Path) -> None:
-    write(tmp_path / f"a{suffix}")
+    write_levels(tmp_path / f"a{suffix}", FRAME)
     with open_film(tmp_path / f"a{suffix}") as source:
         assert sum(1 for _ in source) == 1
 
 
 def test_an_error_states_a_long_name_in_full(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match=r"cannot write .*/n{253}\.h5: File name too long; choose a name"):
-        write(tmp_path / ("n" * 253 + ".h5"))
+        write_levels(tmp_path / ("n" * 253 + ".h5"), FRAME)
     with pytest.raises(MediaError, match=r"cannot read n{253}\.h5: File name too long"):
         open_film("n" * 253 + ".h5")
 
@@ -58,7 +56,7 @@ def test_a_folder_part_names_a_file_and_no_camera(tmp_path: Path, monkeypatch: p
     with pytest.raises(SettingsError, match=r"unknown camera 'x\.h5'"):
         open_film("camera:x.h5")
     assert is_camera("camera:x.h5")
-    write("./camera:x.h5")
+    write_levels("./camera:x.h5", FRAME)
     assert not is_camera("camera:x.h5")
     assert not is_camera(Path("camera:x.h5"))
 

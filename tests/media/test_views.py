@@ -1,25 +1,23 @@
-"""Crop, rotation, orientation and colour of a film."""
+"""Crop, rotation, orientation and colour of a film, and all colours at once."""
 
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 import pytest
-from film_checks import read, refused
+from film_checks import read, refused, write_levels
 from made_recordings import Y4M_FORMS, noise, write_y4m
 
+import heliograph
 from heliograph.base.errors import MediaError
-from heliograph.base.frames import Frame
-from heliograph.media import convert_film, create_film, open_film, planes
+from heliograph.media import convert_film, open_film, planes
 
 
 def film(path: Path, bits: int = 8) -> Path:
-    with create_film(path, width=10, height=6, rate_hz=100, bits=bits, metadata={"a": "b"}) as written:
-        for number, pixels in enumerate(noise(3, 6, 10, bits)):
-            written.write(Frame(number, number / 100, pixels, bits))
-    return path
+    return write_levels(path, noise(3, 6, 10, bits), 100, bits, metadata={"a": "b"})
 
 
 @pytest.mark.parametrize(("crop", "rotate", "kind"), [
@@ -201,3 +199,34 @@ def test_full_scale_stays_full_scale_in_squares(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.full((2, 32, 32), 65535, np.uint16))
     with open_film(tmp_path / "a.npy", rate_hz=10, binning=16) as seen:
         assert np.unique(next(iter(seen)).pixels).tolist() == [65535]
+
+
+COLOURS = np.random.default_rng(0).integers(0, 256, (3, 6, 8, 3), dtype=np.uint8)
+"""Three RGB frames, (rows, columns, 3)."""
+
+
+def test_pictures_are_read_in_their_colours(tmp_path: Path) -> None:
+    for number, colours in enumerate(COLOURS):
+        cv2.imwrite(str(tmp_path / f"img{number}.png"), colours[..., ::-1])
+    with heliograph.open_colours(tmp_path, rate_hz=50) as film:
+        assert (film.width, film.height, film.bits, film.rate_hz, film.frame_count) == (8, 6, 8, 50, 3)
+        np.testing.assert_array_equal(list(film), COLOURS)
+        np.testing.assert_array_equal(next(iter(film)), COLOURS[0])
+    with pytest.raises(heliograph.MediaError, match="closed"):
+        list(film)
+    with heliograph.open_colours(tmp_path, rate_hz=50, crop=(2, 1, 4, 3), rotate=90) as film:
+        np.testing.assert_array_equal(next(iter(film)), np.rot90(COLOURS[0, 1:4, 2:6], -1))
+
+
+def test_a_gray_film_has_three_equal_colours(tmp_path: Path) -> None:
+    np.save(tmp_path / "gray.npy", COLOURS[..., 0].astype(np.uint16))
+    with heliograph.open_colours(tmp_path / "gray.npy", rate_hz=50) as film:
+        for seen, known in zip(film, COLOURS[..., 0], strict=True):
+            np.testing.assert_array_equal(seen, np.dstack([known] * 3))
+
+
+def test_a_channel_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(heliograph.MediaError, match="has all channels: leave channel out"):
+        heliograph.open_colours(tmp_path, channel="red")
+    with pytest.raises(heliograph.MediaError, match="there is no file"):
+        heliograph.open_colours(tmp_path / "none.mkv")

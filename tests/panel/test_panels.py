@@ -51,6 +51,7 @@ def wrong(values: list[Any], film: PanelFilm) -> int:
     return int(((seen > seen.mean(axis=0)) != np.array([film.bits(k) for k in range(len(values))])).sum())
 
 
+@pytest.mark.slow
 def test_a_panel_is_found_by_what_changes() -> None:
     place = heliograph.locate(frames(2), rows=ROWS, columns=COLUMNS)
     assert off(place, small()) < 0.06

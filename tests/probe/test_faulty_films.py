@@ -3,7 +3,7 @@
 from functools import cache
 
 import pytest
-from faulty_films import FAULTY, SMALL, KeptFilm, kept, link, mirrored
+from faulty_films import CAMERA, FAULTY, KeptFilm, kept, link, mirrored
 
 from heliograph.base.config import from_mapping
 from heliograph.probe import Findings, probe_film
@@ -74,7 +74,7 @@ def test_camera_slower_than_the_light_is_a_cause_of_the_film() -> None:
 
 
 def test_decodable_film_is_measured() -> None:
-    found = probed(kept(link(camera={**SMALL["camera"], "dropped": 0.05}), mirrored))
+    found = probed(kept(link(camera={**CAMERA, "dropped": 0.05}), mirrored))
     (array,) = found.arrays
     assert found.read
     assert array.packet.identity == 0
@@ -98,7 +98,7 @@ def test_decodable_film_is_measured() -> None:
 
 def test_requested_receiver_is_kept() -> None:
     """The soft receiver reads a film out of step; its clock and exposure are measured."""
-    camera = {**SMALL["camera"], "fps": 1300.0, "exposure_s": 0.3 / 1300}
+    camera = {**CAMERA, "fps": 1300.0, "exposure_s": 0.3 / 1300}
     (array,) = probed(kept(link(camera=camera, duration_s=0.2)), receiver="soft").arrays
     assert array.exposure is not None
     assert array.exposure[0] <= 0.3 <= array.exposure[1]
@@ -139,7 +139,7 @@ def test_undecoded_region_is_described_as_an_array() -> None:
 
 
 def test_short_exposure_out_of_step_is_decoded_by_soft() -> None:
-    camera = {**SMALL["camera"], "fps": 1300.0, "exposure_s": 0.5 / 1300}
+    camera = {**CAMERA, "fps": 1300.0, "exposure_s": 0.5 / 1300}
     (region,) = probed(kept(link(camera=camera)), False).regions
     assert (region.causes[0].kind, region.causes[0].proven) == ("out of step", True)
     assert "lasts 1.30 frames" in region.causes[0].why

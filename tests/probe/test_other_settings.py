@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from small_links import small
+from scenes import link
 
 from heliograph.link.film import write_film
 from heliograph.link.truth import departures, signal_of
@@ -15,14 +15,15 @@ from heliograph.probe.words import in_sentences, in_short, lines
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("film") / "a.h5"
-    settings = small("channel.camera.width=48", "channel.camera.height=48", "channel.duration_s=0.04")
+    settings = link("channel.camera.width=48", "channel.camera.height=48", "channel.duration_s=0.04")
     write_film(path, settings, [{"high": [b"red"]}], seed=1)
     return path
 
 
 @pytest.mark.parametrize(("key", "value"), [("data_pairs", 24), ("slot_order", [1, 0, 2, 3]), ("rate.low", 0.5)])
+@pytest.mark.slow
 def test_each_differing_setting_is_named_with_both_values(key: str, value: object, film: Path) -> None:
-    settings = small(f"signal.{key}={value!r}")
+    settings = link(f"signal.{key}={value!r}")
     with open_film(film) as source:
         ((named, ours, noted),) = departures(source, settings.signal)
         assert (named, ours) == (f"signal.{key}", value)
@@ -38,9 +39,9 @@ def test_each_differing_setting_is_named_with_both_values(key: str, value: objec
 
 def test_settings_of_the_note_do_not_differ(film: Path) -> None:
     with open_film(film) as source:
-        signal, _ = signal_of(source, small("signal.data_pairs=24").signal)
+        signal, _ = signal_of(source, link("signal.data_pairs=24").signal)
         assert departures(source, signal) == []
         source.metadata = {}
-        assert departures(source, small("signal.data_pairs=24").signal) == []
+        assert departures(source, link("signal.data_pairs=24").signal) == []
         source.metadata = {"heliograph_signal": "{no JSON"}
         assert departures(source, signal) == []

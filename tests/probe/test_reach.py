@@ -6,13 +6,14 @@ import pytest
 
 from heliograph.probe.reach import reaches
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Noise
 from heliograph.signal.settings import SignalSettings
 
 NEAR = Pose(0.0, 0.0, 1.1667, 0.0, 0.5)
 """The reference array at 50 m."""
 
 
+@pytest.mark.slow
 def test_reach_of_the_reference_link_agrees_with_measurements() -> None:
     """The plain receiver reads the low layer to about 60 m and the middle layer to 70 m; soft reads all to 105 m."""
     best = reaches(NEAR, 204.0, Noise(4.8, 2.0), 50.0, SignalSettings())

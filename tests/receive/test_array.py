@@ -15,7 +15,7 @@ from scenes import Floats, at_rest, drawn_film, film, link, received, statuses, 
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet
-from heliograph.receive.decode.plain_packet import PlainPacket
+from heliograph.receive.decode.per_led import PlainPacket
 from heliograph.receive.decode.soft_packet import SoftPacket
 from heliograph.receive.packet import ERASED
 from heliograph.receive.track.track import TrackedPair
@@ -52,6 +52,7 @@ def test_occlusion_for_24_ms_is_coasted_over() -> None:
     assert [t.seen for t in recorder.tracked[12:24]] == [False] * 12
 
 
+@pytest.mark.slow
 def test_array_occluded_for_110_ms_is_lost_and_found_again() -> None:
     recorder = Recorder()
     packets = received(drawn_film(PLAIN, 4 * PACKET + 4, at_rest, hidden=[range(40, 150)]), PLAIN, recorder)
@@ -85,6 +86,7 @@ def test_missing_frames_cost_only_their_pairs(settings: LinkSettings, missing: s
 
 
 @pytest.mark.parametrize("missing", [range(36, 58), range(50, 54), range(30, 130)])
+@pytest.mark.slow
 def test_long_gap_keeps_packets_apart(missing: range) -> None:
     packets = received(without(missing), PLAIN)
     for packet, start in zip(packets, starts_ms(packets), strict=True):
@@ -106,6 +108,7 @@ def test_film_cut_within_a_packet_gives_it_if_half_of_the_pairs_are_there(frames
         assert packets[-1].pairs_seen == pytest.approx(rest / 24 if rest >= 12 else 1)
 
 
+@pytest.mark.slow
 def test_array_leaving_the_image_is_lost() -> None:
     def leaving(t: Floats) -> Floats:
         return np.stack([47.3 + 500 * t, 48.8 + 0 * t], -1)
@@ -198,6 +201,7 @@ def test_frames_lost_without_a_gap_in_time_cost_no_packet(settings: LinkSettings
 
 
 @pytest.mark.parametrize("hidden", [range(20, 21), range(21, 26), range(50, 57)])
+@pytest.mark.slow
 def test_occlusion_is_not_taken_for_lost_frames(hidden: range) -> None:
     packets = received(drawn_film(SOFT, 2 * PACKET + 4, at_rest, hidden=[hidden], distance_m=35.0), SOFT)
     assert statuses(packets) == ["ok"] * 2

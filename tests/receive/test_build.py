@@ -25,6 +25,7 @@ def preset(name: str, receiver: str, *changes: str) -> LinkSettings:
     return load_settings(name, None, [f"receive.receiver={receiver}", *changes])
 
 
+@pytest.mark.slow
 def test_soft_receiver_reads_all_layers_at_100_m_and_the_plain_only_the_high() -> None:
     assert codewords(preset("static", "soft", "channel.distance_m=100")) == [(1, 0), (2, 0), (1, 0)]
     plain = preset("static", "plain", "channel.distance_m=100", "receive.detect.min_side_px=4")
@@ -85,6 +86,7 @@ def test_soft_receiver_limits_blas_to_one_thread(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("cut_px", [0, 1])
+@pytest.mark.slow
 def test_array_at_the_edge_of_the_image_is_read(cut_px: int) -> None:
     """Missing pixels have no weight."""
     settings = link("receive.receiver=soft", "signal.data_pairs=16", distance_m=70.0)

@@ -50,6 +50,7 @@ def test_formats_are_read_from_unsynchronised_headers(fps: float, start_s: float
     ("plain", 2, "its mode, short, has 13 data pairs, and signal.data_pairs is 24: set it to 13"),
     ("soft", 3, "its mode, 3, is not known to this version"),
 ])  # fmt: skip
+@pytest.mark.slow
 def test_packet_of_an_unreadable_mode_is_ignored(
     receiver: str, mode: int, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.receive.array import ArrayReceiver, Confidence
+from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.receiver import HeaderHypotheses
 
@@ -22,7 +22,6 @@ class Scripted:
     name: str
     orientation: Orientation
     has_codeword: bool = False
-    confidence: Confidence = Confidence.HEADER
     done: bool = False
     proves_at: int = 99
     every: int = 1
@@ -34,8 +33,8 @@ class Scripted:
         if len(self.frames) % self.every == 0:
             yield f"{self.name}{len(self.frames)}"
 
-    def flush(self, over: bool = False) -> Iterator[Any]:
-        yield f"{self.name} {'over' if over else 'at the end'}"
+    def flush(self) -> Iterator[Any]:
+        yield f"{self.name} at the end"
 
 
 def array_of(*receivers: Scripted, settled: bool = False) -> HeaderHypotheses:
@@ -145,10 +144,3 @@ def test_end_of_the_first_ends_all() -> None:
     assert not array.done
     a.done = True
     assert array.done
-
-
-@pytest.mark.parametrize("confidence", Confidence)
-def test_confidence_is_that_of_the_first(confidence: Confidence) -> None:
-    other = Confidence.HEADER if confidence == Confidence.CANDIDATE else Confidence.CANDIDATE
-    first, second = Scripted("a", UPRIGHT, confidence=confidence), Scripted("b", UPRIGHT, confidence=other)
-    assert array_of(first, second).confidence == confidence

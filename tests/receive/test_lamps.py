@@ -11,8 +11,8 @@ from heliograph.base.frames import Frame
 from heliograph.receive import make_receiver
 from heliograph.receive.detect.alternation import SearchRegion, coarse_search
 from heliograph.receive.detect.budget import WORK_PER_MS, TokenBucket
+from heliograph.receive.detect.detection import headers
 from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
-from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.events import DetectEvent, Event
 from heliograph.receive.geometry.pose import UPRIGHT
 from heliograph.signal.header import all_header_cells
@@ -32,9 +32,10 @@ def test_array_among_lamps_is_found_within_the_search_budget() -> None:
     assert len(detected) <= 3
     # the last search may overdraw by one block and one fit
     bound = TokenBucket(2.0, 1e-3).capacity + len(frames) * 2.0 * WORK_PER_MS + 5e6
-    assert receiver.load.work < bound  # type: ignore[attr-defined]  # of those that search
+    assert receiver.search.load.work < bound  # type: ignore[attr-defined]  # of those that search
 
 
+@pytest.mark.slow
 def test_search_is_reproducible() -> None:
     """The budget counts work, not time."""
     (link, frames), loads = lamp_film(30, 1, 0.03, (128, 96)), []
@@ -42,7 +43,7 @@ def test_search_is_reproducible() -> None:
         receiver = make_receiver(link.signal, link.receive)
         for frame in frames:
             list(receiver.push(frame))
-        loads.append(receiver.load)  # type: ignore[attr-defined]  # of those that search
+        loads.append(receiver.search.load)  # type: ignore[attr-defined]  # of those that search
     assert loads[0] == loads[1]
     assert loads[0].work > 0
 

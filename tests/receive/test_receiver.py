@@ -60,6 +60,7 @@ def test_packets_of_an_iterator_come_as_soon_as_they_are_complete() -> None:
     assert comparable(packet for _, packet in packets) == expected_packets()
 
 
+@pytest.mark.slow
 def test_interleaved_receivers_share_no_state() -> None:
     frames = two_and_a_half_packets()
     other = film(small("transmit.identities=[9]", distance_m=40.0), len(frames), seed=5, roi_margin_px=12)
@@ -175,6 +176,7 @@ def pair_limit(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
 @pytest.mark.usefixtures("pair_limit")
+@pytest.mark.slow
 def test_times_may_jump_by_any_length(receiver: str) -> None:
     """A clock jump ends the packet and the track; the next header gives a new detection."""
     settings = link(f"receive.receiver={receiver}", "signal.data_pairs=8", distance_m=40.0)
@@ -192,6 +194,7 @@ def test_times_may_jump_by_any_length(receiver: str) -> None:
 
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
 @pytest.mark.usefixtures("pair_limit")
+@pytest.mark.slow
 def test_times_in_another_unit_are_refused(receiver: str) -> None:
     settings = link(f"receive.receiver={receiver}", "signal.data_pairs=8")
     frames = film(settings, 24, roi_margin_px=20)

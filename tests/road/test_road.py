@@ -115,6 +115,7 @@ def test_other_messages_have_no_road_values() -> None:
         assert road_values(data) is None
 
 
+@pytest.mark.slow
 def test_damaged_messages_give_a_line_of_text() -> None:
     """Try 800 truncated, bit-flipped and random messages; the result is always valid text."""
     rng, seen = random.Random(6), set()

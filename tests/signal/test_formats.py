@@ -1,11 +1,12 @@
 """Packet formats: numbers, words and signalling headers."""
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import pytest
 
-from heliograph.base.config import from_mapping, to_mapping
+from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.signal.formats import AGREED, MODES, SIGNALLED_RATES, Format, format_of, words
 from heliograph.signal.header import IDENTITIES, all_header_cells
@@ -46,7 +47,7 @@ def test_a_detector_of_the_plain_header_finds_all() -> None:
 def test_rates_may_be_fractions(text: Any) -> None:
     named = from_mapping(Format, {"high": text})
     assert named.high == 2 / 3
-    assert from_mapping(Format, to_mapping(named)) == named
+    assert from_mapping(Format, asdict(named)) == named
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,11 @@
 """Signal settings: rejected values and error messages."""
 
+from dataclasses import asdict
 from typing import Any
 
 import pytest
 
-from heliograph.base.config import from_mapping, to_mapping
+from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, RateSettings, SignalSettings
@@ -26,7 +27,7 @@ def test_defaults_are_the_papers_array_in_100_ms() -> None:
 def test_rates_may_be_fractions(text: Any, rate: float) -> None:
     settings = from_mapping(SignalSettings, {"rate": {"middle": text}})
     assert settings.rate.middle == pytest.approx(rate)
-    assert from_mapping(SignalSettings, to_mapping(settings)) == settings
+    assert from_mapping(SignalSettings, asdict(settings)) == settings
 
 
 @pytest.mark.parametrize(

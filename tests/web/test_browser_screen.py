@@ -36,7 +36,19 @@ def transmitting(page: Page, cells: str = "16") -> None:
     page.select_option("#rate", label="15")
     page.select_option("#side", cells)
     page.click("#send")
+    page.get_by_role("dialog").get_by_role("button", name="Start").click()
     page.wait_for_selector("#pause:enabled")
+
+
+def light_of(page: Page) -> int:
+    """Return the brightest pixel of the patterns."""
+    return int(page.evaluate(
+        "() => { const shown = document.getElementById('array');"
+        " const copy = new OffscreenCanvas(shown.width, shown.height).getContext('2d', { willReadFrequently: true });"
+        " copy.drawImage(shown, 0, 0);"
+        " return copy.getImageData(0, 0, shown.width, shown.height).data.filter((_, k) => k % 4 < 3)"
+        ".reduce((most, value) => Math.max(most, value), 0); }"
+    ))  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -116,10 +128,15 @@ def test_transmit_obeys_keys_and_counts_skipped_refreshes(chromium: Browser, add
         page.wait_for_selector("#rate option", state="attached")
         page.focus("#send")
         page.keyboard.press("Enter")
+        page.get_by_role("dialog").get_by_role("button", name="Start").click()
         expect(page.locator("#pause")).to_be_enabled()
+        page.fill("#text", "Another text")
+        expect(page.locator("#send")).to_have_text("Send changes")
+        page.click("#send")
+        expect(page.locator("#send")).to_have_text("Send")
         page.focus("#main")
         page.keyboard.press("Space")
-        expect(page.locator("#pause")).to_have_text("Go on")
+        expect(page.locator("#pause")).to_have_text("Resume")
         page.keyboard.press("Space")
         expect(page.locator("#pause")).to_have_text("Pause")
         page.keyboard.press("f")
@@ -129,6 +146,78 @@ def test_transmit_obeys_keys_and_counts_skipped_refreshes(chromium: Browser, add
         page.evaluate("() => { const until = performance.now() + 900; while (performance.now() < until); }")
         expect(page.locator(".notice")).to_contain_text("Choose a lower rate")
         assert int(page.inner_text("[data-lost] td")) >= 3
+
+
+def test_nothing_flashes_without_consent_and_escape_stops_at_once(chromium: Browser, address: str) -> None:
+    with quiet_page(chromium, f"{address}transmit") as page:
+        page.wait_for_selector("#rate option", state="attached")
+        page.click("#send")
+        dialog = page.get_by_role("dialog")
+        expect(dialog).to_contain_text("photosensitive epilepsy")
+        expect(dialog.get_by_role("button", name="Cancel")).to_be_focused()
+        check_accessibility(page)
+        page.keyboard.press("Escape")
+        expect(dialog).to_be_hidden()
+        assert light_of(page) == 0
+        expect(page.locator("#pause")).to_be_disabled()
+        page.click("#send")
+        dialog.get_by_role("button", name="Start").click()
+        page.wait_for_function("() => !document.getElementById('pause').disabled")
+        while light_of(page) == 0:
+            page.wait_for_timeout(20)
+        page.focus("#text")
+        page.keyboard.press("Escape")
+        assert light_of(page) == 0
+        page.click("#send")  # asks only once
+        expect(page.locator("#pause")).to_be_enabled()
+        expect(dialog).to_be_hidden()
+        page.click("#full")
+        expect(page.locator(":fullscreen")).not_to_have_count(0)
+        page.evaluate("() => document.exitFullscreen()")  # as the browser does on Esc
+        expect(page.locator("#pause")).to_be_disabled()
+        assert light_of(page) == 0
+
+
+def test_reduced_motion_sends_slowly_and_asks_every_time(chromium: Browser, address: str) -> None:
+    with quiet_page(chromium, f"{address}transmit", reduced_motion="reduce") as page:
+        page.wait_for_selector("#rate option", state="attached")
+        expect(page.locator("#rate option:checked")).to_have_text("2")
+        page.select_option("#rate", label="10")
+        for _ in range(2):
+            page.click("#send")
+            page.get_by_role("dialog").get_by_role("button", name="Send slowly, 1 per second").click()
+            expect(page.locator("#pause")).to_be_enabled()
+            expect(page.locator("#rate option:checked")).to_have_text("2")
+            expect(page.locator("#array")).to_have_attribute("aria-label", "Patterns of 16 × 16 cells, 2.0 a second")
+
+
+@pytest.mark.parametrize("page_name", ["transmit", "receive"])
+def test_a_file_dropped_anywhere_is_taken(chromium: Browser, address: str, page_name: str) -> None:
+    with quiet_page(chromium, address + page_name) as page:
+        page.wait_for_load_state("networkidle")
+        is_kept = page.evaluate("""() => {
+          const dataTransfer = new DataTransfer();
+          dataTransfer.items.add(new File(["no film"], "dropped.mp4"));
+          return !document.querySelector("h1").dispatchEvent(
+            new DragEvent("drop", { dataTransfer, bubbles: true, cancelable: true }));
+        }""")
+        assert is_kept, "the browser would leave the page for the file"
+        if page_name == "transmit":
+            assert page.evaluate("document.getElementById('file').files[0].name") == "dropped.mp4"
+            expect(page.locator("#file-part")).to_be_visible()
+        else:
+            expect(page.locator(".notice.bad")).to_contain_text("is not a video that can be read")
+
+
+def test_empty_and_large_files_are_refused_in_the_page(chromium: Browser, address: str, tmp_path: Path) -> None:
+    with quiet_page(chromium, f"{address}transmit") as page:
+        page.wait_for_selector("#rate option", state="attached")
+        page.check("input[value=file]")
+        for name, size, says in (("empty.txt", 0, "is empty"), ("large.bin", 400_000, "at most 256 kB")):
+            (path := tmp_path / name).write_bytes(bytes(size))
+            page.set_input_files("#file", path)
+            page.click("#send")
+            expect(page.locator(".notice.bad")).to_contain_text(says)
 
 
 def test_frames_of_failed_packets_are_saved_by_a_button(

@@ -1,4 +1,4 @@
-"""Page *Watch* plays the demonstration film in a real browser, and is accessible."""
+"""Page *Watch* plays the demonstration film in a real browser; the pages show exceptions of the server in a line."""
 
 import json
 from collections.abc import Iterator
@@ -39,13 +39,31 @@ def films(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 @pytest.fixture(scope="module")
 def address(films: list[Path]) -> Iterator[str]:
     with serving(films) as url:
-        yield f"{url}watch"
+        yield url
+
+
+SLOW_PICTURES = """
+    const decode = createImageBitmap;
+    let count = 0;
+    window.drawn = [];
+    window.createImageBitmap = async (...given) => {
+      const picture = await decode(...given);
+      if (count++ % 3 === 0) await new Promise((done) => setTimeout(done, 40));
+      return picture;
+    };
+    addEventListener("DOMContentLoaded", () => {
+      const frame = document.getElementById("frame");
+      const note = () => window.drawn.push(Number(/Frame (\\d+)/.exec(frame.ariaLabel)?.[1] ?? -1));
+      new MutationObserver(note).observe(frame, { attributeFilter: ["aria-label"] });
+    });
+"""
+"""Every third picture is decoded late, and the numbers of the drawn frames are kept."""
 
 
 @pytest.fixture(scope="module")
 def ended(chromium: Browser, address: str) -> Iterator[Page]:
     """The page at the end of the film."""
-    with quiet_page(chromium, address, **DESK) as page:
+    with quiet_page(chromium, f"{address}watch", SLOW_PICTURES, **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.click("#open")
         page.get_by_text("The end: 1250 frames").wait_for()
@@ -65,6 +83,12 @@ def test_results_of_a_reception_are_shown_and_named(ended: Page) -> None:
     assert "following" in ended.inner_text("#stages")
 
 
+def test_frames_are_drawn_in_order_though_some_are_decoded_late(ended: Page) -> None:
+    drawn = [number for number in ended.evaluate("window.drawn") if number >= 0]
+    assert len(drawn) > 3
+    assert drawn == sorted(drawn)
+
+
 @pytest.mark.parametrize("looks", [DESK, PHONE], ids=["desk", "phone"])
 def test_page_is_accessible_and_fits_the_screen(ended: Page, looks: dict[str, Any]) -> None:
     ended.set_viewport_size(looks["viewport"])
@@ -81,7 +105,7 @@ def test_announced_traffic_lights_are_drawn(ended: Page) -> None:
 
 
 def test_keys_step_through_a_film_and_look_back(chromium: Browser, address: str, tmp_path: Path) -> None:
-    with quiet_page(chromium, address, **DESK) as page:
+    with quiet_page(chromium, f"{address}watch", **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.select_option("#speed", "0.1")
         page.focus("#open")
@@ -122,7 +146,7 @@ def test_counts_from_before_a_pause_do_not_undo_it(chromium: Browser, address: s
         to_page.append(socket)
         socket.connect_to_server().on_message(forward)
 
-    with quiet_page(chromium, address, **DESK) as page:
+    with quiet_page(chromium, f"{address}watch", **DESK) as page:
         page.route_web_socket("**/api/watch*", connect)
         page.wait_for_selector("#named option", state="attached")
         page.select_option("#speed", "0.1")
@@ -138,7 +162,7 @@ def test_counts_from_before_a_pause_do_not_undo_it(chromium: Browser, address: s
 
 
 def test_dropped_film_replaces_the_results(chromium: Browser, address: str, films: list[Path], tmp_path: Path) -> None:
-    with quiet_page(chromium, address, **DESK) as page:
+    with quiet_page(chromium, f"{address}watch", **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.check("input[value=film]")
         page.set_input_files("#film", films[1])
@@ -153,3 +177,50 @@ def test_dropped_film_replaces_the_results(chromium: Browser, address: str, film
         page.get_by_text("Nothing yet.").wait_for()
         assert page.locator("#packets li").count() == 0
         assert "Where the truth is known" in page.inner_text("#errors")
+
+
+def broken(*_values: Any, **_named: Any) -> Any:
+    raise ValueError("broken")
+
+
+def expect_notice(page: Page) -> None:
+    notice = page.locator(".notice[role=alert]")
+    expect(notice).to_contain_text("The server failed by an internal error (ValueError: broken)")
+    expect(notice).to_be_visible()
+
+
+def test_page_watch_shows_a_crash_of_its_reception(
+    chromium: Browser, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("heliograph.web.watching.run.receive_and_count", broken)
+    with quiet_page(chromium, f"{address}watch") as page:
+        page.wait_for_selector("#named option", state="attached")
+        page.click("#open")
+        expect_notice(page)
+        for button in ("stop", "pause", "step", "packet", "save"):
+            expect(page.locator(f"#{button}")).to_be_disabled()
+        expect_notice(page)  # the end of the connection keeps the notice
+
+
+def test_page_receive_shows_a_crash_of_its_reception(
+    chromium: Browser, address: str, dark_film: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("heliograph.web.receive.PageReader.read_upload", broken)
+    with quiet_page(chromium, f"{address}receive") as page:
+        page.set_input_files("#film", dark_film)
+        expect_notice(page)
+        expect(page.locator("#state")).to_have_text("Ended.")
+        expect(page.locator("#stop")).to_be_hidden()
+
+
+def test_page_transmit_shows_a_crash_of_its_coding(
+    chromium: Browser, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("heliograph.web.transmit.sending_of", broken)
+    page = chromium.new_page()
+    page.goto(f"{address}transmit")
+    page.wait_for_selector("#rate option", state="attached")
+    page.fill("#text", "hello")
+    page.click("#send")
+    expect_notice(page)
+    page.close()

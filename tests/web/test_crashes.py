@@ -1,8 +1,11 @@
-"""Unexpected exceptions in server workers reach page and log as a line of text, and end the connection."""
+"""Unexpected exceptions of the server become a line of text, and ended receptions leave no objects."""
 
 import asyncio
+import gc
 import json
 import logging
+import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,12 +15,13 @@ import played_camera  # noqa: F401 - registers camera:played
 import pytest
 from fastapi.testclient import TestClient
 from waiting import wait_until
-from web_server import OWN
+from web_server import OWN, write_dark_film
 
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
 from heliograph.web.connection import INTERNAL, Outbox
 from heliograph.web.crashes import CrashError, in_thread, report
+from heliograph.web.limits import Limits
 
 pytestmark = pytest.mark.usefixtures("quick_ends")
 
@@ -202,3 +206,71 @@ def test_disconnected_page_is_not_logged_as_a_crash(client: TestClient, caplog: 
         rows, code = rows_of(socket)
     assert ([row["event"] for row in rows], code) == (["error"], 1008)
     assert not [one for one in caplog.records if one.name.startswith("heliograph")]
+
+
+# more than the bundles that a server for one session keeps, less the first
+RECEPTIONS = 3
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A film longer than a packet of 100 frames."""
+    return write_dark_film(tmp_path_factory.mktemp("films") / "dark.h5", 110)
+
+
+@pytest.fixture
+def single(film: Path) -> Iterator[TestClient]:
+    with TestClient(create_app(films=[str(film)], limits=Limits(sessions=1)), base_url=OWN) as made:
+        yield made
+
+
+def last_event(client: TestClient, film: Path) -> str:
+    return str(received(client, film)[0][-1]["event"])
+
+
+def watch(client: TestClient, receiver: str = "plain", until: str = "end") -> str:
+    with client.websocket_connect(WATCH) as socket:
+        socket.send_json({"do": "open", "source": {"kind": "named", "receiver": receiver}})
+        event = ""
+        while event not in (until, "failed"):
+            message = socket.receive()
+            event = json.loads(message["text"])["event"] if message.get("text") else event
+        return event
+
+
+def live_objects() -> Counter[str]:
+    """Count live objects from this package, by type."""
+    gc.collect()
+    names = (f"{type(one).__module__}.{type(one).__qualname__}" for one in gc.get_objects())
+    return Counter(name for name in names if name.startswith("heliograph"))
+
+
+def leaked(before: Counter[str]) -> dict[str, int]:
+    """Return types with an extra object per reception; an idle thread may hold objects from its last call."""
+    return {name: more for name, count in live_objects().items() if (more := count - before[name]) >= RECEPTIONS}
+
+
+@pytest.mark.slow
+def test_ended_receptions_keep_no_object(single: TestClient, film: Path) -> None:
+    pages: dict[str, Callable[[], str]] = {
+        "receive": lambda: last_event(single, film),
+        "watch": lambda: watch(single, "soft"),
+        "watch broken off": lambda: watch(single, until="source"),
+    }
+    assert [page() for page in pages.values()] == ["end", "end", "source"]
+    before = live_objects()
+    for page in pages.values():
+        for _ in range(RECEPTIONS):
+            page()
+    wait_until(lambda: not leaked(before))  # threads may still end
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [last_event, lambda client, _: watch(client)], ids=["receive", "watch"])
+def test_memory_is_released_when_a_reception_has_ended(
+    single: TestClient, film: Path, page: Callable[[TestClient, Path], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released = threading.Event()
+    monkeypatch.setattr("heliograph.web.connection.release_memory", released.set)
+    page(single, film)
+    assert released.wait(60)

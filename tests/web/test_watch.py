@@ -3,9 +3,12 @@
 import contextlib
 import json
 import os
+import threading
+import time
 from base64 import b64decode
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +18,22 @@ import played_camera  # noqa: F401 - registers camera:played
 import pytest
 from cli_runs import succeeded, within
 from fastapi.testclient import TestClient
+from film_checks import write_levels
 from starlette.testclient import WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
-from waiting import wait_until
+from waiting import HANG_S, wait_until
 from web_server import OWN
 
-from heliograph.base.frames import Frame
+import heliograph
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
+from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film, open_film
 from heliograph.web.app import create_app
 from heliograph.web.limits import Limits
 from heliograph.web.security import Access
+from heliograph.web.watching.gate import Gate
+from heliograph.web.watching.scene import Scene, SceneObserver
 
 pytestmark = pytest.mark.usefixtures("quick_ends")
 
@@ -169,9 +176,7 @@ def test_film_decides_the_receiver_unless_one_is_named(film: Path, source: Any, 
 
 def test_film_with_an_unprintable_name_is_watched(tmp_path: Path) -> None:
     odd, gone = (tmp_path / os.fsdecode(name) for name in (b"caf\xe9\n#%?.h5", b"\xff"))
-    form = {"width": 16, "height": 16, "rate_hz": 1000.0}
-    with create_film(odd, **form) as film:  # type: ignore[arg-type]
-        film.write(Frame(0, 0.0, np.zeros((16, 16), np.uint8)))
+    write_levels(odd, np.zeros((1, 16, 16), np.uint8))
     with TestClient(create_app(films=[str(odd), str(gone), "."]), base_url=OWN) as client:
         assert client.get("/api/watch/sources").json()["named"] == [r"caf\xe9\n#%?.h5", r"\xff", "."]
         seen = watch(client, kind="named", number=0)
@@ -379,3 +384,76 @@ def test_reception_ends_when_its_page_disconnects(client: TestClient) -> None:
         socket.watch("state")
         assert places.taken == 1
     wait_until(lambda: places.taken == 0)  # a place stays occupied until the worker ends
+
+
+def test_all_frames_pass_until_the_stop() -> None:
+    gate = Gate()
+    assert all(gate.pass_through(k) for k in range(5))
+    gate.stop()
+    assert not gate.pass_through(5)
+
+
+def test_step_passes_one_frame_and_holds_the_next() -> None:
+    gate = Gate()
+    gate.allow(1)
+    assert not gate.holds
+    assert gate.pass_through(0.0)
+    assert gate.holds
+
+
+def test_packet_step_passes_frames_until_the_end_of_the_packet() -> None:
+    gate = Gate()
+    gate.allow(inf, until_packet=True)
+    assert all(gate.pass_through(k) for k in range(50))
+    gate.end_packet()
+    assert gate.holds
+
+
+def test_held_frame_passes_after_the_pause() -> None:
+    gate, passed = Gate(), []
+    gate.allow(0)
+    waiting = threading.Thread(target=lambda: passed.append(gate.pass_through(0.0)))
+    waiting.start()
+    gate.allow(inf)
+    waiting.join(HANG_S)
+    assert passed == [True]
+
+
+def test_frames_wait_for_their_time_at_a_speed() -> None:
+    gate = Gate(speed=10.0)
+    began = time.monotonic()
+    assert all(gate.pass_through(k / 10) for k in range(3))
+    assert time.monotonic() - began >= 0.02
+
+
+SCREEN = (
+    "channel.camera.width=480",
+    "channel.camera.height=270",
+    "channel.camera.pixel_m=1.1e-5",
+    "channel.camera.row_time_s=5e-5",
+    "channel.distance_m=0.75",
+    "channel.duration_s=1.2",
+    "receive.calibration.pixel_m=1.1e-5",
+)
+
+
+@pytest.mark.slow
+def test_screen_is_drawn_with_box_cut_outs_and_light() -> None:
+    settings = load_settings("phone-60", None, SCREEN)
+    seen = SceneObserver(settings.signal, settings.receive.calibration)
+    receiver = heliograph.make_receiver(settings.signal, settings.receive, seen)
+    scenes, light = list[Scene](), list[dict[str, Any]]()
+    for frame, _ in simulate(settings, default_messages(settings), 3):
+        for packet in receiver.push(frame):
+            assert packet.status == "ok"
+        light += seen.packet_rows()
+        scenes.append(seen.scene(frame))
+    drawn = [one for one in scenes if one.boxes]
+    assert len(drawn) > 20
+    assert all(one.boxes[0]["distance_m"] == pytest.approx(0.75, rel=0.1) for one in drawn)
+    has_cut = [bool(one.cuts) for one in drawn]
+    assert sum(has_cut) > 15
+    assert all(has_cut[has_cut.index(True) :]), "the cut-out flickers"
+    received, decided = (np.frombuffer(b64decode(light[0][name]["data"]), np.uint8) for name in ("received", "decided"))
+    places = np.round((np.arange(16) - 7.5) * 72 / (1.3 * 16) + 35.5).astype(int)
+    assert np.corrcoef(received.reshape(72, 72)[np.ix_(places, places)].ravel(), decided)[0, 1] > 0.5

@@ -3,7 +3,7 @@
 import contextlib
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from textwrap import shorten
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
@@ -24,9 +24,6 @@ PitchM = Annotated[float, Field(ge=1e-4, le=10)]  # distance between LEDs
 _RENAMED = {"beside": "in_background", "busy_part": "cpu_share", "own": "custom"}
 
 T = TypeVar("T")
-
-to_mapping = asdict
-"""Return settings as nested dictionaries, the inverse of `from_mapping`."""
 
 
 def clear_errors(cls: type[T]) -> type[T]:

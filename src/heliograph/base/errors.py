@@ -1,4 +1,4 @@
-"""User-facing errors: a line with the problem and the remedy."""
+"""User-facing errors, a line with the problem and the remedy, and wording for messages."""
 
 import unicodedata
 from numbers import Number
@@ -40,6 +40,11 @@ def brief(value: object) -> str:
     except ValueError:  # more digits than Python prints
         return "a number of thousands of digits"
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number with a noun, in the plural unless the number is 1."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def shown(value: object) -> str:

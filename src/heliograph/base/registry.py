@@ -27,7 +27,7 @@ class Registry(Generic[T]):
     """Named parts of a kind: an entry-point group, registered parts, and built-in parts as "module:attribute"."""
 
     def __init__(self, kind: str, group: str, built_in: Mapping[str, str]):
-        self._kind, self._group, self._built_in = kind, group, dict(built_in)
+        self._kind, self._group, self.built_in = kind, group, dict(built_in)
         self._registered: dict[str, T] = {}
         self.origins: dict[str, str] = {}  # defining module by part name
         _registries[group] = self
@@ -38,7 +38,7 @@ class Registry(Generic[T]):
             raise SettingsError(f"a {self._kind} is made by a function or a class, not by {shown(make)}")
         if not (isinstance(name, str) and re.fullmatch(r"[\w.-]+", name)):
             raise SettingsError(f"a {self._kind}'s name has letters, digits, '-', '_' and '.', not {shown(name)}")
-        if name in self._built_in:
+        if name in self.built_in:
             raise SettingsError(f"the {self._kind} '{name}' is one of the package; choose another name")
         self._registered[name] = part
         self.origins[name] = getattr(make, "__module__", None) or "__main__"
@@ -48,8 +48,8 @@ class Registry(Generic[T]):
         self.check(name)
         if name in self._registered:
             return self._registered[name]
-        if name in self._built_in:
-            return cast(T, EntryPoint(name, self._built_in[name], self._group).load())
+        if name in self.built_in:
+            return cast(T, EntryPoint(name, self.built_in[name], self._group).load())
         entry = next(entry for entry in _entries(self._group) if entry.name == name)
         try:
             return cast(T, entry.load())
@@ -71,11 +71,7 @@ class Registry(Generic[T]):
     def names(self) -> list[str]:
         """Return the names of all parts, built-in parts first."""
         offered = [entry.name for entry in _entries(self._group)]
-        return [*self._built_in, *sorted({*self._registered, *offered} - set(self._built_in))]
-
-    def is_built_in(self, name: str) -> bool:
-        """Return True if the package itself provides the part."""
-        return name in self._built_in
+        return [*self.built_in, *sorted({*self._registered, *offered} - set(self.built_in))]
 
 
 def load_parts(file: Path | str) -> None:

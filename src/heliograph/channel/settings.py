@@ -447,7 +447,7 @@ class ChannelSettings:
                 limit = f"in the image within an exposure, at most {MAX_MOTION_PX:g}"
                 raise ValueError(f"array {k} moves {motion_px:g} px {limit}; {cure}, or raise channel.distance_m")
         parts = ((MOTIONS, self.shake), (BACKGROUNDS, self.background.kind), (POINT_SPREADS, self.camera.psf))
-        if self.custom and all(registry.is_built_in(name) for registry, name in parts):
+        if self.custom and all(name in registry.built_in for registry, name in parts):
             keys = ", ".join(f"channel.custom.{key}" for key in self.custom)
             raise ValueError(f"{keys} has no effect, as shake, background.kind and camera.psf are built in; remove it")
         return self

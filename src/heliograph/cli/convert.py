@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from heliograph.base.errors import MediaError
-from heliograph.base.words import counted
+from heliograph.base.errors import MediaError, counted
 from heliograph.cli import console, options
 from heliograph.cli.live import ended_by_ctrl_c, report_camera, show_counts
 from heliograph.cli.options import option

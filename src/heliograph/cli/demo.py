@@ -3,9 +3,8 @@
 import contextlib
 from pathlib import Path
 
-from heliograph.base.errors import HeliographError
+from heliograph.base.errors import HeliographError, counted
 from heliograph.base.files import clear_write_errors
-from heliograph.base.words import counted
 from heliograph.cli import console, options
 from heliograph.cli.options import option
 from heliograph.cli.simulate import load_scene

@@ -1,10 +1,10 @@
 """Presets as a list, or as TOML with comments."""
 
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
-from heliograph.base.config import to_mapping
 from heliograph.base.toml_text import to_toml
 from heliograph.cli import console, options
 from heliograph.cli.describe import comment
@@ -23,7 +23,7 @@ def presets(
 ) -> None:
     """List the presets, or print all settings of a preset."""
     texts = {key: text for key, (text, _) in PRESETS.items()}
-    tree = texts if name is None else to_mapping(load_settings(name))
+    tree = texts if name is None else asdict(load_settings(name))
     if as_json:
         console.say_json(tree)
     elif name is None:

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import cv2
 
-from heliograph.base.errors import HeliographError
+from heliograph.base.errors import HeliographError, counted
 from heliograph.base.files import clear_write_errors
-from heliograph.base.words import counted
 from heliograph.cli import console, options
 from heliograph.cli.options import option
 from heliograph.media import open_film

@@ -18,9 +18,8 @@ import cv2
 import typer
 
 from heliograph import __version__
-from heliograph.base.errors import HeliographError, MediaError
+from heliograph.base.errors import HeliographError, MediaError, counted
 from heliograph.base.files import clear_write_errors, write_whole
-from heliograph.base.words import counted
 from heliograph.cli import console, options
 from heliograph.cli.files import FileOutput, join
 from heliograph.cli.live import FilmMonitor, monitored, open_events
@@ -232,7 +231,7 @@ def _adapted(settings: LinkSettings, source: FilmReader) -> LinkSettings:
         receive = receive.with_live_limits()
     # a second process takes two seconds to start
     is_long = is_live or (source.frame_count or 0) >= 4000
-    is_default = receive.decode.in_background is None and RECEIVERS.is_built_in(receive.receiver)
+    is_default = receive.decode.in_background is None and receive.receiver in RECEIVERS.built_in
     if is_default and is_long and (os.cpu_count() or 1) >= 2:
         receive = replace(receive, decode=replace(receive.decode, in_background=True))
     return replace(settings, receive=receive)

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from heliograph.base.errors import SettingsError
-from heliograph.base.words import counted
+from heliograph.base.errors import SettingsError, counted
 from heliograph.cli import console, options
 from heliograph.cli.messages import read_messages
 from heliograph.cli.options import option

@@ -74,6 +74,8 @@ def transmit(
     console.say(
         f"{output}: {count} {'slots' if by_slot else 'patterns'} of {period_s * 1e3:g} ms, {count * period_s:g} s"
     )
+    if suffix in FILM_SUFFIXES:
+        console.say("Caution: on a display this film flashes, which can trigger seizures in photosensitive epilepsy.")
 
 
 def _write(output: Path, patterns: Patterns, gamma: float) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,6 @@ import h5py
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.base.config import to_mapping
 from heliograph.base.files import clear_write_errors, whole_file
 from heliograph.base.frames import Frame, Pixels
 from heliograph.channel import Truth
@@ -51,12 +51,12 @@ def write_planned(path: Path, film: PlannedFilm, before: int, progress: Callable
         file.attrs.update(
             rate_hz=settings.channel.camera.fps,
             bits=settings.channel.sensor.bits,
-            metadata=json.dumps({SIGNAL_TAG: json.dumps(to_mapping(settings.signal))}),
+            metadata=json.dumps({SIGNAL_TAG: json.dumps(asdict(settings.signal))}),
             split=film.split,
             number=film.number,
             seed=film.seed,
             varied=json.dumps(dict(film.point.choice)),
-            settings=json.dumps(to_mapping(settings)),
+            settings=json.dumps(asdict(settings)),
         )
 
 

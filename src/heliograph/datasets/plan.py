@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from heliograph import __version__
-from heliograph.base.config import to_mapping
 from heliograph.base.errors import SettingsError, shown
 from heliograph.link.film import frames_of
 from heliograph.link.settings import LinkSettings
@@ -127,7 +126,7 @@ def planned(
         "seed": int(seed),
         "films_a_point": int(films),
         "splits": counts,
-        "points": [{"choice": dict(point.choice), "settings": to_mapping(point.settings)} for point in points],
+        "points": [{"choice": dict(point.choice), "settings": asdict(point.settings)} for point in points],
         "packets": packets,
         "recordings": {name: [clip.digest for clip in part] for name, part in clips.items()},
         "imu": points[0].recordings["imu"].digest if imu else None,

@@ -7,10 +7,9 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, counted
 from heliograph.base.files import room_for
 from heliograph.base.frames import Frame
-from heliograph.base.words import counted
 from heliograph.channel import frame_count
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate

@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from difflib import get_close_matches
 from functools import reduce
 from importlib.resources import files
@@ -10,7 +11,7 @@ from typing import Any
 from pydantic import model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG, clear_errors, from_mapping, merge, to_mapping
+from heliograph.base.config import CONFIG, clear_errors, from_mapping, merge
 from heliograph.base.errors import SettingsError, shown
 from heliograph.base.toml_text import parse_assignment
 from heliograph.channel.settings import ChannelSettings
@@ -129,4 +130,4 @@ def load_settings(
     if isinstance(assignments, str) or not isinstance(assignments, Iterable):
         raise SettingsError(f'assignments are a list, such as ["signal.side=8"], not {shown(assignments)}')
     changes = [preset(name), over or {}, *map(parse_assignment, assignments)]
-    return from_mapping(LinkSettings, reduce(merge, changes, to_mapping(LinkSettings())))
+    return from_mapping(LinkSettings, reduce(merge, changes, asdict(LinkSettings())))

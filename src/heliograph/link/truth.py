@@ -10,7 +10,7 @@ import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import reduce
 from itertools import accumulate, pairwise, product
 from operator import attrgetter
@@ -20,7 +20,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.config import from_mapping, keys_of, merge, to_mapping
+from heliograph.base.config import from_mapping, keys_of, merge
 from heliograph.base.errors import HeliographError, MediaError, brief
 from heliograph.base.files import LONGEST_NAME, clear_write_errors, whole_file
 from heliograph.channel import NoiseModel, Truth
@@ -117,7 +117,7 @@ class TruthWriter:
                 for i, content in enumerate(self._messages[k].get(layer, ())):
                     messages[k][layer].append(_add_message(archive, f"messages/{k}/{layer}/{i}", content))
             about = {
-                "settings": to_mapping(self._settings),
+                "settings": asdict(self._settings),
                 "seed": self._seed,
                 "messages": messages,
                 "film_id": self._film_id,
@@ -318,7 +318,7 @@ TRUTH_TAG = "heliograph_simulation"
 
 def signal_note(signal: SignalSettings) -> dict[str, str]:
     """Return film metadata with the signal settings."""
-    return {SIGNAL_TAG: json.dumps(to_mapping(signal))}
+    return {SIGNAL_TAG: json.dumps(asdict(signal))}
 
 
 def noted_signal(film: object) -> dict[str, Any]:
@@ -342,7 +342,7 @@ def signal_of(
         if not any(changes):
             raise
         note = {}
-    noted = merge(to_mapping(preset), note)
+    noted = merge(asdict(preset), note)
     signal = from_mapping(SignalSettings, reduce(merge, changes, noted))
     departures = _differences(signal, from_mapping(SignalSettings, noted)) if note else []
     listed = ", ".join(f"{key}={ours} instead of {theirs}" for key, ours, theirs in departures)
@@ -352,7 +352,7 @@ def signal_of(
 def departures(film: object, signal: SignalSettings) -> list[tuple[str, Any, Any]]:
     """Return dotted key, value and film metadata value of differing signal settings."""
     with contextlib.suppress(HeliographError):  # an unreadable note
-        return _differences(signal, from_mapping(SignalSettings, merge(to_mapping(signal), noted_signal(film))))
+        return _differences(signal, from_mapping(SignalSettings, merge(asdict(signal), noted_signal(film))))
     return []
 
 

@@ -1,8 +1,18 @@
 """Libraries for films, which load on first use."""
 
-from typing import TYPE_CHECKING
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
-from heliograph.base.lazy import LazyModule
+
+class LazyModule(ModuleType):
+    """Module that loads with the first use of an attribute, as some take longer than many commands take to run."""
+
+    def __getattr__(self, name: str) -> Any:
+        module = import_module(self.__name__)
+        self.__dict__.update(vars(module))
+        return getattr(module, name)
+
 
 if TYPE_CHECKING:
     import av

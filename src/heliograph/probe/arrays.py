@@ -2,13 +2,13 @@
 
 from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.base.config import from_mapping, merge, to_mapping
+from heliograph.base.config import from_mapping, merge
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.film import is_packet
@@ -18,8 +18,7 @@ from heliograph.probe.regions import Region
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DecodeEvent, DetectEvent, TrackEvent
-from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise, measure_noise
+from heliograph.receive.observe.cutout import Cutout, Noise, measure_noise
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.receive.track.track import Track
 from heliograph.signal.settings import SignalSettings
@@ -74,14 +73,14 @@ class Setup:
 
     def changed(self, changes: Mapping[str, Any]) -> "Setup":
         """Change some settings, given as a nested mapping with "signal" and "receive"."""
-        receive = merge(to_mapping(self.settings), changes.get("receive", {}))
+        receive = merge(asdict(self.settings), changes.get("receive", {}))
         # settings of other receivers have no effect, and are an error
         name = receive["receiver"]
         for section in {"plain", "soft", "custom"} - {name if name in ("plain", "soft") else "custom"}:
             receive.pop(section, None)
         if name == "plain":
             receive["calibration"].pop("exposure_s", None)
-        signal = merge(to_mapping(self.signal), changes.get("signal", {}))
+        signal = merge(asdict(self.signal), changes.get("signal", {}))
         return Setup(from_mapping(SignalSettings, signal), from_mapping(ReceiveSettings, receive), self.rate_hz)
 
 

@@ -7,7 +7,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from heliograph.base.words import counted
+from heliograph.base.errors import counted
 from heliograph.probe.arrays import SLACK, ArrayReport, Clock, Setup
 from heliograph.probe.frames import FrameTimes
 from heliograph.probe.headers import HeaderMatch

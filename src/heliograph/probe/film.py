@@ -36,7 +36,7 @@ from heliograph.probe.screens import area_of, regions_in, screen_cause, screen_c
 from heliograph.probe.trials import Remedy, find_remedy, find_turned_remedy, is_blurred, other_packets
 from heliograph.receive import ReceiveSettings
 from heliograph.receive.geometry.window import Window
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Noise
 from heliograph.receive.settings import DetectSettings
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings

@@ -23,7 +23,7 @@ from heliograph.receive.detect.alternation import (
     coarse_search,
 )
 from heliograph.receive.detect.candidate import cell_weights, fit_near
-from heliograph.receive.detect.header_bank import Hypothesis, headers
+from heliograph.receive.detect.detection import Hypothesis, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.fit import Fit
@@ -96,7 +96,7 @@ def find_header(
     place, fit = max(fits, key=lambda found: found[1].score)
     best = HeaderMatch(side, fit, headers(ORIENTATIONS).hypotheses[place.header])
     best = _find_starts(frames, best, place, speed) if best.score >= 0.6 else best
-    return replace(best, fit=View(level).fit_out(best.fit))
+    return replace(best, fit=View(level).map_fit(best.fit, inverse=True))
 
 
 def _search(frames: Sequence[Frame], centres: Floats, size: float, pad: int) -> list[_Place]:

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from heliograph.base.errors import counted
 from heliograph.base.files import shown_name
 from heliograph.base.frames import Frame
-from heliograph.base.words import counted
 from heliograph.experiments.plots import BLUE, DARK_GRAY, GRAY, GREEN, ORANGE, RED, tidy
 from heliograph.experiments.report import Report
 from heliograph.probe.activity import Stretch

@@ -20,7 +20,7 @@ from heliograph.receive.detect.alternation import size_limits
 from heliograph.receive.geometry.footprint import footprints, to_quarters
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, window_around
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Noise
 from heliograph.receive.observe.statistics import light_of_symbols, transform_quarters
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings

@@ -17,7 +17,7 @@ from heliograph.probe.light import LightRate
 from heliograph.probe.reach import MAX_PITCH_PX, MAX_SIDE, high_information
 from heliograph.receive import ReceiveSettings
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Noise
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings

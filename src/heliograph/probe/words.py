@@ -5,8 +5,7 @@ from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
-from heliograph.base.errors import printable
-from heliograph.base.words import counted
+from heliograph.base.errors import counted, printable
 from heliograph.probe.arrays import ArrayReport, Clock
 from heliograph.probe.causes import Cause, RegionReport
 from heliograph.probe.film import Findings

@@ -5,7 +5,6 @@ import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import replace
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -29,17 +28,6 @@ from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
 LOG = logging.getLogger(__name__)
-
-
-class Confidence(IntEnum):
-    """Evidence for the track of an array; the search detects other arrays in place of a candidate."""
-
-    # a weak header, or the last packet was not decoded or showed that the pose is wrong
-    CANDIDATE = 0
-    # a clear header, before the first packet is decoded
-    HEADER = 1
-    # the last packet was decoded: tracking need not wait for the decoder
-    CODEWORD = 2
 
 
 class ArrayReceiver:
@@ -103,12 +91,9 @@ class ArrayReceiver:
         return self._track.state.time_s
 
     @property
-    def confidence(self) -> Confidence:
-        """Evidence for the track: the last packet, or the header before the first packet."""
-        if self._decoded or (self._decoded is None and self.has_codeword):
-            return Confidence.CODEWORD
-        has_header = self._decoded is None and self.detection.is_clear
-        return Confidence.HEADER if has_header else Confidence.CANDIDATE
+    def is_confirmed(self) -> bool:
+        """True if the last packet, or before the first packet a clear header or a codeword, confirms the track."""
+        return self.has_codeword or self.detection.is_clear if self._decoded is None else self._decoded
 
     @property
     def done(self) -> bool:
@@ -304,7 +289,7 @@ class ArrayReceiver:
         """Return True if tracking may continue without waiting for the packet to decode."""
         if packet.pairs_seen < MIN_PAIRS_SEEN or not self._all_visible:
             return False
-        if self._decoded is None and not (self.detection.is_complete and not self.detection.is_ambiguous):
+        if self._decoded is None and not self.detection.is_certain:
             self.has_codeword |= wait_for(self._submit(observations.has_codeword))
             return self.has_codeword
         return self._decoded is not False

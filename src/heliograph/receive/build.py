@@ -10,8 +10,7 @@ from heliograph.base.errors import SettingsError
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.header_reader import HeaderReader
-from heliograph.receive.decode.per_led import pair_luminances
-from heliograph.receive.decode.plain_packet import PlainPacket, ReadPair
+from heliograph.receive.decode.per_led import PlainPacket, ReadPair, pair_luminances
 from heliograph.receive.decode.soft_packet import SoftPacket
 from heliograph.receive.decode.worker import PacketDecoder, PacketObservations, call_in_process, call_inline
 from heliograph.receive.detect.alternation import SearchParameters
@@ -21,7 +20,7 @@ from heliograph.receive.events import Observer
 from heliograph.receive.geometry.pose import pose_of
 from heliograph.receive.geometry.view import View
 from heliograph.receive.receiver import StreamReceiver
-from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.settings import ReceiveSettings, check_pairs
 from heliograph.receive.sync.frame_clock import CameraClock, SynchronousClock
 from heliograph.receive.sync.pairing import AsynchronousPairing, Pairing, SynchronousPairing
 from heliograph.receive.track.kalman import MotionModel
@@ -59,7 +58,7 @@ def soft_receiver(
     signal: SignalSettings, settings: ReceiveSettings, observe: Observer, make_packet: MakePacket | None = None
 ) -> StreamReceiver:
     """Assemble the receiver at the limit of the channel, for a camera of at least a frame for each pattern."""
-    _check_signal(signal)
+    check_pairs(signal, "soft")
     decode, soft = settings.decode, settings.soft
     options = Decoding(decode.algorithm or "log-map", decode.iterations, soft.feedback, soft.led_by_led, soft.combining)
 
@@ -162,11 +161,3 @@ def decode_executor(in_background: bool) -> Callable[..., Future[Any]]:
 
 def _load_modules() -> None:
     """Import this module, and so the decoder, where the call runs."""
-
-
-def _check_signal(signal: SignalSettings) -> None:
-    for key, value, wanted in (("modulation", signal.modulation, "haar"), ("header", signal.header, "m_sequence")):
-        if value != wanted:
-            raise SettingsError(
-                f'the soft receiver reads signal.{key} = "{wanted}", not "{value}"; set receive.receiver = "plain"'
-            )

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from heliograph.base.frames import Frame
 from heliograph.base.threads import in_one_thread
-from heliograph.receive.array import ArrayReceiver, Confidence
+from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.worker import PendingPacket
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
@@ -40,11 +40,6 @@ class HeaderHypotheses:
         return self._settled or self.leading.has_codeword or self.leading.orientation == UPRIGHT
 
     @property
-    def confidence(self) -> Confidence:
-        """Confidence of the leading receiver."""
-        return self.leading.confidence
-
-    @property
     def done(self) -> bool:
         """True if no receiver tracks the array any more."""
         return not self._receivers or self.leading.done
@@ -67,11 +62,11 @@ class HeaderHypotheses:
             self._only_first, self._held = False, []
         yield from self._select(packets_of)
 
-    def flush(self, over: bool = False) -> Iterator[PendingPacket]:
+    def flush(self) -> Iterator[PendingPacket]:
         """Yield the packet in progress; see `ArrayReceiver`."""
         packets_of = list[tuple[ArrayReceiver, list[PendingPacket]]]()
         for receiver in self._receivers:
-            packets_of.append((receiver, [*self._catch_up(receiver), *receiver.flush(over)]))
+            packets_of.append((receiver, [*self._catch_up(receiver), *receiver.flush()]))
             if self._only_first and receiver.has_codeword:
                 break
         self._only_first, self._held = False, []
@@ -127,11 +122,6 @@ class StreamReceiver:
         self._newest: PendingPacket | None = None
         self._load = SearchLoad()
 
-    @property
-    def load(self) -> SearchLoad:
-        """Work that the search has done and skipped so far."""
-        return self.search.load
-
     @in_one_thread
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packets it completes; see `Receiver`."""
@@ -185,14 +175,11 @@ class StreamReceiver:
         for array in [a for a in self._arrays if a.done]:
             yield from array.flush()
             self._forget(array)
-        kept = [
-            array
-            for array in self._arrays
-            if array.confidence > Confidence.CANDIDATE and not array.leading.has_outgrown_view(frame.time_s)
-        ]
-        for detection in self.search.search(frame, [array.leading.pose for array in kept]):
+        leading = [array.leading for array in self._arrays]
+        kept = [one for one in leading if one.is_confirmed and not one.has_outgrown_view(frame.time_s)]
+        for detection in self.search.search(frame, [receiver.pose for receiver in kept]):
             yield from self._handle_detection(detection)
-        before, self._load = self._load, self.load
+        before, self._load = self._load, self.search.load
         if self._load.left_out != before.left_out:
             self._observe(DropEvent(frame.time_s, self._load - before))
 

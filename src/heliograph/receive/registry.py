@@ -33,7 +33,7 @@ RECEIVERS: Registry[Any] = Registry(
     {
         "plain": "heliograph.receive.build:plain_receiver",
         "soft": "heliograph.receive.build:soft_receiver",
-        "screen": "heliograph.receive.screen.receiver:screen_receiver",
+        "screen": "heliograph.receive.screen.receiver:ScreenReceiver",
     },
 )
 """Receivers by the setting ``receive.receiver``: a `ReceiverPart`, or a function that makes the receiver."""

@@ -8,8 +8,10 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM, clear_errors, from_mapping
+from heliograph.base.errors import SettingsError
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.registry import GROUPS, RECEIVERS, part_of
+from heliograph.signal.settings import SignalSettings
 
 Equaliser = Literal["none", "inverse"]
 """How the plain receiver reads the LEDs of a pair; see `PlainSettings`."""
@@ -275,7 +277,7 @@ class ReceiveSettings:
 
     def with_live_limits(self) -> "ReceiveSettings":
         """Return the settings with the CPU share of a live camera, which does not wait."""
-        if self.detect.cpu_share is not None or not RECEIVERS.is_built_in(self.receiver):
+        if self.detect.cpu_share is not None or self.receiver not in RECEIVERS.built_in:
             return self
         return replace(self, detect=replace(self.detect, cpu_share=LIVE_CPU_SHARE))
 
@@ -288,6 +290,15 @@ class ReceiveSettings:
         if self.custom and (kind := part_of(self.receiver).settings) is not None:
             from_mapping(kind, self.custom)
         return self
+
+
+def check_pairs(signal: SignalSettings, name: str) -> None:
+    """Raise a SettingsError unless the light sends pairs of patterns as all receivers but "plain" read them."""
+    for key, value, wanted in (("modulation", signal.modulation, "haar"), ("header", signal.header, "m_sequence")):
+        if value != wanted:
+            raise SettingsError(
+                f'the {name} receiver reads signal.{key} = "{wanted}", not "{value}"; set receive.receiver = "plain"'
+            )
 
 
 def _is_around(corners: Corners) -> bool:
@@ -306,7 +317,7 @@ def _check_effects(settings: ReceiveSettings) -> None:
             changed += [(entry.name, key.name) for key in fields(group) if getattr(group, key.name) != key.default]
     if not changed:  # a registered receiver is not loaded yet
         return
-    part = None if RECEIVERS.is_built_in(name) else part_of(name)
+    part = None if name in RECEIVERS.built_in else part_of(name)
     reads = (*GROUPS, name) if part is None else (*part.reads, *(["custom"] if part.settings else []))
     for group, key in changed:
         if group in reads and (key != "exposure_s" or name == "soft" or part is not None):

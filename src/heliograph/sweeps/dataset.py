@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from heliograph import __version__
-from heliograph.base.config import to_mapping
 from heliograph.base.errors import HeliographError
 from heliograph.signal.settings import LAYERS
 from heliograph.sweeps.tally import PointTally, flat_report
@@ -112,9 +111,9 @@ def _values(values: Sequence[Any]) -> Any:
 
 def _provenance(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally]) -> dict[str, Any]:
     first, rule = tallies[0].point, tallies[0].rule
-    shared = to_mapping(first.settings)
+    shared = asdict(first.settings)
     for tally in tallies[1:]:
-        shared = _common(shared, to_mapping(tally.point.settings))
+        shared = _common(shared, asdict(tally.point.settings))
     return {
         "title": "Error rates of an LED array to camera link",
         "source": f"heliograph {__version__}",

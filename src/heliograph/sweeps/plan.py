@@ -159,7 +159,7 @@ def size_warning(points: Sequence[Point]) -> str:
 def _size_conflict(settings: LinkSettings) -> str:
     """Return the image side of an array outside the size range of the receiver, or an empty text."""
     receive, channel = settings.receive, settings.channel
-    if not RECEIVERS.is_built_in(receive.receiver):
+    if receive.receiver not in RECEIVERS.built_in:
         return ""
     smallest, largest = receive.smallest_side_px, receive.detect.max_side_px
     lowest, highest = size_limits(smallest, largest)

@@ -14,7 +14,7 @@ import numpy as np
 import heliograph
 from heliograph import __version__
 from heliograph.base import registry
-from heliograph.base.config import from_mapping, to_mapping
+from heliograph.base.config import from_mapping
 from heliograph.base.errors import MediaError
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings, load_footage, load_imu
@@ -56,18 +56,18 @@ class Point:
     def key(self) -> str:
         """Key of the blocks in a store: a digest of all inputs."""
         recordings = {name: recorded.digest for name, recorded in sorted(self.recordings.items())}
-        return _digest([to_mapping(self.settings), self.seed, build(), registry.digest(), recordings])
+        return _digest([asdict(self.settings), self.seed, build(), registry.digest(), recordings])
 
     def block_seed(self, block: int) -> int:
         """Return the seed of a block, equal for all receivers."""
-        scene = {k: v for k, v in to_mapping(self.settings).items() if k != "receive"}
+        scene = {k: v for k, v in asdict(self.settings).items() if k != "receive"}
         sequence = np.random.SeedSequence([self.seed, int(_digest(scene), 16)], spawn_key=(block,))
         return int(sequence.generate_state(1, np.uint64)[0])
 
     def job(self, block: int) -> dict[str, Any]:
         """Return the input of `run_job` for a block as plain values."""
         recordings = {name: asdict(recorded) for name, recorded in self.recordings.items()}
-        return {"settings": to_mapping(self.settings), "seed": self.block_seed(block), "recordings": recordings}
+        return {"settings": asdict(self.settings), "seed": self.block_seed(block), "recordings": recordings}
 
     @property
     def text(self) -> str:

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import played_camera
 import pytest
-from film_checks import counts_of, refused
+from film_checks import counts_of, refused, uniform, write_levels
 from played_camera import PlayedCamera, find
+from waiting import HANG_S
 
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.base.frames import Frame
-from heliograph.media import create_film, open_film
+from heliograph.media import open_film
 from heliograph.media.live.camera import CameraForm, CameraKind, Picture, register_camera
-from heliograph.media.live.grabber import CameraTiming
+from heliograph.media.live.grabber import CameraTiming, FrameQueue
 from heliograph.media.live.reader import LiveReader, live_of
 from heliograph.media.live.settings import CameraSettings, camera_settings
 
@@ -38,11 +39,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.fixture
 def film(tmp_path: Path) -> Path:
     """Write a film with the frame number as gray level."""
-    path = tmp_path / "a.h5"
-    with create_film(path, width=12, height=8, rate_hz=100) as made:
-        for number in range(FRAMES):
-            made.write(Frame(number, number / 100, np.full((8, 12), number, np.uint8)))
-    return path
+    return write_levels(tmp_path / "a.h5", uniform(range(FRAMES), 8, 12), 100)
 
 
 def live(film: Path, **asked: Any) -> LiveReader:
@@ -307,3 +304,59 @@ def test_a_camera_may_reuse_its_array() -> None:
     register_camera("refilled", RefilledCamera)
     with open_film("camera:refilled") as reader:
         assert [int(frame.pixels[0, 0]) for frame in reader] == list(range(1, 11))
+
+
+def frame(index: int) -> Frame:
+    return Frame(index, index / 100, np.zeros((2, 2), np.uint8))
+
+
+def test_frames_come_in_their_order() -> None:
+    queue = FrameQueue(8)
+    for index in range(5):
+        queue.put(frame(index))
+    queue.end()
+    got = [queue.get(0) for _ in range(5)]
+    assert [one and one.index for one in got] == [0, 1, 2, 3, 4]
+    assert len(queue) == 0
+    assert queue.get(0) is None
+    assert queue.over
+    assert queue.dropped == 0
+
+
+def test_a_full_queue_drops_a_run_of_frames_until_half_empty() -> None:
+    queue = FrameQueue(8)
+    kept: list[int] = []
+    for index in range(60):
+        queue.put(frame(index))
+        if index % 2 and (one := queue.get(0)):  # the receiver takes two frame periods per frame
+            kept.append(one.index)
+    kept += [one.index for one in iter(lambda: queue.get(0), None)]
+    assert len(kept) + queue.dropped == 60
+    gaps = [(one, other) for one, other in itertools.pairwise(kept) if other != one + 1]
+    assert queue.dropped > 10
+    # a full queue drops half of its frames at once, not single frames
+    assert len(gaps) <= queue.dropped // 4
+
+
+def test_waiting_is_bounded_and_ends_with_the_queue() -> None:
+    queue = FrameQueue(2)
+    began = time.monotonic()
+    assert queue.get(0.05) is None
+    assert time.monotonic() - began > 0.04
+    threading.Timer(0.05, queue.end).start()
+    assert queue.get(HANG_S) is None
+    assert queue.over
+
+
+@pytest.mark.parametrize("most", [1, 2, 3])
+def test_a_small_queue_accepts_frames_after_it_was_full(most: int) -> None:
+    queue = FrameQueue(most)
+    for index in range(10):
+        queue.put(frame(index))
+    assert len(queue) == most
+    for _ in range(most):
+        queue.get(0)
+    queue.put(frame(99))
+    last = queue.get(0)
+    assert last is not None
+    assert last.index == 99

@@ -4,19 +4,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from film_checks import write_levels
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.media import FilmReader, create_film, open_film
+from heliograph.media import FilmReader, open_film
 from heliograph.media.live.recorder import Recorder
 
 
 @pytest.fixture
 def source(tmp_path: Path) -> FilmReader:
     """Return a film reader; only the frame size and format matter."""
-    with create_film(tmp_path / "source.h5", width=8, height=4, rate_hz=100, bits=12) as film:
-        film.write(frame(0))
-    return open_film(tmp_path / "source.h5")
+    return open_film(write_levels(tmp_path / "source.h5", np.zeros((1, 4, 8), np.uint16), 100, 12))
 
 
 def frame(number: int) -> Frame:
@@ -31,37 +30,22 @@ def kept(path: Path) -> list[int]:
     return [one.index for one in got]
 
 
-def test_no_film_is_written_without_a_failure(tmp_path: Path, source: FilmReader) -> None:
+@pytest.mark.parametrize(("failures", "last"), [((), None), ((50,), 51), ((99,), 99), ((50, 53, 60), 71)])
+def test_the_last_seconds_before_a_failure_are_kept(
+    tmp_path: Path, source: FilmReader, failures: tuple[int, ...], last: int | None
+) -> None:
+    """Another frame may arrive before the recording starts; later failures are in the next film."""
     recorder = Recorder(tmp_path / "kept.h5", 0.2, source, {"note": "x"})
     for number in range(100):
         recorder.saw(frame(number))
-    recorder.close()
-    assert recorder.written == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["source.h5"]
-
-
-@pytest.mark.parametrize("at", [50, 99])
-def test_the_last_seconds_before_a_failure_are_kept(tmp_path: Path, source: FilmReader, at: int) -> None:
-    recorder = Recorder(tmp_path / "kept.h5", 0.2, source, {"note": "x"})
-    for number in range(100):
-        recorder.saw(frame(number))
-        if number == at:
+        if number in failures:
             recorder.failed()
     recorder.close()
-    # another frame may arrive before the recording starts
-    assert kept(tmp_path / "kept.h5") == list(range(min(at + 1, 99) - 20, min(at + 1, 99) + 1))
-    assert recorder.written == 21
-
-
-def test_failures_soon_after_another_are_in_the_next_film(tmp_path: Path, source: FilmReader) -> None:
-    recorder = Recorder(tmp_path / "kept.h5", 0.2, source, {"note": "x"})
-    for number in range(100):
-        recorder.saw(frame(number))
-        if number in (50, 53, 60):
-            recorder.failed()
-    recorder.close()
-    # the first film ends with frame 51, the next film begins after it
-    assert kept(tmp_path / "kept.h5") == list(range(51, 72))
+    assert recorder.written == (21 if last else 0)
+    if last is None:
+        assert [path.name for path in tmp_path.iterdir()] == ["source.h5"]
+    else:
+        assert kept(tmp_path / "kept.h5") == list(range(last - 20, last + 1))
 
 
 def test_memory_is_bounded(tmp_path: Path, source: FilmReader) -> None:

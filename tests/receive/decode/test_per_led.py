@@ -15,9 +15,9 @@ from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose, ReceiveSettings
-from heliograph.receive.decode import kernels
+from heliograph.receive.decode import kernels, per_led
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.per_led import decode_per_led, luminances, pair_luminances, unblurred
+from heliograph.receive.decode.per_led import at_leds, decode_per_led, pair_luminances, unblurred
 from heliograph.receive.events import DecodeEvent, ExtractEvent
 from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.observe.cutout import Cutout
@@ -50,19 +50,26 @@ def pair(poses: tuple[Pose, Pose], x: Floats) -> tuple[CombinedFrame, CombinedFr
     ],
 )
 def test_inverse_restores_luminances_without_noise(
-    distance_m: float, roll: float, motion: tuple[float, float], loading: float, accuracy: float
+    distance_m: float,
+    roll: float,
+    motion: tuple[float, float],
+    loading: float,
+    accuracy: float,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(per_led, "ZERO_FORCING_LOADING", loading)
     pose = Pose(21.2, 20.7, pitch_at(distance_m), roll, 0.52)
     poses = pose, pose.moved(*motion)
     x = np.random.default_rng(3).integers(0, 5, (SIDE, SIDE)) / 4
-    assert np.allclose(unblurred(pair(poses, x), poses, GAIN, SIDE, loading=loading), 4 * x - 2, atol=accuracy)
+    assert np.allclose(unblurred(pair(poses, x), poses, GAIN, SIDE), 4 * x - 2, atol=accuracy)
 
 
-def test_inverse_solves_the_normal_equations() -> None:
+def test_inverse_solves_the_normal_equations(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(per_led, "ZERO_FORCING_LOADING", 1e-3)
     pose = Pose(21.2, 20.7, pitch_at(70), 0.02, 0.52)
     rng = np.random.default_rng(2)
     first, second = (Frame(k, 0.0, rng.integers(0, 255, (SIZE, SIZE)).astype(np.uint8)) for k in range(2))
-    found = unblurred((first, second), (pose, pose), GAIN, SIDE, loading=1e-3)
+    found = unblurred((first, second), (pose, pose), GAIN, SIDE)
     # receiver window: 2.5 px beyond the array
     half = 8 * pose.pitch * (np.cos(0.02) + np.sin(0.02)) + 2.5
     x0, y0 = int(np.floor(pose.x - half)), int(np.floor(pose.y - half))
@@ -83,8 +90,8 @@ def test_leds_are_sampled_at_their_positions_by_default() -> None:
     assert ReceiveSettings().plain.equaliser == "none"
     pose = Pose(21.2, 20.7, pitch_at(50), 0.0, 0.52)
     frames = pair((pose, pose), np.random.default_rng(4).integers(0, 5, (SIDE, SIDE)) / 4)
-    plain = 2 * (luminances(frames[0], pose, SIDE) - luminances(frames[1], pose, SIDE)) / GAIN
-    assert np.array_equal(pair_luminances(frames, (pose, pose), GAIN, SIDE), plain)
+    up, down = (at_leds(frame.pixels, frame.origin, pose, SIDE) for frame in frames)
+    plain = 2 * (up - down) / GAIN
     assert np.array_equal(pair_luminances(frames, (pose, pose), GAIN, SIDE, "none"), plain)
     inverse = unblurred(frames, (pose, pose), GAIN, SIDE)
     assert np.array_equal(pair_luminances(frames, (pose, pose), GAIN, SIDE, "inverse"), inverse)

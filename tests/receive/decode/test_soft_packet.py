@@ -22,8 +22,7 @@ from heliograph.receive.decode.turbo_equaliser import TurboEqualiser, decode_ite
 from heliograph.receive.equalise.led_gains import DecodedPair, LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.events import DecodeEvent, EqualiseEvent, ExtractEvent
-from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Cutout, Noise
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import Words
 from heliograph.signal.settings import SignalSettings

@@ -140,7 +140,7 @@ def searched(
     """Return the candidate table of a search with no limit of work."""
     best, sums = np.zeros((grid.count, 5)), alternation.integral_images(image)
     limits = grid.contrast, grid.threshold, 2.0, grid.ring, grid.step, grid.apart, np.array(corner)
-    found, _, passed, _ = kernels.search(sums, busy, 8.0, CELLS, grid.sides, *limits, 0, 1 << 60, best)
+    found, _, passed, _ = kernels.search(sums, busy, CELLS, grid.sides, *limits, 0, 1 << 60, best)
     assert passed == busy.size
     return best[:found]
 

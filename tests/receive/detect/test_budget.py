@@ -18,8 +18,8 @@ from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import Receiver, ReceiveSettings, build, make_receiver
 from heliograph.receive.detect.alternation import SearchParameters, SearchRegion
 from heliograph.receive.detect.budget import WORK_PER_MS, NoveltyFilter, SearchLoad, TokenBucket
+from heliograph.receive.detect.detection import headers
 from heliograph.receive.detect.detector import Detector
-from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.events import DropEvent
 from heliograph.receive.geometry.pose import UPRIGHT
@@ -182,7 +182,7 @@ def test_data_before_the_first_header_cost_little(kind: str, distance_m: float, 
     receiver = live_receiver(settings, kind, recorder)
     for frame, _ in simulate(settings, default_messages(settings), 1):
         list(receiver.push(frame))
-    assert receiver.load.work / WORK_PER_MS < most_ms  # type: ignore[attr-defined]  # receivers with a search
+    assert receiver.search.load.work / WORK_PER_MS < most_ms  # type: ignore[attr-defined]  # receivers with a search
     assert not recorder.of(DropEvent)
 
 
@@ -284,7 +284,7 @@ def test_a_busy_scene_stays_within_the_budget_and_drop_events_report_skipped_wor
     receiver = make_receiver(SignalSettings(), settings, recorder)
     for frame in flicker(120, 2):
         list(receiver.push(frame))
-    load: SearchLoad = receiver.load  # type: ignore[attr-defined]  # receivers with a search
+    load: SearchLoad = receiver.search.load  # type: ignore[attr-defined]  # receivers with a search
     # initial level, refill, and overdraft by the last search: one block and one fit
     assert load.work < TokenBucket(cpu_share, 1e-3).capacity + 120 * cpu_share * WORK_PER_MS + 3e6
     assert load.blocks > 1000
@@ -301,10 +301,10 @@ def test_a_busy_scene_stays_within_the_budget_and_drop_events_report_skipped_wor
 def test_a_given_place_has_no_budget(kind: str, place: str) -> None:
     """A given region counts as busy: noise would exhaust any budget before an array appears."""
     settings = load_settings("static", None, [f"receive.receiver={kind}", f"receive.detect.{place}"])
-    search, rng = make_receiver(SignalSettings(), settings.receive.with_live_limits()), np.random.default_rng(5)
+    receiver, rng = make_receiver(SignalSettings(), settings.receive.with_live_limits()), np.random.default_rng(5)
     for k in range(12):
-        list(search.push(Frame(k, 1e-3 * k, rng.integers(20, 60, (128, 160), np.uint8))))
-    assert search.load.left_out == 0  # type: ignore[attr-defined]  # receivers with a search
+        list(receiver.push(Frame(k, 1e-3 * k, rng.integers(20, 60, (128, 160), np.uint8))))
+    assert receiver.search.load.left_out == 0  # type: ignore[attr-defined]  # receivers with a search
 
 
 def test_only_a_live_camera_has_a_small_share_by_default() -> None:

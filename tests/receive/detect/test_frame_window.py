@@ -1,13 +1,12 @@
 """Frame window: substitutes for missing frames."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.receive.detect.frame_window import copies_before, crop_to_common, fill_missing, have_same_format
+from heliograph.receive.detect.frame_window import copies_before, crop_to_common, fill_missing
 
 
 @pytest.mark.parametrize(
@@ -64,11 +63,3 @@ def test_copies_before_a_film_have_earlier_numbers_and_times() -> None:
     # years apart
     assert np.diff(times).min() > 3e7
     assert copies_before(first, 0) == []
-
-
-def test_frames_of_one_pixel_type_have_the_same_format() -> None:
-    one = frame(0, 0, 0, 4, 4)
-    assert have_same_format(one, frame(1, 3, 2, 6, 7))
-    wide = replace(one, pixels=one.pixels.astype(np.uint16), bits=10)
-    assert not have_same_format(one, wide)
-    assert not have_same_format(wide, replace(wide, bits=12))

@@ -15,7 +15,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.detect import search as pyramid
-from heliograph.receive.detect.budget import SearchLoad, TokenBucket
+from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.frame_window import first_present
 from heliograph.receive.detect.search import HeaderSearch, PyramidSearch, level_parameters
@@ -45,7 +45,7 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> Searches:
 
 
 def search_all(fps: float, frames: list[Frame]) -> HeaderSearch:
-    search = HeaderSearch(SEARCH, SignalSettings())
+    search = HeaderSearch(SEARCH, SignalSettings(), synchronous=False)
     search.start(1 / fps)
     for frame in frames:
         assert search.search(frame) == []
@@ -323,9 +323,9 @@ def flickering_frame(k: int, rng: np.random.Generator, origin: tuple[int, int] =
 
 def scarce_search() -> PyramidSearch:
     """Return a search with less than half a budget, and hardly any refill."""
-    budget = TokenBucket(0.3, 1e-9)
-    budget.charge(0.6 * budget.capacity)
-    return PyramidSearch(SEARCH, SignalSettings(), budget)
+    search = PyramidSearch(replace(SEARCH, cpu_share=0.3), SignalSettings(pattern_period_s=1e-6))
+    search.budget.charge(0.6 * search.budget.capacity)
+    return search
 
 
 @pytest.mark.parametrize("level", [1, 2])

@@ -12,10 +12,8 @@ from scenes import SIDE, Floats
 from whole_pairs import GAIN, MOTIONS, SYMBOLS, WholePair, moving, pair_of, random_levels
 
 from heliograph.base.threads import one_thread
-from heliograph.receive.equalise.ep import ExpectationPropagation
-from heliograph.receive.equalise.lmmse import Estimate, equalise, information, llr_of, products
-from heliograph.receive.observe.cutout import take_cutout
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.equalise.lmmse import Estimate, ExpectationPropagation, equalise, information, llr_of, products
+from heliograph.receive.observe.cutout import Noise, take_cutout
 from heliograph.receive.observe.statistics import PairStatistics, whiten
 
 KNOWN = 1e-3

@@ -123,6 +123,7 @@ def test_footprints_equal_the_blur_matrix(pose: Pose, motion: tuple[float, float
 
 @examples(60)
 @given(pose=poses(), corner=st.tuples(st.integers(-50, 50), st.integers(-50, 50)))
+@pytest.mark.slow
 def test_any_array_in_any_window(pose: Pose, corner: tuple[int, int]) -> None:
     levels = np.random.default_rng(3).random((4, 4))
     got = image_of(levels, pose, corner, (12, 15))

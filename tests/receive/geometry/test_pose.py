@@ -124,8 +124,8 @@ def test_a_view_maps_leds_to_the_camera_and_back(orientation: Orientation, level
 def test_motions_turn_with_the_poses(orientation: Orientation) -> None:
     view, pose, step = View(1, orientation), Pose(30.2, 21.7, 1.4), (0.7, -0.3)
     before, after = view.pose_out(pose), view.pose_out(pose.moved(*step))
-    assert view.motion_out(step) == pytest.approx((after.x - before.x, after.y - before.y))
-    assert view.motion_in(view.motion_out(step)) == pytest.approx(step)
+    assert view.map_motion(step, inverse=True) == pytest.approx((after.x - before.x, after.y - before.y))
+    assert view.map_motion(view.map_motion(step, inverse=True)) == pytest.approx(step)
 
 
 POSE = Pose(60.3, 51.8, 4.4, 0.03, 0.55, 0.02, -0.015)

@@ -9,9 +9,7 @@ from scenes import ALL_ON, SIDE, Floats, draw
 from whole_pairs import GAIN, SYMBOLS, T, combination, moving, pair_of
 
 from heliograph.receive import Pose
-from heliograph.receive.observe import noise
-from heliograph.receive.observe.cutout import Cutout, take_cutout
-from heliograph.receive.observe.noise import measure_noise, noise_beside
+from heliograph.receive.observe.cutout import Cutout, _unevenness, measure_noise, noise_beside, take_cutout
 from heliograph.receive.sync.pairing import FramePair
 
 
@@ -89,7 +87,7 @@ def test_even_light_is_not_noise() -> None:
     """For a near array, the array image and the plane are linearly dependent."""
     rng, pose = np.random.default_rng(11), Pose(20.0, 20.0, 1.0, 0.0, 0.8)
     cutout = Cutout(rng.normal(100, 2, (40, 40)), np.zeros((40, 40)), (0, 0), (pose, pose))
-    found, corner, motion = noise._unevenness(cutout, 0.0, SIDE, None)
+    found, corner, motion = _unevenness(cutout, 0.0, SIDE, None)
     inside = np.isfinite(found)
     assert 0.6 * SIDE**2 < inside.sum() < SIDE**2
     want = reference.uneven(cutout.total, np.ones((40, 40)), inside)

@@ -11,7 +11,7 @@ from whole_pairs import CUT, GAIN, MOTIONS, ROLLS, SYMBOLS, T, WholePair, combin
 
 from heliograph.receive import Pose
 from heliograph.receive.geometry.footprint import footprints, image_of, sum_of_leds
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Noise
 from heliograph.receive.observe.statistics import (
     PairStatistics,
     WhitenedCutout,

@@ -137,7 +137,7 @@ def test_noise_is_not_taken_for_an_array() -> None:
 
 def test_unreadable_signal_is_refused() -> None:
     settings = load_settings("phone")
-    with pytest.raises(SettingsError, match="the receiver screen reads"):
+    with pytest.raises(SettingsError, match="the screen receiver reads"):
         heliograph.make_receiver(replace(settings.signal, modulation="ook"), settings.receive)
     with pytest.raises(SettingsError, match="has no effect"):
         load_settings("paper", None, ["receive.screen.gamma=2.0"])

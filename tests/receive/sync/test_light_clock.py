@@ -78,6 +78,7 @@ def test_header_gives_start_and_exposure_despite_dimmed_cells(
 
 
 @pytest.mark.parametrize("period", [0.37, 2 / 3])
+@pytest.mark.slow
 def test_later_header_gives_starts_finer_than_the_grid(period: float) -> None:
     late, found = np.linspace(-0.02, 0.02, 17), []
     for start in late:

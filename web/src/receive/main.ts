@@ -1,6 +1,6 @@
 import "../common/style.css";
 import "./receive.css";
-import "../common/page";
+import { onDrop } from "../common/page";
 import { kindOf, saveBundle, upload } from "../common/api";
 import { make, one } from "../common/dom";
 import { Notice } from "../common/notice";
@@ -262,13 +262,11 @@ for (const input of [film, shot]) {
   input.addEventListener("change", () => chosen(input));
 }
 for (const kind of ["dragover", "dragleave", "drop"] as const) {
-  drop.addEventListener(kind, (event) => {
-    event.preventDefault();
+  drop.addEventListener(kind, () => {
     drop.classList.toggle("over", kind === "dragover");
-    const file = kind === "drop" ? event.dataTransfer?.files[0] : undefined;
-    if (file !== undefined) run(readFilm(file));
   });
 }
+onDrop((file) => run(readFilm(file)));
 start.addEventListener("click", () => run(readCamera()));
 stop.addEventListener("click", () => {
   if (camera !== null) finish();

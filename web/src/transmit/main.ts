@@ -1,6 +1,6 @@
 import "../common/style.css";
 import "./transmit.css";
-import "../common/page";
+import { onDrop } from "../common/page";
 import { ask, save } from "../common/api";
 import { bytes, make, one } from "../common/dom";
 import { Notice } from "../common/notice";
@@ -19,12 +19,21 @@ const brightness = one("brightness", HTMLInputElement);
 const stage = one("stage", HTMLElement);
 const array = one("array", HTMLCanvasElement);
 const chart = one("chart", HTMLCanvasElement);
+const sendButton = one("send", HTMLButtonElement);
 const pauseButton = one("pause", HTMLButtonElement);
 const said = one("said", HTMLElement);
+const warning = one("warning", HTMLDialogElement);
+const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)");
 const notice = new Notice(one("notices", HTMLElement));
 
 /** Rate that is chosen first: each pattern is then in three frames of a phone's 30 a second. */
 const FIRST_HZ = 10;
+
+/** Rate at which a cell flashes once a second at most; WCAG 2.3.1 allows three flashes. */
+const SLOW_HZ = 2;
+
+/** Largest file in bytes that the server takes. */
+const MAX_BYTES = 256 << 10;
 
 /** Length of a video that is saved in s, at least. */
 const FILM_S = 30;
@@ -34,6 +43,8 @@ let facts: Facts | null = null;
 let packets: Packets | null = null;
 let refresh = 60;
 let awake: WakeLockSentinel | null = null;
+let consented = false;
+let leavingFullScreen = false;
 
 function light(): Light {
   return { gamma: Number(gamma.value), brightness: Number(brightness.value) / 100 };
@@ -48,12 +59,12 @@ function seconds(count: number): string {
 }
 
 function showFacts(): void {
-  const rows = [show("Display", `${refresh.toFixed(refresh % 1 ? 2 : 0)} refreshes a second`)];
+  const rows = [show("Display", `${refresh.toFixed(refresh % 1 ? 2 : 0)} refreshes per second`)];
   if (facts !== null) {
     rows.push(
-      show("Sent", `${bytes(facts.bytes)} ${facts.as_file ? "as a file: any packets will do" : "as a message"}`),
-      show("A packet", `${seconds(facts.packet_s)}, ${facts.packet_bytes} bytes: ${Math.round(facts.bits_per_s)} bit/s`),
-      show("All of it", `${facts.packets} ${facts.packets === 1 ? "packet" : "packets"}: ${seconds(facts.seconds)}, if all are read`),
+      show("Sent", `${bytes(facts.bytes)} ${facts.as_file ? "as a file: later packets replace missed ones" : "as a message"}`),
+      show("Packet", `${seconds(facts.packet_s)}, ${facts.packet_bytes} bytes of payload: ${Math.round(facts.bits_per_s)} bit/s`),
+      show("Film for", `${seconds(1.25 * facts.seconds + facts.packet_s)} or more: ${facts.packets} ${facts.packets === 1 ? "packet" : "packets"} in ${seconds(facts.seconds)}`),
     );
   }
   if (player !== null && facts !== null) {
@@ -75,9 +86,9 @@ function showSkipped(): void {
 function advise(): void {
   const hz = refresh / Number(rate.value);
   const film = hz <= 16 ? "30" : hz <= 31 ? "60" : "240";
-  const least = hz <= 3 ? "For slow displays and remote desktops: a packet takes long. " : "";
+  const least = hz <= 3 ? "Slow: for remote desktops and few flashes. " : "";
   one("advice", HTMLElement).textContent =
-    `${least}Film at ${film} frames a second${film === "30" ? ", as phones do by themselves" : ""}.`;
+    `${least}Film at ${film} frames per second${film === "30" ? ", the default of phones" : ""}.`;
 }
 
 async function content(): Promise<{ data: Blob; name: string | null }> {
@@ -86,12 +97,45 @@ async function content(): Promise<{ data: Blob; name: string | null }> {
   }
   const chosen = file.files?.[0];
   if (chosen === undefined) throw new Error("Choose a file first.");
+  if (chosen.size === 0) throw new Error(`${chosen.name} is empty: choose another file.`);
+  if (chosen.size > MAX_BYTES) throw new Error(`${chosen.name} has ${bytes(chosen.size)}; a screen sends at most ${MAX_BYTES >> 10} kB.`);
   return { data: chosen, name: chosen.name };
+}
+
+/** Refreshes per pattern whose rate is nearest to one. */
+function refreshesFor(hz: number): number {
+  const counts = divisors(refresh);
+  return counts.reduce((best, n) => (Math.abs(refresh / n - hz) < Math.abs(refresh / best - hz) ? n : best));
+}
+
+/** A flash is a pair of changes: from dark to light and back. */
+function flashes(lasts: number): string {
+  return (refresh / lasts / 2).toFixed(refresh / lasts < 4 ? 1 : 0).replace(/\.0$/, "");
+}
+
+/** Asks before the first transmission, and before each if the system asks for reduced motion. */
+async function mayFlash(): Promise<boolean> {
+  if (consented && !reducedMotion.matches) return true;
+  const slow = refreshesFor(SLOW_HZ);
+  one("flashes", HTMLElement).textContent = flashes(Number(rate.value));
+  one("slow-flashes", HTMLElement).textContent = `${flashes(slow)} per second`;
+  warning.returnValue = "";
+  warning.showModal();
+  await new Promise((closed) => { warning.addEventListener("close", closed, { once: true }); });
+  const answer = warning.returnValue; // neither if the dialog was closed by Esc
+  if (answer !== "start" && answer !== "slow") return false;
+  if (answer === "slow") {
+    rate.value = String(slow);
+    advise();
+  }
+  consented = true;
+  return true;
 }
 
 async function send(): Promise<void> {
   notice.clear();
   const { data, name } = await content();
+  if (!(await mayFlash())) return;
   const lasts = Number(rate.value);
   const query = new URLSearchParams({ side: side.value, rate_hz: String(refresh / lasts), ...(name === null ? {} : { name }) });
   const answer = await ask(`transmit?${query}`, { method: "POST", body: data });
@@ -103,12 +147,31 @@ async function send(): Promise<void> {
   player.play(packets, lasts);
   player.setLight(light());
   player.fit();
-  for (const id of ["pause", "full", "again", "film"]) one(id, HTMLButtonElement).disabled = false;
+  one("film", HTMLButtonElement).disabled = false;
+  enableControls(true);
   array.setAttribute("aria-label", `Patterns of ${facts.side} × ${facts.side} cells, ${facts.rate_hz.toFixed(1)} a second`);
   said.textContent = "Sending.";
+  sendButton.textContent = "Send";
   showPaused();
   showFacts();
   await stayAwake();
+}
+
+function enableControls(enabled: boolean): void {
+  for (const id of ["pause", "full", "again"]) one(id, HTMLButtonElement).disabled = !enabled;
+}
+
+/** Shows a dark screen at once, and leaves full screen. */
+function stop(): void {
+  if (player === null) return;
+  player.stop();
+  enableControls(false);
+  sendButton.textContent = "Send";
+  said.textContent = "Stopped.";
+  array.setAttribute("aria-label", "Patterns: stopped");
+  stage.classList.remove("fills");
+  if (document.fullscreenElement !== null) void document.exitFullscreen();
+  void awake?.release();
 }
 
 async function stayAwake(): Promise<void> {
@@ -121,7 +184,7 @@ async function stayAwake(): Promise<void> {
 }
 
 function showPaused(): void {
-  pauseButton.textContent = player?.paused ? "Go on" : "Pause";
+  pauseButton.textContent = player?.paused ? "Resume" : "Pause";
 }
 
 function togglePause(): void {
@@ -140,8 +203,16 @@ async function toggleFull(): Promise<void> {
       stage.classList.add("fills"); // phones of one maker have no full screen for pages
     }
   } else {
+    leavingFullScreen = true;
     await document.exitFullscreen();
   }
+  player?.fit();
+}
+
+/** Esc leaves the browser's full screen without a key event, and stops the patterns too. */
+function fullScreenChanged(): void {
+  if (document.fullscreenElement === null && !leavingFullScreen) stop();
+  leavingFullScreen = false;
   player?.fit();
 }
 
@@ -149,7 +220,7 @@ function typed(event: KeyboardEvent): void {
   const there = event.target;
   const typing = there instanceof HTMLTextAreaElement || there instanceof HTMLInputElement || there instanceof HTMLSelectElement;
   if (event.ctrlKey || event.metaKey || event.altKey || player === null) return;
-  if (event.key === "Escape") stage.classList.remove("fills");
+  if (event.key === "Escape") stop();
   if (typing || (event.key === " " && there instanceof HTMLButtonElement)) return;
   if (event.key === " ") {
     event.preventDefault();
@@ -165,7 +236,7 @@ async function saveFilm(): Promise<void> {
   const length = Math.min(600, Math.max(FILM_S, 1.5 * facts.seconds));
   const answer = await ask(`transmit/${facts.sending}/film?seconds=${length}&gamma=${gamma.value}`);
   save(await answer.blob(), "patterns.mp4");
-  notice.say(`Play patterns.mp4 (${seconds(length)}) in a loop, full screen, on any display, and film it.`);
+  notice.say(`Play patterns.mp4 (${seconds(length)}) in a loop, full screen, on any display, and film it. The video flashes like this page.`);
 }
 
 function lit(): void {
@@ -173,6 +244,20 @@ function lit(): void {
   one("brightness-said", HTMLElement).textContent = `${brightness.value} %`;
   drawChart(chart, Number(gamma.value));
   player?.setLight(light());
+}
+
+/** Shows that the patterns are not yet those of the form. */
+function markChanged(): void {
+  if (player?.playing) sendButton.textContent = "Send changes";
+}
+
+function takeFile(dropped: File): void {
+  const files = new DataTransfer();
+  files.items.add(dropped);
+  file.files = files.files;
+  one("kind-file", HTMLInputElement).checked = true;
+  chooseKind();
+  markChanged();
 }
 
 function chooseKind(): void {
@@ -183,9 +268,8 @@ function chooseKind(): void {
 
 async function prepare(): Promise<void> {
   refresh = await measured();
-  const rates = divisors(refresh);
-  const first = rates.reduce((best, n) => (Math.abs(refresh / n - FIRST_HZ) < Math.abs(refresh / best - FIRST_HZ) ? n : best));
-  rate.replaceChildren(...rates.map((n) => {
+  const first = refreshesFor(reducedMotion.matches ? SLOW_HZ : FIRST_HZ);
+  rate.replaceChildren(...divisors(refresh).map((n) => {
     const hz = refresh / n;
     return make("option", { value: n, selected: n === first }, `${hz.toFixed(Math.abs(hz - Math.round(hz)) > 0.005 ? 1 : 0)}`);
   }));
@@ -198,6 +282,8 @@ form.addEventListener("submit", (event) => {
   send().catch((error: unknown) => notice.fail(error));
 });
 form.addEventListener("change", chooseKind);
+form.addEventListener("input", markChanged);
+onDrop(takeFile);
 rate.addEventListener("change", advise);
 gamma.addEventListener("input", lit);
 brightness.addEventListener("input", lit);
@@ -207,7 +293,7 @@ one("again", HTMLButtonElement).addEventListener("click", () => { player?.restar
 one("film", HTMLButtonElement).addEventListener("click", () => void saveFilm().catch((error: unknown) => notice.fail(error)));
 stage.addEventListener("dblclick", () => void toggleFull());
 document.addEventListener("keydown", typed);
-document.addEventListener("fullscreenchange", () => player?.fit());
+document.addEventListener("fullscreenchange", fullScreenChanged);
 document.addEventListener("visibilitychange", () => {
   if (document.visibilityState === "visible" && player !== null) void stayAwake();
 });

@@ -47,6 +47,10 @@ export class Player {
     return Math.floor(this.refreshes / this.lasts);
   }
 
+  get playing(): boolean {
+    return this.packets !== null;
+  }
+
   play(packets: Packets, lasts: number): void {
     this.packets = packets;
     this.lasts = lasts;
@@ -58,6 +62,13 @@ export class Player {
       requestAnimationFrame(tick);
     };
     requestAnimationFrame(tick);
+  }
+
+  /** The canvas is dark until `play`. */
+  stop(): void {
+    this.running += 1;
+    this.packets = null;
+    this.draw();
   }
 
   restart(): void {

@@ -13,11 +13,16 @@ export function speedWords(approach: number | null | undefined): string {
 
 export class FrameView {
   private readonly canvas = one("frame", HTMLCanvasElement);
+  private asked = 0;
+  private drawn = 0;
 
   async draw(about: About, picture: Blob, model: Model): Promise<void> {
+    const order = ++this.asked;
     const [image, ...cuts] = await Promise.all([
       createImageBitmap(picture), ...about.cuts.slice(0, 3).map((cut) => createImageBitmap(imageOf(cut.received))),
     ]);
+    if (order < this.drawn) return; // a newer frame was decoded sooner
+    this.drawn = order;
     const canvas = this.canvas;
     if (canvas.width !== image.width || canvas.height !== image.height) {
       canvas.width = image.width;
@@ -84,6 +89,7 @@ export class FrameView {
   }
 
   clear(): void {
+    this.drawn = ++this.asked;
     const context = this.canvas.getContext("2d");
     if (context === null) return;
     context.fillStyle = colour("screen");

@@ -1,5 +1,6 @@
 // The form by which a source is chosen; a film is uploaded first.
 
+import { onDrop } from "../common/page";
 import { ask, askJson, kindOf, upload } from "../common/api";
 import { make, one } from "../common/dom";
 import type { Source } from "./link";
@@ -29,12 +30,7 @@ export class SourceForm {
     };
     this.form.onchange = () => this.showKind();
     one("look", HTMLButtonElement).onclick = () => void this.look();
-    document.addEventListener("dragover", (event) => event.preventDefault());
-    document.addEventListener("drop", (event) => {
-      event.preventDefault();
-      const file = event.dataTransfer?.files[0];
-      if (file !== undefined) void this.film(file);
-    });
+    onDrop((file) => void this.film(file));
     void this.load();
   }
 

@@ -27,8 +27,7 @@ from heliograph.receive.decode.worker import Decoded
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.events import ExtractEvent, Observer, ignore
-from heliograph.receive.observe.cutout import take_cutout
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Noise, take_cutout
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import TrackedPair
 

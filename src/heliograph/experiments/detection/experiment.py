@@ -66,8 +66,7 @@ from heliograph.receive.detect.alternation import (
     coarse_search,
 )
 from heliograph.receive.detect.candidate import cell_weights, fit_near, is_in_size_range, is_plausible
-from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.header_bank import ALL_ON, headers
+from heliograph.receive.detect.detection import ALL_ON, Detection, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.geometry.pose import UPRIGHT

@@ -180,7 +180,7 @@ def list_cameras(settings: CameraSettings) -> tuple[list[dict[str, str]], dict[s
             lacking[kind] = str(error)
             continue
         if not cameras:
-            built_in = CAMERAS.is_built_in(kind)
+            built_in = kind in CAMERAS.built_in
             lacking[kind] = "no camera answers" if built_in else "cannot be listed; give the address"
         for camera in cameras:
             name = f"{PREFIX}{kind}:{camera.address}".rstrip(":")

@@ -2,10 +2,11 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from heliograph.base.config import from_mapping, to_mapping
+from heliograph.base.config import from_mapping
 from heliograph.base.errors import MediaError, shown
 from heliograph.media.live.camera import PREFIX, Camera, CameraForm, camera_kind
 from heliograph.media.live.grabber import CameraCounts, CameraSource, CameraTiming, FrameQueue, Grabber
@@ -48,7 +49,7 @@ class LiveReader(FilmReader):
         super().__init__(Path(name))
         kind, address = camera_kind(name)
         if reading.channel != CameraSettings().channel:
-            settings = from_mapping(CameraSettings, to_mapping(settings) | {"channel": reading.channel})
+            settings = from_mapping(CameraSettings, asdict(settings) | {"channel": reading.channel})
         self._source = CameraSource(name, lambda: kind.make(address), settings)
         self._grabber: Grabber | None = None
         self._stopping = False

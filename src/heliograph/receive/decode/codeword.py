@@ -1,4 +1,13 @@
-"""Codewords: LLRs to bits by channel decoder and CRC, once for a packet or iteratively for a layer."""
+"""Codewords: LLRs to bits by channel decoder and CRC, once for a packet or iteratively for a layer.
+
+In a pair every symbol is a bit. In the single mode a row of D11 is data times the row's polarity (`signal.polarity`), a
+check of three: symbol = polarity x datum. With t = tanh(L / 2) of the symbols' LLRs and m the data's means, the
+LLR of the polarity is
+
+    L_s = L(column 0) + sum over the row of 2 artanh(t m),
+
+and the message to each symbol or datum is the product of the other two members of the check.
+"""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -33,11 +42,6 @@ class Decoding:
     # True to combine a codeword with repetitions received earlier
     combining: bool = True
 
-    @property
-    def soft(self) -> bool:
-        """True if soft values of failed codewords are fed back."""
-        return self.feedback in ("soft", "propagation")
-
 
 def decode_packet(
     luminances: Floats, seen: NDArray[np.bool_], form: PacketFormat, identity: int, options: Decoding = Decoding()
@@ -52,10 +56,8 @@ def decode_packet(
     words: dict[tuple[str, int], Codeword] = {}
     for code, keys in groups.items():
         llrs = np.stack([received[name][i] for name, i in keys])
-        result = code.decode(llrs, algorithm=options.algorithm, iterations=options.iterations, check=check)
-        known = information(llrs)
-        for (name, i), *decoded in zip(keys, llrs, known, result.bits, result.iterations, result.llr, strict=True):
-            words[name, i] = _codeword(*decoded, identity=identity, layer=name)
+        decoded, _ = _decode_together(code, llrs, [name for name, _ in keys], identity, options)
+        words |= zip(keys, decoded, strict=True)
     return {name: tuple(words[name, i] for i in range(len(rows))) for name, rows in received.items()}
 
 
@@ -80,27 +82,24 @@ def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
     return np.clip(np.where(seen[:, None], llr, 0.0), -LARGEST_LLR, LARGEST_LLR)
 
 
-def _codeword(
-    llr: Floats,
-    known: float,
-    bits: NDArray[np.uint8],
-    iterations: int,
-    decoded_llr: Floats,
-    *,
-    identity: int,
-    layer: str,
-) -> Codeword:
-    """Codeword by its received LLRs and their information, decided bits and decoded LLRs."""
-    block = unpack(bits)
-    if block is None:
-        status: Literal["ok", "crc_fail", "mismatch"] = "crc_fail"
-    elif (block.identity, block.layer) != (identity, layer):
-        status, block = "mismatch", None
-    else:
-        status = "ok"
-    margin = float(np.abs(decoded_llr).mean())
-    raw, received = hard_decisions(llr), llr.astype(np.float32)
-    return Codeword(status, block, bits, raw, int(iterations), margin, received, float(known))
+def _decode_together(
+    code: Code, llrs: Floats, layers: Sequence[str], identity: int, options: Decoding, coded_output: bool = False
+) -> tuple[list[Codeword], NDArray[np.float32] | None]:
+    """Decode LLRs (codewords, E) of some layers' codewords; return also the extrinsic LLRs of the coded bits."""
+    result = code.decode(
+        llrs, algorithm=options.algorithm, iterations=options.iterations, check=check, coded_output=coded_output
+    )
+    words, known = list[Codeword](), information(llrs)
+    rows = zip(llrs, layers, result.bits, result.iterations, result.llr, known, strict=True)
+    for llr, layer, bits, iterations, decoded_llr, information_ in rows:
+        block = unpack(bits)
+        status: Literal["ok", "crc_fail", "mismatch"] = "crc_fail" if block is None else "ok"
+        if block is not None and (block.identity, block.layer) != (identity, layer):
+            status, block = "mismatch", None
+        raw, margin = hard_decisions(llr), float(np.abs(decoded_llr).mean())
+        received = llr.astype(np.float32)
+        words.append(Codeword(status, block, bits, raw, int(iterations), margin, received, float(information_)))
+    return words, result.coded_extrinsic
 
 
 class Layer:
@@ -162,8 +161,9 @@ class Layer:
         for i, (word, _) in decoded.items():
             words[i] = replace(word, raw=self._raw[i], llr=self.llr[i].astype(np.float32))
         self.words = tuple(words[i] for i in range(len(self.llr)))
+        is_soft = options.feedback in ("soft", "propagation")
         for i, (_, extrinsic) in decoded.items():
-            self._feed_back(i, extrinsic if options.soft else None)
+            self._feed_back(i, extrinsic if is_soft else None)
 
     def reject_inconsistent(self) -> None:
         """Reject codewords that disagree with the LLRs of this packet; the bits are unknown again."""
@@ -209,18 +209,12 @@ class Layer:
         """Decode LLRs (codewords, E) together, also to extrinsic LLRs; only one iteration if all are hopeless."""
         if not len(llr):
             return []
-        known = information(llr)
-        iterations = 1 if is_hopeless(known, self.form).all() else options.iterations
-        result = self.form.code.decode(
-            llr, algorithm=options.algorithm, iterations=iterations, check=check, coded_output=True
-        )
-        assert result.coded_extrinsic is not None  # by coded_output
-        extrinsic = np.clip(result.coded_extrinsic.astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
-        words = [
-            _codeword(*decoded, identity=self._identity, layer=self.form.name)
-            for decoded in zip(llr, known, result.bits, result.iterations, result.llr, strict=True)
-        ]
-        return list(zip(words, extrinsic, strict=True))
+        if is_hopeless(information(llr), self.form).all():
+            options = replace(options, iterations=1)
+        layers = [self.form.name] * len(llr)
+        words, extrinsic = _decode_together(self.form.code, llr, layers, self._identity, options, coded_output=True)
+        assert extrinsic is not None  # by coded_output
+        return list(zip(words, np.clip(extrinsic.astype(np.float64), -LARGEST_LLR, LARGEST_LLR), strict=True))
 
 
 def is_hopeless(information: Floats, form: LayerFormat) -> NDArray[np.bool_]:
@@ -232,3 +226,54 @@ def is_hopeless(information: Floats, form: LayerFormat) -> NDArray[np.bool_]:
 def coded_signs(code: Code, word: Codeword) -> Floats:
     """Coded bits (E,) of a codeword, 1 for 0 and -1 for 1."""
     return np.asarray(1.0 - 2.0 * code.encode(word.bits))
+
+
+class SymbolMapper:
+    """Maps means and LLRs between bits of layers and symbols of the equaliser."""
+
+    def __init__(self, form: PacketFormat):
+        self._single = form.single
+        self._half = form.settings.side // 2
+        self._edges = np.cumsum([layer.symbols for layer in form.layers.values()])[:-1]
+        self._llr = np.zeros((form.layers["high"].pairs, self._half, self._half))
+
+    def expected(self, means: Sequence[Floats], variances: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Compute mean and variance of each symbol, (patterns, n n)."""
+        if not self._single:
+            return np.concatenate(means, axis=1), np.concatenate(variances, axis=1)
+        data = means[0].reshape(-1, self._half, self._half - 1)
+        checks, total = self._decode_polarities(data)
+        mean, square = np.zeros_like(self._llr), np.zeros_like(self._llr)
+        mean[:, 1:, 0] = np.tanh(0.5 * checks[:, 1:].sum(-1))
+        known = np.tanh(0.5 * (total[..., None] - checks))
+        mean[:, :, 1:] = known * data
+        # a variance above 1 - mean^2 marks an undecoded datum as unknown
+        square[:, :, 1:] = known**2 * (1 - variances[0].reshape(data.shape))
+        square[:, :, 0] = mean[:, :, 0] ** 2
+        flat = len(mean), self._half**2
+        high = mean.reshape(flat), 1 - square.reshape(flat)
+        return np.concatenate([high[0], *means[1:]], axis=1), np.concatenate([high[1], *variances[1:]], axis=1)
+
+    def bits(self, llr: Floats, means: Sequence[Floats]) -> list[Floats]:
+        """Compute LLRs of the bits of each layer, (patterns, bits)."""
+        if not self._single:
+            return np.split(llr, self._edges, axis=1)
+        size = self._half**2
+        latest = llr[:, :size].reshape(self._llr.shape)
+        # the extrinsic LLR of a known symbol is 0: keep the last one
+        self._llr = np.where(latest == 0, self._llr, latest)
+        checks, total = self._decode_polarities(means[0].reshape(-1, self._half, self._half - 1))
+        data = _llr_of(np.tanh(0.5 * (total[..., None] - checks)) * np.tanh(0.5 * self._llr[:, :, 1:]))
+        return [data.reshape(len(llr), -1), *np.split(llr[:, size:], self._edges[1:] - self._edges[0], axis=1)]
+
+    def _decode_polarities(self, data: Floats) -> tuple[Floats, Floats]:
+        """Compute messages of data to the polarities of rows, and the LLRs of these; row 0 has the polarity +1."""
+        checks = _llr_of(np.tanh(0.5 * self._llr[:, :, 1:]) * data)
+        total = self._llr[:, :, 0] + checks.sum(-1)
+        checks[:, 0], total[:, 0] = 0.0, 2 * LARGEST_LLR
+        return checks, total
+
+
+def _llr_of(mean: Floats) -> Floats:
+    """Compute the LLR of a mean, at most 28."""
+    return np.asarray(2 * np.arctanh(np.clip(mean, -1 + 1e-12, 1 - 1e-12)))

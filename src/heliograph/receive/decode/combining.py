@@ -78,12 +78,9 @@ class SoftBuffer:
 
     def same_codeword(self, kind: Kind, llr: Floats) -> Floats:
         """Sum of the LLRs (E,) of earlier repetitions of a codeword; zeros if new."""
-        kept = self.codewords.get(kind, ())
-        agreements = [agreement(llr, other)[0] for other in kept]
-        best = int(np.argmax(agreements)) if agreements else -1
-        if best < 0 or agreements[best] < SAME:
-            return np.zeros_like(llr)
-        return kept[best]
+        alike = [(agreement(llr, other)[0], other) for other in self.codewords.get(kind, ())]
+        best, kept = max(alike, key=lambda entry: entry[0], default=(0.0, llr))
+        return np.zeros_like(llr) if best < SAME else kept
 
     def without(self, packet: BufferedPacket) -> "SoftBuffer":
         """Return the buffer less a packet."""

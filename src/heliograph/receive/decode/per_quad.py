@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.decode.codeword import Decoding, Layer, is_hopeless
-from heliograph.receive.decode.per_led import at_leds, normalised
-from heliograph.receive.equalise.symbols import SymbolMapper
+from heliograph.receive.decode.codeword import Decoding, Layer, SymbolMapper, is_hopeless
+from heliograph.receive.decode.per_led import normalised, sample_differences
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
 from heliograph.receive.sync.combine import Moments, UnsynchronisedPacket
@@ -70,14 +69,10 @@ def decode_per_quad(
 
 def _observed_symbols(cutouts: Sequence[Cutout | None], gain: float, form: PacketFormat) -> Floats:
     """Haar transform of the light at the LEDs of each cut-out about the mean, (pairs, symbols); 0 for None."""
-    side = form.settings.side
-    light = np.zeros((len(cutouts), side, side))
-    for place, cutout in enumerate(cutouts):
-        if cutout is None:
-            continue
-        pattern, inverse = (0.5, 0.5) if cutout.combination is None else cutout.combination.levels
-        sampled = at_leds(cutout.difference, cutout.corner, cutout.middle, side)
-        light[place] = normalised(sampled - gain * (pattern - inverse), gain)
+    combinations = [None if cutout is None else cutout.combination for cutout in cutouts]
+    levels = np.array([(0.5, 0.5) if combination is None else combination.levels for combination in combinations])
+    mean = gain * (levels[:, 0] - levels[:, 1])[:, None, None]
+    light = normalised(sample_differences(cutouts, form.settings.side) - mean, gain)
     return np.concatenate([*form.split(haar.decode(light)).values()], axis=1)
 
 

@@ -15,13 +15,12 @@ from heliograph.receive.decode.header_reader import HeaderReader, data_late_s, t
 from heliograph.receive.decode.per_led import decode_per_led
 from heliograph.receive.decode.per_quad import decode_per_quad
 from heliograph.receive.decode.turbo_equaliser import TurboEqualiser, decode_iteratively
-from heliograph.receive.decode.worker import Decoded, renumber
+from heliograph.receive.decode.worker import Decoded
 from heliograph.receive.equalise.led_gains import LedGains, update_brightness
 from heliograph.receive.equalise.pose_refinement import ObservedPacket, align_by_power
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer, ignore
-from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
+from heliograph.receive.observe.cutout import Cutout, Noise, measure_noise, noise_beside
 from heliograph.receive.packet import Words, with_raw
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import Track, TrackedPair, mask_occluded_retroactively
@@ -91,8 +90,8 @@ class SoftPacket:
 
     def renumbered(self, place: int) -> "SoftPacket":
         """Return the packet with a lost pair; see `PacketObservations`."""
-        moved = copy(self)
-        moved._cutouts = renumber(self._cutouts, place, self._signal.data_pairs)
+        moved, pairs = copy(self), self._signal.data_pairs
+        moved._cutouts = {k + (k >= place): cutout for k, cutout in self._cutouts.items() if k + (k >= place) < pairs}
         return moved
 
     @one_thread()
@@ -146,9 +145,9 @@ class SoftPacket:
     def _noise(self, cutouts: Cutouts, led_gains: LedGains) -> Noise:
         """Noise of the cut-outs."""
         side, values = self._signal.side, led_gains.values
-        if self._decided_noise is not None:
-            return Noise(self._decided_noise, noise_beside([cutout for cutout in cutouts if cutout], side))
         pairs = [cutout for cutout in cutouts if cutout is not None]
+        if self._decided_noise is not None:
+            return Noise(self._decided_noise, noise_beside(pairs, side))
         # an occluder is uneven too
         whole = [cutout for cutout in pairs if cutout.in_sight is None]
         even = whole if len(whole) > 1 else pairs

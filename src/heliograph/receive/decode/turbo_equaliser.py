@@ -12,14 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.decode.codeword import Decoding, Layer, is_hopeless
+from heliograph.receive.decode.codeword import Decoding, Layer, SymbolMapper, is_hopeless
 from heliograph.receive.decode.combining import BufferedPacket, SoftBuffer
-from heliograph.receive.equalise.ep import LEAST_PRECISION, ExpectationPropagation
-from heliograph.receive.equalise.lmmse import equalise
+from heliograph.receive.equalise.lmmse import LEAST_PRECISION, ExpectationPropagation, equalise
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
-from heliograph.receive.equalise.symbols import SymbolMapper
 from heliograph.receive.events import EqualiseEvent, ignore
-from heliograph.receive.observe.noise import LEAST_NOISE
+from heliograph.receive.observe.cutout import LEAST_NOISE
 from heliograph.receive.packet import Words, with_raw
 from heliograph.receive.sync.combine import UnsynchronisedPacket
 from heliograph.signal.pwm import SLOTS

@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -200,12 +200,6 @@ def _remember(recent: dict[Key, Value], key: Key, value: Value, count: int) -> V
     while len(recent) > count:
         del recent[next(iter(recent))]
     return value
-
-
-def renumber(items: Mapping[int, Value], place: int, pairs: int) -> dict[int, Value]:
-    """Move the items from a place on to the next number."""
-    moved = {number + (number >= place): item for number, item in items.items()}
-    return {number: item for number, item in moved.items() if number < pairs}
 
 
 def _decode_with_lost_pair(packet: PacketObservations, led_gains: LedGains | None, observe: Observer) -> Decoded:

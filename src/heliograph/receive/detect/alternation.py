@@ -231,7 +231,6 @@ def coarse_search(
     count, work, passed, compared = kernels.search(
         integral_images(region.change),
         region.busy,
-        float(BLOCK_PX),
         cells,
         sides,
         # the array may be half off the grid

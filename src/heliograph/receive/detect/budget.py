@@ -6,7 +6,8 @@ novelty and candidates unlike a header, at last everything. A search that cannot
 greatest novelty: their alternation over the running mean of earlier searches.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
+from operator import add, sub
 
 import cv2
 import numpy as np
@@ -93,40 +94,26 @@ class SearchLoad:
 
     def __add__(self, other: "SearchLoad") -> "SearchLoad":
         """Add two loads."""
-        return SearchLoad(
-            self.fitted + other.fitted,
-            self.dropped + other.dropped,
-            self.blocks + other.blocks,
-            self.work + other.work,
-        )
+        return SearchLoad(*map(add, astuple(self), astuple(other)))
 
     def __sub__(self, other: "SearchLoad") -> "SearchLoad":
         """Return the load since an earlier load."""
-        return self + SearchLoad(-other.fitted, -other.dropped, -other.blocks, -other.work)
+        return SearchLoad(*map(sub, astuple(self), astuple(other)))
 
 
 class TokenBucket:
     """Token bucket of work for the searches of a stream of frames."""
 
-    def __init__(
-        self,
-        cpu_share: float,
-        period_s: float,
-        max_capacity: float = 160e6,
-        high_level: float = 0.95,
-        low_level: float = 0.5,
-        search_share: float = 0.05,
-    ):
+    def __init__(self, cpu_share: float, period_s: float):
         # work refilled per pattern; the bucket holds the work of 3 s at most, and of a quarter second at least
         self._refill, per_s = cpu_share * 1e3 * WORK_PER_MS * period_s, cpu_share * 1e3 * WORK_PER_MS
-        self.capacity = max(min(max_capacity, 3 * per_s), 0.25 * per_s)
-        self._high, self._low = high_level * self.capacity, low_level * self.capacity
-        self._scarce = 0.5 * (self._high + self._low)
+        self.capacity = max(min(160e6, 3 * per_s), 0.25 * per_s)
         # a film can wait. A live camera knows no baseline at first, and data of an array would all be fitted
         is_film = cpu_share >= 1
         # a search of all rolls takes a tenth
-        self._high = min(self._high, 0.9 * self.capacity) if is_film else self._high
-        self._search_share = 10 * search_share if is_film else search_share
+        self._high = (0.9 if is_film else 0.95) * self.capacity
+        self._scarce, self._low = 0.725 * self.capacity, 0.5 * self.capacity
+        self._search_share = 0.5 if is_film else 0.05
         self.level = self.capacity if is_film else 0.9 * self.capacity
         # running mean of a block's work, blocks of the current search, and work done before
         self._block_work, self._blocks, self._work_before = 3000.0, 0, 0.0

@@ -1,7 +1,13 @@
-"""An array detected by the header, and the protocol of the searches."""
+"""Headers of all identities and orientations, and an array detected by the header.
 
+A turned or mirrored header may equal the header of another identity. The blocks of a packet name the identity and have
+a CRC, so the data resolve the ambiguity.
+"""
+
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -9,12 +15,44 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import DETECT
 from heliograph.receive.detect.candidate import are_disjoint
-from heliograph.receive.detect.header_bank import Hypothesis
 from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import UPRIGHT, Orientation
 from heliograph.receive.geometry.view import View
 from heliograph.receive.geometry.window import cut_out, window_around
+from heliograph.signal.header import IDENTITIES, header_cells
 from heliograph.signal.settings import SignalSettings
+
+Hypothesis = tuple[int, Orientation]
+"""Identity of an array, and the orientation in the camera's image."""
+
+
+@dataclass(frozen=True, slots=True)
+class Headers:
+    """Set of different headers."""
+
+    # (headers, 16) of +-1, as the camera sees them
+    cells: Floats
+    # Identities and orientations of each header, the most plausible first
+    hypotheses: tuple[tuple[Hypothesis, ...], ...]
+    # Least distance of two candidates as a fraction of the side
+    min_distance: float = DETECT.min_distance
+
+
+ALL_ON = Headers(np.ones((1, 16)), (((0, UPRIGHT),),))
+"""Blinking square with no identity."""
+
+
+@lru_cache
+def headers(orientations: Sequence[Orientation], other: Sequence[Orientation] = ()) -> Headers:
+    """Return the headers of all identities in some orientations; `other` orientations add hypotheses alone."""
+    hypotheses: dict[bytes, list[Hypothesis]] = defaultdict(list)
+    for orientation in (*orientations, *other):
+        for number in range(IDENTITIES):
+            hypotheses[orientation.turned(header_cells(number)).tobytes()].append((number, orientation))
+    kept = {cells: meanings for cells, meanings in hypotheses.items() if meanings[0][1] in orientations}
+    cells = np.array([np.frombuffer(header, np.int8) for header in kept], np.float64)
+    min_distance = DETECT.min_distance if len(orientations) == 1 else DETECT.min_distance_turned
+    return Headers(cells, tuple(map(tuple, kept.values())), min_distance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,20 +94,16 @@ class Detection:
         return self.score >= DETECT.clear_score and self.regularity >= DETECT.min_hidden_regularity
 
     @property
-    def is_complete(self) -> bool:
-        """True if the header is beyond doubt and no cell is hidden or dark."""
-        # a hidden cell leaves at most 0.968
-        return self.is_clear and self.score >= 0.985
-
-    @property
-    def is_ambiguous(self) -> bool:
-        """True if the header leaves identity or orientation open: turned arrays are rare."""
-        return bool(self.alternatives) or self.orientation != UPRIGHT
+    def is_certain(self) -> bool:
+        """True if the header is clear, no cell is hidden or dark, and one upright array has this header."""
+        # a hidden cell leaves at most 0.968, and turned arrays are rare
+        is_unique = not self.alternatives and self.orientation == UPRIGHT
+        return self.is_clear and self.score >= 0.985 and is_unique
 
     def in_view(self, view: View) -> "Detection":
         """Return the detection in the coordinates of a view."""
-        gains, drift = view.orientation.upright(self.led_gains), view.motion_in(self.drift)
-        return replace(self, fit=view.fit_in(self.fit), led_gains=gains, drift=drift)
+        gains, drift = view.orientation.upright(self.led_gains), view.map_motion(self.drift)
+        return replace(self, fit=view.map_fit(self.fit), led_gains=gains, drift=drift)
 
 
 def distinct(detections: list[Detection], side: int) -> list[Detection]:

@@ -53,15 +53,13 @@ from heliograph.receive.detect.candidate import (
     is_tracked,
     measure_cells,
 )
-from heliograph.receive.detect.detection import Detection, distinct
+from heliograph.receive.detect.detection import ALL_ON, Detection, Headers, Hypothesis, distinct, headers
 from heliograph.receive.detect.frame_window import (
     FrameWindow,
     fill_missing,
     find_header_start,
-    have_same_format,
     header_frames,
 )
-from heliograph.receive.detect.header_bank import ALL_ON, Headers, Hypothesis, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.fit import Fit, header_amplitudes
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, Pose
@@ -171,28 +169,23 @@ class Detector:
         candidates, has_compared = list[Candidate](), False
         for roll in np.radians(rolls_deg).tolist():
             start = replace(given, blur=parameters.blur_px) if given else Pose(0.0, 0.0, 1.0, roll, parameters.blur_px)
-            rows, has_now = self._coarse_search(regions, bank, start)
-            has_compared |= has_now
-            for row, map_, region in rows:
-                score, across, down, width, number = row
-                x, y = (map_ @ [across - 0.5, down - 0.5, 1.0]).tolist()
-                pose, k = replace(start, x=x, y=y, pitch=width / self.side), int(number)
-                candidates.append(Candidate(pose, score, bank.cells[k], bank.hypotheses[k], region))
+            found, has_now = self._coarse_search(regions, bank, start)
+            candidates, has_compared = candidates + found, has_compared or has_now
         candidates.sort(key=lambda candidate: -abs(candidate.score))
         candidates = candidates[: parameters.candidates]
         if given:
-            candidates += [found for region in regions if (found := self._given_candidate(region, bank, given))]
+            candidates += filter(None, (self._given_candidate(region, bank, given) for region in regions))
         return candidates, has_compared
 
     def _coarse_search(
         self, regions: Sequence[SearchRegion], bank: Headers, start: Pose
-    ) -> tuple[list[tuple[list[float], Floats, SearchRegion]], bool]:
+    ) -> tuple[list[Candidate], bool]:
         """Search regions, drawn as if arrays with the axes of a pose were upright, within the budget.
 
-        A search that breaks off goes on from there in the next search. Returns rows of `coarse_search` with the maps
-        to the sensor (2, 3) and the regions, and True if any place was compared with the headers.
+        A search that breaks off goes on from there in the next search. Returns also True if any place was compared
+        with the headers.
         """
-        rows, has_compared, left = [], False, self.budget.coarse_work
+        candidates, has_compared, left = list[Candidate](), False, self.budget.coarse_work
         max_imbalance = DETECT.max_imbalance if self.budget.is_scarce else 2.0
         for k, region in enumerate(regions):
             image, map_ = _draw_upright(region, start.axes / start.pitch)
@@ -219,8 +212,11 @@ class Detector:
                 self.budget.skip_blocks(int(np.count_nonzero(busy[skipped])))
                 self._begins[key] = int(skipped[0]) // columns + down, int(skipped[0]) % columns + across
             has_compared |= compared > 0 or passed < busy.size
-            rows += [(found, map_, region) for found in best.tolist()]
-        return rows, has_compared
+            for score, across_px, down_px, width, number in best.tolist():
+                x, y = (map_ @ [across_px - 0.5, down_px - 0.5, 1.0]).tolist()
+                pose, n = replace(start, x=x, y=y, pitch=width / self.side), int(number)
+                candidates.append(Candidate(pose, score, bank.cells[n], bank.hypotheses[n], region))
+        return candidates, has_compared
 
     def _given_candidate(self, region: SearchRegion, bank: Headers, given: Pose) -> Candidate | None:
         """Return a given pose with the most similar header."""
@@ -269,7 +265,7 @@ class Detector:
             if begun is None:
                 # at any tilt
                 break
-            found = self._detect(slots, begun, pose, weights, candidate.hypotheses, tilt)
+            found = self._detect(slots, candidate, begun, pose, tilt)
             # an upright array with a hidden side looks a little tilted
             if found is not None and (best is None or found.score > best.score + 0.03):
                 best = found
@@ -278,16 +274,10 @@ class Detector:
         return [] if best is None else [best]
 
     def _detect(
-        self,
-        slots: FrameWindow,
-        begun: tuple[int, float],
-        pose: Pose,
-        weights: Floats,
-        hypotheses: tuple[Hypothesis, ...],
-        tilt: float,
+        self, slots: FrameWindow, candidate: Candidate, begun: tuple[int, float], pose: Pose, tilt: float
     ) -> Detection | None:
         """Fit the frames of a header; None if they show no convincing array."""
-        parameters, (start, regularity) = self.parameters, begun
+        parameters, (start, regularity), weights = self.parameters, begun, cell_weights(candidate.cells, self.side)
         frames = slots[start : start + self.header_length]
         header = fill_missing(frames[:4])
         if header is None:
@@ -316,7 +306,7 @@ class Detector:
             return None
         first, frame = next((k, frame) for k, frame in enumerate(frames) if frame is not None)
         start_s, time_s = frame.time_s - first * self.period_s, 0.5 * (header[0].time_s + header[-1].time_s)
-        (identity, orientation), *others = hypotheses
+        (identity, orientation), *others = candidate.hypotheses
         found = Detection(identity, start_s, fit, time_s, fit.score, regularity, led_gains, orientation, tuple(others))
         if not is_in_range:
             return found
@@ -366,8 +356,7 @@ class HalfPeriodDetector:
     def search(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
         """Search with the next frame; see `HeaderSearch`."""
         detector, length = self._detector, self._detector.header_length
-        last = self._frames[-1] if self._frames else None
-        if last is not None and not (have_same_format(last, frame) and frame.index == last.index + 1):
+        if self._frames and frame.index != self._frames[-1].index + 1:
             self._frames.clear()
         self._frames.append(frame)
         if len(self._frames) <= length:

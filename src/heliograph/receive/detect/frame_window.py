@@ -66,11 +66,6 @@ def copies_before(frame: Frame, count: int) -> list[Frame]:
     return [replace(frame, index=frame.index - k, time_s=frame.time_s - 1e9 * k) for k in range(count, 0, -1)]
 
 
-def have_same_format(last: Frame, frame: Frame) -> bool:
-    """Return True if two frames have the same kind of pixels."""
-    return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits
-
-
 def first_present(slots: FrameWindow) -> Frame:
     """Return the first present frame."""
     return next(frame for frame in slots if frame is not None)
@@ -88,8 +83,7 @@ class FrameWindowBuffer:
     def push(self, frame: Frame) -> list[tuple[FrameWindow, bool]]:
         """Add a frame; return the windows to search, of one size and place, and True if turned headers are due."""
         lost = frame.index - self._next
-        last = self._frames[-1] if self._frames else None
-        if last is not None and not (have_same_format(last, frame) and 0 <= lost <= self._size):
+        if not 0 <= lost <= self._size:
             self._frames.clear()
         if not self._frames:
             lost = self._searches = 0

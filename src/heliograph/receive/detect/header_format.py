@@ -1,4 +1,4 @@
-"""Format signalling: the format of a packet, read coherently from the cells of the header's pairs.
+"""Header pairs: the amplitude of a header, and the format of the packet, read coherently from the cells.
 
 Let A_1 and A_2 be the light of each cell of the header, with all LEDs on, in each pixel of the two frames of a
 header pair, and v the cells' alternation. The difference of the frames is
@@ -23,15 +23,30 @@ from functools import lru_cache
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.receive.geometry.fit import header_amplitudes
 from heliograph.receive.geometry.footprint import images_of
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, Window, cut_out, window_around
+from heliograph.receive.sync.combine import Combination
 from heliograph.receive.sync.pairing import FramePair, MeasuredHeader
 from heliograph.signal.formats import AGREED, ALL_MODES, DIMMED, readable, words
-from heliograph.signal.header import CELLS, header_cells
+from heliograph.signal.header import CELLS, dimmed_leds, header_cells, header_levels
 
 CELL_COUNT = CELLS * CELLS
+
+
+def header_weights(identity: int, form: int, side: int, combination: Combination | None) -> Floats:
+    """Return luminances of a header less the inverse, (n, n): +-1, or +-1/2 in dimmed cells of a pair in step."""
+    signs = header_levels(identity, side) / 2.0 - 1.0
+    contrast, light = combination.dimmed if combination else (DIMMED, 0.0)
+    return np.where(dimmed_leds(form, side), contrast * signs + light, signs)
+
+
+def header_score(pair: FramePair, pose: Pose, weights: Floats, gain: float) -> float:
+    """Return the amplitude of a header over the array's light, about 1."""
+    up, down = header_amplitudes((pair.pattern, pair.inverted), pose, weights)
+    return float(up - down) / max(gain, TINY)
 
 
 @dataclass(frozen=True, slots=True)

@@ -162,7 +162,6 @@ def _max_product(columns, sums, dots):
 def search(
     integrals,
     busy,
-    block,
     cells,
     sides,
     contrast,
@@ -196,10 +195,10 @@ def search(
             whole, least = side + 2 * ring, contrast * contrast * side * side
             filled = (1.0 - SINGLE_ERROR) * (threshold * side) ** 2
             # where places are dense, a quarter of the block at a time
-            parts = 2 if 4 * step < block else 1
-            part = block / parts
+            parts = 2 if 4 * step < BLOCK_PX else 1
+            part = BLOCK_PX / parts
             for quarter in range(parts * parts):
-                top, left = down * block + quarter // parts * part, across * block + quarter % parts * part
+                top, left = down * BLOCK_PX + quarter // parts * part, across * BLOCK_PX + quarter % parts * part
                 work += 1
                 if _outer_box(square, top - 0.5 * whole, left - 0.5 * whole, part + whole, part + whole) < least:
                     continue

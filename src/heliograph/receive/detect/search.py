@@ -23,7 +23,7 @@ from heliograph.receive.detect.frame_window import FrameWindow, FrameWindowBuffe
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import Orientation, Pose
 from heliograph.receive.geometry.view import View, halved, reduced_blur
-from heliograph.receive.geometry.window import Window, window_around
+from heliograph.receive.geometry.window import Window, crop, window_around
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
@@ -32,11 +32,7 @@ class HeaderSearch:
     """Search for headers at the phases of a camera, on all levels of a pyramid, in the frames or a region of them."""
 
     def __init__(
-        self,
-        parameters: SearchParameters,
-        signal: SignalSettings,
-        synchronous: bool = False,
-        region: Window | None = None,
+        self, parameters: SearchParameters, signal: SignalSettings, synchronous: bool, region: Window | None = None
     ):
         self._parameters, self._signal, self._synchronous = parameters, signal, synchronous
         self._given = self._region = region
@@ -53,23 +49,18 @@ class HeaderSearch:
     @property
     def load(self) -> SearchLoad:
         """Work of all streams, with the skipped candidates and blocks."""
-        first, *others = [search.budget.load for _, search in self._streams] or [SearchLoad()]
-        return sum(others, first)
+        return sum((search.budget.load for _, search in self._streams), SearchLoad())
 
     def start(self, period_s: float) -> None:
         """Prepare for frames of a period, before the first frame: the light's period or less."""
         light_s, max_frames = self._signal.pattern_period_s, 1000
-        if period_s > light_s * (1 + STEP_TOLERANCE):
+        is_slow = period_s > light_s * (1 + STEP_TOLERANCE)
+        if is_slow or period_s * max_frames < light_s:
+            needs = "needs at least one frame" if is_slow else f"takes at most {max_frames} frames"
             raise HeliographError(
-                f"the soft receiver needs at least one frame a pattern: the film has {1 / period_s:.1f} frames/s, the "
-                f"light {1 / light_s:.1f} patterns/s; film faster, give times in seconds, or say by --fps what the "
-                "camera did where the film misstates it"
-            )
-        if period_s * max_frames < light_s:
-            raise HeliographError(
-                f"the soft receiver takes at most {max_frames} frames a pattern: the film has "
-                f"{1 / period_s:.3g} frames/s, the light {1 / light_s:.1f} patterns/s; give times in seconds, say by "
-                "--fps what the camera did where the film misstates it, or leave out frames"
+                f"the soft receiver {needs} a pattern: the film has {1 / period_s:.1f} frames/s, the light "
+                f"{1 / light_s:.1f} patterns/s; {'film faster' if is_slow else 'leave out frames'}, give times in "
+                "seconds, or say by --fps what the camera did where the film misstates it"
             )
         phases: list[float | None] = [None]
         if period_s <= light_s * (1 - STEP_TOLERANCE):
@@ -92,7 +83,7 @@ class HeaderSearch:
 
     def search(self, frame: Frame, tracked: Sequence[Pose] = ()) -> list[Detection]:
         """Search with the next frame; arrays are not searched for at the poses of tracked arrays."""
-        if not self.recent and self._given is not None and _crop(frame, self._given) is None:
+        if not self.recent and self._given is not None and not crop(frame, self._given).pixels.size:
             (x, y), (rows, columns) = frame.origin, frame.pixels.shape
             where = f" from {x},{y} on" if frame.origin != (0, 0) else ""
             raise HeliographError(
@@ -108,8 +99,8 @@ class HeaderSearch:
             thinned = self._number_frame(frame) if phase is None else self._nearest_frame(phase)
             if thinned is not None and self._region is not None:
                 # a camera's window may be elsewhere for a while
-                thinned = _crop(thinned, self._region)
-            if thinned is not None:
+                thinned = crop(thinned, self._region)
+            if thinned is not None and thinned.pixels.size:
                 detections += search.search(thinned, [*tracked, *(found.fit.pose for found in detections)])
         return [replace(found, misses_start=self._misses_start(found)) for found in detections]
 
@@ -143,17 +134,11 @@ class HeaderSearch:
 class PyramidSearch:
     """Detectors on the levels of a pyramid, the coarsest first, in a stream of one frame per pattern."""
 
-    def __init__(
-        self,
-        parameters: SearchParameters,
-        signal: SignalSettings,
-        budget: TokenBucket | None = None,
-        with_half_period: bool = False,
-    ):
+    def __init__(self, parameters: SearchParameters, signal: SignalSettings, with_half_period: bool = False):
         # rounding adds to the alternation of reduced frames
         self._min_contrast = 0.9 * DETECT.busy_contrast * parameters.min_contrast
         self._reduced: dict[tuple[object, ...], list[Frame]] = {}
-        self.budget = budget or TokenBucket(parameters.cpu_share, signal.pattern_period_s)
+        self.budget = TokenBucket(parameters.cpu_share, signal.pattern_period_s)
         # a header may have 1.2 times the alternation of on-off data, and no more. Data differ for a search from an
         # inverse on, so even and odd frames have separate baselines
         ratios = (1.1, 1.1) if signal.modulation == "ook" else (1.2, 1.4)
@@ -207,7 +192,8 @@ class PyramidSearch:
                 level_busy &= _without_skipped(skipped, busy, slots, reduced, k)
             for found in detector.search(reduced, level_busy, poses, with_turned):
                 known.append(view.pose_out(found.fit.pose))
-                detections.append(replace(found, fit=view.fit_out(found.fit), drift=view.motion_out(found.drift)))
+                fit, drift = view.map_fit(found.fit, inverse=True), view.map_motion(found.drift, inverse=True)
+                detections.append(replace(found, fit=fit, drift=drift))
         return detections
 
     def _coarsest_level(self, slots: FrameWindow, busy: Blocks, alternating: int) -> int:
@@ -309,13 +295,3 @@ def _union(*windows: Window) -> Window:
     left, top = (min(window[k] for window in windows) for k in (0, 1))
     right, low = (max(window[k] + window[k + 2] for window in windows) for k in (0, 1))
     return left, top, right - left, low - top
-
-
-def _crop(frame: Frame, region: Window) -> Frame | None:
-    """Crop a frame to a region; None if they are disjoint."""
-    (x, y), (rows, columns) = frame.origin, frame.pixels.shape
-    left, top = max(0, region[0] - x), max(0, region[1] - y)
-    right, low = min(columns, region[0] + region[2] - x), min(rows, region[1] + region[3] - y)
-    if right <= left or low <= top:
-        return None
-    return replace(frame, pixels=frame.pixels[top:low, left:right], origin=(x + left, y + top))

@@ -29,10 +29,8 @@ from scipy.linalg import solve, solve_triangular
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.lmmse import equalise
-from heliograph.receive.geometry.fit import median_of
 from heliograph.receive.geometry.footprint import to_grid, to_quarters
-from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise, noise_beside
+from heliograph.receive.observe.cutout import Cutout, Noise, noise_beside
 from heliograph.receive.observe.statistics import (
     PairStatistics,
     WhitenedCutout,
@@ -173,7 +171,7 @@ class LedGains:
             # a header shows no LED known to be dark from data
             estimate = to_grid(leds_of(symbols) / signs) / np.maximum(self.brightness, MAX_FAILED)
             # the median LED is sound
-            scale = min(max(median_of(estimate[visible > 0]), 0.5), 2.0)
+            scale = min(max(float(np.median(estimate[visible > 0])), 0.5), 2.0)
             gain *= scale
             if abs(scale - 1) < 0.03:
                 break

@@ -24,8 +24,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.led_gains import POSE_SPREADS, DecodedPair, LedGains
 from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, products
 from heliograph.receive.geometry.footprint import image_of
-from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import Cutout, Noise
 from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, whiten
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat

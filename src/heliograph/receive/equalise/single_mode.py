@@ -22,8 +22,7 @@ from heliograph.receive.geometry.footprint import image_of, render_with_slopes, 
 from heliograph.receive.geometry.kernels import FIT
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, AnyFrame, covered, cut_out, plane, window_around
-from heliograph.receive.observe.cutout import RING_PX, Cutout, take_cutout
-from heliograph.receive.observe.noise import MAX_BACKGROUND, Noise, measure_noise
+from heliograph.receive.observe.cutout import MAX_BACKGROUND, RING_PX, Cutout, Noise, measure_noise, take_cutout
 from heliograph.receive.observe.statistics import PairStatistics, leds_of, whiten
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, STATE_SIZE, PoseState

@@ -17,14 +17,7 @@ from heliograph.receive.geometry.window import AnyFrame, Window, cut_out, plane,
 def robust_std(values: Floats) -> float:
     """Estimate the standard deviation of values about 0 from the median magnitude."""
     # median |x| / Phi^-1(3/4)
-    return 1.4826 * median_of(np.abs(values))
-
-
-def median_of(values: Floats) -> float:
-    """Compute the median of numbers, for 256 values in a seventh of the time of `numpy.median`."""
-    middle = [(values.size - 1) // 2, values.size // 2]
-    low, high = np.partition(values, middle, axis=None)[middle]
-    return 0.5 * float(low + high)
+    return 1.4826 * float(np.median(np.abs(values)))
 
 
 def correlation(a: Floats, b: Floats) -> float:

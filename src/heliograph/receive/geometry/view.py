@@ -50,14 +50,6 @@ class View:
             frame = halved(frame)
         return frame if self.orientation == UPRIGHT else _upright(frame, self.orientation)
 
-    def fit_in(self, fit: Fit) -> Fit:
-        """Transform a fit on the sensor to the view."""
-        return self._map_fit(fit, inverse=False)
-
-    def fit_out(self, fit: Fit) -> Fit:
-        """Transform a fit in the view to the sensor; the inverse of `fit_in`."""
-        return self._map_fit(fit, inverse=True)
-
     def pose_in(self, pose: Pose) -> Pose:
         """Transform a pose on the sensor to the view."""
         return pose if self == CAMERA else Pose.from_vector(self._map(pose.full_vector(), inverse=False))
@@ -66,17 +58,13 @@ class View:
         """Transform a pose in the view to the sensor; the inverse of `pose_in`."""
         return pose if self == CAMERA else Pose.from_vector(self._map(pose.full_vector(), inverse=True))
 
-    def motion_in(self, motion: tuple[float, float]) -> tuple[float, float]:
-        """Transform a motion on the sensor to the view."""
-        x, y = _linear(self)[:2, :2] @ motion
+    def map_motion(self, motion: tuple[float, float], inverse: bool = False) -> tuple[float, float]:
+        """Transform a motion on the sensor to the view, or back."""
+        x, y = _linear(self, inverse)[:2, :2] @ motion
         return float(x), float(y)
 
-    def motion_out(self, motion: tuple[float, float]) -> tuple[float, float]:
-        """Transform a motion in the view to the sensor; the inverse of `motion_in`."""
-        x, y = _linear(self, inverse=True)[:2, :2] @ motion
-        return float(x), float(y)
-
-    def _map_fit(self, fit: Fit, inverse: bool) -> Fit:
+    def map_fit(self, fit: Fit, inverse: bool = False) -> Fit:
+        """Transform a fit on the sensor to the view, or back."""
         if self == CAMERA:
             return fit
         linear = _linear(self, inverse)[: len(fit.vector), : len(fit.vector)]

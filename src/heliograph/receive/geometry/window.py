@@ -72,19 +72,25 @@ def covered(
     return None if columns.all() and rows.all() else (columns.astype(np.float64), rows.astype(np.float64))
 
 
+def crop(frame: Frame, window: Window) -> Frame:
+    """Crop a frame to the part in a window, which may be empty."""
+    (x, y), (rows, columns) = frame.origin, frame.pixels.shape
+    left, right = (min(max(edge - x, 0), columns) for edge in (window[0], window[0] + window[2]))
+    top, low = (min(max(edge - y, 0), rows) for edge in (window[1], window[1] + window[3]))
+    return replace(frame, pixels=frame.pixels[top:low, left:right], origin=(x + left, y + top))
+
+
 def common(frames: Sequence[Frame]) -> list[Frame]:
     """Crop frames to the common part of the sensor; a camera's window may follow the array."""
     if all(f.origin == frames[0].origin and f.pixels.shape == frames[0].pixels.shape for f in frames):
         return list(frames)
     left, top = (max(f.origin[k] for f in frames) for k in (0, 1))
     right, low = (min(f.origin[k] + f.pixels.shape[1 - k] for f in frames) for k in (0, 1))
-    right, low = max(right, left), max(low, top)
-    cropped = []
-    for frame in frames:
-        x, y = frame.origin
-        pixels = frame.pixels[top - y : low - y, left - x : right - x].copy()
-        pixels.setflags(write=False)
-        cropped.append(replace(frame, pixels=pixels, origin=(left, top)))
+    # frames without a common part have an empty part at the same place
+    parts = [crop(frame, (left, top, right - left, low - top)) for frame in frames]
+    cropped = [replace(part, origin=(left, top)).copied() for part in parts]
+    for frame in cropped:
+        frame.pixels.setflags(write=False)
     return cropped
 
 

@@ -11,7 +11,7 @@ known background b is the same with 2 (r - b) = g (B c + o) + n, B = A T and o =
 With the pixels' weights W, the symbols depend on d only by B^T W d; B^T W B and B^T W o follow from the poses.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,8 +21,7 @@ from scipy.linalg import blas
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.geometry.footprint import Footprints, footprints, sum_of_leds, to_quarters
-from heliograph.receive.observe.cutout import RING_PX, Cutout
-from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.cutout import RING_PX, Cutout, Noise
 from heliograph.receive.sync.combine import SIGNS, Combination
 
 
@@ -56,16 +55,8 @@ class PairStatistics:
 
     def plus(self, other: "PairStatistics") -> "PairStatistics":
         """Add the statistics of another observation of the same pattern."""
-        return PairStatistics(
-            self.gram + other.gram,
-            self.matched + other.matched,
-            self.offset + other.offset,
-            self.cross + other.cross,
-            self.offset_power + other.offset_power,
-            self.power + other.power,
-            self.pixels + other.pixels,
-            self.combination,
-        )
+        sums = {name: getattr(self, name) + getattr(other, name) for name in self.__slots__ if name != "combination"}
+        return replace(self, **sums)
 
 
 @dataclass(frozen=True)  # without slots, for the cached property

@@ -19,6 +19,7 @@ import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.screen.cells import PARAMETERS, Sample, SearchBudget
+from heliograph.receive.settings import ScreenSettings
 
 RATES = (10.0, 15.0, 30.0, 60.0, 5.0, 20.0, 12.0, 7.5, 6.0, 4.0, 3.0, 2.0, 24.0, 1.0)
 """Patterns per second to try first: divisors of 60 Hz, and common frame rates of films."""
@@ -190,20 +191,15 @@ class SampleBuffer:
     """Recent samples of an array, and the search for the clock of the light in the samples at growing intervals."""
 
     def __init__(
-        self,
-        shape: tuple[int, ...],
-        frame_s: float,
-        period_s: float,
-        row_s: float | None,
-        find_rate: bool,
-        budget: SearchBudget,
+        self, shape: tuple[int, ...], frame_s: float, period_s: float, settings: ScreenSettings, budget: SearchBudget
     ):
-        self._shape, self._frame_s, self._period_s, self._row_s, self._budget = shape, frame_s, period_s, row_s, budget
+        self._shape, self._frame_s, self._period_s, self._budget = shape, frame_s, period_s, budget
+        self._row_s = settings.row_time_s
         # readout direction of upright frames: axis (0 for columns, 1 for rows), and True if the last is read first
         self._readout = 1, False
         self._samples: deque[Sample] = deque()
         usual = [1 / rate for rate in RATES if abs(rate * period_s - 1) > 0.015]
-        self._periods = [[period_s], *([usual, [1 / rate for rate in ANY_RATES]] if find_rate else ())]
+        self._periods = [[period_s], *([usual, [1 / rate for rate in ANY_RATES]] if settings.find_rate else ())]
         self._next_s = -np.inf
 
     @property

@@ -29,6 +29,9 @@ Pixels32 = NDArray[np.float32]
 Candidate = tuple[float, Place, CellFitter]
 """Misfit of the cells plus change of the ring, place in the first trial frame, and fitter with the best blur."""
 
+Acquired = tuple[CellTracker, list[tuple[Frame, Sample | None]]]
+"""Tracker of an array, and each recent frame with the sample; None where the array is invisible."""
+
 
 def reduce_frame(pixels: Pixels32) -> tuple[Pixels32, int]:
     """Reduce a frame to 480 columns for the search; return the frame and the factor."""
@@ -117,7 +120,7 @@ class ArraySearch:
         self._small: deque[Pixels32] = deque(maxlen=PARAMETERS.kept_frames)
         self._since = 0
 
-    def push(self, frame: Frame) -> tuple[CellTracker, list[tuple[Frame, Sample | None]]] | None:
+    def push(self, frame: Frame) -> Acquired | None:
         """Add a frame; search at intervals, see `find`."""
         self._frames.append(frame)
         small, self._factor = reduce_frame(self._linear(frame))
@@ -125,8 +128,8 @@ class ArraySearch:
         self._since += 1
         return self.find() if self._since >= 6 else None
 
-    def find(self) -> tuple[CellTracker, list[tuple[Frame, Sample | None]]] | None:
-        """Search an array in the recent frames; return a tracker of the array, and each frame with the sample."""
+    def find(self) -> Acquired | None:
+        """Search an array in the recent frames."""
         if len(self._frames) < 12:
             return None
         self._since, windows = 0, PARAMETERS.windows
@@ -184,9 +187,7 @@ class ArraySearch:
         misfit = np.mean([sample.misfit for sample in samples])
         return float(misfit + ring / max(float(inner.mean()), TINY)), start, fitter
 
-    def _track_all(
-        self, start: Place, fitter: CellFitter
-    ) -> tuple[CellTracker, list[tuple[Frame, Sample | None]]] | None:
+    def _track_all(self, start: Place, fitter: CellFitter) -> Acquired | None:
         """Track an array through all frames; None for an array that is lost in half of the frames."""
         frames = list(self._frames)
         first = max(len(frames) - PARAMETERS.trial_frames, 0)

@@ -18,19 +18,8 @@ from heliograph.signal.header import CELLS, all_header_cells
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
-
-@dataclass(frozen=True)
-class PairSolution:
-    """Pairs of patterns by least squares."""
-
-    # Numbers of the pairs
-    pairs: range
-    # (pairs, n, n) d in the unit of the light
-    change: Floats
-    # (pairs, n, n) variance of d, relative to a sample
-    variance: Floats
-    # (n, n) mean light c of each cell
-    light: Floats
+PairSolution = tuple[range, Floats, Floats, Floats]
+"""Numbers of pairs, d and its variance relative to a sample (pairs, n, n), and mean light c of each cell (n, n)."""
 
 
 def solve_pairs(samples: Samples, clock: Clock, weights: Floats | None = None) -> tuple[PairSolution, Floats]:
@@ -55,7 +44,7 @@ def solve_pairs(samples: Samples, clock: Clock, weights: Floats | None = None) -
         variance[:, group] = np.diag(inverse)[1:, None]
         residual[:, group] = y[group].T - m @ x
     change, variance, residual = (values.reshape(-1, n, n) for values in (change, variance, residual))
-    return PairSolution(pairs, change, variance, light.reshape(n, n)), residual
+    return (pairs, change, variance, light.reshape(n, n)), residual
 
 
 def solve_with_gains(samples: Samples, clock: Clock) -> PairSolution:
@@ -144,10 +133,7 @@ class PacketAssembler:
     ):
         self._signal, self._calibration, self._budget = signal, settings.calibration, budget
         self._options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
-        screen = settings.screen
-        self._buffer = SampleBuffer(
-            shape, frame_s, signal.pattern_period_s, screen.row_time_s, screen.find_rate, budget
-        )
+        self._buffer = SampleBuffer(shape, frame_s, signal.pattern_period_s, settings.screen, budget)
         self.clock: Clock | None = None
         # start and header of the packet in progress; the last header if not visible
         self.start_s: float | None = None
@@ -217,11 +203,11 @@ class PacketAssembler:
             self.clock = None
             self._buffer.restart_search()
             return False
-        solution, _ = solve_pairs(samples, clock)
+        (pairs, change, _, _), _ = solve_pairs(samples, clock)
         # a small part of the first pair may be cut off
-        starts = np.array([clock.start_of(pair) for pair in solution.pairs])
+        starts = np.array([clock.start_of(pair) for pair in pairs])
         complete = np.flatnonzero((starts >= first_s - 0.45 * step) & (starts + step <= now_s))
-        headers = find_headers(solution.change[complete], self._signal.header_pairs)
+        headers = find_headers(change[complete], self._signal.header_pairs)
         if not headers:
             # the next search starts here
             self._buffer.drop_before(now_s - 4 * step)
@@ -230,7 +216,7 @@ class PacketAssembler:
         best = min(good, key=lambda header: (header.place, -header.score))
         self.start_s = float(starts[complete[best.place]])
         self.clock = replace(clock, start_s=self.start_s)
-        self._set_header(best, solution.change[complete])
+        self._set_header(best, change[complete])
         return True
 
     def _samples(self, start_s: float, end_s: float) -> Samples | None:
@@ -251,25 +237,26 @@ class PacketAssembler:
             return
         _, clock = self._buffer.fitter(samples).refine(clock)
         solution, first = solve_with_gains(samples, clock), round(clock.pair_at(start_s))
-        headers = self._packet_headers(solution, first - solution.pairs[0])
+        numbers, change, _, _ = solution
+        headers = self._packet_headers(change, first - numbers[0])
         if not headers:
             return
         packets = [self._decode(header, solution, clock) for header in headers]
-        packet, change, self.header = max(packets, key=lambda packet: _decoded(packet[0]))
+        packet, upright, self.header = max(packets, key=lambda packet: _decoded(packet[0]))
         self.start_s = clock.start_of(first + self._signal.header_pairs + self._data_pairs)
         self.clock = replace(clock, start_s=self.start_s)
-        yield packet, change
+        yield packet, upright
         self._buffer.drop_before(self.start_s - 8 * clock.period_s)
 
-    def _packet_headers(self, solution: PairSolution, place: int) -> list[ScreenHeader]:
+    def _packet_headers(self, change: Floats, place: int) -> list[ScreenHeader]:
         """Return the possible headers of the packet at a place; empty after too many packets without a header."""
         if place < 0:
             return []  # the start was not visible
         pairs = self._signal.header_pairs
-        headers = find_headers(solution.change[place : place + pairs], pairs)
+        headers = find_headers(change[place : place + pairs], pairs)
         headers = [replace(header, place=place) for header in headers]
         if headers:
-            self._set_header(headers[0], solution.change)
+            self._set_header(headers[0], change)
             return [header for header in headers if header.score > headers[0].score - 0.03]
         self._without_header += 1
         if self.header is None or self._without_header > 1:
@@ -280,15 +267,14 @@ class PacketAssembler:
         self, header: ScreenHeader, solution: PairSolution, clock: Clock
     ) -> tuple[Packet, Floats, ScreenHeader]:
         """Decode a packet by a header; return the packet, the upright changes of the data pairs and the header."""
-        pairs, n = self._data_pairs, self._signal.side
+        (numbers, solved, variances, light), pairs, n = solution, self._data_pairs, self._signal.side
         first = header.place + self._signal.header_pairs
-        visible = solution.change[first : first + pairs] / np.maximum(solution.light, 0.05)
+        visible = solved[first : first + pairs] / np.maximum(light, 0.05)
         change, seen = np.zeros((pairs, n, n)), np.zeros(pairs, bool)
-        for k, pair in enumerate(visible):
-            change[k] = header.orientation.upright(pair)
+        change[: len(visible)] = [header.orientation.upright(pair) for pair in visible]
         # a pair without frames has a large variance
-        variance = solution.variance[first : first + pairs].mean((1, 2))
-        seen[: len(visible)] = variance < 10 * float(np.median(solution.variance))
+        variance = variances[first : first + pairs].mean((1, 2))
+        seen[: len(visible)] = variance < 10 * float(np.median(variances))
         reason, layers = "", dict[str, tuple[Codeword, ...]]()
         if self._form.mode == "single":
             reason = "the receiver screen reads only pairs of patterns, this packet is of the single mode"
@@ -298,7 +284,7 @@ class PacketAssembler:
                 layers = decode_packet(change, seen, form, header.identity, self._options)
             except SettingsError as error:
                 reason = str(error)
-        start_s, end_s = (clock.start_of(solution.pairs[0] + place) for place in (header.place, first + pairs))
+        start_s, end_s = (clock.start_of(numbers[0] + place) for place in (header.place, first + pairs))
         samples = self._buffer.between(start_s, end_s) or [self._buffer.last]
         pose, pairs_seen = samples[0].place.pose(n), float(seen.mean())
         packet = Packet(

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
 from heliograph.base.threads import in_one_thread
 from heliograph.receive.detect.detection import Detection
@@ -22,12 +21,12 @@ from heliograph.receive.events import (
 )
 from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import window_around
+from heliograph.receive.geometry.window import crop, window_around
 from heliograph.receive.packet import Packet
 from heliograph.receive.screen.cells import PARAMETERS, CellTracker, Sample, SearchBudget
 from heliograph.receive.screen.locate import ArraySearch
 from heliograph.receive.screen.packets import PacketAssembler, ScreenHeader
-from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.settings import ReceiveSettings, check_pairs
 from heliograph.receive.sync.frame_clock import check_next, check_order, owned
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.track import Track, TrackedPair
@@ -43,7 +42,6 @@ class EventEmitter:
         self._windows: deque[tuple[Frame, Pose]] = deque()
         self._fit = Fit(np.zeros(7), np.eye(7), 0.0, 0.0)
         self._last: Frame | None = None
-        self._track: Track | None = None
         self._identity: int | None = None
         self._packet_s = -np.inf
         self._next_pair = 0
@@ -74,14 +72,13 @@ class EventEmitter:
         """Emit the loss of a detected array."""
         if self._identity is not None:
             self._observe(LostEvent(self._identity, time_s))
-        self._identity = self._track = None
+        self._identity = None
 
     def _add_window(self, frame: Frame, sample: Sample) -> None:
-        """Keep the part of a frame around the array."""
+        """Keep the part of a frame around the array; places count from the first pixel."""
         pose = sample.place.pose(self._side)
-        x, y, width, height = window_around(pose, self._side, 0.25 * self._side * pose.pitch)
-        x, y, right, low = max(x, 0), max(y, 0), max(x + width, 1), max(y + height, 1)
-        self._windows.append((replace(frame, pixels=frame.pixels[y:low, x:right].copy(), origin=(x, y)), pose))
+        window = window_around(pose, self._side, 0.25 * self._side * pose.pitch)
+        self._windows.append((crop(replace(frame, origin=(0, 0)), window).copied(), pose))
         # data are half white on average
         gain = 2 * sample.mean_light * frame.full_scale
         self._fit = Fit(pose.full_vector(), np.zeros((7, 7)), gain, 1 - sample.misfit)
@@ -90,15 +87,11 @@ class EventEmitter:
             self._windows.popleft()
 
     def _add_track(self, identity: int, frame: Frame, seen: bool) -> None:
-        """Emit the pose of the array."""
-        before, fit = self._track, self._fit
-        if seen or before is None:
-            at_s, ones = self._windows[-1][0].time_s, np.ones((self._side,) * 2)
-            state = PoseState.start(at_s, fit.vector, fit.covariance, MotionModel(1.0, 0.0))
-            pairs = 1 if before is None else before.pairs + 1
-            self._track = Track(state, fit.gain, fit.gain, ones, at_s, ones, fit.score, pairs)
-        assert self._track is not None
-        self._observe(TrackEvent(identity, frame.index, TrackedPair(before or self._track, self._track, fit, seen)))
+        """Emit the last pose of the array."""
+        fit, at_s, ones = self._fit, self._windows[-1][0].time_s, np.ones((self._side,) * 2)
+        state = PoseState.start(at_s, fit.vector, fit.covariance, MotionModel(1.0, 0.0))
+        track = Track(state, fit.gain, fit.gain, ones, at_s, ones, fit.score)
+        self._observe(TrackEvent(identity, frame.index, TrackedPair(track, track, fit, seen)))
 
     def _add_pairs(self, assembler: PacketAssembler, start_s: float, now_s: float) -> None:
         """Emit the completed data pairs."""
@@ -121,17 +114,11 @@ class EventEmitter:
         return min(self._windows, key=lambda window: abs(window[0].time_s - time_s))
 
 
-def screen_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> "ScreenReceiver":
-    """Make the receiver "screen"."""
-    if signal.modulation != "haar" or signal.header != "m_sequence":
-        raise SettingsError('the receiver screen reads signal.modulation = "haar" with signal.header = "m_sequence"')
-    return ScreenReceiver(signal, settings, observe)
-
-
 class ScreenReceiver:
     """Receiver of one screen array; see `packets.Receiver`."""
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
+        check_pairs(signal, "screen")
         self._signal, self._settings, self._observe = signal, settings, observe
         # headers below 10 patterns/s take longer
         slowness = max(1.0, 10 * signal.pattern_period_s)

@@ -179,11 +179,6 @@ class Combination:
         """Noise variance of the difference, 1 for a difference of two frames."""
         return float(0.5 * (self.difference**2).sum())
 
-    @property
-    def sum_noise(self) -> float:
-        """Noise variance of the sum, 1 for a sum of two frames."""
-        return float(0.5 * (self.total**2).sum())
-
     @cached_property
     def departure(self) -> float:
         """Misplaced light of two frames, as a fraction of T_b; infinite for any other number of frames."""

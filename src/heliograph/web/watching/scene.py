@@ -61,6 +61,7 @@ class SceneObserver:
     # Pose, and True for a visible array
     _tracked: dict[int, tuple[Pose, bool]] = field(default_factory=dict)
     _pairs: dict[int, list[ExtractEvent]] = field(default_factory=dict)
+    _newest: dict[int, ExtractEvent] = field(default_factory=dict)
     _equalised: dict[int, EqualiseEvent] = field(default_factory=dict)
     _packet_rows: list[dict[str, Any]] = field(default_factory=list)
     _confirmed: set[int] = field(default_factory=set)
@@ -75,6 +76,7 @@ class SceneObserver:
             case ExtractEvent():
                 pairs = self._pairs.setdefault(event.identity, [])
                 pairs.append(event)
+                self._newest[event.identity] = event
                 del pairs[: -2 * self.signal.data_pairs]
             case EqualiseEvent():
                 self._equalised[event.identity] = event
@@ -85,8 +87,8 @@ class SceneObserver:
                 self._pairs.pop(event.identity, None)
                 self._equalised.pop(event.identity, None)
             case LostEvent():
-                self._tracked.pop(event.identity, None)
-                self._pairs.pop(event.identity, None)
+                for kept in (self._tracked, self._pairs, self._newest):
+                    kept.pop(event.identity, None)
 
     def packet_rows(self) -> list[dict[str, Any]]:
         """Return the light of the packets decoded since the last call."""
@@ -97,9 +99,9 @@ class SceneObserver:
         """Return the scene of a frame."""
         boxes = [self._box(identity, *tracked) for identity, tracked in sorted(self._tracked.items())]
         cuts = [
-            {**self._name(identity), "received": self._received_frame(events[-1])}
-            for identity, events in sorted(self._pairs.items()) if events
-        ]  # fmt: skip
+            {**self._name(identity), "received": self._received_frame(event)}
+            for identity, event in sorted(self._newest.items())
+        ]
         return Scene(frame, boxes, cuts)
 
     def _box(self, identity: int, pose: Pose, is_visible: bool) -> dict[str, Any]:

@@ -2,13 +2,13 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from heliograph.base.config import from_mapping, merge, to_mapping
+from heliograph.base.config import from_mapping, merge
 from heliograph.base.errors import SettingsError
 from heliograph.base.files import shown_name
 from heliograph.base.toml_text import parse_assignment
@@ -133,7 +133,7 @@ def _simulate_drive(
 
 
 def _with_changes(settings: LinkSettings, changes: Sequence[Mapping[str, Any]]) -> LinkSettings:
-    tree = to_mapping(settings)
+    tree = asdict(settings)
     for change in changes:
         tree = merge(tree, change)
     return from_mapping(LinkSettings, tree)

@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from scenes import SIDE, Floats, draw, pitch_at
 
 from heliograph.receive import Pose
-from heliograph.receive.detect.header_bank import header_score, header_weights, headers
+from heliograph.receive.detect.detection import headers
+from heliograph.receive.detect.header_format import header_score, header_weights
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.sync.combine import combine_header
@@ -59,8 +60,8 @@ DIMMED = np.kron(words()[FORM].reshape(4, 4), np.ones((4, 4))) > 0
 
 
 def test_dimmed_cells_have_half_of_their_contrast() -> None:
-    assert np.array_equal(header_weights(7, 0, SIDE), SIGNS)
-    assert np.array_equal(header_weights(7, FORM, SIDE), np.where(DIMMED, 0.5 * SIGNS, SIGNS))
+    assert np.array_equal(header_weights(7, 0, SIDE, None), SIGNS)
+    assert np.array_equal(header_weights(7, FORM, SIDE, None), np.where(DIMMED, 0.5 * SIGNS, SIGNS))
 
 
 def test_combined_frames_show_dimmed_cells_by_contrast_and_light() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.equalise.symbols import SymbolMapper
+from heliograph.receive.decode.codeword import SymbolMapper
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
