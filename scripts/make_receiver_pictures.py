@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from observe_oracle import transform
 from render_oracle import blur_matrix
 
-from heliograph.experiments.plots import image_row
+from heliograph.experiments.plots import GRAY, image_row, styled
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
@@ -72,13 +73,13 @@ def pair(packet: Packet, number: int = 5) -> Figure:
     gain = float((light * whitened.difference).sum() / (light * light).sum())
     left = whitened.residual(gain, symbols)
     images = [0.5 * (total + change), 0.5 * (total - change), total / 2, 127 + change, 127 + left, 127 + 8 * left]
-    names = ["pattern", "inverted", "half the sum", "difference d", "d - g (B c + o)", "the same, 8 times"]
+    names = ["pattern", "inverse", "sum / 2", "difference d", "d - g (B c + o)", "d - g (B c + o), x 8"]
     return image_row(images, names, rows=2)
 
 
 def gram() -> Figure:
     """B^T B by distance: how far symbols can be told apart."""
-    figure = Figure(figsize=(11, 3.4))
+    figure = Figure(figsize=(9, 3), layout="constrained")
     t = transform(SIDE)
     for k, z in enumerate((40, 80, 120)):
         half = 8 * PITCH_M_PX / z + 4
@@ -86,76 +87,55 @@ def gram() -> Figure:
         a = blur_matrix(Pose(half, half, PITCH_M_PX / z, 0.0, 0.51), SIDE, (0, 0), (size, size))
         values = (a @ t).T @ (a @ t)
         axes = figure.add_subplot(1, 3, k + 1)
-        shown = axes.imshow(np.log10(np.abs(values) / values.max() + 1e-9), vmin=-4, vmax=0, cmap="magma")
-        axes.set_title(f"{z} m", fontsize=10)
+        shown = axes.imshow(np.abs(values) / values.max(), norm=LogNorm(1e-4, 1), cmap="magma")
+        axes.set_title(f"{z} m")
+        axes.grid(visible=False)
         axes.set_xticks([32, 128, 224], ["high", "middle", "low"])
         axes.set_yticks([32, 128, 224], ["high", "middle", "low"] if k == 0 else [""] * 3)
-    figure.colorbar(shown, ax=figure.axes, label="log10 |B^T B|, the largest 0", shrink=0.8)
-    return figure
-
-
-def first_iteration(packet: Packet) -> Figure:
-    """LLRs of the first iteration, bits that were sent as 0 and as 1 apart."""
-    figure = Figure(figsize=(11, 2.8))
-    for axes, name in zip(figure.subplots(1, 3, sharey=True), LAYERS, strict=True):
-        llr, sent = packet.iterations[0][name].ravel(), packet.sent[name].ravel()
-        edges = np.linspace(-15, 15, 61)
-        for bit, alpha in ((0, 0.9), (1, 0.4)):
-            shown, colour = np.clip(llr[sent == bit], -15, 15), LAYER_COLOURS[name]
-            axes.hist(shown, edges, color=colour, alpha=alpha, label=f"sent {bit}")
-        wrong = np.mean((llr < 0) != sent)
-        axes.set_title(f"{name}: {wrong:.1%} wrong", fontsize=10)
-        axes.set_xlabel("LLR")
-        axes.legend(frameon=False, fontsize=8)
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.tight_layout()
+    figure.colorbar(shown, ax=figure.axes, label="|B$^T$B|, relative to the largest", shrink=0.8)
     return figure
 
 
 def iterations(packet: Packet) -> Figure:
     """Information on each layer by iteration."""
-    figure = Figure(figsize=(6, 3.2))
+    figure = Figure(figsize=(7.5, 3.2))
     axes = figure.subplots()
     for name in LAYERS:
         for word in range(len(packet.sent[name])):
             axes.plot(*packet.information(name, word), "o-", color=LAYER_COLOURS[name], label=None if word else name)
     _finish(axes, len(packet.iterations))
-    figure.tight_layout()
     return figure
 
 
 def sites(kinds: Mapping[str, Packet]) -> Figure:
     """Information on the high layer by iteration, symbols taken as Gaussian and as -1 and +1."""
-    figure = Figure(figsize=(6, 3.2))
+    figure = Figure(figsize=(7.5, 3.2))
     axes = figure.subplots()
     for (name, packet), style in zip(kinds.items(), ("o--", "o-"), strict=True):
         axes.plot(*packet.information("high", 0), style, color=LAYER_COLOURS["high"], label=name)
     _finish(axes, max(len(packet.iterations) for packet in kinds.values()))
-    figure.tight_layout()
     return figure
 
 
 def _finish(axes: Axes, count: int) -> None:
     """Name the axes of information by iteration."""
-    axes.axhline(0.43, color="#8a929b", lw=0.8, ls="--")
-    axes.set(xlabel="iteration", ylabel="information in the LLRs (bit a bit)", xticks=range(1, 1 + count))
-    axes.legend(frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
+    axes.axhline(0.43, color=GRAY, lw=1, ls="--", label="needed at rate 1/3")
+    axes.set(xlabel="iteration", ylabel="information (bit per coded bit)", xticks=range(1, 1 + count))
+    axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
 
 
+@styled
 def main() -> None:
     PICTURES.mkdir(exist_ok=True)
-    near, far = Packet(80), Packet(115)
     gaussian = Packet(230, "receive.soft.feedback=soft")
     kinds = {"Gaussian symbols": gaussian, "symbols of -1 and +1": Packet(230)}
     for name, figure in (
         ("pair", pair(Packet(60))),
         ("gram", gram()),
-        ("first-iteration", first_iteration(near)),
-        ("iterations", iterations(far)),
+        ("iterations", iterations(Packet(115, "receive.soft.led_by_led=false"))),
         ("sites", sites(kinds)),
     ):
-        figure.savefig(PICTURES / f"soft-{name}.png", dpi=110, bbox_inches="tight")
+        figure.savefig(PICTURES / f"soft-{name}.png", dpi=200)
 
 
 if __name__ == "__main__":

@@ -10,12 +10,12 @@ PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 
 HEAD = """# Settings
 
-All settings of the link: what both ends agree on (`signal`), who transmits (`transmit`), scene, vehicle and camera
-(`channel`), and the receiver (`receive`). The receiver is told nothing of `channel`.
+All settings of the link: signal of both ends (`signal`), transmitter (`transmit`), scene, vehicle and camera
+(`channel`), and receiver (`receive`). The receiver has no access to `channel`.
 
-A setting is changed by `--set key=value`, by a TOML file (`--settings FILE`), or in Python by `load_settings`. Items of
-a list are numbered: `channel.arrays.1.x_m=3` is the second array's. `heliograph presets NAME` prints a preset with all
-its values. This page is made from the code by `make settings`.
+Change a setting with `--set key=value`, a TOML file (`--settings FILE`), or `load_settings` in Python. Numbers
+select items of a list: `channel.arrays.1.x_m=3` changes the second array. `heliograph presets NAME` prints all values
+of a preset. `make settings` generates this page.
 """
 
 

@@ -49,8 +49,8 @@ def short_films(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_bits_are_counted_and_the_inverse_helps(short_films: None) -> None:
     counted = count_bits(2000, 3, ("ook", 55.0))
     plain, inverse, known = (counted.counts[method, "all"] for method in ("plain", "inverse", "known"))
-    assert counted.films == counted.found == 1
-    assert plain.trials == inverse.trials == known.trials == 16 * 256
+    assert counted.films == counted.found == 4
+    assert plain.trials == inverse.trials == known.trials == 4 * 16 * 256
     assert 0.02 < plain.rate < 0.12
     assert inverse.rate < 1e-3
     assert known.rate < 1e-3
@@ -70,10 +70,11 @@ def test_an_array_out_of_reach_ends(short_films: None) -> None:
 
 
 def test_counting_ends_after_200_errors_of_each_method() -> None:
-    counted = BitCounts({("plain", "all"): Clustered(1000, 200)})
+    counted = BitCounts({("plain", "all"): Clustered(1000, 200)}, films=4)
     assert counted.is_settled(10**6)
     counted.counts["inverse", "all"] = Clustered(1000, 0)
     assert not counted.is_settled(10**6)
+    assert not BitCounts({("plain", "all"): Clustered(1000, 200)}, films=3).is_settled(10**6)
 
 
 def test_ranges() -> None:

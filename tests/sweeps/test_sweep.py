@@ -616,6 +616,25 @@ def test_progress_is_visible_on_a_terminal_or_on_request(
     assert bool(err) == ("0 of 1 points" in err) == is_visible
 
 
+def test_bar_estimates_the_remaining_time_after_the_first_point(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 0.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    tallies = [tally_of(StopRule(max_codewords=4)) for _ in range(4)]
+    # an earlier run stored half of the first point
+    tallies[0].add(0, fake_counts(2, 0), 1.0)
+    with sweep.bar(4, shown=True) as advance:
+        for tally in tallies[:2]:
+            advance(tallies)
+            now += 20.0
+            tally.add(tally.blocks, fake_counts(4, 0), 1.0)
+        advance(tallies)
+    err = capsys.readouterr().err
+    assert err.count("estimate") == 1
+    assert "1 of 4 points complete; estimate for the others: 2 min" in err
+
+
 DECIMALS = st.decimals(-1000, 1000, places=3)
 STEPS = st.decimals("0.001", 100, places=3)
 TEXTS = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=10)

@@ -158,6 +158,22 @@ def test_sources_of_the_server_are_listed_without_folders(client: TestClient, fi
     assert "cameras" in client.get("/api/watch/cameras").json()
 
 
+@pytest.mark.parametrize(
+    ("source", "receiver"),
+    [
+        ({}, "soft"),
+        ({"receiver": "plain"}, "plain"),
+        ({"changes": ["receive.receiver=plain"]}, "plain"),
+        ({"kind": "drive"}, "soft"),
+        ({"kind": "drive", "preset": "phone"}, "screen"),
+    ],
+)
+def test_film_decides_the_receiver_unless_one_is_named(film: Path, source: Any, receiver: str) -> None:
+    with TestClient(create_app(films=[str(film)], is_auto=True), base_url=OWN) as client, connected(client) as socket:
+        socket.do("open", source={"kind": "named"} | source, paused=True)
+        assert socket.watch("source").of("source")[0]["receiver"] == receiver
+
+
 def test_film_with_an_unprintable_name_is_watched(tmp_path: Path) -> None:
     odd, gone = (tmp_path / os.fsdecode(name) for name in (b"caf\xe9\n#%?.h5", b"\xff"))
     write_levels(odd, np.zeros((1, 16, 16), np.uint8))

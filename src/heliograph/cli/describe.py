@@ -14,7 +14,7 @@ UNITS = {"m_s": "m/s", "m": "m", "s": "s", "px": "px", "deg": "degrees", "ppm": 
          "patterns": "patterns", "hz": "Hz", "fps": "frames/s"}  # fmt: skip
 """Units by the ending of a key; a longer ending comes first."""
 
-_TYPES = {"integer": "whole number", "number": "number", "boolean": "true, false", "string": "text"}
+_TYPES = {"integer": "integer", "number": "number", "boolean": "true, false", "string": "text"}
 _BOUNDS = {"minimum": "from", "ge": "from", "exclusiveMinimum": "above", "gt": "above",
            "maximum": "to", "le": "to", "exclusiveMaximum": "below", "lt": "below"}  # fmt: skip
 """Words for bounds in a JSON schema; A type with a converter has the keywords of Pydantic."""
@@ -101,7 +101,7 @@ def _allowed_items(schema: Mapping[str, Any]) -> str:
     if len(items) > 1:
         return "list"
     count = f"{schema['maxItems']} " if "maxItems" in schema else ""
-    return f"list of {count}" + re.sub("^(whole number|number|list|table|text)", r"\1s", items.pop())
+    return f"list of {count}" + re.sub("^(integer|number|list|table|text)", r"\1s", items.pop())
 
 
 def _default(schema: Mapping[str, Any]) -> str:

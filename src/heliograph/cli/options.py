@@ -16,7 +16,7 @@ from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.base.toml_text import parse_assignment, parse_toml
 from heliograph.link import truth
-from heliograph.link.settings import PRESETS, LinkSettings, load_settings, preset
+from heliograph.link.settings import PRESETS, LinkSettings, load_settings, names_receiver, preset
 from heliograph.media import FilmReader
 from heliograph.media.live.reader import film_path, is_camera
 from heliograph.receive.registry import RECEIVERS
@@ -161,9 +161,7 @@ class SettingsOptions:
 
     def is_auto(self, receiver: str | None) -> bool:
         """Return True if the film decides: by option "auto", or without an option and a setting of a receiver."""
-        groups = set[str]().union(*(tree.get("receive") or {} for tree in (preset(self.preset), *self._changes())))
-        is_named = receiver is not None or groups & {"receiver", "plain", "soft", "screen", "custom"}
-        return receiver == "auto" or not is_named
+        return receiver == "auto" or (receiver is None and not names_receiver(preset(self.preset), *self._changes()))
 
     def overlay(self) -> Any:
         """Return file and assignments as a nested mapping."""
@@ -181,6 +179,7 @@ class SettingsOptions:
 
 
 STATIC = SettingsOptions("static")
+"""Default of commands that vary the distance, as a drive of the preset "paper" has no fixed distance."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,11 @@ import cv2
 from heliograph.base.errors import HeliographError, counted
 from heliograph.base.files import clear_write_errors
 from heliograph.cli import console, options
-from heliograph.cli.choice import with_receiver_for
 from heliograph.cli.options import option
 from heliograph.media import open_film
 from heliograph.media.live.reader import is_camera
 from heliograph.probe import probe_film
+from heliograph.probe.choice import with_receiver_for
 from heliograph.probe.page import write_page
 from heliograph.probe.words import as_mapping, lines
 

@@ -21,7 +21,6 @@ from heliograph import __version__
 from heliograph.base.errors import HeliographError, MediaError, counted
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
-from heliograph.cli.choice import with_receiver_for
 from heliograph.cli.files import FileOutput, join
 from heliograph.cli.live import FilmMonitor, monitored, open_events
 from heliograph.cli.options import ReceiveOptions, WorkerOptions, option
@@ -36,6 +35,7 @@ from heliograph.media.images import PICTURE_SUFFIXES, is_pattern
 from heliograph.media.live.reader import film_path, is_camera, live_of
 from heliograph.probe import Findings, probe_film
 from heliograph.probe.activity import MOST_FRAMES
+from heliograph.probe.choice import with_receiver_for
 from heliograph.probe.words import as_mapping, in_short
 from heliograph.receive.registry import RECEIVERS
 from heliograph.road.codec import road_values, road_words

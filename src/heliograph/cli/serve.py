@@ -46,6 +46,7 @@ def serve(
         if not is_camera(film):
             # report unreadable films now; pages can set another frame rate
             open_film(film, rate_hz=1.0).close()
+    is_auto = settings.is_auto(receiver)
     link = settings.changed(overrides=options.DetectOptions(receiver).assignments()).load()
     camera_settings(camera or ())
     try:
@@ -58,7 +59,7 @@ def serve(
     access = served.access()
     with open_port(served) as listener:
         url = served.url(listener.getsockname()[1], access.token)
-        app = create_app(link, [str(film) for film in films or ()], access, limits, camera or ())
+        app = create_app(link, [str(film) for film in films or ()], access, limits, camera or (), is_auto=is_auto)
         show_address(url, is_loopback=served.is_loopback, is_secure=served.is_secure)
         if browse:
             webbrowser.open(url)

@@ -106,8 +106,7 @@ def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]], offset_m
             draw_rates(axes, counts, name, color=LAYER_COLOURS[name], ms=5, lw=1.8, elinewidth=1.2, capsize=3)
         axes.set(yscale="log", ylim=(1e-5, 1), xlabel="distance (m)", ylabel="bit error rate")
         axes.set_title(f"{title} the turbo code")
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(*legend_entries(axes), loc="upper left")
+    legend_below(figure)
     return figure
 
 

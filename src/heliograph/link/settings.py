@@ -98,6 +98,12 @@ def preset(name: str) -> dict[str, Any]:
     return dict(PRESETS[name][1])
 
 
+def names_receiver(*changes: Mapping[str, Any]) -> bool:
+    """Return True if changes of the settings choose or configure a receiver."""
+    groups = set[str]().union(*(change.get("receive") or {} for change in changes))
+    return bool(groups & {"receiver", "plain", "soft", "screen", "custom"})
+
+
 def load_settings(
     name: str = "paper", over: Mapping[str, Any] | None = None, assignments: Iterable[str] = ()
 ) -> LinkSettings:

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
@@ -103,7 +104,7 @@ def _recall(tally: PointTally, store: Store) -> bool:
 
 @contextlib.contextmanager
 def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
-    """Show a progress bar on standard error with the completed points and the remaining time."""
+    """Show a progress bar on standard error, and print the remaining time after the first point."""
     if shown is None:
         shown = sys.stderr is not None and sys.stderr.isatty()
     if not shown:
@@ -114,10 +115,20 @@ def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
     # the default period of 30 s is too short for long blocks
     with Progress(*columns, console=screen, transient=True, speed_estimate_period=3600.0) as progress:
         task = progress.add_task("sweeping", total=1000 * points)
+        start_s, stored, is_estimated = time.monotonic(), -1.0, False
 
         def show(tallies: Sequence[PointTally]) -> None:
-            done = f"{sum(t.done for t in tallies)} of {points} points"
-            progress.update(task, description=done, completed=round(1000 * sum(t.fraction for t in tallies)))
+            nonlocal stored, is_estimated
+            done, completed = sum(t.done for t in tallies), sum(t.fraction for t in tallies)
+            progress.update(task, description=f"{done} of {points} points", completed=round(1000 * completed))
+            # points of an earlier run took no time
+            stored = completed if stored < 0 else stored
+            if not is_estimated and 0 < done < points and completed > stored:
+                is_estimated = True
+                rest_s = (time.monotonic() - start_s) * (points - completed) / (completed - stored)
+                rest = f"{rest_s:.0f} s" if rest_s < 100 else f"{rest_s / 60:.0f} min"
+                text = f"{done} of {points} points complete; estimate for the others: {rest}"
+                progress.console.print(text, highlight=False)
 
         yield show
 

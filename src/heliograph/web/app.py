@@ -30,10 +30,12 @@ def create_app(
     access: Access | None = None,
     limits: Limits | None = None,
     camera: Sequence[str] = (),
+    *,
+    is_auto: bool = False,
 ) -> FastAPI:
-    """Create the application of `heliograph serve`."""
+    """Create the application of `heliograph serve`; with `is_auto` each film decides the receiver."""
     limits = limits or Limits()
-    shared = Shared(settings or load_settings("paper"), tuple(films), limits, tuple(camera))
+    shared = Shared(settings or load_settings("paper"), tuple(films), limits, tuple(camera), is_auto=is_auto)
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:

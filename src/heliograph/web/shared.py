@@ -31,7 +31,17 @@ def named_as(path: Path, name: str) -> Iterator[None]:
 class Shared:
     """State that the pages share."""
 
-    def __init__(self, settings: LinkSettings, films: tuple[str, ...], limits: Limits, camera: tuple[str, ...]):
+    def __init__(
+        self,
+        settings: LinkSettings,
+        films: tuple[str, ...],
+        limits: Limits,
+        camera: tuple[str, ...],
+        *,
+        is_auto: bool,
+    ):
+        # True if films decide the receiver
+        self.is_auto = is_auto
         # Films and cameras of the command line, identified by number, and settings such as "exposure_us=500"
         self.settings, self.films, self.limits, self.camera = settings, films, limits, camera
         # Live cameras of the last search; identified by number

@@ -86,8 +86,7 @@ function sayRow(row: Row): void {
 async function saved(bundle: string): Promise<void> {
   try {
     await saveBundle(bundle);
-    const receiver = model.source?.receiver ?? "plain";
-    notice.say(`Saved: 'heliograph receive failed.h5${receiver === "plain" ? "" : ` --receiver ${receiver}`}' reads it again.`);
+    notice.say(`Saved: 'heliograph receive failed.h5 --receiver ${model.source?.receiver ?? "auto"}' reads it again.`);
   } catch (error) {
     notice.fail(error);
   }

@@ -38,7 +38,7 @@ export class SourceForm {
     try {
       const sources = await askJson<Sources>("watch/sources");
       options("preset", [["", "the server"], ...sources.presets.map(({ name }): [string, string] => [name, `preset ${name}`])]);
-      options("receiver", [["", "of the settings"], ...sources.receivers.map((name): [string, string] => [name, name])]);
+      options("receiver", [["", "of the settings, or auto"], ...sources.receivers.map((name): [string, string] => [name, name])]);
       options("named", sources.named.map((name, k) => [String(k), name]));
       const named = this.form.querySelector<HTMLInputElement>("input[value=named]");
       if (named !== null) {

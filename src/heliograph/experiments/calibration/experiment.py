@@ -21,7 +21,6 @@ from scipy.special import chdtri
 
 from heliograph.base.arrays import Floats
 from heliograph.channel import ArrayTruth
-from heliograph.experiments import plots
 from heliograph.experiments.links import receive_packets
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.link.settings import LinkSettings, load_settings
@@ -224,10 +223,11 @@ def _reliability_diagram(bins: Mapping[str, Sequence[ReliabilityBin]]) -> Figure
         if here := judged(part):
             ratio, low, high = np.array([one.ratio() for one in here]).T
             axes.errorbar([one.predicted for one in here], ratio, (ratio - low, high - ratio), marker="o", label=name)
-    for line in (1 - TOLERANCE, 1 + TOLERANCE):
-        axes.axhline(line, color=plots.GRAY, lw=0.8, ls="--")
+    axes.axhspan(1 - TOLERANCE, 1 + TOLERANCE, color="whitesmoke", zorder=0, label=f"within {TOLERANCE:.0%}")
     axes.set(xscale="log", yscale="log")
-    axes.legend()
+    axes.set_yticks((0.5, 0.7, 1, 1.5, 2), ("0.5", "0.7", "1", "1.5", "2"))
+    axes.minorticks_off()
+    axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
     return figure
 
 
@@ -240,9 +240,8 @@ def _distance_plot(distances: Mapping[str, Floats]) -> Figure:
             if len(here):
                 style: dict[str, Any] = {"color": f"C{k}", "mfc": "none" if name == "first" else None, "alpha": 0.6}
                 axes.plot(here[:, 0], here[:, 1] - here[:, 0], marker, label=f"{case}, {name} packets", **style)
-    for line in (-GOOD_M, GOOD_M):
-        axes.axhline(line, color=plots.GRAY, lw=0.8, ls="--")
-    axes.legend()
+    axes.axhspan(-GOOD_M, GOOD_M, color="whitesmoke", zorder=0, label=f"within {GOOD_M:g} m")
+    axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
     return figure
 
 
@@ -273,7 +272,7 @@ def run(context: Context, films: Sequence[CalibrationFilm] = ()) -> ExperimentRe
     return ExperimentResult(
         findings=[*(calibrated(name, part) for name, part in bins.items()), accurate(errors)],
         pictures=[
-            (_reliability_diagram(bins), "Observed over predicted error probability; dashed: tolerance."),
+            (_reliability_diagram(bins), "Observed over predicted error probability, with 95 % intervals."),
             (_distance_plot(distances), "Distance error of a packet."),
         ],
         tables=[

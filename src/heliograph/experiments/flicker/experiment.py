@@ -151,7 +151,7 @@ def _spectra(waves: Mapping[Signal, Floats], slot_s: float) -> Figure:
             modulation = 100 * np.maximum(lines.modulation, 1e-6)
             axes.plot(lines.hz, modulation, ".", ms=6 if "alone" in name else 3, label=name)
         hz = np.geomspace(1, metrics.LIMITED_HZ, 200)
-        axes.plot(hz, 100 * metrics.low_risk_limit(hz), color="black", ls="--", lw=1)
+        axes.plot(hz, 100 * metrics.low_risk_limit(hz), color="black", ls="--", lw=1, label="IEEE 1789, low risk")
         axes.set(xscale="log", yscale="log", ylim=(1e-4, 300), xlim=(1, 2200), xlabel="frequency (Hz)")
         axes.legend(fontsize=8, loc="upper left")
     figure.axes[0].set_ylabel("modulation (%)")
@@ -254,7 +254,7 @@ def run(context: Context, stretches: int = 10) -> ExperimentResult:
         "period, ms": lambda signal: found[signal].text("period_s", ".3g", 1e3),
     }
     title = f"Measures of flicker: median of {stretches} stretches (5-95 %), bandwidth 1 Hz"
-    spectra = "Modulation by frequency, a stretch of 1 s, bandwidth 1 Hz; dashed: IEEE 1789's limit of low risk."
+    spectra = "Modulation by frequency, a stretch of 1 s, bandwidth 1 Hz."
     names = [field.name for field in fields(Flicker)]
     return ExperimentResult(
         findings=findings(found, waves, slot_s),

@@ -46,7 +46,7 @@ def run(context: Context) -> ExperimentResult:
         findings=[finding],
         pictures=[
             (plots.image_row(images, names), "Camera image of the array, pixel for pixel."),
-            (_contrast_plot(contrasts), "Contrast of single LEDs by distance; dashed: Rayleigh limit."),
+            (_contrast_plot(contrasts), "Contrast of single LEDs by distance."),
         ],
         data={"contrast": {f"{z:g} m": values for z, values in contrasts.items()}},
     )
@@ -84,5 +84,6 @@ def _contrast_plot(contrasts: Mapping[float, Sequence[float]]) -> Figure:
     figure = Figure(figsize=(7, 3.4))
     axes = figure.add_subplot(xlabel="distance (m)", ylabel="contrast of single LEDs", ylim=(-0.05, 1))
     axes.plot(list(contrasts), [np.mean(v) for v in contrasts.values()], "o-")
-    axes.axhline(RESOLVED, color=plots.GRAY, ls="--", lw=1)
+    axes.axhline(RESOLVED, color=plots.GRAY, ls="--", lw=1, label="Rayleigh limit")
+    axes.legend()
     return figure

@@ -277,7 +277,7 @@ def _error_plot(runs: Sequence[TrackingRun]) -> Figure:
         for (name, errors), colour in zip(run.errors.items(), colours, strict=True):
             off = np.maximum(np.hypot(errors[:, 0], errors[:, 1]), 1e-4)
             axes.plot(run.times_s, off, color=colour, lw=0.8, label=name)
-        axes.plot(run.times_s, run.side_px / 2, color="black", lw=0.8, ls="--")
+        axes.plot(run.times_s, run.side_px / 2, color="black", lw=0.8, ls="--", label="half of the side")
         axes.set(yscale="log", ylim=(1e-4, 1e3), ylabel="error (px)" if k % columns == 0 else "")
     plots.legend_below(figure)
     return figure

@@ -13,12 +13,14 @@ from heliograph.base.errors import SettingsError
 from heliograph.base.files import shown_name
 from heliograph.base.toml_text import parse_assignment
 from heliograph.link.film import FrameSource, frames_of
-from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.settings import LinkSettings, load_settings, names_receiver, preset
 from heliograph.link.truth import check_truth, open_truth, signal_of, truth_path
 from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import TruthSource
 from heliograph.media import open_film
 from heliograph.media.live.reader import LiveReader, is_camera, live_of
+from heliograph.probe.choice import with_receiver_for
+from heliograph.receive.api import choose_receiver
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.shared import Shared, named_as
 
@@ -72,11 +74,13 @@ def opened(request: WatchRequest, shared: Shared) -> Iterator[Source]:
     changes = [parse_assignment(text) for text in request.changes]
     if not all(set(change) <= {"signal", "receive"} for change in changes):
         raise SettingsError("a page changes only settings of signal and receive, such as signal.side=8")
-    receiver = [] if request.receiver is None else [{"receive": {"receiver": request.receiver}}]
+    named = [] if request.receiver is None else [{"receive": {"receiver": request.receiver}}]
+    is_auto = shared.is_auto if request.preset is None else not names_receiver(preset(request.preset))
+    is_auto = is_auto and not names_receiver(*named, *changes)
     if request.kind == "drive":
-        yield _simulate_drive(request, base, [*receiver, *changes])
+        yield _simulate_drive(request, base, [*named, *changes], is_auto=is_auto)
         return
-    settings = _with_changes(base, [*receiver, *changes])
+    settings = _with_changes(base, [*named, *changes])
     with contextlib.ExitStack() as stack:
         if request.kind == "film":
             path, name = stack.enter_context(shared.uploads.of(request.film).reading()), "the film"
@@ -94,6 +98,8 @@ def opened(request: WatchRequest, shared: Shared) -> Iterator[Source]:
         if request.kind == "named" and not is_camera(path) and truth_path(path).is_file():
             truth = open_truth(truth_path(path))
             check_truth(film, truth, signal)
+        if is_auto:
+            settings, _ = with_receiver_for(film, signal, settings)
         live = live_of(film)
         if live is not None:
             settings = replace(settings, receive=settings.receive.with_live_limits())
@@ -104,7 +110,9 @@ def opened(request: WatchRequest, shared: Shared) -> Iterator[Source]:
         )  # fmt: skip
 
 
-def _simulate_drive(request: WatchRequest, base: LinkSettings, changes: Sequence[Mapping[str, Any]]) -> Source:
+def _simulate_drive(
+    request: WatchRequest, base: LinkSettings, changes: Sequence[Mapping[str, Any]], *, is_auto: bool
+) -> Source:
     """Return a drive that is rendered during the reception."""
     from heliograph.experiments.demo.drive import demo_messages  # imports Matplotlib
 
@@ -113,6 +121,9 @@ def _simulate_drive(request: WatchRequest, base: LinkSettings, changes: Sequence
     if request.street:
         channel["background"] = {"kind": "street" if base.channel.background.level else "street-night"}
     settings = _with_changes(base, [{"channel": channel}, *changes])
+    if is_auto:
+        name, _ = choose_receiver(settings.signal, settings.channel.camera.fps)
+        settings = replace(settings, receive=replace(settings.receive, receiver=name))
     camera, film = settings.channel.camera, LiveFilm(settings, demo_messages(settings), request.seed, None, None)
     return Source(
         name="a simulated drive", frames=film, width=camera.width, height=camera.height,
