@@ -74,7 +74,7 @@ def test_receive_explains_a_missing_array_in_short(films: Path, call: Call, tmp_
 @pytest.mark.parametrize("command", ["receive", "probe"])
 def test_a_refused_film_is_an_error_with_advice(films: Path, call: Call, command: str) -> None:
     told = call(command, films / "mislabelled.h5")
-    assert "the plain receiver needs one frame a pattern" in failed(told)
+    assert "the plain receiver needs one frame per pattern" in failed(told)
     assert "--fps 1000" in told.stdout
 
 

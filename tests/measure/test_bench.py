@@ -121,7 +121,7 @@ def test_window_margin_is_half_an_array() -> None:
 
 
 def test_unsuitable_settings_raise_an_error_in_one_line() -> None:
-    with pytest.raises(HeliographError, match="one frame a pattern") as caught:
+    with pytest.raises(HeliographError, match="one frame per pattern") as caught:
         run_block(link("static", "channel.camera.fps=500"), 1)
     assert "\n" not in str(caught.value)
     with pytest.raises(HeliographError, match="record longer"):

@@ -70,7 +70,7 @@ def test_camera_slower_than_the_light_is_a_cause_of_the_film() -> None:
     found = probe_film(FAULTY["slow camera"](), SignalSettings(), ReceiveSettings(), trials=False)
     assert [cause.kind for cause in found.causes] == ["slow camera"]
     assert "film with 1000 frames a second or more" in found.advice
-    assert "one frame a pattern" in found.error
+    assert "one frame per pattern" in found.error
 
 
 def test_decodable_film_is_measured() -> None:

@@ -47,7 +47,7 @@ def blinking(period_s: float) -> list[Frame]:
 @pytest.mark.parametrize("period_s", [0.04, 0.6e-3])
 def test_plain_receiver_refuses_other_rates_than_one_frame_a_pattern(period_s: float) -> None:
     plain = make_receiver(SignalSettings())
-    with pytest.raises(HeliographError, match="the plain receiver needs one frame a pattern") as caught:
+    with pytest.raises(HeliographError, match="the plain receiver needs one frame per pattern") as caught:
         [list(plain.push(frame)) for frame in blinking(period_s)]
     if period_s > 1e-3:
         assert "soft" not in str(caught.value), "the soft receiver cannot read this rate either"

@@ -21,7 +21,7 @@ from heliograph.signal.settings import SignalSettings
 def test_camera_slower_than_the_patterns_is_refused() -> None:
     rng = np.random.default_rng(1)
     frames = [Frame(k, 1.05e-3 * k, rng.integers(0, 255, (8, 8)).astype(np.uint8)) for k in range(16)]
-    with pytest.raises(HeliographError, match="at least one frame a pattern") as error:
+    with pytest.raises(HeliographError, match="at least one frame per pattern") as error:
         list(receive_frames(frames, SignalSettings(), ReceiveSettings(receiver="soft")))
     assert "\n" not in str(error.value)
 

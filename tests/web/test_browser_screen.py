@@ -93,6 +93,9 @@ def test_camera_of_the_browser_receives_a_text(chromium: Browser, address: str, 
     ):
         page.click("#start")
         expect(page.locator(".text")).to_have_text(TEXT)
+        expect(page.locator(".text")).to_be_in_viewport()
+        page.get_by_role("button", name="Copy").click()
+        expect(page.get_by_role("button", name="Copied")).to_be_visible()
         expect(page.locator("#counts")).to_contain_text("sent")
         page.click("#stop")
         expect(page.locator("#start")).to_have_text("Start the camera")

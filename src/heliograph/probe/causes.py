@@ -182,7 +182,7 @@ FILM: tuple[Rule[FilmMeasures], ...] = (
          "{m.times.rate_hz:.4g} frames a second as stamped, but the light shows {m.light_hz:.4g} patterns; receivers "
          "need a frame per pattern at least",
          "film with {m.light_hz:.4g} frames a second or more",
-         "or, if the camera did and the file misstates it, give the rate: --fps {m.light_hz:g}",
+         "or pass the camera's true rate with --fps {m.light_hz:g}",
          "or, if the light is slower, give the duration of a pattern: --set signal.pattern_period_s=..."),
     Rule("lost frames", lambda m: m.times.lost > 0.005 * m.total,
          "{m.times.lost} of {m.total} frames are missing at {m.gaps}",

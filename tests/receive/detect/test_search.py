@@ -87,7 +87,7 @@ def test_every_frame_is_searched_at_the_rate_of_the_light(fps: float, searched: 
 
 
 def test_a_slower_camera_is_refused() -> None:
-    with pytest.raises(HeliographError, match="at least one frame a pattern"):
+    with pytest.raises(HeliographError, match="at least one frame per pattern"):
         search_all(970.0, [])
 
 

@@ -17,7 +17,7 @@ export interface Counts {
 export function opened(device: string): Promise<MediaStream> {
   if (!("mediaDevices" in navigator)) {
     return Promise.reject(new Error(
-      "This browser gives its camera to pages of this machine or by HTTPS alone: take a film instead, or see 'heliograph serve --certificate'.",
+      "The browser allows the camera only for this machine or by HTTPS: upload a video instead, or see 'heliograph serve --certificate'.",
     ));
   }
   const which = device === "" ? { facingMode: "environment" } : { deviceId: { exact: device } };

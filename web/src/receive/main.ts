@@ -101,12 +101,12 @@ function take(row: Row): void {
       showWhy([]);
       break;
     case "asking why":
-      say("Nothing is read yet. Looking for the reason …");
+      say("Nothing received yet. Looking for the reason …");
       break;
     case "why":
-      showWhy(row.lines.length > 0 ? row.lines : ["No reason was found: film longer, closer and steadier."]);
+      showWhy(row.lines.length > 0 ? row.lines : ["No reason was found. Film longer, closer and steadier."]);
       if (camera !== null) saveButton.hidden = false;
-      say("Nothing is read yet.");
+      say("Nothing received yet.");
       break;
     case "left":
       say(`Reading the last frames: ${row.frames} left …`);
@@ -131,16 +131,16 @@ function take(row: Row): void {
 }
 
 function lightWords({ rate_hz: rate, side }: Row & { event: "light" }): string {
-  if (rate === null && !side) return "Nothing blinks as patterns do yet: hold the camera so that it sees them.";
-  const shown = [...(rate === null ? [] : [`${Number(rate.toFixed(2))} patterns a second`]), ...(side ? [`${side} × ${side} cells`] : [])];
+  if (rate === null && !side) return camera === null ? "No patterns found yet." : "No patterns found yet: point the camera at the screen.";
+  const shown = [...(rate === null ? [] : [`${Number(rate.toFixed(2))} patterns per second`]), ...(side ? [`${side} × ${side} cells`] : [])];
   return `The screen shows ${shown.join(", ")}. Reading …`;
 }
 
 function ending(row: Row & { event: "end" }): string {
-  const late = row.let_go > 0 ? ` ${row.let_go} frames were left unread, as this took too long.` : "";
-  const words = `${row.frames} frames, ${row.packets} packets, ${row.ok} of ${row.ok + row.failed} codewords read.${late}`;
-  if (row.ok === 0) return `The end: nothing was read. ${words}`;
-  return results.count > 0 ? `The end. ${words}` : `The end: nothing came whole; film longer. ${words}`;
+  const late = row.let_go > 0 ? ` ${row.let_go} frames were skipped, as this took too long.` : "";
+  const words = `${row.frames} frames, ${row.packets} packets, ${row.ok} of ${row.ok + row.failed} codewords decoded.${late}`;
+  if (row.ok === 0) return `The end: nothing was received. ${words}`;
+  return results.count > 0 ? `The end. ${words}` : `The end: only part of it arrived. Film about 10 s longer. ${words}`;
 }
 
 function closed(reason: string): void {
@@ -215,7 +215,7 @@ async function listDevices(): Promise<void> {
   const select = one("device", HTMLSelectElement);
   const chosen = select.value;
   select.replaceChildren(
-    make("option", { value: "" }, "The one at the back"),
+    make("option", { value: "" }, "Rear camera"),
     ...found.map((one, k) => make("option", { value: one.deviceId, selected: one.deviceId === chosen }, one.label || `Camera ${k + 1}`)),
   );
 }
@@ -224,7 +224,7 @@ async function keep(name: string): Promise<void> {
   try {
     await saveBundle(name);
     notice.say(
-      "failed.h5 holds the frames of what failed: 'heliograph probe failed.h5 --preset phone' tells more, and 'heliograph receive failed.h5 --preset phone' reads it.",
+      "failed.h5 has the frames of the failed packets: 'heliograph probe failed.h5 --preset phone' explains them, 'heliograph receive failed.h5 --preset phone' receives them.",
     );
   } catch (error) {
     notice.fail(error);
@@ -253,7 +253,7 @@ function failed(error: unknown): void {
   end();
   if (error instanceof DOMException && error.name === "AbortError") return;
   const refused = error instanceof DOMException && error.name === "NotAllowedError";
-  notice.fail(refused ? "The camera was refused: allow it for this page, or take a film." : error);
+  notice.fail(refused ? "The camera was refused: allow it for this page, or upload a video." : error);
   say("Nothing yet.");
 }
 

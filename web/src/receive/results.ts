@@ -55,7 +55,8 @@ export class Results {
     const parts: (Node | string)[] = [
       make("p", { class: "dim" }, `Message, ${bytes(row.bytes)}, layer `, make("span", { class: "layers" }, row.layer)),
     ];
-    parts.push(row.text === undefined ? make("p", {}, "Not a text.") : make("pre", { class: "text", tabindex: 0 }, row.text));
+    parts.push(row.text === undefined ? make("p", {}, "Not text.") : make("pre", { class: "text", tabindex: 0 }, row.text));
+    if (row.text !== undefined) parts.push(copyButton(row.text));
     parts.push(this.download(new Blob([data]), row.text === undefined ? "message.bin" : "message.txt"));
     this.add(key, make("li", { class: "entry" }, ...parts));
   }
@@ -64,7 +65,7 @@ export class Results {
     const key = `file ${row.file}`;
     const entry = this.entries.get(key) ?? this.add(key, make("li", { class: "entry" }));
     if (!row.whole || row.data === undefined) {
-      const words = `File on its way: ${row.symbols} of ${row.needed} parts, ${bytes(row.bytes)} in all`;
+      const words = `File: ${row.symbols} of ${row.needed} parts received, ${bytes(row.bytes)} in total`;
       entry.replaceChildren(
         make("p", {}, words),
         make("progress", { max: row.needed, value: row.symbols, "aria-label": "Parts of the file" }),
@@ -76,7 +77,7 @@ export class Results {
     const name = row.name ?? "file";
     const kind = PICTURES[/\.([A-Za-z0-9]+)$/.exec(name)?.[1]?.toLowerCase() ?? ""];
     const blob = new Blob([data], { type: kind ?? "application/octet-stream" });
-    const parts: Node[] = [make("p", {}, `File ${name}, ${bytes(data.length)}, whole`)];
+    const parts: Node[] = [make("p", {}, `File ${name}, ${bytes(data.length)}, complete`)];
     if (kind !== undefined) parts.push(make("img", { src: this.url(blob), alt: `The picture ${name} that was received` }));
     else if (name.endsWith(".txt")) {
       parts.push(make("pre", { class: "text", tabindex: 0 }, new TextDecoder().decode(data.subarray(0, SHOWN))));
@@ -88,6 +89,7 @@ export class Results {
   private add(key: string, entry: HTMLElement): HTMLElement {
     this.entries.set(key, entry);
     this.got.append(entry);
+    if (this.entries.size === 1) entry.scrollIntoView({ block: "nearest" });
     return entry;
   }
 
@@ -104,6 +106,17 @@ export class Results {
   }
 }
 
+function copyButton(text: string): HTMLElement {
+  const button = make("button", { type: "button" }, "Copy");
+  button.addEventListener("click", () => {
+    navigator.clipboard.writeText(text).then(
+      () => { button.textContent = "Copied"; },
+      () => { button.textContent = "Copy was refused"; },
+    );
+  });
+  return button;
+}
+
 /** A row in words; nothing for those that are shown elsewhere. */
 function said(row: Row): string {
   switch (row.event) {
@@ -113,11 +126,11 @@ function said(row: Row): string {
       const words = Object.entries(row.layers).map(
         ([name, list]) => `${name} ${list.filter((word) => word.status === "ok").length} of ${list.length}`,
       );
-      return `${row.time_s.toFixed(1)} s: packet, codewords read: ${words.join(", ")}`;
+      return `${row.time_s.toFixed(1)} s: packet, codewords decoded: ${words.join(", ")}`;
     }
     case "message": return `message in the ${row.layer} layer, ${bytes(row.bytes)}`;
-    case "file": return row.whole ? `file ${row.name ?? ""} is whole` : "";
-    case "light": return row.rate_hz === null ? "" : `the screen shows ${Number(row.rate_hz.toFixed(2))} patterns a second`;
+    case "file": return row.whole ? `file ${row.name ?? ""} is complete` : "";
+    case "light": return row.rate_hz === null ? "" : `the screen shows ${Number(row.rate_hz.toFixed(2))} patterns per second`;
     default: return "";
   }
 }

@@ -58,9 +58,9 @@ class HeaderSearch:
         if is_slow or period_s * max_frames < light_s:
             needs = "needs at least one frame" if is_slow else f"takes at most {max_frames} frames"
             raise HeliographError(
-                f"the soft receiver {needs} a pattern: the film has {1 / period_s:.1f} frames/s, the light "
-                f"{1 / light_s:.1f} patterns/s; {'film faster' if is_slow else 'leave out frames'}, give times in "
-                "seconds, or say by --fps what the camera did where the film misstates it"
+                f"the soft receiver {needs} per pattern: the film has {1 / period_s:.1f} frames/s, the light "
+                f"{1 / light_s:.1f} patterns/s; {'record faster' if is_slow else 'leave out frames'}, give times "
+                "in seconds, or pass the camera's true rate with --fps"
             )
         phases: list[float | None] = [None]
         if period_s <= light_s * (1 - STEP_TOLERANCE):

@@ -59,9 +59,9 @@ class SynchronousClock:
             hint = "use --receiver soft, " if period_s < self.period_s else ""
             rate = f"{1 / period_s:.1f}" if period_s < 1 else f"{1 / period_s:.2g}"
             raise HeliographError(
-                f"the plain receiver needs one frame a pattern: the film has {rate} frames/s, the light "
-                f"{1 / self.period_s:.1f} patterns/s; film at that rate, {hint}give times in seconds, or say by --fps "
-                f"what the camera did where the film misstates it"
+                f"the plain receiver needs one frame per pattern: the film has {rate} frames/s, the light "
+                f"{1 / self.period_s:.1f} patterns/s; record at that rate, {hint}give times in seconds, or pass the "
+                f"camera's true rate with --fps"
             )
 
 
