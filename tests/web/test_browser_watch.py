@@ -222,5 +222,6 @@ def test_page_transmit_shows_a_crash_of_its_coding(
     page.wait_for_selector("#rate option", state="attached")
     page.fill("#text", "hello")
     page.click("#send")
+    page.get_by_role("dialog").get_by_role("button", name="Start").click()
     expect_notice(page)
     page.close()
