@@ -86,5 +86,10 @@ def test_kernel_matches_the_oracle(width: int) -> None:
     for rim in (0, 2):
         where = pose.x, pose.y, pose.axes, width, rim, SIDE
         for pixels in (image, image.astype(np.uint8)):
-            got = kernels.means_at_leds(pixels, *where)
-            assert got == pytest.approx(reference.means_at_leds(pixels.astype(np.float64), *where), rel=1e-9)
+            expected = reference.means_at_leds(pixels.astype(np.float64), *where)
+            mean = rng.uniform(100, 150, len(expected))
+            light, contrast, power, is_pattern = kernels.light_at_leds(pixels, *where, mean)
+            assert light == pytest.approx(expected, rel=1e-9)
+            assert contrast == pytest.approx(expected - mean, rel=1e-9)
+            assert power == pytest.approx(contrast @ contrast, rel=1e-9)
+            assert is_pattern == (np.var(contrast) > 0.25 * np.mean(contrast**2))

@@ -6,8 +6,8 @@ novelty and candidates unlike a header, at last everything. A search that cannot
 greatest novelty: their alternation over the running mean of earlier searches.
 """
 
-from dataclasses import astuple, dataclass, replace
 from operator import add, sub
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -66,8 +66,7 @@ class NoveltyFilter:
         return novel | (self._searches <= 3), novelty
 
 
-@dataclass(frozen=True, slots=True)
-class SearchLoad:
+class SearchLoad(NamedTuple):
     """Work of the searches, with the skipped candidates and blocks.
 
     Attributes
@@ -92,13 +91,13 @@ class SearchLoad:
         """Number of skipped candidates and blocks."""
         return self.dropped + self.blocks
 
-    def __add__(self, other: "SearchLoad") -> "SearchLoad":
+    def __add__(self, other: tuple[object, ...]) -> "SearchLoad":
         """Add two loads."""
-        return SearchLoad(*map(add, astuple(self), astuple(other)))
+        return SearchLoad._make(map(add, self, other))
 
     def __sub__(self, other: "SearchLoad") -> "SearchLoad":
         """Return the load since an earlier load."""
-        return SearchLoad(*map(sub, astuple(self), astuple(other)))
+        return SearchLoad._make(map(sub, self, other))
 
 
 class TokenBucket:
@@ -149,7 +148,7 @@ class TokenBucket:
     def charge(self, work: float) -> None:
         """Take work out of the bucket; the end of a search may overdraw it."""
         self.level -= work
-        self.load = replace(self.load, work=self.load.work + work)
+        self.load = self.load._replace(work=self.load.work + work)
 
     def affordable_blocks(self) -> int:
         """Return the number of affordable blocks of the next search, at least 1."""
@@ -166,7 +165,7 @@ class TokenBucket:
             self._block_work += (work - self._block_work) / 8
         self._blocks, self._work_before = 0, self.load.work
         chosen = busy if eligible is None else eligible
-        if not busy.any():
+        if not np.count_nonzero(busy):
             baseline.record_quiet()
             return chosen
         novel, novelty = baseline.novel_blocks(means, frame.origin, self.is_scarce)
@@ -197,13 +196,13 @@ class TokenBucket:
             if self.is_scarce or not is_unlike:
                 self.skip_candidate()
             return False
-        self.load = replace(self.load, fitted=self.load.fitted + 1)
+        self.load = self.load._replace(fitted=self.load.fitted + 1)
         return True
 
     def skip_candidate(self) -> None:
         """Count a skipped candidate."""
-        self.load = replace(self.load, dropped=self.load.dropped + 1)
+        self.load = self.load._replace(dropped=self.load.dropped + 1)
 
     def skip_blocks(self, count: int) -> None:
         """Count skipped busy blocks."""
-        self.load = replace(self.load, blocks=self.load.blocks + count)
+        self.load = self.load._replace(blocks=self.load.blocks + count)

@@ -175,7 +175,7 @@ class PyramidSearch:
             return []
         alternating = finest.busy_blocks(means, first, tracked)
         busy = self.budget.start_search(self._baselines[first.index % 2], means, alternating, first)
-        if not busy.any():
+        if not np.count_nonzero(busy):
             return []
         skipped = alternating & ~busy
         known, detections = list(tracked), list[Detection]()

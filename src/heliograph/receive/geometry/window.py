@@ -62,14 +62,13 @@ def covered(
     frames: Sequence[AnyFrame], corner: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Floats, Floats] | None:
     """Mark columns and rows of a window inside all frames with 1; None if all are inside."""
-    sides = []
-    for axis in (0, 1):
-        first = max(frame.origin[axis] for frame in frames)
-        end = min(frame.origin[axis] + frame.pixels.shape[1 - axis] for frame in frames)
-        index = corner[axis] + np.arange(shape[1 - axis])
-        sides.append((index >= first) & (index < end))
-    columns, rows = sides
-    return None if columns.all() and rows.all() else (columns.astype(np.float64), rows.astype(np.float64))
+    first = [max(frame.origin[k] for frame in frames) for k in (0, 1)]
+    end = [min(frame.origin[k] + frame.pixels.shape[1 - k] for frame in frames) for k in (0, 1)]
+    if all(first[k] <= corner[k] and corner[k] + shape[1 - k] <= end[k] for k in (0, 1)):
+        return None
+    columns, rows = (corner[k] + np.arange(shape[1 - k]) for k in (0, 1))
+    columns, rows = (columns >= first[0]) & (columns < end[0]), (rows >= first[1]) & (rows < end[1])
+    return columns.astype(np.float64), rows.astype(np.float64)
 
 
 def crop(frame: Frame, window: Window) -> Frame:

@@ -6,11 +6,15 @@ from heliograph.base.compiled import compiled
 
 
 @compiled()
-def means_at_leds(image, x, y, axes, width, rim, side):
-    """Average an image over squares around LEDs, with linear interpolation between pixels."""
+def light_at_leds(image, x, y, axes, width, rim, side, mean):
+    """Average an image over squares around LEDs, with linear interpolation between pixels.
+
+    Returns the light, the light less its mean of earlier frames, the sum of squares of this contrast, and True if the
+    contrast is a pattern's: it varies from LED to LED, so the variance is more than a quarter of the mean square.
+    """
     inner, reach = side - 2 * rim, (width - 1) // 2
     bottom, right = image.shape[0] - 1, image.shape[1] - 1
-    out = np.empty(inner * inner)
+    out, contrast, power, whole = np.empty(inner * inner), np.empty(inner * inner), 0.0, 0.0
     for led in range(inner * inner):
         down, along = led // inner + rim - 0.5 * (side - 1), led % inner + rim - 0.5 * (side - 1)
         px = x + along * axes[0, 0] + down * axes[0, 1]
@@ -26,4 +30,6 @@ def means_at_leds(image, x, y, axes, width, rim, side):
                 line += part * image[i, min(max(left + b, 0), right)]
             total += (1.0 - below if a == 0 else below if a == width else 1.0) * line
         out[led] = total / (width * width)
-    return out
+        contrast[led] = out[led] - mean[led]
+        power, whole = power + contrast[led] ** 2, whole + contrast[led]
+    return out, contrast, power, whole**2 < 0.75 * power * inner * inner

@@ -19,7 +19,7 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.sync.kernels import means_at_leds
+from heliograph.receive.sync.kernels import light_at_leds
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
@@ -73,7 +73,9 @@ class SlipWatch:
         inner = slice(self._rim, signal.side - self._rim)
         self._signs = (header_levels(identity, signal.side) / 2.0 - 1.0)[inner, inner].ravel()
         self._pending: list[_PendingFrame] = []
+        # mean light of ten pairs at the LEDs; unknown before the first pair, when no frame counts as a pattern
         self._mean: Floats | None = None
+        self._no_mean = np.full(self._signs.size, nan)
         self._headers: dict[int, float] = {}
         self._last_s: float | None = None
         self._number = 0
@@ -113,14 +115,11 @@ class SlipWatch:
         x, y = pose.x - frame.origin[0], pose.y - frame.origin[1]
         # average over the square of an LED and half a pixel, as motion shifts the light
         width = 2 * int((pose.pitch + 0.5) / 2) + 1
-        light = means_at_leds(frame.pixels, x, y, pose.axes, width, self._rim, self._signal.side)
-        contrast, power = None if self._mean is None else light - self._mean, 0.0
-        if contrast is not None:
-            power = float(contrast @ contrast)
-            # a pattern varies from LED to LED: the variance is more than a quarter of the mean square
-            if float(contrast.sum()) ** 2 >= 0.75 * power * contrast.size:
-                contrast = None
-        return _PendingFrame(frame, number, pose, light, contrast, power)
+        mean = self._no_mean if self._mean is None else self._mean
+        light, contrast, power, is_pattern = light_at_leds(
+            frame.pixels, x, y, pose.axes, width, self._rim, self._signal.side, mean
+        )
+        return _PendingFrame(frame, number, pose, light, contrast if is_pattern else None, power)
 
     def _is_ready(self) -> bool:
         """Return True if the pending frames suffice to release the first frame."""

@@ -169,7 +169,7 @@ class Track:
     @cached_property
     def all_visible(self) -> bool:
         """True if all LEDs are visible."""
-        return bool(self.visible.all())
+        return bool(self.change.min() >= PARAMETERS.min_visible)
 
     @property
     def uncovered(self) -> Floats:
