@@ -83,7 +83,7 @@ def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64],
 
 def test_correction_of_log_map() -> None:
     """ln(exp a + exp b) within 0.032 for either order and for impossible states."""
-    from heliograph.signal.turbo.kernel import IMPOSSIBLE, add
+    from heliograph.signal.turbo.kernels import IMPOSSIBLE, add
 
     a = np.float32(3.0)
     for b in np.append(np.linspace(-20, 20, 801, dtype=np.float32), IMPOSSIBLE):

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
-from heliograph.channel.cells import SAMPLES, add_screen, cell_light
 from heliograph.channel.exposure import Lit, Moments
 from heliograph.channel.optics import REACH_SIGMA, add_images, add_leds, cover, normal_table, spots
 from heliograph.channel.parts import POINT_SPREADS
 from heliograph.channel.scene import Corner, Light, centre_scale, project
+from heliograph.channel.screen import SAMPLES, add_screen, cell_light
 from heliograph.channel.settings import MAX_MOTION_PX, CameraSettings, ChannelSettings, Colour
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, panel_view

@@ -14,7 +14,7 @@ from heliograph.signal.block import MIN_BITS, AnyBlock, pack, payload_bytes
 from heliograph.signal.code import CODES, Code, CodeFamily
 from heliograph.signal.formats import AGREED, SHORT_PAIRS, Format
 from heliograph.signal.header import header_levels, signalling_levels
-from heliograph.signal.m_sequence import m_sequence
+from heliograph.signal.m_sequence import WHITENING_POLYNOMIAL, m_sequence
 from heliograph.signal.polarity import balance
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 
@@ -23,8 +23,8 @@ Value = TypeVar("Value", bound=np.generic)
 
 @cache
 def _period() -> NDArray[np.uint8]:
-    """Return the 32767 chips of the primitive polynomial x^15 + x^14 + 1, starting with 15 ones."""
-    chips = m_sequence(0b1100_0000_0000_0001, (1 << 15) - 1)
+    """Return the 32767 chips of the whitening, starting with 15 ones."""
+    chips = m_sequence(WHITENING_POLYNOMIAL, (1 << 15) - 1)
     chips.setflags(write=False)
     return chips
 

@@ -232,19 +232,19 @@ def decode_blocks(
     `positions` maps received bits to mother bits and covers all 3 K + 12 before repeating; ``x_itl = x_nat[order]``.
     """
     # deferred, as importing Numba takes half a second
-    from heliograph.signal.turbo import kernel
+    from heliograph.signal.turbo import kernels
 
     blocks, k = len(llr), len(order)
     scale, exact = np.float32(options.factor), None if options.algorithm == "max-log" else True
     mother = _accumulate(llr, positions, 3 * k + TERMINATION)
-    orders, work = np.stack([np.arange(k), order]), kernel.allocate(k)
+    orders, work = np.stack([np.arange(k), order]), kernels.allocate(k)
     passed, app = np.zeros((blocks, k), np.float32), np.zeros((2, blocks, k), np.float32)
     iterations, stopped = np.zeros(blocks, np.int32), np.zeros(blocks, np.bool_)
     active, step = np.arange(blocks), options.iterations if options.stop == "none" else 1
     for iteration in range(step, options.iterations + 1, step):
         if not active.size:
             break
-        kernel.iterate(mother, passed, work, app, active, orders, step, scale, exact)
+        kernels.iterate(mother, passed, work, app, active, orders, step, scale, exact)
         iterations[active] = iteration
         if check is not None:
             stopped[active] = check((app[1, active] < 0).astype(np.uint8))
@@ -254,7 +254,7 @@ def decode_blocks(
     extrinsic = None
     if coded_output:
         posterior = np.empty_like(mother)
-        kernel.mother_posterior(mother, passed, work, app[1], orders, scale, exact, posterior)
+        kernels.mother_posterior(mother, passed, work, app[1], orders, scale, exact, posterior)
         extrinsic = posterior[:, positions] - llr
     return TurboResult(
         bits=(app[1] < 0).astype(np.uint8),
