@@ -113,19 +113,11 @@ def fit_array(
         _contiguous(image),
         background,
         np.empty((0, 0)) if open_pixels is None else _contiguous(open_pixels),
-        np.array(corner, np.float64),
-        _contiguous(weights),
-        margins,
-        resolved,
-        np.array(smear, np.float64),
-        _contiguous(prior.vector),
-        _contiguous(prior.covariance),
-        float(prior.gain),
+        (np.array(corner, np.float64), _contiguous(weights), margins, resolved, np.array(smear, np.float64)),
+        (_contiguous(prior.vector), _contiguous(prior.covariance), float(prior.gain)),
         iterations,
         vector,
-        shapes,
-        drawn.anchor,
-        drawn.at,
+        (shapes, drawn.anchor, drawn.at),
     )
     if open_pixels is not None:
         drawn.forget()
