@@ -54,12 +54,7 @@ from heliograph.receive.detect.candidate import (
     measure_cells,
 )
 from heliograph.receive.detect.detection import ALL_ON, Detection, Headers, Hypothesis, distinct, headers
-from heliograph.receive.detect.frame_window import (
-    FrameWindow,
-    fill_missing,
-    find_header_start,
-    header_frames,
-)
+from heliograph.receive.detect.frame_window import FrameWindow, fill_missing, find_header_start, header_frames
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.fit import Fit, header_amplitudes
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, Pose

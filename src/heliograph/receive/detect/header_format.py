@@ -23,6 +23,7 @@ from functools import lru_cache
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.receive.detect.candidate import cell_weights
 from heliograph.receive.geometry.fit import header_amplitudes
 from heliograph.receive.geometry.footprint import images_of
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
@@ -107,9 +108,7 @@ class FormatReader:
     def __init__(self, identity: int, side: int, data_pairs: int):
         self._side, self._readable = side, readable(data_pairs)
         self._cells = header_cells(identity).reshape(CELL_COUNT).astype(np.float64)
-        self._cell_of_led = np.kron(
-            np.arange(CELL_COUNT).reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS), np.int64)
-        )
+        self._cell_of_led = cell_weights(np.arange(CELL_COUNT), side)
         self._first: tuple[FramePair, tuple[Pose, Pose]] | None = None
         self._evidence: dict[int, _PairEvidence] = {}
         # moments of each format and distance of the frames of a header out of step
