@@ -58,17 +58,20 @@ def cut_out(frame: AnyFrame, window: Window) -> Floats:
     return frame.pixels[np.ix_(i, j)].astype(np.float64)
 
 
+def shared_part(frames: Sequence[AnyFrame]) -> tuple[int, int, int, int]:
+    """Part of the sensor that all frames show: left, top, right and low, where right and low are outside."""
+    left, top = (max(f.origin[k] for f in frames) for k in (0, 1))
+    right, low = (min(f.origin[k] + f.pixels.shape[1 - k] for f in frames) for k in (0, 1))
+    return left, top, right, low
+
+
 def covered(
     frames: Sequence[AnyFrame], corner: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Floats, Floats] | None:
     """Mark columns and rows of a window inside all frames with 1; None if all are inside."""
-    sides = []
-    for axis in (0, 1):
-        first = max(frame.origin[axis] for frame in frames)
-        end = min(frame.origin[axis] + frame.pixels.shape[1 - axis] for frame in frames)
-        index = corner[axis] + np.arange(shape[1 - axis])
-        sides.append((index >= first) & (index < end))
-    columns, rows = sides
+    left, top, right, low = shared_part(frames)
+    x, y = corner[0] + np.arange(shape[1]), corner[1] + np.arange(shape[0])
+    columns, rows = (x >= left) & (x < right), (y >= top) & (y < low)
     return None if columns.all() and rows.all() else (columns.astype(np.float64), rows.astype(np.float64))
 
 
@@ -84,8 +87,7 @@ def common(frames: Sequence[Frame]) -> list[Frame]:
     """Crop frames to the common part of the sensor; a camera's window may follow the array."""
     if all(f.origin == frames[0].origin and f.pixels.shape == frames[0].pixels.shape for f in frames):
         return list(frames)
-    left, top = (max(f.origin[k] for f in frames) for k in (0, 1))
-    right, low = (min(f.origin[k] + f.pixels.shape[1 - k] for f in frames) for k in (0, 1))
+    left, top, right, low = shared_part(frames)
     # frames without a common part have an empty part at the same place
     parts = [crop(frame, (left, top, right - left, low - top)) for frame in frames]
     cropped = [replace(part, origin=(left, top)).copied() for part in parts]

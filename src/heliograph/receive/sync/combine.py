@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.receive.geometry.footprint import to_quarters
 from heliograph.signal.formats import DIMMED
 from heliograph.signal.pwm import SLOTS
 
@@ -53,10 +54,8 @@ def response(weights: Floats) -> Floats:
 
 def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
     """Return the observed symbols (symbols,) of LEDs that are constantly on or off in a pattern."""
-    light = (lit[..., None] - MEAN_LIT) @ weights
-    side = len(lit)
-    squares = light.reshape(side // 2, 2, side // 2, 2).transpose(0, 2, 1, 3).reshape(-1, 4)
-    return np.asarray((squares @ SIGNS.T).T.reshape(-1))
+    squares = to_quarters((lit[..., None] - MEAN_LIT) @ weights).reshape(4, -1)
+    return np.asarray((SIGNS @ squares).ravel())
 
 
 def moments(table: Floats, mean: Floats) -> tuple[Floats, Floats]:

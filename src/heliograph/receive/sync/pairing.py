@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import AnyFrame, CombinedFrame, window_around
+from heliograph.receive.geometry.window import AnyFrame, CombinedFrame, shared_part, window_around
 from heliograph.receive.sync.combine import Combination, combine_header, combine_pair
 from heliograph.receive.sync.frame_clock import frame_period
 from heliograph.receive.sync.light_clock import MIN_EXPLAINED, PATTERNS_AROUND, LightClock, measure_amplitudes
@@ -320,9 +320,8 @@ class AsynchronousPairing:
         side = self._signal.side
         # room for motion
         x, y, width, height = window_around(pose, side, max(8.0, 0.5 * side * pose.pitch))
-        left, top = max(x, *(f.origin[0] for f in frames)), max(y, *(f.origin[1] for f in frames))
-        right = min(x + width, *(f.origin[0] + f.pixels.shape[1] for f in frames))
-        low = min(y + height, *(f.origin[1] + f.pixels.shape[0] for f in frames))
+        left, top, right, low = shared_part(frames)
+        left, top, right, low = max(x, left), max(y, top), min(x + width, right), min(y + height, low)
         return (left, top, right, low) if right > left and low > top else None
 
     def _combine(
