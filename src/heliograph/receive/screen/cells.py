@@ -154,8 +154,8 @@ class Place:
         """Return True if the array lies completely in a frame."""
         corners = self.corners(side)
         w = np.array([[0, 0, 1], [side, 0, 1], [side, side, 1], [0, side, 1.0]]) @ self.homography[2]
-        is_within = (corners > -1).all() and (corners < shape[::-1]).all()
-        return bool(np.isfinite(corners).all() and (w > 0).all() and is_within)
+        # both are False for corners that are not numbers
+        return bool((corners > -1).all() and (corners < shape[::-1]).all() and (w > 0).all())
 
     def pose(self, side: int) -> Pose:
         """Return the affine pose at the middle of an array."""

@@ -267,9 +267,7 @@ class SampleBuffer:
         waits = length < PARAMETERS.min_patterns * self._period_s and not final
         best: tuple[float, Clock, float] | None = None
         for periods in self._periods[: 1 if waits else None]:
-            candidate = self._search_rates(periods)
-            if candidate is not None and (best is None or candidate[0] < best[0]):
-                best = candidate
+            best = min(filter(None, (best, self._search_rates(periods))), key=lambda rated: rated[0], default=None)
             if (best is not None and best[0] < PARAMETERS.certain_unexplained) or not self._budget.is_left:
                 break
         if best is None:

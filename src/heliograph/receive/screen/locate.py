@@ -98,9 +98,8 @@ def _corners(hull: Any) -> Floats:
 
 def _ordered(corners: Floats) -> Floats:
     """Order corners clockwise from the upper left."""
-    x, y = corners.T
-    turn = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-    corners = corners if turn > 0 else corners[::-1]
+    x, y = (corners - corners.mean(axis=0)).T
+    corners = corners[np.argsort(np.arctan2(y, x))]
     return np.roll(corners, -int(np.argmin(corners.sum(axis=1))), axis=0)
 
 
