@@ -38,10 +38,14 @@ def decode_per_quad(
     """Decode samples at the LEDs, in step or out of step; None if the format has no quads."""
     if form.single or form.settings.modulation != "haar":
         return None
-    header = form.header_pattern(identity) > SLOTS // 2
-    packet = UnsynchronisedPacket.of([None if cutout is None else cutout.combination for cutout in cutouts], header)
+    combinations = [None if cutout is None else cutout.combination for cutout in cutouts]
+    packet = UnsynchronisedPacket.of(combinations, form.header_pattern(identity) > SLOTS // 2)
     seen = np.array([cutout is not None for cutout in cutouts])
-    symbols, mapper = _observed_symbols(cutouts, gain, form), SymbolMapper(form)
+    # Haar transform of the light at the LEDs of each cut-out about the mean, (pairs, symbols); 0 for None
+    levels = np.array([(0.5, 0.5) if combination is None else combination.levels for combination in combinations])
+    mean_light = gain * (levels[:, 0] - levels[:, 1])[:, None, None]
+    light = normalised(sample_differences(cutouts, form.settings.side) - mean_light, gain)
+    symbols, mapper = np.concatenate([*form.split(haar.decode(light)).values()], axis=1), SymbolMapper(form)
     layers = [Layer(layer, identity, (known or {}).get(name)) for name, layer in form.layers.items()]
     idle = 0
     for _ in range(8):
@@ -65,15 +69,6 @@ def decode_per_quad(
         if (quick and not idle) or not after.any() or idle == 3 or (idle and hopeless):
             break
     return {layer.form.name: layer.words for layer in layers}
-
-
-def _observed_symbols(cutouts: Sequence[Cutout | None], gain: float, form: PacketFormat) -> Floats:
-    """Haar transform of the light at the LEDs of each cut-out about the mean, (pairs, symbols); 0 for None."""
-    combinations = [None if cutout is None else cutout.combination for cutout in cutouts]
-    levels = np.array([(0.5, 0.5) if combination is None else combination.levels for combination in combinations])
-    mean = gain * (levels[:, 0] - levels[:, 1])[:, None, None]
-    light = normalised(sample_differences(cutouts, form.settings.side) - mean, gain)
-    return np.concatenate([*form.split(haar.decode(light)).values()], axis=1)
 
 
 def _estimate_scale(

@@ -21,7 +21,7 @@ from heliograph.receive.equalise.pose_refinement import ObservedPacket, align_by
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer, ignore
 from heliograph.receive.observe.cutout import Cutout, Noise, measure_noise, noise_beside
-from heliograph.receive.packet import Words, with_raw
+from heliograph.receive.packet import Words, ok_flags, with_raw
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import Track, TrackedPair, mask_occluded_retroactively
 from heliograph.signal.formats import AGREED, UnreadableModeError, check_mode
@@ -86,7 +86,7 @@ class SoftPacket:
         except UnreadableModeError:
             return False
         sampled = self._decode_samples(self.cutouts, quick=True)
-        return sampled is not None and any(word.status == "ok" for by in sampled.values() for word in by)
+        return sampled is not None and any(ok_flags(sampled))
 
     def renumbered(self, place: int) -> "SoftPacket":
         """Return the packet with a lost pair; see `PacketObservations`."""

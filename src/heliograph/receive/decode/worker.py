@@ -24,7 +24,7 @@ from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import DecodeEvent, Event, ExtractEvent, Observer
 from heliograph.receive.geometry.pose import Orientation
 from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.packet import Packet, Words, packet_status
+from heliograph.receive.packet import Packet, Words, ok_flags, packet_status
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.signal.formats import UnreadableModeError, check_mode
@@ -184,13 +184,10 @@ class PacketDecoder:
         return led_gains and _remember(self._led_gains, array, led_gains, MAX_ARRAYS).without_evidence
 
 
-_DECODERS: dict[str, PacketDecoder] = {}
-"""Decoders of other processes, by name."""
-
-
+@lru_cache(maxsize=4)
 def _local_decoder(name: str) -> PacketDecoder:
     """Decoder in this process for a pickled decoder, one for each of the last receivers."""
-    return _remember(_DECODERS, name, _DECODERS.get(name) or PacketDecoder(name), count=4)
+    return PacketDecoder(name)
 
 
 def _remember(recent: dict[Key, Value], key: Key, value: Value, count: int) -> Value:
@@ -212,7 +209,7 @@ def _decode_with_lost_pair(packet: PacketObservations, led_gains: LedGains | Non
     for place in sorted({(2 * k + 1) * pairs // 12 for k in range(6)}):
         renumbered = packet.renumbered(place)
         decoded = renumbered.decode(led_gains, None, observe)
-        is_ok = [word.status == "ok" for by in decoded.words.values() for word in by]
+        is_ok = ok_flags(decoded.words)
         if sum(is_ok) > most:
             most, best = sum(is_ok), replace(decoded, cutouts=decoded.cutouts or tuple(renumbered.cutouts))
         if all(is_ok):

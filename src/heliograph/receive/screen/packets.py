@@ -9,7 +9,7 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.base.errors import SettingsError
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.geometry.pose import ORIENTATIONS, Orientation
-from heliograph.receive.packet import MIN_PAIRS_SEEN, Codeword, Packet, packet_status
+from heliograph.receive.packet import MIN_PAIRS_SEEN, Codeword, Packet, ok_flags, packet_status
 from heliograph.receive.screen.cells import PARAMETERS, Sample, SearchBudget
 from heliograph.receive.screen.clock import Clock, SampleBuffer, Samples
 from heliograph.receive.settings import ReceiveSettings
@@ -242,7 +242,7 @@ class PacketAssembler:
         if not headers:
             return
         packets = [self._decode(header, solution, clock) for header in headers]
-        packet, upright, self.header = max(packets, key=lambda packet: _decoded(packet[0]))
+        packet, upright, self.header = max(packets, key=lambda decoded: sum(ok_flags(decoded[0].layers)))
         self.start_s = clock.start_of(first + self._signal.header_pairs + self._data_pairs)
         self.clock = replace(clock, start_s=self.start_s)
         yield packet, upright
@@ -304,8 +304,3 @@ class PacketAssembler:
             reason=reason,
         )
         return packet, change, header
-
-
-def _decoded(packet: Packet) -> int:
-    """Return the number of decoded codewords."""
-    return sum(word.status == "ok" for words in packet.layers.values() for word in words)
