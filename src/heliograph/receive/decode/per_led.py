@@ -25,7 +25,7 @@ from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer
 from heliograph.receive.geometry.footprint import footprints, image_of, to_grid
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Corner, Pose
 from heliograph.receive.geometry.window import AnyFrame, cut_out, window_around
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
@@ -81,7 +81,7 @@ def normalised(change: NDArray[np.float64], gain: float) -> NDArray[np.float64]:
     return 2 * change / max(gain, TINY)
 
 
-def at_leds(pixels: NDArray[Any], corner: tuple[int, int], pose: Pose, side: int) -> NDArray[np.float64]:
+def at_leds(pixels: NDArray[Any], corner: Corner, pose: Pose, side: int) -> NDArray[np.float64]:
     """Value of an image at each LED's position, by cubic interpolation."""
     out = np.empty((side, side))
     kernels.cubic_at_leds(pixels, pose.x - corner[0], pose.y - corner[1], pose.axes, out)

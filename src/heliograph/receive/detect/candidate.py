@@ -25,7 +25,7 @@ from heliograph.receive.detect.alternation import (
 from heliograph.receive.geometry.fit import Fit, fit_array
 from heliograph.receive.geometry.footprint import images_of, render_with_slopes
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Corner, Pose
 from heliograph.receive.geometry.window import Window, cut_out, window_around
 from heliograph.signal.header import CELLS
 
@@ -89,7 +89,7 @@ def fit_first_pair(header: list[Frame], fit: Fit, weights: Floats, tilt: float) 
 
 def fit_near(
     change: Change,
-    origin: tuple[int, int],
+    origin: Corner,
     start: Pose,
     weights: Floats,
     tilt: float,
@@ -117,7 +117,7 @@ def fit_near(
         return None
 
 
-def find_window(change: Change, origin: tuple[int, int], pose: Pose, side: int) -> Window | None:
+def find_window(change: Change, origin: Corner, pose: Pose, side: int) -> Window | None:
     """Return the window of an array and the ring around; None if an image does not show all of it."""
     window = window_around(pose, side, DETECT.ring * side * pose.pitch + DETECT.margin_px)
     left, top = window[0] - origin[0], window[1] - origin[1]
@@ -130,13 +130,13 @@ def cell_weights(cells: Floats, side: int) -> Floats:
     return np.asarray(np.kron(cells.reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS))), np.float64)
 
 
-def find_lit_cells(change: Change, origin: tuple[int, int], pose: Pose, weights: Floats, min_light: float) -> Floats:
+def find_lit_cells(change: Change, origin: Corner, pose: Pose, weights: Floats, min_light: float) -> Floats:
     """Find the visible cells of a header, which alternate alike."""
     light = measure_cells(change, origin, pose, weights)
     return np.asarray((light > min_light * np.median(light[light > 0])).astype(float).reshape(CELLS, CELLS))
 
 
-def measure_cells(change: Change, origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:
+def measure_cells(change: Change, origin: Corner, pose: Pose, weights: Floats) -> Floats:
     """Measure the light of each cell of an array, by least squares."""
     side = len(weights)
     x0, y0, width, height = window_around(pose, side, DETECT.margin_px)

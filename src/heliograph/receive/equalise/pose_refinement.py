@@ -37,15 +37,10 @@ def align_by_power(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple
     matches = [np.zeros((2 * MAX_PX + 1,) * 2) if cutout is None else _match(cutout, led_gains) for cutout in cutouts]
     sums = np.cumsum([np.zeros_like(matches[0]), *matches], axis=0)
     # 17 pairs show the rim of 16 LEDs to a fifth of a px; a post passes an LED in 3 to 30 pairs
-    moved, largest = list[Cutout | None](), 0.0
-    for k, cutout in enumerate(cutouts):
-        if cutout is None:
-            moved.append(None)
-            continue
-        step = _peak(sums[min(k + 9, len(cutouts))] - sums[max(k - 8, 0)])
-        moved.append(cutout.moved(np.append(step, np.zeros(2))))
-        largest = max(largest, float(np.hypot(*step)))
-    return moved, largest
+    steps = [_peak(sums[min(k + 9, len(cutouts))] - sums[max(k - 8, 0)]) for k in range(len(cutouts))]
+    moved = [cutout and cutout.moved(np.append(step, [0, 0])) for cutout, step in zip(cutouts, steps, strict=True)]
+    sizes = (float(np.hypot(*step)) for cutout, step in zip(cutouts, steps, strict=True) if cutout is not None)
+    return moved, max(sizes, default=0.0)
 
 
 def _match(cutout: Cutout, led_gains: Floats) -> Floats:

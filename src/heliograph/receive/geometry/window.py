@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Corner, Pose, Shape
 
 # Corner (x, y) on the sensor, columns and rows
 Window = tuple[int, int, int, int]
+
+# Left, top, right and low on the sensor; the last two lie outside
+Part = tuple[int, int, int, int]
 
 RIM_PX = 2.0  # light of an array beyond the outer LEDs, in px: 4 standard deviations of the reference link's blur
 HALF_LIT = 0.5  # relative light at a blurred edge; pixels within an array have more
@@ -58,16 +61,14 @@ def cut_out(frame: AnyFrame, window: Window) -> Floats:
     return frame.pixels[np.ix_(i, j)].astype(np.float64)
 
 
-def shared_part(frames: Sequence[AnyFrame]) -> tuple[int, int, int, int]:
-    """Part of the sensor that all frames show: left, top, right and low, where right and low are outside."""
+def shared_part(frames: Sequence[AnyFrame]) -> Part:
+    """Part of the sensor that all frames show; without one, right or low is not beyond left or top."""
     left, top = (max(f.origin[k] for f in frames) for k in (0, 1))
     right, low = (min(f.origin[k] + f.pixels.shape[1 - k] for f in frames) for k in (0, 1))
     return left, top, right, low
 
 
-def covered(
-    frames: Sequence[AnyFrame], corner: tuple[int, int], shape: tuple[int, int]
-) -> tuple[Floats, Floats] | None:
+def covered(frames: Sequence[AnyFrame], corner: Corner, shape: Shape) -> tuple[Floats, Floats] | None:
     """Mark columns and rows of a window inside all frames with 1; None if all are inside."""
     left, top, right, low = shared_part(frames)
     x, y = corner[0] + np.arange(shape[1]), corner[1] + np.arange(shape[0])
