@@ -303,10 +303,7 @@ def median(values: NDArray[np.float64]) -> float:
     if values.shape[0] % 2:
         return upper
     # all values before the middle are smaller or equal
-    below = float(values[0])
-    for k in range(1, middle):
-        below = max(below, float(values[k]))
-    return 0.5 * (below + upper)
+    return 0.5 * (values[:middle].max() + upper)
 
 
 @compiled()
@@ -345,10 +342,7 @@ def shift(vector, shapes, drawn):
     """Move images to another pose by the slopes."""
     for n in range(shapes.shape[0]):
         for k in range(1, shapes.shape[1]):
-            step = vector[k - 1] - drawn[k - 1]
-            for i in range(shapes.shape[2]):
-                for j in range(shapes.shape[3]):
-                    shapes[n, 0, i, j] += step * shapes[n, k, i, j]
+            shapes[n, 0] += (vector[k - 1] - drawn[k - 1]) * shapes[n, k]
     drawn[: vector.size] = vector
 
 
@@ -368,9 +362,7 @@ def draw(vector, open_pixels, scene, images):
         return
     for k in range(shapes.shape[0]):
         for n in range(shapes.shape[1]):
-            for i in range(shapes.shape[2]):
-                for j in range(shapes.shape[3]):
-                    shapes[k, n, i, j] *= open_pixels[i, j]
+            shapes[k, n] *= open_pixels
 
 
 @compiled()
@@ -413,8 +405,7 @@ def fit(image, plane, open_pixels, scene, expected, steps, vector, images):
         _load(matrix, 1e-9)
         step = rhs.copy()
         solve(matrix, step)
-        for k in range(linear.shape[0]):
-            linear[k] += step[free + k]
+        linear += step[free:]
         pitch = math.exp(vector[2])
         for k in range(free):
             limit = max(FIT.max_step_px, 0.5 * pitch) if k < 2 else FIT.max_steps[k - 2]
