@@ -108,7 +108,7 @@ class FormatReader:
     def __init__(self, identity: int, side: int, data_pairs: int):
         self._side, self._readable = side, readable(data_pairs)
         self._cells = header_cells(identity).reshape(CELL_COUNT).astype(np.float64)
-        self._cell_of_led = cell_weights(np.arange(CELL_COUNT), side)
+        self._cell_of_led = cell_weights(np.arange(CELL_COUNT, dtype=np.float64), side)
         self._first: tuple[FramePair, tuple[Pose, Pose]] | None = None
         self._evidence: dict[int, _PairEvidence] = {}
         # moments of each format and distance of the frames of a header out of step

@@ -89,14 +89,9 @@ def _box(integral, y, x, height, width):
 
 
 @compiled()
-def _to_grid(start, step):
-    """Return the distance from a start to the next multiple of a step."""
-    return math.ceil(start / step - TINY) * step - start
-
-
-@compiled()
-def _first_place(first, step, least):
-    """Return the first place of a grid from `least` on."""
+def _first_place(corner, margin, step, least):
+    """Return the first place in an image from `least` on that lies a margin, and steps of the sensor, from a corner."""
+    first = margin + (math.ceil(corner / step - TINY) * step - corner)
     return first + step * max(0.0, math.ceil((least - first) / step - TINY))
 
 
@@ -146,8 +141,7 @@ def _cell_sums(integral, y, x, cell, columns, rows, sums):
 @compiled(fastmath=True)
 def _max_product(columns, sums, dots):
     """Multiply 16 sums with (16, headers) cells in single precision; return the largest magnitude."""
-    for t in range(dots.size):
-        dots[t] = np.float32(0.0)
+    dots[:] = 0.0
     for i in range(16):
         value, row = np.float32(sums[i]), columns[i]
         for t in range(dots.size):
@@ -190,9 +184,9 @@ def search(integrals, busy, cells, sides, limits, ring_width, grid, corner, begi
                 work += 1
                 if _outer_box(square, top - 0.5 * whole, left - 0.5 * whole, part + whole, part + whole) < least:
                     continue
-                y = _first_place(ring + _to_grid(corner[1], step), step, top - 0.5 * side)
+                y = _first_place(corner[1], ring, step, top - 0.5 * side)
                 while y + side + ring < rows - 1 and y + 0.5 * side < top + part:
-                    x = _first_place(ring + _to_grid(corner[0], step), step, left - 0.5 * side)
+                    x = _first_place(corner[0], ring, step, left - 0.5 * side)
                     while x + side + ring < cols - 1 and x + 0.5 * side < left + part:
                         work += 1
                         # sums over pixels are faster: touched pixels bound the energy, and |<D, T>| <= sum |D| is
