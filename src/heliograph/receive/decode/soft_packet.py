@@ -171,8 +171,8 @@ class SoftPacket:
         if led_gains is None or led_gains.learnt or _is_out_of_step(cutouts):
             return led_gains
         # pairs that show the brightness
-        chosen = [cutout if k % led_gains.stride == 0 else None for k, cutout in enumerate(cutouts)]
-        chosen = [None if cutout is None or cutout.apart else cutout for cutout in chosen]
+        stride = led_gains.stride
+        chosen = [None if cutout and (k % stride or cutout.apart) else cutout for k, cutout in enumerate(cutouts)]
         if not any(chosen):
             return led_gains
         decoded = self._equalise(self._compensated(chosen, led_gains), led_gains, sampled, None, ignore)

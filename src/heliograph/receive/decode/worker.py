@@ -278,12 +278,17 @@ class PendingPacket:
         """Packet with codewords; waits for the decoder."""
         if self._packet is None:
             decoded, packet = wait_for(self._decoded), self._undecoded
+            if (failure := decoded.failure) is not None:
+                # an occluded header may show any mode
+                level = logging.INFO if isinstance(failure, UnreadableModeError) else logging.WARNING
+                cause = packet.identity, packet.first_frame, failure
+                LOG.log(level, "array %d, packet at frame %d is not read: %s", *cause)
             self._packet = packet = replace(
                 packet,
                 status=packet_status(decoded.words, packet.header_score, packet.pairs_seen),
                 layers=decoded.words,
                 format=self._observations.form.format,
-                reason=self._log_failure(decoded.failure),
+                reason=str(failure or ""),
             )
             for event in decoded.events:
                 self._observe(event)
@@ -292,15 +297,6 @@ class PendingPacket:
                 DecodeEvent(packet.identity, packet, decoded.luminances, cutouts, exposure_range=self._exposure_range)
             )
         return self._packet
-
-    def _log_failure(self, failure: Exception | None) -> str:
-        if failure is None:
-            return ""
-        # an occluded header may show any mode
-        level = logging.INFO if isinstance(failure, UnreadableModeError) else logging.WARNING
-        packet = self._undecoded
-        LOG.log(level, "array %d, packet at frame %d is not read: %s", packet.identity, packet.first_frame, failure)
-        return str(failure)
 
 
 def wait_for(future: Future[Result]) -> Result:

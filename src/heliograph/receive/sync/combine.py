@@ -342,17 +342,16 @@ class UnsynchronisedPacket:
     def of(cls, combinations: Sequence[Combination | None], header: NDArray[np.bool_]) -> "UnsynchronisedPacket":
         """Collect the responses of the pairs of a packet; None stands for a synchronous pair."""
         count = len(combinations)
-        response, before, after = (np.zeros((count, *VALUES.shape)) for _ in range(3))
-        headers = np.zeros((count, header.size))
+        before, after = np.zeros((2, count, *VALUES.shape))
+        response, headers = np.tile(VALUES, (count, 1, 1)), np.zeros((count, header.size))
         for k, combination in enumerate(combinations):
-            response[k] = VALUES if combination is None else combination.response
-            for side, leaks in enumerate((before, after)):
-                leak = None if combination is None else combination.leaks[side]
-                if combination is None or leak is None:
-                    continue
-                if 0 <= k + 2 * side - 1 < count:
+            if combination is None:
+                continue
+            response[k] = combination.response
+            for side, (leak, leaks) in enumerate(zip(combination.leaks, (before, after), strict=True)):
+                if leak is not None and 0 <= k + 2 * side - 1 < count:
                     leaks[k] = leak
-                else:
+                elif leak is not None:
                     headers[k] += response_of_levels(combination.slots[2 * side], header)
         return cls(response, before, after, headers)
 
