@@ -342,7 +342,10 @@ def shift(vector, shapes, drawn):
     """Move images to another pose by the slopes."""
     for n in range(shapes.shape[0]):
         for k in range(1, shapes.shape[1]):
-            shapes[n, 0] += (vector[k - 1] - drawn[k - 1]) * shapes[n, k]
+            step = vector[k - 1] - drawn[k - 1]
+            for i in range(shapes.shape[2]):
+                for j in range(shapes.shape[3]):
+                    shapes[n, 0, i, j] += step * shapes[n, k, i, j]
     drawn[: vector.size] = vector
 
 
@@ -362,7 +365,9 @@ def draw(vector, open_pixels, scene, images):
         return
     for k in range(shapes.shape[0]):
         for n in range(shapes.shape[1]):
-            shapes[k, n] *= open_pixels
+            for i in range(shapes.shape[2]):
+                for j in range(shapes.shape[3]):
+                    shapes[k, n, i, j] *= open_pixels[i, j]
 
 
 @compiled()

@@ -33,8 +33,12 @@ def uncover(image, middle, axes, away, least, visible, usual, uncovered):
     levels, across, sorted_levels = np.empty(side + 2), np.empty(side), np.empty(side)
     hidden, covered = np.empty((2, side + 2), np.bool_), np.zeros((2, side + 2), np.bool_)
     for k in range(side):
+        column, row = 0.0, 0.0
+        for n in range(side):
+            column += visible[n, k]
+            row += visible[k, n]
         # a line with less than half of the LEDs visible is hidden
-        hidden[0, k + 1], hidden[1, k + 1] = visible[:, k].sum() < 0.5 * side, visible[k].sum() < 0.5 * side
+        hidden[0, k + 1], hidden[1, k + 1] = column < 0.5 * side, row < 0.5 * side
     for axis in range(2):
         # the lines outside the array follow the outermost lines
         hidden[axis, 0], hidden[axis, side + 1] = hidden[axis, 1], hidden[axis, side]
@@ -174,10 +178,16 @@ def power_around(change, noise, x, y, axes, width, side):
 def predict(mean, covariance, dt, linear, quadratic, cubic):
     """Predict a state at a later time: F x, F P F^T + Q, where F adds dt times the rates to x, y and ln pitch."""
     x, p = mean.copy(), covariance.copy()
-    x[:3] += dt * x[5:8]
-    p[:3] += dt * p[5:8]
-    p[:, :3] += dt * p[:, 5:8]
-    return x, p + dt * (linear + dt * (quadratic + dt * cubic))
+    for k in range(3):
+        x[k] += dt * x[5 + k]
+        for n in range(x.size):
+            p[k, n] += dt * p[5 + k, n]
+    for n in range(x.size):
+        for k in range(3):
+            p[n, k] += dt * p[n, 5 + k]
+        for k in range(x.size):
+            p[n, k] += dt * (linear[n, k] + dt * (quadratic[n, k] + dt * cubic[n, k]))
+    return x, p
 
 
 @compiled()
