@@ -10,15 +10,13 @@ kind. x_j is the light of the quad's other symbols and of the eight quads around
 least squares. Neither pose, blur nor gain is needed.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.decode.codeword import Decoding, Layer, SymbolMapper, is_hopeless
 from heliograph.receive.decode.per_led import normalised, sample_differences
-from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.observe.cutout import Cutouts
 from heliograph.receive.packet import Words
 from heliograph.receive.sync.combine import Moments, UnsynchronisedPacket
 from heliograph.signal import haar
@@ -27,7 +25,7 @@ from heliograph.signal.pwm import SLOTS
 
 
 def decode_per_quad(
-    cutouts: Sequence[Cutout | None],
+    cutouts: Cutouts,
     gain: float,
     form: PacketFormat,
     identity: int,

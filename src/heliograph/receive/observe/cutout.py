@@ -89,6 +89,10 @@ class Cutout:
         return replace(self, poses=tuple(Pose.from_vector(pose.full_vector() + step) for pose in self.poses))
 
 
+Cutouts = Sequence[Cutout | None]
+"""Cut-outs of the pairs of a packet, in the single mode of the patterns; None for missing pairs."""
+
+
 def take_cutout(pair: FramePair, poses: tuple[Pose, Pose], side: int) -> Cutout:
     """Crop a pair of frames to the array."""
     frames, window = (pair.pattern, pair.inverted), window_around(Pose.midway(*poses), side, RIM_PX + RING_PX)
