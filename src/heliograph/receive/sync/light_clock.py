@@ -149,8 +149,7 @@ class LightClock:
 
     def starts(self, frames: Sequence[Frame]) -> Floats:
         """Return the starts of exposures in patterns since the start of the detected header."""
-        times_s = np.array([frame.time_s for frame in frames])
-        return self._pattern + (times_s - self.start_s) / self.period_s
+        return self._pattern + (np.array([frame.time_s for frame in frames]) - self.start_s) / self.period_s
 
     def predict_header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
         """Predict header amplitude and mean light of frames, for a fraction of dimmed cells."""
