@@ -1,7 +1,6 @@
-"""Compile hot loops to machine code, which Numba caches on disk.
+"""Compile hot loops to machine code, which Numba caches in a folder named by a digest of all package sources.
 
-Numba checks only the source file of the cached function, although the machine code also contains functions and
-constants from other files. The cache folder name therefore contains a digest of all package sources.
+Numba checks only the source of the cached function, although the code contains functions and constants of other files.
 """
 
 import contextlib
@@ -23,8 +22,7 @@ from numba.core import config, event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCacheLocator
 from numba.misc.appdirs import AppDirs
 
-KEPT_FOLDERS = 8
-"""Number of recently used cache folders to keep, as several environments may share the location."""
+KEPT_FOLDERS = 8  # recently used cache folders to keep, as several environments may share the location
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -73,9 +71,8 @@ class _Cache(FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        base = self._impl.filename_base
         # Numba numbers the cache files, so two processes could write different machine code to the same file
-        self._cache_file._data_name = lambda _: f"{base}.{uuid.uuid4().hex}.nbc"  # type: ignore[method-assign]  # no setting
+        self._cache_file._data_name = lambda _: f"{self._impl.filename_base}.{uuid.uuid4().hex}.nbc"  # type: ignore[method-assign]  # no setting
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         try:

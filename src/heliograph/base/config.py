@@ -12,17 +12,14 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from heliograph.base.errors import SettingsError, brief
 
-CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
-"""Configuration of every settings class: unknown keys, infinities and NaN are errors."""
+CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)  # unknown keys, infinities and NaN are errors
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 FocalM = Annotated[float, Field(ge=1e-4, le=10)]  # focal length, up to the longest telephoto lenses
 PixelM = Annotated[float, Field(ge=1e-7, le=1e-3)]  # pixel pitch; light forms no image below 0.1 um
 PitchM = Annotated[float, Field(ge=1e-4, le=10)]  # distance between LEDs
 
-# new names of settings by old name
-_RENAMED = {"beside": "in_background", "busy_part": "cpu_share", "own": "custom"}
-
+_RENAMED = {"beside": "in_background", "busy_part": "cpu_share", "own": "custom"}  # new names of settings by old name
 T = TypeVar("T")
 
 
@@ -83,9 +80,8 @@ def _to_settings_error(error: ValidationError, cls: type) -> SettingsError:
     """Convert the first pydantic error to a line with the rule, the wrong value and the nearest known key."""
     first = error.errors()[0]
     # pydantic adds the attempted type to the key
-    parts = [str(part) for part in first["loc"]]
-    key = ".".join(part for part in parts if not re.search(r"\[|^(constrained|function)-", part))
-    key, value = brief(key), first["input"]
+    parts = [part for part in map(str, first["loc"]) if not re.search(r"\[|^(constrained|function)-", part)]
+    key, value = brief(".".join(parts)), first["input"]
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return _unknown_key(key, cls)
     if first["type"] == "unexpected_positional_argument":

@@ -11,15 +11,14 @@ from pathlib import Path
 
 from heliograph.base.errors import MediaError, printable
 
-LONGEST_NAME = 255
-"""Maximum file name length in bytes on common file systems."""
+LONGEST_NAME = 255  # maximum length of a file name in bytes on common file systems
 
+# advice by error number for failed writes
 _CURES = {
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "make room or choose another place"),
     **dict.fromkeys((errno.EACCES, errno.EPERM), "ask for the right to write there, or choose another place"),
     errno.ENAMETOOLONG: f"choose a name of at most {LONGEST_NAME} bytes, or a shorter path",
 }
-"""Advice by error number for failed writes."""
 
 
 @contextlib.contextmanager

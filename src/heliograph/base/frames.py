@@ -8,14 +8,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.errors import HeliographError, shown
 
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
-"""Gray levels, shape (rows, columns)."""
-
-BITS = {np.dtype(np.uint8): (8, 8), np.dtype(np.uint16): (9, 16)}
-"""Minimum and maximum bits per gray level for each pixel type."""
-
-LATEST_S = 1e10
-"""Maximum magnitude of a time in s: Unix time is 1.8e9 s; larger numbers have other units, such as ns."""
+Pixels = NDArray[np.uint8] | NDArray[np.uint16]  # gray levels, (rows, columns)
+BITS = {np.dtype(np.uint8): (8, 8), np.dtype(np.uint16): (9, 16)}  # minimum and maximum bits by pixel type
+LATEST_S = 1e10  # maximum magnitude of a time in s: Unix time is 1.8e9 s; larger numbers have other units, such as ns
 
 
 @dataclass(frozen=True, slots=True)

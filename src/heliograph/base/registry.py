@@ -17,7 +17,6 @@ from heliograph.base.errors import SettingsError, shown
 from heliograph.base.files import read_bounded
 
 T = TypeVar("T")
-
 _registries: dict[str, "Registry[Any]"] = {}  # by entry-point group
 _files: dict[str, bytes] = {}  # file contents by path, for files run by load_parts
 _failures: list[str] | None = None  # load errors in a worker process; None in the main process

@@ -14,8 +14,8 @@ _DEEP = f"not valid TOML: tables or lists lie more than {MAX_DEPTH} deep"
 _LARGE = "not valid TOML: a whole number has more than 64 bits"
 
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
+# keys with more than `MAX_DEPTH` parts, for which tomllib takes quadratic time
 _DEEP_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*+(?:{_PART}\.[ \t]*+){{{MAX_DEPTH + 1}}}", re.MULTILINE)
-"""Keys with more than `MAX_DEPTH` parts, for which tomllib takes quadratic time."""
 
 
 def parse_toml(text: str) -> dict[str, Any]:

@@ -47,7 +47,7 @@ def plain_receiver(
     def pairing(detection: Detection) -> Pairing:
         return SynchronousPairing(detection.start_time_s, detection.time_s, detection.identity, signal)
 
-    search = _header_search(settings, signal, PLAIN_REGULARITY, synchronous=True)
+    search = _header_search(settings, signal, synchronous=True)
     read = read or partial(pair_luminances, side=signal.side, equaliser=settings.plain.equaliser)
     make_packet = partial(PlainPacket, form=PacketFormat(signal), read=read, options=options)
     track = _array_factory(signal, settings, observe, pairing, make_packet, is_plain=True)
@@ -69,16 +69,14 @@ def soft_receiver(
             start_s, time_s, pose, detection.identity, gains, signal, exposure_s, detection.drift
         )
 
-    search = _header_search(settings, signal, SOFT_REGULARITY, synchronous=False)
+    search = _header_search(settings, signal, synchronous=False)
     make_packet = make_packet or partial(SoftPacket, signal=signal, options=options)
     track = _array_factory(signal, settings, observe, pairing, make_packet)
     return StreamReceiver(CameraClock(), search, track, observe)
 
 
-def search_parameters(
-    settings: ReceiveSettings, signal: SignalSettings, regularity: float, impaired: bool = False
-) -> SearchParameters:
-    """Parameters of a receiver's search."""
+def search_parameters(settings: ReceiveSettings, signal: SignalSettings, impaired: bool = False) -> SearchParameters:
+    """Parameters of the search of "plain", or if arrays may be impaired, of "soft"."""
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
     return SearchParameters(
@@ -87,7 +85,7 @@ def search_parameters(
         # there is less clutter in a given region
         min_contrast=detect.min_contrast * (0.1 if given else 1.0),
         score=detect.score,
-        regularity=regularity,
+        regularity=SOFT_REGULARITY if impaired else PLAIN_REGULARITY,
         candidates=detect.candidates,
         # a given place has no bound; a film may take two cores
         cpu_share=1e6 if given else detect.cpu_share or 2.0,
@@ -99,11 +97,9 @@ def search_parameters(
     )
 
 
-def _header_search(
-    settings: ReceiveSettings, signal: SignalSettings, regularity: float, synchronous: bool
-) -> HeaderSearch:
+def _header_search(settings: ReceiveSettings, signal: SignalSettings, synchronous: bool) -> HeaderSearch:
     """Return the search in the region of the settings, or about the corners, if given."""
-    parameters = search_parameters(settings, signal, regularity, impaired=not synchronous)
+    parameters = search_parameters(settings, signal, impaired=not synchronous)
     start, region = parameters.start, settings.detect.region or None
     if start is not None:
         size, (least, most) = signal.side * start.pitch, (parameters.min_side_px, parameters.max_side_px)

@@ -81,9 +81,14 @@ MIN_PAIRS_SEEN = 0.5
 """Minimum fraction of visible data pairs: a code of a rate above 1/2 fails if more are lost."""
 
 
+def ok_flags(words: Words) -> list[bool]:
+    """True for each decoded codeword, layer by layer."""
+    return [word.status == "ok" for layer in words.values() for word in layer]
+
+
 def packet_status(words: Words, header_score: float, pairs_seen: float) -> Status:
     """Status of a packet by the codewords, or by the visible part if none decoded."""
-    decoded = [word.status == "ok" for layer in words.values() for word in layer]
+    decoded = ok_flags(words)
     if any(decoded):
         return "ok" if all(decoded) else "partial"
     if pairs_seen < MIN_PAIRS_SEEN:

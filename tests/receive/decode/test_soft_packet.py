@@ -46,7 +46,7 @@ def high_words(read: str) -> Words:
 def equalised(read: str, led_gains: LedGains = SEEMS_DEAD) -> TurboEqualiser:
     """Return an equalised packet with some decoded codewords."""
     observed = ObservedPacket([None], Noise(1.0, 1.0), FORM, led_gains)
-    packet = TurboEqualiser(observed, 1.0, 1.0, 0, Decoding(), None, 255.0)
+    packet = TurboEqualiser(observed, 1.0, 1.0, 0, Decoding(), None)
     packet.words = high_words(read)
     return packet
 
@@ -229,7 +229,7 @@ def test_near_packets_are_equalised_only_to_learn_the_brightness(monkeypatch: py
     known_counts = list[int]()
 
     def noted(*args: Any) -> Any:
-        known_counts.append(sum(word.status == "ok" for words in (args[-2] or {}).values() for word in words))
+        known_counts.append(sum(word.status == "ok" for words in (args[-1] or {}).values() for word in words))
         return decode_iteratively(*args)
 
     monkeypatch.setattr(soft_packet, "decode_iteratively", noted)

@@ -139,8 +139,9 @@ def searched(
 ) -> NDArray[np.float64]:
     """Return the candidate table of a search with no limit of work."""
     best, sums = np.zeros((grid.count, 5)), alternation.integral_images(image)
-    limits = grid.contrast, grid.threshold, 2.0, grid.ring, grid.step, grid.apart, np.array(corner)
-    found, _, passed, _ = kernels.search(sums, busy, CELLS, grid.sides, *limits, 0, 1 << 60, best)
+    limits = grid.contrast, grid.threshold, 2.0, grid.apart
+    places = grid.ring, grid.step, np.array(corner)
+    found, _, passed, _ = kernels.search(sums, busy, CELLS, grid.sides, limits, *places, 0, 1 << 60, best)
     assert passed == busy.size
     return best[:found]
 

@@ -111,8 +111,7 @@ def scarce_search(parameters: SearchParameters, with_half_period: bool = False) 
 def test_an_array_is_found_near_long_flicker(kind: str, dark: int) -> None:
     """The array appears `dark` patterns into a packet and shows data until the next header."""
     settings, is_soft = ReceiveSettings(receiver=kind).with_live_limits(), kind == "soft"
-    regularity = build.SOFT_REGULARITY if is_soft else build.PLAIN_REGULARITY
-    search = scarce_search(build.search_parameters(settings, SignalSettings(), regularity, is_soft), is_soft)
+    search = scarce_search(build.search_parameters(settings, SignalSettings(), is_soft), is_soft)
 
     def frames() -> Iterator[Frame]:
         rng = np.random.default_rng(6)

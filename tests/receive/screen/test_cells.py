@@ -10,12 +10,11 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame, Pixels
 from heliograph.probe.screens import sharpen_corners
 from heliograph.receive.screen import locate
-from heliograph.receive.screen.cells import PARAMETERS, SAMPLES_PER_S, CellFitter, CellTracker, Place, SearchBudget
+from heliograph.receive.screen.cells import PARAMETERS, SAMPLES_PER_S, CellTracker, Place, Sample, SearchBudget
 from heliograph.receive.screen.locate import ArraySearch, Candidate, find_quadrilaterals, mean_change, reduce_frame
 
 SIDE = 16
 LINEAR = (np.arange(256) / 255).astype(np.float32)
-FITTER = CellFitter(SIDE, 1.0, LINEAR, SearchBudget())
 CORNERS = np.array([[60.0, 41.0], [225.0, 50.0], [216.0, 212.0], [52.0, 203.0]])
 
 
@@ -36,21 +35,27 @@ def drawn(cells: Floats, corners: Floats = CORNERS, blur: float = 1.0) -> Pixels
     return out
 
 
+def fitted(pixels: Pixels, corners: Floats, steps: int) -> Sample:
+    """Fit the cells from given corners on."""
+    place = Place.of(corners, SIDE)
+    return CellTracker(SIDE, 1.0, LINEAR, SearchBudget(), place).fit(Frame(0, 0.0, pixels), place, steps)
+
+
 def test_cells_are_measured_at_a_known_place() -> None:
     cells = levels(1)
-    seen = FITTER(Frame(0, 0.0, drawn(cells)), Place.of(CORNERS, SIDE), 0)
+    seen = fitted(drawn(cells), CORNERS, 0)
     assert seen.light == pytest.approx(0.05 + 0.2 * cells, abs=0.04)
     assert seen.misfit < 0.15
 
 
 @pytest.mark.parametrize("off", [(0.0, 0.0), (3.0, -2.0), (-4.0, 4.0)])
 def test_place_is_fitted_from_half_a_cell_away(off: tuple[float, float]) -> None:
-    seen = FITTER(Frame(0, 0.0, drawn(levels(2))), Place.of(CORNERS + off, SIDE), 10)
+    seen = fitted(drawn(levels(2)), CORNERS + off, 10)
     assert np.abs(seen.place.corners(SIDE) - CORNERS).max() < 0.5
 
 
 def test_jump_by_a_cell_is_tracked() -> None:
-    tracker = CellTracker(CellFitter(SIDE, 1.0, LINEAR, SearchBudget()), Place.of(CORNERS, SIDE))
+    tracker = CellTracker(SIDE, 1.0, LINEAR, SearchBudget(), Place.of(CORNERS, SIDE))
     for k in range(5):
         corners = CORNERS + np.array([10.0 * (k == 4), 0.0])
         seen = tracker.track(Frame(k, k / 30, drawn(levels(k), corners)))
@@ -91,18 +96,18 @@ def test_budget_grows_with_film_time_up_to_the_initial_budget() -> None:
     assert budget.is_overdrawn
 
 
-def search_at_a_place(side: int, budget: SearchBudget) -> tuple[ArraySearch, Place, CellFitter]:
+def search_at_a_place(side: int, budget: SearchBudget) -> tuple[ArraySearch, Place]:
     place = Place.of(np.array([[20, 20], [100, 20], [100, 100], [20, 100]], float), side)
-    return ArraySearch(side, 2.2, budget), place, CellFitter(side, 1.0, LINEAR, budget)
+    return ArraySearch(side, 2.2, budget), place
 
 
 def test_interrupted_search_continues_with_the_next_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     budget, counts = SearchBudget(), list[int]()
-    search, place, fitter = search_at_a_place(8, budget)
+    search, place = search_at_a_place(8, budget)
 
     def fit(_corners: Floats) -> Candidate:
         budget.spend(2 * budget.first_s * SAMPLES_PER_S)
-        return np.inf, place, fitter
+        return np.inf, place, 1.0
 
     def count(frames: Sequence[object]) -> object:
         counts.append(len(frames))
@@ -121,8 +126,8 @@ def test_interrupted_search_continues_with_the_next_frames(monkeypatch: pytest.M
 
 def test_doubtful_array_is_accepted_only_after_many_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """Between two slow patterns only noise changes, which resembles a poor array."""
-    search, place, fitter = search_at_a_place(8, SearchBudget())
-    monkeypatch.setattr(search, "_fit_candidate", lambda *_: (0.5, place, fitter))
+    search, place = search_at_a_place(8, SearchBudget())
+    monkeypatch.setattr(search, "_fit_candidate", lambda *_: (0.5, place, 1.0))
     rng, found = np.random.default_rng(1), list[bool]()
     for k in range(PARAMETERS.kept_frames):
         cells = rng.integers(20, 230, (8, 8)).astype(np.uint8).repeat(10, 0).repeat(10, 1)

@@ -5,7 +5,7 @@ import pytest
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.screen.cells import SearchBudget
-from heliograph.receive.screen.clock import Clock, ClockFitter, RatedClock, Samples
+from heliograph.receive.screen.clock import Clock, Samples
 from heliograph.receive.screen.packets import solve_pairs
 
 HEIGHT, FRAME_S, SIDE = 720, 1 / 30, 8
@@ -17,7 +17,7 @@ def change(seed: int, pairs: int) -> Floats:
     return np.random.default_rng(seed).integers(-2, 3, (pairs, SIDE, SIDE)).astype(float)
 
 
-def seen(clock: Clock, frames: int, noise: float = 0.02) -> Samples:
+def seen(clock: Clock, frames: int, row_s: float | None = None, noise: float = 0.02) -> Samples:
     """Integrate samples numerically for a clock."""
     data = change(1, 40)
     times = 0.5 + FRAME_S * np.arange(frames, dtype=float)
@@ -39,16 +39,11 @@ def seen(clock: Clock, frames: int, noise: float = 0.02) -> Samples:
             b = a + round(clock.exposure_s / 5e-4)
             out[i, u] = (total[b, u] - total[a, u]) / (b - a)
     out += noise * np.random.default_rng(2).standard_normal(out.shape)
-    return Samples(times, rows, out, np.ones(frames))
-
-
-def search_clocks(samples: Samples, periods: list[float], row_s: float | None) -> list[RatedClock]:
-    return ClockFitter(samples, FRAME_S, HEIGHT, row_s, SearchBudget()).search(periods)
+    return Samples(times, rows, out, np.ones(frames), (FRAME_S, HEIGHT, row_s), SearchBudget())
 
 
 def test_clock_is_found_among_periods() -> None:
-    samples = seen(TRUE, 48)
-    found = search_clocks(samples, [0.1, 1 / 15, 0.2], None)
+    found = seen(TRUE, 48).search([0.1, 1 / 15, 0.2])
     left, clock = found[0]
     assert left < 0.02
     assert clock.period_s == pytest.approx(0.1, rel=3e-3)
@@ -60,7 +55,8 @@ def test_clock_is_found_among_periods() -> None:
 
 
 def test_pairs_are_solved_with_a_known_clock() -> None:
-    (pairs, solved, _, _), _ = solve_pairs(seen(TRUE, 48), TRUE)
+    samples = seen(TRUE, 48)
+    (pairs, solved, _, _), _ = solve_pairs(samples, TRUE, samples.light)
     data = change(1, 40)
     for k, pair in enumerate(pairs):
         if TRUE.start_of(pair) > 0.55 and TRUE.start_of(pair + 1) < 1.95:
@@ -68,11 +64,11 @@ def test_pairs_are_solved_with_a_known_clock() -> None:
 
 
 def test_known_row_time_is_kept() -> None:
-    found = search_clocks(seen(TRUE, 48), [0.1], TRUE.row_s)
+    found = seen(TRUE, 48, TRUE.row_s).search([0.1])
     assert found[0][1].row_s == TRUE.row_s
     assert found[0][0] < 0.02
 
 
 def test_too_few_frames_give_no_clock() -> None:
-    assert search_clocks(seen(TRUE, 10), [0.1], None) == []
-    assert search_clocks(seen(TRUE, 48), [0.02], None) == []
+    assert seen(TRUE, 10).search([0.1]) == []
+    assert seen(TRUE, 48).search([0.02]) == []

@@ -107,7 +107,7 @@ def test_clipped_brightness_is_ignored() -> None:
     view, other = header_view(0.3, 1.0, 1.0), header_view(-0.4, 1.0, 1.0)
     wrong, starts = replace(view, brightness=3 * other.brightness), []
     for clipped in (True, False):
-        clock = measured(replace(wrong, clipped=clipped))
+        clock = measured(replace(wrong, trust=0.0 if clipped else 1.0))
         starts.append(clock.start_s * 1e3)
     assert starts[0] == pytest.approx(0.3, abs=0.01)
     # unclipped brightness counts
@@ -155,7 +155,7 @@ def normed_error(
     """Return the normalised start error for a noisy header; exposure None means the full frame period."""
     rng, known_s = np.random.default_rng([seed, 3]), None if exposure is None else exposure * 1e-3
     clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, known_s)
-    view = replace(header_view(start, exposure or period, period, seed), clipped=clipped)
+    view = replace(header_view(start, exposure or period, period, seed), trust=0.0 if clipped else 1.0)
     noisy = replace(view, alternation=view.alternation + rng.normal(0, 4, len(view.times_s)))
     assert clock.measure(noisy, 0)
     if again:
@@ -242,7 +242,7 @@ def test_amplitudes_match_the_rendered_ones(dead: float) -> None:
     seen = measure_amplitudes(frames_of(gains, header, drawn), [POSE] * 4, header * gains)
     assert seen.alternation == pytest.approx(drawn, abs=0.5)
     assert np.ptp(seen.brightness) < 2
-    assert not seen.clipped
+    assert seen.trust > 0
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -262,6 +262,6 @@ def test_amplitudes_without_leds_are_zero() -> None:
 def test_frame_at_full_scale_marks_clipping() -> None:
     header = np.where(np.arange(SIDE**2).reshape(SIDE, SIDE) % 2, 1.0, -1.0)
     frames = frames_of(np.ones((SIDE, SIDE)), header, [10.0, 10.0])
-    assert not measure_amplitudes(frames, [POSE] * 2, header).clipped
+    assert measure_amplitudes(frames, [POSE] * 2, header).trust > 0
     frames[1].pixels[10:30, 10:30] = 255
-    assert measure_amplitudes(frames, [POSE] * 2, header).clipped
+    assert measure_amplitudes(frames, [POSE] * 2, header).trust == 0

@@ -53,10 +53,10 @@ def test_a_pose_is_given_up_if_too_blurred_or_too_large() -> None:
 
 def changed(before: Floats, pair: list[Floats], pose: Pose) -> Floats:
     """Update the recent LED change with one pair; noise is 2 gray levels, visible LEDs change by 5."""
-    out, bright, square = np.empty_like(before), int(PARAMETERS.bright_quantile * 255), square_leds(pose, SIDE)
+    bright, square = int(PARAMETERS.bright_quantile * 255), square_leds(pose, SIDE)
+    around = kernels.power_around(pair[0] - pair[1], 2.0, pose.x, pose.y, pose.axes, square, SIDE)
     limits = 25.0, bright, PARAMETERS.max_change, PARAMETERS.change_rate
-    kernels.recent_change(before, pair[0] - pair[1], 2.0, pose.x, pose.y, pose.axes, square, *limits, out)
-    return out
+    return np.asarray(kernels.recent_change(before, around, *limits))
 
 
 @DISTANCES
@@ -90,14 +90,13 @@ def test_change_statistics_equal_the_reference(seed: int) -> None:
             got, want = (getattr(module, name)(change, *place, distance) for module in (kernels, reference))
             assert got == pytest.approx(want, rel=1e-12)
     for width in (5, 9, 15):
-        around = np.empty((SIDE, SIDE))
-        kernels.power_around(change, 5.0, *place, pose.axes, width, around)
+        around = kernels.power_around(change, 5.0, *place, pose.axes, width, SIDE)
         want = reference.power_around(change, 5.0, *place, pose.axes, width, SIDE)
         assert around == pytest.approx(want, rel=1e-4)
         # thresholds near and far above the typical power
         for least in (1.0, 1e4):
-            before, got = rng.uniform(0, 2, (SIDE, SIDE)), np.empty((SIDE, SIDE))
-            kernels.recent_change(before, change, 5.0, *place, pose.axes, width, least, 204, 2.0, 0.25, got)
+            before = rng.uniform(0, 2, (SIDE, SIDE))
+            got = kernels.recent_change(before, around, least, 204, 2.0, 0.25)
             assert got == pytest.approx(reference.recent_change(before, around, least, 204, 2.0, 0.25), rel=1e-12)
 
 

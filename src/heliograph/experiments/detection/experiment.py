@@ -56,7 +56,7 @@ from heliograph.link.settings import load_settings
 from heliograph.link.simulate import load_imu
 from heliograph.measure.statistics import Count
 from heliograph.receive import Pose
-from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
+from heliograph.receive.build import search_parameters
 from heliograph.receive.detect.alternation import (
     DETECT,
     SearchRegion,
@@ -103,7 +103,7 @@ class VariantDetector:
     def __init__(self, header: HeaderKind, frames: int):
         settings, signal = ReceiveSettings(), SignalSettings()
         all_on = header == "all_on"
-        usual = search_parameters(settings, signal, PLAIN_REGULARITY)
+        usual = search_parameters(settings, signal)
         # candidates of each size range
         self._parameters = replace(usual, coarse_score=0.2, score=0.0, candidates=5, all_on=all_on)
         self._frames_used, self._side = frames, signal.side
@@ -153,7 +153,7 @@ def detections(film: ClutterFilm, min_side_px: float | None = None) -> list[Dete
     settings, signal = ReceiveSettings(), SignalSettings()
     if min_side_px:
         settings = replace(settings, detect=replace(settings.detect, min_side_px=min_side_px))
-    detector = PyramidSearch(search_parameters(settings, signal, PLAIN_REGULARITY), signal)
+    detector = PyramidSearch(search_parameters(settings, signal), signal)
     return [detection for frame in film.frames for detection in detector.search(frame)]
 
 

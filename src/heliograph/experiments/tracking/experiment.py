@@ -54,7 +54,7 @@ from heliograph.experiments.tracking.trackers import (
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, load_footage, load_imu, simulate
 from heliograph.receive import Pose
-from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
+from heliograph.receive.build import search_parameters
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.geometry.window import cut_out
@@ -141,7 +141,7 @@ def _pairs(frames: Iterator[tuple[Frame, Truth]]) -> Iterator[Pair]:
 
 def _detect(settings: LinkSettings, pairs: Iterable[Pair], held: deque[Pair]) -> Detection | None:
     """Search pairs for the array, and hold the last pairs."""
-    parameters = search_parameters(settings.receive, settings.signal, PLAIN_REGULARITY)
+    parameters = search_parameters(settings.receive, settings.signal)
     detector = PyramidSearch(parameters, settings.signal)
     for pair in pairs:
         held.append(pair)

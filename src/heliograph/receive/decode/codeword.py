@@ -122,7 +122,7 @@ class Layer:
         self._known = np.zeros(form.codewords, bool)
         for i, word in enumerate(self.words):
             self._known[i] = word.status != "crc_fail"
-            self._feed_back(i)
+            self._feed_back(i, word)
 
     @property
     def is_open(self) -> NDArray[np.bool_]:
@@ -157,13 +157,11 @@ class Layer:
             if decoded[i][0].status != "crc_fail" or alone[0].status != "crc_fail":
                 decoded[i], self.earlier[i] = alone, 0.0
         assert self._raw is not None  # it is equalised
-        words = dict(enumerate(self.words))
-        for i, (word, _) in decoded.items():
+        words, is_soft = dict(enumerate(self.words)), options.feedback in ("soft", "propagation")
+        for i, (word, extrinsic) in decoded.items():
             words[i] = replace(word, raw=self._raw[i], llr=self.llr[i].astype(np.float32))
+            self._feed_back(i, word, extrinsic if is_soft else None)
         self.words = tuple(words[i] for i in range(len(self.llr)))
-        is_soft = options.feedback in ("soft", "propagation")
-        for i, (_, extrinsic) in decoded.items():
-            self._feed_back(i, extrinsic if is_soft else None)
 
     def reject_inconsistent(self) -> None:
         """Reject codewords that disagree with the LLRs of this packet; the bits are unknown again."""
@@ -190,9 +188,8 @@ class Layer:
         """(pairs, symbols) variance of each bit as sent."""
         return self.form.interleave(self.variance)
 
-    def _feed_back(self, number: int, extrinsic: Floats | None = None) -> None:
+    def _feed_back(self, number: int, word: Codeword, extrinsic: Floats | None = None) -> None:
         """Set mean and variance of a codeword's bits: known, or by extrinsic LLRs (E,), or unknown."""
-        word = self.words[number]
         if word.status != "crc_fail":
             self.soft[number], self.variance[number] = coded_signs(self.form.code, word), 0.0
         elif extrinsic is None:

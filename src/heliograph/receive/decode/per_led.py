@@ -7,7 +7,7 @@ image of an LED is a product of a function of x and a function of y, so A^T A is
 Gram matrices, and A is never made.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
 from typing import Any
 
@@ -25,9 +25,9 @@ from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer
 from heliograph.receive.geometry.footprint import footprints, image_of, to_grid
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Corner, Pose
 from heliograph.receive.geometry.window import AnyFrame, cut_out, window_around
-from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.observe.cutout import Cutouts
 from heliograph.receive.packet import Words
 from heliograph.receive.settings import Equaliser
 from heliograph.receive.sync.pairing import FramePair
@@ -81,16 +81,14 @@ def normalised(change: NDArray[np.float64], gain: float) -> NDArray[np.float64]:
     return 2 * change / max(gain, TINY)
 
 
-def at_leds(pixels: NDArray[Any], corner: tuple[int, int], pose: Pose, side: int) -> NDArray[np.float64]:
+def at_leds(pixels: NDArray[Any], corner: Corner, pose: Pose, side: int) -> NDArray[np.float64]:
     """Value of an image at each LED's position, by cubic interpolation."""
     out = np.empty((side, side))
     kernels.cubic_at_leds(pixels, pose.x - corner[0], pose.y - corner[1], pose.axes, out)
     return out
 
 
-def decode_per_led(
-    cutouts: Sequence[Cutout | None], form: PacketFormat, identity: int, options: Decoding
-) -> Words | None:
+def decode_per_led(cutouts: Cutouts, form: PacketFormat, identity: int, options: Decoding) -> Words | None:
     """Decode samples at the LEDs, as the paper does: no blur, neighbour or hidden LED need be known."""
     present = [cutout for cutout in cutouts if cutout is not None]
     if form.single or not present or any(cutout.combination is not None for cutout in present):
@@ -99,7 +97,7 @@ def decode_per_led(
     return decode_packet(sample_differences(cutouts, form.settings.side), seen, form, identity, options)
 
 
-def sample_differences(cutouts: Sequence[Cutout | None], side: int) -> Floats:
+def sample_differences(cutouts: Cutouts, side: int) -> Floats:
     """Difference of each pair at the LEDs, (pairs, n, n); 0 for missing pairs."""
     out = np.zeros((len(cutouts), side, side))
     for place, cutout in enumerate(cutouts):

@@ -10,15 +10,13 @@ kind. x_j is the light of the quad's other symbols and of the eight quads around
 least squares. Neither pose, blur nor gain is needed.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.decode.codeword import Decoding, Layer, SymbolMapper, is_hopeless
 from heliograph.receive.decode.per_led import normalised, sample_differences
-from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.observe.cutout import Cutouts
 from heliograph.receive.packet import Words
 from heliograph.receive.sync.combine import Moments, UnsynchronisedPacket
 from heliograph.signal import haar
@@ -27,7 +25,7 @@ from heliograph.signal.pwm import SLOTS
 
 
 def decode_per_quad(
-    cutouts: Sequence[Cutout | None],
+    cutouts: Cutouts,
     gain: float,
     form: PacketFormat,
     identity: int,
@@ -38,10 +36,14 @@ def decode_per_quad(
     """Decode samples at the LEDs, in step or out of step; None if the format has no quads."""
     if form.single or form.settings.modulation != "haar":
         return None
-    header = form.header_pattern(identity) > SLOTS // 2
-    packet = UnsynchronisedPacket.of([None if cutout is None else cutout.combination for cutout in cutouts], header)
+    combinations = [None if cutout is None else cutout.combination for cutout in cutouts]
+    packet = UnsynchronisedPacket.of(combinations, form.header_pattern(identity) > SLOTS // 2)
     seen = np.array([cutout is not None for cutout in cutouts])
-    symbols, mapper = _observed_symbols(cutouts, gain, form), SymbolMapper(form)
+    # Haar transform of the light at the LEDs of each cut-out about the mean, (pairs, symbols); 0 for None
+    levels = np.array([(0.5, 0.5) if combination is None else combination.levels for combination in combinations])
+    mean_light = gain * (levels[:, 0] - levels[:, 1])[:, None, None]
+    light = normalised(sample_differences(cutouts, form.settings.side) - mean_light, gain)
+    symbols, mapper = np.concatenate([*form.split(haar.decode(light)).values()], axis=1), SymbolMapper(form)
     layers = [Layer(layer, identity, (known or {}).get(name)) for name, layer in form.layers.items()]
     idle = 0
     for _ in range(8):
@@ -65,15 +67,6 @@ def decode_per_quad(
         if (quick and not idle) or not after.any() or idle == 3 or (idle and hopeless):
             break
     return {layer.form.name: layer.words for layer in layers}
-
-
-def _observed_symbols(cutouts: Sequence[Cutout | None], gain: float, form: PacketFormat) -> Floats:
-    """Haar transform of the light at the LEDs of each cut-out about the mean, (pairs, symbols); 0 for None."""
-    combinations = [None if cutout is None else cutout.combination for cutout in cutouts]
-    levels = np.array([(0.5, 0.5) if combination is None else combination.levels for combination in combinations])
-    mean = gain * (levels[:, 0] - levels[:, 1])[:, None, None]
-    light = normalised(sample_differences(cutouts, form.settings.side) - mean, gain)
-    return np.concatenate([*form.split(haar.decode(light)).values()], axis=1)
 
 
 def _estimate_scale(

@@ -4,7 +4,7 @@ If codewords fail, the packet is read again with other LEDs or other poses assum
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 
@@ -20,16 +20,13 @@ from heliograph.receive.equalise.led_gains import LedGains, update_brightness
 from heliograph.receive.equalise.pose_refinement import ObservedPacket, align_by_power
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer, ignore
-from heliograph.receive.observe.cutout import Cutout, Noise, measure_noise, noise_beside
-from heliograph.receive.packet import Words, with_raw
+from heliograph.receive.observe.cutout import Cutout, Cutouts, Noise, measure_noise, noise_beside
+from heliograph.receive.packet import Words, ok_flags, with_raw
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import Track, TrackedPair, mask_occluded_retroactively
 from heliograph.signal.formats import AGREED, UnreadableModeError, check_mode
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
-
-Cutouts = Sequence[Cutout | None]
-"""Cut-outs of the pairs of a packet, in the single mode of the patterns; None for missing pairs."""
 
 
 class SoftPacket:
@@ -86,7 +83,7 @@ class SoftPacket:
         except UnreadableModeError:
             return False
         sampled = self._decode_samples(self.cutouts, quick=True)
-        return sampled is not None and any(word.status == "ok" for by in sampled.values() for word in by)
+        return sampled is not None and any(ok_flags(sampled))
 
     def renumbered(self, place: int) -> "SoftPacket":
         """Return the packet with a lost pair; see `PacketObservations`."""
@@ -138,9 +135,8 @@ class SoftPacket:
         self, cutouts: Cutouts, led_gains: LedGains, known: Words | None, buffer: SoftBuffer | None, observe: Observer
     ) -> TurboEqualiser:
         """Equalise and decode the unknown codewords, with the buffer."""
-        observed = ObservedPacket(cutouts, self._noise(cutouts, led_gains), self.form, led_gains)
-        gain, full_scale = min(self._gain, self._full_scale), self._full_scale
-        return decode_iteratively(observed, gain, self._identity, self._options, buffer, observe, known, full_scale)
+        observed = ObservedPacket(cutouts, self._noise(cutouts, led_gains), self.form, led_gains, self._full_scale)
+        return decode_iteratively(observed, self._gain, self._identity, self._options, buffer, observe, known)
 
     def _noise(self, cutouts: Cutouts, led_gains: LedGains) -> Noise:
         """Noise of the cut-outs."""
@@ -171,8 +167,8 @@ class SoftPacket:
         if led_gains is None or led_gains.learnt or _is_out_of_step(cutouts):
             return led_gains
         # pairs that show the brightness
-        chosen = [cutout if k % led_gains.stride == 0 else None for k, cutout in enumerate(cutouts)]
-        chosen = [None if cutout is None or cutout.apart else cutout for cutout in chosen]
+        stride = led_gains.stride
+        chosen = [None if cutout and (k % stride or cutout.apart) else cutout for k, cutout in enumerate(cutouts)]
         if not any(chosen):
             return led_gains
         decoded = self._equalise(self._compensated(chosen, led_gains), led_gains, sampled, None, ignore)

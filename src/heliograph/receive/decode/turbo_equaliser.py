@@ -36,14 +36,13 @@ def decode_iteratively(
     buffer: SoftBuffer | None = None,
     observe: Callable[[EqualiseEvent], None] = ignore,
     known: Words | None = None,
-    full_scale: float = math.inf,
 ) -> "TurboEqualiser":
     """Decode all layers of a packet of the gain in gray levels."""
-    packet = TurboEqualiser(observed, gain, observed.noise.lit, identity, options, known, full_scale)
+    packet = TurboEqualiser(observed, gain, observed.noise.lit, identity, options, known)
     packet.run(buffer, observe)
     if packet.repeated is not None and packet.is_open.any():
         # the earlier packet may differ and disturb by light; poses stay refined
-        alone = TurboEqualiser(observed, packet.gain, packet.noise, identity, options, known, full_scale)
+        alone = TurboEqualiser(observed, packet.gain, packet.noise, identity, options, known)
         alone.run(None, observe)
         if alone.is_open.sum() < packet.is_open.sum():
             if buffer is not None:
@@ -59,18 +58,11 @@ class TurboEqualiser:
     """State of a packet between iterations, and the result."""
 
     def __init__(
-        self,
-        observed: ObservedPacket,
-        gain: float,
-        noise: float,
-        identity: int,
-        options: Decoding,
-        known: Words | None,
-        full_scale: float,
+        self, observed: ObservedPacket, gain: float, noise: float, identity: int, options: Decoding, known: Words | None
     ):
         self.observed, self._identity, self._options, form = observed, identity, options, observed.form
         # gray levels of the array with all LEDs on, at most that of the sensor; variance of a pixel of a difference
-        self.gain, self.noise, self._full_scale = gain, noise, full_scale
+        self.gain, self.noise = min(gain, observed.max_level), noise
         # codewords by layer, decoded or not
         self.words: Words = {}
         # (patterns, symbols) mean, -1 to 1, and variance, 0 to 1, of each symbol after the last iteration
@@ -249,7 +241,7 @@ class TurboEqualiser:
             squares = unsynchronised.llrs(weighted / bounded, 1 / bounded, leak, mean)
             llr = np.where(precision.any(1)[:, None], squares, 0.0)
         combined = unsynchronised is not None
-        self.gain, self.noise = update_channel(self.gain, self.noise, moments, self._full_scale, combined)
+        self.gain, self.noise = update_channel(self.gain, self.noise, moments, self.observed.max_level, combined)
         parts = self._mapper.bits(llr, [layer.mean() for layer in self._layers])
         for layer, part in zip(self._layers, parts, strict=True):
             layer.equalise(part)

@@ -24,7 +24,7 @@ from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import DecodeEvent, Event, ExtractEvent, Observer
 from heliograph.receive.geometry.pose import Orientation
 from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.packet import Packet, Words, packet_status
+from heliograph.receive.packet import Packet, Words, ok_flags, packet_status
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.signal.formats import UnreadableModeError, check_mode
@@ -184,13 +184,10 @@ class PacketDecoder:
         return led_gains and _remember(self._led_gains, array, led_gains, MAX_ARRAYS).without_evidence
 
 
-_DECODERS: dict[str, PacketDecoder] = {}
-"""Decoders of other processes, by name."""
-
-
+@lru_cache(maxsize=4)
 def _local_decoder(name: str) -> PacketDecoder:
     """Decoder in this process for a pickled decoder, one for each of the last receivers."""
-    return _remember(_DECODERS, name, _DECODERS.get(name) or PacketDecoder(name), count=4)
+    return PacketDecoder(name)
 
 
 def _remember(recent: dict[Key, Value], key: Key, value: Value, count: int) -> Value:
@@ -212,7 +209,7 @@ def _decode_with_lost_pair(packet: PacketObservations, led_gains: LedGains | Non
     for place in sorted({(2 * k + 1) * pairs // 12 for k in range(6)}):
         renumbered = packet.renumbered(place)
         decoded = renumbered.decode(led_gains, None, observe)
-        is_ok = [word.status == "ok" for by in decoded.words.values() for word in by]
+        is_ok = ok_flags(decoded.words)
         if sum(is_ok) > most:
             most, best = sum(is_ok), replace(decoded, cutouts=decoded.cutouts or tuple(renumbered.cutouts))
         if all(is_ok):
@@ -281,12 +278,17 @@ class PendingPacket:
         """Packet with codewords; waits for the decoder."""
         if self._packet is None:
             decoded, packet = wait_for(self._decoded), self._undecoded
+            if (failure := decoded.failure) is not None:
+                # an occluded header may show any mode
+                level = logging.INFO if isinstance(failure, UnreadableModeError) else logging.WARNING
+                cause = packet.identity, packet.first_frame, failure
+                LOG.log(level, "array %d, packet at frame %d is not read: %s", *cause)
             self._packet = packet = replace(
                 packet,
                 status=packet_status(decoded.words, packet.header_score, packet.pairs_seen),
                 layers=decoded.words,
                 format=self._observations.form.format,
-                reason=self._log_failure(decoded.failure),
+                reason=str(failure or ""),
             )
             for event in decoded.events:
                 self._observe(event)
@@ -295,15 +297,6 @@ class PendingPacket:
                 DecodeEvent(packet.identity, packet, decoded.luminances, cutouts, exposure_range=self._exposure_range)
             )
         return self._packet
-
-    def _log_failure(self, failure: Exception | None) -> str:
-        if failure is None:
-            return ""
-        # an occluded header may show any mode
-        level = logging.INFO if isinstance(failure, UnreadableModeError) else logging.WARNING
-        packet = self._undecoded
-        LOG.log(level, "array %d, packet at frame %d is not read: %s", packet.identity, packet.first_frame, failure)
-        return str(failure)
 
 
 def wait_for(future: Future[Result]) -> Result:

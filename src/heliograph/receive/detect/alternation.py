@@ -228,20 +228,19 @@ def coarse_search(
     with the headers, which is 0 for other headers too if it is 0.
     """
     best = np.zeros((parameters.candidates, 5))
+    # the array may be half off the grid
+    contrast = 0.5 * parameters.min_contrast * region.first.full_scale
+    # blinking squares have no limit
+    max_imbalance = 2.0 if cells.sum(axis=1).any() else max_imbalance
     count, work, passed, compared = kernels.search(
         integral_images(region.change),
         region.busy,
         cells,
         sides,
-        # the array may be half off the grid
-        0.5 * parameters.min_contrast * region.first.full_scale,
-        parameters.coarse_score,
-        # blinking squares have no limit
-        2.0 if cells.sum(axis=1).any() else max_imbalance,
+        (contrast, parameters.coarse_score, max_imbalance, min_distance),
         DETECT.ring,
         # step of the places as a fraction of the side: half a step costs a fifth of a cell's overlap
         0.1,
-        min_distance,
         np.array(region.first.origin, np.float64),
         begin,
         int(max_work),

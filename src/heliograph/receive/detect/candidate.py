@@ -7,6 +7,7 @@ frames together give both by Gauss-Newton with a_k and a'_k eliminated.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -25,7 +26,7 @@ from heliograph.receive.detect.alternation import (
 from heliograph.receive.geometry.fit import Fit, fit_array
 from heliograph.receive.geometry.footprint import images_of, render_with_slopes
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Corner, Pose, Shape
 from heliograph.receive.geometry.window import Window, cut_out, window_around
 from heliograph.signal.header import CELLS
 
@@ -89,7 +90,7 @@ def fit_first_pair(header: list[Frame], fit: Fit, weights: Floats, tilt: float) 
 
 def fit_near(
     change: Change,
-    origin: tuple[int, int],
+    origin: Corner,
     start: Pose,
     weights: Floats,
     tilt: float,
@@ -117,7 +118,7 @@ def fit_near(
         return None
 
 
-def find_window(change: Change, origin: tuple[int, int], pose: Pose, side: int) -> Window | None:
+def find_window(change: Change, origin: Corner, pose: Pose, side: int) -> Window | None:
     """Return the window of an array and the ring around; None if an image does not show all of it."""
     window = window_around(pose, side, DETECT.ring * side * pose.pitch + DETECT.margin_px)
     left, top = window[0] - origin[0], window[1] - origin[1]
@@ -130,21 +131,31 @@ def cell_weights(cells: Floats, side: int) -> Floats:
     return np.asarray(np.kron(cells.reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS))), np.float64)
 
 
-def find_lit_cells(change: Change, origin: tuple[int, int], pose: Pose, weights: Floats, min_light: float) -> Floats:
+def cell_images(led_gains: Floats, pose: Pose, corner: Corner, shape: Shape) -> Floats:
+    """Render each cell of a header with all LEDs on, (16, pixels)."""
+    images = images_of(led_gains, _cell_numbers(len(led_gains)), CELLS * CELLS, pose, corner, shape)
+    return images.reshape(CELLS * CELLS, -1)
+
+
+@lru_cache
+def _cell_numbers(side: int) -> Floats:
+    """Return the number of each LED's cell, (n, n)."""
+    return cell_weights(np.arange(CELLS * CELLS, dtype=np.float64), side)
+
+
+def find_lit_cells(change: Change, origin: Corner, pose: Pose, weights: Floats, min_light: float) -> Floats:
     """Find the visible cells of a header, which alternate alike."""
     light = measure_cells(change, origin, pose, weights)
     return np.asarray((light > min_light * np.median(light[light > 0])).astype(float).reshape(CELLS, CELLS))
 
 
-def measure_cells(change: Change, origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:
+def measure_cells(change: Change, origin: Corner, pose: Pose, weights: Floats) -> Floats:
     """Measure the light of each cell of an array, by least squares."""
     side = len(weights)
     x0, y0, width, height = window_around(pose, side, DETECT.margin_px)
     i, j = max(0, y0 - origin[1]), max(0, x0 - origin[0])
     image = change[i : y0 - origin[1] + height, j : x0 - origin[0] + width].astype(np.float64)
-    cells = cell_weights(np.arange(CELLS * CELLS, dtype=np.float64), side)
-    shapes = images_of(weights, cells, CELLS * CELLS, pose, (origin[0] + j, origin[1] + i), image.shape)
-    columns = shapes.reshape(CELLS * CELLS, -1).T
+    columns = cell_images(weights, pose, (origin[0] + j, origin[1] + i), image.shape).T
     return np.asarray(np.linalg.lstsq(columns, image.ravel(), rcond=None)[0], np.float64)
 
 

@@ -54,12 +54,7 @@ from heliograph.receive.detect.candidate import (
     measure_cells,
 )
 from heliograph.receive.detect.detection import ALL_ON, Detection, Headers, Hypothesis, distinct, headers
-from heliograph.receive.detect.frame_window import (
-    FrameWindow,
-    fill_missing,
-    find_header_start,
-    header_frames,
-)
+from heliograph.receive.detect.frame_window import FrameWindow, fill_missing, find_header_start, header_frames
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.fit import Fit, header_amplitudes
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, Pose
@@ -149,12 +144,10 @@ class Detector:
                 is_free = all(are_disjoint(candidate.start, pose, self.side) for pose in known)
                 if is_free and self.budget.try_fit(candidate.score):
                     fitted += self._refine(slots, candidate, tracked)
-            if k and self.budget.is_low:
-                # an upright array in a skipped block may look like a turned array partly hidden
-                fitted = [found for found in fitted if found.is_clear]
-            # an apparent upright array partly hidden may be a clear turned array; of so many rolls clutter
-            # resembles some header
-            fitted = [found for found in fitted if found.is_clear or not (detections or is_rolled)]
+            # an upright array in a skipped block may look like a turned array partly hidden, and an apparent upright
+            # array partly hidden may be a clear turned array; of so many rolls clutter resembles some header
+            is_doubtful = is_rolled or bool(detections) or (k > 0 and self.budget.is_low)
+            fitted = [found for found in fitted if found.is_clear or not is_doubtful]
             detections = distinct([*detections, *fitted], self.side)
             if (detections and all(found.is_clear for found in detections)) or not has_compared:
                 break

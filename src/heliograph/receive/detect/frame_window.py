@@ -39,15 +39,15 @@ def find_header_start(slots: FrameWindow, pose: Pose, weights: Floats, header: i
 
 def fill_missing(header: Sequence[Value | None]) -> list[Value] | None:
     """Replace missing values of a header by the nearest of the same sign; None if more than a quarter is missing."""
-    missing = [k for k, value in enumerate(header) if value is None]
+    kept = {k: value for k, value in enumerate(header) if value is not None}
     # with half of the frames missing, data might pass for a header
-    if len(missing) > len(header) / 4:
+    if len(kept) < 0.75 * len(header):
         return None
-    out = [*header]
-    for k in missing:
-        others = [header[j] for j in sorted(range(k % 2, len(header), 2), key=lambda j: abs(j - k))]
-        out[k] = next((value for value in others if value is not None), None)
-    return None if None in out else [value for value in out if value is not None]
+
+    def nearest(place: int) -> int:
+        return min(range(place % 2, len(header), 2), key=lambda k: (k not in kept, abs(k - place)))
+
+    return [kept[k if k in kept else nearest(k)] for k in range(len(header))]
 
 
 def header_frames(slots: FrameWindow, header: int) -> list[Frame] | None:

@@ -23,11 +23,11 @@ from functools import lru_cache
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.receive.detect.candidate import cell_images
 from heliograph.receive.geometry.fit import header_amplitudes
-from heliograph.receive.geometry.footprint import images_of
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import RIM_PX, Window, cut_out, window_around
+from heliograph.receive.geometry.window import RIM_PX, cut_out, window_around
 from heliograph.receive.sync.combine import Combination
 from heliograph.receive.sync.pairing import FramePair, MeasuredHeader
 from heliograph.signal.formats import AGREED, ALL_MODES, DIMMED, readable, words
@@ -107,9 +107,6 @@ class FormatReader:
     def __init__(self, identity: int, side: int, data_pairs: int):
         self._side, self._readable = side, readable(data_pairs)
         self._cells = header_cells(identity).reshape(CELL_COUNT).astype(np.float64)
-        self._cell_of_led = np.kron(
-            np.arange(CELL_COUNT).reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS), np.int64)
-        )
         self._first: tuple[FramePair, tuple[Pose, Pose]] | None = None
         self._evidence: dict[int, _PairEvidence] = {}
         # moments of each format and distance of the frames of a header out of step
@@ -127,8 +124,7 @@ class FormatReader:
 
     def add_frames(self, header: MeasuredHeader, led_gains: Floats) -> None:
         """Replace the pairs by the frames of a header out of step, none of which is known to show no dimmed cells."""
-        rows, cols = header.images.shape[1:]
-        a = self._cell_images(header.pose, led_gains, (*header.corner, cols, rows))
+        a = cell_images(led_gains, header.pose, header.corner, header.images.shape[1:])
         gram, matched = a @ a.T, header.images.reshape(len(header.images), -1) @ a.T
         # v_k = light + alternation / 2 of +-1
         full, dimmed = (
@@ -172,16 +168,10 @@ class FormatReader:
         """Return the evidence of a pair; dimmed cells have a contrast in step."""
         window = window_around(Pose.midway(*poses), self._side, RIM_PX)
         up, down = (cut_out(frame, window).ravel() for frame in (pair.pattern, pair.inverted))
-        first, second = (self._cell_images(pose, led_gains, window) for pose in poses)
+        first, second = (cell_images(led_gains, pose, window[:2], window[:1:-1]) for pose in poses)
         b, o, d = 0.5 * (first + second), 0.5 * (first - second).sum(0), up - down
         dimmed = pair.combination.dimmed if pair.combination else (contrast, 0.0)
         gram, matched = b @ b.T, b @ d
         # |d|^2 less the power in the cells' span, which holds for hidden cells too
         unexplained = max(float(d @ d - matched @ np.linalg.lstsq(gram, matched, rcond=None)[0]), 0.0)
         return _PairEvidence(dimmed, gram, matched, b @ o, float(d @ o), float(o @ o), unexplained, d.size)
-
-    def _cell_images(self, pose: Pose, led_gains: Floats, window: Window) -> Floats:
-        """Return the image of each cell with all LEDs on, (16, pixels)."""
-        x0, y0, cols, rows = window
-        images = images_of(led_gains, self._cell_of_led, CELL_COUNT, pose, (x0, y0), (rows, cols))
-        return images.reshape(CELL_COUNT, -1)

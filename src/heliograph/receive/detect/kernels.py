@@ -89,14 +89,9 @@ def _box(integral, y, x, height, width):
 
 
 @compiled()
-def _to_grid(start, step):
-    """Return the distance from a start to the next multiple of a step."""
-    return math.ceil(start / step - TINY) * step - start
-
-
-@compiled()
-def _first_place(first, step, least):
-    """Return the first place of a grid from `least` on."""
+def _first_place(corner, margin, step, least):
+    """Return the first place in an image from `least` on that lies a margin, and steps of the sensor, from a corner."""
+    first = margin + (math.ceil(corner / step - TINY) * step - corner)
     return first + step * max(0.0, math.ceil((least - first) / step - TINY))
 
 
@@ -146,8 +141,7 @@ def _cell_sums(integral, y, x, cell, columns, rows, sums):
 @compiled(fastmath=True)
 def _max_product(columns, sums, dots):
     """Multiply 16 sums with (16, headers) cells in single precision; return the largest magnitude."""
-    for t in range(dots.size):
-        dots[t] = np.float32(0.0)
+    dots[:] = 0.0
     for i in range(16):
         value, row = np.float32(sums[i]), columns[i]
         for t in range(dots.size):
@@ -159,33 +153,21 @@ def _max_product(columns, sums, dots):
 
 
 @compiled()
-def search(
-    integrals,
-    busy,
-    cells,
-    sides,
-    contrast,
-    threshold,
-    max_imbalance,
-    ring_width,
-    grid,
-    min_distance,
-    corner,
-    begin,
-    limit,
-    best,
-):
-    """Correlate an alternation with all headers over scale and position; return counts, and candidates in `best`."""
-    total, magnitude, square = integrals[0], integrals[1], integrals[2]
-    rows, cols = total.shape[0] - 1, total.shape[1] - 1
+def search(integrals, busy, cells, sides, limits, ring_width, grid, corner, begin, max_work, best):
+    """Correlate an alternation with all headers over scale and position; return counts, and candidates in `best`.
+
+    `limits` are contrast, correlation, imbalance and distance.
+    """
+    images, (contrast, threshold, _, _) = (integrals[0], integrals[1], integrals[2]), limits
+    _, magnitude, square = images
+    rows, cols = square.shape[0] - 1, square.shape[1] - 1
     columns = np.ascontiguousarray(cells.T).astype(np.float32)
-    memory = np.empty(5, np.int64), np.empty((3, 5)), np.empty(16)
-    dots = np.empty(cells.shape[0], np.float32)
+    memory = np.empty(5, np.int64), np.empty((3, 5)), np.empty(16), np.empty(cells.shape[0], np.float32)
     found = np.int64(0)  # of a plain 0 a second `_keep` would be compiled
-    # in places compared, 6 ns each: sums over pixels, exact sums, and sums over cells
-    pixels_work, exact_work, cells_work, headers_per_place = 2, 8, 15, 4
+    # in places compared, 6 ns each: sums over pixels; then exact sums, sums over cells, and headers by stages passed
+    pixels_work, stages_work = 2, (8, 8 + 15, 8 + 15 + cells.shape[0] // 4)
     work = passed = compared = 0
-    while passed < busy.size and work < limit:
+    while passed < busy.size and work < max_work:
         down, across = divmod((begin + passed) % busy.size, busy.shape[1])
         passed += 1
         for k in range(sides.shape[0] if busy[down, across] else 0):
@@ -202,9 +184,9 @@ def search(
                 work += 1
                 if _outer_box(square, top - 0.5 * whole, left - 0.5 * whole, part + whole, part + whole) < least:
                     continue
-                y = _first_place(ring + _to_grid(corner[1], step), step, top - 0.5 * side)
+                y = _first_place(corner[1], ring, step, top - 0.5 * side)
                 while y + side + ring < rows - 1 and y + 0.5 * side < top + part:
-                    x = _first_place(ring + _to_grid(corner[0], step), step, left - 0.5 * side)
+                    x = _first_place(corner[0], ring, step, left - 0.5 * side)
                     while x + side + ring < cols - 1 and x + 0.5 * side < left + part:
                         work += 1
                         # sums over pixels are faster: touched pixels bound the energy, and |<D, T>| <= sum |D| is
@@ -215,20 +197,9 @@ def search(
                             most = _outer_box(magnitude, y, x, side, side)
                             touched = most * most >= filled * _inner_box(square, y - ring, x - ring, whole, whole)
                         if touched:
-                            found, stages = _compare(
-                                (total, magnitude, square),
-                                cells,
-                                columns,
-                                dots,
-                                (y, x, side, ring),
-                                (least, threshold, max_imbalance, min_distance),
-                                best,
-                                found,
-                                memory,
-                            )
-                            work += exact_work
-                            work += cells_work if stages > 0 else 0
-                            work += cells.shape[0] // headers_per_place if stages > 1 else 0
+                            place = y, x, side, ring
+                            found, stages = _compare(images, cells, columns, place, limits, best, found, memory)
+                            work += stages_work[stages]
                             compared += stages > 1
                         x += step
                     y += step
@@ -236,12 +207,12 @@ def search(
 
 
 @compiled(inline="always")
-def _compare(integrals, cells, columns, dots, place, limits, best, found, memory):
+def _compare(integrals, cells, columns, place, limits, best, found, memory):
     """Keep a square as a candidate for each similar header; return the number of passed stages too."""
-    (total, magnitude, square), (y, x, side, ring), (corners, rows, sums) = integrals, place, memory
-    least, threshold, max_imbalance, min_distance = limits
+    (total, magnitude, square), (y, x, side, ring), (corners, rows, sums, dots) = integrals, place, memory
+    contrast, threshold, max_imbalance, min_distance = limits
     energy = _box(square, y - ring, x - ring, side + 2 * ring, side + 2 * ring)
-    if energy < least:
+    if energy < contrast * contrast * side * side:
         return found, 0
     size = side * math.sqrt(energy)
     bound = threshold * size

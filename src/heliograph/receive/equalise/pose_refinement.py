@@ -15,6 +15,7 @@ explain the packet best.
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from math import inf
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -24,7 +25,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.led_gains import POSE_SPREADS, DecodedPair, LedGains
 from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, products
 from heliograph.receive.geometry.footprint import image_of
-from heliograph.receive.observe.cutout import Cutout, Noise
+from heliograph.receive.observe.cutout import Cutout, Cutouts, Noise
 from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, whiten
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
@@ -32,20 +33,15 @@ from heliograph.signal.packet import PacketFormat
 MAX_PX = 4  # largest error of `align_by_power`: the margin of cut-outs around the array
 
 
-def align_by_power(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list[Cutout | None], float]:
+def align_by_power(cutouts: Cutouts, led_gains: Floats) -> tuple[list[Cutout | None], float]:
     """Move each pair to the power of the differences of 17 pairs around; return also the largest step in px."""
     matches = [np.zeros((2 * MAX_PX + 1,) * 2) if cutout is None else _match(cutout, led_gains) for cutout in cutouts]
     sums = np.cumsum([np.zeros_like(matches[0]), *matches], axis=0)
     # 17 pairs show the rim of 16 LEDs to a fifth of a px; a post passes an LED in 3 to 30 pairs
-    moved, largest = list[Cutout | None](), 0.0
-    for k, cutout in enumerate(cutouts):
-        if cutout is None:
-            moved.append(None)
-            continue
-        step = _peak(sums[min(k + 9, len(cutouts))] - sums[max(k - 8, 0)])
-        moved.append(cutout.moved(np.append(step, np.zeros(2))))
-        largest = max(largest, float(np.hypot(*step)))
-    return moved, largest
+    steps = [_peak(sums[min(k + 9, len(cutouts))] - sums[max(k - 8, 0)]) for k in range(len(cutouts))]
+    moved = [cutout and cutout.moved(np.append(step, [0, 0])) for cutout, step in zip(cutouts, steps, strict=True)]
+    sizes = (float(np.hypot(*step)) for cutout, step in zip(cutouts, steps, strict=True) if cutout is not None)
+    return moved, max(sizes, default=0.0)
 
 
 def _match(cutout: Cutout, led_gains: Floats) -> Floats:
@@ -79,8 +75,10 @@ class ObservedPacket:
     Noise has the variances inside the array and in the background, in squared gray levels.
     """
 
-    def __init__(self, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: LedGains):
+    def __init__(self, cutouts: Cutouts, noise: Noise, form: PacketFormat, led_gains: LedGains, max_level: float = inf):
         self.cutouts, self.noise, self.form, self.led_gains = cutouts, noise, form, led_gains
+        # largest gray level of the sensor
+        self.max_level = max_level
         # a pair each, in the single mode a pattern; None without the array
         self.pairs = [None if cutout is None else self._observe(cutout) for cutout in cutouts]
         # corrections so far of x, y (px), ln pitch and roll (rad), (pairs, 4)

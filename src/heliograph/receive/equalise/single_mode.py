@@ -12,6 +12,7 @@ from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
 from heliograph.base.arrays import RCOND, Floats
@@ -20,7 +21,7 @@ from heliograph.receive.geometry import kernels as geometry_kernels
 from heliograph.receive.geometry.fit import Fit, correlation
 from heliograph.receive.geometry.footprint import image_of, render_with_slopes, to_grid
 from heliograph.receive.geometry.kernels import FIT
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Corner, Pose, Shape
 from heliograph.receive.geometry.window import RIM_PX, AnyFrame, covered, cut_out, plane, window_around
 from heliograph.receive.observe.cutout import MAX_BACKGROUND, RING_PX, Cutout, Noise, measure_noise, take_cutout
 from heliograph.receive.observe.statistics import PairStatistics, leds_of, whiten
@@ -37,13 +38,13 @@ HeaderPair = tuple[FramePair, tuple[Pose, Pose]]
 DECIDED = np.eye(POSE_SIZE, STATE_SIZE), np.diag([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2
 
 
-def surroundings(frame: AnyFrame, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
+def surroundings(frame: AnyFrame, pose: Pose, side: int) -> tuple[Corner, Floats]:
     """Crop a frame around an array: corner (x, y) and pixels (rows, columns) in gray levels."""
     window = window_around(pose, side, RIM_PX + RING_PX)
     return (window[0], window[1]), cut_out(frame, window)
 
 
-def background_images(pose: Pose, corner: tuple[int, int], shape: tuple[int, int], half: float) -> Floats:
+def background_images(pose: Pose, corner: Corner, shape: Shape, half: float) -> Floats:
     """Render the square and the plane, with derivatives by (x, y, ln pitch, roll, ln blur)."""
     out = np.zeros((4, 6, *shape))
     geometry_kernels.render_box(pose.full_vector(), half, float(corner[0]), float(corner[1]), out[0], 0.0, 0.0)
@@ -65,19 +66,17 @@ def fit_background(headers: list[HeaderPair], gain: float, led_gains: Floats) ->
         middle = Pose.midway(*poses)
         corner, up = surroundings(pair.pattern, middle, side)
         _, down = surroundings(pair.inverted, middle, side)
-        rows, cols = up.shape
-        lit = sum((image_of(led_gains, pose, corner, (rows, cols)) for pose in poses), np.zeros(up.shape))
-        around = image_of(np.ones((side, side)), middle, corner, (rows, cols)) < MAX_BACKGROUND
+        lit = sum((image_of(led_gains, pose, corner, up.shape) for pose in poses), np.zeros(up.shape))
+        around = image_of(np.ones((side, side)), middle, corner, up.shape) < MAX_BACKGROUND
         views.append((0.5 * (up + down - 0.5 * gain * lit), middle, corner, around))
 
     def fit(half: float) -> list[tuple[Floats, Floats]]:
         """Fit coefficients to each header; return them with the squared residuals (rows, columns)."""
         fits = []
         for image, pose, corner, _ in views:
-            rows, cols = image.shape
-            columns = background_images(pose, corner, (rows, cols), half)[:, 0].reshape(4, -1).T
+            columns = background_images(pose, corner, image.shape, half)[:, 0].reshape(4, -1).T
             coefficients = np.asarray(np.linalg.lstsq(columns, image.ravel(), rcond=RCOND)[0], np.float64)
-            fits.append((coefficients, (image - (columns @ coefficients).reshape(rows, cols)) ** 2))
+            fits.append((coefficients, (image - (columns @ coefficients).reshape(image.shape)) ** 2))
         return fits
 
     def loss(half: float) -> float:
@@ -138,10 +137,9 @@ class DecisionDirectedTracker:
     ) -> tuple[Cutout, Floats]:
         """Make a cut-out of a frame less the background; return also the background's images."""
         corner, image = surroundings(frame, middle, self._side)
-        rows, cols = image.shape
-        images = background_images(middle, corner, (rows, cols), self._half)
+        images = background_images(middle, corner, image.shape, self._half)
         above = 2 * (image - np.tensordot(coefficients, images[:, 0], 1))
-        inside = covered((frame,), corner, (rows, cols))
+        inside = covered((frame,), corner, image.shape)
         return Cutout(above, above, corner, (data,), mean_light, covered=inside), images
 
     def _fit_pose(self, frame: AnyFrame, state: PoseState) -> Fit:
@@ -152,11 +150,9 @@ class DecisionDirectedTracker:
         """
         expected, covariance = state.expected(DECIDED)
         start = np.concatenate([expected, [self._gain], self._background])
-        precision = np.zeros((start.size, start.size))
-        precision[:POSE_SIZE, :POSE_SIZE] = np.linalg.inv(covariance)
         # a third of the change of the gain by random data; gray levels of the background about earlier frames
         spreads = np.append(0.01 * self._gain, np.full(4, 5.0))
-        precision[range(POSE_SIZE, start.size), range(POSE_SIZE, start.size)] = spreads**-2
+        precision = block_diag(np.linalg.inv(covariance), np.diag(spreads**-2))
         matrix, rhs, score = self._build_equations(frame, state, start)
         step = np.linalg.solve(matrix + precision, rhs)
         # without an array, steps have any length
@@ -198,9 +194,7 @@ class DecisionDirectedTracker:
         decided = np.abs(mean) > 0.97
         return np.where(decided, mean, 0.0), np.flatnonzero(~decided)
 
-    def _render_known(
-        self, known: Floats, mean_light: Pose, data: Pose, corner: tuple[int, int], shape: tuple[int, int]
-    ) -> Floats:
+    def _render_known(self, known: Floats, mean_light: Pose, data: Pose, corner: Corner, shape: Shape) -> Floats:
         """Render the known symbols and the levels' mean, with derivatives by the pose, (6, rows, columns)."""
         levels = to_grid(0.5 * leds_of(known))
         varied = render_with_slopes(data, levels * self._led_gains, corner, shape)

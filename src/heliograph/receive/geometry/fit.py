@@ -10,7 +10,7 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.geometry.kernels import FIT
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Corner, Pose
 from heliograph.receive.geometry.window import AnyFrame, Window, cut_out, plane, window_around
 
 
@@ -64,9 +64,7 @@ class RenderCache:
             self._window, self._middle = window_around(pose, side, margin), (x, y, half)
         return self._window
 
-    def images(
-        self, corner: tuple[int, int], smear: tuple[float, float], weights: Floats, shape: tuple[int, ...]
-    ) -> Floats:
+    def images(self, corner: Corner, smear: tuple[float, float], weights: Floats, shape: tuple[int, ...]) -> Floats:
         """Images for a fit: cached, or empty if the fit has to render."""
         wider = max(abs(a**2 - b**2) for a, b in zip(smear, self._smear, strict=True))
         same = self._corner == corner and self._shapes.shape == shape
@@ -84,7 +82,7 @@ class RenderCache:
 
 def fit_array(
     image: Floats,
-    corner: tuple[int, int],
+    corner: Corner,
     prior: Fit,
     weights: Floats,
     iterations: int,
@@ -113,19 +111,11 @@ def fit_array(
         _contiguous(image),
         background,
         np.empty((0, 0)) if open_pixels is None else _contiguous(open_pixels),
-        np.array(corner, np.float64),
-        _contiguous(weights),
-        margins,
-        resolved,
-        np.array(smear, np.float64),
-        _contiguous(prior.vector),
-        _contiguous(prior.covariance),
-        float(prior.gain),
+        (np.array(corner, np.float64), _contiguous(weights), margins, resolved, np.array(smear, np.float64)),
+        (_contiguous(prior.vector), _contiguous(prior.covariance), float(prior.gain)),
         iterations,
         vector,
-        shapes,
-        drawn.anchor,
-        drawn.at,
+        (shapes, drawn.anchor, drawn.at),
     )
     if open_pixels is not None:
         drawn.forget()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.geometry import kernels
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Corner, Pose, Shape
 
 Footprints = tuple[Floats, Floats]
 """A blur matrix A: light of each LED by column (n n, columns) and by row (n n, rows), whose product is its image."""
@@ -30,14 +30,14 @@ def to_grid(values: Floats) -> Floats:
     return np.ascontiguousarray(values.reshape(2, 2, half, half).transpose(2, 0, 3, 1)).reshape(2 * half, 2 * half)
 
 
-def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
+def image_of(levels: Floats, pose: Pose, corner: Corner, shape: Shape) -> Floats:
     """Render LEDs, (rows, columns); an unresolved array of levels 1 has the image 1."""
     # not kept: an array is hardly twice at the same pose
     return sum_of_leds(to_quarters(levels), footprints.__wrapped__(pose, corner, shape, len(levels)))
 
 
 @lru_cache(maxsize=160)  # decoding needs the images of a packet several times
-def kept_image(levels: bytes, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
+def kept_image(levels: bytes, pose: Pose, corner: Corner, shape: Shape) -> Floats:
     """Render LEDs as `image_of`, of given bytes of the levels in quarters; read-only."""
     values = np.frombuffer(levels)
     image = sum_of_leds(values, footprints(pose, corner, shape, round(len(values) ** 0.5)))
@@ -51,9 +51,7 @@ def sum_of_leds(levels: Floats, light: Footprints) -> Floats:
     return np.asarray((levels[:, None] * down).T @ across)
 
 
-def images_of(
-    levels: Floats, parts: NDArray[Any], count: int, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
-) -> Floats:
+def images_of(levels: Floats, parts: NDArray[Any], count: int, pose: Pose, corner: Corner, shape: Shape) -> Floats:
     """Render each part of an array separately, (count, rows, columns)."""
     across, down = footprints.__wrapped__(pose, corner, shape, len(levels))
     numbers, lit = to_quarters(parts), to_quarters(levels)
@@ -61,7 +59,7 @@ def images_of(
     return np.stack([sum_of_leds(lit[of], (across[of], down[of])) for of in leds])
 
 
-def render_with_slopes(pose: Pose, levels: Floats, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
+def render_with_slopes(pose: Pose, levels: Floats, corner: Corner, shape: Shape) -> Floats:
     """Render LEDs and the derivatives by (x, y, ln pitch, roll, ln blur), (6, rows, columns)."""
     images = np.empty((6, *shape))
     kernels.render(pose.full_vector(), levels, float(corner[0]), float(corner[1]), images, 0.0, 0.0)
@@ -70,7 +68,7 @@ def render_with_slopes(pose: Pose, levels: Floats, corner: tuple[int, int], shap
 
 @lru_cache(maxsize=160)  # decoding needs the poses of a packet several times
 def footprints(
-    pose: Pose, corner: tuple[int, int], shape: tuple[int, int], side: int, motion: tuple[float, float] = (0.0, 0.0)
+    pose: Pose, corner: Corner, shape: Shape, side: int, motion: tuple[float, float] = (0.0, 0.0)
 ) -> Footprints:
     """Compute the footprints of an array's LEDs, in quarters."""
     # sigma^2 = blur^2 + motion^2

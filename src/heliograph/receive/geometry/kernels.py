@@ -67,7 +67,8 @@ def render(pose, weights, x0, y0, out, smear_x, smear_y):
     part_x, part_y = (blur / sigma_x) ** 2, (blur / sigma_y) ** 2
     c, s = math.cos(pose[3]), math.sin(pose[3])
     half = (side - 1) / 2.0
-    span = int(2 * FIT.light_reach * max(sigma_x, sigma_y)) + 3
+    reach_x, reach_y = FIT.light_reach * sigma_x, FIT.light_reach * sigma_y
+    span = int(2 * max(reach_x, reach_y)) + 3
     gx, dgx, sgx = np.empty(span), np.empty(span), np.empty(span)
     gy, dgy, sgy = np.empty(span), np.empty(span), np.empty(span)
     area = pitch * pitch
@@ -84,14 +85,8 @@ def render(pose, weights, x0, y0, out, smear_x, smear_y):
             # derivatives by stretch (p, -q) and by shear (q, p), both rotated
             tx, ty, hx, hy = c * p + s * q, s * p - c * q, c * q - s * p, s * q + c * p
             px, py = pose[0] + rx - x0, pose[1] + ry - y0
-            left, right = (
-                max(0, math.ceil(px - FIT.light_reach * sigma_x - 0.5)),
-                min(cols - 1, math.floor(px + FIT.light_reach * sigma_x + 0.5)),
-            )
-            top, bottom = (
-                max(0, math.ceil(py - FIT.light_reach * sigma_y - 0.5)),
-                min(rows - 1, math.floor(py + FIT.light_reach * sigma_y + 0.5)),
-            )
+            left, right = max(0, math.ceil(px - reach_x - 0.5)), min(cols - 1, math.floor(px + reach_x + 0.5))
+            top, bottom = max(0, math.ceil(py - reach_y - 0.5)), min(rows - 1, math.floor(py + reach_y + 0.5))
             nx, ny = right - left + 1, bottom - top + 1
             if nx <= 0 or ny <= 0:
                 continue
@@ -308,10 +303,7 @@ def median(values: NDArray[np.float64]) -> float:
     if values.shape[0] % 2:
         return upper
     # all values before the middle are smaller or equal
-    below = float(values[0])
-    for k in range(1, middle):
-        below = max(below, float(values[k]))
-    return 0.5 * (below + upper)
+    return 0.5 * (values[:middle].max() + upper)
 
 
 @compiled()
@@ -340,11 +332,9 @@ def smallest(values: NDArray[np.float64], middle: int) -> float:
 @compiled()
 def near(vector, anchor, side):
     """True if images at an anchor pose, moved by their slopes, stand for a pose."""
-    step = np.empty(vector.shape[0])
-    for k in range(step.shape[0]):
-        step[k] = vector[k] - anchor[k]
+    step = vector - anchor[: vector.size]
     # both are False for a pose that is not a number
-    return _rim_px(step, step.shape[0], vector, side) < 0.1 and abs(step[4]) < 0.02
+    return _rim_px(step, step.size, vector, side) < 0.1 and abs(step[4]) < 0.02
 
 
 @compiled()
@@ -356,15 +346,14 @@ def shift(vector, shapes, drawn):
             for i in range(shapes.shape[2]):
                 for j in range(shapes.shape[3]):
                     shapes[n, 0, i, j] += step * shapes[n, k, i, j]
-    for k in range(vector.shape[0]):
-        drawn[k] = vector[k]
+    drawn[: vector.size] = vector
 
 
 @compiled()
-def draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes, anchor, drawn):
+def draw(vector, open_pixels, scene, images):
     """Draw the array and squares around it at a pose, the new anchor."""
-    for k in range(vector.shape[0]):
-        anchor[k] = drawn[k] = vector[k]
+    (corner, weights, margins, resolved, smear), (shapes, anchor, drawn) = scene, images
+    anchor[: vector.size] = drawn[: vector.size] = vector
     half = 0.5 * weights.shape[0]
     if resolved:
         render(vector, weights, corner[0], corner[1], shapes[0], smear[0], smear[1])
@@ -382,25 +371,12 @@ def draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes,
 
 
 @compiled()
-def fit(
-    image,
-    plane,
-    open_pixels,
-    corner,
-    weights,
-    margins,
-    resolved,
-    smear,
-    prior,
-    covariance,
-    gain,
-    steps,
-    vector,
-    shapes,
-    anchor,
-    drawn,
-):
-    """Fit the most probable pose by Gauss-Newton with robust weights."""
+def fit(image, plane, open_pixels, scene, expected, steps, vector, images):
+    """Fit the most probable pose by Gauss-Newton with robust weights.
+
+    `scene` is as in `draw`, `expected` vector, covariance and gain before the fit, and `images` of any pose.
+    """
+    (_, weights, margins, _, _), (prior, covariance, gain), (shapes, anchor, drawn) = scene, expected, images
     free = covariance.shape[0]
     precision = np.empty((free, free))
     invert(covariance, precision)
@@ -410,7 +386,7 @@ def fit(
     if near(vector, anchor, len(weights)):
         shift(vector, shapes, drawn)
     else:
-        draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes, anchor, drawn)
+        draw(vector, open_pixels, scene, images)
     linear = _coefficients(image, shapes, plane, gain)
     for _ in range(steps):
         residuals(image, shapes, plane, linear, residual)
@@ -419,10 +395,8 @@ def fit(
         mass, loss = normal_equations(residual, shapes, plane, linear, rough, matrix, rhs)
         mass -= (1.0 - open_pixels).sum()
         noise = max(loss / max(mass - size, 1.0), LEAST_VARIANCE)
-        for k in range(size):
-            rhs[k] /= noise
-            for n in range(size):
-                matrix[k, n] /= noise
+        rhs /= noise
+        matrix /= noise
         # (J^T W J + P^-1) step = J^T W r + P^-1 (theta_0 - theta), and the same for the gain
         for k in range(free):
             for n in range(free):
@@ -436,8 +410,7 @@ def fit(
         _load(matrix, 1e-9)
         step = rhs.copy()
         solve(matrix, step)
-        for k in range(linear.shape[0]):
-            linear[k] += step[free + k]
+        linear += step[free:]
         pitch = math.exp(vector[2])
         for k in range(free):
             limit = max(FIT.max_step_px, 0.5 * pitch) if k < 2 else FIT.max_steps[k - 2]
@@ -446,7 +419,7 @@ def fit(
         # headers give the distance: pitch and blur need all steps
         if len(margins) and close and abs(step[free]) < 0.1 * abs(linear[0]):
             break
-        draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes, anchor, drawn)
+        draw(vector, open_pixels, scene, images)
     residuals(image, shapes, plane, linear, residual)
     posterior = np.empty((free, free))
     invert(matrix, posterior)
@@ -460,12 +433,7 @@ def _coefficients(image, shapes, plane, gain):
     size = m + 3
     products, values = np.zeros((size + 1, size + 1)), rows_for_products(size + 1, cols)
     for i in range(image.shape[0]):
-        for n in range(m):
-            for j in range(cols):
-                values[n, j] = shapes[n, 0, i, j]
-        for n in range(3):
-            for j in range(cols):
-                values[m + n, j] = plane[n, i, j]
+        _copy_images(shapes, plane, i, values, 0)
         for j in range(cols):
             values[size, j] = image[i, j]
         add_products(values, values, cols, products)
@@ -479,6 +447,17 @@ def _coefficients(image, shapes, plane, gain):
     _load(matrix, 1e-6)
     solve(matrix, rhs)
     return rhs
+
+
+@compiled()
+def _copy_images(shapes, plane, row, out, first):
+    """Copy a row of pixels of the images to rows of `out`; loops compile faster than the assignment of rows."""
+    for n in range(shapes.shape[0]):
+        for j in range(out.shape[1]):
+            out[first + n, j] = shapes[n, 0, row, j]
+    for n in range(3):
+        for j in range(out.shape[1]):
+            out[first + shapes.shape[0] + n, j] = plane[n, row, j]
 
 
 @compiled(fastmath={"reassoc", "contract"})
@@ -506,13 +485,7 @@ def normal_equations(residual, shapes, plane, linear, rough, matrix, vector):
             for n in range(1, m):
                 for j in range(cols):
                     slopes[k, j] += linear[n] * shapes[n, k + 1, i, j]
-        # loops compile faster than the assignment of rows
-        for n in range(m):
-            for j in range(cols):
-                slopes[p + n, j] = shapes[n, 0, i, j]
-        for n in range(3):
-            for j in range(cols):
-                slopes[p + m + n, j] = plane[n, i, j]
+        _copy_images(shapes, plane, i, slopes, p)
         for k in range(size + 1):
             for j in range(cols):
                 weighed[k, j] = w[j] * slopes[k, j]

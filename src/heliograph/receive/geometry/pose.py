@@ -9,6 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Corner = tuple[int, int]
+"""Position (x, y) on the sensor of the first pixel of an image."""
+
+Shape = tuple[int, int]
+"""Rows and columns of an image."""
+
 
 @dataclass(frozen=True, slots=True)
 class Orientation:

@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Corner, Pose, Shape
 
 # Corner (x, y) on the sensor, columns and rows
 Window = tuple[int, int, int, int]
+
+# Left, top, right and low on the sensor; the last two lie outside
+Part = tuple[int, int, int, int]
 
 RIM_PX = 2.0  # light of an array beyond the outer LEDs, in px: 4 standard deviations of the reference link's blur
 HALF_LIT = 0.5  # relative light at a blurred edge; pixels within an array have more
@@ -58,16 +61,20 @@ def cut_out(frame: AnyFrame, window: Window) -> Floats:
     return frame.pixels[np.ix_(i, j)].astype(np.float64)
 
 
-def covered(
-    frames: Sequence[AnyFrame], corner: tuple[int, int], shape: tuple[int, int]
-) -> tuple[Floats, Floats] | None:
+def shared_part(frames: Sequence[AnyFrame]) -> Part:
+    """Part of the sensor that all frames show; without one, right or low is not beyond left or top."""
+    left, top = (max(f.origin[k] for f in frames) for k in (0, 1))
+    right, low = (min(f.origin[k] + f.pixels.shape[1 - k] for f in frames) for k in (0, 1))
+    return left, top, right, low
+
+
+def covered(frames: Sequence[AnyFrame], corner: Corner, shape: Shape) -> tuple[Floats, Floats] | None:
     """Mark columns and rows of a window inside all frames with 1; None if all are inside."""
-    first = [max(frame.origin[k] for frame in frames) for k in (0, 1)]
-    end = [min(frame.origin[k] + frame.pixels.shape[1 - k] for frame in frames) for k in (0, 1)]
-    if all(first[k] <= corner[k] and corner[k] + shape[1 - k] <= end[k] for k in (0, 1)):
+    left, top, right, low = shared_part(frames)
+    if left <= corner[0] and top <= corner[1] and corner[0] + shape[1] <= right and corner[1] + shape[0] <= low:
         return None
-    columns, rows = (corner[k] + np.arange(shape[1 - k]) for k in (0, 1))
-    columns, rows = (columns >= first[0]) & (columns < end[0]), (rows >= first[1]) & (rows < end[1])
+    x, y = corner[0] + np.arange(shape[1]), corner[1] + np.arange(shape[0])
+    columns, rows = (x >= left) & (x < right), (y >= top) & (y < low)
     return columns.astype(np.float64), rows.astype(np.float64)
 
 
@@ -83,8 +90,7 @@ def common(frames: Sequence[Frame]) -> list[Frame]:
     """Crop frames to the common part of the sensor; a camera's window may follow the array."""
     if all(f.origin == frames[0].origin and f.pixels.shape == frames[0].pixels.shape for f in frames):
         return list(frames)
-    left, top = (max(f.origin[k] for f in frames) for k in (0, 1))
-    right, low = (min(f.origin[k] + f.pixels.shape[1 - k] for f in frames) for k in (0, 1))
+    left, top, right, low = shared_part(frames)
     # frames without a common part have an empty part at the same place
     parts = [crop(frame, (left, top, right - left, low - top)) for frame in frames]
     cropped = [replace(part, origin=(left, top)).copied() for part in parts]

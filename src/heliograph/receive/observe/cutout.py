@@ -13,7 +13,7 @@ import numpy as np
 from heliograph.base.arrays import RCOND, Floats
 from heliograph.receive.geometry.fit import robust_std
 from heliograph.receive.geometry.footprint import Footprints, footprints, kept_image, render_with_slopes, to_quarters
-from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.pose import Corner, Pose, Shape
 from heliograph.receive.geometry.window import RIM_PX, covered, cut_out, window_around
 from heliograph.receive.sync.combine import Combination
 from heliograph.receive.sync.pairing import FramePair
@@ -32,7 +32,7 @@ class Cutout:
     # Pattern less inverse, (rows, columns); for a single frame the same as `total`
     difference: Floats
     # (x, y) on the sensor of the first pixel
-    corner: tuple[int, int]
+    corner: Corner
     # Pose of the data's light in each frame, near the middle of the exposure; one or two
     poses: tuple[Pose, ...]
     # For a single frame, the pose of the light of the levels' mean, which is earlier; None for a pair
@@ -57,10 +57,9 @@ class Cutout:
         return self.poses[0] if len(self.poses) == 1 else Pose.midway(self.poses[0], self.poses[-1])
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape:
         """Rows and columns."""
-        rows, cols = self.difference.shape
-        return rows, cols
+        return self.difference.shape
 
     def shining(self, led_gains: Floats) -> Floats:
         """Gains of LEDs (n, n), 0 for occluded LEDs."""
@@ -88,6 +87,10 @@ class Cutout:
         """Correct all poses by an error of x, y, ln pitch and roll."""
         step = np.append(error, np.zeros(3))
         return replace(self, poses=tuple(Pose.from_vector(pose.full_vector() + step) for pose in self.poses))
+
+
+Cutouts = Sequence[Cutout | None]
+"""Cut-outs of the pairs of a packet, in the single mode of the patterns; None for missing pairs."""
 
 
 def take_cutout(pair: FramePair, poses: tuple[Pose, Pose], side: int) -> Cutout:
@@ -146,7 +149,7 @@ def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
 
 
 # Residual of a sum inside the array, (rows, columns), NaN elsewhere; its corner; its variance by motion
-_Unevenness = tuple[Floats, tuple[int, int], float]
+_Unevenness = tuple[Floats, Corner, float]
 
 
 def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None) -> _Unevenness:

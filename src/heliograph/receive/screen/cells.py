@@ -18,6 +18,9 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame, Pixels
 from heliograph.receive.geometry.pose import Pose, pose_of_axes
 
+Pixels32 = NDArray[np.float32]
+"""Gray levels or light of pixels, (rows, columns)."""
+
 SAMPLES_PER_S = 14e6
 """Samples that a core resamples and fits per second."""
 
@@ -154,8 +157,8 @@ class Place:
         """Return True if the array lies completely in a frame."""
         corners = self.corners(side)
         w = np.array([[0, 0, 1], [side, 0, 1], [side, side, 1], [0, side, 1.0]]) @ self.homography[2]
-        is_within = (corners > -1).all() and (corners < shape[::-1]).all()
-        return bool(np.isfinite(corners).all() and (w > 0).all() and is_within)
+        # both are False for corners that are not numbers
+        return bool((corners > -1).all() and (corners < shape[::-1]).all() and (w > 0).all())
 
     def pose(self, side: int) -> Pose:
         """Return the affine pose at the middle of an array."""
@@ -223,77 +226,29 @@ def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     return b, slope, weights
 
 
-def _resample(part: NDArray[np.float32], homography: Floats, side: int) -> Floats:
+def _resample(part: Pixels32, homography: Floats, side: int) -> Floats:
     """Resample an array upright, with the ring, from a part of a frame."""
     cells = side + 2 * RIM_CELLS
     # sample (i + 1/2) / S - RIM_CELLS cells
     to_cells = np.array([[1 / S, 0, 0.5 / S - RIM_CELLS], [0, 1 / S, 0.5 / S - RIM_CELLS], [0, 0, 1]])
     size = (cells * S, cells * S)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(
-        cv2.warpPerspective(part, homography @ to_cells, size, flags=flags, borderMode=cv2.BORDER_REPLICATE),
-        np.float64,
-    )
+    warped = cv2.warpPerspective(part, homography @ to_cells, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(warped, np.float64)
 
 
-def light_of(pixels: Pixels, light: NDArray[np.float32]) -> NDArray[np.float32]:
+def light_of(pixels: Pixels, light: Pixels32) -> Pixels32:
     """Convert gray levels to light by a table."""
     if pixels.dtype == np.uint8:
         return np.asarray(cv2.LUT(pixels, light), np.float32)
     return light[pixels]
 
 
-class CellFitter:
-    """Fits the cells and the place of an array in frames."""
-
-    def __init__(self, side: int, blur_px: float, light: NDArray[np.float32], budget: SearchBudget):
-        self.side, self.blur_px, self.light, self.budget = side, blur_px, light, budget
-
-    def __call__(self, frame: Frame, place: Place, max_steps: int = 4) -> Sample:
-        """Fit the cells and the place in a frame."""
-        side = self.side
-        part, part_place = self._cut_out(frame.pixels, place)
-        # blur of the lens, and of pixel and bilinear interpolation in px: sqrt(1/12 + 1/12)
-        width = float(np.hypot(np.hypot(self.blur_px, 0.4) / place.cell_px(side), 0.35 / S))
-        # sharper edges than 0.05 cells fall between samples
-        b, slope, weights = _spread(side, round(max(width, 0.05), 2))
-        start = place
-        for step in range(max_steps + 1):
-            homography = part_place.homography @ np.linalg.solve(start.homography, place.homography)
-            samples = _resample(part, homography, side)
-            x = weights @ samples @ weights.T
-            residual = samples - b @ x @ b.T
-            if step == max_steps:
-                break
-            delta = _step(residual, b, slope, x, side)
-            place = Place(place.homography @ delta)
-            if np.abs(delta - np.eye(3))[:2].max() < 0.01:
-                break
-        # a step costs 3000 samples more
-        self.budget.spend((step + 1) * (samples.size + 3000) + PIXEL_SAMPLES * part.size)
-        core = slice(RIM_CELLS * S, -RIM_CELLS * S)
-        inner = samples[core, core]
-        # between a pattern and the inverse all cells are alike: data have half the mean as rms
-        contrast = max(float(inner.std()), 0.5 * float(inner.mean()), TINY)
-        misfit = float(np.sqrt(np.mean(residual[core, core] ** 2))) / contrast
-        return Sample(frame.index, frame.time_s, place, x, misfit)
-
-    def _cut_out(self, pixels: Pixels, place: Place) -> tuple[NDArray[np.float32], Place]:
-        """Cut out the light around an array, reduced to cells of 10 to 20 px, with the place in the part."""
-        corners, cell = place.corners(self.side), place.cell_px(self.side)
-        rim = 2 * cell + 2
-        low = np.maximum(np.floor(corners.min(0) - rim), 0).astype(int)
-        high = np.minimum(np.ceil(corners.max(0) + rim).astype(int) + 1, pixels.shape[::-1])
-        part = light_of(pixels[low[1] : high[1], low[0] : high[0]], self.light)
-        factor = max(1, int(cell / 10))
-        if factor > 1:
-            size = (part.shape[1] // factor, part.shape[0] // factor)
-            part = part[: size[1] * factor, : size[0] * factor]
-            part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA))
-        # pixel i of the reduced part covers pixels factor i to factor (i + 1) - 1
-        shift = (0.5 - low) / factor - 0.5
-        move = np.array([[1 / factor, 0, shift[0]], [0, 1 / factor, shift[1]], [0, 0, 1]])
-        return part, Place(move @ place.homography)
+def reduced(image: Pixels32, factor: int) -> Pixels32:
+    """Reduce an image by an integer factor, less the rest of a pixel at the right and the low side."""
+    size = image.shape[1] // factor, image.shape[0] // factor
+    cut = image[: size[1] * factor, : size[0] * factor]
+    return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _step(residual: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> Floats:
@@ -312,19 +267,21 @@ def _step(residual: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> F
     # the image moves opposite to the place
     p = np.linalg.solve(gram + np.diag(hold) + 1e-12 * np.eye(8), -(rows @ residual[core, core].ravel()))
     p = p / max(1.0, float(np.abs(p).max()) / 0.7)
-    n = side
     a, bb, c, d, e, f, g, h = p
-    centred = np.array([[1 + bb / n, c / n, a], [e / n, 1 + f / n, d], [-g / n**2, -h / n**2, 1]])
-    move = np.array([[1, 0, n / 2], [0, 1, n / 2], [0, 0, 1]])
+    centred = np.array([[1 + bb / side, c / side, a], [e / side, 1 + f / side, d], [-g / side**2, -h / side**2, 1]])
+    move = np.array([[1, 0, side / 2], [0, 1, side / 2], [0, 0, 1]])
     return move @ centred @ np.linalg.inv(move)
 
 
 class CellTracker:
-    """Tracks an array from frame to frame."""
+    """Fits the cells of an array and tracks the array from frame to frame."""
 
-    def __init__(self, fitter: CellFitter, place: Place, corrects_slips: bool = True):
-        self._fitter, self._place, self._corrects_slips = fitter, place, corrects_slips
-        self._middle = np.array([fitter.side / 2] * 2)
+    def __init__(
+        self, side: int, blur_px: float, light: Pixels32, budget: SearchBudget, place: Place, correct_slips: bool = True
+    ):
+        self._side, self._blur_px, self._light, self._budget = side, blur_px, light, budget
+        self._place, self._correct_slips = place, correct_slips
+        self._middle = np.array([side / 2] * 2)
         self._motion = np.zeros(2)
         # ring, misfit and place of the last good fits
         self._ring: Floats | None = None
@@ -332,18 +289,60 @@ class CellTracker:
         self._max_light = 0.0
         self.lost_since: float | None = None
 
+    def fit(self, frame: Frame, place: Place, max_steps: int = 4) -> Sample:
+        """Fit the cells and the place in a frame, from a place on."""
+        side = self._side
+        part, part_place = self._cut_out(frame.pixels, place)
+        # blur of the lens, and of pixel and bilinear interpolation in px: sqrt(1/12 + 1/12)
+        width = float(np.hypot(np.hypot(self._blur_px, 0.4) / place.cell_px(side), 0.35 / S))
+        # sharper edges than 0.05 cells fall between samples
+        b, slope, weights = _spread(side, round(max(width, 0.05), 2))
+        start = place
+        for step in range(max_steps + 1):
+            homography = part_place.homography @ np.linalg.solve(start.homography, place.homography)
+            samples = _resample(part, homography, side)
+            x = weights @ samples @ weights.T
+            residual = samples - b @ x @ b.T
+            if step == max_steps:
+                break
+            delta = _step(residual, b, slope, x, side)
+            place = Place(place.homography @ delta)
+            if np.abs(delta - np.eye(3))[:2].max() < 0.01:
+                break
+        # a step costs 3000 samples more
+        self._budget.spend((step + 1) * (samples.size + 3000) + PIXEL_SAMPLES * part.size)
+        core = slice(RIM_CELLS * S, -RIM_CELLS * S)
+        inner = samples[core, core]
+        # between a pattern and the inverse all cells are alike: data have half the mean as rms
+        contrast = max(float(inner.std()), 0.5 * float(inner.mean()), TINY)
+        misfit = float(np.sqrt(np.mean(residual[core, core] ** 2))) / contrast
+        return Sample(frame.index, frame.time_s, place, x, misfit)
+
+    def _cut_out(self, pixels: Pixels, place: Place) -> tuple[Pixels32, Place]:
+        """Cut out the light around an array, reduced to cells of 10 to 20 px, with the place in the part."""
+        corners, cell = place.corners(self._side), place.cell_px(self._side)
+        rim = 2 * cell + 2
+        low = np.maximum(np.floor(corners.min(0) - rim), 0).astype(int)
+        high = np.minimum(np.ceil(corners.max(0) + rim).astype(int) + 1, pixels.shape[::-1])
+        factor = max(1, int(cell / 10))
+        part = reduced(light_of(pixels[low[1] : high[1], low[0] : high[0]], self._light), factor)
+        # pixel i of the reduced part covers pixels factor i to factor (i + 1) - 1
+        shift = (0.5 - low) / factor - 0.5
+        move = np.array([[1 / factor, 0, shift[0]], [0, 1 / factor, shift[1]], [0, 0, 1]])
+        return part, Place(move @ place.homography)
+
     def track(self, frame: Frame) -> Sample | None:
         """Find the array in the next frame; None for an invisible array."""
         # sway goes on, tremor turns back
         expected = self._place.moved(0.5 * self._motion)
-        fit = self._fit(frame, expected)
+        fit = self._checked_fit(frame, expected)
         if fit is not None and fit.mean_light < 0.15 * self._max_light:
             return None  # the backlight was off
-        if self._corrects_slips and (fit is None or self._doubt(fit) > 1) and self._fitter.budget.is_left:
+        if self._correct_slips and (fit is None or self._doubt(fit) > 1) and self._budget.is_left:
             # a fit corrects half a cell: try places around, with the shape of the last good fit
             shaped = self._last_good.moved(expected.at(self._middle) - self._last_good.at(self._middle))
             offsets = product((0, -0.6, 0.6, -1.2, 1.2), repeat=2) if self._ring is not None else ()
-            fits = [fit, *(self._fit(frame, shaped.shifted(*offset)) for offset in offsets)]
+            fits = [fit, *(self._checked_fit(frame, shaped.shifted(*offset)) for offset in offsets)]
             fit = min((candidate for candidate in fits if candidate is not None), key=self._doubt, default=None)
         if fit is None:
             self._motion = np.zeros(2)
@@ -371,9 +370,9 @@ class CellTracker:
         sides = np.sqrt(np.mean((fit.ring - self._ring) ** 2, axis=1))
         return max(misfit, float(sides.max()) / (0.3 * max(fit.mean_light, TINY)))
 
-    def _fit(self, frame: Frame, place: Place) -> Sample | None:
+    def _checked_fit(self, frame: Frame, place: Place) -> Sample | None:
         """Fit the cells from a place on; None for a bad fit."""
-        side, shape = self._fitter.side, frame.pixels.shape
-        fit = self._fitter(frame, place) if place.is_inside(side, shape) else None
+        side, shape = self._side, frame.pixels.shape
+        fit = self.fit(frame, place) if place.is_inside(side, shape) else None
         is_good = fit is not None and fit.misfit < PARAMETERS.max_misfit and fit.place.is_inside(side, shape)
         return fit if is_good else None

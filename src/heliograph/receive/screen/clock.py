@@ -75,47 +75,41 @@ RatedClock = tuple[float, Clock]
 """Part of the variance that the pairs of a clock leave unexplained, and the clock."""
 
 
-@dataclass(frozen=True)
+Sensor = tuple[float, int, float | None]
+"""Frame period in s, number of sensor rows, and row time in s; None if the row time is unknown."""
+
+
 class Samples:
-    """Light of the cells of an array in some frames, without the gain of the camera."""
+    """Light of the cells of an array in some frames, without the gain of the camera; fits clocks to the light."""
 
-    # (frames,) starts of the exposures of row 0 in camera time
-    times_s: Floats
-    # (frames, n, n) sensor row of each cell
-    rows: Floats
-    # (frames, n, n) light in any unit, linear
-    light: Floats
-    # (frames,) inverse variance of the light, in any unit
-    weights: Floats
-
-
-class ClockFitter:
-    """Fits clocks to samples, grouped by sensor rows."""
-
-    def __init__(self, samples: Samples, frame_s: float, height: int, row_s: float | None, budget: SearchBudget):
-        self._frame_s, self._height, self._row_s, self._budget = frame_s, height, row_s, budget
-        n = samples.light.shape[-1]
-        order = np.argsort(samples.rows.mean(0).ravel(), kind="stable")
-        groups = np.array_split(order, min(PARAMETERS.row_bins, n))
-        flat, rows = (values.reshape(len(samples.times_s), -1) for values in (samples.light, samples.rows))
-        self._times_s = samples.times_s
-        self._rows = np.stack([rows[:, g].mean(1) for g in groups])  # (bins, frames)
-        self._share = samples.weights[:, None] / samples.weights.sum()
-        self._root = np.sqrt(self._share * len(samples.weights))
+    def __init__(
+        self, times_s: Floats, rows: Floats, light: Floats, weights: Floats, sensor: Sensor, budget: SearchBudget
+    ):
+        # (frames,) starts of the exposures of row 0 in camera time; (frames, n, n) sensor row of each cell
+        self.times_s, self.rows = times_s, rows
+        # (frames, n, n) light, linear, and (frames,) inverse variance of the light, in any unit
+        self.light, self.weights = light, weights
+        (self._frame_s, self._height, self._row_s), self._budget = sensor, budget
+        order = np.argsort(rows.mean(0).ravel(), kind="stable")
+        groups = np.array_split(order, min(PARAMETERS.row_bins, light.shape[-1]))
+        flat, flat_rows = (values.reshape(len(times_s), -1) for values in (light, rows))
+        self._bins = np.stack([flat_rows[:, g].mean(1) for g in groups])  # (bins, frames) sensor rows
+        self._share = weights[:, None] / weights.sum()
+        self._root = np.sqrt(self._share * len(weights))
         centred = [self._root * (flat[:, g] - (self._share * flat[:, g]).sum(0)) for g in groups]
         self._gram = np.stack([light @ light.T for light in centred])  # (bins, frames, frames)
         self._power = float(np.trace(self._gram, axis1=1, axis2=2).sum())
 
     def unexplained(self, clock: Clock) -> float:
         """Return the fraction of the variance that the pairs of a clock leave unexplained."""
-        frames, rows = len(self._times_s), len(self._rows)
-        pairs = clock.pairs(self._times_s, self._rows)
+        frames, rows = len(self.times_s), len(self._bins)
+        pairs = clock.pairs(self.times_s, self._bins)
         # at least one frame more than unknowns
         if len(pairs) + 1 >= frames - 1:
             return 1.0
         # work of a clock and of a product
         self._budget.spend(5000 + 0.008 * rows * frames * len(pairs) * (frames + len(pairs)))
-        m = clock.design(self._times_s + clock.row_s * self._rows, pairs)
+        m = clock.design(self.times_s + clock.row_s * self._bins, pairs)
         m = self._root * (m - (self._share * m).sum(1, keepdims=True))
         gram = m.transpose(0, 2, 1) @ m
         loading = 1e-3 * 2 * frames / len(pairs) * np.eye(len(pairs))
@@ -126,7 +120,7 @@ class ClockFitter:
 
     def search(self, periods: Iterable[float]) -> list[RatedClock]:
         """Search clocks of some pattern periods, the best first."""
-        frame_s, length = self._frame_s, float(self._times_s[-1] - self._times_s[0])
+        frame_s, length = self._frame_s, float(self.times_s[-1] - self.times_s[0])
         # phones take 5 to 30 ms for all rows, and at most a frame period
         readouts = [readout_s for readout_s in (0.0, 0.008, 0.016, 0.024) if readout_s <= 1.01 * frame_s]
         rows = [r / self._height for r in readouts] if self._row_s is None else [self._row_s]
@@ -151,7 +145,7 @@ class ClockFitter:
         self, period_s: float, rows_s: list[float], exposures_s: list[float], phases: int
     ) -> list[RatedClock]:
         """Try phases, row times and exposures of a rate; return the clocks, the best first."""
-        starts_s = (float(self._times_s[0]) + 2 * period_s * np.arange(phases) / phases).tolist()
+        starts_s = (float(self.times_s[0]) + 2 * period_s * np.arange(phases) / phases).tolist()
         clocks = [
             Clock(start_s, period_s, row, min(exposure, period_s))
             for start_s, row, exposure in product(starts_s, rows_s, exposures_s)
@@ -163,7 +157,7 @@ class ClockFitter:
         from scipy.optimize import minimize
 
         frame_s, height, row_s = self._frame_s, self._height, self._row_s
-        anchor = clock.start_of(round(clock.pair_at(float(self._times_s.mean()))))
+        anchor = clock.start_of(round(clock.pair_at(float(self.times_s.mean()))))
         start = np.array([anchor, clock.row_s, clock.exposure_s, clock.response_s, clock.period_s])
         row_scale = 3e-3 / height if row_s is None else 0.0
         scale = np.array([0.1 * clock.period_s, row_scale, 0.25 * frame_s, 3e-3, 1e-3 * clock.period_s])
@@ -236,8 +230,8 @@ class SampleBuffer:
         """Return the samples between two times."""
         return [sample for sample in self._samples if start_s <= sample.time_s <= end_s]
 
-    def light_between(self, start_s: float, end_s: float) -> Samples:
-        """Return the light between two times without the camera gain."""
+    def light_between(self, start_s: float, end_s: float, budget: SearchBudget) -> Samples:
+        """Return the light between two times without the camera gain; fits of clocks spend the budget."""
         samples = self.between(start_s, end_s)
         light = np.stack([sample.light for sample in samples])
         gain = np.maximum(light.mean((1, 2)), TINY)
@@ -245,15 +239,8 @@ class SampleBuffer:
         weights = np.clip(gain / np.median(gain), 0, 1) ** 2 + TINY
         rows = np.stack([self.rows(sample) for sample in samples])
         times_s = np.array([sample.time_s for sample in samples])
-        return Samples(times_s, rows, light / gain[:, None, None], weights)
-
-    def fitter(self, samples: Samples, budget: SearchBudget | None = None) -> ClockFitter:
-        """Return the fitter of clocks to some samples."""
-        return ClockFitter(samples, self._frame_s, self.height, self._row_s, budget or SearchBudget())
-
-    def restart_search(self) -> None:
-        """Search again at once, after a wrong clock."""
-        self._next_s = -np.inf
+        sensor = self._frame_s, self.height, self._row_s
+        return Samples(times_s, rows, light / gain[:, None, None], weights, sensor, budget)
 
     def find_clock(self, final: bool = False) -> Clock | None:
         """Return the clock; None without a clock, or before the next search is due."""
@@ -262,19 +249,19 @@ class SampleBuffer:
         is_due = final or (now_s >= self._next_s and self._budget.is_left)
         if len(self._samples) < PARAMETERS.min_frames or not is_due:
             return None
-        self._next_s = now_s + max(0.3 * length, 4 * self._frame_s)
         # other rates explain a part of a slow light: the nominal rate comes first
         waits = length < PARAMETERS.min_patterns * self._period_s and not final
         best: tuple[float, Clock, float] | None = None
         for periods in self._periods[: 1 if waits else None]:
-            candidate = self._search_rates(periods)
-            if candidate is not None and (best is None or candidate[0] < best[0]):
-                best = candidate
+            best = min(filter(None, (best, self._search_rates(periods))), key=lambda rated: rated[0], default=None)
             if (best is not None and best[0] < PARAMETERS.certain_unexplained) or not self._budget.is_left:
                 break
         if best is None:
+            self._next_s = now_s + max(0.3 * length, 4 * self._frame_s)
             self.drop_before(now_s - 12.0)
             return None
+        # if the clock turns out to be wrong, search again at once
+        self._next_s = -np.inf
         return self._select_readout(*best)
 
     def _search_rates(self, periods: list[float]) -> tuple[float, Clock, float] | None:
@@ -284,7 +271,7 @@ class SampleBuffer:
         if not periods:
             return None
         start_s = now_s - max(2 * min(periods), max(periods)) * PARAMETERS.min_patterns * 1.2
-        clocks = self.fitter(self.light_between(start_s, now_s), self._budget).search(periods)
+        clocks = self.light_between(start_s, now_s, self._budget).search(periods)
         return (*clocks[0], start_s) if clocks and clocks[0][0] < PARAMETERS.max_unexplained else None
 
     def _select_readout(self, left: float, clock: Clock, start_s: float) -> Clock:
@@ -294,8 +281,7 @@ class SampleBuffer:
         for readout in ((1, False), (1, True), (0, False), (0, True)):
             self._readout = readout
             start = replace(clock, row_s=clock.row_s * height / self.height)
-            samples = self.light_between(start_s, self.last.time_s)
-            now, candidate = self.fitter(samples, self._budget).refine(start)
+            now, candidate = self.light_between(start_s, self.last.time_s, self._budget).refine(start)
             if now < (1.0 if readout == first else 0.8) * best[0]:
                 best = now, candidate, readout
         _, selected, self._readout = best

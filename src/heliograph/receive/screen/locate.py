@@ -14,20 +14,17 @@ from heliograph.base.frames import Frame
 from heliograph.receive.screen.cells import (
     PARAMETERS,
     RIM_CELLS,
-    CellFitter,
     CellTracker,
+    Pixels32,
     Place,
     Sample,
     SearchBudget,
     light_of,
+    reduced,
 )
 
-Pixels32 = NDArray[np.float32]
-"""Gray levels or light of pixels, (rows, columns)."""
-
-
-Candidate = tuple[float, Place, CellFitter]
-"""Misfit of the cells plus change of the ring, place in the first trial frame, and fitter with the best blur."""
+Candidate = tuple[float, Place, float]
+"""Misfit of the cells plus change of the ring, place in the first trial frame, and best blur in px."""
 
 Acquired = tuple[CellTracker, list[tuple[Frame, Sample | None]]]
 """Tracker of an array, and each recent frame with the sample; None where the array is invisible."""
@@ -36,9 +33,7 @@ Acquired = tuple[CellTracker, list[tuple[Frame, Sample | None]]]
 def reduce_frame(pixels: Pixels32) -> tuple[Pixels32, int]:
     """Reduce a frame to 480 columns for the search; return the frame and the factor."""
     factor = max(1, -(-pixels.shape[1] // 480))
-    size = (pixels.shape[1] // factor, pixels.shape[0] // factor)
-    cut = pixels[: size[1] * factor, : size[0] * factor]
-    return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.float32), factor
+    return reduced(pixels, factor), factor
 
 
 def mean_change(frames: Sequence[Pixels32]) -> Pixels32:
@@ -98,9 +93,8 @@ def _corners(hull: Any) -> Floats:
 
 def _ordered(corners: Floats) -> Floats:
     """Order corners clockwise from the upper left."""
-    x, y = corners.T
-    turn = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-    corners = corners if turn > 0 else corners[::-1]
+    x, y = (corners - corners.mean(axis=0)).T
+    corners = corners[np.argsort(np.arctan2(y, x))]
     return np.roll(corners, -int(np.argmin(corners.sum(axis=1))), axis=0)
 
 
@@ -145,8 +139,8 @@ class ArraySearch:
             candidates.sort(key=lambda candidate: candidate[0])
             # a doubtful candidate may be noise before the first change of a slow light
             max_score = np.inf if len(self._frames) >= PARAMETERS.max_doubtful else PARAMETERS.min_doubt
-            for score, place, fitter in candidates:
-                acquired = self._track_all(place, fitter) if score < max_score else None
+            for score, place, blur_px in candidates:
+                acquired = self._track_all(place, blur_px) if score < max_score else None
                 if acquired is not None:
                     return acquired
         self._window = 0
@@ -161,37 +155,40 @@ class ArraySearch:
 
     def _fit_candidate(self, corners: Floats) -> Candidate:
         """Fit place and blur of a candidate with given corners."""
-        assert self._light is not None
-        fitters = [CellFitter(self._side, blur, self._light, self._budget) for blur in PARAMETERS.blurs_px]
-        best = self._trial(fitters[0], Place.of(corners, self._side))
+        best = self._trial(Place.of(corners, self._side), PARAMETERS.blurs_px[0])
         # a blur of at most 0.45 cells
         max_blur_px = 0.45 * best[1].cell_px(self._side)
-        tried = [self._trial(fitter, best[1]) for fitter in fitters if fitter.blur_px < max_blur_px]
+        tried = [self._trial(best[1], blur_px) for blur_px in PARAMETERS.blurs_px if blur_px < max_blur_px]
         return min(tried, key=lambda candidate: candidate[0], default=best)
 
-    def _trial(self, fitter: CellFitter, place: Place) -> Candidate:
+    def _tracker(self, place: Place, blur_px: float, correct_slips: bool = True) -> CellTracker:
+        """Return a tracker of cells from a place on."""
+        assert self._light is not None
+        return CellTracker(self._side, blur_px, self._light, self._budget, place, correct_slips)
+
+    def _trial(self, place: Place, blur_px: float) -> Candidate:
         """Track cells through the last frames from a place on."""
         frames = list(self._frames)[-PARAMETERS.trial_frames :]
         try:
-            start = fitter(frames[0], place, max_steps=10).place
+            start = self._tracker(place, blur_px).fit(frames[0], place, max_steps=10).place
         except np.linalg.LinAlgError:
-            return np.inf, place, fitter
-        tracker = CellTracker(fitter, start, corrects_slips=False)
+            return np.inf, place, blur_px
+        tracker = self._tracker(start, blur_px, correct_slips=False)
         samples = [sample for sample in map(tracker.track, frames) if sample is not None]
         if len(samples) < len(frames):
-            return np.inf, start, fitter
+            return np.inf, start, blur_px
         change = np.stack([sample.cells for sample in samples]).std(axis=0)
         inner = change[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS]
         ring = (change.sum() - inner.sum()) / (change.size - inner.size)
         # the surroundings are static
         misfit = np.mean([sample.misfit for sample in samples])
-        return float(misfit + ring / max(float(inner.mean()), TINY)), start, fitter
+        return float(misfit + ring / max(float(inner.mean()), TINY)), start, blur_px
 
-    def _track_all(self, start: Place, fitter: CellFitter) -> Acquired | None:
+    def _track_all(self, start: Place, blur_px: float) -> Acquired | None:
         """Track an array through all frames; None for an array that is lost in half of the frames."""
         frames = list(self._frames)
         first = max(len(frames) - PARAMETERS.trial_frames, 0)
-        backward, forward = CellTracker(fitter, start), CellTracker(fitter, start)
+        backward, forward = self._tracker(start, blur_px), self._tracker(start, blur_px)
         before = [backward.track(frame) for frame in frames[first::-1]]
         samples = [*before[::-1], *map(forward.track, frames[first + 1 :])]
         if sum(sample is not None for sample in samples) < len(frames) // 2:

@@ -8,8 +8,8 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.errors import SettingsError
 from heliograph.receive.decode.codeword import Decoding, decode_packet
-from heliograph.receive.geometry.pose import ORIENTATIONS, Orientation
-from heliograph.receive.packet import MIN_PAIRS_SEEN, Codeword, Packet, packet_status
+from heliograph.receive.geometry.pose import ORIENTATIONS, Orientation, Shape
+from heliograph.receive.packet import MIN_PAIRS_SEEN, Codeword, Packet, ok_flags, packet_status
 from heliograph.receive.screen.cells import PARAMETERS, Sample, SearchBudget
 from heliograph.receive.screen.clock import Clock, SampleBuffer, Samples
 from heliograph.receive.settings import ReceiveSettings
@@ -22,16 +22,18 @@ PairSolution = tuple[range, Floats, Floats, Floats]
 """Numbers of pairs, d and its variance relative to a sample (pairs, n, n), and mean light c of each cell (n, n)."""
 
 
-def solve_pairs(samples: Samples, clock: Clock, weights: Floats | None = None) -> tuple[PairSolution, Floats]:
-    """Solve the pairs of all cells by least squares; return also the residual, (frames, n, n)."""
-    frames, n = len(samples.times_s), samples.light.shape[-1]
+def solve_pairs(
+    samples: Samples, clock: Clock, light: Floats, weights: Floats | float = 1.0
+) -> tuple[PairSolution, Floats]:
+    """Solve the pairs of all cells by least squares of the light; return also the residual, (frames, n, n)."""
+    frames, n = len(samples.times_s), light.shape[-1]
     pairs = clock.pairs(samples.times_s, samples.rows)
-    w = samples.weights / samples.weights.mean() * (1.0 if weights is None else weights)
-    y = samples.light.reshape(frames, -1).T  # (cells, frames)
+    w = samples.weights / samples.weights.mean() * weights
+    y = light.reshape(frames, -1).T  # (cells, frames)
     # cells of a group of rows share the times
     at = samples.times_s + clock.row_s * samples.rows.reshape(frames, -1).T
     change, variance = np.empty((2, len(pairs), n * n))
-    light, residual = np.empty(n * n), np.empty((frames, n * n))
+    mean, residual = np.empty(n * n), np.empty((frames, n * n))
     order = np.argsort(at[:, 0], kind="stable")
     for group in np.array_split(order, max(n, 2 * PARAMETERS.row_bins)):
         m = np.concatenate([np.ones((frames, 1)), clock.design(at[group].mean(0), pairs)], axis=1)
@@ -40,31 +42,32 @@ def solve_pairs(samples: Samples, clock: Clock, weights: Floats | None = None) -
         loading[0, 0] = 0
         inverse = np.linalg.inv(mw.T @ m + loading)
         x = inverse @ (mw.T @ y[group].T)
-        light[group], change[:, group] = x[0], x[1:]
+        mean[group], change[:, group] = x[0], x[1:]
         variance[:, group] = np.diag(inverse)[1:, None]
         residual[:, group] = y[group].T - m @ x
     change, variance, residual = (values.reshape(-1, n, n) for values in (change, variance, residual))
-    return (pairs, change, variance, light.reshape(n, n)), residual
+    return (pairs, change, variance, mean.reshape(n, n)), residual
 
 
 def solve_with_gains(samples: Samples, clock: Clock) -> PairSolution:
     """Solve the pairs with the gain of each row, and reduced weights of outlier frames."""
-    solution, residual = solve_pairs(samples, clock)
+    light = samples.light
+    solution, residual = solve_pairs(samples, clock, light)
     # each step removes three quarters of the remaining bands
     for _ in range(3):
-        fitted = samples.light - residual
+        fitted = light - residual
         # gain of a frame by the contrast, as data change the mean, with a weight of a gain of 1
-        observed, known = (values - values.mean((1, 2), keepdims=True) for values in (samples.light, fitted))
+        observed, known = (values - values.mean((1, 2), keepdims=True) for values in (light, fitted))
         power = (known**2).sum((1, 2), keepdims=True)
         held = 0.3 * max(float(np.median(power)), TINY)
         contrast = ((observed * known).sum((1, 2), keepdims=True) + held) / (power + held)
-        light = samples.light / np.clip(contrast, 0.5, 2.0)
+        light = light / np.clip(contrast, 0.5, 2.0)
         gain = (light * fitted).sum(2, keepdims=True) / np.maximum((fitted**2).sum(2, keepdims=True), TINY)
-        samples = replace(samples, light=light / np.clip(gain, 0.5, 2.0))
+        light = light / np.clip(gain, 0.5, 2.0)
         rms = np.sqrt((residual**2).mean((1, 2)))
         # a frame of four times the median counts half
         weights = 1 / (1 + (rms / (4 * max(float(np.median(rms)), TINY))) ** 4)
-        solution, residual = solve_pairs(samples, clock, weights)
+        solution, residual = solve_pairs(samples, clock, light, weights)
     return solution
 
 
@@ -124,12 +127,7 @@ class PacketAssembler:
     """Assembles and decodes packets from samples."""
 
     def __init__(
-        self,
-        signal: SignalSettings,
-        settings: ReceiveSettings,
-        frame_s: float,
-        shape: tuple[int, ...],
-        budget: SearchBudget,
+        self, signal: SignalSettings, settings: ReceiveSettings, frame_s: float, shape: Shape, budget: SearchBudget
     ):
         self._signal, self._calibration, self._budget = signal, settings.calibration, budget
         self._options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
@@ -194,16 +192,15 @@ class PacketAssembler:
         if now_s - first_s < 3 * step:
             return False
         self._searched_s = now_s
-        samples = self._samples(first_s, now_s + step)
+        samples = self._samples(first_s, now_s + step, self._budget)
         if samples is None:
             return False
-        left, clock = self._buffer.fitter(samples, self._budget).refine(clock)
+        left, clock = samples.refine(clock)
         if left > PARAMETERS.max_unexplained and len(samples.times_s) >= PARAMETERS.min_frames:
             # wrong clock: half the period explains a single header too
             self.clock = None
-            self._buffer.restart_search()
             return False
-        (pairs, change, _, _), _ = solve_pairs(samples, clock)
+        (pairs, change, _, _), _ = solve_pairs(samples, clock, samples.light)
         # a small part of the first pair may be cut off
         starts = np.array([clock.start_of(pair) for pair in pairs])
         complete = np.flatnonzero((starts >= first_s - 0.45 * step) & (starts + step <= now_s))
@@ -219,10 +216,10 @@ class PacketAssembler:
         self._set_header(best, change[complete])
         return True
 
-    def _samples(self, start_s: float, end_s: float) -> Samples | None:
+    def _samples(self, start_s: float, end_s: float, budget: SearchBudget) -> Samples | None:
         """Return the light between two times; None for too few samples."""
         is_enough = len(self._buffer.between(start_s, end_s)) >= PARAMETERS.min_frames // 2
-        return self._buffer.light_between(start_s, end_s) if is_enough else None
+        return self._buffer.light_between(start_s, end_s, budget) if is_enough else None
 
     def _set_header(self, header: ScreenHeader, change: Floats) -> None:
         """Set the header of the packet in progress, with the format."""
@@ -232,17 +229,18 @@ class PacketAssembler:
     def _decode_next(self, clock: Clock, start_s: float, end_s: float) -> Iterator[tuple[Packet, Floats]]:
         """Decode the packet between two times."""
         around_s, self.start_s = 2 * clock.period_s, None
-        samples = self._samples(start_s - around_s, end_s + around_s)
+        # packets are decoded at any cost
+        samples = self._samples(start_s - around_s, end_s + around_s, SearchBudget())
         if samples is None:
             return
-        _, clock = self._buffer.fitter(samples).refine(clock)
+        _, clock = samples.refine(clock)
         solution, first = solve_with_gains(samples, clock), round(clock.pair_at(start_s))
         numbers, change, _, _ = solution
         headers = self._packet_headers(change, first - numbers[0])
         if not headers:
             return
         packets = [self._decode(header, solution, clock) for header in headers]
-        packet, upright, self.header = max(packets, key=lambda packet: _decoded(packet[0]))
+        packet, upright, self.header = max(packets, key=lambda decoded: sum(ok_flags(decoded[0].layers)))
         self.start_s = clock.start_of(first + self._signal.header_pairs + self._data_pairs)
         self.clock = replace(clock, start_s=self.start_s)
         yield packet, upright
@@ -253,8 +251,7 @@ class PacketAssembler:
         if place < 0:
             return []  # the start was not visible
         pairs = self._signal.header_pairs
-        headers = find_headers(change[place : place + pairs], pairs)
-        headers = [replace(header, place=place) for header in headers]
+        headers = [replace(header, place=place) for header in find_headers(change[place : place + pairs], pairs)]
         if headers:
             self._set_header(headers[0], change)
             return [header for header in headers if header.score > headers[0].score - 0.03]
@@ -304,8 +301,3 @@ class PacketAssembler:
             reason=reason,
         )
         return packet, change, header
-
-
-def _decoded(packet: Packet) -> int:
-    """Return the number of decoded codewords."""
-    return sum(word.status == "ok" for words in packet.layers.values() for word in words)

@@ -102,16 +102,12 @@ class EventEmitter:
             half_s = (times_s[1] - times_s[0]) / 2
             if now_s < times_s[1] + half_s:
                 return
-            pattern, inverse = (self._nearest_window(time_s) for time_s in times_s)
+            pattern, inverse = (min(self._windows, key=lambda window: abs(window[0].time_s - at)) for at in times_s)
             # frames from before the detection may be missing
             if max(abs(pattern[0].time_s - times_s[0]), abs(inverse[0].time_s - times_s[1])) < half_s:
                 frames, poses = (pattern[0], inverse[0]), (pattern[1], inverse[1])
                 self._observe(ExtractEvent(self._identity, frames, poses, number=self._next_pair))
             self._next_pair += 1
-
-    def _nearest_window(self, time_s: float) -> tuple[Frame, Pose]:
-        """Return the frame nearest to a time."""
-        return min(self._windows, key=lambda window: abs(window[0].time_s - time_s))
 
 
 class ScreenReceiver:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.receive.geometry.footprint import to_quarters
 from heliograph.signal.formats import DIMMED
 from heliograph.signal.pwm import SLOTS
 
@@ -53,10 +54,8 @@ def response(weights: Floats) -> Floats:
 
 def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
     """Return the observed symbols (symbols,) of LEDs that are constantly on or off in a pattern."""
-    light = (lit[..., None] - MEAN_LIT) @ weights
-    side = len(lit)
-    squares = light.reshape(side // 2, 2, side // 2, 2).transpose(0, 2, 1, 3).reshape(-1, 4)
-    return np.asarray((squares @ SIGNS.T).T.reshape(-1))
+    squares = to_quarters((lit[..., None] - MEAN_LIT) @ weights).reshape(4, -1)
+    return np.asarray((SIGNS @ squares).ravel())
 
 
 def moments(table: Floats, mean: Floats) -> tuple[Floats, Floats]:
@@ -343,17 +342,16 @@ class UnsynchronisedPacket:
     def of(cls, combinations: Sequence[Combination | None], header: NDArray[np.bool_]) -> "UnsynchronisedPacket":
         """Collect the responses of the pairs of a packet; None stands for a synchronous pair."""
         count = len(combinations)
-        response, before, after = (np.zeros((count, *VALUES.shape)) for _ in range(3))
-        headers = np.zeros((count, header.size))
+        before, after = np.zeros((2, count, *VALUES.shape))
+        response, headers = np.tile(VALUES, (count, 1, 1)), np.zeros((count, header.size))
         for k, combination in enumerate(combinations):
-            response[k] = VALUES if combination is None else combination.response
-            for side, leaks in enumerate((before, after)):
-                leak = None if combination is None else combination.leaks[side]
-                if combination is None or leak is None:
-                    continue
-                if 0 <= k + 2 * side - 1 < count:
+            if combination is None:
+                continue
+            response[k] = combination.response
+            for side, (leak, leaks) in enumerate(zip(combination.leaks, (before, after), strict=True)):
+                if leak is not None and 0 <= k + 2 * side - 1 < count:
                     leaks[k] = leak
-                else:
+                elif leak is not None:
                     headers[k] += response_of_levels(combination.slots[2 * side], header)
         return cls(response, before, after, headers)
 

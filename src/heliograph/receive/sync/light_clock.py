@@ -51,9 +51,7 @@ class HeaderAmplitudes:
     alternation: Floats
     # (frames,) light of the array in gray levels, up to a constant
     brightness: Floats
-    # True if pixels are clipped: the brightness is ignored
-    clipped: bool = False
-    # Weight of the brightness, 0 to 1: smaller for a moving array
+    # Weight of the brightness, 0 to 1: smaller for a moving array, 0 if pixels are clipped
     trust: float = 1.0
 
 
@@ -67,14 +65,9 @@ def measure_amplitudes(frames: list[Frame], poses: list[Pose], lit: Floats) -> H
     light = (matched[:, 1] - header * gram[:, 0, 1]) / np.maximum(gram[:, 1, 1], TINY)
     places = np.array([(pose.x, pose.y) for pose in poses])
     moved = float(np.median(np.hypot(*np.diff(places, axis=0).T))) if len(poses) > 1 else 0.0
-    return HeaderAmplitudes(
-        np.array([f.time_s for f in frames]),
-        header,
-        light,
-        float(clipped.max()) > 0.02,
-        # the background moves too: 1 / sqrt(2) at half a pixel per frame
-        1 / float(np.hypot(1, moved / 0.5)),
-    )
+    # the background moves too: 1 / sqrt(2) at half a pixel per frame
+    trust = 0.0 if clipped.max() > 0.02 else 1 / float(np.hypot(1, moved / 0.5))
+    return HeaderAmplitudes(np.array([frame.time_s for frame in frames]), header, light, trust)
 
 
 def _project(frame: Frame, pose: Pose, lit: Floats) -> tuple[Floats, Floats, float]:
@@ -156,8 +149,7 @@ class LightClock:
 
     def starts(self, frames: Sequence[Frame]) -> Floats:
         """Return the starts of exposures in patterns since the start of the detected header."""
-        times_s = np.array([frame.time_s for frame in frames])
-        return self._pattern + (times_s - self.start_s) / self.period_s
+        return self._pattern + (np.array([frame.time_s for frame in frames]) - self.start_s) / self.period_s
 
     def predict_header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
         """Predict header amplitude and mean light of frames, for a fraction of dimmed cells."""
@@ -204,15 +196,13 @@ class LightClock:
 
     def _update(self, error_s: float, variance: float) -> None:
         """Correct start and rate by the error of the predicted start and the posterior variance."""
+        self.start_s += error_s
         if not self._measured:
-            self.start_s += error_s
-            self._covariance[0, 0] = variance
-            self._measured = True
+            self._covariance[0, 0], self._measured = variance, True
             return
         prior = self._covariance[0, 0]
         # the likelihood includes the prior: x += P H^T S^-1 (posterior - prior), P += K (C - S) K^T
         kalman_gain = self._covariance[:, 0] / prior
-        self.start_s += error_s
         self.rate += float(kalman_gain[1]) * error_s
         self._covariance = self._covariance + np.outer(kalman_gain, kalman_gain) * (min(variance, prior) - prior)
 
@@ -227,7 +217,7 @@ class LightClock:
         # gain g: alternation g wave / 2, brightness g light plus a constant, both linear in the dimmed fractions
         energy, count = float(alternation @ alternation), len(place)
         match, norm = wave @ alternation, _products(wave)
-        if not amplitudes.clipped:
+        if amplitudes.trust:
             trust, light = amplitudes.trust**2, light - light.mean(-1, keepdims=True)
             match, norm = match + trust * (light @ brighter), norm + trust * _products(light)
             energy, count = energy + trust * float(brighter @ brighter), 2 * count

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import AnyFrame, CombinedFrame, window_around
+from heliograph.receive.geometry.window import AnyFrame, CombinedFrame, Part, shared_part, window_around
 from heliograph.receive.sync.combine import Combination, combine_header, combine_pair
 from heliograph.receive.sync.frame_clock import frame_period
 from heliograph.receive.sync.light_clock import MIN_EXPLAINED, PATTERNS_AROUND, LightClock, measure_amplitudes
@@ -226,14 +226,14 @@ class AsynchronousPairing:
             return None
         inside, combination = self._header_combination(clock, pattern, (0, self._header))
         middle = pose_at(clock.time_s(pattern + self._header / 2))
-        window = self._window(inside, middle) if combination else None
-        if combination is None or window is None:
+        part = self._part(inside, middle) if combination else None
+        if combination is None or part is None:
             return MeasuredHeader(clock.gain, middle)
-        combined = self._combine(clock, pattern, combination, inside, window)
+        combined = self._combine(clock, pattern, combination, inside, part)
         starts = clock.starts(inside) - pattern
         shown, lights = zip(clock.predict_header(starts, 0.0), clock.predict_header(starts, 1.0), strict=True)
-        images = _cut(inside, window)
-        return MeasuredHeader(clock.gain, middle, combined, images, window[:2], np.stack(shown), np.stack(lights))
+        images = _cut(inside, part)
+        return MeasuredHeader(clock.gain, middle, combined, images, part[:2], np.stack(shown), np.stack(lights))
 
     def _get_pair(self, clock: LightClock, number: int, pose_at: PoseAt, single: bool) -> FramePair | None:
         """Return the frames of a pair, combined unless synchronous; None if they are missing."""
@@ -257,8 +257,8 @@ class AsynchronousPairing:
         frames = [near[k] for k in combination.frames]
         if is_synchronous:
             return FramePair(frames[0], frames[1], self._late_s if data else 0.0)
-        window = self._window(frames, pose_at(clock.time_s(place + 1)))
-        return self._combine(clock, first, combination, frames, window) if window else None
+        part = self._part(frames, pose_at(clock.time_s(place + 1)))
+        return self._combine(clock, first, combination, frames, part) if part else None
 
     def _start_clock(self) -> LightClock:
         """Start the clock with the header of the detection."""
@@ -315,32 +315,26 @@ class AsynchronousPairing:
         low, high = clock.time_s(first), clock.time_s(last)
         return [f for f in self._frames if low <= f.time_s <= high]
 
-    def _window(self, frames: list[Frame], pose: Pose) -> tuple[int, int, int, int] | None:
-        """Return the part of the sensor around the array that all frames share: left, top, right, low."""
+    def _part(self, frames: list[Frame], pose: Pose) -> Part | None:
+        """Return the part of the sensor around the array that all frames share."""
         side = self._signal.side
         # room for motion
         x, y, width, height = window_around(pose, side, max(8.0, 0.5 * side * pose.pitch))
-        left, top = max(x, *(f.origin[0] for f in frames)), max(y, *(f.origin[1] for f in frames))
-        right = min(x + width, *(f.origin[0] + f.pixels.shape[1] for f in frames))
-        low = min(y + height, *(f.origin[1] + f.pixels.shape[0] for f in frames))
+        left, top, right, low = shared_part(frames)
+        left, top, right, low = max(x, left), max(y, top), min(x + width, right), min(y + height, low)
         return (left, top, right, low) if right > left and low > top else None
 
     def _combine(
-        self,
-        clock: LightClock,
-        place: int,
-        combination: Combination,
-        frames: list[Frame],
-        window: tuple[int, int, int, int],
+        self, clock: LightClock, place: int, combination: Combination, frames: list[Frame], part: Part
     ) -> FramePair:
         """Combine frames to pattern and inverse; the times of the combination count from pattern `place`."""
         weights = np.stack([combination.total + combination.difference, combination.total - combination.difference]) / 2
-        first, second = np.tensordot(weights, _cut(frames, window), 1).astype(np.float32)
+        first, second = np.tensordot(weights, _cut(frames, part), 1).astype(np.float32)
         # the time of a frame is half a pattern before the middle of the light
         time_s, full = clock.time_s(place + combination.sum_time - 0.5), frames[0].full_scale
         return FramePair(
-            CombinedFrame(frames[0].index, time_s, first, window[:2], full),
-            CombinedFrame(frames[-1].index, time_s, second, window[:2], full),
+            CombinedFrame(frames[0].index, time_s, first, part[:2], full),
+            CombinedFrame(frames[-1].index, time_s, second, part[:2], full),
             combination=combination,
         )
 
@@ -356,9 +350,9 @@ def _pair_combination(starts: tuple[float, ...], exposure: float, order: tuple[i
     return combine_pair(np.array(starts), exposure, order)
 
 
-def _cut(frames: list[Frame], window: tuple[int, int, int, int]) -> NDArray[np.float32]:
-    """Cut a window out of frames, (frames, rows, columns)."""
-    left, top, right, low = window
+def _cut(frames: list[Frame], part: Part) -> NDArray[np.float32]:
+    """Cut a part of the sensor out of frames, (frames, rows, columns)."""
+    left, top, right, low = part
     return np.stack(
         [f.pixels[top - f.origin[1] : low - f.origin[1], left - f.origin[0] : right - f.origin[0]] for f in frames]
     ).astype(np.float32)

@@ -18,19 +18,11 @@ def preview(up, down, middle, axes, before, lines, parameters):
     Returns difference, sum, noise, recent changes, uncovered LEDs, and whether any LED is covered.
     """
     edge, width, bright, min_power, max_change, rate, min_visible, away, min_line_change = parameters
-    difference, total = np.empty(up.shape), np.empty(up.shape)
-    for i in range(up.shape[0]):
-        for j in range(up.shape[1]):
-            difference[i, j], total[i, j] = up[i, j] - down[i, j], up[i, j] + down[i, j]
+    difference, total, uncovered = up - down, up + down, np.ones(before.shape)
     noise = noise_outside(difference, middle[0], middle[1], edge)
-    after, visible, uncovered = np.empty(before.shape), np.empty(before.shape), np.ones(before.shape)
-    recent_change(
-        before, difference, noise, middle[0], middle[1], axes, width, min_power, bright, max_change, rate, after
-    )
-    for u in range(after.shape[0]):
-        for v in range(after.shape[1]):
-            visible[u, v] = 1.0 if after[u, v] >= min_visible else 0.0
-    uncover(total, middle, axes, away, min_line_change, visible, lines, uncovered)
+    around = power_around(difference, noise, middle[0], middle[1], axes, width, before.shape[0])
+    after = recent_change(before, around, min_power, bright, max_change, rate)
+    uncover(total, middle, axes, away, min_line_change, after >= min_visible, lines, uncovered)
     return difference, total, noise, after, uncovered, not uncovered.all()
 
 
@@ -62,8 +54,7 @@ def uncover(image, middle, axes, away, least, visible, usual, uncovered):
             continue
         _medians(image, middle, axes, axis, away, across, count, sorted_levels, levels)
         if math.isnan(usual[axis, 0]):
-            for k in range(side + 2):
-                usual[axis, k] = levels[k]
+            usual[axis] = levels
             continue
         _cover(levels, usual, least, hidden, covered, axis)
         for k in range(side + 2):
@@ -115,8 +106,7 @@ def _cover(levels, usual, least, hidden, covered, axis):
             k += step
     if covered[axis, 0] and covered[axis, last]:
         # covered from both sides: no line would fix the pose
-        for k in range(last + 1):
-            covered[axis, k] = False
+        covered[axis] = False
 
 
 @compiled()
@@ -145,27 +135,17 @@ def power_within(change, x, y, most):
 
 
 @compiled()
-def recent_change(before, change, noise, x, y, axes, width, least, bright, most, rate, out):
-    """Update the recent change of each LED by one pair, relative to bright LEDs."""
-    side = before.shape[0]
-    around, powers = np.empty((side, side)), np.empty(side * side)
-    power_around(change, noise, x, y, axes, width, around)
-    for u in range(side):
-        for v in range(side):
-            powers[u * side + v] = around[u, v]
-    others = max(smallest(powers, bright), least)
-    for u in range(side):
-        for v in range(side):
-            change_now = min(around[u, v] / others, most)
-            out[u, v] = before[u, v] + rate * (change_now - before[u, v])
+def recent_change(before, around, least, bright, most, rate):
+    """Update the recent change of each LED by the power of one pair around it, relative to bright LEDs."""
+    others = max(smallest(around.flatten(), bright), least)
+    return before + rate * (np.minimum(around / others, most) - before)
 
 
 @compiled()
-def power_around(change, noise, x, y, axes, width, around):
+def power_around(change, noise, x, y, axes, width, side):
     """Average the power of a change, less the noise power, over squares around LEDs."""
-    side, reach = around.shape[0], width // 2
-    bottom, right = change.shape[0] - 1, change.shape[1] - 1
-    power, rows = np.empty((side, side)), np.empty((side, side))
+    reach, bottom, right = width // 2, change.shape[0] - 1, change.shape[1] - 1
+    power, rows, around = np.empty((side, side)), np.empty((side, side)), np.empty((side, side))
     for u in range(side):
         for v in range(side):
             along, down = v - 0.5 * (side - 1), u - 0.5 * (side - 1)
@@ -191,6 +171,7 @@ def power_around(change, noise, x, y, axes, width, around):
             for k in range(u - reach, u + reach + 1):
                 total += rows[-1 - k if k < 0 else 2 * side - 1 - k if k >= side else k, v]
             around[u, v] = total / (width * width)
+    return around
 
 
 @compiled()
