@@ -3,9 +3,11 @@
 import contextlib
 import signal
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
+from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
@@ -22,10 +24,27 @@ from heliograph.receive import Packet, ReceiveSettings
 from heliograph.receive.events import DetectEvent, LostEvent, UnseenEvent
 from heliograph.signal.settings import SignalSettings
 
+if TYPE_CHECKING:
+    from heliograph.web.rerun_log import RerunLog
+
+
+def open_log(
+    path: Path | None, light: SignalSettings, receiver: ReceiveSettings
+) -> "AbstractContextManager[RerunLog | None]":
+    """Open a recording for the viewer Rerun; None without a path."""
+    if path is None:
+        return nullcontext()
+    from heliograph.web.rerun_log import open_rerun  # imports Matplotlib
+
+    return open_rerun(path, light.side, receiver.calibration)
+
 
 @contextlib.contextmanager
-def open_events(options: EventOptions) -> Iterator[Callable[[Mapping[str, Any]], None]]:
-    """Yield an output of events as JSON lines, as sentences, and to network clients; a failing address is dropped."""
+def open_events(options: EventOptions, log: "RerunLog | None" = None) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+    """Yield an output of events as JSON lines, as sentences, to network clients, and to a recording.
+
+    A failing address is dropped.
+    """
     with contextlib.ExitStack() as stack:
         outlets = list[Outlet]()
         for address in options.send or ():
@@ -38,6 +57,8 @@ def open_events(options: EventOptions) -> Iterator[Callable[[Mapping[str, Any]],
             if options.verbose and row["event"] != "end":
                 for line in sentence(row).splitlines():
                     console.tell(line)
+            if log is not None and row["event"] != "end":
+                log.tell(row)
             for outlet in list(outlets):
                 try:
                     outlet.send(row)
@@ -51,9 +72,15 @@ def open_events(options: EventOptions) -> Iterator[Callable[[Mapping[str, Any]],
 class FilmMonitor:
     """Frames of a film or live camera during a reception; records failures of a live camera."""
 
-    def __init__(self, source: FilmReader, live: LiveReader | None = None, recorder: Recorder | None = None):
+    def __init__(
+        self,
+        source: FilmReader,
+        live: LiveReader | None = None,
+        recorder: Recorder | None = None,
+        log: "RerunLog | None" = None,
+    ):
         self.path, self.live = source.path, live
-        self._source, self._recorder = source, recorder
+        self._source, self._recorder, self._log = source, recorder, log
         self._has_packet = False
         # Reason of a missing array; empty if unknown
         self.unseen = ""
@@ -62,6 +89,8 @@ class FilmMonitor:
         for frame in self._source:
             if self._recorder is not None:
                 self._recorder.saw(frame)
+            if self._log is not None:
+                self._log.frame(frame)
             yield frame
         counts = self.live.counts if self.live is not None else None
         if counts is not None and not counts.frames:
@@ -69,6 +98,8 @@ class FilmMonitor:
 
     def observe(self, event: Any) -> None:
         """Record lost arrays and missing screens."""
+        if self._log is not None:
+            self._log.observe(event)
         if isinstance(event, LostEvent):
             self._fail()
         elif isinstance(event, UnseenEvent):
@@ -114,12 +145,16 @@ class FilmMonitor:
 
 @contextlib.contextmanager
 def monitored(
-    source: FilmReader, options: RecordOptions, light: SignalSettings, receiver: ReceiveSettings
+    source: FilmReader,
+    options: RecordOptions,
+    light: SignalSettings,
+    receiver: ReceiveSettings,
+    log: "RerunLog | None" = None,
 ) -> Iterator[FilmMonitor]:
     """Monitor a film during the block; the first Ctrl-C ends the frames of a live camera."""
     live = live_of(source)
     if live is None:
-        yield FilmMonitor(source)
+        yield FilmMonitor(source, log=log)
         return
     report_camera(live)
     recorder = None
@@ -129,7 +164,7 @@ def monitored(
             console.complain(f"{options.record} keeps {recorder.seconds:.1f} s: the memory has no room for more")
     warm_up(light, receiver, source.bits)
     with ended_by_ctrl_c(live):
-        yield FilmMonitor(source, live, recorder)
+        yield FilmMonitor(source, live, recorder, log)
 
 
 def report_camera(live: LiveReader) -> None:

@@ -332,6 +332,9 @@ class OutputOptions:
         "folder of --output.",
         "DIR",
     )
+    rerun: Path | None = option(
+        "Recording of the reception for the viewer Rerun, a file .rrd; needs the extra 'rerun'.", "FILE"
+    )
 
 
 @dataclass(frozen=True, slots=True)
