@@ -12,25 +12,26 @@ Item = TypeVar("Item")
 P = ParamSpec("P")
 
 
-class _OneThread(ContextDecorator):
+class one_thread(ContextDecorator):  # noqa: N801 - used like a function, as those of contextlib
     """Limit BLAS to a single thread in a ``with`` block; the last concurrent block restores the thread count."""
 
-    def __init__(self) -> None:
-        self._lock, self._blocks, self._limited = threading.Lock(), 0, list[tuple[Any, int]]()
+    _lock, _blocks, _limited = threading.Lock(), 0, list[tuple[Any, int]]()
 
     def __enter__(self) -> None:
-        with self._lock:
-            if not self._blocks:
-                self._limited = [(library, count) for library in _libraries() if (count := library.num_threads) != 1]
-                for library, _ in self._limited:
+        of_all = one_thread
+        with of_all._lock:
+            if not of_all._blocks:
+                of_all._limited = [(library, count) for library in _libraries() if (count := library.num_threads) != 1]
+                for library, _ in of_all._limited:
                     _set_threads(library, 1)
-            self._blocks += 1
+            of_all._blocks += 1
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
-        with self._lock:
-            self._blocks -= 1
-            if not self._blocks:
-                for library, count in self._limited:
+        of_all = one_thread
+        with of_all._lock:
+            of_all._blocks -= 1
+            if not of_all._blocks:
+                for library, count in of_all._limited:
                     _set_threads(library, count)
         # if machine code calls Python, Ctrl-C arrives as the cause of a SystemError
         cause: BaseException | None = error if isinstance(error, SystemError) else None
@@ -40,20 +41,12 @@ class _OneThread(ContextDecorator):
             raise cause from None
 
 
-_ONE_THREAD = _OneThread()
-
-
-def one_thread() -> _OneThread:
-    """Return the context manager and decorator that limits BLAS to a single thread."""
-    return _ONE_THREAD
-
-
 def in_one_thread(make: Callable[P, Iterator[Item]]) -> Callable[P, Iterator[Item]]:
     """Limit BLAS to a single thread while a generator function runs."""
 
     @wraps(make)
     def iterate(*args: P.args, **kwargs: P.kwargs) -> Iterator[Item]:
-        with _ONE_THREAD:
+        with one_thread():
             yield from make(*args, **kwargs)
 
     return iterate

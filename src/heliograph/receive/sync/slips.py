@@ -116,9 +116,8 @@ class SlipWatch:
         # average over the square of an LED and half a pixel, as motion shifts the light
         width = 2 * int((pose.pitch + 0.5) / 2) + 1
         mean = self._no_mean if self._mean is None else self._mean
-        light, contrast, power, is_pattern = light_at_leds(
-            frame.pixels, x, y, pose.axes, width, self._rim, self._signal.side, mean
-        )
+        where = x, y, pose.axes, width, self._rim, self._signal.side
+        light, contrast, power, is_pattern = light_at_leds(frame.pixels, *where, mean)
         return _PendingFrame(frame, number, pose, light, contrast if is_pattern else None, power)
 
     def _is_ready(self) -> bool:
