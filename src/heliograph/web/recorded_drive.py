@@ -14,12 +14,13 @@ RECORDED_DRIVE = Path(__file__).with_name("recorded-drive.mp4")
 """Film of a drive from 80 m to 25 m, simulated by `scripts/make_drive.py`, with the truth."""
 
 
-def warm_up() -> None:
-    """Receive the first packet: compiled functions load before a page needs them."""
+def warm_up() -> bool:
+    """Receive the first packet: compiled functions load before a page needs them; return True on success."""
     signal = SignalSettings()
     with contextlib.suppress(HeliographError), open_film(RECORDED_DRIVE) as film:
         settings, _ = with_receiver_for(film, signal, LinkSettings())
         receiver = make_receiver(signal, settings.receive)
         for frame in film:
-            if any(receiver.push(frame)):
-                break
+            if any(packet.has_codeword for packet in receiver.push(frame)):
+                return True
+    return False

@@ -30,4 +30,5 @@ def page_words(message: str, typed: Sequence[str] = ()) -> str:
         return message
     first, *rest = re.split(r"([:;,] )", message)
     advice = zip(rest[::2], rest[1::2], strict=True)
-    return COMMANDS.sub("a setting", first) + "".join(a + b for a, b in advice if not COMMANDS.search(b))
+    problem = COMMANDS.sub(lambda match: match[0].rpartition(".")[2].strip("-'").replace("_", " "), first)
+    return problem + "".join(mark + part for mark, part in advice if not COMMANDS.search(part))
