@@ -6,7 +6,7 @@ import { defineConfig, type Plugin } from "vite";
 
 const here = import.meta.dirname;
 const pages = resolve(here, "../src/heliograph/web/pages");
-const names = ["index", "watch", "transmit", "receive"];
+const names = ["index", "watch", "transmit", "receive", "glossary"];
 // what the built pages depend on; the Python test that reads the note has the same list
 const sources = ["src", "parts", "public", "package-lock.json", "package.json", "tsconfig.json", "vite.config.ts",
   ...names.map((name) => `${name}.html`)];

@@ -234,7 +234,7 @@ def test_frames_of_failed_packets_are_saved_by_a_button(
         with page.expect_download() as saved:
             page.get_by_role("button", name="Save what failed").click()
         saved.value.save_as(tmp_path / "failed.h5")
-        expect(page.locator(".notice")).to_contain_text("heliograph receive failed.h5 --preset phone")
+        expect(page.locator(".notice")).to_contain_text("Saved as failed.h5")
     with open_film(tmp_path / "failed.h5") as film:
         assert sum(1 for _ in film) > 60
 

@@ -18,11 +18,12 @@ from heliograph.experiments.demo.drive import demo_messages
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.media import open_film
+from heliograph.web.built import built
 
 pytestmark = [pytest.mark.slow, needs_chromium]
 
 PHONE: dict[str, Any] = {"viewport": {"width": 390, "height": 844}, "color_scheme": "dark"}
-DESK: dict[str, Any] = {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"}
+DESK: dict[str, Any] = {"viewport": {"width": 1280, "height": 800}, "color_scheme": "light"}
 
 
 @pytest.fixture(scope="module")
@@ -60,13 +61,23 @@ SLOW_PICTURES = """
 """Every third picture is decoded late, and the numbers of the drawn frames are kept."""
 
 
+SMALL_TARGETS = """
+    () => [...document.querySelectorAll("button, summary, select, input")]
+      .map((target) => [target.outerHTML.slice(0, 60), target.getBoundingClientRect()])
+      .filter(([_, box]) => box.width > 0 && (box.width < 24 || box.height < 24))
+      .map(([text]) => text)
+"""
+"""Controls below 24 px (WCAG 2.2, 2.5.8)."""
+
+
 @pytest.fixture(scope="module")
 def ended(chromium: Browser, address: str) -> Iterator[Page]:
     """The page at the end of the film."""
     with quiet_page(chromium, f"{address}watch", SLOW_PICTURES, **DESK) as page:
-        page.wait_for_selector("#named option", state="attached")
+        page.wait_for_selector("#kind option", state="attached")
         page.click("#open")
-        page.get_by_text("The end: 1250 frames").wait_for()
+        page.get_by_text("End: 1250 frames, 12 packets.").wait_for()
+        page.click("#details > summary")
         # the second, sharper picture
         expect(page.locator("#picture img").first).to_have_js_property("naturalWidth", 96)
         yield page
@@ -80,7 +91,7 @@ def test_results_of_a_reception_are_shown_and_named(ended: Page) -> None:
     for name in ("received", "equalised", "decided"):
         assert "levels" in (ended.get_attribute(f"#{name}", "aria-label") or "")
     assert "0 of" in ended.inner_text("#errors")
-    assert "following" in ended.inner_text("#stages")
+    assert "tracking" in ended.inner_text("#stages")
 
 
 def test_frames_are_drawn_in_order_though_some_are_decoded_late(ended: Page) -> None:
@@ -104,16 +115,144 @@ def test_announced_traffic_lights_are_drawn(ended: Page) -> None:
     assert ended.locator("#lights svg .way.green").count() >= 1
 
 
+def boxes(page: Page, *names: str) -> list[dict[str, float]]:
+    return [page.locator(f"#{name}").bounding_box() or {} for name in names]  # type: ignore[misc]
+
+
+@pytest.fixture(scope="module")
+def playing(chromium: Browser, address: str) -> Iterator[Page]:
+    """The page in the middle of the film."""
+    with quiet_page(chromium, f"{address}watch", **DESK) as page:
+        page.wait_for_selector("#kind option", state="attached")
+        page.select_option("#speed", "0.1")
+        page.click("#open")
+        page.wait_for_selector("#ticks rect")
+        yield page
+
+
+def test_frame_controls_timeline_and_results_are_visible_together(playing: Page) -> None:
+    playing.set_viewport_size(DESK["viewport"])
+    assert playing.evaluate("scrollY") == 0
+    frame, pause, ticks, results = boxes(playing, "frame", "pause", "ticks", "messages")
+    for box in (frame, pause, ticks, results):
+        assert box["y"] > 0
+        assert box["y"] + box["height"] <= 800
+    assert frame["y"] + frame["height"] <= pause["y"] < ticks["y"]
+    assert frame["x"] + frame["width"] < results["x"]
+    assert not playing.evaluate("document.getElementById('source-box').open")
+
+
+def test_frame_comes_first_on_a_phone(playing: Page) -> None:
+    playing.set_viewport_size(PHONE["viewport"])
+    names = ("frame", "pause", "ticks", "arrived-title", "sure-title", "details")
+    tops = [box["y"] for box in boxes(playing, *names)]
+    assert tops == sorted(tops)
+    assert tops[0] < 200
+    assert tops[2] < 844
+    check_accessibility(playing)
+    assert not playing.evaluate(SMALL_TARGETS)
+
+
+def test_timeline_has_a_mark_by_packet_and_layer(ended: Page) -> None:
+    ended.set_viewport_size(DESK["viewport"])
+    for layer in ("high", "middle", "low"):
+        expect(ended.locator(f"#ticks rect.{layer}")).to_have_count(12)
+    assert "12 packets: high layer" in (ended.get_attribute("#ticks", "aria-label") or "")
+    ended.locator("#scrub").click(position={"x": 60, "y": 30})
+    expect(ended.locator("#where")).to_contain_text("(recorded)")
+    first = ended.inner_text("#where")
+    ended.keyboard.press("ArrowRight")
+    expect(ended.locator("#where")).not_to_have_text(first)
+    ended.click("#live")
+    expect(ended.locator("#where")).not_to_contain_text("(recorded)")
+    assert ended.locator("#bits .point.high").count() >= 12
+
+
+def test_frame_is_zoomed_by_buttons_keys_and_wheel(ended: Page) -> None:
+    ended.set_viewport_size(DESK["viewport"])
+    zoom = ended.locator("#zoom-fit")
+    ended.click("#zoom-in")
+    expect(zoom).to_have_text("1.5×")
+    ended.focus("#frame-box")
+    ended.keyboard.press("+")
+    expect(zoom).not_to_have_text("1.5×")
+    ended.keyboard.press("0")
+    expect(zoom).to_have_text("1×")
+    frame = boxes(ended, "frame")[0]
+    ended.mouse.move(frame["x"] + 50, frame["y"] + 50)
+    ended.mouse.wheel(0, -480)
+    expect(zoom).to_have_text("4×")
+    shown = ended.evaluate("document.getElementById('frame').toDataURL()")
+    ended.mouse.down()
+    ended.mouse.move(frame["x"] + 10, frame["y"] + 20, steps=3)
+    ended.mouse.up()
+    assert ended.evaluate("document.getElementById('frame').toDataURL()") != shown
+    ended.click("#zoom-fit")
+    expect(zoom).to_have_text("1×")
+
+
+def test_help_opens_by_keyboard_and_leads_to_the_glossary(playing: Page) -> None:
+    playing.set_viewport_size(DESK["viewport"])
+    playing.get_by_label("Help: timeline").focus()
+    playing.keyboard.press("Enter")
+    link = playing.get_by_role("link", name="Glossary")
+    assert link.get_attribute("href") == "glossary#packet"
+    playing.keyboard.press("Escape")
+    expect(link).to_have_count(0)
+    for panel in playing.locator("h2:not(.said), .title > h3").all():
+        assert panel.locator("xpath=..").locator("details.help").count() or panel.inner_text() == "Details"
+    for href in playing.evaluate("[...document.querySelectorAll('.help a')].map((link) => link.getAttribute('href'))"):
+        assert f'id="{href.partition("#")[2]}"' in built()["glossary.html"].decode()
+
+
+def test_reload_and_back_restore_source_and_moment(chromium: Browser, address: str) -> None:
+    with quiet_page(chromium, f"{address}watch", **DESK) as page:
+        page.wait_for_selector("#kind option", state="attached")
+        page.select_option("#speed", "0.1")
+        page.click("#open")
+        page.wait_for_selector("#packets li", state="attached")
+        page.focus("#frame-box")
+        page.keyboard.press("Space")
+        page.wait_for_timeout(700)
+        where = page.inner_text("#where")
+        page.reload()
+        expect(page.locator("#where")).to_have_text(where)
+        expect(page.locator("#source-line")).to_contain_text("demo.h5")
+        page.get_by_role("button", name="Resume").wait_for()
+        expect(page.locator("#working")).to_be_hidden()
+        page.click("#source-box > summary")
+        page.select_option("#kind", "named 1")
+        page.click("#open")
+        expect(page.locator("#source-line")).to_contain_text("short.h5")
+        page.go_back()
+        expect(page.locator("#source-line")).to_contain_text("demo.h5")
+        expect(page.locator("#where")).to_have_text(where)
+
+
+def test_recorded_drive_plays_at_once(chromium: Browser) -> None:
+    with serving() as url, quiet_page(chromium, f"{url}watch", **PHONE) as page:
+        page.wait_for_selector("#frame[aria-label^='Frame']", timeout=2000)
+        page.get_by_role("button", name="Pause").wait_for()
+        expect(page.locator("#source-line")).to_contain_text("recorded-drive.mp4")
+
+
+def test_recorded_drive_waits_for_the_visitor_under_reduced_motion(chromium: Browser) -> None:
+    with serving() as url, quiet_page(chromium, f"{url}watch", **PHONE, reduced_motion="reduce") as page:
+        page.wait_for_selector("#kind option", state="attached")
+        page.get_by_role("button", name="Play").click()
+        page.wait_for_selector("#frame[aria-label^='Frame']")
+
+
 def test_keys_step_through_a_film_and_look_back(chromium: Browser, address: str, tmp_path: Path) -> None:
     with quiet_page(chromium, f"{address}watch", **DESK) as page:
-        page.wait_for_selector("#named option", state="attached")
+        page.wait_for_selector("#kind option", state="attached")
         page.select_option("#speed", "0.1")
         page.focus("#open")
         page.keyboard.press("Enter")
-        page.wait_for_selector("#packets li")
+        page.wait_for_selector("#packets li", state="attached")
         page.focus("#frame-box")
         page.keyboard.press("Space")
-        page.get_by_role("button", name="Go on").wait_for()
+        page.get_by_role("button", name="Resume").wait_for()
         page.wait_for_timeout(300)
         before = page.inner_text("#where")
         page.keyboard.press(".")
@@ -125,7 +264,9 @@ def test_keys_step_through_a_film_and_look_back(chromium: Browser, address: str,
         assert page.locator("#packets li").count() == 0
         page.focus("#frame-box")
         page.keyboard.press("Home")
-        page.get_by_role("cell", name="nearing").or_(page.get_by_role("cell", name="m")).first.wait_for()
+        expect(page.locator("#where")).not_to_contain_text("(recorded)")
+        page.click("#details > summary")
+        page.get_by_role("cell", name="approaching").or_(page.get_by_role("cell", name="m")).first.wait_for()
         with page.expect_download() as saved:
             page.click("#save")
         saved.value.save_as(tmp_path / "failed.h5")
@@ -148,35 +289,36 @@ def test_counts_from_before_a_pause_do_not_undo_it(chromium: Browser, address: s
 
     with quiet_page(chromium, f"{address}watch", **DESK) as page:
         page.route_web_socket("**/api/watch*", connect)
-        page.wait_for_selector("#named option", state="attached")
+        page.wait_for_selector("#kind option", state="attached")
         page.select_option("#speed", "0.1")
         page.click("#open")
-        page.wait_for_selector("#packets li")
+        page.wait_for_selector("#packets li", state="attached")
         page.get_by_role("button", name="Pause").click()
         assert json.loads(counts[0])["paused"] is False
         to_page[0].send(counts[0])
         page.wait_for_timeout(300)
-        page.get_by_role("button", name="Go on").click()
+        page.get_by_role("button", name="Resume").click()
         page.select_option("#speed", index=0)
         expect(page.locator("#packets li").nth(1)).to_be_attached()
 
 
 def test_dropped_film_replaces_the_results(chromium: Browser, address: str, films: list[Path], tmp_path: Path) -> None:
     with quiet_page(chromium, f"{address}watch", **DESK) as page:
-        page.wait_for_selector("#named option", state="attached")
-        page.check("input[value=film]")
+        page.wait_for_selector("#kind option", state="attached")
+        page.select_option("#kind", "film")
         page.set_input_files("#film", films[1])
         page.click("#open")
-        page.get_by_text("The end: 350 frames, 3 packets").wait_for()
-        assert "not known" in page.inner_text("#errors")
+        page.get_by_text("End: 350 frames, 3 packets").wait_for()
+        assert "No ground truth" in (page.text_content("#errors") or "")
         # for an unreadable film, the page is empty, and earlier results are cleared
         (broken := tmp_path / "broken.mp4").write_bytes(b"no film")
+        page.click("#source-box > summary")
         page.set_input_files("#film", broken)
         page.click("#open")
         page.get_by_role("alert").wait_for()
-        page.get_by_text("Nothing yet.").wait_for()
+        page.get_by_text("No packet yet.").wait_for()
         assert page.locator("#packets li").count() == 0
-        assert "Where the truth is known" in page.inner_text("#errors")
+        assert "Requires the ground truth" in (page.text_content("#errors") or "")
 
 
 def broken(*_values: Any, **_named: Any) -> Any:
@@ -194,11 +336,12 @@ def test_page_watch_shows_a_crash_of_its_reception(
 ) -> None:
     monkeypatch.setattr("heliograph.web.watching.run.receive_and_count", broken)
     with quiet_page(chromium, f"{address}watch") as page:
-        page.wait_for_selector("#named option", state="attached")
+        page.wait_for_selector("#kind option", state="attached")
         page.click("#open")
         expect_notice(page)
-        for button in ("stop", "pause", "step", "packet", "save"):
+        for button in ("stop", "step", "packet", "save"):
             expect(page.locator(f"#{button}")).to_be_disabled()
+        expect(page.locator("#pause")).to_have_accessible_name("Play")
         expect_notice(page)  # the end of the connection keeps the notice
 
 

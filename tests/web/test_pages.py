@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from heliograph.sweeps.plot import LAYER_COLOURS
 from heliograph.web.built import PAGES, built
+from heliograph.web.wording import COMMANDS
 
 FRONT = Path(__file__).parents[2] / "web"
 SOURCES = ("src", "parts", "public", "package-lock.json", "package.json", "tsconfig.json", "vite.config.ts")
@@ -33,3 +35,16 @@ def test_pages_hold_no_scripts_and_styles_of_their_own(page: str) -> None:
     text = built()[f"{page}.html"].decode()
     assert not re.search(r"<script(?![^>]*\bsrc=)|<style|\sstyle=|\son\w+=|javascript:", text)
     assert not re.search(r"(src|href)=\"(https?:)?//", text)
+
+
+def test_layers_have_the_colours_of_the_plots() -> None:
+    style = (FRONT / "src" / "common" / "style.css").read_text(encoding="utf-8")
+    for layer, colour in LAYER_COLOURS.items():
+        assert f"--{layer}: {colour};" in style
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_texts_name_no_settings_and_options(page: str) -> None:
+    text = re.sub(r"<[^>]*>", " ", built()[f"{page}.html"].decode())
+    if page != "receive":  # its panel of commands goes to the documentation
+        assert not COMMANDS.search(text)

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -25,15 +26,21 @@ from waiting import HANG_S, wait_until
 from web_server import OWN
 
 import heliograph
+from heliograph.base.frames import Frame
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate
+from heliograph.link.truth import truth_path
 from heliograph.media import create_film, open_film
 from heliograph.web.app import create_app
+from heliograph.web.failures import FailureRecorder
 from heliograph.web.limits import Limits
+from heliograph.web.recorded_drive import RECORDED_DRIVE, warm_up
 from heliograph.web.security import Access
+from heliograph.web.stores import Store, StoredFilm
 from heliograph.web.watching.gate import Gate
 from heliograph.web.watching.scene import Scene, SceneObserver
+from heliograph.web.wording import COMMANDS, page_words
 
 pytestmark = pytest.mark.usefixtures("quick_ends")
 
@@ -246,6 +253,99 @@ def test_failed_packets_are_saved_and_open_again(client: TestClient, tmp_path: P
     # uploads have no truth
     assert not again.of("source")[0]["truth"]
     assert "errors" not in again.of("state")[-1]
+
+
+def test_saved_film_is_a_window_about_the_array_below_50_mb(tmp_path: Path) -> None:
+    signal = load_settings("paper").signal
+    recorder = FailureRecorder(tmp_path, signal, rate_hz=1000.0)
+    pixels = np.zeros((512, 1024), np.uint8)
+    pixels[200, 700] = 255
+    packet: Any = SimpleNamespace(status="crc_fail", start_time_s=0.15, pose=heliograph.receive.Pose(700.0, 200.0, 2.0))
+    for k in range(300):
+        recorder.add_frame(Frame(k, k / 1000, pixels))
+        if k == 260:
+            recorder.add_packet(packet)
+    stored: Store[StoredFilm] = Store(1, "", StoredFilm.drop)
+    stated = recorder.size
+    saved = recorder.save(stored)
+    assert saved["bytes"] == pytest.approx(stated, rel=0.02)
+    with open_film(stored.of(saved["bundle"]).path) as kept:
+        frames = list(kept)
+    assert frames[0].pixels.shape == (256, 256)
+    assert frames[0].pixels[128, 128] == 255
+    assert (frames[0].index, frames[-1].index) == (30, 270)
+    for k in range(300, 5000):
+        recorder.add_frame(Frame(k, k / 1000, pixels))
+        if k % 100 == 60:
+            packet.start_time_s = (k - 110) / 1000
+            recorder.add_packet(packet)
+    assert recorder.size < 50_000_000
+    assert recorder.save(stored)["bytes"] < 50_000_000
+
+
+def test_last_frames_of_a_large_film_stay_below_50_mb(tmp_path: Path) -> None:
+    recorder = FailureRecorder(tmp_path, load_settings("paper").signal)
+    for k in range(150):
+        recorder.add_frame(Frame(k, k / 1000, np.zeros((512, 1024), np.uint8)))
+    stored: Store[StoredFilm] = Store(1, "", StoredFilm.drop)
+    stated = recorder.size
+    saved = recorder.save(stored)
+    assert saved["bytes"] == pytest.approx(stated, rel=0.02)
+    assert saved["bytes"] < 50_000_000
+    with open_film(stored.of(saved["bundle"]).path) as kept:
+        assert [frame.index for frame in kept][-1] == 149
+
+
+@pytest.mark.slow
+def test_recorded_drive_is_small_and_warms_up_the_receiver() -> None:
+    files = [RECORDED_DRIVE, truth_path(RECORDED_DRIVE)]
+    assert sum(file.stat().st_size for file in files) < 3_000_000
+    assert warm_up()
+
+
+@pytest.mark.slow
+def test_recorded_drive_is_the_source_without_films_and_is_decoded() -> None:
+    with TestClient(create_app(), base_url=OWN) as client:
+        assert client.get("/api/watch/sources").json()["recorded"]
+        seen = watch(client, kind="named", number=0, receiver="soft")
+    assert seen.scenes[0][0]["frame"] == 0  # before the first search
+    state = seen.of("state")[-1]
+    assert state["frames"] == 3293
+    assert state["false_codewords"] == 0
+    layers = state["arrays"][0]["layers"]
+    assert [layers[name]["ok"] for name in ("high", "middle", "low")] == [33, 66, 32]
+    assert {"high", "middle", "low"} == {row["layer"] for row in seen.of("message")}
+
+
+def test_step_passes_a_number_of_frames(client: TestClient) -> None:
+    with connected(client) as socket:
+        socket.do("open", source={"kind": "named", "number": 0}, paused=True)
+        socket.watch("state")
+        socket.do("step", frames=40)
+        assert socket.watch("state").rows[-1]["frames"] == 40
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (
+            "give the rate; pass the camera's true rate with --fps",
+            "pass the camera's true rate with the field Frame rate",
+        ),
+        ("too faint: come nearer, or lower the limit: --set receive.detect.min_contrast=2", "too faint: come nearer"),
+        ("a film has at most 9 bytes: name it on the command line", "start the server with it"),
+        ("short mode needs signal.data_pairs = 13, not 48", "short mode needs data pairs = 13, not 48"),
+        ("read it by --receiver soft", "read it by the receiver soft"),
+    ],
+)
+def test_messages_are_in_the_words_of_the_pages(message: str, words: str) -> None:
+    said = page_words(message)
+    assert words in said
+    assert not COMMANDS.search(said)
+
+
+def test_messages_keep_the_settings_that_the_user_typed() -> None:
+    assert page_words("signal.side: 7 is not a multiple of 4", ["signal.side=7"]).startswith("signal.side")
 
 
 @pytest.mark.slow

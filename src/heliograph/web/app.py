@@ -16,6 +16,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.web import built, files, receive, transmit, watch
 from heliograph.web.crashes import is_crash, report
 from heliograph.web.limits import Limits
+from heliograph.web.recorded_drive import RECORDED_DRIVE
 from heliograph.web.security import HEADERS, Access, Guard
 from heliograph.web.shared import Shared
 from heliograph.web.stores import BusyError, MissingError
@@ -33,9 +34,13 @@ def create_app(
     *,
     is_auto: bool = False,
 ) -> FastAPI:
-    """Create the application of `heliograph serve`; with `is_auto` each film decides the receiver."""
+    """Create the application of `heliograph serve`; with `is_auto` each film decides the receiver.
+
+    Without films, page *Watch* offers a recorded drive.
+    """
     limits = limits or Limits()
-    shared = Shared(settings or load_settings("paper"), tuple(films), limits, tuple(camera), is_auto=is_auto)
+    shown = tuple(films) or (str(RECORDED_DRIVE),)
+    shared = Shared(settings or load_settings("paper"), shown, limits, tuple(camera), is_auto=is_auto)
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from fastapi import APIRouter, Response
 from starlette.exceptions import HTTPException
 
-PAGES = ("index", "watch", "transmit", "receive")
+PAGES = ("index", "watch", "transmit", "receive", "glossary")
 
 
 @cache

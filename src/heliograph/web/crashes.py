@@ -9,6 +9,7 @@ from starlette.concurrency import run_in_threadpool
 
 from heliograph.base.errors import HeliographError, brief
 from heliograph.media.live.camera import CameraCrashError
+from heliograph.web.wording import page_words
 
 T = TypeVar("T")
 
@@ -34,7 +35,7 @@ def report(error: BaseException) -> str:
     line = str(cause) if isinstance(cause, HeliographError) else _line_of(cause)
     if is_crash(cause):
         LOG.error("%s", line, exc_info=cause)
-    return line
+    return page_words(line)
 
 
 def _line_of(error: BaseException) -> str:

@@ -21,6 +21,7 @@ from heliograph.web.camera_frames import CameraFrames, Frames
 from heliograph.web.failures import FailureRecorder
 from heliograph.web.link_estimate import LinkRequest, Tell, estimate_link, shows_light
 from heliograph.web.stores import Store, StoredFilm
+from heliograph.web.wording import page_words
 
 WINDOW_S, WINDOW_BYTES = 7.0, 160 << 20
 """Frames for the estimate of a link: two packets of 3 s and a pause; 170 frames of 1280 x 720 pixels."""
@@ -185,7 +186,7 @@ class PageReader:
             lines = [line for line in in_sentences(findings) if not line.startswith(omitted)]
         except HeliographError as error:
             lines = [str(error)]
-        self._tell({"event": "why", "lines": lines})
+        self._tell({"event": "why", "lines": [page_words(line) for line in lines]})
 
     def _finish(self, skipped: int = 0) -> None:
         """Report the counts, and the film of failed packets."""

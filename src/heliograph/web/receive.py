@@ -55,8 +55,7 @@ async def _receive_request(socket: WebSocket) -> ReceiveRequest:
 async def _run(socket: WebSocket, shared: Shared, request: ReceiveRequest) -> None:
     """Receive in a worker thread, send rows to the page, and handle messages of the page."""
     outbox, camera = Outbox(), CameraFrames()
-    # 256 MB: 40 s of 480 x 480 pixels at 30 frames/s
-    recorder = FailureRecorder(shared.folder, request.default_link.signal, max_bytes=256 << 20)
+    recorder = FailureRecorder(shared.folder, request.default_link.signal)
     reader = PageReader(request, outbox.tell, recorder, shared.bundles)
 
     async def handle(message: str | bytes) -> None:

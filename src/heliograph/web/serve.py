@@ -3,6 +3,7 @@
 import asyncio
 import secrets
 import socket
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from heliograph.base.errors import SettingsError
 from heliograph.web.limits import Limits
+from heliograph.web.recorded_drive import warm_up
 from heliograph.web.security import LOOPBACK, Access
 
 
@@ -88,7 +90,7 @@ def open_port(address: Address) -> socket.socket:
 
 
 def run(app: FastAPI, listener: socket.socket, address: Address, limits: Limits) -> None:
-    """Serve until Ctrl-C."""
+    """Serve until Ctrl-C, and compile the receiver meanwhile."""
     config = server_config(app, address, limits)
     try:
         config.load()
@@ -97,6 +99,7 @@ def run(app: FastAPI, listener: socket.socket, address: Address, limits: Limits)
             f"cannot use the certificate {address.certificate} and its key: {error.strerror or error}; "
             f"give both in PEM by --certificate and --key"
         ) from None
+    threading.Thread(target=warm_up, daemon=True).start()
     uvicorn.Server(config).run(sockets=[listener])
 
 

@@ -12,6 +12,7 @@ from heliograph.media.live.settings import camera_settings
 from heliograph.receive.registry import RECEIVERS
 from heliograph.web.connection import closing, taking_place
 from heliograph.web.crashes import in_thread
+from heliograph.web.recorded_drive import RECORDED_DRIVE
 from heliograph.web.security import PROTOCOL
 from heliograph.web.shared import SharedState
 from heliograph.web.watching.session import Session
@@ -24,7 +25,8 @@ async def sources(shared: SharedState) -> dict[str, Any]:
     """Return the films of the command line, the presets of drives, and the receivers."""
     names = [film if is_camera(film) else shown_name(film) for film in shared.films]
     presets = [{"name": name, "text": text} for name, (text, _) in PRESETS.items()]
-    return {"named": names, "presets": presets, "receivers": list(RECEIVERS.names())}
+    recorded = shared.films == (str(RECORDED_DRIVE),)
+    return {"named": names, "recorded": recorded, "presets": presets, "receivers": list(RECEIVERS.names())}
 
 
 @router.get("/cameras")

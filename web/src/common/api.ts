@@ -20,7 +20,7 @@ function reasonOf(text: string, status: number): string {
   } catch {
     // not JSON: the status has to do
   }
-  return status === 0 ? "the server does not answer: is 'heliograph serve' still running?" : `the server answered ${status}`;
+  return status === 0 ? "the server has stopped: start it again and reload this page" : `the server answered ${status}`;
 }
 
 /** Asks for a path below /api and returns the answer; a ServerError says why there is none. */

@@ -2,7 +2,7 @@ import "../common/style.css";
 import "./receive.css";
 import { onDrop } from "../common/page";
 import { kindOf, saveBundle, upload } from "../common/api";
-import { make, one } from "../common/dom";
+import { bytes, make, one } from "../common/dom";
 import { Notice } from "../common/notice";
 import { Camera, opened } from "./camera";
 import { Results } from "./results";
@@ -47,6 +47,7 @@ function begin(words: string): number {
   results.clear();
   showWhy([]);
   bundle = null;
+  saveButton.textContent = "Save what failed";
   saveButton.hidden = true;
   say(words);
   stop.hidden = false;
@@ -118,6 +119,7 @@ function take(row: Row): void {
       break;
     case "bundle":
       bundle = row.bundle;
+      saveButton.textContent = `Save what failed (${bytes(row.bytes)})`;
       saveButton.hidden = false;
       break;
     case "refused":
@@ -223,9 +225,7 @@ async function listDevices(): Promise<void> {
 async function keep(name: string): Promise<void> {
   try {
     await saveBundle(name);
-    notice.say(
-      "failed.h5 has the frames of the failed packets: 'heliograph probe failed.h5 --preset phone' explains them, 'heliograph receive failed.h5 --preset phone' receives them.",
-    );
+    notice.say("Saved as failed.h5, the frames of the failed packets. Drop the file on page Watch to see them, with the preset phone.");
   } catch (error) {
     notice.fail(error);
   }

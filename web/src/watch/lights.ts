@@ -51,7 +51,7 @@ export function drawLights(model: Model, now_s: number | null): void {
   const place = one("lights", HTMLElement);
   const row = model.lights;
   if (row === null && model.maps.size === 0) {
-    if (place.dataset["shown"] !== undefined) place.replaceChildren(make("p", { class: "dim" }, "No light was told of yet."));
+    if (place.dataset["shown"] !== undefined) place.replaceChildren(make("p", { class: "dim" }, "No traffic-light message yet."));
     delete place.dataset["shown"];
     return;
   }
@@ -67,7 +67,7 @@ export function drawLights(model: Model, now_s: number | null): void {
     const drawn = junction === undefined ? null : plan(junction, new Map(groups.map((group) => [group.group, group])));
     return make("div", { class: "junction" },
       make("h3", {}, `Junction ${id}${junction?.name ? `, ${junction.name}` : ""}`),
-      make("div", { class: "heads" }, ...groups.map((group) => lightHead(group, later_s))),
-      ...(drawn === null ? [make("p", { class: "dim small" }, "Its map comes with the middle layer.")] : [drawn]));
+      make("div", { class: "heads" }, ...groups.map((group) => lightHead(group, later_s)),
+        drawn ?? make("p", { class: "dim small" }, "The map arrives in the middle layer.")));
   }));
 }

@@ -29,14 +29,16 @@ export class Link {
 
   constructor(private readonly hearer: Hearer) {}
 
-  open(source: Source, times: number | null): void {
+  /** Opens a source; with a frame, passes the frames up to that one at full speed and pauses. */
+  open(source: Source, times: number | null, frame: number | null): void {
     this.close();
     const made = socket("watch");
     this.socket = made;
     this.rows = 0;
     made.onopen = () => {
       this.say({ do: "speed", times });
-      this.say({ do: "open", source });
+      this.say({ do: "open", source, paused: frame !== null });
+      if (frame !== null) this.say({ do: "step", frames: frame + 1 });
     };
     made.onmessage = (event: MessageEvent<string | ArrayBuffer>) => {
       if (this.socket !== made) return;
@@ -50,7 +52,7 @@ export class Link {
     made.onclose = (event) => {
       if (this.socket !== made) return;
       this.socket = null;
-      this.hearer.gone(event.reason || (event.code === 1006 ? "the server is not there, or refused: is its address whole?" : ""));
+      this.hearer.gone(event.reason || (event.code === 1006 ? "the server has stopped: start it again and reload this page" : ""));
     };
   }
 

@@ -3,21 +3,24 @@
 import "../common/style.css";
 import "./watch.css";
 import "../common/page";
+import { hashOf, stateOf, type State } from "./address";
 import { saveBundle } from "../common/api";
-import { one } from "../common/dom";
+import { bytes, one } from "../common/dom";
 import { Notice } from "../common/notice";
 import { FrameView } from "./frame";
 import { Link, type Source } from "./link";
 import { apply, empty, type Model } from "./model";
-import { Panels } from "./panels";
+import { drawBits, Panels } from "./panels";
 import { arrayName, type About, type Row } from "./rows";
 import { SourceForm } from "./source";
 import { Timeline, type Moment } from "./timeline";
 
-const buttons = Object.fromEntries(["open", "stop", "pause", "step", "packet", "save", "live"].map((id) => [id, one(id, HTMLButtonElement)])) as
-  Record<"open" | "stop" | "pause" | "step" | "packet" | "save" | "live", HTMLButtonElement>;
+const buttons = Object.fromEntries(["stop", "pause", "step", "packet", "save", "live"].map((id) => [id, one(id, HTMLButtonElement)])) as
+  Record<"stop" | "pause" | "step" | "packet" | "save" | "live", HTMLButtonElement>;
 const scrub = one("scrub", HTMLInputElement);
 const speed = one("speed", HTMLSelectElement);
+const working = one("working", HTMLElement);
+const sourceBox = one("source-box", HTMLDetailsElement);
 const notice = new Notice(one("notices", HTMLElement));
 const view = new FrameView();
 const panels = new Panels();
@@ -25,34 +28,68 @@ const timeline = new Timeline();
 
 let model: Model = empty();
 let newest: About | null = null;
-let looking: Moment | null = null; // at what was, in place of now
+let looking: Moment | null = null; // at a past moment instead of now
 let running = false;
 let paused = false;
 let drawDue = false;
+let watched: State | null = null;
+let target: number | null = null; // frame at which a restored run pauses
 let newestMs = performance.now(); // when the newest frame came
 
-/** Time without a frame after which it is said what may take so long. */
-const LONG_MS = 3000;
+/** Time without a frame after which the page says what takes so long. */
+const LONG_MS = 1500;
 
 function times(): number | null {
   return speed.value === "" ? null : Number(speed.value);
 }
 
+/** What the receiver is doing while no frame comes; empty if frames come. */
+function work(): string {
+  if (!running || looking !== null || (paused && target === null)) return "";
+  if (newest === null) return model.source === null ? "Opening the source" : "Preparing the receiver";
+  if (target !== null && newest.frame < target) return `Restoring frame ${target}`;
+  if (paused || performance.now() - newestMs < LONG_MS) return "";
+  return timeline.marks.length === 0 ? "Preparing the receiver: up to a minute at the first run on this computer" : "Decoding";
+}
+
 function showState(): void {
   buttons.stop.disabled = !running;
-  for (const id of ["pause", "step", "packet"] as const) buttons[id].disabled = !running;
-  buttons.save.disabled = model.state === null || !link.isOpen;
-  buttons.pause.textContent = paused ? "Go on" : "Pause";
+  for (const id of ["step", "packet"] as const) buttons[id].disabled = !running;
+  const size = model.state?.save_bytes ?? 0;
+  const failed = model.state?.failed ?? 0;
+  buttons.save.disabled = size === 0 || !link.isOpen;
+  buttons.save.textContent = failed === 0 ? `Save the last frames${size === 0 ? "" : ` (${bytes(size)})`}` : `Save what failed (${bytes(size)})`;
+  one("failed", HTMLElement).textContent = failed === 0 ? "" : `${failed} ${failed === 1 ? "packet" : "packets"} not completely decoded`;
+  const name = !running ? "Play" : paused ? "Resume" : "Pause";
+  buttons.pause.setAttribute("aria-label", name);
+  buttons.pause.title = `${name} (Space)`;
+  buttons.pause.classList.toggle("holding", running && !paused);
   scrub.disabled = timeline.moments.length < 2;
   buttons.live.disabled = looking === null;
   const at = looking?.about ?? newest;
   const count = model.source?.frames;
-  const where = at === null ? "" :
-    `${at.time_s.toFixed(3)} s, frame ${at.frame}${count ? ` of ${count}` : ""}${looking === null ? "" : " (recorded)"}`;
-  const waiting = running && !paused && looking === null && performance.now() - newestMs > LONG_MS;
-  one("where", HTMLElement).textContent = waiting ? `${where}${where ? "; " : ""}working: the first time the receiver is compiled, up to a minute` : where;
+  const where = at === null ? "" : `${at.time_s.toFixed(3)} s · frame ${at.frame}${count ? ` of ${count}` : ""}${looking === null ? "" : " (recorded)"}`;
+  one("where", HTMLElement).textContent = where;
+  scrub.setAttribute("aria-valuetext", where || "no frame yet");
+  const words = work();
+  working.hidden = words === "";
+  if (working.textContent !== words) working.textContent = words;
+  if (watched !== null && at !== null && target === null && model.source?.live === false && watched.frame !== at.frame) {
+    watched = { source: watched.source, frame: at.frame };
+    history.replaceState(null, "", hashOf(watched));
+  }
 }
-setInterval(showState, 1000);
+setInterval(showState, 500);
+
+function drawTimes(): void {
+  const span = timeline.span(model);
+  scrub.min = String(span.from_s);
+  scrub.max = String(span.to_s);
+  const at = looking?.about ?? newest;
+  if (at !== null) scrub.value = String(at.time_s);
+  timeline.draw(span, model.source?.packet_s ?? 0);
+  drawBits(timeline.marks, span, looking?.about.time_s ?? null);
+}
 
 function draw(): void {
   if (drawDue) return;
@@ -60,11 +97,13 @@ function draw(): void {
   requestAnimationFrame(() => {
     drawDue = false;
     if (looking === null) panels.draw(model, newest);
+    drawTimes();
     showState();
   });
 }
+new ResizeObserver(() => drawTimes()).observe(one("ticks", SVGSVGElement));
 
-// what is said aloud: few things, and not faster than they can be heard
+// few announcements, and not faster than they can be heard
 const waiting: string[] = [];
 function aloud(text: string): void {
   waiting.push(text);
@@ -79,14 +118,16 @@ function sayRow(row: Row): void {
   if (row.event === "found") aloud(`${arrayName(row)} found ${row.distance_m.toFixed(0)} m away`);
   if (row.event === "lost") aloud(`${arrayName(row)} lost`);
   if (row.event === "message") aloud(`message of the ${row.layer} layer: ${row.text?.slice(0, 80) ?? row.road?.kind ?? `${row.bytes} bytes`}`);
-  if (row.event === "source") notice.say(`Watching ${row.name}: ${row.width} by ${row.height} px, ${row.rate_hz.toPrecision(4)} frames/s, receiver ${row.receiver}.`);
+  if (row.event === "source") {
+    one("source-line", HTMLElement).textContent = `${row.name} · ${row.width} × ${row.height} px · ${row.rate_hz.toPrecision(4)} frames/s · receiver ${row.receiver}`;
+  }
   if (row.event === "camera") notice.say(row.text);
 }
 
 async function saved(bundle: string): Promise<void> {
   try {
     await saveBundle(bundle);
-    notice.say(`Saved: 'heliograph receive failed.h5 --receiver ${model.source?.receiver ?? "auto"}' reads it again.`);
+    notice.say(`Saved as failed.h5. Drop the file on this page to decode it again.`);
   } catch (error) {
     notice.fail(error);
   }
@@ -101,31 +142,28 @@ function heard(row: Row): void {
     void saved(row.bundle);
   } else if (row.event === "end") {
     const read = model.arrays.reduce((sum, array) => sum + array.packets, 0);
-    notice.say(`The end: ${model.state?.frames ?? 0} frames, ${read} packets.`);
+    notice.say(`End: ${model.state?.frames ?? 0} frames, ${read} packets.`);
     ended();
   } else {
-    apply(model, row); // counts of before a pause may come after it: `paused` is what was asked for here, not what they say
+    apply(model, row); // counts of before a pause may come after it: `paused` is the command of this page
     timeline.row(row);
   }
   draw();
 }
 
 function ended(): void {
-  running = false;
-  paused = false;
+  running = paused = false;
+  target = null;
   showState();
 }
 
 async function scene(about: About, picture: Blob): Promise<void> {
   newest = about;
   newestMs = performance.now();
+  if (target !== null && about.frame >= target) target = null;
   const last = timeline.moments.at(-1);
   if (last === undefined || last.about.frame !== about.frame) timeline.moment(about, picture);
-  scrub.max = String(Math.max(timeline.moments.length - 1, 0));
-  if (looking === null) {
-    scrub.value = scrub.max;
-    await view.draw(about, picture, model);
-  }
+  if (looking === null) await view.draw(about, picture, model);
   draw();
 }
 
@@ -138,8 +176,14 @@ async function lookAt(moment: Moment | null): Promise<void> {
     await view.draw(shown.about, shown.picture, then);
     panels.draw(then, shown.about);
   }
-  if (moment === null) scrub.value = scrub.max;
+  drawTimes();
   showState();
+}
+
+function lookBack(moment: Moment | undefined): void {
+  if (moment === undefined) return;
+  if (running && !paused) buttons.pause.click();
+  void lookAt(moment);
 }
 
 const link = new Link({
@@ -151,27 +195,69 @@ const link = new Link({
   },
 });
 
-function begin(source: Source): void {
+function begin(state: State): void {
+  watched = state;
+  target = state.frame;
   timeline.clear();
   model = empty();
   newest = looking = null;
   panels.forget();
   view.clear();
   running = true;
-  paused = false;
+  paused = target !== null;
   newestMs = performance.now();
-  notice.say("Opening. The first time the receiver is compiled for this computer, which takes up to a minute.");
-  link.open(source, times());
+  notice.clear();
+  one("source-line", HTMLElement).textContent = "Opening";
+  sourceBox.open = false;
+  link.open(state.source, times(), target);
   draw();
 }
 
-new SourceForm(begin, (error) => notice.fail(error));
+/** Starts a source that the user chose, as a new entry of the history. */
+function choose(source: Source): void {
+  const state = { source, frame: null };
+  history.pushState(null, "", hashOf(state));
+  begin(state);
+}
+
+function restore(): boolean {
+  const state = stateOf(location.hash);
+  if (state === null) return false;
+  form.show(state.source);
+  begin(state);
+  return true;
+}
+
+function fail(error: unknown): void {
+  notice.fail(error);
+  sourceBox.open = true;
+}
+
+const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+const form = new SourceForm(choose, fail, (recorded) => {
+  if (restore()) return;
+  if (recorded && !calm) begin({ source: { kind: "named", number: 0 }, frame: null });
+  else sourceBox.open = matchMedia("(min-width: 60rem)").matches;
+});
+addEventListener("popstate", () => {
+  if (restore()) return;
+  link.close();
+  watched = null;
+  ended();
+});
+
 buttons.stop.onclick = () => {
   link.say({ do: "stop" });
   ended();
 };
 buttons.pause.onclick = () => {
+  if (!running) {
+    if (watched === null) form.start();
+    else begin({ source: watched.source, frame: null });
+    return;
+  }
   paused = !paused;
+  target = null;
   link.say({ do: paused ? "pause" : "go" });
   if (looking !== null) void lookAt(null);
   showState();
@@ -179,6 +265,7 @@ buttons.pause.onclick = () => {
 for (const id of ["step", "packet"] as const) {
   buttons[id].onclick = () => {
     paused = true;
+    target = null;
     link.say({ do: id });
     if (looking !== null) void lookAt(null);
     showState();
@@ -187,17 +274,30 @@ for (const id of ["step", "packet"] as const) {
 buttons.save.onclick = () => link.say({ do: "save" });
 buttons.live.onclick = () => void lookAt(null);
 speed.onchange = () => link.say({ do: "speed", times: times() });
-scrub.oninput = () => {
-  const moment = timeline.moments[scrub.valueAsNumber];
-  if (moment === undefined) return;
-  if (running && !paused) buttons.pause.click();
-  void lookAt(moment);
+scrub.oninput = () => lookBack(timeline.nearest(scrub.valueAsNumber));
+scrub.onkeydown = (event) => {
+  const places = ({ ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -10, PageUp: 10 } as Record<string, number>)[event.key];
+  if (places === undefined) return;
+  event.preventDefault(); // a step of the slider may be shorter than the time between moments
+  lookBack(timeline.after(looking, places));
 };
 one("frame-box", HTMLElement).onkeydown = (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
   const act = ({ " ": buttons.pause, ".": buttons.step, n: buttons.packet, Home: buttons.live } as Record<string, HTMLButtonElement>)[event.key];
-  if (act === undefined || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (act === undefined && !view.takesKey(event.key)) return;
   event.preventDefault();
-  act.click();
+  act?.click();
 };
+// one open help at a time; Escape closes it
+document.addEventListener("click", (event) => {
+  for (const help of document.querySelectorAll<HTMLDetailsElement>("details.help[open]")) if (!help.contains(event.target as Node)) help.open = false;
+});
+document.addEventListener("keydown", (event) => {
+  if (event.key !== "Escape") return;
+  const help = document.querySelector<HTMLDetailsElement>("details.help[open]");
+  if (help === null) return;
+  help.open = false;
+  help.querySelector("summary")?.focus();
+});
 view.clear();
 showState();

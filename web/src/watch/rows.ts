@@ -20,7 +20,7 @@ export interface Bin { from_m: number; to_m: number; layers: Record<Layer, { wro
 export interface Histogram { scale: number; zeros: number[]; ones: number[]; open: number[]; known: number; wrong: number }
 
 export type Row =
-  | { event: "source"; name: string; width: number; height: number; rate_hz: number; frames: number | null; receiver: string; live: boolean; truth: boolean; side: number }
+  | { event: "source"; name: string; width: number; height: number; rate_hz: number; frames: number | null; receiver: string; packet_s: number; live: boolean; truth: boolean; side: number }
   | { event: "found"; id: number; uncertain?: boolean; time_s: number; distance_m: number }
   | { event: "lost"; id: number; uncertain?: boolean; time_s: number; distance_m?: number; approach_m_s: number | null }
   | { event: "packet"; id: number; uncertain?: boolean; time_s: number; status: string; reason?: string; distance_m: number; approach_m_s: number | null; layers: Record<Layer, Word[]> }
@@ -29,7 +29,7 @@ export type Row =
   | { event: "file"; id: number; file: string; bytes: number; symbols: number; needed: number; whole: boolean; name?: string; data?: string }
   | { event: "lights"; id: number; time_s: number; junctions: { id: number; groups: Group[] }[] }
   | { event: "unfinished"; messages: { id: number; layer: Layer; stream: number; had: number; bytes: number }[] }
-  | { event: "state"; frames: number; time_s: number; seconds: number; paused: boolean; arrays: ArrayCounts[]; left_out: LeftOut; stages: Record<string, number>; failed: number; errors?: Bin[]; false_codewords?: number }
+  | { event: "state"; frames: number; time_s: number; seconds: number; paused: boolean; arrays: ArrayCounts[]; left_out: LeftOut; stages: Record<string, number>; failed: number; save_bytes: number; errors?: Bin[]; false_codewords?: number }
   | { event: "camera"; text: string }
   | { event: "saved"; bundle: string; bytes: number }
   | { event: "end"; stopped: boolean }

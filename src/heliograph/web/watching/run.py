@@ -24,6 +24,7 @@ from heliograph.web.shared import Shared
 from heliograph.web.watching.gate import Gate
 from heliograph.web.watching.scene import SceneObserver
 from heliograph.web.watching.sources import Source, WatchRequest, opened
+from heliograph.web.wording import page_words
 
 SCENE_S = 1 / 30
 """Shortest time in s between scenes."""
@@ -71,7 +72,7 @@ class Run:
         except HeliographError as error:
             if is_crash(error):
                 raise
-            self._outbox.tell({"event": "failed", "reason": str(error)})
+            self._outbox.tell({"event": "failed", "reason": page_words(str(error), self._request.changes)})
 
     def _receive(self, source: Source) -> None:
         tell = self._outbox.tell
@@ -132,6 +133,9 @@ class Run:
                     break
                 self._mark("wait")
                 recorder.add_frame(frame)
+                if self._newest is None:
+                    # before the first search, which may compile functions
+                    self._outbox.show(observer.scene(frame).encoded)
                 self._newest = frame
                 yield frame
                 self._mark("search")
@@ -176,6 +180,7 @@ class Run:
             "arrays": reception.report(1.0)["arrays"],
             "stages": {name: round(seconds, 4) for name, seconds in self._stages.items()},
             "failed": 0 if self.recorder is None else self.recorder.packets,
+            "save_bytes": 0 if self.recorder is None else self.recorder.size,
         }
         if reception.errors is not None:
             row |= {"errors": errors_by_distance(reception.errors), "false_codewords": reception.errors.false_codewords}

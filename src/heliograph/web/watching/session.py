@@ -14,9 +14,10 @@ from heliograph.web.shared import Shared
 from heliograph.web.watching.gate import Gate
 from heliograph.web.watching.run import Run
 from heliograph.web.watching.sources import WatchRequest
+from heliograph.web.wording import page_words
 
-FRAMES = {"pause": 0, "go": inf, "step": 1, "packet": inf}
-"""Frames that pass after a command."""
+FRAMES = {"pause": 0, "go": inf, "packet": inf}
+"""Frames that pass after a command; a step passes the number of the command."""
 
 
 class Command(BaseModel):
@@ -29,6 +30,8 @@ class Command(BaseModel):
     times: Annotated[float, Field(ge=1e-4, le=100, allow_inf_nan=False)] | None = None
     paused: bool = False
     rows: Annotated[int, Field(ge=0)] = 0
+    # Frames of a step
+    frames: Annotated[int, Field(ge=1, le=1 << 40)] = 1
 
 
 class Session:
@@ -61,7 +64,7 @@ class Session:
         except (ValidationError, UnicodeError):
             self._outbox.tell({"event": "refused", "reason": "invalid command"})
         except HeliographError as error:
-            self._outbox.tell({"event": "refused", "reason": str(error)})
+            self._outbox.tell({"event": "refused", "reason": page_words(str(error))})
 
     async def _execute(self, command: Command) -> None:
         match command.do:
@@ -86,7 +89,7 @@ class Session:
                 self._run.stop()
                 await asyncio.wait([self._worker])
             case "pause" | "go" | "step" | "packet" if self._run is not None:
-                self._run.gate.allow(FRAMES[command.do], until_packet=command.do == "packet")
+                self._run.gate.allow(FRAMES.get(command.do, command.frames), until_packet=command.do == "packet")
 
     async def _end_run(self) -> None:
         """Stop the reception, and discard unsaved frames."""
