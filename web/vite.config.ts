@@ -52,7 +52,40 @@ function note(): Plugin {
   };
 }
 
-export default defineConfig({
+/** Puts scripts and styles of page Watch into one file, with a place for a recorded run. */
+function singleFile(): Plugin {
+  return {
+    name: "single-file",
+    enforce: "post",
+    generateBundle: (_, bundle) => {
+      const page = bundle["watch.html"];
+      if (page?.type !== "asset") throw new Error("no page");
+      let html = String(page.source);
+      for (const [name, file] of Object.entries(bundle)) {
+        if (name === "watch.html") continue;
+        const tag = new RegExp(`<(script|link)[^>]*${name.replace(/[.]/g, "\\.")}"[^>]*>(</script>)?`);
+        const text = file.type === "chunk" ? `<script type="module">${file.code.replaceAll("</script", "<\\/script")}</script>` : `<style>${file.source}</style>`;
+        // a replacement text may hold "$&"
+        html = html.replace(tag, () => (file.type === "chunk" ? "" : text));
+        if (file.type === "chunk") html = html.replace("</body>", () => `<script type="application/json" id="run">RUN</script>\n${text}\n</body>`);
+        delete bundle[name];
+      }
+      page.source = html.replace(/<link rel="icon"[^>]*>/, "");
+      page.fileName = "replay.html";
+    },
+  };
+}
+
+export default defineConfig(({ mode }) => mode === "replay" ? {
+  root: here,
+  publicDir: false,
+  base: "./",
+  plugins: [parts(), singleFile(), note()],
+  build: {
+    outDir: pages, emptyOutDir: false, target: "es2022", assetsInlineLimit: 0, modulePreload: { polyfill: false },
+    rollupOptions: { input: join(here, "watch.html"), output: { inlineDynamicImports: true, entryFileNames: "watch.js", assetFileNames: "[name][extname]" } },
+  },
+} : {
   root: here,
   base: "./",
   plugins: [parts(), note()],

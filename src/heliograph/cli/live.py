@@ -2,21 +2,20 @@
 
 import contextlib
 import signal
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.cli import console
-from heliograph.cli.options import EventOptions, RecordOptions
+from heliograph.cli.options import EventOptions, OutputOptions, RecordOptions
 from heliograph.link.outlets import Outlet, open_outlet
 from heliograph.link.truth import signal_note
 from heliograph.link.warm_up import warm_up
 from heliograph.measure.journal import sentence
+from heliograph.measure.reception import ReceptionCounter
 from heliograph.media import FilmReader
 from heliograph.media.live.reader import LiveReader, live_of
 from heliograph.media.live.recorder import Recorder
@@ -24,23 +23,44 @@ from heliograph.receive import Packet, ReceiveSettings
 from heliograph.receive.events import DetectEvent, LostEvent, UnseenEvent
 from heliograph.signal.settings import SignalSettings
 
-if TYPE_CHECKING:
-    from heliograph.web.rerun_log import RerunLog
 
+class Log(Protocol):
+    """Recording of a reception."""
 
-def open_log(
-    path: Path | None, light: SignalSettings, receiver: ReceiveSettings
-) -> "AbstractContextManager[RerunLog | None]":
-    """Open a recording for the viewer Rerun; None without a path."""
-    if path is None:
-        return nullcontext()
-    from heliograph.web.rerun_log import open_rerun  # imports Matplotlib
+    def frame(self, frame: Frame) -> None:
+        """Take the next frame."""
 
-    return open_rerun(path, light.side, receiver.calibration)
+    def observe(self, event: Any) -> None:
+        """Take an event of the receiver."""
+
+    def tell(self, row: Mapping[str, Any]) -> None:
+        """Take a row of the journal."""
 
 
 @contextlib.contextmanager
-def open_events(options: EventOptions, log: "RerunLog | None" = None) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+def open_logs(
+    options: OutputOptions,
+    source: FilmReader,
+    light: SignalSettings,
+    receiver: ReceiveSettings,
+    counts: ReceptionCounter,
+) -> Iterator[list[Log]]:
+    """Open the recordings of a reception: a page for replay, and a file for the viewer Rerun."""
+    logs = list[Log]()
+    with contextlib.ExitStack() as stack:
+        if options.replay is not None:
+            from heliograph.web.replay import open_replay
+
+            logs.append(stack.enter_context(open_replay(options.replay, source, light, receiver, counts)))
+        if options.rerun is not None:
+            from heliograph.web.rerun_log import open_rerun  # imports Matplotlib
+
+            logs.append(stack.enter_context(open_rerun(options.rerun, light.side, receiver.calibration)))
+        yield logs
+
+
+@contextlib.contextmanager
+def open_events(options: EventOptions, logs: Sequence[Log] = ()) -> Iterator[Callable[[Mapping[str, Any]], None]]:
     """Yield an output of events as JSON lines, as sentences, to network clients, and to a recording.
 
     A failing address is dropped.
@@ -57,7 +77,7 @@ def open_events(options: EventOptions, log: "RerunLog | None" = None) -> Iterato
             if options.verbose and row["event"] != "end":
                 for line in sentence(row).splitlines():
                     console.tell(line)
-            if log is not None and row["event"] != "end":
+            for log in logs if row["event"] != "end" else ():
                 log.tell(row)
             for outlet in list(outlets):
                 try:
@@ -77,10 +97,10 @@ class FilmMonitor:
         source: FilmReader,
         live: LiveReader | None = None,
         recorder: Recorder | None = None,
-        log: "RerunLog | None" = None,
+        logs: Sequence[Log] = (),
     ):
         self.path, self.live = source.path, live
-        self._source, self._recorder, self._log = source, recorder, log
+        self._source, self._recorder, self._logs = source, recorder, logs
         self._has_packet = False
         # Reason of a missing array; empty if unknown
         self.unseen = ""
@@ -89,8 +109,8 @@ class FilmMonitor:
         for frame in self._source:
             if self._recorder is not None:
                 self._recorder.saw(frame)
-            if self._log is not None:
-                self._log.frame(frame)
+            for log in self._logs:
+                log.frame(frame)
             yield frame
         counts = self.live.counts if self.live is not None else None
         if counts is not None and not counts.frames:
@@ -98,8 +118,8 @@ class FilmMonitor:
 
     def observe(self, event: Any) -> None:
         """Record lost arrays and missing screens."""
-        if self._log is not None:
-            self._log.observe(event)
+        for log in self._logs:
+            log.observe(event)
         if isinstance(event, LostEvent):
             self._fail()
         elif isinstance(event, UnseenEvent):
@@ -149,12 +169,12 @@ def monitored(
     options: RecordOptions,
     light: SignalSettings,
     receiver: ReceiveSettings,
-    log: "RerunLog | None" = None,
+    logs: Sequence[Log] = (),
 ) -> Iterator[FilmMonitor]:
     """Monitor a film during the block; the first Ctrl-C ends the frames of a live camera."""
     live = live_of(source)
     if live is None:
-        yield FilmMonitor(source, log=log)
+        yield FilmMonitor(source, logs=logs)
         return
     report_camera(live)
     recorder = None
@@ -164,7 +184,7 @@ def monitored(
             console.complain(f"{options.record} keeps {recorder.seconds:.1f} s: the memory has no room for more")
     warm_up(light, receiver, source.bits)
     with ended_by_ctrl_c(live):
-        yield FilmMonitor(source, live, recorder, log)
+        yield FilmMonitor(source, live, recorder, logs)
 
 
 def report_camera(live: LiveReader) -> None:

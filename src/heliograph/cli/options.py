@@ -332,6 +332,7 @@ class OutputOptions:
         "folder of --output.",
         "DIR",
     )
+    replay: Path | None = option("Page for replay in a browser without a server, a file .html.", "FILE")
     rerun: Path | None = option(
         "Recording of the reception for the viewer Rerun, a file .rrd; needs the extra 'rerun'.", "FILE"
     )

@@ -22,7 +22,7 @@ from heliograph.base.errors import HeliographError, MediaError, counted
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
 from heliograph.cli.files import FileOutput, join
-from heliograph.cli.live import FilmMonitor, monitored, open_events, open_log
+from heliograph.cli.live import FilmMonitor, monitored, open_events, open_logs
 from heliograph.cli.options import ReceiveOptions, WorkerOptions, option
 from heliograph.link.film import packet_row
 from heliograph.link.settings import LinkSettings
@@ -101,11 +101,11 @@ def receive(
     if not is_many(films) and crew == options.WorkerOptions():
         reports = [_receive_single(films[0], request, truth)]
     else:
-        is_watched = events.follow or events.send or events.verbose or results.rerun
+        is_watched = events.follow or events.send or events.verbose or results.rerun or results.replay
         if truth or live.camera or live.record or live.duration is not None or is_watched:
             raise MediaError(
-                "--truth, --follow, --send, --verbose, --rerun and options of cameras accept a single film: receive "
-                "the films in turn"
+                "--truth, --follow, --send, --verbose, --replay, --rerun and options of cameras accept a single film: "
+                "receive the films in turn"
             )
         reports = run_many(films, request, crew)
     if not any(report["arrays"] for report in reports):
@@ -182,9 +182,9 @@ def receive_source(
 
     with (
         open_results(options.results.output) as folder,
-        open_log(options.results.rerun, signal, settings.receive) as log,
-        open_events(options.events, log) as tell,
-        monitored(source, options.live, signal, link.receive, log) as monitor,
+        open_logs(options.results, source, signal, settings.receive, reception) as logs,
+        open_events(options.events, logs) as tell,
+        monitored(source, options.live, signal, link.receive, logs) as monitor,
     ):
         start_s = time.perf_counter()
         with console.progress("receiving", source.frame_count, is_hidden=is_batch) as advance:

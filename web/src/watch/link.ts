@@ -15,7 +15,7 @@ export interface Hearer {
 }
 
 /** A scene's message: the length of a text in 4 bytes, little end first; the text, JSON; the picture, JPEG. */
-function parted(data: ArrayBuffer): [About, Blob] {
+export function parted(data: ArrayBuffer): [About, Blob] {
   const length = new DataView(data).getUint32(0, true);
   const about = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length))) as About;
   return [about, new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" })];

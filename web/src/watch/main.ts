@@ -11,9 +11,11 @@ import { FrameView } from "./frame";
 import { Link, type Source } from "./link";
 import { apply, empty, type Model } from "./model";
 import { drawBits, Panels } from "./panels";
+import { Player, recordedRun } from "./player";
 import { arrayName, type About, type Row } from "./rows";
 import { SourceForm } from "./source";
 import { Timeline, type Moment } from "./timeline";
+import { Tour } from "./tour";
 
 const buttons = Object.fromEntries(["stop", "pause", "step", "packet", "save", "live"].map((id) => [id, one(id, HTMLButtonElement)])) as
   Record<"stop" | "pause" | "step" | "packet" | "save" | "live", HTMLButtonElement>;
@@ -34,6 +36,7 @@ let paused = false;
 let drawDue = false;
 let watched: State | null = null;
 let target: number | null = null; // frame at which a restored run pauses
+let player: Player | null = null; // of a recorded run in the page
 let newestMs = performance.now(); // when the newest frame came
 
 /** Time without a frame after which the page says what takes so long. */
@@ -54,21 +57,21 @@ function work(): string {
 
 function showState(): void {
   buttons.stop.disabled = !running;
-  for (const id of ["step", "packet"] as const) buttons[id].disabled = !running;
+  for (const id of ["step", "packet"] as const) buttons[id].disabled = !running && player === null;
   const size = model.state?.save_bytes ?? 0;
   const failed = model.state?.failed ?? 0;
   buttons.save.disabled = size === 0 || !link.isOpen;
   buttons.save.textContent = failed === 0 ? `Save the last frames${size === 0 ? "" : ` (${bytes(size)})`}` : `Save what failed (${bytes(size)})`;
   one("failed", HTMLElement).textContent = failed === 0 ? "" : `${failed} ${failed === 1 ? "packet" : "packets"} not completely decoded`;
-  const name = !running ? "Play" : paused ? "Resume" : "Pause";
+  const name = player !== null ? (player.playing ? "Pause" : "Play") : !running ? "Play" : paused ? "Resume" : "Pause";
   buttons.pause.setAttribute("aria-label", name);
   buttons.pause.title = `${name} (Space)`;
-  buttons.pause.classList.toggle("holding", running && !paused);
+  buttons.pause.classList.toggle("holding", name === "Pause");
   scrub.disabled = timeline.moments.length < 2;
   buttons.live.disabled = looking === null;
   const at = looking?.about ?? newest;
   const count = model.source?.frames;
-  const where = at === null ? "" : `${at.time_s.toFixed(3)} s · frame ${at.frame}${count ? ` of ${count}` : ""}${looking === null ? "" : " (recorded)"}`;
+  const where = at === null ? "" : `${at.time_s.toFixed(3)} s · frame ${at.frame}${count ? ` of ${count}` : ""}${looking === null || player !== null ? "" : " (recorded)"}`;
   one("where", HTMLElement).textContent = where;
   scrub.setAttribute("aria-valuetext", where || "no frame yet");
   const words = work();
@@ -140,7 +143,7 @@ function heard(row: Row): void {
     if (row.event === "failed") ended();
   } else if (row.event === "saved") {
     void saved(row.bundle);
-  } else if (row.event === "end") {
+  } else if (row.event === "end" && player === null) {
     const read = model.arrays.reduce((sum, array) => sum + array.packets, 0);
     notice.say(`End: ${model.state?.frames ?? 0} frames, ${read} packets.`);
     ended();
@@ -182,7 +185,7 @@ async function lookAt(moment: Moment | null): Promise<void> {
 
 function lookBack(moment: Moment | undefined): void {
   if (moment === undefined) return;
-  if (running && !paused) buttons.pause.click();
+  if (player !== null ? player.playing : running && !paused) buttons.pause.click();
   void lookAt(moment);
 }
 
@@ -223,7 +226,7 @@ function choose(source: Source): void {
 function restore(): boolean {
   const state = stateOf(location.hash);
   if (state === null) return false;
-  form.show(state.source);
+  form?.show(state.source);
   begin(state);
   return true;
 }
@@ -234,7 +237,8 @@ function fail(error: unknown): void {
 }
 
 const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
-const form = new SourceForm(choose, fail, (recorded) => {
+const run = recordedRun();
+const form = run !== null ? null : new SourceForm(choose, fail, (recorded) => {
   if (restore()) return;
   if (recorded && !calm) begin({ source: { kind: "named", number: 0 }, frame: null });
   else sourceBox.open = matchMedia("(min-width: 60rem)").matches;
@@ -251,8 +255,9 @@ buttons.stop.onclick = () => {
   ended();
 };
 buttons.pause.onclick = () => {
+  if (player !== null) return player.toggle();
   if (!running) {
-    if (watched === null) form.start();
+    if (watched === null) form?.start();
     else begin({ source: watched.source, frame: null });
     return;
   }
@@ -264,6 +269,7 @@ buttons.pause.onclick = () => {
 };
 for (const id of ["step", "packet"] as const) {
   buttons[id].onclick = () => {
+    if (player !== null) return id === "step" ? player.step(1) : player.packet(model.source?.packet_s ?? 0);
     paused = true;
     target = null;
     link.say({ do: id });
@@ -273,7 +279,10 @@ for (const id of ["step", "packet"] as const) {
 }
 buttons.save.onclick = () => link.say({ do: "save" });
 buttons.live.onclick = () => void lookAt(null);
-speed.onchange = () => link.say({ do: "speed", times: times() });
+speed.onchange = () => {
+  link.say({ do: "speed", times: times() });
+  player?.anchor();
+};
 scrub.oninput = () => lookBack(timeline.nearest(scrub.valueAsNumber));
 scrub.onkeydown = (event) => {
   const places = ({ ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -10, PageUp: 10 } as Record<string, number>)[event.key];
@@ -300,4 +309,16 @@ document.addEventListener("keydown", (event) => {
   help.querySelector("summary")?.focus();
 });
 view.clear();
+if (run !== null) {
+  document.body.classList.add("replay");
+  speed.value = "1";
+  player = new Player(run, {
+    row: heard,
+    keep: (about, picture) => timeline.moment(about, picture),
+    lookAt,
+    looking: () => looking,
+    changed: showState,
+  }, timeline, () => times() ?? 1);
+  new Tour(timeline, lookBack);
+}
 showState();

@@ -8,20 +8,18 @@ from typing import Any
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.warm_up import warm_up
-from heliograph.measure.errors import ErrorCounter
 from heliograph.measure.journal import Journal, Row
 from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import ReceptionCounter, receive_and_count
-from heliograph.measure.statistics import clopper_pearson
 from heliograph.media.live.reader import LiveReader
 from heliograph.receive.events import DecodeEvent, DetectEvent, EqualiseEvent, ExtractEvent, LostEvent, TrackEvent
-from heliograph.signal.settings import LAYERS
 from heliograph.web.camera_frames import Frames
 from heliograph.web.connection import Outbox
 from heliograph.web.crashes import is_crash
 from heliograph.web.failures import FailureRecorder
 from heliograph.web.shared import Shared
 from heliograph.web.watching.gate import Gate
+from heliograph.web.watching.rows import source_row, state_row
 from heliograph.web.watching.scene import SceneObserver
 from heliograph.web.watching.sources import Source, WatchRequest, opened
 from heliograph.web.wording import page_words
@@ -76,12 +74,8 @@ class Run:
 
     def _receive(self, source: Source) -> None:
         tell = self._outbox.tell
-        tell({
-            "event": "source", "name": source.name, "width": source.width, "height": source.height,
-            "rate_hz": source.rate_hz, "frames": source.frame_count, "receiver": source.settings.receive.receiver,
-            "packet_s": source.signal.packet_s, "side": source.signal.side, "live": source.live is not None,
-            "truth": source.truth is not None,
-        })  # fmt: skip
+        live, receiver = source.live is not None, source.settings.receive.receiver
+        tell(source_row(source, source.name, source.signal, receiver, is_live=live, has_truth=source.truth is not None))
         if source.live is not None:
             self._prepare_camera(source, source.live)
         self.recorder = FailureRecorder(
@@ -169,33 +163,11 @@ class Run:
             self._outbox.tell(self._counts(reception))
 
     def _counts(self, reception: ReceptionCounter) -> Row:
-        row: dict[str, Any] = {
-            "event": "state",
-            "frames": reception.frames,
-            "time_s": 0.0 if self._newest is None else round(self._newest.time_s, 6),
+        time_s = 0.0 if self._newest is None else self._newest.time_s
+        return state_row(reception, time_s) | {
             "seconds": round(time.monotonic() - self._start_s, 3),
             "paused": self.gate.paused,
-            "detections": reception.detections,
-            "left_out": {"candidates": reception.left_out.dropped, "blocks": reception.left_out.blocks},
-            "arrays": reception.report(1.0)["arrays"],
             "stages": {name: round(seconds, 4) for name, seconds in self._stages.items()},
             "failed": 0 if self.recorder is None else self.recorder.packets,
             "save_bytes": 0 if self.recorder is None else self.recorder.size,
         }
-        if reception.errors is not None:
-            row |= {"errors": errors_by_distance(reception.errors), "false_codewords": reception.errors.false_codewords}
-        return row
-
-
-def errors_by_distance(errors: ErrorCounter) -> list[dict[str, Any]]:
-    """Return wrong and sent codewords by distance and layer, with the 95 % interval of the error rate."""
-    rows = []
-    for row in errors.report():
-        layers = {}
-        for name in LAYERS:
-            wrong, sent = row[name]["codeword_errors"], row[name]["codewords"]
-            low, high = clopper_pearson(wrong, sent) if sent else (0.0, 1.0)
-            bits = {"raw_wrong": row[name]["raw_errors"], "raw_bits": row[name]["raw_bits"]}
-            layers[name] = {"wrong": wrong, "sent": sent, "low": low, "high": high, **bits}
-        rows.append({"from_m": row["from_m"], "to_m": row["to_m"], "layers": layers})
-    return rows
