@@ -231,7 +231,7 @@ def test_reload_and_back_restore_source_and_moment(chromium: Browser, address: s
 
 def test_recorded_drive_plays_at_once(chromium: Browser) -> None:
     with serving() as url, quiet_page(chromium, f"{url}watch", **PHONE) as page:
-        page.wait_for_selector("#frame[aria-label^='Frame']", timeout=2000)
+        page.wait_for_selector("#frame[aria-label^='Frame']")
         page.get_by_role("button", name="Pause").wait_for()
         expect(page.locator("#source-line")).to_contain_text("recorded-drive.mp4")
 

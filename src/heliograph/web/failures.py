@@ -175,7 +175,7 @@ class FailureRecorder:
         if frame.time_s <= self._last_s or self._is_full or self._window is None:
             return
         x, y, width, height = self._window
-        pixels = np.ascontiguousarray(frame.pixels[y : y + height, x : x + width])
+        pixels: Any = np.ascontiguousarray(frame.pixels[y : y + height, x : x + width])
         try:
             self._film = self._film or self._create_film(frame, width, height)
             self._film.write(replace(frame, pixels=pixels))

@@ -39,14 +39,14 @@ let target: number | null = null; // frame at which a restored run pauses
 let player: Player | null = null; // of a recorded run in the page
 let newestMs = performance.now(); // when the newest frame came
 
-/** Time without a frame after which the page says what takes so long. */
+/** Time without a frame before the page shows the task of the receiver. */
 const LONG_MS = 1500;
 
 function times(): number | null {
   return speed.value === "" ? null : Number(speed.value);
 }
 
-/** What the receiver is doing while no frame comes; empty if frames come. */
+/** Present task of the receiver; empty if frames arrive. */
 function work(): string {
   if (!running || looking !== null || (paused && target === null)) return "";
   if (newest === null) return model.source === null ? "Opening the source" : "Preparing the receiver";

@@ -1,4 +1,4 @@
-// The panels, each drawn anew from the model.
+// The panels, drawn from the model.
 
 import { bytes, make, one } from "../common/dom";
 import { speedWords } from "./frame";
