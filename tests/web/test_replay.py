@@ -1,0 +1,65 @@
+"""Page for replay: a run in a file, played by a browser without a server."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("playwright", reason="playwright is not installed: pip install playwright")
+
+from browsers import check_accessibility, needs_chromium, quiet_page
+from cli_runs import failed, lasting, succeeded, within
+from playwright.sync_api import Browser, expect
+
+from heliograph.base.frames import Frame
+from heliograph.measure.reception import ReceptionCounter
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.settings import SignalSettings
+from heliograph.web.replay import MAX_BYTES, ReplayLog
+
+
+def entries(page: str) -> list[dict[str, object]]:
+    found = re.search(r'id="run">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    run: list[dict[str, object]] = json.loads(found[1])
+    return run
+
+
+def test_page_of_a_long_run_has_a_bounded_size_and_frames_of_all_of_it() -> None:
+    log = ReplayLog(SignalSettings(), ReceiveSettings(), ReceptionCounter(None))
+    noise = np.random.default_rng(1).integers(0, 255, (480, 640), np.uint8)
+    for k in range(400):
+        log.frame(Frame(k, k / 50, noise))
+        log.tell({"event": "message", "id": 0, "text": f"</script> {k}"})
+    page = log.page()
+    assert 0.4 * MAX_BYTES < len(page) < 15e6
+    rows = entries(page)
+    assert [row["text"] for row in rows if row.get("event") == "message"] == [f"</script> {k}" for k in range(400)]
+    places = [k for k, row in enumerate(rows) if "scene" in row]
+    assert places[0] < 10
+    assert places[-1] >= len(rows) - 3
+    # thinned out evenly, by powers of two
+    gaps = np.diff([k - places.index(k) for k in places])
+    assert gaps[:-2].max() <= 4 * max(gaps[:-2].min(), 1)
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_run_plays_in_a_browser_without_a_server(tmp_path: Path, chromium: Browser) -> None:
+    succeeded(within(tmp_path, "simulate", "a.mkv", *lasting(0.3), "--high", "text:red for 12 s", "--low", "text:left"))
+    assert "cannot write" in failed(within(tmp_path, "receive", "a.mkv", "--replay", "missing/run.html"))
+    succeeded(within(tmp_path, "receive", "a.mkv", "--truth", "a.mkv.truth.npz", "--replay", "run.html"))
+    with quiet_page(chromium, (tmp_path / "run.html").as_uri()) as page:
+        where = page.locator("#where")
+        expect(where).to_contain_text("0.000 s")
+        expect(page.locator("#source-box")).to_be_hidden()
+        page.get_by_role("button", name="Next packet").click()
+        expect(page.locator("#messages")).to_contain_text("red for 12 s")
+        page.get_by_role("button", name="Take the tour").click()
+        expect(page.locator("#tour-title")).to_have_text("1 of 5: Pattern and inverse")
+        check_accessibility(page)
+        page.get_by_role("button", name="End tour").click()
+        page.get_by_role("button", name="Play").click()
+        expect(where).to_contain_text("0.299 s")
