@@ -61,11 +61,9 @@ def _draw_building(scene: Gray, left: int, horizon: int, rng: np.random.Generato
 NEAR_M, FAR_M = 12.0, 320.0
 """Distance range of the drawn street."""
 
-KERB_M = 4.6
-"""Distance from the centre of the road to the kerb."""
+KERB_M = 4.6  # distance from the centre of the road to the kerb
 
-FINER = 3
-"""Supersampling of the drawing for smooth edges."""
+FINER = 3  # supersampling of the drawing for smooth edges
 
 
 class _Street:

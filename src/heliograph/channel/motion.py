@@ -13,24 +13,19 @@ from heliograph.channel.parts import MOTIONS
 from heliograph.channel.scene import CameraPose
 from heliograph.channel.settings import ChannelSettings
 
-Shake = Callable[[Floats], Floats]
-"""Times (...) in s -> (..., 4): heave in m, upward; pitch, yaw, roll in rad."""
+Shake = Callable[[Floats], Floats]  # times (...) in s -> (..., 4): heave in m, upward; pitch, yaw, roll in rad
 
-Motion = Callable[[Floats], CameraPose]
-"""Times in s -> camera poses."""
+Motion = Callable[[Floats], CameraPose]  # times in s -> camera poses
 
-STEP_S = 2e-3
-"""Step of the half-car simulation."""
+STEP_S = 2e-3  # step of the half-car simulation
 
-RUN_IN_S = 5.0
-"""Drive time of the half-car before time 0; the slowest mode decays as exp(-1.76 t)."""
+RUN_IN_S = 5.0  # drive time of the half-car before time 0; the slowest mode decays as exp(-1.76 t)
 
 
 ROUGHNESS_M3 = {"A": 16e-6, "B": 64e-6, "C": 256e-6, "D": 1024e-6}
 """Displacement density G_d(n0) in m^3 by road class: geometric means of ISO 8608."""
 
-STEP_M = 0.0125
-"""Distance between samples, a twentieth of the shortest wave: linear interpolation loses at most 1.2 %."""
+STEP_M = 0.0125  # distance between samples, a twentieth of the shortest wave: linear interpolation loses at most 1.2 %
 
 
 def roughness(road_class: str, per_m: ArrayLike) -> Floats:

@@ -19,11 +19,9 @@ LedOptics = tuple[tuple[float, float, float], tuple[float, float], Floats, float
 """Pitch in m, radius in m and Lambertian order; focal length and blur in px; cubature points and remaining variance of
 the disc (`disc_cubature`); `normal_table`."""
 
-LedMaps = tuple[Floats, Floats, Floats]
-"""Homography, the rate of change per s, and camera position of an array."""
+LedMaps = tuple[Floats, Floats, Floats]  # homography, the rate of change per s, and camera position of an array
 
-LitMoments = tuple[float, float, float]
-"""Fraction of an exposure, centroid and variance of the light of an LED."""
+LitMoments = tuple[float, float, float]  # fraction of an exposure, centroid and variance of the light of an LED
 
 
 def spots(settings: ChannelSettings, plane: Floats) -> list[tuple[float, Floats, LedOptics]]:
@@ -49,14 +47,12 @@ def _gaussians(
     return tuple(zip(psf.fraction.tolist(), shifts, psf.sigma_px.tolist(), strict=True))
 
 
-REACH_SIGMA = 5.0
-"""Radius of an LED image in standard deviations; 2 Phi(-5) = 6e-7 of the light is lost along an axis."""
+REACH_SIGMA = 5.0  # radius of an LED image in standard deviations; 2 Phi(-5) = 6e-7 of the light is lost along an axis
 
 PER_SIGMA = 512
 """Samples of the normal distribution function Phi per standard deviation; the interpolation error is 1.2e-7."""
 
-LIMIT_SIGMA = 6
-"""Range of the table of Phi in standard deviations; outside, Phi is 0 or 1 to 1e-9."""
+LIMIT_SIGMA = 6  # range of the table of Phi in standard deviations; outside, Phi is 0 or 1 to 1e-9
 
 
 @cache

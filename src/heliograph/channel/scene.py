@@ -11,21 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.base.arrays import Floats
 from heliograph.channel.settings import CameraSettings, Placement
 
-TINY_M = 1e-9
-"""Minimum depth in m for divisions."""
+TINY_M = 1e-9  # minimum depth in m for divisions
 
 
-Light = NDArray[np.float32]
-"""Light of a window of the sensor in full scales, (rows, columns)."""
+Light = NDArray[np.float32]  # light of a window of the sensor in full scales, (rows, columns)
 
-Corner = tuple[int, int]
-"""Sensor position (x, y) of the first pixel of a window."""
+Corner = tuple[int, int]  # sensor position (x, y) of the first pixel of a window
 
-Pair = tuple[float, float]
-"""Values along x and y."""
+Pair = tuple[float, float]  # values along x and y
 
-Box = tuple[int, int, int, int]
-"""First x, first y, last x, last y of pixels."""
+Box = tuple[int, int, int, int]  # first x, first y, last x, last y of pixels
 
 
 @dataclass(frozen=True)

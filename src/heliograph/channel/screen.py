@@ -15,8 +15,7 @@ from heliograph.channel.scene import Box, Corner, Light
 from heliograph.channel.settings import EmitterSettings
 from heliograph.signal.pwm import SLOTS
 
-SAMPLES = 3
-"""Samples along a pixel side: the error of a cell edge is at most a ninth, before blur."""
+SAMPLES = 3  # samples along a pixel side: the error of a cell edge is at most a ninth, before blur
 
 
 def cell_light(lighting: Lighting, emitter: EmitterSettings, starts_s: Floats, exposure_s: float) -> Floats:

@@ -15,8 +15,7 @@ from heliograph.base.frames import Pixels
 from heliograph.channel.scene import Corner, Light
 from heliograph.channel.settings import SensorSettings
 
-_GOLDEN_64 = np.uint64(0x9E3779B97F4A7C15)
-"""2^64 over the golden ratio: step of the Weyl sequence of splitmix64."""
+_GOLDEN_64 = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio: step of the Weyl sequence of splitmix64
 
 
 @compiled(inline="always")

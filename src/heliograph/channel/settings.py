@@ -22,41 +22,32 @@ def _lit(colour: tuple[float, float, float]) -> tuple[float, float, float]:
     return colour
 
 
-LightLevel = Annotated[float, Field(ge=0, le=4)]
-"""Light in full scales, up to four times saturation."""
+LightLevel = Annotated[float, Field(ge=0, le=4)]  # light in full scales, up to four times saturation
 
 Colour = Annotated[tuple[LightLevel, LightLevel, LightLevel], AfterValidator(_lit)]
 """Red, green and blue of a light; (1, 1, 1) is neutral for the camera."""
 
-Probability = Annotated[float, Field(ge=0, lt=1)]
-"""Probability of a frame fault."""
+Probability = Annotated[float, Field(ge=0, lt=1)]  # probability of a frame fault
 
-Ppm = Annotated[float, Field(ge=-1e4, le=1e4)]
-"""Relative error of a clock period in millionths, at most 1 %."""
+Ppm = Annotated[float, Field(ge=-1e4, le=1e4)]  # relative error of a clock period in millionths, at most 1 %
 
-LengthM = Annotated[float, Field(ge=-1e4, le=1e4)]
-"""Position in the scene in m, at most 10 km."""
+LengthM = Annotated[float, Field(ge=-1e4, le=1e4)]  # position in the scene in m, at most 10 km
 
-SpeedMS = Annotated[float, Field(ge=-1000, le=1000)]
-"""Velocity in m/s."""
+SpeedMS = Annotated[float, Field(ge=-1000, le=1000)]  # velocity in m/s
 
 TimeS = Annotated[float, Field(ge=-60, le=3600)]
 """Start of a clock in s; patterns before the film are computed too, hence at most a minute."""
 
-TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
-"""Tilt of an array in degrees, below an edge-on view at 90."""
+TiltDeg = Annotated[float, Field(gt=-90, lt=90)]  # tilt of an array in degrees, below an edge-on view at 90
 
-EXPOSURE_SLACK = 1e-9
-"""Relative excess of the exposure over the frame period or T_b that is a rounding error."""
+EXPOSURE_SLACK = 1e-9  # relative excess of the exposure over the frame period or T_b that is a rounding error
 
 MAX_MOTION_PX = 1e3
 """Maximum motion of an array in the image during an exposure in px; limits the memory of a frame to 0.13 GB."""
 
-MAX_JITTER = 0.45
-"""Largest error of a frame time in frame periods; below 1/2, so that frame times rise."""
+MAX_JITTER = 0.45  # largest error of a frame time in frame periods; below 1/2, so that frame times rise
 
-MIN_DISTANCE_M = 0.3
-"""Minimum distance of a rendered panel; the image is much larger than the sensor there."""
+MIN_DISTANCE_M = 0.3  # minimum distance of a rendered panel; the image is much larger than the sensor there
 
 
 @clear_errors

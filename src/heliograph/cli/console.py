@@ -14,11 +14,9 @@ import typer
 
 from heliograph.base.errors import HeliographError, printable
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C."""
+INTERRUPTED = 130  # exit status after Ctrl-C
 
-NO_ARRAY = 3
-"""Exit status of a complete reception that found no array."""
+NO_ARRAY = 3  # exit status of a complete reception that found no array
 
 
 def say(text: str) -> None:

@@ -42,15 +42,13 @@ from heliograph.road.codec import road_values, road_words
 from heliograph.signal.message import Message
 from heliograph.sweeps.executors import Workers, fewer_workers, open_workers
 
-PARTIAL_LOG = ".packets.jsonl.partial"
-"""Name of an incomplete packet log."""
+PARTIAL_LOG = ".packets.jsonl.partial"  # name of an incomplete packet log
 
 FILMS = {".mkv", ".nut", ".mp4", ".mov", ".m4v", ".webm", ".avi", ".y4m", ".ts", ".m2ts", ".wmv", ".flv", ".h264",
          ".h265", ".hevc", ".h5", ".hdf5", ".mat", ".mraw", ".cine", ".npy"}  # fmt: skip
 """Suffixes of films in a folder; the pictures of a folder are the frames of a film."""
 
-Row = dict[str, Any]
-"""Result of a film."""
+Row = dict[str, Any]  # result of a film
 
 
 @dataclass(slots=True)

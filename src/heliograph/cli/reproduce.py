@@ -12,8 +12,7 @@ from heliograph.experiments import reproduce as experiments
 from heliograph.experiments.report import Context
 from heliograph.sweeps.executors import cores, fewer_workers
 
-VERDICTS = {"holds": "pass", "differs": "differs", "shown": "not tested"}
-"""Words for the verdicts of findings."""
+VERDICTS = {"holds": "pass", "differs": "differs", "shown": "not tested"}  # words for the verdicts of findings
 
 
 def complete_experiment(start: str) -> list[str]:

@@ -16,14 +16,12 @@ from heliograph.measure.bench import block_settings
 from heliograph.sweeps.plan import plan
 from heliograph.sweeps.points import Point, Recorded
 
-SPLITS = ("train", "validation", "test")
-"""Names of the splits and folders."""
+SPLITS = ("train", "validation", "test")  # names of the splits and folders
 
 SEEDS = 1_000_000
 """Number of seeds per data set, the maximum number of films; data sets of different seeds are disjoint."""
 
-CUTOUT_SIDES = 1.5
-"""Side of a cut-out relative to the largest image of an array in the film."""
+CUTOUT_SIDES = 1.5  # side of a cut-out relative to the largest image of an array in the film
 
 
 @dataclass(frozen=True)

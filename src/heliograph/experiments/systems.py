@@ -209,8 +209,7 @@ CURVES = (
     SystemCurve("on-off keying, 4 x 4 LEDs a bit", "repeat4", "plain", "all", plots.RED),
 )
 
-Points = Sequence[tuple[float, Count]]
-"""Bits and errors by distance in m, near first."""
+Points = Sequence[tuple[float, Count]]  # bits and errors by distance in m, near first
 
 
 def error_free_m(points: Points) -> tuple[float, Count] | None:

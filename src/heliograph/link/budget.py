@@ -53,8 +53,7 @@ MAX_SIDE = 16
 GRID_SHIFTS_PX = tuple(((0.5 + 0.7548777 * k) % 1 - 0.5, (0.5 + 0.5698403 * k) % 1 - 0.5) for k in range(5))
 """Positions on the pixel grid for averaging: a low-discrepancy sequence with steps 1/g and 1/g^2, g^3 = g + 1."""
 
-MAX_LIGHT = 1.0
-"""Maximum light in full scales with all LEDs on; above, bright levels saturate and no ranges are given."""
+MAX_LIGHT = 1.0  # maximum light in full scales with all LEDs on; above, bright levels saturate and no ranges are given
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,9 @@ from heliograph.base.errors import MediaError
 from heliograph.base.files import clear_write_errors, read_bounded, write_whole
 from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress, WholeFile
 
-PART_NAME = ".part-{key}-*.npz"
-"""Names of symbol files."""
+PART_NAME = ".part-{key}-*.npz"  # names of symbol files
 
-MAX_FILES = 1000
-"""Maximum number of symbol files, and of files of the same name."""
+MAX_FILES = 1000  # maximum number of symbol files, and of files of the same name
 
 
 def safe_name(name: str) -> str:

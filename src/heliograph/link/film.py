@@ -20,8 +20,7 @@ from heliograph.receive import Packet, Receiver
 from heliograph.signal.block import AnyBlock, FileBlock, FileNotice, SymbolBlock
 from heliograph.signal.settings import SignalSettings
 
-FrameProgress = Callable[[int], None]
-"""Callback with the number of completed frames."""
+FrameProgress = Callable[[int], None]  # callback with the number of completed frames
 
 
 class FrameSource(Protocol):

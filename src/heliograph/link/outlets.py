@@ -15,11 +15,9 @@ from heliograph.base.errors import MediaError, SettingsError, shown
 if TYPE_CHECKING:
     from websockets.asyncio.server import Server
 
-MOST_DATAGRAM = 65507
-"""Largest payload of a UDP datagram over IPv4, in bytes."""
+MOST_DATAGRAM = 65507  # largest payload of a UDP datagram over IPv4, in bytes
 
-CLOSE_TIMEOUT_S = 2.0
-"""Time in s for clients to receive queued rows at the end."""
+CLOSE_TIMEOUT_S = 2.0  # time in s for clients to receive queued rows at the end
 
 
 class Outlet(Protocol):

@@ -19,8 +19,7 @@ from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 from heliograph.transmit import TransmitSettings
 
-MAX_UNSEEN = 1_000_000
-"""Maximum number of patterns before the first frame or between frames; all are computed."""
+MAX_UNSEEN = 1_000_000  # maximum number of patterns before the first frame or between frames; all are computed
 
 
 @clear_errors

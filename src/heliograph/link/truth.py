@@ -35,11 +35,9 @@ from heliograph.signal.message import MAX_MESSAGES, Updates
 from heliograph.signal.settings import LAYERS, SignalSettings
 from heliograph.transmit import Content
 
-MAX_ABOUT = 1 << 24
-"""Maximum size in bytes of film metadata and of message updates."""
+MAX_ABOUT = 1 << 24  # maximum size in bytes of film metadata and of message updates
 
-BLOCK_ROWS = 4096
-"""Rows per read."""
+BLOCK_ROWS = 4096  # rows per read
 
 ARRAY_FIELDS = [
     ("x", "f4"),
@@ -54,8 +52,7 @@ ARRAY_FIELDS = [
 ]
 """`ArrayTruth` of a frame, with the first and the last visible pattern, or -1 and -1."""
 
-NOISE_LEVEL = 0.5
-"""Mean level in full scales of the rms noise in the truth file."""
+NOISE_LEVEL = 0.5  # mean level in full scales of the rms noise in the truth file
 
 
 def row_type(arrays: int) -> np.dtype[Any]:
@@ -309,11 +306,9 @@ def _content(archive: zipfile.ZipFile, entry: Any) -> Content:
     return Updates(tuple(zip(map(float, entry["times_s"]), parts, strict=True)))
 
 
-SIGNAL_TAG = "heliograph_signal"
-"""Film metadata key of the signal settings."""
+SIGNAL_TAG = "heliograph_signal"  # film metadata key of the signal settings
 
-TRUTH_TAG = "heliograph_simulation"
-"""Film metadata key of the random id that film and truth file share."""
+TRUTH_TAG = "heliograph_simulation"  # film metadata key of the random id that film and truth file share
 
 
 def signal_note(signal: SignalSettings) -> dict[str, str]:

@@ -10,8 +10,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from heliograph.measure.statistics import Clustered, Count
 from heliograph.signal.settings import LAYERS
 
-MAX_NUMBER = 1e12
-"""Upper bound of seconds and metres in a file."""
+MAX_NUMBER = 1e12  # upper bound of seconds and metres in a file
 
 Number = Annotated[int, Field(strict=True, ge=0, lt=2**63)]
 Amount = Annotated[float, Field(strict=True, ge=0, lt=MAX_NUMBER)]
@@ -92,8 +91,7 @@ class LayerCounts:
         return self - LayerCounts.of_missed(self.missed)
 
 
-Layers = Mapping[str, LayerCounts]
-"""Counts by layer."""
+Layers = Mapping[str, LayerCounts]  # counts by layer
 
 
 def no_errors() -> dict[str, LayerCounts]:

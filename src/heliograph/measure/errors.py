@@ -16,8 +16,7 @@ from heliograph.receive.packet import ERASED
 from heliograph.signal.block import pack
 from heliograph.transmit import Transmitter
 
-BIN_M = 5.0
-"""Width of a distance bin in m."""
+BIN_M = 5.0  # Width of a distance bin in m
 
 
 @dataclass(slots=True)

@@ -22,8 +22,7 @@ from heliograph.media.tiff import TiffReader
 from heliograph.media.view import ViewReader, check_view
 from heliograph.media.writer import FilmWriter, ThreadedSink, clear_errors, partial_path
 
-FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
-"""Suffixes of new films."""
+FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)  # suffixes of new films
 
 
 _KINDS: tuple[tuple[Callable[[Path, Reading], FilmReader], Callable[[Path, bytes], bool], tuple[str, ...]], ...] = (

@@ -21,8 +21,7 @@ from heliograph.media.reader import Reading, checked_size, clear_read_errors
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ, FilmSpec
 from heliograph.media.stamps import TimedReader, agrees, check_times
 
-SUFFIXES = (".h5", ".hdf5")
-"""Suffixes of HDF5 films."""
+SUFFIXES = (".h5", ".hdf5")  # suffixes of HDF5 films
 
 _BROKEN = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, NotImplementedError, OverflowError)
 """Errors of h5py for damaged files."""
@@ -35,8 +34,7 @@ _FILTERS = {
 }  # fmt: skip
 """Names of filters by number in the HDF Group's register."""
 
-_BLOCK_TIMES = 4096
-"""Times read at once."""
+_BLOCK_TIMES = 4096  # times read at once
 
 
 class Hdf5Reader(TimedReader):

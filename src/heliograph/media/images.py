@@ -24,8 +24,7 @@ _KINDS = {
     ".dib": ".bmp", ".pgm": ".pgm", ".ppm": ".pgm", ".pnm": ".pgm", ".pbm": ".pgm", ".pam": ".pgm", ".webp": ".webp",
     ".jp2": ".jp2",
 }  # fmt: skip
-PICTURE_SUFFIXES = tuple(_KINDS)
-"""Suffixes of pictures in a folder."""
+PICTURE_SUFFIXES = tuple(_KINDS)  # suffixes of pictures in a folder
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"

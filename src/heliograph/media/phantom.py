@@ -17,11 +17,9 @@ from heliograph.media.images import to_gray
 from heliograph.media.reader import Reading, clear_read_errors, read_blocks, truncated
 from heliograph.media.stamps import SAMPLE_FRAMES, BlockReader, measure_pace
 
-SIGNATURE = b"CI\x2c\0"
-"""First bytes of a recording: the mark, and the length 44 of the file header."""
+SIGNATURE = b"CI\x2c\0"  # first bytes of a recording: the mark, and the length 44 of the file header
 
-_TICKS = 1 << 32
-"""Ticks of a stamp in a second."""
+_TICKS = 1 << 32  # ticks of a stamp in a second
 
 
 class PhantomReader(BlockReader):

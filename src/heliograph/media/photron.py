@@ -19,8 +19,7 @@ from heliograph.media.stamps import BlockReader
 
 _CODECS = ("ascii", "utf-16-le", "utf-16-be")
 _BLANK = " \t\r\n\0"
-SUFFIXES = (".mraw", ".cihx", ".cih")
-"""Suffixes of the frames, and of headers in XML and in lines of text."""
+SUFFIXES = (".mraw", ".cihx", ".cih")  # suffixes of the frames, and of headers in XML and in lines of text
 
 _PLACES = {
     "width": ("image width", "imageDataInfo/resolution/width"),

@@ -9,8 +9,7 @@ import numpy as np
 from heliograph.base.frames import Pixels
 from heliograph.media.libraries import av
 
-NO_TURN = (False, False, False)
-"""Parameters of `upright` that change nothing."""
+NO_TURN = (False, False, False)  # parameters of `upright` that change nothing
 
 LIMITED, FULL = 1, 2
 """FFmpeg's AVCOL_RANGE_MPEG (levels 16 to 235) and AVCOL_RANGE_JPEG (levels 0 to 255)."""

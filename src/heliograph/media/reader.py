@@ -17,8 +17,7 @@ from heliograph.media.record import FASTEST_HZ, LARGEST, SLOWEST_HZ
 
 Frames = Generator[Frame, None, None]
 
-CHANNELS = ("luma", "red", "green", "blue")
-"""Choices of a gray level for a colour."""
+CHANNELS = ("luma", "red", "green", "blue")  # choices of a gray level for a colour
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,14 +15,11 @@ from pydantic import Field
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import LATEST_S
 
-FASTEST_HZ = 1e6
-"""Largest frame rate: a frame a tick."""
+FASTEST_HZ = 1e6  # largest frame rate: a frame a tick
 
-SLOWEST_HZ = 1e-6
-"""Smallest frame rate, a frame in twelve days; it separates rates from damaged numbers."""
+SLOWEST_HZ = 1e-6  # smallest frame rate, a frame in twelve days; it separates rates from damaged numbers
 
-LARGEST = 1 << 27
-"""Largest number of pixels of a frame, twice the largest camera of the settings."""
+LARGEST = 1 << 27  # largest number of pixels of a frame, twice the largest camera of the settings
 
 _FINEST_TICKS = 1_000_000
 """Least ticks a second in containers with a free time base. Finer ticks shorten the longest gap in MP4."""

@@ -17,8 +17,7 @@ from heliograph.base.files import whole_file
 from heliograph.media.reader import clear_read_errors
 from heliograph.signal import pwm
 
-Slot = NDArray[np.uint8]
-"""(n, n) LEDs of a slot, 1 on and 0 off, row by row as the camera sees them."""
+Slot = NDArray[np.uint8]  # (n, n) LEDs of a slot, 1 on and 0 off, row by row as the camera sees them
 
 SIGNATURES = {".bits": b"HGBITS1\n", ".hub75": b"HGHUBS1\n", ".shift": b"HGSHFT1\n"}
 """First 8 bytes of a binary file by suffix; the last digit is the version of the layout."""
@@ -26,8 +25,7 @@ SIGNATURES = {".bits": b"HGBITS1\n", ".hub75": b"HGHUBS1\n", ".shift": b"HGSHFT1
 SUFFIXES = (*SIGNATURES, ".h")
 """Suffixes of files for drivers. A C header holds the bytes of ".bits" as an array."""
 
-HEAD = struct.Struct("<8sHHIQII")
-"""Start of a binary file: signature, the values of `SlotForm`, bytes of a slot, zeros."""
+HEAD = struct.Struct("<8sHHIQII")  # start of a binary file: signature, the values of `SlotForm`, bytes of a slot, zeros
 
 _MACROS = ("SIDE", "SLOTS_PER_PATTERN", "SLOT_NS", "SLOTS", "BYTES_PER_SLOT")
 _C_ARRAY = b"static const uint8_t heliograph_slots[HELIOGRAPH_SLOTS * HELIOGRAPH_BYTES_PER_SLOT] = {\n"

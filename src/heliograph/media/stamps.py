@@ -15,17 +15,13 @@ from heliograph.base.frames import LATEST_S, Frame, Pixels
 from heliograph.media.reader import FilmReader, Frames, Reading, checked_size, read_blocks
 from heliograph.media.record import FASTEST_HZ
 
-SAMPLE_FRAMES = 64
-"""Stamps in the sample at the start of a film."""
+SAMPLE_FRAMES = 64  # stamps in the sample at the start of a film
 
-_EVEN_RATIO = 0.9
-"""Smallest ratio of even gaps in even stamps."""
+_EVEN_RATIO = 0.9  # smallest ratio of even gaps in even stamps
 
-_ROUNDING_TICKS = 0.51
-"""Distance of a stamp from the grid of frames: half a tick, and rounding errors."""
+_ROUNDING_TICKS = 0.51  # distance of a stamp from the grid of frames: half a tick, and rounding errors
 
-_UNIT_RATIO = 10.0
-"""Ratio between the stated rate and the rate of the stamps from which the unit of time is wrong."""
+_UNIT_RATIO = 10.0  # ratio between the stated rate and the rate of the stamps from which the unit of time is wrong
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,7 @@ from heliograph.media.libraries import tifffile
 from heliograph.media.reader import Reading, checked_size
 from heliograph.media.stamps import TimedReader
 
-SUFFIXES = (".tif", ".tiff")
-"""Suffixes of stacks."""
+SUFFIXES = (".tif", ".tiff")  # suffixes of stacks
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 """First bytes of a TIFF file in either byte order, and of BigTIFF (TIFF 6.0, section 2)."""

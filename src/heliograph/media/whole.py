@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
-_MIRROR = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
-"""Each byte with reversed bits."""
+_MIRROR = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))  # each byte with reversed bits
 
 
 def ends_early(path: Path, picture_bytes: int = 0) -> bool | None:

@@ -14,8 +14,7 @@ from heliograph.panel.place import COLOURS, matrix_of
 
 Bits = NDArray[np.bool_]
 
-STATES = np.array(list(product((0.0, 1.0), repeat=COLOURS)))
-"""States (8, 3) of an LED with three colours."""
+STATES = np.array(list(product((0.0, 1.0), repeat=COLOURS)))  # states (8, 3) of an LED with three colours
 
 
 class UnmixedColours(NamedTuple):

@@ -11,12 +11,10 @@ from heliograph.base.errors import HeliographError
 from heliograph.panel import kernels
 from heliograph.panel.place import Levels, Shape, corner_jacobian, grow, homographies, transform
 
-REACH = 4.0
-"""Radius of an LED's image in standard deviations: 1e-4 of the light is beyond."""
+REACH = 4.0  # radius of an LED's image in standard deviations: 1e-4 of the light is beyond
 
 
-FIRST_BLUR = 0.35
-"""Initial blur of a fit in pitches: converges to 0.2 and to 0.6."""
+FIRST_BLUR = 0.35  # initial blur of a fit in pitches: converges to 0.2 and to 0.6
 
 MIN_BLUR_PX, MAX_BLUR = 0.3, 1.2
 """Minimum blur in px, and maximum blur in pitches."""

@@ -38,8 +38,7 @@ from heliograph.panel.search import (
     settle,
 )
 
-MIN_SIDE_PX = 8.0
-"""Minimum side of a panel in px."""
+MIN_SIDE_PX = 8.0  # minimum side of a panel in px
 
 ACCEPTED = 0.75
 """Minimum score of a correct position. Chosen from `benchmarks/panel_places.py`."""

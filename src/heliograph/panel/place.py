@@ -15,8 +15,7 @@ UNIT = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 """Corners of the unit square in the order of `Place.corners`."""
 
 
-MIN_PITCH_PX = 1.5
-"""Minimum distance from LED to LED in px."""
+MIN_PITCH_PX = 1.5  # minimum distance from LED to LED in px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,8 +154,7 @@ Levels = NDArray[np.float32]
 AnyFrame = Frame | NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32] | Floats
 """A frame: `heliograph.Frame`, or an array (rows, columns) or (rows, columns, 3)."""
 
-COLOURS = 3
-"""Channels of a colour frame."""
+COLOURS = 3  # channels of a colour frame
 
 
 class Picture(NamedTuple):

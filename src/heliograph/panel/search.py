@@ -28,8 +28,7 @@ from heliograph.panel.place import (
 Region = tuple[int, int, int, int]
 """Corner (x, y), columns and rows in px."""
 
-MIN_CHANGE = 2.0
-"""Minimum range of gray levels of a panel: smooth noise has far less."""
+MIN_CHANGE = 2.0  # minimum range of gray levels of a panel: smooth noise has far less
 
 
 def evidence(images: Sequence[Levels]) -> Levels:

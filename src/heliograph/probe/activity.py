@@ -20,17 +20,14 @@ from heliograph.receive.detect.kernels import BLOCK_PX
 MOST_FRAMES = 256
 """Maximum frames of a stretch: two and a half packets of the reference link, so that one packet is complete."""
 
-LEAST_FRAMES = 8
-"""Minimum frames of a stretch, for large frames: fewer show no rate."""
+LEAST_FRAMES = 8  # minimum frames of a stretch, for large frames: fewer show no rate
 
 ALTERNATION_NOISE = 1.118 * 0.798
 """Mean magnitude of the alternation of white noise with unit variance: sqrt(20) / 4 times sqrt(2 / pi)."""
 
-CHANGE_NOISE = 1.414 * 0.798
-"""Mean magnitude of the change from frame to frame of white noise with unit variance."""
+CHANGE_NOISE = 1.414 * 0.798  # mean magnitude of the change from frame to frame of white noise with unit variance
 
-QUIET = 0.25
-"""Part of the blocks assumed quiet."""
+QUIET = 0.25  # part of the blocks assumed quiet
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,8 +130,7 @@ def run_receiver(frames: Sequence[Frame], setup: Setup) -> Trial:
     return trial
 
 
-SLACK = 0.85
-"""Factor for thresholds below the measured size or contrast."""
+SLACK = 0.85  # factor for thresholds below the measured size or contrast
 
 
 def search_near(size_px: float) -> dict[str, Any]:

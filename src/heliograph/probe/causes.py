@@ -218,8 +218,7 @@ def other_settings(differing: Sequence[tuple[str, Any, Any]], causes: Sequence[C
     return (Cause("other settings", why, advice), *(cause for cause in causes if cause.kind in independent))
 
 
-SATURATED = 0.3
-"""Maximum overexposed part of a region's pixels; resolved LEDs cover a fifth."""
+SATURATED = 0.3  # maximum overexposed part of a region's pixels; resolved LEDs cover a fifth
 
 
 @dataclass(frozen=True, kw_only=True)

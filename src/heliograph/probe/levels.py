@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 
-Counts = NDArray[np.int64]
-"""Pixel count by gray level."""
+Counts = NDArray[np.int64]  # pixel count by gray level
 
 
 def overexposed_part(counts: Counts, ceiling: int) -> float:

@@ -22,14 +22,11 @@ from heliograph.probe.regions import Region, subsample
 from heliograph.receive.sync.combine import COVARIANCE
 from heliograph.signal.pwm import SLOTS
 
-LAGS = (1, 2, 3)
-"""Compared differences of frame numbers."""
+LAGS = (1, 2, 3)  # compared differences of frame numbers
 
-PIECE = 24
-"""Frames of a piece in which the duration may be off by 1 %, an eighth of a pattern at the ends."""
+PIECE = 24  # frames of a piece in which the duration may be off by 1 %, an eighth of a pattern at the ends
 
-STEP = 0.02
-"""Relative step of the tried durations."""
+STEP = 0.02  # relative step of the tried durations
 
 MIN_VARIANCE = 0.01
 """Additional variance of a frame's light, for a lit LED of variance 1; the light of a pair has no variance."""

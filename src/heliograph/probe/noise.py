@@ -16,11 +16,9 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 
-BLOCK_PX = 8
-"""Side of the blocks in px."""
+BLOCK_PX = 8  # side of the blocks in px
 
-ROUNDING = 1 / 12
-"""Variance of rounding in squared gray levels."""
+ROUNDING = 1 / 12  # variance of rounding in squared gray levels
 
 Obstacle = Literal["", "one level", "moving", "wiped", "no slope", "few"]
 """Reason for a missing gain; empty if the gain is known."""

@@ -25,11 +25,9 @@ from heliograph.receive.observe.statistics import light_of_symbols, transform_qu
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 
-MAX_SIDE = 32
-"""Maximum LEDs per row: the matrices of 64 x 64 LEDs take minutes."""
+MAX_SIDE = 32  # maximum LEDs per row: the matrices of 64 x 64 LEDs take minutes
 
-MAX_PITCH_PX = 3.0
-"""Maximum pitch: receivers reduce nearer arrays to it."""
+MAX_PITCH_PX = 3.0  # maximum pitch: receivers reduce nearer arrays to it
 
 _KINDS: dict[str, Kind] = {"plain": "sampled", "soft": "linear"}
 

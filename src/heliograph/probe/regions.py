@@ -15,8 +15,7 @@ from heliograph.receive.detect.alternation import ALTERNATION
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.window import Window, covered, cut_out
 
-MAX_SIDE_PX = 256
-"""Maximum rows and columns of pixels per region: larger regions are subsampled."""
+MAX_SIDE_PX = 256  # maximum rows and columns of pixels per region: larger regions are subsampled
 
 
 @dataclass(frozen=True)

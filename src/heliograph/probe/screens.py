@@ -22,8 +22,7 @@ from heliograph.receive.sync.frame_clock import frame_period
 from heliograph.signal.pwm import SLOT_ORDER
 from heliograph.signal.settings import SignalSettings
 
-SIDES = range(8, 33, 4)
-"""Distinguished numbers of cells per side."""
+SIDES = range(8, 33, 4)  # distinguished numbers of cells per side
 
 # Side of the upright array in px: an integer number of pixels per cell of 8, 12, 16, 24, 28 and 32
 AREA_PX = 672
@@ -136,14 +135,11 @@ def usual(rate_hz: float) -> float:
     return rate_hz
 
 
-MAX_SLANT = 1.6
-"""Maximum ratio of sides, or of diagonals: at 45 degrees it is 1.5, and all is decoded."""
+MAX_SLANT = 1.6  # maximum ratio of sides, or of diagonals: at 45 degrees it is 1.5, and all is decoded
 
-MIN_CELL_PX = 5.0
-"""Minimum px per cell in a hand; in good light 2.3 px are decoded."""
+MIN_CELL_PX = 5.0  # minimum px per cell in a hand; in good light 2.3 px are decoded
 
-MIN_FRAMES = 1.7
-"""Minimum frames per pattern: of fewer nearly all frames show two patterns."""
+MIN_FRAMES = 1.7  # minimum frames per pattern: of fewer nearly all frames show two patterns
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,11 +22,9 @@ from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
-SURE_HEADER = 0.85
-"""Minimum correlation with a certain header: clutter seldom exceeds 0.8."""
+SURE_HEADER = 0.85  # minimum correlation with a certain header: clutter seldom exceeds 0.8
 
-MIN_TURN_DEG = 5.0
-"""Minimum turn in degrees of arrays that need corners."""
+MIN_TURN_DEG = 5.0  # minimum turn in degrees of arrays that need corners
 
 
 @dataclass(frozen=True, slots=True)

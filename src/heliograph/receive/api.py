@@ -12,8 +12,7 @@ from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings, check_signal
 
-AnyObserver = Callable[[Any], None]
-"""An observer of any receiver's events; see `heliograph.receive.events.Event`."""
+AnyObserver = Callable[[Any], None]  # an observer of any receiver's events; see `heliograph.receive.events.Event`
 
 MakeReceiver = Callable[[SignalSettings, ReceiveSettings, AnyObserver], Receiver]
 """Makes a receiver from the light's signal, the settings and an observer."""

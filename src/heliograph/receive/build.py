@@ -34,8 +34,7 @@ PLAIN_REGULARITY = 0.5
 SOFT_REGULARITY = 0.15
 """Minimum regularity out of step, where a header alternates unevenly; the light's clock then drops clutter."""
 
-MakePacket = Callable[[int], PacketObservations]
-"""Makes the observations of a packet, by the identity of the array."""
+MakePacket = Callable[[int], PacketObservations]  # makes the observations of a packet, by the identity of the array
 
 
 def plain_receiver(

@@ -13,11 +13,9 @@ from heliograph.receive.geometry.pose import UPRIGHT, Orientation, Pose
 from heliograph.signal.block import AnyBlock
 from heliograph.signal.formats import AGREED, Format
 
-DECODING_RATIO = 1.3
-"""Information per coded bit that the turbo code of rate 1/3 and 1000 bits needs, over its rate."""
+DECODING_RATIO = 1.3  # information per coded bit that the turbo code of rate 1/3 and 1000 bits needs, over its rate
 
-ERASED = 255
-"""Raw bit that was not received."""
+ERASED = 255  # raw bit that was not received
 
 
 def hard_decisions(llr: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -25,8 +23,7 @@ def hard_decisions(llr: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)
 
 
-Status = Literal["ok", "partial", "crc_fail", "no_header", "no_array"]
-"""Outcome of a packet, see `Packet`."""
+Status = Literal["ok", "partial", "crc_fail", "no_header", "no_array"]  # outcome of a packet, see `Packet`
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +68,11 @@ class Codeword:
         return hard_decisions(self.llr) if self.llr.size else self.raw
 
 
-Words = Mapping[str, tuple[Codeword, ...]]
-"""Codewords of a packet by layer, decoded or not."""
+Words = Mapping[str, tuple[Codeword, ...]]  # codewords of a packet by layer, decoded or not
 
-MIN_HEADER_SCORE = 0.5
-"""Minimum header score of a received header: half of the array's light alternates."""
+MIN_HEADER_SCORE = 0.5  # minimum header score of a received header: half of the array's light alternates
 
-MIN_PAIRS_SEEN = 0.5
-"""Minimum fraction of visible data pairs: a code of a rate above 1/2 fails if more are lost."""
+MIN_PAIRS_SEEN = 0.5  # minimum fraction of visible data pairs: a code of a rate above 1/2 fails if more are lost
 
 
 def ok_flags(words: Words) -> list[bool]:

@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 
 from heliograph.base.registry import Registry
 
-GROUPS = ("calibration", "detect", "track", "decode")
-"""Groups of settings that several receivers read."""
+GROUPS = ("calibration", "detect", "track", "decode")  # groups of settings that several receivers read
 
 
 class ReceiverPart(NamedTuple):

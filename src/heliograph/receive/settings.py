@@ -13,23 +13,19 @@ from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.registry import GROUPS, RECEIVERS, part_of
 from heliograph.signal.settings import SignalSettings
 
-Equaliser = Literal["none", "inverse"]
-"""How the plain receiver reads the LEDs of a pair; see `PlainSettings`."""
+Equaliser = Literal["none", "inverse"]  # how the plain receiver reads the LEDs of a pair; see `PlainSettings`
 
 Feedback = Literal["none", "decoded", "soft", "propagation"]
 """Feedback from the soft receiver's decoder to the equaliser; see `SoftSettings`."""
 
-PlaceInPx = Annotated[float, Field(ge=-1e5, le=1e5)]
-"""Coordinate in px, within the width of any sensor."""
+PlaceInPx = Annotated[float, Field(ge=-1e5, le=1e5)]  # coordinate in px, within the width of any sensor
 
 Corners = tuple[PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx]
 """x and y in px of four corners in turn."""
 
-Start = Annotated[int, Field(ge=-(10**5), le=10**5)]
-"""First column or row of a region, within the width of any sensor."""
+Start = Annotated[int, Field(ge=-(10**5), le=10**5)]  # first column or row of a region, within the width of any sensor
 
-Length = Annotated[int, Field(ge=8, le=10**5)]
-"""Columns or rows of a region."""
+Length = Annotated[int, Field(ge=8, le=10**5)]  # columns or rows of a region
 
 Region = tuple[Start, Start, Length, Length]
 """x, y, columns and rows in px."""
@@ -76,8 +72,7 @@ class CalibrationSettings:
         return self.focal_m * self.pitch_m / (pose.frontal_pitch * self.pixel_m)
 
 
-LIVE_CPU_SHARE = 0.3
-"""Share of a core for the search with a live camera: tracking an array takes half a core."""
+LIVE_CPU_SHARE = 0.3  # share of a core for the search with a live camera: tracking an array takes half a core
 
 
 @clear_errors

@@ -10,14 +10,11 @@ from typing import Any
 from heliograph.base.errors import SettingsError
 from heliograph.road.junction import GroupSettings, Junction, LaneSettings, Phase
 
-KINDS = {4: "SPATEM", 5: "MAPEM"}
-"""Kind by message number in the header (ETSI TS 102 894-2)."""
+KINDS = {4: "SPATEM", 5: "MAPEM"}  # kind by message number in the header (ETSI TS 102 894-2)
 
-MAX_BYTES = 8192
-"""Maximum size of a message in bytes; a MAPEM of 100 lanes has about 3000."""
+MAX_BYTES = 8192  # maximum size of a message in bytes; a MAPEM of 100 lanes has about 3000
 
-_LOCK = threading.Lock()
-"""Lock for the types of pycrate, which store the latest value."""
+_LOCK = threading.Lock()  # lock for the types of pycrate, which store the latest value
 
 
 def kind_of(data: bytes) -> str | None:
@@ -170,8 +167,7 @@ def _nodes(lane: LaneSettings) -> Sequence[dict[str, Any]]:
     return nodes
 
 
-Values = Mapping[str, Any]
-"""Content of a message as JSON values."""
+Values = Mapping[str, Any]  # content of a message as JSON values
 
 PHASES = {
     **{state: phase for phase, state in STATES.items()},

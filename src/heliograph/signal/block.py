@@ -39,20 +39,15 @@ from numpy.typing import NDArray
 
 from heliograph.signal.settings import LAYERS
 
-VERSION = 1
-"""Air interface version in every block (section 7)."""
+VERSION = 1  # air interface version in every block (section 7)
 
-CRC_BYTES = 4
-"""CRC-32 bytes (section 7)."""
+CRC_BYTES = 4  # CRC-32 bytes (section 7)
 
-MIN_BITS = 8 * (8 + CRC_BYTES + 1)
-"""Minimum information bits per block: header, CRC and a single payload byte."""
+MIN_BITS = 8 * (8 + CRC_BYTES + 1)  # minimum information bits per block: header, CRC and a single payload byte
 
-MAX_MESSAGE = (1 << 24) - 1
-"""Maximum message length in bytes: the length field has three bytes."""
+MAX_MESSAGE = (1 << 24) - 1  # maximum message length in bytes: the length field has three bytes
 
-MAX_SEGMENTS = 1 << 16
-"""Maximum number of segments per message: the sequence field has two bytes."""
+MAX_SEGMENTS = 1 << 16  # maximum number of segments per message: the sequence field has two bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,11 +129,9 @@ class FileNotice:
         return b""
 
 
-AnyFileBlock = FileBlock | SymbolBlock | FileNotice
-"""Block types for files."""
+AnyFileBlock = FileBlock | SymbolBlock | FileNotice  # block types for files
 
-AnyBlock = Block | AnyFileBlock
-"""Block types for messages and files."""
+AnyBlock = Block | AnyFileBlock  # block types for messages and files
 
 _LAYOUTS: dict[int, tuple[type[AnyBlock], dict[str, int]]] = {
     0: (Block, {"stream": 1, "sequence": 2, "length": 3}),

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.registry import Registry
 
-Algorithm = Literal["max-log", "log-map"]
-"""Addition of path metrics at a trellis state: by maximum, or by ln sum exp."""
+Algorithm = Literal["max-log", "log-map"]  # addition of path metrics at a trellis state: by maximum, or by ln sum exp
 
 Check = Callable[[NDArray[np.uint8]], NDArray[np.bool_]]
 """Check for decisions, uint8 (n, k); returns bool (n,), True for each correct block."""

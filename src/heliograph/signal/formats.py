@@ -21,15 +21,13 @@ SIGNALLED_RATES = (2 / 5, 1 / 2, 3 / 5, 2 / 3, 3 / 4, 5 / 6, 9 / 10)
 
 Mode = Literal["paired", "single", "short"]
 
-MODES: tuple[Mode, ...] = ("paired", "single", "short")
-"""Modes by number; 3 is reserved (section 4.1)."""
+MODES: tuple[Mode, ...] = ("paired", "single", "short")  # modes by number; 3 is reserved (section 4.1)
 
 SHORT_PAIRS = 13
 """Data pairs per packet in short mode (section 4.1): with two header pairs 30 patterns, 3 s at 10 patterns per second.
 With half as many pairs, blocks for 8 x 8 LEDs fit only at rate 9/10; with twice as many, packets take 5.6 s."""
 
-ALL_MODES = 4
-"""Number of modes, including reserved modes."""
+ALL_MODES = 4  # number of modes, including reserved modes
 
 DIMMED = 0.5
 """Contrast for 1 bits (section 4.1): the only contrast between 0 and 1 with integer levels, 3 and 1. At contrast 0,
@@ -93,8 +91,7 @@ class Format:
         return high, middle, low
 
 
-AGREED = Format()
-"""Format 0: data pairs at the agreed rates."""
+AGREED = Format()  # format 0: data pairs at the agreed rates
 
 
 def format_of(number: int) -> Format:

@@ -12,14 +12,12 @@ from heliograph.signal.formats import ALL_MODES, DIMMED, words
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence
 from heliograph.signal.pwm import SLOTS
 
-CELLS = 4
-"""Header cells per row and column (section 4)."""
+CELLS = 4  # header cells per row and column (section 4)
 
 CHIPS = CELLS * CELLS - 1
 """Chips in the header M-sequence: a period at degree 4. The last cell is dark."""
 
-IDENTITIES = CHIPS * len(HEADER_POLYNOMIALS)
-"""Number of identities: 15 cyclic phases for each of two polynomials."""
+IDENTITIES = CHIPS * len(HEADER_POLYNOMIALS)  # number of identities: 15 cyclic phases for each of two polynomials
 
 
 def identity(number: int) -> tuple[int, int]:

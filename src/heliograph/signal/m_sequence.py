@@ -9,8 +9,7 @@ HEADER_POLYNOMIALS = (0b11001, 0b10011)
 These are all; another degree needs another number of cells, `signal.header.CELLS`.
 """
 
-WHITENING_POLYNOMIAL = 0b1100_0000_0000_0001
-"""Primitive polynomial x^15 + x^14 + 1."""
+WHITENING_POLYNOMIAL = 0b1100_0000_0000_0001  # primitive polynomial x^15 + x^14 + 1
 
 
 def m_sequence(polynomial: int, state: int = 1) -> NDArray[np.uint8]:

@@ -8,8 +8,7 @@ from operator import itemgetter
 
 from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS, AnyBlock, Block
 
-MAX_MESSAGES = 256
-"""Maximum number of messages per layer: the stream field is a byte (section 7)."""
+MAX_MESSAGES = 256  # maximum number of messages per layer: the stream field is a byte (section 7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +96,7 @@ class Carousel:
         return segments(Message(identity, layer, stream, data), self._room)
 
 
-_Key = tuple[int, str, int, int]
-"""Identity, layer, stream, and payload bytes per block."""
+_Key = tuple[int, str, int, int]  # identity, layer, stream, and payload bytes per block
 
 
 @dataclass(slots=True)

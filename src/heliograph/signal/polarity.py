@@ -8,8 +8,7 @@ inverted, so the column 0 symbol is free. The encoder chooses all of column 0 to
 import numpy as np
 from numpy.typing import NDArray
 
-Signs = NDArray[np.int8]
-"""Array with values -1 and +1."""
+Signs = NDArray[np.int8]  # array with values -1 and +1
 
 
 def balance(data: Signs, ahead: int = 0) -> Signs:

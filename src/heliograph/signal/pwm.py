@@ -10,8 +10,7 @@ SLOTS = 4
 """Slots per pattern period T_b. The five luminances 0, 1/4, ..., 1 in the paper need four slots; table II in the paper
 gives a slot rate of 4 kHz at T_b = 1 ms."""
 
-SLOT_ORDER = tuple(range(SLOTS))
-"""Default slot order (section 1): level k lights the first k slots."""
+SLOT_ORDER = tuple(range(SLOTS))  # default slot order (section 1): level k lights the first k slots
 
 
 def invert(levels: ArrayLike) -> NDArray[np.uint8]:

@@ -11,11 +11,9 @@ from heliograph.base.errors import SettingsError, shown
 from heliograph.signal.code import CODES
 from heliograph.signal.pwm import SLOT_ORDER, SLOTS
 
-LAYERS = ("high", "middle", "low")
-"""Layers in priority order (section 5)."""
+LAYERS = ("high", "middle", "low")  # layers in priority order (section 5)
 
-MULTIPLICITY = (1, 2, 1)
-"""Data matrix quarters per layer: D11; D12 and D21; D22 (section 5)."""
+MULTIPLICITY = (1, 2, 1)  # data matrix quarters per layer: D11; D12 and D21; D22 (section 5)
 
 RATE_SLACK = 1e-3
 """Tolerance for rounded rates, so that 0.333 means 1/3 and 0.667 means 2/3. The closest fractions, 3/5 and 2/3, differ

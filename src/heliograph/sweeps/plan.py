@@ -19,8 +19,7 @@ from heliograph.receive.detect.alternation import size_limits
 from heliograph.receive.registry import RECEIVERS
 from heliograph.sweeps.points import Point, Recorded
 
-MAX_VALUES = 10_000
-"""Maximum number of values of a key, and of points in a grid."""
+MAX_VALUES = 10_000  # maximum number of values of a key, and of points in a grid
 
 # unambiguous in each digit, for linear matching time
 _NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"

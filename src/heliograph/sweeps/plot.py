@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
-ARROW = r"$\downarrow$"
-"""Marker of an upper bound."""
+ARROW = r"$\downarrow$"  # marker of an upper bound
 
 BOUND, MISSED, UNCODED = "no error: upper bound of the rate (95 %)", "no packet found", "bit error rate without a code"
 """Legend texts, and ids in axes, of upper bounds, missed arrays and uncoded bits."""

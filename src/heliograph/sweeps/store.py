@@ -16,8 +16,7 @@ from heliograph.sweeps.points import Point
 
 NAME = "results.sqlite"
 
-FORMAT = 1
-"""Version of the table, the user_version of the file."""
+FORMAT = 1  # version of the table, the user_version of the file
 
 _TABLE = """
 CREATE TABLE IF NOT EXISTS blocks (

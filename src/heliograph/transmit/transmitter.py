@@ -22,8 +22,7 @@ from heliograph.signal.packet import LayerFormat, PacketFormat
 from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import LAYERS, SignalSettings, check_signal
 
-Content = bytes | Updates | SentFile
-"""Content of a layer."""
+Content = bytes | Updates | SentFile  # content of a layer
 
 
 @clear_errors

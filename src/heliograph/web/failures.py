@@ -23,8 +23,7 @@ BEFORE, AFTER = 1.2, 0.2
 """Recorded time before and after a failed packet, in packets; detection and tracking need the time before."""
 
 
-MAX_BYTES = 48_000_000
-"""Limit of a saved film: quick to download and to send."""
+MAX_BYTES = 48_000_000  # limit of a saved film: quick to download and to send
 
 MIN_WINDOW_PX, WINDOW_RATIO, MIN_WINDOW_RATIO = 256, 4.0, 1.4
 """Side of the saved window: minimum, and ratio to the array's width, smaller for large arrays."""

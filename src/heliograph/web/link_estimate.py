@@ -16,14 +16,11 @@ from heliograph.probe.screens import SIDES, cells_of_a_side, patterns_per_s
 from heliograph.web.camera_frames import Frames
 from heliograph.web.sending import MAX_RATE_HZ, MIN_RATE_HZ, screen_settings
 
-Tell = Callable[[Mapping[str, Any]], None]
-"""Sends a row to a page; an exception ends the reception."""
+Tell = Callable[[Mapping[str, Any]], None]  # sends a row to a page; an exception ends the reception
 
-TRIAL_SIDES = (16, 8, 32, 24, 12, 20, 28)
-"""Sides in the order of trials; page *Transmit* offers 16 first."""
+TRIAL_SIDES = (16, 8, 32, 24, 12, 20, 28)  # sides in the order of trials; page *Transmit* offers 16 first
 
-DEFAULT_RATE_HZ = 10.0
-"""Default pattern rate, as in page *Transmit*."""
+DEFAULT_RATE_HZ = 10.0  # default pattern rate, as in page *Transmit*
 
 
 class LinkRequest(BaseModel):

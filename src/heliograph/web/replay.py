@@ -17,14 +17,11 @@ from heliograph.signal.settings import SignalSettings
 from heliograph.web.watching.rows import source_row, state_row
 from heliograph.web.watching.scene import SceneObserver
 
-PAGE = Path(__file__).with_name("pages") / "replay.html"
-"""Page *Watch* in a single file, with RUN in place of the run."""
+PAGE = Path(__file__).with_name("pages") / "replay.html"  # page *Watch* in a single file, with RUN in place of the run
 
-MAX_BYTES = 14_000_000
-"""Maximum size of frames and soft values in the page: a page has at most 15 MB."""
+MAX_BYTES = 14_000_000  # maximum size of frames and soft values in the page: a page has at most 15 MB
 
-FIRST_INTERVAL_S = 0.01
-"""Shortest time between two frames, for short films."""
+FIRST_INTERVAL_S = 0.01  # shortest time between two frames, for short films
 
 
 @contextlib.contextmanager

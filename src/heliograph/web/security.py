@@ -10,14 +10,12 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-LOOPBACK = frozenset({"localhost", "127.0.0.1", "[::1]"})
-"""Host names of the loopback interface in browsers."""
+LOOPBACK = frozenset({"localhost", "127.0.0.1", "[::1]"})  # host names of the loopback interface in browsers
 
 PROTOCOL = "heliograph"
 """WebSocket subprotocol of the pages; a second subprotocol has the token, as browsers cannot set headers."""
 
-DATA = "/api/"
-"""Prefix of paths with data, which require the token; all other paths are static pages."""
+DATA = "/api/"  # prefix of paths with data, which require the token; all other paths are static pages
 
 HEADERS = {
     "x-content-type-options": "nosniff",

@@ -22,8 +22,7 @@ from heliograph.transmit import Transmitter
 MIN_RATE_HZ, MAX_RATE_HZ = 0.5, 240.0
 """Patterns per second, from remote desktops to the fastest displays."""
 
-MAX_BYTES = 256 << 10
-"""Size of a text or file: at the rates of screens an hour, and less than 2 s of encoding."""
+MAX_BYTES = 256 << 10  # size of a text or file: at the rates of screens an hour, and less than 2 s of encoding
 
 LED_PX, MARGIN = 32, 2
 """Side of a cell in pixels and dark margin in cells, of a film of patterns."""

@@ -31,8 +31,7 @@ from heliograph.receive.observe.cutout import Noise, take_cutout
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import TrackedPair
 
-Truths = dict[int, ArrayTruth]
-"""Truth of the array by frame number."""
+Truths = dict[int, ArrayTruth]  # truth of the array by frame number
 
 
 class KnownPacket(SoftPacket):

@@ -55,8 +55,7 @@ LIGHTS: Mapping[str, Colour] = {
 }  # fmt: skip
 """Colour of each signal phase."""
 
-CUT_PX = 240
-"""Side of the cut-out of the array."""
+CUT_PX = 240  # side of the cut-out of the array
 
 
 @dataclass(slots=True)

@@ -23,24 +23,19 @@ from heliograph.signal.block import Block
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
-FRAMES = 10
-"""Frames of a film."""
+FRAMES = 10  # frames of a film
 
-SIZE = (640, 1152)
-"""Scene in pixels: the sensor and the margin for the shake."""
+SIZE = (640, 1152)  # scene in pixels: the sensor and the margin for the shake
 
 RATE_HZ = 1000.0
 
-Moment = tuple[Footage, float]
-"""Footage of a scene, and the start of the film in the footage in s."""
+Moment = tuple[Footage, float]  # footage of a scene, and the start of the film in the footage in s
 
-Backdrop = Callable[[np.random.Generator], Moment]
-"""Random moment of a scene."""
+Backdrop = Callable[[np.random.Generator], Moment]  # random moment of a scene
 
 HeaderKind = Literal["m_sequence", "all_on"]
 
-LAMPS = "lamps"
-"""Scene full of lamps."""
+LAMPS = "lamps"  # scene full of lamps
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +83,7 @@ def _clip_pairs(path: Path, reach: int) -> tuple[float, list[tuple[Gray, Gray]]]
 Lamp = Callable[[Gray, float], None]
 """Draw a lamp into an image at a time in s: the mean light over an exposure, at the position in the middle."""
 
-Light = Callable[[Floats], Floats]
-"""Light 0 to 1 at times in s; (rows, times) for a matrix sign."""
+Light = Callable[[Floats], Floats]  # light 0 to 1 at times in s; (rows, times) for a matrix sign
 
 
 def lamp_backdrop(rng: np.random.Generator) -> Moment:

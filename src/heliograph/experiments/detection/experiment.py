@@ -165,14 +165,11 @@ def is_same(pose: Pose, truth: Pose) -> bool:
 
 DISTANCES_M = (25.0, 50.0, 80.0)
 
-FOUND = 0.95
-"""Fraction of the arrays above the fitted threshold."""
+FOUND = 0.95  # fraction of the arrays above the fitted threshold
 
-SCORE = ReceiveSettings().detect.score
-"""Threshold of the receiver."""
+SCORE = ReceiveSettings().detect.score  # threshold of the receiver
 
-RECEIVER = "receiver as set"
-"""Name of the receiver in tables; its scores are 1 for a detection, else 0."""
+RECEIVER = "receiver as set"  # name of the receiver in tables; its scores are 1 for a detection, else 0
 
 
 @dataclass(slots=True)
@@ -233,11 +230,9 @@ def threshold_for_found(true: Floats, fraction: float) -> float:
     return float(np.nextafter(np.sort(true)[::-1][needed - 1], -1)) if needed else 1.0
 
 
-Scores = dict[str, DetectionScores]
-"""Scores by detector."""
+Scores = dict[str, DetectionScores]  # scores by detector
 
-Example = tuple[float, ClutterFilm, Pose]
-"""Score, film and pose of a false alarm."""
+Example = tuple[float, ClutterFilm, Pose]  # score, film and pose of a false alarm
 
 
 def measure(
@@ -385,8 +380,7 @@ def identities_seen(film: ClutterFilm) -> list[int]:
     return [max(found, key=lambda hit: hit.score).identity if found else IDENTITIES for found in near]
 
 
-FAR_M = 150.0
-"""Distance in m beyond the range of the paper."""
+FAR_M = 150.0  # distance in m beyond the range of the paper
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,8 +62,7 @@ class FilmCounts:
 PUBLISHED_M = (25.0, 80.0)
 """Distances in m between which Nagura et al. 2010 report no error after the code."""
 
-Modulation = Literal["haar", "ook"]
-"""The hierarchical code; on-off keying of each LED."""
+Modulation = Literal["haar", "ook"]  # the hierarchical code; on-off keying of each LED
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +129,7 @@ def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> Packet
     return PacketRecord(distance_m, counts) if complete and any(c.raw_bits for c in counts.values()) else None
 
 
-CountsByDistance = dict[float, Layers]
-"""Counts of several packets by layer, by distance in m."""
+CountsByDistance = dict[float, Layers]  # counts of several packets by layer, by distance in m
 
 
 def add_counts(counts: CountsByDistance, distance_m: float, layers: Layers) -> None:
@@ -159,11 +157,9 @@ def all_layers(layers: Layers) -> Clustered:
     return Clustered(trials, errors, max(part.clusters for part in parts), squares, scattered=True)
 
 
-MARGIN = 1.5
-"""Factor between driving and static up to which they are alike; about the change of an error rate over 3 m."""
+MARGIN = 1.5  # factor between driving and static up to which they are alike; about the change of an error rate over 3 m
 
-RISK = 0.05
-"""Significance level of the tests."""
+RISK = 0.05  # significance level of the tests
 
 ComparisonVerdict = Literal["alike", "apart", "open"]
 """Interval within the margin; significantly different beyond the margin; neither."""
@@ -276,8 +272,7 @@ class ErrorRateEffort:
     drives: int
 
 
-Rates = Mapping[str, CountsByDistance]
-"""Counts of films "static", "driving" and "ook", on-off keying at rest."""
+Rates = Mapping[str, CountsByDistance]  # counts of films "static", "driving" and "ook", on-off keying at rest
 
 
 def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentResult:

@@ -61,8 +61,7 @@ SCENES: Mapping[str, Sequence[str]] = {
 }
 """Settings of each scene. A block is a packet of an array at rest, or a film of a scene with a duration."""
 
-SceneCounts = Mapping[tuple[str, float], BlockCounts]
-"""Counts by scene and distance in m."""
+SceneCounts = Mapping[tuple[str, float], BlockCounts]  # counts by scene and distance in m
 
 
 def scene_settings(scene: str, distance_m: float, receiver: str = "soft") -> LinkSettings:

@@ -18,8 +18,7 @@ from heliograph.experiments.report import Context, ExperimentResult, Finding, Ta
 from heliograph.signal import haar
 from heliograph.signal.packet import with_inverses
 
-Spreads = Mapping[float, Floats]
-"""Luminance spread of pattern, sum and all-on array, (3,), by distance in m."""
+Spreads = Mapping[float, Floats]  # luminance spread of pattern, sum and all-on array, (3,), by distance in m
 
 
 def run(context: Context) -> ExperimentResult:

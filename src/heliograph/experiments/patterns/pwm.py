@@ -20,8 +20,7 @@ from heliograph.signal.settings import SignalSettings
 
 LEVELS = np.arange(5, dtype=np.uint8)
 
-Luminances = Mapping[float, Floats]
-"""Luminance by level of each film, (films, 5) relative to level 4, by exposure in s."""
+Luminances = Mapping[float, Floats]  # luminance by level of each film, (films, 5) relative to level 4, by exposure in s
 
 
 def run(context: Context) -> ExperimentResult:

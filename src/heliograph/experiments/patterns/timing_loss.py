@@ -24,8 +24,7 @@ CASES = ((1.0, 1.0), (1.0, 0.75), (1.0, 0.5), (1.0, 0.25), (1.5, 2 / 3), (2.0, 0
 
 HEAD = ("rate", "exposure", "phase", "slope", "noise", "loss (dB)", "around", "rest", "bits", "header")
 
-TimingLoss = Mapping[str, float]
-"""Loss of a case: the values by the names in `HEAD`; the module docstring defines them."""
+TimingLoss = Mapping[str, float]  # loss of a case: the values by the names in `HEAD`; the module docstring defines them
 
 
 def measure() -> list[TimingLoss]:

@@ -70,14 +70,11 @@ TRACKERS: Mapping[str, type[Follower]] = {
 }
 """Trackers by name."""
 
-Pair = tuple[Frame, Frame, ArrayTruth, ArrayTruth]
-"""Two successive frames, and the truth of the array in both."""
+Pair = tuple[Frame, Frame, ArrayTruth, ArrayTruth]  # two successive frames, and the truth of the array in both
 
-Error = tuple[float, float, float]
-"""Errors of x and y in px, and relative error of the pitch."""
+Error = tuple[float, float, float]  # errors of x and y in px, and relative error of the pitch
 
-Cut = tuple[float, tuple[Floats, Floats]]
-"""Time, and the sum cut out at the first pose and at the tracked pose."""
+Cut = tuple[float, tuple[Floats, Floats]]  # time, and the sum cut out at the first pose and at the tracked pose
 
 
 @dataclass(frozen=True)
@@ -192,8 +189,7 @@ def _sum_at(pattern: Frame, inverted: Frame, pose: Pose, side: int) -> Floats:
 
 BACKGROUND = "background"
 
-NEAR_PX = 0.25
-"""Largest error in px that counts as near."""
+NEAR_PX = 0.25  # largest error in px that counts as near
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -214,8 +210,7 @@ class TrackingScore:
     pitch: float | None
 
 
-ScoreTable = Mapping[str, Mapping[str, TrackingScore]]
-"""Scores by film and tracker."""
+ScoreTable = Mapping[str, Mapping[str, TrackingScore]]  # scores by film and tracker
 
 
 def scores(runs: Sequence[TrackingRun]) -> ScoreTable:
@@ -425,8 +420,7 @@ def rate_finding(table: list[TrackingRate]) -> Finding:
 
 
 DAY, NIGHT = "drawn scene", "no light"
-APERTURE = {"5 stops less": 2.0**-5, "8 stops less": 2.0**-8}
-"""Background light at f/11 and f/32, relative to f/2."""
+APERTURE = {"5 stops less": 2.0**-5, "8 stops less": 2.0**-8}  # background light at f/11 and f/32, relative to f/2
 
 
 def run(context: Context) -> ExperimentResult:

@@ -72,8 +72,7 @@ def is_in_header(settings: LinkSettings, since_s: float) -> bool:
     return round(since_s / signal.pattern_period_s) % signal.packet_patterns < 2 * signal.header_pairs
 
 
-REACH_PX = 3
-"""Search range in px from pair to pair; the motion in these drives is at most 2 px."""
+REACH_PX = 3  # search range in px from pair to pair; the motion in these drives is at most 2 px
 
 
 class BackgroundMotion(Follower):

@@ -15,8 +15,7 @@ from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError
 from heliograph.media.live.features import FeatureCamera
 from heliograph.media.live.settings import CameraSettings, Value
 
-_Signatures = dict[tuple[Any, tuple[Any, ...]], str]
-"""Names of functions by result and arguments."""
+_Signatures = dict[tuple[Any, tuple[Any, ...]], str]  # names of functions by result and arguments
 
 _PLAIN: _Signatures = {
     (None, ()): "arv_update_device_list",
@@ -238,5 +237,4 @@ def _decode(text: bytes | None) -> str:
     return (text or b"").decode(errors="replace")
 
 
-KIND = CameraKind(AravisCamera, find)
-"""Cameras through Aravis."""
+KIND = CameraKind(AravisCamera, find)  # cameras through Aravis

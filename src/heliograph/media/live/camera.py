@@ -9,8 +9,7 @@ from heliograph.base.frames import Pixels
 from heliograph.base.registry import Registry
 from heliograph.media.live.settings import CameraSettings
 
-PREFIX = "camera:"
-"""First characters of the name of a live camera."""
+PREFIX = "camera:"  # first characters of the name of a live camera
 
 
 class CameraLostError(MediaError):

@@ -14,8 +14,7 @@ from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError
 from heliograph.media.live.features import FeatureCamera
 from heliograph.media.live.settings import CameraSettings, Value
 
-FOLDERS = "GENICAM_GENTL64_PATH"
-"""Environment variable with the folders of producers (GenTL 1.6, section 3.3)."""
+FOLDERS = "GENICAM_GENTL64_PATH"  # environment variable with the folders of producers (GenTL 1.6, section 3.3)
 
 
 class GenicamCamera(FeatureCamera):
@@ -189,5 +188,4 @@ def find(settings: CameraSettings) -> list[Found]:
         harvester.reset()
 
 
-KIND = CameraKind(GenicamCamera, find)
-"""Cameras behind GenICam producers."""
+KIND = CameraKind(GenicamCamera, find)  # cameras behind GenICam producers

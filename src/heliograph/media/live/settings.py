@@ -108,8 +108,7 @@ def _split(text: str) -> tuple[str, str]:
     return name.strip(), value.strip().strip("\"'")
 
 
-Value = str | float | Sequence[int]
-"""A setting's value: text, a number, or a region."""
+Value = str | float | Sequence[int]  # A setting's value: text, a number, or a region
 
 
 @contextmanager

@@ -12,8 +12,7 @@ from heliograph.media.libraries import av
 from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError, Found, Picture
 from heliograph.media.live.settings import CameraSettings, Value, compare_settings
 
-DEVICES = Path("/sys/class/video4linux")
-"""Folder of the video devices of Linux."""
+DEVICES = Path("/sys/class/video4linux")  # folder of the video devices of Linux
 
 
 class Webcam:
@@ -149,5 +148,4 @@ def find(_settings: CameraSettings, devices: Path = DEVICES) -> list[Found]:
     return found
 
 
-KIND = CameraKind(Webcam, find)
-"""Webcams."""
+KIND = CameraKind(Webcam, find)  # webcams

@@ -16,12 +16,10 @@ from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.signal.code import Code
 from heliograph.signal.formats import Format
 
-Kind = tuple[str, Code]
-"""Layer and code, equal for equal codewords."""
+Kind = tuple[str, Code]  # layer and code, equal for equal codewords
 
 
-SAME = 5.5
-"""Standard deviations of agreement from which two codewords or packets are the same: 2e-8 by chance."""
+SAME = 5.5  # standard deviations of agreement from which two codewords or packets are the same: 2e-8 by chance
 
 
 @dataclass(frozen=True, slots=True)

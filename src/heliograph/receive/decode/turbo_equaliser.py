@@ -24,8 +24,7 @@ from heliograph.signal.pwm import SLOTS
 
 LOG = logging.getLogger(__name__)
 
-MAX_REFINEMENTS = 6
-"""Maximum number of refinements of a packet's poses."""
+MAX_REFINEMENTS = 6  # maximum number of refinements of a packet's poses
 
 
 def decode_iteratively(

@@ -21,11 +21,9 @@ from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import window_around
 
-Change = NDArray[np.float32]
-"""Alternation in gray levels: an image, or the mean magnitudes of blocks."""
+Change = NDArray[np.float32]  # alternation in gray levels: an image, or the mean magnitudes of blocks
 
-Blocks = NDArray[np.bool_]
-"""Set of blocks, (blocks down, blocks across)."""
+Blocks = NDArray[np.bool_]  # set of blocks, (blocks down, blocks across)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,14 +113,12 @@ class SearchParameters:
         return np.geomspace(self.min_side_px, self.max_side_px, count)
 
 
-FrameWeights = tuple[float, float, float, float]
-"""Weights of four frames in their sum."""
+FrameWeights = tuple[float, float, float, float]  # weights of four frames in their sum
 
 ALTERNATION: FrameWeights = (0.25, -0.75, 0.75, -0.25)
 """(f0 - 3 f1 + 3 f2 - f3) / 4 keeps a header and cancels light at rest or in even motion or acceleration."""
 
-DIFFERENCE: FrameWeights = (0.5, -0.5, 0.5, -0.5)
-"""Weights of two repeated frames, f0 f1 f0 f1."""
+DIFFERENCE: FrameWeights = (0.5, -0.5, 0.5, -0.5)  # weights of two repeated frames, f0 f1 f0 f1
 
 
 def alternation_of(frames: Sequence[Frame], weights: FrameWeights = ALTERNATION) -> Change:

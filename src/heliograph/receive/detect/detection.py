@@ -22,8 +22,7 @@ from heliograph.receive.geometry.window import cut_out, window_around
 from heliograph.signal.header import IDENTITIES, header_cells
 from heliograph.signal.settings import SignalSettings
 
-Hypothesis = tuple[int, Orientation]
-"""Identity of an array, and the orientation in the camera's image."""
+Hypothesis = tuple[int, Orientation]  # identity of an array, and the orientation in the camera's image
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +37,7 @@ class Headers:
     min_distance: float = DETECT.min_distance
 
 
-ALL_ON = Headers(np.ones((1, 16)), (((0, UPRIGHT),),))
-"""Blinking square with no identity."""
+ALL_ON = Headers(np.ones((1, 16)), (((0, UPRIGHT),),))  # blinking square with no identity
 
 
 @lru_cache

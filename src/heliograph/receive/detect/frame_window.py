@@ -13,11 +13,9 @@ from heliograph.receive.geometry.fit import header_amplitudes
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import common
 
-FrameWindow = Sequence[Frame | None]
-"""Frames of successive patterns, None if missing."""
+FrameWindow = Sequence[Frame | None]  # frames of successive patterns, None if missing
 
-SLACK = 2
-"""Frames by which the header's start may differ from the window, either way: every second window is searched."""
+SLACK = 2  # frames by which the header's start may differ from the window, either way: every second window is searched
 
 Value = TypeVar("Value")
 

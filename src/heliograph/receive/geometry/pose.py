@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Corner = tuple[int, int]
-"""Position (x, y) on the sensor of the first pixel of an image."""
+Corner = tuple[int, int]  # position (x, y) on the sensor of the first pixel of an image
 
-Shape = tuple[int, int]
-"""Rows and columns of an image."""
+Shape = tuple[int, int]  # rows and columns of an image
 
 
 @dataclass(frozen=True, slots=True)

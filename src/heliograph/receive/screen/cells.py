@@ -18,11 +18,9 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame, Pixels
 from heliograph.receive.geometry.pose import Pose, pose_of_axes
 
-Pixels32 = NDArray[np.float32]
-"""Gray levels or light of pixels, (rows, columns)."""
+Pixels32 = NDArray[np.float32]  # gray levels or light of pixels, (rows, columns)
 
-SAMPLES_PER_S = 14e6
-"""Samples that a core resamples and fits per second."""
+SAMPLES_PER_S = 14e6  # samples that a core resamples and fits per second
 
 
 class SearchBudget:
@@ -56,14 +54,11 @@ class SearchBudget:
         self._left_s -= samples / SAMPLES_PER_S
 
 
-S = 6
-"""Samples along the side of a cell: a blur of a third of a cell is represented to 1 %."""
+S = 6  # samples along the side of a cell: a blur of a third of a cell is represented to 1 %
 
-RIM_CELLS = 1
-"""Width of the ring around the array in cells; the light of the ring leaks into the array."""
+RIM_CELLS = 1  # Width of the ring around the array in cells; the light of the ring leaks into the array
 
-PIXEL_SAMPLES = 0.05
-"""Work of a pixel in samples."""
+PIXEL_SAMPLES = 0.05  # work of a pixel in samples
 
 
 @dataclass(frozen=True)

@@ -71,8 +71,7 @@ class Clock:
         return t + tau * np.expm1(-t / tau)
 
 
-RatedClock = tuple[float, Clock]
-"""Part of the variance that the pairs of a clock leave unexplained, and the clock."""
+RatedClock = tuple[float, Clock]  # part of the variance that the pairs of a clock leave unexplained, and the clock
 
 
 Sensor = tuple[float, int, float | None]

@@ -37,14 +37,12 @@ _SPLIT = np.stack([VALUES.T > 0, VALUES.T < 0]).astype(np.float64)
 # level = 4 x = 2 + 1/2 H^T d H
 _LIT = (2 + (VALUES @ SIGNS / 2)[..., None] > np.arange(SLOTS)).astype(np.float64)
 
-MEAN_LIT = _LIT.mean((0, 1))
-"""(4,) E on_j of random data: 15, 11, 5 and 1 sixteenths."""
+MEAN_LIT = _LIT.mean((0, 1))  # (4,) E on_j of random data: 15, 11, 5 and 1 sixteenths
 
 COVARIANCE = np.einsum("klr,kls->rs", _LIT - MEAN_LIT, _LIT - MEAN_LIT) / (16 * 4)
 """(4, 4) covariance of the on_j of an LED."""
 
-SLOPES = COVARIANCE.sum(0)
-"""(4,) cov(on_j, level); as the level's variance is 1, also the slope of on_j over the level."""
+SLOPES = COVARIANCE.sum(0)  # (4,) cov(on_j, level); as the level's variance is 1, also the slope of on_j over the level
 
 
 def response(weights: Floats) -> Floats:
@@ -148,8 +146,7 @@ def _probabilities(mean: Floats) -> Floats:
     return probability
 
 
-PAIR = 2 * SLOTS
-"""Slots of a pair."""
+PAIR = 2 * SLOTS  # slots of a pair
 
 
 @dataclass(frozen=True)
@@ -322,8 +319,7 @@ def _centroid(weights: Floats, light: Floats, middle: Floats) -> float:
     return float((weights @ (light * middle)).sum() / max((weights @ light).sum(), TINY))
 
 
-Moments = tuple[Floats, Floats]
-"""Mean and variance of the observed symbols of a packet, (pairs, symbols) each."""
+Moments = tuple[Floats, Floats]  # mean and variance of the observed symbols of a packet, (pairs, symbols) each
 
 
 @dataclass(frozen=True, slots=True)

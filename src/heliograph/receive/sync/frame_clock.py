@@ -10,11 +10,9 @@ from heliograph.base.arrays import TINY
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 
-STEP_TOLERANCE = 0.02
-"""Maximum relative deviation of the frame rate from the pattern rate of a synchronous camera."""
+STEP_TOLERANCE = 0.02  # maximum relative deviation of the frame rate from the pattern rate of a synchronous camera
 
-FIRST_FRAMES = 16
-"""Frames for the first estimate of the frame rate: 0.3 % at a jitter of 5 %."""
+FIRST_FRAMES = 16  # frames for the first estimate of the frame rate: 0.3 % at a jitter of 5 %
 
 
 class SynchronousClock:
@@ -139,8 +137,7 @@ class CameraClock:
         return replace(frame, time_s=self._time_s)
 
 
-FrameClock = SynchronousClock | CameraClock
-"""Clock that passes frames on with exact times."""
+FrameClock = SynchronousClock | CameraClock  # clock that passes frames on with exact times
 
 
 def frame_period(gaps: NDArray[np.float64]) -> float:

@@ -31,8 +31,7 @@ from heliograph.signal.header import header_cells
 from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import SignalSettings
 
-PATTERNS_AROUND = 2
-"""Patterns to measure before and after a header: both ends of the header show the start."""
+PATTERNS_AROUND = 2  # patterns to measure before and after a header: both ends of the header show the start
 
 MIN_EXPLAINED = 0.7
 """Minimum part of the power of the amplitudes that a header explains; of white noise about a quarter is explained."""

@@ -358,5 +358,4 @@ def _cut(frames: list[Frame], part: Part) -> NDArray[np.float32]:
     ).astype(np.float32)
 
 
-Pairing = SynchronousPairing | AsynchronousPairing
-"""Pairing of the frames of an array."""
+Pairing = SynchronousPairing | AsynchronousPairing  # pairing of the frames of an array

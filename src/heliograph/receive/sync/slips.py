@@ -23,17 +23,13 @@ from heliograph.receive.sync.kernels import light_at_leds
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
-PoseAt = Callable[[float], Pose]
-"""Predicted pose of the array at a time in seconds."""
+PoseAt = Callable[[float], Pose]  # predicted pose of the array at a time in seconds
 
-MAX_EVEN = 0.4
-"""Maximum epsilon of an even pair: 4 standard deviations below epsilon of 60 independent LEDs."""
+MAX_EVEN = 0.4  # maximum epsilon of an even pair: 4 standard deviations below epsilon of 60 independent LEDs
 
-MIN_CORRELATION = 0.7
-"""Minimum correlation of each frame of a header: 5 standard deviations of random data."""
+MIN_CORRELATION = 0.7  # minimum correlation of each frame of a header: 5 standard deviations of random data
 
-MAX_TIME_ERROR = 0.2
-"""Maximum deviation from a synchronous frame time in T_b: epsilon is then 0.08 or less."""
+MAX_TIME_ERROR = 0.2  # maximum deviation from a synchronous frame time in T_b: epsilon is then 0.08 or less
 
 
 def is_data(number: int, signal: SignalSettings) -> bool:

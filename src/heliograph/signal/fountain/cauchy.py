@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 POLYNOMIAL = 0b1_0001_0000_0000_1011
 """Field polynomial x^16 + x^12 + x^3 + x + 1 (section 8.1), primitive: x generates all nonzero elements."""
 
-ORDER = (1 << 16) - 1
-"""Number of nonzero elements, and the period of the powers of x."""
+ORDER = (1 << 16) - 1  # number of nonzero elements, and the period of the powers of x
 
 ZERO = 2 * ORDER
 """Logarithm of 0, larger than any sum of two other logarithms: the power table returns 0 for products with 0."""
@@ -47,8 +46,7 @@ def power(exponents: NDArray[np.integer]) -> Words:
     return _tables()[0][exponents]
 
 
-NUMBERS = 1 << 16
-"""Symbol numbers: the field elements."""
+NUMBERS = 1 << 16  # symbol numbers: the field elements
 
 
 class CauchyEncoder:

@@ -92,5 +92,4 @@ CODES: Mapping[CodeName, FountainCode] = {
 }
 """Codes by name. Every receiver supports "cauchy"; "raptorq" requires the package raptorq."""
 
-BY_NUMBER = {code.number: code for code in CODES.values()}
-"""Codes by block field number."""
+BY_NUMBER = {code.number: code for code in CODES.values()}  # codes by block field number

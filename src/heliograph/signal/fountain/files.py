@@ -10,8 +10,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.signal.block import AnyFileBlock, FileBlock, FileNotice, SymbolBlock, small_symbol_bytes, symbol_bytes
 from heliograph.signal.fountain.codes import BY_NUMBER, CODES, CodeName, Encoder
 
-LONGEST_NAME = 255
-"""Maximum file name length in bytes: the length field is a byte (section 8.1)."""
+LONGEST_NAME = 255  # maximum file name length in bytes: the length field is a byte (section 8.1)
 
 NOTICE_TURNS = 8
 """Turns per file description in small blocks (section 8.1). Descriptions take an eighth of the light, and three layers

@@ -14,12 +14,10 @@ from heliograph.signal.code import Algorithm, Check, CodePlan
 from heliograph.signal.turbo.encoder import STREAMS, TERMINATION, encode_mother, selection
 from heliograph.signal.turbo.qpp import QPP_SIZES, coefficients, interleaver
 
-HIGHEST_RATE = (9, 10)
-"""Maximum rate as a fraction (section 9.1), at which noiseless blocks decode at every size."""
+HIGHEST_RATE = (9, 10)  # maximum rate as a fraction (section 9.1), at which noiseless blocks decode at every size
 
 
-Stop = Literal["none", "agreement", "crc"]
-"""Stopping rule for a block."""
+Stop = Literal["none", "agreement", "crc"]  # stopping rule for a block
 
 _DEFAULT_SCALE: dict[str, float] = {"max-log": 0.7, "log-map": 1.0}
 """Default factor on extrinsic LLRs, which max-log overestimates (docs/decisions.md)."""

@@ -8,14 +8,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-STREAMS = 3
-"""Streams d0, d1, d2 in the rate 1/3 mother code (TS 36.212, 5.1.3.2.2)."""
+STREAMS = 3  # streams d0, d1, d2 in the rate 1/3 mother code (TS 36.212, 5.1.3.2.2)
 
 STATES = 8
 """Trellis states: ``4 a1 + 2 a2 + a3``, where a1 is the newest of three bits in the shift register (figure 5.1.3-2)."""
 
-TAIL_BITS = 6
-"""Coded bits to terminate a constituent code: x and z for each of three steps, in this order."""
+TAIL_BITS = 6  # coded bits to terminate a constituent code: x and z for each of three steps, in this order
 
 TERMINATION = 2 * TAIL_BITS
 """Coded bits to terminate a block, 12: the tails from both constituent codes (TS 36.212, 5.1.3.2.2)."""
@@ -78,8 +76,7 @@ def _delay(bits: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
     return delayed
 
 
-COLUMNS = 32
-"""Columns in the sub-block interleaver (TS 36.212, 5.1.4.1.1)."""
+COLUMNS = 32  # columns in the sub-block interleaver (TS 36.212, 5.1.4.1.1)
 
 
 @lru_cache(maxsize=32)

@@ -12,8 +12,7 @@ from heliograph.receive.packet import Words
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 
-CodedBits = Mapping[str, NDArray[np.bool_]]
-"""Coded bits by layer, (codewords, E)."""
+CodedBits = Mapping[str, NDArray[np.bool_]]  # coded bits by layer, (codewords, E)
 
 
 def encode(form: PacketFormat, words: Words) -> CodedBits:

@@ -24,8 +24,7 @@ from heliograph.web.watching.scene import SceneObserver
 from heliograph.web.watching.sources import Source, WatchRequest, opened
 from heliograph.web.wording import page_words
 
-SCENE_S = 1 / 30
-"""Shortest time in s between scenes."""
+SCENE_S = 1 / 30  # shortest time in s between scenes
 
 STAGES: dict[type, str] = {
     DetectEvent: "find",

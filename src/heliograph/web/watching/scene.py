@@ -16,8 +16,7 @@ from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.watching.patterns import encode, equalised_by, expected, grey, histograms, soft_by_layer
 
-MAX_COLUMNS = 960
-"""Columns of a transmitted picture."""
+MAX_COLUMNS = 960  # columns of a transmitted picture
 
 CUT_SIDE, CUT_RATIO = 72, 1.3
 """Side of a transmitted cut-out in pixels, and ratio of cut-out width to array width."""
