@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 HEADER_POLYNOMIALS = (0b11001, 0b10011)
 """Primitive polynomials at degree 4: x^4 + x^3 + 1 (Nagura et al. 2010, section IV.A) and the reciprocal.
 
-These are all; another degree needs another number of cells, `signal.header.CELLS`.
+These are all; another degree needs another number of cells in header, formats and detection.
 """
 
 WHITENING_POLYNOMIAL = 0b1100_0000_0000_0001  # primitive polynomial x^15 + x^14 + 1
