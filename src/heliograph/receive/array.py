@@ -132,9 +132,8 @@ class ArrayReceiver:
         """Return True if a clear header with all LEDs in sight shows the array off the track."""
         pose = self._view.pose_out(self._track.state.pose_at(detection.time_s))
         error_px = rim_distance(pose, detection.fit.pose, self._signal.side)
-        all_visible = bool((detection.led_gains == 1).all())
         # beyond half a pitch LEDs are mistaken for neighbours
-        return detection.is_clear and all_visible and error_px > 0.5 * pose.pitch
+        return bool(detection.is_clear and (detection.led_gains == 1).all() and error_px > 0.5 * pose.pitch)
 
     def push(self, frame: Frame) -> Iterator[PendingPacket]:
         """Take the next frame; yield the packet it completes."""
