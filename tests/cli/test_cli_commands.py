@@ -244,8 +244,10 @@ def test_demo_counts_codewords_and_writes_a_report(tmp_path: Path, call: Call) -
     out = succeeded(call("demo", "--output", "d", *lasting(0.1)))
     assert out.splitlines()[0] == "d/drive.mp4: a film of 100 frames, about 1 MB"
     assert "array 0: 1 packet; codewords read: high 1/1" in out
-    assert out.splitlines()[-1] == "open d/report.html"
-    assert {"report.html", "drive.mp4", "drive.mp4.truth.npz", "array-0-high-0.txt"} <= set(names(tmp_path / "d"))
+    assert out.splitlines()[-1] == "open d/report.html, and d/replay.html to look at every moment"
+    assert {"report.html", "replay.html", "drive.mp4", "drive.mp4.truth.npz", "array-0-high-0.txt"} <= set(
+        names(tmp_path / "d")
+    )
 
 
 def test_the_script_and_python_run_the_command(tmp_path: Path) -> None:

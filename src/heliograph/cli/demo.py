@@ -1,6 +1,7 @@
 """Demonstration: simulation, reception and report of a drive."""
 
 import contextlib
+from functools import partial
 from pathlib import Path
 
 from heliograph.base.errors import HeliographError, counted
@@ -10,6 +11,7 @@ from heliograph.cli.options import option
 from heliograph.cli.simulate import load_scene
 from heliograph.experiments.demo.drive import film_bytes, run
 from heliograph.link.film import frames_of
+from heliograph.web.replay import receive_and_record
 
 
 @options.command
@@ -21,7 +23,7 @@ def demo(
 ) -> None:
     """Simulate the paper's drive, receive it, and write a report.
 
-    The report is DIR/report.html.
+    The report is DIR/report.html; DIR/replay.html shows every moment of the reception.
     """
     channel = settings.overlay().get("channel", {})
     if not isinstance(channel, dict) or "background" not in channel:
@@ -35,7 +37,8 @@ def demo(
     console.say(f"{film}: a film of {frames_of(link)} frames, about {size_mb} MB")
     old_time = film.stat().st_mtime_ns if film.exists() else None
     try:
-        demonstration = run(output, link, scene.seed, recordings, console.progress)
+        receive = partial(receive_and_record, output / "replay.html")
+        demonstration = run(output, link, scene.seed, recordings, console.progress, receive)
     except KeyboardInterrupt:
         is_written = film.exists() and film.stat().st_mtime_ns != old_time
         console.exit_interrupted(f"interrupted; {film} holds the frames so far" if is_written else "interrupted")
@@ -52,7 +55,7 @@ def demo(
         console.say(f"array {array['id']}: {counted(array['packets'], 'packet')}; codewords read: {layers}")
     frames = counted(report["frames"], "frame")
     console.say(f"{frames} at {report['frames_per_second']:.0f} frames/s")
-    console.say(f"open {output / 'report.html'}")
+    console.say(f"open {output / 'report.html'}, and {output / 'replay.html'} to look at every moment")
     if isinstance(demonstration.ending, KeyboardInterrupt):
         console.exit_interrupted(f"interrupted after {frames}; {output} holds the results so far")
     if demonstration.ending is not None:

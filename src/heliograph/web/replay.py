@@ -5,15 +5,22 @@ import json
 from base64 import b64encode
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from heliograph.base.files import shown_name, whole_file
 from heliograph.base.frames import Frame
-from heliograph.measure.journal import Row
-from heliograph.measure.reception import ReceptionCounter
+from heliograph.link.film import FrameProgress, silent
+from heliograph.link.settings import LinkSettings
+from heliograph.measure.journal import Journal, Row
+from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import FilmReader
-from heliograph.receive.events import DecodeEvent
+from heliograph.receive import Packet
+from heliograph.receive.api import AnyObserver
+from heliograph.receive.events import DecodeEvent, ignore
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.message import Message
 from heliograph.signal.settings import SignalSettings
+from heliograph.web.camera_frames import Frames
 from heliograph.web.watching.rows import source_row, state_row
 from heliograph.web.watching.scene import SceneObserver
 
@@ -40,6 +47,34 @@ def open_replay(
         partial.touch()  # a folder that is missing is an error before the reception
         yield log
         partial.write_text(log.page(), encoding="utf-8")
+
+
+def receive_and_record(
+    path: Path,
+    film: FilmReader,
+    signal: SignalSettings,
+    settings: LinkSettings,
+    reception: ReceptionCounter,
+    observe: AnyObserver | None = None,
+    progress: FrameProgress = silent,
+) -> Iterator[tuple[Packet, list[Message]]]:
+    """Receive a film as `receive_and_count`, and write the page."""
+    with open_replay(path, film, signal, settings.receive, reception) as log:
+        journal = Journal(settings.receive.calibration, log.tell)
+
+        def observe_all(event: Any) -> None:
+            for observer in (journal.observe, log.observe, observe or ignore):
+                observer(event)
+
+        def frames() -> Iterator[Frame]:
+            for frame in film:
+                log.frame(frame)
+                yield frame
+
+        shown = Frames(str(film.path), frames())
+        for packet, messages in receive_and_count(shown, signal, settings, reception, observe_all, progress):
+            journal.read(packet, messages, reception.progress)
+            yield packet, messages
 
 
 class ReplayLog:

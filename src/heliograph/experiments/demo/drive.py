@@ -419,8 +419,15 @@ class Demonstration:
     ending: BaseException | None = None
 
 
-def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings, bar: Bar) -> Demonstration:
-    """Simulate, receive and report."""
+def run(
+    folder: Path,
+    settings: LinkSettings,
+    seed: int,
+    recordings: Recordings,
+    bar: Bar,
+    receive: Callable[..., Iterator[tuple[Packet, list[Message]]]] = receive_and_count,
+) -> Demonstration:
+    """Simulate, receive and report; `receive` receives the film with the last receiver, as `receive_and_count`."""
     film = folder / "drive.mp4"
     with bar("simulating", frames_of(settings)) as advance:
         # 34 MB for the drive of the paper; crf 12 needs 338 MB for as many high and three more other codewords
@@ -431,23 +438,25 @@ def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings,
     messages: list[Message] = []
     began = time.perf_counter()
     ending: BaseException | None = None
+    receiver, (best, _) = settings.receive.receiver, choose_receiver(settings.signal, settings.channel.camera.fps)
+    is_compared = receiver == "plain" and best == "soft"
+    first = receive_and_count if is_compared else receive
     try:
         with bar("receiving", count) as advance, open_film(film) as source:
-            for packet, complete in receive_and_count(source, settings.signal, settings, reception, recorder, advance):
+            for packet, complete in first(source, settings.signal, settings, reception, recorder, advance):
                 messages += complete
                 recorder.add_packet(packet, complete)
     except (HeliographError, KeyboardInterrupt) as error:
         ending = error
     counts = reception.report(time.perf_counter() - began)
-    receptions, receiver = {settings.receive.receiver: reception}, settings.receive.receiver
-    best, _ = choose_receiver(settings.signal, settings.channel.camera.fps)
-    if ending is None and receiver == "plain" and best == "soft":
+    receptions = {receiver: reception}
+    if ending is None and is_compared:
         # the same film by the other receiver
         other = replace(settings, receive=replace(settings.receive, receiver=best, plain=PlainSettings()))
         receptions[best] = ReceptionCounter(truth)
         try:
             with bar(f"receiving by {best}", count) as advance, open_film(film) as source:
-                received = receive_and_count(source, settings.signal, other, receptions[best], progress=advance)
+                received = receive(source, settings.signal, other, receptions[best], progress=advance)
                 deque(received, maxlen=0)
         except KeyboardInterrupt as error:
             ending = error
