@@ -1,6 +1,7 @@
 """Plots of error rates: points with intervals, and upper bounds for zero errors."""
 
 import sys
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 ARROW = r"$\downarrow$"  # marker of an upper bound
 
-BOUND, MISSED, UNCODED = "no error: upper bound of the rate (95 %)", "no packet found", "bit error rate without a code"
+BOUND, MISSED, UNCODED = "no error: upper bound", "no packet found", "uncoded bit errors"
 """Legend texts, and ids in axes, of upper bounds, missed arrays and uncoded bits."""
 
 LAYER_COLOURS = dict(zip(LAYERS, ("#1b6ca8", "#d1741f", "#5b8c3a"), strict=True))
@@ -70,7 +71,7 @@ def plot_rates(
     lines = data if "layer" in data[rate].dims else data.expand_dims("layer")
     for number, place in enumerate(np.ndindex(*(data.sizes[other] for other in others))):
         part = lines.isel(dict(zip(others, place, strict=True)))
-        about = ", ".join(str(part[other].values) for other in others)
+        about = ", ".join(_words(other, part[other].values) for other in others)
         for layer in layers:
             label = ", ".join(filter(None, (about, layer)))
             one = part.sel(layer=layer)
@@ -81,7 +82,12 @@ def plot_rates(
                 if (wrong := raw > 0).any():
                     axes.plot(x[wrong], raw[wrong], ":", color=LAYER_COLOURS[layer], lw=0.8, zorder=1, gid=UNCODED)
     unit = data[key].attrs.get("units", "1")
-    axes.set(xlabel=key if unit == "1" else f"{key} ({unit})", ylabel=ERROR_RATES[rate], yscale="log")
+    xlabel, ylabel = key if unit == "1" else f"{key} ({unit})", textwrap.fill(ERROR_RATES[rate], 40)
+    axes.set(xlabel=xlabel, ylabel=ylabel, yscale="log")
+    rates = np.concatenate([line.get_ydata() for line in axes.lines if line.get_gid() != MISSED] or [[]])
+    if (rates > 0).any():
+        # the interval of a few errors reaches down to 0
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], rates[rates > 0].min() / 30))
     axes.grid(alpha=0.3)
     axes.legend(*legend_entries(axes), fontsize="small", loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     return axes
@@ -98,6 +104,11 @@ def legend_entries(axes: "Axes") -> tuple[list[Any], list[str]]:
             handles.append(Line2D([], [], color="k", ls=line, lw=0.8, marker=marker))
             labels.append(note)
     return handles, labels
+
+
+def _words(key: str, value: Any) -> str:
+    """Return a value for the legend, with the name of the key if the value is a number."""
+    return f"{key.rsplit('.', 1)[-1]} {value}" if np.issubdtype(value.dtype, np.number) else str(value)
 
 
 def _along(data: "xarray.Dataset", keys: list[str]) -> str:
