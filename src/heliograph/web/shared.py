@@ -48,7 +48,13 @@ class Shared:
         self.cameras: list[str] = []
         # Folder of films, set while the server runs
         self.folder = Path()
-        self.uploads = Store(limits.films, "that film is not here any more: upload it again", StoredFilm.drop)
+        self.uploads = Store[StoredFilm](
+            limits.films,
+            "that film is not here any more: upload it again",
+            StoredFilm.drop,
+            limits.stored_bytes,
+            lambda film: film.size,
+        )
         # Films of failed packets: two for each concurrent reception
         self.bundles = Store(2 * limits.sessions, "that film is not here any more: save it again", StoredFilm.drop)
         self.sendings = Store[Sending](16, "that text or file is not here any more: send it again")
