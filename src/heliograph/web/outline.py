@@ -1,0 +1,49 @@
+"""Outline of the screen in the picture of a camera, before the receiver detects an array."""
+
+from collections import deque
+
+import numpy as np
+
+from heliograph.base.arrays import Floats
+from heliograph.base.frames import Frame
+from heliograph.receive.screen.cells import Pixels32, light_of
+from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame
+
+WINDOW_S, STEP_S = 1.0, 0.25  # frames of a search, and interval of searches in s
+
+FRAME_S = 0.045  # minimum interval of the frames in s
+
+MAX_SHIFT = 0.05  # maximum shift of a corner between two searches, over the side of the picture
+
+LIGHT = (np.arange(256, dtype=np.float32) / 255) ** 2.2  # light of gray levels
+
+
+class OutlineFinder:
+    """Finder of the quadrilateral that changes most, confirmed by two successive searches."""
+
+    def __init__(self) -> None:
+        self._frames: deque[tuple[float, Pixels32]] = deque()
+        self._next_s = 0.0
+        self._last: Floats | None = None
+
+    def add(self, frame: Frame) -> list[float] | None:
+        """Add a frame of 8 bits; return x and y of four corners over width and height, or an empty list if none.
+
+        None between two searches.
+        """
+        frames, now_s = self._frames, frame.time_s
+        if frames and now_s - frames[-1][0] < FRAME_S:
+            return None
+        small, factor = reduce_frame(light_of(frame.pixels, LIGHT))
+        frames.append((now_s, small))
+        while now_s - frames[0][0] > WINDOW_S:
+            frames.popleft()
+        if now_s < self._next_s or now_s - frames[0][0] < WINDOW_S / 2:
+            return None
+        self._next_s = now_s + STEP_S
+        found = find_quadrilaterals(mean_change([small for _, small in frames]), factor)
+        corners = (found[0] + 0.5) / frame.pixels.shape[::-1] if found else None
+        last, self._last = self._last, corners
+        if corners is None or last is None or np.abs(corners - last).max() > MAX_SHIFT:
+            return []
+        return [round(float(value), 4) for value in corners.ravel()]
