@@ -15,7 +15,7 @@ FRAME_S = 0.045  # minimum interval of the frames in s
 
 MAX_SHIFT = 0.05  # maximum shift of a corner between two searches, over the side of the picture
 
-LIGHT = (np.arange(256, dtype=np.float32) / 255) ** 2.2  # light of gray levels
+LIGHT = ((np.arange(256) / 255) ** 2.2).astype(np.float32)  # light of gray levels
 
 
 class OutlineFinder:

@@ -39,6 +39,7 @@ class Shared:
         camera: tuple[str, ...],
         *,
         is_auto: bool,
+        phone_url: str = "",
     ):
         # True if films decide the receiver
         self.is_auto = is_auto
@@ -46,6 +47,8 @@ class Shared:
         self.settings, self.films, self.limits, self.camera = settings, films, limits, camera
         # Live cameras of the last search; identified by number
         self.cameras: list[str] = []
+        # Address of page *Receive* for other machines; empty if only this machine has access
+        self.phone_url = phone_url
         # Folder of films, set while the server runs
         self.folder = Path()
         self.uploads = Store[StoredFilm](
