@@ -254,6 +254,21 @@ def test_noise_and_a_still_picture_have_no_outline() -> None:
         assert [] in seen
 
 
+def test_a_shaking_picture_has_rarely_an_outline() -> None:
+    noise = np.random.default_rng(1)
+    picture = np.full((340, 340), 120, np.uint8)
+    for x, y, width, height, level in noise.integers((0, 0, 10, 10, 20), (320, 320, 100, 100, 230), (60, 5)).tolist():
+        picture[y : y + height, x : x + width] = level
+    finder, seen = OutlineFinder(), list[list[float]]()
+    for k in range(150):
+        x, y = np.rint(20 + 4 * np.sin((k / 6, k / 7.5)) + 2 * np.sin((k / 2.7, k / 3.3))).astype(int)
+        corners = finder.add(Frame(k, k / 30, np.ascontiguousarray(picture[y : y + 300, x : x + 300])))
+        if corners is not None:
+            seen.append(corners)
+    assert len(seen) > 12
+    assert sum(bool(corners) for corners in seen) <= len(seen) // 10
+
+
 REQUESTS = [
     {}, {"kind": "film", "film": "../../etc/passwd"}, {"kind": "film", "film": "x" * 65},
     {"kind": "camera", "side": 10}, {"kind": "camera", "rate_hz": -1}, {"kind": "camera", "more": 1}, {"kind": "drive"},

@@ -2,6 +2,7 @@
 
 from collections import deque
 
+import cv2
 import numpy as np
 
 from heliograph.base.arrays import Floats
@@ -14,6 +15,8 @@ WINDOW_S, STEP_S = 1.0, 0.25  # frames of a search, and interval of searches in 
 FRAME_S = 0.045  # minimum interval of the frames in s
 
 MAX_SHIFT = 0.05  # maximum shift of a corner between two searches, over the side of the picture
+
+MIN_FILL = 0.35  # minimum change of 90 % of the pixels, over the mean change: screens have 0.48, edges 0.19
 
 LIGHT = ((np.arange(256) / 255) ** 2.2).astype(np.float32)  # light of gray levels
 
@@ -41,9 +44,18 @@ class OutlineFinder:
         if now_s < self._next_s or now_s - frames[0][0] < WINDOW_S / 2:
             return None
         self._next_s = now_s + STEP_S
-        found = find_quadrilaterals(mean_change([small for _, small in frames]), factor)
+        changes = mean_change([small for _, small in frames])
+        found = [corners for corners in find_quadrilaterals(changes, factor) if _is_filled(changes, corners, factor)]
         corners = (found[0] + 0.5) / frame.pixels.shape[::-1] if found else None
         last, self._last = self._last, corners
         if corners is None or last is None or np.abs(corners - last).max() > MAX_SHIFT:
             return []
         return [round(float(value), 4) for value in corners.ravel()]
+
+
+def _is_filled(changes: Pixels32, corners: Floats, factor: int) -> bool:
+    """Return True if most of a quadrilateral changes, unlike the edges of a moving picture."""
+    mask = np.zeros(changes.shape, np.uint8)
+    cv2.fillConvexPoly(mask, np.rint(corners / factor).astype(np.int32), 1)
+    inside = changes[mask > 0]
+    return bool(np.percentile(inside, 10) > MIN_FILL * inside.mean())
