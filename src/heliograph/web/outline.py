@@ -10,7 +10,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive.screen.cells import Pixels32, light_of
 from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame
 
-WINDOW_S, STEP_S = 1.0, 0.25  # frames of a search, and interval of searches in s
+MIN_WINDOW_S, WINDOW_S, STEP_S = 0.3, 1.0, 0.2  # frames of a search, and interval of searches in s
 
 FRAME_S = 0.045  # minimum interval of the frames in s
 
@@ -41,7 +41,7 @@ class OutlineFinder:
         frames.append((now_s, small))
         while now_s - frames[0][0] > WINDOW_S:
             frames.popleft()
-        if now_s < self._next_s or now_s - frames[0][0] < WINDOW_S / 2:
+        if now_s < self._next_s or now_s - frames[0][0] < MIN_WINDOW_S:
             return None
         self._next_s = now_s + STEP_S
         changes = mean_change([small for _, small in frames])
