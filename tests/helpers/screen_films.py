@@ -93,7 +93,7 @@ class Phone:
 def phone_frames(grabs: Grabs, phone: Phone) -> Iterator[tuple[float, Gray]]:
     """Yield time and gray levels for each frame during the grabs."""
     rng = np.random.default_rng(phone.seed)
-    corners, phase, beat = _corners(phone, rng), rng.uniform(0, 2 * np.pi, 2), rng.uniform(0.6, 1.1, 2)
+    corners, phase, beat = screen_corners(phone, rng), rng.uniform(0, 2 * np.pi, 2), rng.uniform(0.6, 1.1, 2)
     first = float(grabs.times_s[0]) + rng.uniform(0, 1 / phone.fps)
     for k in range(10**9):
         time_s = first + k / phone.fps + rng.uniform(-1, 1) * phone.jitter_s
@@ -105,7 +105,7 @@ def phone_frames(grabs: Grabs, phone: Phone) -> Iterator[tuple[float, Gray]]:
         yield time_s - first, np.clip(np.rint(gray), 0, 255).astype(np.uint8)
 
 
-def _corners(phone: Phone, rng: np.random.Generator) -> NDArray[np.float64]:
+def screen_corners(phone: Phone, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return the image corners of the screen picture, each displaced from a square by up to 4 %."""
     middle = np.array([phone.width, phone.height]) / 2 + rng.uniform(-0.04, 0.04, 2) * phone.height
     turn = np.deg2rad(phone.turn_deg)

@@ -12,6 +12,7 @@ from waiting import wait_until
 
 from heliograph.web.app import create_app
 from heliograph.web.limits import Limits
+from heliograph.web.security import Access
 from heliograph.web.serve import Address, open_port, server_config
 
 OWN = "http://127.0.0.1:8000"
@@ -19,10 +20,12 @@ OWN = "http://127.0.0.1:8000"
 
 
 @contextmanager
-def serving(films: Sequence[Path] = (), limits: Limits | None = None) -> Iterator[str]:
+def serving(
+    films: Sequence[Path] = (), limits: Limits | None = None, access: Access | None = None, phone_url: str = ""
+) -> Iterator[str]:
     """Serve the pages; yield the URL."""
     address, limits = Address(port=0), limits or Limits()
-    app = create_app(films=[str(film) for film in films], limits=limits)
+    app = create_app(films=[str(film) for film in films], access=access, limits=limits, phone_url=phone_url)
     server = uvicorn.Server(server_config(app, address, limits))
     with open_port(address) as listener:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})

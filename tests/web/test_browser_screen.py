@@ -1,6 +1,8 @@
 """Send text and a picture from page *Transmit* through a phone film to page *Receive*, in a real browser."""
 
+import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -17,6 +19,7 @@ from screen_light import shown
 from web_server import serving
 
 from heliograph.media import open_film
+from heliograph.web.security import LOOPBACK, Access
 from heliograph.web.sending import sending_of
 
 pytestmark = [pytest.mark.slow, needs_chromium]
@@ -84,6 +87,77 @@ def test_command_receives_a_phone_film_of_the_page(sent: tuple[Path, bytes], tmp
     assert (tmp_path / "got" / "files" / "sun.png").read_bytes() == picture
 
 
+def test_preview_is_still_and_states_the_film_time(chromium: Browser, address: str) -> None:
+    with quiet_page(chromium, f"{address}transmit") as page:
+        picture = "document.getElementById('pattern').toDataURL()"
+        expect(page.locator("#estimate")).to_contain_text("23 B in 1 packet, 27 bytes per second: film for 7 s")
+        expect(page.locator("#pattern")).to_be_visible()
+        assert light_of(page) == 0
+        before = page.evaluate(picture)
+        page.fill("#text", "Another text")
+        expect(page.locator("#estimate")).to_contain_text("12 B")
+        after = page.evaluate(picture)
+        assert after != before
+        page.wait_for_timeout(1000)
+        assert page.evaluate(picture) == after
+        page.fill("#text", "")
+        expect(page.locator("#pattern")).to_be_hidden()
+        expect(page.locator(".notice")).to_be_hidden()
+
+
+def test_full_screen_begins_with_an_instruction_and_counts_packets(chromium: Browser, address: str) -> None:
+    with quiet_page(chromium, f"{address}transmit") as page:
+        page.wait_for_selector("#rate option", state="attached")
+        page.fill("#text", "long text " * 20)
+        transmitting(page)
+        expect(page.locator("#preview")).to_be_hidden()
+        expect(page.locator("#turn-said")).to_contain_text("Packet 1 of 3")
+        page.click("#full")
+        instruction = page.locator("#instruction")
+        expect(instruction).to_have_text(
+            "Film this screen with your phone, held still, for 10 s. Esc stops and returns to the page."
+        )
+        expect(instruction).to_be_visible()
+        check_accessibility(page)
+        page.wait_for_timeout(3100)
+        expect(instruction).to_be_hidden()
+        expect(page.locator("#corner")).to_be_visible()
+        expect(page.locator("#corner")).to_contain_text("of 3")
+        page.evaluate("() => document.exitFullscreen()")  # as the browser does on Esc
+        expect(page.locator("#turn")).to_be_hidden()
+        expect(page.locator("#preview")).to_be_visible()
+
+
+def test_code_opens_page_receive_on_a_phone(chromium: Browser, address: str) -> None:
+    with quiet_page(chromium, f"{address}transmit") as page:
+        expect(page.locator("#phone")).to_contain_text("start it with heliograph serve --host 0.0.0.0")
+        expect(page.locator("#code")).to_be_hidden()
+    url = "http://192.168.1.5:8000/receive#token=secret"
+    with (
+        serving(access=Access(LOOPBACK, token="secret"), phone_url=url) as served,
+        quiet_page(chromium, f"{served}transmit#token=secret") as page,
+    ):
+        page.wait_for_function("() => document.getElementById('code').naturalWidth > 0")
+        code = cv2.imdecode(np.frombuffer(page.locator("#code").screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert code is not None
+        assert cv2.QRCodeDetector().detectAndDecode(code)[0] == url
+        check_accessibility(page)
+
+
+def test_likely_problem_is_shown_before_the_diagnosis(chromium: Browser, address: str, tmp_path: Path) -> None:
+    burnt = replace(PHONE, gain=8.0)
+    film = tmp_path / "burnt.mp4"
+    light = shown(sending_of(b"burnt", None, 16, 15.0), 4.0, cell_px=12)
+    write_phone_film(film, phone_frames(light, burnt), burnt)
+    with quiet_page(chromium, f"{address}receive") as page:
+        page.set_input_files("#film", film)
+        expect(page.locator("#why-title")).to_contain_text("Likely problem")
+        expect(page.locator("#why-lines")).to_contain_text("Exposure: ")
+        expect(page.locator("#state")).not_to_contain_text("The end")
+        expect(page.locator("#state")).to_contain_text("The end")
+        expect(page.locator("#why-title")).to_have_text("Why nothing was received")
+
+
 def test_camera_of_the_browser_receives_a_text(chromium: Browser, address: str, tmp_path: Path) -> None:
     webcam = tmp_path / "phone.mjpeg"
     write_webcam(webcam, phone_frames(shown(sending_of(TEXT.encode(), None, 16, 15.0), 4.0, cell_px=12), PHONE))
@@ -92,8 +166,11 @@ def test_camera_of_the_browser_receives_a_text(chromium: Browser, address: str, 
         quiet_page(found, f"{address}receive") as page,
     ):
         page.click("#start")
+        expect(page.locator("#outline")).to_have_attribute("points", re.compile(r"[\d.]+( [\d.]+){7}"))
+        expect(page.locator("#overlay.read")).to_have_count(0)
         expect(page.locator(".text")).to_have_text(TEXT)
         expect(page.locator(".text")).to_be_in_viewport()
+        expect(page.locator("#overlay")).to_have_class("overlay read")
         page.get_by_role("button", name="Copy").click()
         expect(page.get_by_role("button", name="Copied")).to_be_visible()
         expect(page.locator("#counts")).to_contain_text("sent")

@@ -46,5 +46,4 @@ def test_layers_have_the_colours_of_the_plots() -> None:
 @pytest.mark.parametrize("page", PAGES)
 def test_texts_name_no_settings_and_options(page: str) -> None:
     text = re.sub(r"<[^>]*>", " ", built()[f"{page}.html"].decode())
-    if page != "receive":  # its panel of commands goes to the documentation
-        assert not COMMANDS.search(text)
+    assert not COMMANDS.search(text)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from cli_runs import within
 from fastapi.testclient import TestClient
-from screen_films import Grabs, Gray, Phone, phone_frames, write_phone_film
+from screen_films import Grabs, Gray, Phone, phone_frames, screen_corners, write_phone_film
 from screen_light import shown
 from starlette.testclient import WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
@@ -27,6 +27,7 @@ from heliograph.signal.settings import SignalSettings
 from heliograph.web.camera_frames import HEAD, MAX_WAITING, CameraFrames
 from heliograph.web.failures import FailureRecorder
 from heliograph.web.link_estimate import LinkRequest
+from heliograph.web.outline import OutlineFinder
 from heliograph.web.reading import PageReader
 from heliograph.web.sending import screen_settings, sending_of
 from heliograph.web.stores import Store, StoredFilm
@@ -208,6 +209,64 @@ def test_diagnosis_follows_a_film_without_patterns(client: TestClient, tmp_path:
     rows = rows_of_film(client, tmp_path / "still.mp4", frames, Phone(width=64, height=64))
     assert next(row["lines"] for row in rows if row["event"] == "why")
     assert rows[-1]["ok"] == 0
+
+
+@pytest.mark.slow
+def test_likely_reason_comes_before_the_reception(
+    client: TestClient, tmp_path: Path, sharp_frames: list[tuple[float, Gray]]
+) -> None:
+    burnt = replace(SMALL, gain=8.0)
+    rows = rows_of_film(client, tmp_path / "burnt.mp4", phone_frames(grabs(), burnt), burnt, side=16)
+    assert rows[0]["event"] == "early"
+    assert rows[0]["lines"][0].startswith("Exposure:")
+    assert next(row["lines"] for row in rows[1:] if row["event"] == "why")
+    rows = rows_of_film(client, tmp_path / "sharp.mp4", sharp_frames, SMALL)
+    assert rows[0] == {"event": "early", "lines": []}
+    assert [row["event"] for row in rows].count("early") == 1
+
+
+@pytest.mark.parametrize("side_px", [60, 120, 200])
+def test_outline_of_a_screen_is_found_within_a_second(side_px: float) -> None:
+    phone = replace(SMALL, side_px=side_px)
+    finder, found = OutlineFinder(), list[tuple[float, list[float]]]()
+    for k, (time_s, pixels) in enumerate(phone_frames(grabs(seconds=2.0), phone)):
+        corners = finder.add(Frame(k, time_s, pixels))
+        if corners:
+            found.append((time_s, corners))
+    assert found[0][0] <= 1.0
+    # the array has 16 of 20 cells of the picture, and the camera shakes
+    cells = np.array([(2, 2), (18, 2), (18, 18), (2, 18)]) / 20
+    (a, b, c, d), (x, y) = screen_corners(phone, np.random.default_rng(phone.seed)), np.split(cells, 2, axis=1)
+    true = (a * (1 - x) + b * x) * (1 - y) + (d * (1 - x) + c * x) * y
+    for _, corners in found:
+        assert np.abs(np.reshape(corners, (4, 2)) * (phone.width, phone.height) - true).max() < 0.08 * side_px
+
+
+def test_noise_and_a_still_picture_have_no_outline() -> None:
+    noise = np.random.default_rng(3)
+    for deviation in (0.0, 3.0):
+        finder = OutlineFinder()
+        seen = [
+            finder.add(Frame(k, k / 30, np.rint(noise.normal(90, deviation, (120, 160))).astype(np.uint8)))
+            for k in range(60)
+        ]
+        assert not any(seen)
+        assert [] in seen
+
+
+def test_a_shaking_picture_has_rarely_an_outline() -> None:
+    noise = np.random.default_rng(1)
+    picture = np.full((340, 340), 120, np.uint8)
+    for x, y, width, height, level in noise.integers((0, 0, 10, 10, 20), (320, 320, 100, 100, 230), (60, 5)).tolist():
+        picture[y : y + height, x : x + width] = level
+    finder, seen = OutlineFinder(), list[list[float]]()
+    for k in range(150):
+        x, y = np.rint(20 + 4 * np.sin((k / 6, k / 7.5)) + 2 * np.sin((k / 2.7, k / 3.3))).astype(int)
+        corners = finder.add(Frame(k, k / 30, np.ascontiguousarray(picture[y : y + 300, x : x + 300])))
+        if corners is not None:
+            seen.append(corners)
+    assert len(seen) > 12
+    assert sum(bool(corners) for corners in seen) <= len(seen) // 10
 
 
 REQUESTS = [

@@ -101,6 +101,15 @@ def test_new_uploads_replace_the_oldest(fresh: TestClient) -> None:
     assert {path.suffix for path in paths} == {".mp4"}
 
 
+def test_size_of_all_uploads_is_limited() -> None:
+    with TestClient(create_app(limits=Limits(film_bytes=1000, stored_bytes=2000)), base_url=OWN) as client:
+        contents = [bytes([k]) * 900 for k in range(3)]
+        for content in contents:
+            assert client.put("/api/films", content=content).status_code == 201
+        folder = client.app.state.shared.folder  # type: ignore[attr-defined]
+        assert sorted(path.read_bytes() for path in folder.iterdir()) == contents[1:]
+
+
 @pytest.mark.parametrize(
     ("content", "status", "reason"),
     [(b"", 400, "empty"), (bytes(1001), 413, "a film has"), (iter([bytes(600)] * 2), 413, "a film has")],
@@ -123,6 +132,19 @@ def test_films_are_deleted_when_the_server_ends() -> None:
         folder = client.app.state.shared.folder  # type: ignore[attr-defined]
         assert list(folder.iterdir())
     assert not folder.exists()
+
+
+def test_growing_values_discard_older_values() -> None:
+    discarded = list[bytes]()
+    store = Store[bytearray](9, "gone", lambda value: discarded.append(bytes(value)), 10, len)
+    first, second = bytearray(b"12345"), bytearray(b"1")
+    keys = [store.add(value) for value in (first, second)]
+    second += b"23456"  # as in an upload
+    store.trim()
+    assert discarded == [first]
+    second += bytes(20)
+    store.trim()
+    assert store.of(keys[1]) is second
 
 
 def test_full_store_discards_the_least_recently_used_value() -> None:

@@ -37,6 +37,7 @@ def test_other_machines_need_a_new_token() -> None:
     assert access.accepts_host(f"{socket.gethostname()}:8000")
     assert not access.accepts_host("evil.example:8000")
     assert address.url(8000, access.token).endswith(f":8000/#token={access.token}")
+    assert address.url(8000, access.token, "receive").endswith(f":8000/receive#token={access.token}")
     assert "0.0.0.0" not in address.url(8000, access.token)
     assert Address("0.0.0.0", certificate=Path("a"), key=Path("b")).url(1, None).startswith("https://")
 

@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from web_server import OWN
 
 from heliograph.link.codec import decode
 from heliograph.media import open_film
@@ -11,6 +12,8 @@ from heliograph.probe.screens import SIDES
 from heliograph.signal.fountain.files import FileGatherer
 from heliograph.signal.settings import LAYERS, RateSettings
 from heliograph.web import sending
+from heliograph.web.app import create_app
+from heliograph.web.security import LOOPBACK, Access
 from heliograph.web.sending import MAX_BYTES, screen_settings, sending_of
 
 
@@ -66,6 +69,26 @@ def test_invalid_transmissions_are_rejected(client: TestClient, query: str, cont
     answer = client.post(f"/api/transmit{query}", content=content)
     assert answer.status_code == status
     assert answer.json()["error"]
+
+
+def test_preview_has_a_pattern_and_stores_nothing(client: TestClient) -> None:
+    stored = client.app.state.shared.sendings.items()  # type: ignore[attr-defined]
+    answer = client.post("/api/transmit?side=20&is_preview=true", content=b"preview").json()
+    assert "sending" not in answer
+    assert len(answer["pattern"]) == 20 * 20
+    assert set(answer["pattern"]) <= set(range(5))
+    assert answer["packets"] == 1
+    assert client.app.state.shared.sendings.items() == stored  # type: ignore[attr-defined]
+
+
+def test_phone_gets_an_address_only_from_an_open_server(client: TestClient) -> None:
+    assert client.get("/api/transmit/phone").json() == {"url": "", "code": ""}
+    access, url = Access(LOOPBACK, token="secret"), "http://192.168.1.5:8000/receive#token=secret"
+    with TestClient(create_app(access=access, phone_url=url), base_url=OWN) as served:
+        assert served.get("/api/transmit/phone").status_code == 401
+        answer = served.get("/api/transmit/phone", headers={"authorization": "Bearer secret"}).json()
+    assert answer["url"] == url
+    assert "<svg" in answer["code"]
 
 
 def test_packets_need_a_known_transmission(client: TestClient) -> None:

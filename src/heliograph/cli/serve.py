@@ -59,7 +59,9 @@ def serve(
     access = served.access()
     with open_port(served) as listener:
         url = served.url(listener.getsockname()[1], access.token)
-        app = create_app(link, [str(film) for film in films or ()], access, limits, camera or (), is_auto=is_auto)
+        phone_url = "" if served.is_loopback else served.url(listener.getsockname()[1], access.token, "receive")
+        shown = [str(film) for film in films or ()]
+        app = create_app(link, shown, access, limits, camera or (), is_auto=is_auto, phone_url=phone_url)
         show_address(url, is_loopback=served.is_loopback, is_secure=served.is_secure)
         if browse:
             webbrowser.open(url)

@@ -33,14 +33,17 @@ def create_app(
     camera: Sequence[str] = (),
     *,
     is_auto: bool = False,
+    phone_url: str = "",
 ) -> FastAPI:
     """Create the application of `heliograph serve`; with `is_auto` each film decides the receiver.
 
+    `phone_url` is the address of page *Receive* for other machines; empty if only this machine has access.
     Without films, page *Watch* offers a recorded drive.
     """
     limits = limits or Limits()
     shown = tuple(films) or (str(RECORDED_DRIVE),)
-    shared = Shared(settings or load_settings("paper"), shown, limits, tuple(camera), is_auto=is_auto)
+    link = settings or load_settings("paper")
+    shared = Shared(link, shown, limits, tuple(camera), is_auto=is_auto, phone_url=phone_url)
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:

@@ -13,7 +13,7 @@ from fastapi.responses import FileResponse
 
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.web.limits import Limits
-from heliograph.web.shared import SharedState, body_of
+from heliograph.web.shared import Shared, SharedState, body_of
 from heliograph.web.stores import StoredFilm
 
 SUFFIXES = frozenset(
@@ -35,12 +35,14 @@ async def upload(
     """Store a film, the body of a request; `kind` is the suffix of the name."""
     _check_size(content_length, shared.limits)
     suffix = f".{kind.lower()}" if kind.lower() in SUFFIXES else ""
-    path = shared.folder / (secrets.token_hex(16) + suffix)
-    with shared.running_uploads.take(), contextlib.ExitStack() as undo:
-        undo.callback(path.unlink, missing_ok=True)
-        await _write(path, body_of(request, shared.limits.idle_s), shared.limits)
+    film = StoredFilm(shared.folder / (secrets.token_hex(16) + suffix))
+    with shared.running_uploads.take(), contextlib.ExitStack() as undo, film.reading():
+        # running uploads count in the size of the store
+        key = shared.uploads.add(film)
+        undo.callback(shared.uploads.drop, key)
+        await _write(film.path, body_of(request, shared.limits.idle_s), shared)
         undo.pop_all()
-    return {"film": shared.uploads.add(StoredFilm(path))}
+    return {"film": key}
 
 
 @router.delete("/films/{name}", status_code=204)
@@ -55,7 +57,8 @@ async def bundle(name: str, shared: SharedState) -> FileResponse:
     return FileResponse(shared.bundles.of(name).path, media_type="application/x-hdf5", filename="failed.h5")
 
 
-async def _write(path: Path, parts: AsyncIterator[bytes], limits: Limits) -> None:
+async def _write(path: Path, parts: AsyncIterator[bytes], shared: Shared) -> None:
+    limits = shared.limits
     size, end_s = 0, time.monotonic() + limits.upload_s
     try:
         with path.open("xb") as file:
@@ -67,6 +70,8 @@ async def _write(path: Path, parts: AsyncIterator[bytes], limits: Limits) -> Non
                         f"the upload took more than {limits.upload_s:g} s: name the film on the command line"
                     )
                 await asyncio.to_thread(file.write, part)
+                shared.uploads.trim()
+        shared.uploads.trim()
     except HeliographError:
         raise
     except OSError as error:

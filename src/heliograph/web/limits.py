@@ -11,6 +11,8 @@ class Limits:
     film_bytes: int = 2048 << 20
     # Stored uploads; a new film replaces the least recently used film
     films: int = 8
+    # Bytes of all stored and running uploads
+    stored_bytes: int = 4096 << 20
     # Bytes of a WebSocket message to the server: a raw picture of 2 megapixels
     message_bytes: int = 2 << 20
     # Longest pause in s in the middle of a request

@@ -20,6 +20,7 @@ from heliograph.probe.words import in_sentences
 from heliograph.web.camera_frames import CameraFrames, Frames
 from heliograph.web.failures import FailureRecorder
 from heliograph.web.link_estimate import LinkRequest, Tell, estimate_link, shows_light
+from heliograph.web.outline import OutlineFinder
 from heliograph.web.stores import Store, StoredFilm
 from heliograph.web.wording import page_words
 
@@ -29,6 +30,11 @@ WINDOW_S, WINDOW_BYTES = 7.0, 160 << 20
 PATIENCE_S = 12.0  # waiting time in s for a codeword before a diagnosis and a new estimate: three packets
 
 PROBE_FRAMES = 128  # frames of a diagnosis: some seconds of computing
+
+EARLY_S, EARLY_FRAMES = 2.0, 32
+"""First frames of a film for the early diagnosis."""
+
+EARLY_OMITTED = ("Short:", "Lost frames:", "Cells:", "Unread:")  # findings that require more frames or an estimate
 
 
 class Timer:
@@ -54,6 +60,7 @@ class PageReader:
         self._reception = ReceptionCounter()
         # Last frames of a camera with the present settings; True if no codeword was decoded for `PATIENCE_S`
         self._last_frames, self._is_exhausted = deque[Frame](maxlen=PROBE_FRAMES), False
+        self._has_early_diagnosis = False
 
     def read_upload(self, path: Path) -> None:
         """Read a film; retry with another side and at full resolution if no codeword is decoded."""
@@ -63,7 +70,7 @@ class PageReader:
             if is_retry and (self._request.side is not None or not self._reception.arrays):
                 continue
             with open_film(path, expand_range=True, binning=binning) as film:
-                window = list(_first_frames(film))
+                window = self._first_window(film)
             settings = estimate_link(window, self._request, self._tell, rejected_sides if is_retry else ())
             if is_retry and settings.signal.side in rejected_sides:
                 continue
@@ -78,6 +85,18 @@ class PageReader:
             is_complete = self._reception.frames <= min(len(window), PROBE_FRAMES)
             self._explain(window, settings, () if is_complete else ("Short:",))
         self._finish()
+
+    def _first_window(self, film: FilmReader) -> list[Frame]:
+        """Return the first frames of a film, and report likely causes of a failure from some of them."""
+        window = list[Frame]()
+        for frame in _first_frames(film):
+            window.append(frame)
+            is_enough = len(window) == EARLY_FRAMES or frame.time_s - window[0].time_s > EARLY_S
+            if is_enough and not self._has_early_diagnosis:
+                self._has_early_diagnosis = True
+                lines = _causes(window, self._request.default_link, EARLY_OMITTED)
+                self._tell({"event": "early", "lines": lines})
+        return window
 
     def read_camera(self, camera: CameraFrames) -> None:
         """Read a camera; estimate the link again if no codeword is decoded for `PATIENCE_S`."""
@@ -141,9 +160,12 @@ class PageReader:
         return window
 
     def _acknowledged(self, camera: CameraFrames) -> Iterator[Frame]:
-        """Acknowledge frames of a camera; the page sends another frame for each."""
+        """Acknowledge frames of a camera, and report the outline of the screen; the page sends a frame for each."""
+        finder = OutlineFinder()
         for frame in camera:
             self._tell({"event": "took", "frames": camera.taken, "dropped": camera.dropped})
+            if (corners := finder.add(frame)) is not None:
+                self._tell({"event": "outline", "corners": corners})
             yield frame
 
     def _recorded(self, frames: Iterable[Frame]) -> Iterator[Frame]:
@@ -173,18 +195,7 @@ class PageReader:
         A window of a camera is always short, and the page counts lost frames.
         """
         self._tell({"event": "asking why"})
-        # a gap of a camera may leave a single frame
-        rate_hz = max(len(frames) - 1, 1) / max(frames[-1].time_s - frames[0].time_s, 1e-3)
-        film = Frames("the film", frames, rate_hz, len(frames))
-        signal, receiver = settings.signal, settings.receive
-        try:
-            findings = probe_film(film, signal, receiver, reading=False, most=PROBE_FRAMES, trials=False)
-            if findings.broken is not None:
-                raise findings.broken
-            lines = [line for line in in_sentences(findings) if not line.startswith(omitted)]
-        except HeliographError as error:
-            lines = [str(error)]
-        self._tell({"event": "why", "lines": [page_words(line) for line in lines]})
+        self._tell({"event": "why", "lines": _causes(frames, settings, omitted)})
 
     def _finish(self, skipped: int = 0) -> None:
         """Report the counts, and the film of failed packets."""
@@ -205,6 +216,22 @@ class PageReader:
     def _codewords(self) -> int:
         """Return the number of decoded codewords."""
         return int(self._counts()["ok"])
+
+
+def _causes(frames: list[Frame], settings: LinkSettings, omitted: tuple[str, ...]) -> list[str]:
+    """Return causes of a failed reception in the words of pages, except findings with an omitted prefix."""
+    # a gap of a camera may leave a single frame
+    rate_hz = max(len(frames) - 1, 1) / max(frames[-1].time_s - frames[0].time_s, 1e-3)
+    film = Frames("the film", frames, rate_hz, len(frames))
+    signal, receiver = settings.signal, settings.receive
+    try:
+        findings = probe_film(film, signal, receiver, reading=False, most=PROBE_FRAMES, trials=False)
+        if findings.broken is not None:
+            raise findings.broken
+        lines = [line for line in in_sentences(findings) if not line.startswith(omitted)]
+    except HeliographError as error:
+        lines = [str(error)]
+    return [page_words(line) for line in lines]
 
 
 def _binnings(path: Path) -> tuple[int, ...]:

@@ -65,12 +65,12 @@ class Address:
         names = {self.host.lower(), socket.gethostname().lower(), f"{socket.gethostname().lower()}.local"}
         return Access(LOOPBACK | names, addresses=True, token=secrets.token_urlsafe(16))
 
-    def url(self, port: int, token: str | None) -> str:
-        """Return the URL of the pages; browsers do not send the token after #."""
+    def url(self, port: int, token: str | None, page: str = "") -> str:
+        """Return the URL of a page; browsers do not send the token after #."""
         # wildcard addresses stand for all addresses of this machine
         host = _local_address() if self.host in ("0.0.0.0", "::") else self.host
         host = f"[{host}]" if ":" in host else host
-        return f"{'https' if self.is_secure else 'http'}://{host}:{port}/" + (f"#token={token}" if token else "")
+        return f"{'https' if self.is_secure else 'http'}://{host}:{port}/{page}" + (f"#token={token}" if token else "")
 
 
 def open_port(address: Address) -> socket.socket:

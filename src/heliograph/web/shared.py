@@ -39,6 +39,7 @@ class Shared:
         camera: tuple[str, ...],
         *,
         is_auto: bool,
+        phone_url: str = "",
     ):
         # True if films decide the receiver
         self.is_auto = is_auto
@@ -46,9 +47,17 @@ class Shared:
         self.settings, self.films, self.limits, self.camera = settings, films, limits, camera
         # Live cameras of the last search; identified by number
         self.cameras: list[str] = []
+        # Address of page *Receive* for other machines; empty if only this machine has access
+        self.phone_url = phone_url
         # Folder of films, set while the server runs
         self.folder = Path()
-        self.uploads = Store(limits.films, "that film is not here any more: upload it again", StoredFilm.drop)
+        self.uploads = Store[StoredFilm](
+            limits.films,
+            "that film is not here any more: upload it again",
+            StoredFilm.drop,
+            limits.stored_bytes,
+            lambda film: film.size,
+        )
         # Films of failed packets: two for each concurrent reception
         self.bundles = Store(2 * limits.sessions, "that film is not here any more: save it again", StoredFilm.drop)
         self.sendings = Store[Sending](16, "that text or file is not here any more: send it again")

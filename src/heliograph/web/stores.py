@@ -5,6 +5,7 @@ import secrets
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
+from math import inf
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -42,8 +43,16 @@ class Places:
 class Store(Generic[T]):
     """Values by random key; a new value replaces the least recently used value; thread-safe."""
 
-    def __init__(self, max_count: int, missing: str, discard: Callable[[T], Any] = lambda _: None):
+    def __init__(
+        self,
+        max_count: int,
+        missing: str,
+        discard: Callable[[T], Any] = lambda _: None,
+        max_size: float = inf,
+        size_of: Callable[[T], int] = lambda _: 0,
+    ):
         self._max_count, self._missing, self._discard = max_count, missing, discard
+        self._max_size, self._size_of = max_size, size_of
         self._values: OrderedDict[str, T] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -52,10 +61,16 @@ class Store(Generic[T]):
         key = secrets.token_hex(16)
         with self._lock:
             self._values[key] = value
-            old_keys = list(self._values)[: -self._max_count]
-        for old_key in old_keys:
-            self.drop(old_key)
+        self.trim()
         return key
+
+    def trim(self) -> None:
+        """Discard the least recently used values beyond the limits of number and size; the last value stays."""
+        with self._lock:
+            keys, sizes = list(self._values), [self._size_of(value) for value in self._values.values()]
+        while len(keys) > 1 and (len(keys) > self._max_count or sum(sizes) > self._max_size):
+            self.drop(keys.pop(0))
+            sizes.pop(0)
 
     def of(self, key: str) -> T:
         """Return a value; raise a MissingError for an unknown key."""
@@ -83,6 +98,11 @@ class StoredFilm:
     def __init__(self, path: Path):
         self.path, self._readers, self._is_dropped = path, 0, False
         self._lock = threading.Lock()
+
+    @property
+    def size(self) -> int:
+        """Size in bytes; 0 for a missing file."""
+        return self.path.stat().st_size if self.path.exists() else 0
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[Path]:

@@ -1,10 +1,12 @@
 """Routes of page *Transmit*: packets of patterns for a text or file."""
 
 import contextlib
+import io
 from pathlib import Path
 from secrets import token_hex
 from typing import Annotated, Any
 
+import segno
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
@@ -25,14 +27,30 @@ async def begin(
     rate_hz: Annotated[float, Query(ge=MIN_RATE_HZ, le=MAX_RATE_HZ, allow_inf_nan=False)] = 10.0,
     side: Annotated[int, Query(ge=8, le=32, multiple_of=4)] = 16,
     name: Annotated[str | None, Query(max_length=400)] = None,
+    is_preview: bool = False,
 ) -> dict[str, Any]:
-    """Store a text or file, the body of a request; return the key and properties of the transmission."""
+    """Store a text or file, the body of a request; return the key and properties of the transmission.
+
+    A preview returns a pattern in place of the key, and stores nothing.
+    """
     data = bytearray()
     async for part in body_of(request, shared.limits.idle_s):
         data += part
         check_size(len(data))
     sending = await in_thread(lambda: sending_of(bytes(data), name, side, rate_hz))
+    if is_preview:
+        patterns = await in_thread(lambda: sending.packets(0, 1))
+        return {"pattern": patterns[len(patterns) // 2].ravel().tolist(), **sending.facts()}
     return {"sending": shared.sendings.add(sending), **sending.facts()}
+
+
+@router.get("/phone")
+async def phone(shared: SharedState) -> dict[str, str]:
+    """Return the address of page *Receive* for a phone, and the QR code in SVG; empty if no phone has access."""
+    code = io.BytesIO()
+    if shared.phone_url:
+        segno.make(shared.phone_url, error="l").save(code, kind="svg", scale=8, light="#fff")
+    return {"url": shared.phone_url, "code": code.getvalue().decode()}
 
 
 @router.get("/{name}/packets")

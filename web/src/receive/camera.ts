@@ -17,7 +17,7 @@ export interface Counts {
 export function opened(device: string): Promise<MediaStream> {
   if (!("mediaDevices" in navigator)) {
     return Promise.reject(new Error(
-      "The browser allows the camera only for this machine or by HTTPS: upload a video instead, or see 'heliograph serve --certificate'.",
+      "The browser allows the camera only on the server's own machine or by HTTPS: upload a video instead.",
     ));
   }
   const which = device === "" ? { facingMode: "environment" } : { deviceId: { exact: device } };

@@ -18,6 +18,8 @@ const video = one("video", HTMLVideoElement);
 const state = one("state", HTMLElement);
 const bar = one("progress", HTMLProgressElement);
 const notice = new Notice(one("notices", HTMLElement));
+const overlay = one("overlay", SVGSVGElement);
+const outline = one("outline", SVGPolygonElement);
 const results = new Results();
 
 let socket: WebSocket | null = null;
@@ -47,6 +49,7 @@ function begin(words: string): number {
   results.clear();
   showWhy([]);
   bundle = null;
+  one("counts", HTMLElement).textContent = "";
   saveButton.textContent = "Save what failed";
   saveButton.hidden = true;
   say(words);
@@ -71,7 +74,8 @@ function closeCamera(): void {
   start.textContent = "Start the camera";
 }
 
-function showWhy(lines: string[]): void {
+function showWhy(lines: string[], title = "Why nothing was received"): void {
+  one("why-title", HTMLElement).textContent = title;
   one("why", HTMLElement).hidden = lines.length === 0;
   one("why-lines", HTMLElement).replaceChildren(...lines.map((line) => make("li", {}, line.replace(/^\s*-\s*/, ""))));
 }
@@ -100,6 +104,13 @@ function take(row: Row): void {
     case "message":
     case "file":
       showWhy([]);
+      overlay.classList.add("read");
+      break;
+    case "outline":
+      outline.setAttribute("points", row.corners.join(" "));
+      break;
+    case "early":
+      showWhy(row.lines, "Likely problem, from the first frames");
       break;
     case "asking why":
       say("Nothing received yet. Looking for the reason …");
@@ -163,6 +174,7 @@ function open(wish: Wish): WebSocket {
 
 async function readFilm(file: File): Promise<void> {
   const mine = begin("Uploading …");
+  one("results", HTMLElement).scrollIntoView({ block: "nearest" });
   progress(0);
   sending = new AbortController();
   const name = await upload(file, kindOf(file), progress, sending.signal);
@@ -186,8 +198,11 @@ async function readCamera(): Promise<void> {
   }
   stream = given;
   video.srcObject = given;
+  outline.removeAttribute("points");
+  overlay.classList.remove("read");
   one("view", HTMLElement).hidden = false;
   await video.play();
+  one("view", HTMLElement).scrollIntoView({ block: "nearest" });
   await listDevices();
   if (mine !== turn) return;
   start.textContent = "Stop the camera";

@@ -56,8 +56,10 @@ export class Results {
       make("p", { class: "dim" }, `Message, ${bytes(row.bytes)}, layer `, make("span", { class: "layers" }, row.layer)),
     ];
     parts.push(row.text === undefined ? make("p", {}, "Not text.") : make("pre", { class: "text", tabindex: 0 }, row.text));
-    if (row.text !== undefined) parts.push(copyButton(row.text));
-    parts.push(this.download(new Blob([data]), row.text === undefined ? "message.bin" : "message.txt"));
+    parts.push(make("div", { class: "row" },
+      ...(row.text === undefined ? [] : [copyButton(row.text)]),
+      this.download(new Blob([data]), row.text === undefined ? "message.bin" : "message.txt"),
+    ));
     this.add(key, make("li", { class: "entry" }, ...parts));
   }
 

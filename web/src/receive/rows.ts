@@ -14,7 +14,8 @@ export type Row =
   | { event: "progress"; frames: number; of: number | null }
   | { event: "took"; frames: number; dropped: number }
   | { event: "asking why" }
-  | { event: "why"; lines: string[] }
+  | { event: "early" | "why"; lines: string[] }
+  | { event: "outline"; corners: number[] }
   | { event: "left"; frames: number }
   | { event: "saved" | "bundle"; bundle: string; bytes: number }
   | { event: "refused"; error: string }

@@ -6,7 +6,8 @@ import { bytes, make, one } from "../common/dom";
 import { Notice } from "../common/notice";
 import { drawChart } from "./chart";
 import { Packets, type Facts } from "./packets";
-import { Player, type Light } from "./player";
+import { showPhone } from "./phone";
+import { drawPattern, MARGIN, Player, type Light } from "./player";
 import { divisors, measured } from "./refresh";
 
 const form = one("form", HTMLFormElement);
@@ -35,6 +36,12 @@ const SLOW_HZ = 2;
 /** Largest file in bytes that the server takes. */
 const MAX_BYTES = 256 << 10;
 
+/** Pause in ms of typing before a new preview: at most two changes a second. */
+const PREVIEW_MS = 500;
+
+/** Time in ms that the instruction covers the full screen. */
+const INSTRUCTION_MS = 3000;
+
 /** Length of a video that is saved in s, at least. */
 const FILM_S = 30;
 
@@ -45,6 +52,9 @@ let refresh = 60;
 let awake: WakeLockSentinel | null = null;
 let consented = false;
 let leavingFullScreen = false;
+let previewTimer = 0;
+let instructionTimer = 0;
+let previews = 0;
 
 function light(): Light {
   return { gamma: Number(gamma.value), brightness: Number(brightness.value) / 100 };
@@ -59,23 +69,78 @@ function seconds(count: number): string {
 }
 
 function showFacts(): void {
-  const rows = [show("Display", `${refresh.toFixed(refresh % 1 ? 2 : 0)} refreshes per second`)];
+  const rows: HTMLElement[] = [];
+  const display = [show("Display", `${refresh.toFixed(refresh % 1 ? 2 : 0)} refreshes per second`)];
   if (facts !== null) {
     rows.push(
+      show("Film for", `${filmTime(facts)} or more`),
       show("Sent", `${bytes(facts.bytes)} ${facts.as_file ? "as a file: later packets replace missed ones" : "as a message"}`),
-      show("Packet", `${seconds(facts.packet_s)}, ${facts.packet_bytes} bytes of payload: ${Math.round(facts.bits_per_s)} bit/s`),
-      show("Film for", `${seconds(1.25 * facts.seconds + facts.packet_s)} or more: ${facts.packets} ${facts.packets === 1 ? "packet" : "packets"} in ${seconds(facts.seconds)}`),
+      show("Payload", `${payload(facts)}; a packet of ${facts.packet_bytes} bytes takes ${seconds(facts.packet_s)}`),
     );
   }
   if (player !== null && facts !== null) {
     const { skipped, refreshes, lost } = player;
     const part = refreshes > 0 ? (100 * skipped) / refreshes : 0;
-    rows.push(show("Refreshes skipped", `${skipped} (${part.toFixed(part < 10 ? 1 : 0)} %)`), show("Patterns never shown", String(lost)));
-    rows.at(-1)?.setAttribute("data-lost", String(lost));
+    display.push(show("Refreshes skipped", `${skipped} (${part.toFixed(part < 10 ? 1 : 0)} %)`));
+    const row = show("Patterns never shown", String(lost));
+    row.setAttribute("data-lost", String(lost));
+    (lost > 0 ? rows : display).push(row);
   }
   one("facts", HTMLElement).replaceChildren(...rows);
+  one("display", HTMLElement).replaceChildren(...display);
+  showTurn();
   if (packets?.failed) notice.fail(packets.failed);
   else showSkipped();
+}
+
+function filmTime(sent: Facts): string {
+  const least = Math.ceil(1.25 * sent.seconds + sent.packet_s);
+  return least < 90 ? `${least} s` : seconds(least);
+}
+
+function payload(sent: Facts): string {
+  return `${(sent.bits_per_s / 8).toFixed(sent.bits_per_s < 80 ? 1 : 0)} bytes per second`;
+}
+
+/** Shows which packet is on the screen. */
+function showTurn(): void {
+  const isPlaying = player !== null && player.playing && facts !== null;
+  one("turn", HTMLElement).hidden = !isPlaying;
+  if (player === null || facts === null || !isPlaying) return;
+  const at = player.pattern / facts.packet_patterns;
+  const number = Math.floor(at);
+  const words = `Packet ${(number % facts.packets) + 1} of ${facts.packets}${number >= facts.packets ? ", repeated" : ""}`;
+  one("turn-said", HTMLElement).textContent = words;
+  one("corner", HTMLElement).textContent = words;
+  one("turn-bar", HTMLProgressElement).value = (at % facts.packets) / facts.packets;
+}
+
+/** Shows a still pattern and the film time of what would be sent; nothing if it cannot be sent. */
+async function preview(): Promise<void> {
+  const mine = ++previews;
+  if (player?.playing) return;
+  let found: (Facts & { pattern: number[] }) | null = null;
+  try {
+    const { data, name } = await content();
+    const answer = await ask(`transmit?${query(name)}&is_preview=true`, { method: "POST", body: data });
+    found = (await answer.json()) as Facts & { pattern: number[] };
+  } catch {
+    // Send says why
+  }
+  if (mine !== previews || player?.playing) return;
+  one("preview", HTMLElement).hidden = found === null;
+  one("estimate", HTMLElement).textContent = found === null ? ""
+    : `${bytes(found.bytes)} in ${found.packets} ${found.packets === 1 ? "packet" : "packets"}, ${payload(found)}: film for ${filmTime(found)}.`;
+  if (found === null) return;
+  const canvas = one("pattern", HTMLCanvasElement);
+  const cells = found.side + 2 * MARGIN;
+  canvas.width = canvas.height = cells * Math.floor(480 / cells);
+  drawPattern(canvas, found.pattern, found.side, light());
+}
+
+function previewSoon(): void {
+  clearTimeout(previewTimer);
+  previewTimer = setTimeout(() => void preview(), PREVIEW_MS);
 }
 
 function showSkipped(): void {
@@ -93,6 +158,7 @@ function advise(): void {
 
 async function content(): Promise<{ data: Blob; name: string | null }> {
   if (form.elements.namedItem("kind") instanceof RadioNodeList && (form.elements.namedItem("kind") as RadioNodeList).value === "text") {
+    if (text.value === "") throw new Error("The text is empty: write a text, or choose a file.");
     return { data: new Blob([text.value]), name: null };
   }
   const chosen = file.files?.[0];
@@ -132,18 +198,24 @@ async function mayFlash(): Promise<boolean> {
   return true;
 }
 
+function query(name: string | null): URLSearchParams {
+  return new URLSearchParams({
+    side: side.value, rate_hz: String(refresh / Number(rate.value)), ...(name === null ? {} : { name }),
+  });
+}
+
 async function send(): Promise<void> {
   notice.clear();
   const { data, name } = await content();
   if (!(await mayFlash())) return;
   const lasts = Number(rate.value);
-  const query = new URLSearchParams({ side: side.value, rate_hz: String(refresh / lasts), ...(name === null ? {} : { name }) });
-  const answer = await ask(`transmit?${query}`, { method: "POST", body: data });
+  const answer = await ask(`transmit?${query(name)}`, { method: "POST", body: data });
   facts = (await answer.json()) as Facts;
   packets = new Packets(facts);
   await packets.begin();
   player ??= new Player(array, 1000 / refresh, lasts, light());
   player.onChange = showFacts;
+  one("preview", HTMLElement).hidden = true;
   player.play(packets, lasts);
   player.setLight(light());
   player.fit();
@@ -170,6 +242,9 @@ function stop(): void {
   said.textContent = "Stopped.";
   array.setAttribute("aria-label", "Patterns: stopped");
   stage.classList.remove("fills");
+  showInstruction();
+  showTurn();
+  previewSoon();
   if (document.fullscreenElement !== null) void document.exitFullscreen();
   void awake?.release();
 }
@@ -195,12 +270,15 @@ function togglePause(): void {
 }
 
 async function toggleFull(): Promise<void> {
-  if (stage.classList.contains("fills")) stage.classList.remove("fills");
-  else if (document.fullscreenElement === null) {
+  if (stage.classList.contains("fills")) {
+    stage.classList.remove("fills");
+    showInstruction();
+  } else if (document.fullscreenElement === null) {
     try {
       await stage.requestFullscreen({ navigationUI: "hide" });
     } catch {
       stage.classList.add("fills"); // phones of one maker have no full screen for pages
+      showInstruction();
     }
   } else {
     leavingFullScreen = true;
@@ -209,10 +287,22 @@ async function toggleFull(): Promise<void> {
   player?.fit();
 }
 
+/** Covers the full screen with the instruction for some seconds; removes it outside full screen. */
+function showInstruction(): void {
+  const instruction = one("instruction", HTMLElement);
+  const isFull = document.fullscreenElement !== null || stage.classList.contains("fills");
+  clearTimeout(instructionTimer);
+  instruction.hidden = !isFull || facts === null;
+  if (facts === null || !isFull) return;
+  instruction.textContent = `Film this screen with your phone, held still, for ${filmTime(facts)}. Esc stops and returns to the page.`;
+  instructionTimer = setTimeout(() => { instruction.hidden = true; }, INSTRUCTION_MS);
+}
+
 /** Esc leaves the browser's full screen without a key event, and stops the patterns too. */
 function fullScreenChanged(): void {
   if (document.fullscreenElement === null && !leavingFullScreen) stop();
   leavingFullScreen = false;
+  showInstruction();
   player?.fit();
 }
 
@@ -249,6 +339,7 @@ function lit(): void {
 /** Shows that the patterns are not yet those of the form. */
 function markChanged(): void {
   if (player?.playing) sendButton.textContent = "Send changes";
+  else previewSoon();
 }
 
 function takeFile(dropped: File): void {
@@ -275,6 +366,7 @@ async function prepare(): Promise<void> {
   }));
   advise();
   showFacts();
+  await preview();
 }
 
 form.addEventListener("submit", (event) => {
@@ -302,3 +394,4 @@ setInterval(showFacts, 1000);
 lit();
 chooseKind();
 void prepare();
+showPhone().catch((error: unknown) => notice.fail(error));

@@ -15,6 +15,23 @@ export interface Light {
 /** Levels of a pattern: 0 to this. */
 const TOP = 4;
 
+/** Draws a pattern of levels, row by row, with the dark margin. */
+export function drawPattern(canvas: HTMLCanvasElement, levels: ArrayLike<number>, side: number, light: Light): void {
+  const context = canvas.getContext("2d", { alpha: false });
+  if (context === null) return;
+  context.fillStyle = "#000";
+  context.fillRect(0, 0, canvas.width, canvas.height);
+  const cell = canvas.width / (side + 2 * MARGIN);
+  const colours = Array.from({ length: TOP + 1 }, (_, level) => {
+    const value = pixel(level / TOP, light);
+    return `rgb(${value} ${value} ${value})`;
+  });
+  for (let k = 0; k < levels.length; k += 1) {
+    context.fillStyle = colours[levels[k]!] ?? "#000";
+    context.fillRect((MARGIN + (k % side)) * cell, (MARGIN + Math.floor(k / side)) * cell, cell, cell);
+  }
+}
+
 /** Pixel value of a part of the full light. */
 export function pixel(part: number, light: Light): number {
   return Math.round(255 * (part * light.brightness) ** (1 / light.gamma));
@@ -127,21 +144,7 @@ export class Player {
   }
 
   private draw(): void {
-    const context = this.canvas.getContext("2d", { alpha: false });
-    if (context === null) return;
-    context.fillStyle = "#000";
-    context.fillRect(0, 0, this.canvas.width, this.canvas.height);
     const levels = this.shown < 0 ? null : this.packets?.levels(this.shown);
-    if (levels === null || levels === undefined || this.packets === null) return;
-    const side = this.packets.facts.side;
-    const cell = this.canvas.width / (side + 2 * MARGIN);
-    const colours = Array.from({ length: TOP + 1 }, (_, level) => {
-      const value = pixel(level / TOP, this.light);
-      return `rgb(${value} ${value} ${value})`;
-    });
-    levels.forEach((level, k) => {
-      context.fillStyle = colours[level] ?? "#000";
-      context.fillRect((MARGIN + (k % side)) * cell, (MARGIN + Math.floor(k / side)) * cell, cell, cell);
-    });
+    drawPattern(this.canvas, levels ?? [], this.packets?.facts.side ?? 1, this.light);
   }
 }
