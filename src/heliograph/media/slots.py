@@ -22,8 +22,7 @@ Slot = NDArray[np.uint8]  # (n, n) LEDs of a slot, 1 on and 0 off, row by row as
 SIGNATURES = {".bits": b"HGBITS1\n", ".hub75": b"HGHUBS1\n", ".shift": b"HGSHFT1\n"}
 """First 8 bytes of a binary file by suffix; the last digit is the version of the layout."""
 
-SUFFIXES = (*SIGNATURES, ".h")
-"""Suffixes of files for drivers. A C header holds the bytes of ".bits" as an array."""
+SUFFIXES = (*SIGNATURES, ".h")  # suffixes of files for drivers. A C header holds the bytes of ".bits" as an array
 
 HEAD = struct.Struct("<8sHHIQII")  # start of a binary file: signature, the values of `SlotForm`, bytes of a slot, zeros
 

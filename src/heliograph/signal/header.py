@@ -14,8 +14,7 @@ from heliograph.signal.pwm import SLOTS
 
 CELLS = 4  # header cells per row and column (section 4)
 
-CHIPS = CELLS * CELLS - 1
-"""Chips in the header M-sequence: a period at degree 4. The last cell is dark."""
+CHIPS = CELLS * CELLS - 1  # chips in the header M-sequence: a period at degree 4. The last cell is dark
 
 IDENTITIES = CHIPS * len(HEADER_POLYNOMIALS)  # number of identities: 15 cyclic phases for each of two polynomials
 

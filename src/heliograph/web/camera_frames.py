@@ -19,8 +19,7 @@ HEAD = struct.Struct("<dIHH")
 MIN_SIDE, MAX_SIDE = 32, 2048
 """Range of columns and rows; the message size limits the product."""
 
-MAX_WAITING = 96
-"""Waiting frames: three seconds. Regular pages have fewer frames in flight."""
+MAX_WAITING = 96  # waiting frames: three seconds. Regular pages have fewer frames in flight
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,8 +59,7 @@ class FilmCounts:
     false_codewords: int = 0
 
 
-PUBLISHED_M = (25.0, 80.0)
-"""Distances in m between which Nagura et al. 2010 report no error after the code."""
+PUBLISHED_M = (25.0, 80.0)  # distances in m between which Nagura et al. 2010 report no error after the code
 
 Modulation = Literal["haar", "ook"]  # the hierarchical code; on-off keying of each LED
 
