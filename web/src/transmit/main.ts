@@ -274,6 +274,7 @@ async function toggleFull(): Promise<void> {
     stage.classList.remove("fills");
     showInstruction();
   } else if (document.fullscreenElement === null) {
+    leavingFullScreen = false;
     try {
       await stage.requestFullscreen({ navigationUI: "hide" });
     } catch {
@@ -300,8 +301,8 @@ function showInstruction(): void {
 
 /** Esc leaves the browser's full screen without a key event, and stops the patterns too. */
 function fullScreenChanged(): void {
+  // the change of entering may be reported after the key to leave
   if (document.fullscreenElement === null && !leavingFullScreen) stop();
-  leavingFullScreen = false;
   showInstruction();
   player?.fit();
 }
