@@ -31,11 +31,11 @@ demo: $(DEMO_STAMP)
 
 # two processes, a file of tests each: what a file's tests share is made once
 test: install
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # the tests that are quick
 test-quick: install
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow" tests
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" tests
 
 docs: install-docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
@@ -64,7 +64,7 @@ check-web: web
 
 # in an environment of the lowest versions that pyproject.toml allows, which call much that is deprecated now
 test-lowest: $(LOWEST)/.installed
-	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -W ignore::DeprecationWarning \
+	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W ignore::DeprecationWarning \
 		-W ignore::numpy.VisibleDeprecationWarning
 
 $(LOWEST)/.installed: pyproject.toml scripts/lowest_versions.py

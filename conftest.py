@@ -1,7 +1,6 @@
 """Every code block of the documentation runs: Python in one namespace a page, commands in the page's own folder."""
 
 import os
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,12 +12,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from sybil import Example, Sybil
 from sybil.parsers import myst, rest
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with the most slow tests first: at the end no process waits long for the other."""
-    slow = Counter(item.path for item in items if item.path.suffix != ".py" or item.get_closest_marker("slow"))
-    items.sort(key=lambda item: -slow[item.path])
 
 
 def _run(example: Example) -> None:
