@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +45,12 @@ def test_page_of_a_long_run_has_a_bounded_size_and_frames_of_all_of_it() -> None
     # thinned out evenly, by powers of two
     gaps = np.diff([k - places.index(k) for k in places])
     assert gaps[:-2].max() <= 4 * max(gaps[:-2].min(), 1)
+
+
+def test_replay_and_commands_need_no_extra() -> None:
+    absent = ("fastapi", "starlette", "uvicorn", "websockets", "segno", "rerun", "xarray", "dask")
+    code = f"import sys; sys.modules.update(dict.fromkeys({absent})); import heliograph.cli.main, heliograph.web.replay"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @needs_chromium

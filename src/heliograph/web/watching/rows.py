@@ -1,6 +1,6 @@
 """Rows of a reception for display: the source, and the counts."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from heliograph.measure.errors import ErrorCounter
 from heliograph.measure.journal import Row
@@ -8,11 +8,13 @@ from heliograph.measure.reception import ReceptionCounter
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.media import FilmReader
 from heliograph.signal.settings import LAYERS, SignalSettings
-from heliograph.web.watching.sources import Source
+
+if TYPE_CHECKING:  # the pages take the extra web
+    from heliograph.web.watching.sources import Source
 
 
 def source_row(
-    film: FilmReader | Source,
+    film: "FilmReader | Source",
     name: str,
     signal: SignalSettings,
     receiver: str,
