@@ -13,17 +13,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.panel import kernels
 from heliograph.panel.lattice import REACH, mask_of, plane
 from heliograph.panel.phase import RIM, GridView, refine
-from heliograph.panel.place import (
-    UNIT,
-    Levels,
-    Place,
-    Shape,
-    area,
-    corner_jacobian,
-    grid,
-    homographies,
-    transform,
-)
+from heliograph.panel.place import UNIT, Levels, Place, Shape, area, corner_jacobian, grid, homographies, transform
 
 Region = tuple[int, int, int, int]
 """Corner (x, y), columns and rows in px."""

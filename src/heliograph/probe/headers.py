@@ -14,14 +14,7 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.probe.regions import alternation
-from heliograph.receive.detect.alternation import (
-    DETECT,
-    Change,
-    SearchParameters,
-    SearchRegion,
-    alternation_of,
-    coarse_search,
-)
+from heliograph.receive.detect.alternation import DETECT, Change, SearchParameters, alternation_of, coarse_search
 from heliograph.receive.detect.candidate import cell_weights, fit_near
 from heliograph.receive.detect.detection import Hypothesis, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
@@ -29,7 +22,7 @@ from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import ORIENTATIONS, Pose
 from heliograph.receive.geometry.view import View, halved, reduced_blur
-from heliograph.receive.geometry.window import cut_out, window_around
+from heliograph.receive.geometry.window import CombinedFrame, cut_out, window_around
 
 # Initial blurs in px: a fit of a defocused array converges only from nearby
 BLURS_PX = (0.55, 1.3, 2.5, 5.0)
@@ -118,8 +111,8 @@ def _search(frames: Sequence[Frame], centres: Floats, size: float, pad: int) -> 
         ends = [(centres[k] - corner + reach) // BLOCK_PX for reach in (-0.4 * size, 0.4 * size)]
         (left, top), (right, low) = np.maximum(ends, 0).astype(int)
         busy[top : low + 1, left : right + 1] = True
-        region = SearchRegion(change, busy, replace(frames[k], origin=corner))
-        rows, *_ = coarse_search(region, parameters, cells, sizes)
+        padded = CombinedFrame(frames[k].index, frames[k].time_s, change, corner, frames[k].full_scale)
+        rows, *_ = coarse_search(padded, busy, parameters, cells, sizes)
         found += [_Place(int(k), row[0], row[1] + corner[0], row[2] + corner[1], row[3], int(row[4])) for row in rows]
     best = list[_Place]()
     for place in sorted(found, key=lambda place: -abs(place.score)):

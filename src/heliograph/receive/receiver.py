@@ -107,11 +107,7 @@ class StreamReceiver:
     """
 
     def __init__(
-        self,
-        clock: FrameClock,
-        search: HeaderSearch,
-        track: Callable[[Detection], ArrayReceiver],
-        observe: Observer,
+        self, clock: FrameClock, search: HeaderSearch, track: Callable[[Detection], ArrayReceiver], observe: Observer
     ):
         self._clock, self.search, self._track, self._observe = clock, search, track, observe
         self._arrays: list[HeaderHypotheses] = []

@@ -33,11 +33,7 @@ FIRST_INTERVAL_S = 0.01  # shortest time between two frames, for short films
 
 @contextlib.contextmanager
 def open_replay(
-    path: str | Path,
-    source: FilmReader,
-    signal: SignalSettings,
-    settings: ReceiveSettings,
-    reception: ReceptionCounter,
+    path: str | Path, source: FilmReader, signal: SignalSettings, settings: ReceiveSettings, reception: ReceptionCounter
 ) -> Iterator["ReplayLog"]:
     """Write a page at the end of the block."""
     log = ReplayLog(signal, settings, reception)

@@ -57,19 +57,13 @@ from heliograph.link.simulate import load_imu
 from heliograph.measure.statistics import Count
 from heliograph.receive import Pose
 from heliograph.receive.build import search_parameters
-from heliograph.receive.detect.alternation import (
-    DETECT,
-    SearchRegion,
-    alternation_means,
-    alternation_of,
-    busy_blocks,
-    coarse_search,
-)
+from heliograph.receive.detect.alternation import DETECT, alternation_means, alternation_of, busy_blocks, coarse_search
 from heliograph.receive.detect.candidate import cell_weights, fit_near, is_in_size_range, is_plausible
 from heliograph.receive.detect.detection import ALL_ON, Detection, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.geometry.pose import UPRIGHT
+from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
@@ -120,8 +114,8 @@ class VariantDetector:
             busy &= _blocks_near(truth, busy.shape)
         if not busy.any():
             return []
-        region = SearchRegion(change, busy, first)
-        rows = [coarse_search(region, self._parameters, self._cells, sides)[0] for sides in self._size_ranges]
+        combined = CombinedFrame(first.index, first.time_s, change, first.origin, first.full_scale)
+        rows = [coarse_search(combined, busy, self._parameters, self._cells, sides)[0] for sides in self._size_ranges]
         fitted = [self._fit(change, row, first.full_scale) for row in np.concatenate(rows)]
         return [candidate for candidate in fitted if candidate is not None]
 

@@ -8,7 +8,6 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,11 +18,13 @@ from heliograph.base.frames import Frame, Pixels
 from heliograph.receive.detect import kernels
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import window_around
+from heliograph.receive.geometry.window import CombinedFrame, window_around
 
 Change = NDArray[np.float32]  # alternation in gray levels: an image, or the mean magnitudes of blocks
 
 Blocks = NDArray[np.bool_]  # set of blocks, (blocks down, blocks across)
+
+SearchRegion = tuple[CombinedFrame, Blocks]  # alternation in gray levels, and the busy blocks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,19 +186,9 @@ def _block_span(pose: Pose, side: int, origin: tuple[int, int]) -> tuple[int, in
     return max(0, top // BLOCK_PX), max(0, first // BLOCK_PX), max(0, ends[0]), max(0, ends[1])
 
 
-class SearchRegion(NamedTuple):
-    """Region of frames to search."""
-
-    # (rows, columns) alternation in gray levels
-    change: Change
-    # (blocks down, blocks across), True where an array may have its centre
-    busy: Blocks
-    # The first of the frames, for place and full scale
-    first: Frame
-
-
 def coarse_search(
-    region: SearchRegion,
+    change: CombinedFrame,
+    busy: Blocks,
     parameters: SearchParameters,
     cells: Floats,
     sides: Floats,
@@ -206,7 +197,9 @@ def coarse_search(
     max_work: float = 1 << 60,
     max_imbalance: float = DETECT.max_imbalance,
 ) -> tuple[Floats, int, int, int]:
-    """Correlate a region with headers, from a block on; return the best candidates, and the effort.
+    """Correlate the alternation with headers, from a block on; return the best candidates, and the effort.
+
+    Arrays may have their centres in busy blocks.
 
     Returns rows of score (negative where the inverse comes first), x and y of the centre in px of the image, side in px
     and header, the best first; the number of places visited, of blocks visited, busy or not, and of places compared
@@ -214,19 +207,19 @@ def coarse_search(
     """
     best = np.zeros((parameters.candidates, 5))
     # the array may be half off the grid
-    contrast = 0.5 * parameters.min_contrast * region.first.full_scale
+    contrast = 0.5 * parameters.min_contrast * change.full_scale
     # blinking squares have no limit
     max_imbalance = 2.0 if cells.sum(axis=1).any() else max_imbalance
     count, work, passed, compared = kernels.search(
-        integral_images(region.change),
-        region.busy,
+        integral_images(change.pixels),
+        busy,
         cells,
         sides,
         (contrast, parameters.coarse_score, max_imbalance, min_distance),
         DETECT.ring,
         # step of the places as a fraction of the side: half a step costs a fifth of a cell's overlap
         0.1,
-        np.array(region.first.origin, np.float64),
+        np.array(change.origin, np.float64),
         begin,
         int(max_work),
         best,
@@ -253,7 +246,7 @@ def integral_images(change: Change) -> Floats:
 def search_regions(
     frames: Sequence[Frame], busy: Blocks, max_side_px: float, combine: Callable[[Sequence[Frame]], Change]
 ) -> list[SearchRegion]:
-    """Cut frames to the surroundings of busy blocks, in separate regions for distant groups if these cost less."""
+    """Combine frames about busy blocks, in separate regions for distant groups if these cost less."""
     # an array and the ring about a centre in a busy block, and two blocks for the fit
     reach = int(np.ceil((0.5 + DETECT.ring) * max_side_px / BLOCK_PX)) + 2
     groups, spans = [busy], [_span(busy, reach)]
@@ -267,7 +260,8 @@ def search_regions(
         rows, columns = (slice(span.start * BLOCK_PX, span.stop * BLOCK_PX) for span in (down, across))
         origin = frames[0].origin[0] + columns.start, frames[0].origin[1] + rows.start
         cut = [replace(frame, pixels=frame.pixels[rows, columns], origin=origin) for frame in frames]
-        regions.append(SearchRegion(combine(cut), group[down, across], cut[0]))
+        change = CombinedFrame(cut[0].index, cut[0].time_s, combine(cut), origin, cut[0].full_scale)
+        regions.append((change, group[down, across]))
     return regions
 
 

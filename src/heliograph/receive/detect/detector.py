@@ -58,7 +58,7 @@ from heliograph.receive.detect.frame_window import FrameWindow, fill_missing, fi
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.fit import Fit, header_amplitudes
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, Pose
-from heliograph.receive.geometry.window import common, cut_out, window_around
+from heliograph.receive.geometry.window import CombinedFrame, common, cut_out, window_around
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
 
@@ -74,8 +74,8 @@ class Candidate(NamedTuple):
     cells: Floats
     # Identities and orientations with this header, the most plausible first
     hypotheses: tuple[Hypothesis, ...]
-    # Region of the candidate
-    region: SearchRegion
+    # Alternation around the candidate
+    change: CombinedFrame
 
 
 class Detector:
@@ -167,7 +167,7 @@ class Detector:
         candidates.sort(key=lambda candidate: -abs(candidate.score))
         candidates = candidates[: parameters.candidates]
         if given:
-            candidates += filter(None, (self._given_candidate(region, bank, given) for region in regions))
+            candidates += filter(None, (self._given_candidate(change, bank, given) for change, _ in regions))
         return candidates, has_compared
 
     def _coarse_search(
@@ -181,55 +181,54 @@ class Detector:
         candidates, has_compared, left = list[Candidate](), False, self.budget.coarse_work
         max_imbalance = DETECT.max_imbalance if self.budget.is_scarce else 2.0
         for k, region in enumerate(regions):
-            image, map_ = _draw_upright(region, start.axes / start.pitch)
+            change, busy, map_ = _draw_upright(*region, start.axes / start.pitch)
             # the user chose the size of a given place, so the budget does not apply
             max_work = 1 << 60 if self.parameters.everywhere else left / (len(regions) - k)
             if max_work <= 0:
-                self.budget.skip_blocks(int(np.count_nonzero(image.busy)))
+                self.budget.skip_blocks(int(np.count_nonzero(busy)))
                 continue
             if self.parameters.start is not None:
-                image = image._replace(busy=np.ones_like(image.busy))
-            key, (x, y), busy = (len(bank.cells), start.roll, k), image.first.origin, image.busy.ravel()
-            columns, down, across = image.busy.shape[1], y // BLOCK_PX, x // BLOCK_PX
+                busy = np.ones_like(busy)
+            key, (x, y) = (len(bank.cells), start.roll, k), change.origin
+            columns, down, across = busy.shape[1], y // BLOCK_PX, x // BLOCK_PX
             row, column = self._begins.pop(key, (down, across))
             begin = ((row - down) * columns + column - across) % busy.size
             best, places, passed, compared = coarse_search(
-                image, self.parameters, bank.cells, self.sides, bank.min_distance, begin, max_work, max_imbalance
+                change, busy, self.parameters, bank.cells, self.sides, bank.min_distance, begin, max_work, max_imbalance
             )
             # a pixel costs less than a place
-            work = places + 0.4 * image.change.size
+            work = places + 0.4 * change.pixels.size
             self.budget.charge(work)
             left -= work
             if passed < busy.size:
                 skipped = (begin + np.arange(passed, busy.size)) % busy.size
-                self.budget.skip_blocks(int(np.count_nonzero(busy[skipped])))
+                self.budget.skip_blocks(int(np.count_nonzero(busy.flat[skipped])))
                 self._begins[key] = int(skipped[0]) // columns + down, int(skipped[0]) % columns + across
             has_compared |= compared > 0 or passed < busy.size
             for score, across_px, down_px, width, number in best.tolist():
                 x, y = (map_ @ [across_px - 0.5, down_px - 0.5, 1.0]).tolist()
                 pose, n = replace(start, x=x, y=y, pitch=width / self.side), int(number)
-                candidates.append(Candidate(pose, score, bank.cells[n], bank.hypotheses[n], region))
+                candidates.append(Candidate(pose, score, bank.cells[n], bank.hypotheses[n], region[0]))
         return candidates, has_compared
 
-    def _given_candidate(self, region: SearchRegion, bank: Headers, given: Pose) -> Candidate | None:
+    def _given_candidate(self, change: CombinedFrame, bank: Headers, given: Pose) -> Candidate | None:
         """Return a given pose with the most similar header."""
-        change, origin, side = region.change, region.first.origin, self.side
+        pixels, origin, side = change.pixels, change.origin, self.side
         is_searched = self.sides[0] <= side * given.pitch <= self.sides[-1]
-        if not is_searched or find_window(change, origin, given, side) is None:
+        if not is_searched or find_window(pixels, origin, given, side) is None:
             return None
-        light = measure_cells(change, origin, given, np.ones((side, side)))
+        light = measure_cells(pixels, origin, given, np.ones((side, side)))
         # each header has 16 cells of +-1
         scores = bank.cells @ light / max(4 * float(np.linalg.norm(light)), TINY)
         best = int(np.argmax(np.abs(scores)))
         start = replace(given, blur=self.parameters.blur_px)
-        return Candidate(start, float(scores[best]), bank.cells[best], bank.hypotheses[best], region)
+        return Candidate(start, float(scores[best]), bank.cells[best], bank.hypotheses[best], change)
 
     def fit(self, candidate: Candidate, start: Pose, tilt: float, blur: float = 0.0) -> Fit | None:
-        """Fit a candidate from a pose to the alternation of the region."""
-        region = candidate.region
+        """Fit a candidate from a pose to the alternation."""
         weights = math.copysign(1.0, candidate.score) * cell_weights(candidate.cells, self.side)
         self.budget.charge(FIT_WORK)
-        return fit_near(region.change, region.first.origin, start, weights, tilt, blur)
+        return fit_near(candidate.change.pixels, candidate.change.origin, start, weights, tilt, blur)
 
     def _refine(self, slots: FrameWindow, candidate: Candidate, tracked: Sequence[Pose]) -> list[Detection]:
         """Fit a candidate upright and, if in doubt, tilted; return at most one detection."""
@@ -315,22 +314,22 @@ class Detector:
         return replace(found, fit=fit, time_s=time_s, score=fit.score, drift=drift)
 
 
-def _draw_upright(region: SearchRegion, turn: Floats) -> tuple[SearchRegion, Floats]:
+def _draw_upright(change: CombinedFrame, busy: Blocks, turn: Floats) -> tuple[CombinedFrame, Blocks, Floats]:
     """Draw a region with arrays of the axes `turn` (2, 2) upright; return the map (2, 3) to the sensor too."""
     if np.array_equal(turn, np.eye(2)):
-        return region, np.column_stack([turn, region.first.origin])
-    rows, columns = region.change.shape
+        return change, busy, np.column_stack([turn, change.origin])
+    rows, columns = change.pixels.shape
     # about the middles of both
     size = [math.ceil(n) for n in np.abs(np.linalg.inv(turn)) @ [columns, rows]]
     middle, drawn_middle = np.array([columns - 1, rows - 1]) / 2, (np.array(size) - 1) / 2
     map_ = np.column_stack([turn, middle - turn @ drawn_middle])
-    change = cv2.warpAffine(region.change, map_, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    drawn = cv2.warpAffine(change.pixels, map_, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
     down, across = np.indices((-(-size[1] // BLOCK_PX), -(-size[0] // BLOCK_PX))) * BLOCK_PX + (BLOCK_PX - 1) / 2
     x, y = np.tensordot(map_, [across, down, np.ones_like(across)], 1) // BLOCK_PX
-    is_within = (x >= 0) & (y >= 0) & (x < region.busy.shape[1]) & (y < region.busy.shape[0])
-    busy = is_within & region.busy[np.where(is_within, y, 0).astype(int), np.where(is_within, x, 0).astype(int)]
-    on_sensor = map_ + np.column_stack([np.zeros((2, 2)), region.first.origin])
-    return SearchRegion(np.asarray(change, np.float32), busy, replace(region.first, origin=(0, 0))), on_sensor
+    is_within = (x >= 0) & (y >= 0) & (x < busy.shape[1]) & (y < busy.shape[0])
+    drawn_busy = is_within & busy[np.where(is_within, y, 0).astype(int), np.where(is_within, x, 0).astype(int)]
+    on_sensor = map_ + np.column_stack([np.zeros((2, 2)), change.origin])
+    return replace(change, pixels=np.asarray(drawn, np.float32), origin=(0, 0)), drawn_busy, on_sensor
 
 
 class HalfPeriodDetector:

@@ -206,7 +206,7 @@ class PyramidSearch:
         max_level = sum(area >= 0.25 * side**2 for side in self._smallest_px)
         if not max_level:
             return 0
-        changes = [region.change for region in self._finest.regions(slots, busy, 32.0)]
+        changes = [change.pixels for change, _ in self._finest.regions(slots, busy, 32.0)]
         min_change = self._min_contrast * first_present(slots).full_scale
         for level in range(max_level):
             changes = [np.asarray(cv2.pyrDown(change), np.float32) for change in changes]

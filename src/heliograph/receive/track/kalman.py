@@ -91,11 +91,7 @@ class PoseState:
 
     @staticmethod
     def start(
-        time_s: float,
-        vector: Floats,
-        covariance: Floats,
-        model: MotionModel,
-        drift: tuple[float, float] = (0.0, 0.0),
+        time_s: float, vector: Floats, covariance: Floats, model: MotionModel, drift: tuple[float, float] = (0.0, 0.0)
     ) -> "PoseState":
         """Return the state of a detected pose, with unknown rate of the pitch and unknown errors of sums."""
         mean, full = np.zeros(STATE_SIZE), np.zeros((STATE_SIZE, STATE_SIZE))

@@ -74,14 +74,7 @@ class Tracker:
             left = self._header_residue(predicted, pair, corner, total.shape, header * shining)
             total = total - track.data_gain * left
         fit_sum = partial(
-            fit_array,
-            total,
-            corner,
-            prior,
-            shining,
-            panel=True,
-            open_pixels=open_pixels,
-            smear=self._smear(predicted),
+            fit_array, total, corner, prior, shining, panel=True, open_pixels=open_pixels, smear=self._smear(predicted)
         )
         fit = fit_sum(PARAMETERS.pair_steps, drawn=track.render_cache)
         if self._is_unsure(predicted) and (is_occluded or not _is_as_expected(track, pose, fit)):
