@@ -38,19 +38,20 @@ def figure_png(figure: Figure) -> bytes:
     return out.getvalue()
 
 
-def legend_below(figure: Figure) -> None:
+def legend_below(figure: Figure, columns: int = 6) -> None:
     """Draw a common legend below all axes of a figure."""
     handles = {label: handle for axes in figure.axes for handle, label in zip(*legend_entries(axes), strict=True)}
-    figure.set_layout_engine("tight", rect=(0, 0.36 / figure.get_figheight(), 1, 1))
+    rows = -(-len(handles) // columns)
+    figure.set_layout_engine("tight", rect=(0, (0.15 + 0.22 * rows) / figure.get_figheight(), 1, 1))
     if handles:
-        figure.legend(list(handles.values()), list(handles), ncols=len(handles), loc="lower center")
+        figure.legend(list(handles.values()), list(handles), ncols=min(columns, len(handles)), loc="lower center")
 
 
 @styled
 def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int = 1, largest: float = 255) -> Figure:
     """Gray images side by side, each with a title."""
     columns = -(-len(images) // rows)
-    figure = Figure(figsize=(min(2.0 * columns, 12), 2.3 * rows))
+    figure = Figure(figsize=(min(2.0 * columns, 10), 2.3 * rows))
     for k, (image, title) in enumerate(zip(images, titles, strict=True), 1):
         axes = figure.add_subplot(rows, columns, k, title=title)
         axes.imshow(image, vmin=0, vmax=largest)
@@ -60,7 +61,7 @@ def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int =
 
 def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, title: str, largest: float = 255) -> Figure:
     """Frame with the array marked, and an enlarged view of the array."""
-    figure = Figure(figsize=(12, 3.6))
+    figure = Figure(figsize=(10, 3.6))
     frame, detail = figure.subplots(1, 2, width_ratios=(2.2, 1), subplot_kw={"xticks": [], "yticks": []})
     for axes in (frame, detail):
         axes.imshow(pixels, vmin=0, vmax=largest)
@@ -78,7 +79,7 @@ def mark_square(axes: Axes, x: float, y: float, half: float) -> None:
 
 def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping[str, NDArray[Any]]) -> Figure:
     """Estimated and true position and distance over time, and position errors."""
-    figure = Figure(figsize=(12, 6))
+    figure = Figure(figsize=(10, 6))
     axes = figure.subplots(2, 2, sharex=True)
     panels = (("x", "x (px)"), ("y", "y (px)"), ("distance_m", "distance (m)"))
     for (name, label), panel in zip(panels, axes.flat, strict=False):
@@ -97,7 +98,7 @@ def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping
 
 def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]], offset_m: float = 0.7) -> Figure:
     """Bit error rates before and after the turbo code, with the layers `offset_m` apart in distance."""
-    figure = Figure(figsize=(12, 4.2))
+    figure = Figure(figsize=(10, 4.2))
     for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "decoded_bits"), ("before", "after"), strict=True):
         for k, name in enumerate(LAYERS):
             counts = [

@@ -33,7 +33,7 @@ from heliograph.signal import haar, ook
 from heliograph.signal.header import header_levels
 from heliograph.signal.packet import PacketFormat, with_inverses
 from heliograph.signal.settings import SignalSettings
-from heliograph.sweeps.plot import LAYER_COLOURS, legend_entries
+from heliograph.sweeps.plot import LAYER_COLOURS
 
 ReadMethod = Literal["plain", "inverse", "known"]
 """Luminance at each LED position; the blur inverted; the blur inverted with the true pose and blur."""
@@ -242,7 +242,7 @@ def range_m(points: Points, rate: float) -> float | None:
 
 def _rates_plot(points: Mapping[str, Points]) -> Figure:
     """On-off keying and repetition left, the hierarchical code right."""
-    figure = Figure(figsize=(12, 5))
+    figure = Figure(figsize=(10, 6))
     left, right = figure.subplots(1, 2, sharey=True)
     for curve in CURVES:
         panels = [right] if curve.scheme == "haar" else [left, right] if curve is CURVES[0] else [left]
@@ -250,12 +250,12 @@ def _rates_plot(points: Mapping[str, Points]) -> Figure:
             style = {"color": curve.colour, "ls": curve.dashes, "ms": 3, "lw": 1.2}
             plots.draw_rates(axes, points[curve.name], curve.name, capsize=0, **style)
     for z, name in ((40.0, "without inverse"), (60.0, "with inverse")):
-        label = f"no error to {z:g} m {name} (Kasashima et al. 2013)"
+        label = f"error-free {name} (Kasashima 2013)"
         left.plot((z, z), (1e-6, 1), color="lightgray", ls="-" if z == 40 else "--", lw=2, zorder=0, label=label)
     for axes, title in ((left, "on-off keying, inverse and repetition"), (right, "the hierarchical code")):
         axes.set(title=title, xlabel="distance (m)", yscale="log", ylim=(1e-6, 1))
-        axes.legend(*legend_entries(axes), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
     left.set_ylabel("bit error rate")
+    plots.legend_below(figure, columns=3)
     return figure
 
 

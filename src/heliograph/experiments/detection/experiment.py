@@ -411,8 +411,8 @@ def report(
     """Judge, draw and tabulate scores and identities."""
     pictures = [
         (_roc(scores), "Arrays found against false alarms for falling thresholds, all scenes together; left: none."),
-        (_matrices(alone), "Identity shown (down) and found (across; last column: missed), a single array in view."),
-        (_matrices(beside), "The same, two arrays of different identities in view, both counted."),
+        (_matrices(alone, "one array in view"), "Identity shown (down) and found (across; last column: missed)."),
+        (_matrices(beside, "two arrays in view"), "The same with two different identities, both counted."),
     ]
     if example:
         caption = "Fig. 6: a false detection of the all-on detector; frame, and difference of two frames."
@@ -449,7 +449,7 @@ def _plain(scores: DetectionScores, true: str, plain: Callable[[list[float]], li
 
 def _example(score: float, film: ClutterFilm, pose: Pose) -> Figure:
     first, second = (film.frames[film.first + k].pixels.astype(float) for k in (0, 1))
-    figure = Figure(figsize=(12, 3.4))
+    figure = Figure(figsize=(10, 3.4))
     panels = figure.subplots(1, 2, subplot_kw={"xticks": [], "yticks": []})
     shown = ((first, 0, 255, "frame"), (first - second, -80, 80, f"difference; score of the candidate {score:.2f}"))
     for axes, (image, low, high, title) in zip(panels, shown, strict=True):
@@ -467,7 +467,7 @@ def curve(false: Floats, true: Floats) -> tuple[list[float], list[float]]:
 
 
 def _roc(measured: Scores) -> Figure:
-    figure = Figure(figsize=(12, 5))
+    figure = Figure(figsize=(10, 5))
     smallest = 0.5 / max(measured[REFERENCE].all_false().size, 1)
     # lines of different widths stay visible below each other
     styles = (("C3", 8.0), (plots.ORANGE, 5.5), (plots.GREEN, 3.2), (plots.BLUE, 1.4))
@@ -487,8 +487,9 @@ def _roc(measured: Scores) -> Figure:
     return figure
 
 
-def _matrices(confusions: Mapping[float, Confusion]) -> Figure:
-    figure = Figure(figsize=(12, 3.4))
+def _matrices(confusions: Mapping[float, Confusion], title: str) -> Figure:
+    figure = Figure(figsize=(10, 3.6))
+    figure.suptitle(title)
     for axes, (distance, one) in zip(figure.subplots(1, len(confusions)), confusions.items(), strict=True):
         rate = one.counts / np.maximum(one.counts.sum(1, keepdims=True), 1)
         axes.imshow(rate, cmap="Blues", vmin=0, vmax=1)

@@ -443,7 +443,7 @@ def keying(static: CountsByDistance, keyed: CountsByDistance) -> Finding:
 
 def _rates_plot(rates: Rates) -> Figure:
     """Plot with a column for each layer, and a row before and after the code."""
-    figure = Figure(figsize=(12, 7.4))
+    figure = Figure(figsize=(10, 7.4))
     panels = figure.subplots(2, len(LAYERS), sharex=True, sharey="row")
     for row, (kind, title) in zip(panels, (("raw", "before"), ("decoded", "after")), strict=True):
         for axes, name in zip(row, LAYERS, strict=True):
@@ -451,7 +451,7 @@ def _rates_plot(rates: Rates) -> Figure:
                 [(z + offset, getattr(layers[name], kind)) for z, layers in sorted(counts.items())]
                 for counts, offset in ((rates["static"], -0.5), (rates["driving"], 0.5))
             )
-            plots.draw_rates(axes, static, "static", color=LAYER_COLOURS[name], lw=1.8)
+            plots.draw_rates(axes, static, f"static, {name}", color=LAYER_COLOURS[name], lw=1.8)
             squares = {"marker": "s", "mfc": "none", "ms": 6, "ls": "none"}
             plots.draw_rates(axes, driving, "driving", color="black", lw=1.2, **squares)
             if kind == "raw":
@@ -459,8 +459,9 @@ def _rates_plot(rates: Rates) -> Figure:
                 plots.draw_rates(axes, keyed, "on-off keying, static", color=plots.GRAY, ls="--", lw=1.8)
             axes.set(yscale="log", title=f"{name}, {title} the turbo code")
             if kind == "decoded":
-                fixed, moving = (count_text(pooled(rates[k].values())[name].words) for k in ("static", "driving"))
-                axes.set_title(f"{axes.get_title()}\nwrong: {fixed} static, {moving} driving")
+                fixed, moving = (pooled(rates[k].values())[name].words for k in ("static", "driving"))
+                wrong = f"{fixed.errors}/{fixed.trials} static, {moving.errors}/{moving.trials} driving"
+                axes.set_title(f"{axes.get_title()}\nwrong: {wrong}")
                 published = {"color": plots.RED, "marker": "s", "lw": 3, "label": "Nagura et al. 2010: no error"}
                 # the lower edge stands for zero
                 axes.plot(PUBLISHED_M, (0, 0), transform=axes.get_xaxis_transform(), clip_on=False, **published)
@@ -468,7 +469,7 @@ def _rates_plot(rates: Rates) -> Figure:
         row[0].set(ylabel="bit error rate", ylim=(np.clip(row[0].get_ylim()[0], 1e-6, 1e-2), 1.5))
     for axes in panels[1]:
         axes.set_xlabel("distance (m)")
-    plots.legend_below(figure)
+    plots.legend_below(figure, columns=4)
     return figure
 
 

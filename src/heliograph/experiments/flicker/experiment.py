@@ -128,7 +128,7 @@ def pair_means(flux: Floats) -> Floats:
 def _waveforms(waves: Mapping[Signal, Floats], slot_s: float) -> Figure:
     """Light of the array over a header, shaded, and the following data."""
     shown = (Signal.PAIRS, Signal.ALL_ON, Signal.BARE, Signal.ALL_ON_BARE)
-    figure = Figure(figsize=(12, 5.2))
+    figure = Figure(figsize=(10, 5.2))
     for axes, name in zip(figure.subplots(len(shown), 1, sharex=True), shown, strict=True):
         flux = waves[name][: 24 * pwm.SLOTS]
         header = 1e3 * slot_s * pwm.SLOTS * (2 if "no inverses" in name else 4)
@@ -143,7 +143,7 @@ def _waveforms(waves: Mapping[Signal, Floats], slot_s: float) -> Figure:
 
 def _spectra(waves: Mapping[Signal, Floats], slot_s: float) -> Figure:
     """Modulation by frequency of a stretch, and the limit of low risk."""
-    figure = Figure(figsize=(12, 4.2))
+    figure = Figure(figsize=(10, 4.2))
     groups = ((Signal.PAIRS, Signal.BARE), (Signal.HEADER, Signal.ALL_ON_HEADER, Signal.ALL_ON))
     for axes, names in zip(figure.subplots(1, 2, sharey=True), groups, strict=True):
         for name in names:

@@ -50,7 +50,7 @@ def run(context: Context) -> ExperimentResult:
 
 
 def _timeline(packet: NDArray[np.uint8], head: int) -> Figure:
-    figure = Figure(figsize=(12, 2.4))
+    figure = Figure(figsize=(10, 2.4))
     axes = figure.add_subplot(xlabel="time (patterns of T_b)", ylabel="mean level of the LEDs")
     axes.set(xlim=(0, len(packet)), ylim=(0, 1))
     means, numbers = packet.mean((1, 2)) / 4, np.arange(len(packet))

@@ -265,7 +265,7 @@ def _pictures(runs: Sequence[TrackingRun]) -> list[tuple[Figure, str]]:
 def _error_plot(runs: Sequence[TrackingRun]) -> Figure:
     columns = min(len(runs), 4)
     rows = -(-len(runs) // columns)
-    figure = Figure(figsize=(12, 0.6 + 2.8 * rows))
+    figure = Figure(figsize=(10, 0.6 + 2.8 * rows))
     colours = (plots.GRAY, plots.BLUE, plots.GREEN, plots.ORANGE, "C3", "C4")
     for k, run in enumerate(runs):
         axes = figure.add_subplot(rows, columns, k + 1, title=run.name, xlabel="time (s)")
