@@ -320,8 +320,7 @@ def footage_background(scenery: Scenery) -> Painter:
 
 def _still_painter(scenery: Scenery, scene: Gray) -> Painter:
     """Return the painter of a drawn scene at a distance of 300 m."""
-    image = scene.astype(np.float32)
-    return _painter(scenery, lambda _: image, 300.0)
+    return _painter(scenery, lambda _: scene.astype(np.float32), 300.0)
 
 
 def _painter(scenery: Scenery, image_at: Callable[[float], NDArray[np.float32]], depth_m: float) -> Painter:

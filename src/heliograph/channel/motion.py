@@ -153,8 +153,7 @@ class Travel:
     @classmethod
     def of(cls, settings: ChannelSettings) -> "Travel":
         """Return the travel of the vehicle in the settings."""
-        points = settings.speed_profile or ((0.0, settings.speed_m_s),)
-        return cls(*np.array(points, float).T)
+        return cls(*np.array(settings.speed_profile or ((0.0, settings.speed_m_s),), float).T)
 
     def speed(self, times_s: Floats) -> Floats:
         """Return the speed in m/s at times."""

@@ -52,5 +52,4 @@ def gaussian_spread(camera: CameraSettings) -> PointSpread:
 
 def halo_spread(camera: CameraSettings) -> PointSpread:
     """Return a point-spread function with veiling glare: 5 % of the light in a Gaussian of 6 times the width."""
-    fraction = np.array([1 - 0.05, 0.05])
-    return PointSpread(fraction, np.zeros((2, 2)), camera.blur_px * np.array([1.0, 6.0]))
+    return PointSpread(np.array([1 - 0.05, 0.05]), np.zeros((2, 2)), camera.blur_px * np.array([1.0, 6.0]))

@@ -73,8 +73,7 @@ def homography(
 
 def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:
     """Return images and depths of points in the array plane."""
-    ones = np.ones((len(points_m), 1))
-    image = np.hstack([points_m, ones]) @ np.swapaxes(homographies, -1, -2)
+    image = np.hstack([points_m, np.ones((len(points_m), 1))]) @ np.swapaxes(homographies, -1, -2)
     depth = np.where(np.abs(image[..., 2]) < TINY_M, TINY_M, image[..., 2])
     return image[..., :2] / depth[..., None], depth
 

@@ -39,8 +39,7 @@ def _mix32(x: np.uint32) -> np.uint32:
 @compiled(inline="always")
 def _row_key(seed: np.uint64, frame: int, row: int) -> np.uint64:
     """Return 64 random bits for a row of a frame."""
-    key = _mix64(seed + _GOLDEN_64 * np.uint64(frame + 1))
-    return _mix64(key + _GOLDEN_64 * np.uint64(row + 1))
+    return _mix64(_mix64(seed + _GOLDEN_64 * np.uint64(frame + 1)) + _GOLDEN_64 * np.uint64(row + 1))
 
 
 @compiled(inline="always")

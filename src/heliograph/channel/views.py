@@ -166,7 +166,6 @@ def windows(block: FrameBlock, camera: CameraSettings, roi: int | None) -> NDArr
     none = np.isinf(low)  # no array: a pixel in the corner
     edges = np.hstack([np.where(none, 0, low - roi), np.where(none, 0, high + roi)])
     parts = np.clip(edges, 0, np.tile(full[2:], 2)).astype(np.int64)
-    corner = (parts[:, :2] == 0).all(1) & (parts != full).any(1)
-    parts[corner, 0] = 1
+    parts[(parts[:, :2] == 0).all(1) & (parts != full).any(1), 0] = 1
     parts[:, 2] = np.maximum(parts[:, 2], parts[:, 0])
     return parts

@@ -58,8 +58,7 @@ def reproduce(
 
             def begin(key: str, _: object) -> None:
                 nonlocal position
-                position = keys.index(key)
-                advance(position)
+                advance(keys.index(key))
 
             context = Context(**fields, progress=lambda _, part: advance(position + part))
             results = experiments.reproduce(keys, context, output, begin, earlier)

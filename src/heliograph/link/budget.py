@@ -341,8 +341,7 @@ def array_images(channel: ChannelSettings, side: int, distance_m: float, shift_p
         add_array(channel, plane, drift, eye, (lit, still_leds, still_leds), Canvas(light, corner))
         images[:, :, u, v] = light
     steps = (np.arange(count) - (count - 1) / 2) * pitch_m
-    grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
-    points = project(plane, grid)[0] - low
+    points = project(plane, np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2))[0] - low
     return ArrayImages(images, points, pitch_px, float(images.sum()) / (count * pitch_px) ** 2)
 
 

@@ -52,17 +52,10 @@ class LightSettings:
         return float(self.wavelength_nm * 1e-9 / (PLANCK_J_S * LIGHT_M_S) / (683.0 * visibility))
 
     def electrons(self, channel: ChannelSettings, candela: float) -> float:
-        """Return the electrons per pixel for an unresolved array with all LEDs on.
+        """Return the electrons per pixel for an unresolved array with all LEDs on, each of an intensity in cd.
 
         The value is independent of distance and focal length: the light of an LED and the area of the image both fall
         with the square of the distance.
-
-        Parameters
-        ----------
-        channel
-            Channel settings: exposure, pixel size and LED pitch are used.
-        candela
-            On-axis luminous intensity of an LED in cd.
         """
         camera = channel.camera
         # I (pi / 4) (f / N)^2 / Z^2 tau photons per LED; the LED image covers (f p / (Z pixel))^2 pixels
@@ -72,39 +65,19 @@ class LightSettings:
         )
 
     def all_on(self, channel: ChannelSettings) -> float:
-        """Return the light of an unresolved array in full scales, from `candela` or the channel settings.
-
-        Parameters
-        ----------
-        channel
-            Channel settings: camera, emitter and sensor are used.
-        """
+        """Return the light of an unresolved array in full scales, from `candela` or the channel settings."""
         if self.candela is None:
             return channel.emitter.all_on
         return self.electrons(channel, self.candela) / channel.sensor.full_well_e
 
     def candela_of(self, channel: ChannelSettings) -> float:
-        """Return the LED intensity in cd: `candela`, or the intensity for the light in the settings.
-
-        Parameters
-        ----------
-        channel
-            Channel settings: camera, emitter and sensor are used.
-        """
+        """Return the LED intensity in cd: `candela`, or the intensity for the light in the settings."""
         if self.candela is not None:
             return self.candela
         return channel.emitter.all_on * channel.sensor.full_well_e / self.electrons(channel, 1.0)
 
     def lens_blur_px(self, channel: ChannelSettings, distance_m: float) -> float:
-        """Return the minimum blur at this f-number, as a standard deviation in px.
-
-        Parameters
-        ----------
-        channel
-            Channel settings: focal length and pixel size are used.
-        distance_m
-            Distance of the array in m; the lens is focused at infinity.
-        """
+        """Return the minimum blur in px (standard deviation) at this f-number, with the lens focused at infinity."""
         camera = channel.camera
         # 0.42 N lambda: standard deviation of the Gaussian nearest to the Airy pattern
         diffraction = 0.42 * self.wavelength_nm * 1e-9 * self.f_number

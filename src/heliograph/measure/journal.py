@@ -144,8 +144,7 @@ def sentence(row: Row) -> str:
             for junction in row["junctions"]
         )
     if row["event"] == "found":
-        drift = float(np.hypot(*row["drift_px_s"]))
-        moves = f"moving by {drift:.0f} px/s in the image"
+        moves = f"moving by {float(np.hypot(*row['drift_px_s'])):.0f} px/s in the image"
         return f"{when} found {row['distance_m']:.1f} m away, {moves}, {row['orientation']}{_doubt(row)}"
     if row["event"] == "missed_start":
         return missed_words(row)

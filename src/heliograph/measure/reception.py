@@ -118,8 +118,7 @@ class ReceptionCounter:
             return
         if self.errors is not None:
             self.errors.received(packet)
-        new = ArrayTally(packet.first_frame, packet.distance_m)
-        self.arrays.setdefault(packet.identity, new).add(packet)
+        self.arrays.setdefault(packet.identity, ArrayTally(packet.first_frame, packet.distance_m)).add(packet)
         files: dict[FileKey, FileProgress] = {}
         for word in (word for words in packet.layers.values() for word in words):
             if isinstance(word.block, Block):

@@ -207,8 +207,7 @@ class _Residual:
 
 def _step(hessian: Floats, residual: _Residual, shape: Shape) -> Floats:
     """Return the limited Gauss-Newton step (9,) of corners and ln sigma."""
-    damped = hessian + np.diag(np.diag(hessian)) * 1e-3
-    change = np.linalg.lstsq(damped, residual.gradient(), rcond=RCOND)[0]
+    change = np.linalg.lstsq(hessian + np.diag(np.diag(hessian)) * 1e-3, residual.gradient(), rcond=RCOND)[0]
     # the image is nearly linear within 0.3 pitches, and 0.3 of ln blur
     longest = 0.3 * np.append(np.full(8, shape.pitch(residual.fit.corners)), 1.0)
     return np.asarray(change / max(np.abs(change / longest).max(), 1.0))

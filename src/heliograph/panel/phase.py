@@ -193,9 +193,8 @@ def _strongest_period(wave: Waves) -> Floats:
     rows, columns = (1 << int(np.ceil(np.log2(2 * n))) for n in wave.shape)
     spectrum = np.abs(np.fft.fft2(_limit(wave), (rows, columns)))
     y, x = np.fft.fftfreq(rows)[:, None], np.fft.fftfreq(columns)
-    near = (np.abs(x) <= 0.25) & (np.abs(y) <= 0.25)
     # prefer the expected grid
-    spectrum = np.where(near, spectrum * np.exp(-4 * (x**2 + y**2)), 0.0)
+    spectrum = np.where((np.abs(x) <= 0.25) & (np.abs(y) <= 0.25), spectrum * np.exp(-4 * (x**2 + y**2)), 0.0)
     i, j = np.unravel_index(int(np.argmax(spectrum)), spectrum.shape)
     return np.array([x[j], y[i, 0]])
 

@@ -123,9 +123,8 @@ def _fit_area(image: Levels, corners: Floats, width: float) -> Floats:
 
 def _render_area(corners: Floats, sigma: float, size: tuple[int, ...]) -> tuple[Levels, Levels]:
     """Render a uniform area and the derivatives by the corners, (8, rows, columns)."""
-    longest = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).max()
     # points 0.9 sigma apart stand for an area with a ripple of 1e-5
-    count = int(np.ceil(longest / (0.9 * sigma)))
+    count = int(np.ceil(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).max() / (0.9 * sigma)))
     unit, map_ = grid(count, count), homographies(corners)
     points, jacobian = transform(map_, unit), corner_jacobian(corners, unit)
     # a point has the weight of the area, det(H) / w^3

@@ -25,49 +25,28 @@ Point = tuple[OffsetM, OffsetM]
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class PhaseSettings:
-    """A phase of a light.
+    """A phase of a light."""
 
-    Attributes
-    ----------
-    phase
-        Phase: "red", "red-yellow", "green", "green-free", "yellow", "flashing" or "dark".
-    seconds
-        Duration in s, up to half an hour.
-    """
-
+    # Phase: "red", "red-yellow", "green", "green-free", "yellow", "flashing" or "dark"
     phase: Phase
+    # Duration in s, up to half an hour
     seconds: Annotated[float, Field(ge=0.1, le=1800)]
 
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class GroupSettings:
-    """Signal group: lights with equal phases.
+    """Signal group: lights with equal phases."""
 
-    Attributes
-    ----------
-    group
-        Number of the group, 1 to 254.
-    phases
-        Cyclic sequence of phases.
-    offset_s
-        Position in the cycle at the start of the transmission in s.
-    """
-
+    # Number of the group, 1 to 254
     group: Group
+    # Cyclic sequence of phases
     phases: Annotated[tuple[PhaseSettings, ...], Field(min_length=1, max_length=16)]
+    # Position in the cycle at the start of the transmission in s
     offset_s: Annotated[float, Field(ge=0, le=86400)] = 0.0
 
     def following(self, time_s: float, count: int) -> Iterator[tuple[Phase, float]]:
-        """Yield the phases from a time on, each with the end in s from the start of the transmission.
-
-        Parameters
-        ----------
-        time_s
-            Time from the start of the transmission in s.
-        count
-            Number of phases.
-        """
+        """Yield the phases from a time on, each with its end; times in s from the start of the transmission."""
         ends = list(accumulate(phase.seconds for phase in self.phases))
         turns, elapsed = divmod(self.offset_s + time_s + 1e-6, ends[-1])
         first = next((i for i, end in enumerate(ends) if elapsed < end), len(ends) - 1)
@@ -79,70 +58,46 @@ class GroupSettings:
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class LaneSettings:
-    """A lane.
+    """A lane."""
 
-    Attributes
-    ----------
-    lane
-        Number of the lane, 1 to 254.
-    points_m
-        Centre line from the stop line outwards: east and north of the junction centre in m, at least two points.
-    kind
-        "vehicle", "crosswalk", "bikeLane", "sidewalk" or "trackedVehicle".
-    towards
-        True for a lane towards the junction, false for a lane away from the junction.
-    group
-        Signal group of the lane, if any.
-    to
-        Numbers of the connected lanes.
-    """
-
+    # Number of the lane, 1 to 254
     lane: Lane
+    # Centre line from the stop line outwards: east and north of the junction centre in m, at least two points
     points_m: Annotated[tuple[Point, ...], Field(min_length=2, max_length=63)]
+    # "vehicle", "crosswalk", "bikeLane", "sidewalk" or "trackedVehicle"
     kind: LaneKind = "vehicle"
+    # True for a lane towards the junction, false for a lane away from the junction
     towards: bool = True
+    # Signal group of the lane, if any
     group: Group | None = None
+    # Numbers of the connected lanes
     to: Annotated[tuple[Lane, ...], Field(max_length=16)] = ()
 
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Junction:
-    """Junction with position, lanes and signal plan.
+    """Junction with position, lanes and signal plan."""
 
-    Attributes
-    ----------
-    id
-        Number of the junction, 0 to 65535.
-    name
-        Name, up to 63 ASCII characters.
-    station
-        Number of the sending station, 0 to 4294967295.
-    latitude
-        Latitude of the centre in degrees, positive to the north.
-    longitude
-        Longitude of the centre in degrees, positive to the east.
-    lane_width_m
-        Lane width in m.
-    begins
-        Start of the transmission in UTC.
-    update_s
-        Interval between SPATEMs in s.
-    groups
-        Signal groups with distinct numbers.
-    lanes
-        Lanes with distinct numbers; a map needs at least one lane.
-    """
-
+    # Number of the junction, 0 to 65535
     id: Annotated[int, Field(ge=0, le=65535)]
+    # Name, up to 63 ASCII characters
     name: Text = "Junction"
+    # Number of the sending station, 0 to 4294967295
     station: Annotated[int, Field(ge=0, le=(1 << 32) - 1)] = 0
+    # Latitude of the centre in degrees, positive to the north
     latitude: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    # Longitude of the centre in degrees, positive to the east
     longitude: Annotated[float, Field(ge=-180, le=180)] = 0.0
+    # Lane width in m
     lane_width_m: Annotated[float, Field(ge=0.5, le=50)] = 3.25
+    # Start of the transmission in UTC
     begins: datetime = datetime(2026, 6, 1, 12, 0, 0, tzinfo=UTC)
+    # Interval between SPATEMs in s
     update_s: Annotated[float, Field(ge=0.1, le=60)] = 1.0
+    # Signal groups with distinct numbers
     groups: Annotated[tuple[GroupSettings, ...], Field(min_length=1, max_length=32)]
+    # Lanes with distinct numbers; a map needs at least one lane
     lanes: Annotated[tuple[LaneSettings, ...], Field(max_length=100)] = field(default=())
 
     @model_validator(mode="after")

@@ -27,8 +27,7 @@ def identity(number: int) -> tuple[int, int]:
 def header_cells(number: int) -> NDArray[np.int8]:
     """Return the header cells, (4, 4) int8: +1 lit, -1 dark. The sum is 0."""
     polynomial, phase = identity(number)
-    chips = np.append(np.roll(m_sequence(polynomial), -phase), 0)
-    cells = chips.reshape(CELLS, CELLS)
+    cells = np.append(np.roll(m_sequence(polynomial), -phase), 0).reshape(CELLS, CELLS)
     cells[1::2] = cells[1::2, ::-1]  # odd rows run from right to left
     return 2 * cells.astype(np.int8) - 1
 

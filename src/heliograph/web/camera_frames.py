@@ -106,5 +106,4 @@ class CameraFrames:
         if not max(0, self._last_s) <= time_s < 1e9 or time_s == self._last_s:  # False for NaN
             raise MediaError("the times of frames must increase")
         self._shape, self._last_s = (rows, columns), time_s
-        pixels = np.frombuffer(message, np.uint8, offset=HEAD.size).reshape(rows, columns)
-        return Frame(number, time_s, pixels)
+        return Frame(number, time_s, np.frombuffer(message, np.uint8, offset=HEAD.size).reshape(rows, columns))

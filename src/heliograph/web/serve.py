@@ -75,8 +75,7 @@ class Address:
 
 def open_port(address: Address) -> socket.socket:
     """Return a listening socket."""
-    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener = socket.socket(socket.AF_INET6 if ":" in address.host else socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     place = f"{address.host}, port {address.port}"
     try:

@@ -104,8 +104,7 @@ def count_bits(llr: Floats, sent: NDArray[np.uint8]) -> Floats:
     known = llr != 0
     # P(wrong) = 1 / (1 + exp |LLR|)
     predicted = 1 / (1 + np.exp(np.abs(llr[known])))
-    wrong = (llr[known] < 0) != sent[known]
-    weights = (np.ones(len(predicted)), wrong.astype(float), predicted)
+    weights = (np.ones(len(predicted)), ((llr[known] < 0) != sent[known]).astype(float), predicted)
     return np.array([np.histogram(predicted, EDGES, weights=w)[0] for w in weights])
 
 

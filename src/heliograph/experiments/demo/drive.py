@@ -456,8 +456,7 @@ def run(
         receptions[best] = ReceptionCounter(truth)
         try:
             with bar(f"receiving by {best}", count) as advance, open_film(film) as source:
-                received = receive(source, settings.signal, other, receptions[best], progress=advance)
-                deque(received, maxlen=0)
+                deque(receive(source, settings.signal, other, receptions[best], progress=advance), maxlen=0)
         except KeyboardInterrupt as error:
             ending = error
     for message in messages:

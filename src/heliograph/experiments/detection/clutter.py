@@ -139,8 +139,7 @@ def _mains(rng: np.random.Generator) -> Lamp:
 
 def _moving(rng: np.random.Generator) -> Lamp:
     """Steady lamp of a vehicle, up to 0.7 px per frame."""
-    speed = (rng.uniform(-500, 500), rng.uniform(-500, 500))
-    return _lamp(rng, np.ones_like, speed)
+    return _lamp(rng, np.ones_like, (rng.uniform(-500, 500), rng.uniform(-500, 500)))
 
 
 def _beacon(rng: np.random.Generator) -> Lamp:

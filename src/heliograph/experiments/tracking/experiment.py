@@ -138,8 +138,7 @@ def _pairs(frames: Iterator[tuple[Frame, Truth]]) -> Iterator[Pair]:
 
 def _detect(settings: LinkSettings, pairs: Iterable[Pair], held: deque[Pair]) -> Detection | None:
     """Search pairs for the array, and hold the last pairs."""
-    parameters = search_parameters(settings.receive, settings.signal)
-    detector = PyramidSearch(parameters, settings.signal)
+    detector = PyramidSearch(search_parameters(settings.receive, settings.signal), settings.signal)
     for pair in pairs:
         held.append(pair)
         if hits := [hit for frame in pair[:2] for hit in detector.search(frame)]:
@@ -243,8 +242,7 @@ def _shake(run: TrackingRun, errors: Floats) -> float:
         # a line through fewer pairs would hide the vibration
         if part.sum() >= 10:
             line = np.vander(run.times_s[part] - run.times_s[part][0], 2)
-            way = np.linalg.lstsq(line, errors[part], rcond=None)[0]
-            rests.append(errors[part] - line @ way)
+            rests.append(errors[part] - line @ np.linalg.lstsq(line, errors[part], rcond=None)[0])
     return float(np.sqrt(np.mean(np.sum(np.concatenate(rests) ** 2, axis=1)))) if rests else 0.0
 
 

@@ -311,8 +311,7 @@ class KnownPattern(Follower):
 
     def _light(self, image: Floats, shapes: Floats, weights: Floats) -> Floats:
         """Gain, panel and background at a pose, with the previous gain as prior."""
-        columns = shapes[:, 0].reshape(len(shapes), -1)
-        matrix, rhs = _normal(columns, weights, image)
+        matrix, rhs = _normal(shapes[:, 0].reshape(len(shapes), -1), weights, image)
         weight = (0.1 * self._gain) ** -2
         matrix[0, 0] += weight
         rhs[0] += weight * self._gain

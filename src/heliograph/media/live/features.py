@@ -125,8 +125,7 @@ class FeatureCamera(ABC):
             if (name := self._name(key)) is not None:
                 actual[key] = self._read(name)
         if self._has("TriggerMode"):
-            is_on = self._read("TriggerMode") == "On"
-            actual["trigger"] = str(self._read("TriggerSource")) if is_on else "off"
+            actual["trigger"] = str(self._read("TriggerSource")) if self._read("TriggerMode") == "On" else "off"
         return actual | {key: str(self._read(key)) for key in settings.features}
 
     def _picture(self, data: NDArray[np.uint8], padding: int, number: Any, stamp_ns: int | None) -> Picture:

@@ -193,8 +193,7 @@ class Grabber:
                     place = self._numbering.place(picture.number, picture.stamp_ns, time.monotonic_ns())
                     if place is not None:
                         self._frames += 1
-                        frame = Frame(*place, picture.pixels, self._form.bits)
-                        self._queue.put(frame.copied())
+                        self._queue.put(Frame(*place, picture.pixels, self._form.bits).copied())
                 self._check_silence(bool(pictures))
             except CameraLostError as error:
                 self._reconnect(error)

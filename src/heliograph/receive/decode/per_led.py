@@ -60,8 +60,7 @@ def unblurred(frames: tuple[AnyFrame, AnyFrame], poses: tuple[Pose, Pose], gain:
     # M^T M: <led_i, led_j> = <across_i, across_j> <down_i, down_j>
     gram = (across @ across.T) * (down @ down.T)
     gram[np.diag_indices_from(gram)] += ZERO_FORCING_LOADING
-    light = np.einsum("kj,kj->k", down @ change, across)
-    _, s, _ = lapack.dposv(gram, light, overwrite_a=1)
+    _, s, _ = lapack.dposv(gram, np.einsum("kj,kj->k", down @ change, across), overwrite_a=1)
     return 2 * to_grid(s)
 
 

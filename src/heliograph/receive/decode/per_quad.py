@@ -104,8 +104,7 @@ def _cancel_neighbours(symbols: Floats, light: Floats) -> Floats:
     # b = (x x^T + lambda)^-1 x y^T
     b = np.linalg.solve(x @ x.T + 1e-3 * x.shape[1] * np.eye(len(x)), x @ y.T)
     b[9 * np.arange(4) + 4, np.arange(4)] = 0.0  # the symbol itself stays
-    cleaned = (y - b.T @ x).reshape(4, len(symbols), -1)
-    return np.asarray(cleaned.transpose(1, 0, 2).reshape(symbols.shape))
+    return np.asarray((y - b.T @ x).reshape(4, len(symbols), -1).transpose(1, 0, 2).reshape(symbols.shape))
 
 
 def _mean_by_kind(values: Floats) -> Floats:

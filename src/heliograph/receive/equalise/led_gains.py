@@ -218,9 +218,8 @@ def _estimate_brightness(information: Floats, score: Floats) -> Floats:
     first, second = (_solve_brightness(*half) for half in zip(information, score, strict=True))
     if np.mean((first - 1) * (second - 1)) < MIN_DIFFERENCE**2:
         return np.ones_like(to_grid(first))
-    joint = _solve_brightness(information.sum(0), score.sum(0))
     # evidence is divided by brightness: a dead LED keeps some
-    return to_grid(np.clip(joint, 0.02, 3.0))
+    return to_grid(np.clip(_solve_brightness(information.sum(0), score.sum(0)), 0.02, 3.0))
 
 
 def _solve_brightness(information: Floats, score: Floats) -> Floats:

@@ -162,8 +162,7 @@ class DecisionDirectedTracker:
         # five frames of a changing scene count
         self._background = self._background + 0.2 * (end[POSE_SIZE + 1 :] - self._background)
         after = np.asarray(np.linalg.inv(matrix + precision)[:POSE_SIZE, :POSE_SIZE], np.float64)
-        vector = np.append(end[:POSE_SIZE], state.tilt)
-        return Fit(vector, after, float(end[POSE_SIZE]), score)
+        return Fit(np.append(end[:POSE_SIZE], state.tilt), after, float(end[POSE_SIZE]), score)
 
     def _build_equations(self, frame: AnyFrame, state: PoseState, at: Floats) -> tuple[Floats, Floats, float]:
         """Compute D^T C^-1 D, D^T C^-1 e and the correlation of frame and image; rates and tilt of the state are fixed.

@@ -95,8 +95,7 @@ class WhitenedCutout:
         """Correlate images (k, rows, columns) with the symbols' images: B^T W^(1/2), (symbols, k)."""
         parts = []
         for across, down in self.frames:
-            leds = np.einsum("knj,nj->nk", down @ images, across)
-            parts.append(0.25 * transform_quarters(leds))
+            parts.append(0.25 * transform_quarters(np.einsum("knj,nj->nk", down @ images, across)))
         return np.asarray(np.mean(parts, axis=0))
 
     def residual(self, gain: float, symbols: Floats) -> Floats:
@@ -157,8 +156,7 @@ def _weight_roots(light: Floats, noise: Noise) -> Floats:
 
 def transform_quarters(values: NDArray[Any]) -> NDArray[Any]:
     """Transform quarters of LEDs to quarters of symbols along the first axis, H t H^T, or back."""
-    signs = SIGNS.astype(values.dtype)
-    return np.asarray((signs @ values.reshape(4, -1)).reshape(values.shape))
+    return np.asarray((SIGNS.astype(values.dtype) @ values.reshape(4, -1)).reshape(values.shape))
 
 
 def leds_of(symbols: NDArray[Any]) -> NDArray[Any]:

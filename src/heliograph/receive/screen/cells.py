@@ -217,8 +217,7 @@ def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     slope[:, 0], slope[:, -1] = -bell[:, 1], bell[:, -2]
     # loading: cells may be smaller than the blur
     gram = b.T @ b
-    weights = np.linalg.solve(gram + 1e-3 * S * np.eye(cells), b.T)
-    return b, slope, weights
+    return b, slope, np.linalg.solve(gram + 1e-3 * S * np.eye(cells), b.T)
 
 
 def _resample(part: Pixels32, homography: Floats, side: int) -> Floats:

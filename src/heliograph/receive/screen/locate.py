@@ -149,8 +149,7 @@ class ArraySearch:
     def _linear(self, frame: Frame) -> Pixels32:
         """Convert the gray levels of a frame to light."""
         if self._light is None:
-            levels = np.arange(frame.full_scale + 1) / frame.full_scale
-            self._light = (levels**self._gamma).astype(np.float32)
+            self._light = ((np.arange(frame.full_scale + 1) / frame.full_scale) ** self._gamma).astype(np.float32)
         return light_of(frame.pixels, self._light)
 
     def _fit_candidate(self, corners: Floats) -> Candidate:

@@ -174,8 +174,7 @@ class PacketAssembler:
                 if not self._find_header(clock, now_s - late_s, final):
                     return
                 continue
-            pairs = self._signal.header_pairs + self._data_pairs
-            end_s = self.start_s + 2 * pairs * clock.period_s
+            end_s = self.start_s + 2 * (self._signal.header_pairs + self._data_pairs) * clock.period_s
             is_complete = now_s >= end_s + late_s
             if not (is_complete or final) or now_s - self.start_s < MIN_PAIRS_SEEN * (end_s - self.start_s):
                 return

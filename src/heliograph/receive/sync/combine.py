@@ -52,8 +52,7 @@ def response(weights: Floats) -> Floats:
 
 def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
     """Return the observed symbols (symbols,) of LEDs that are constantly on or off in a pattern."""
-    squares = to_quarters((lit[..., None] - MEAN_LIT) @ weights).reshape(4, -1)
-    return np.asarray((SIGNS @ squares).ravel())
+    return np.asarray((SIGNS @ to_quarters((lit[..., None] - MEAN_LIT) @ weights).reshape(4, -1)).ravel())
 
 
 def moments(table: Floats, mean: Floats) -> tuple[Floats, Floats]:

@@ -137,8 +137,7 @@ def power_within(change, x, y, most):
 @compiled()
 def recent_change(before, around, least, bright, most, rate):
     """Update the recent change of each LED by the power of one pair around it, relative to bright LEDs."""
-    others = max(smallest(around.flatten(), bright), least)
-    return before + rate * (np.minimum(around / others, most) - before)
+    return before + rate * (np.minimum(around / max(smallest(around.flatten(), bright), least), most) - before)
 
 
 @compiled()

@@ -161,8 +161,7 @@ class FileGatherer:
                 self._unknown.append(block)
                 return None
             return self._symbol(block, notice)
-        key = FileKey(block.check, block.length, block.size, block.code)
-        return self.take(key, dict(block.symbols()))
+        return self.take(FileKey(block.check, block.length, block.size, block.code), dict(block.symbols()))
 
     def _named(self, notice: FileNotice) -> FileProgress | None:
         """Store a file description, and add earlier symbols with the same tag."""

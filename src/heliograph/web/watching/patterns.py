@@ -78,6 +78,5 @@ def _counts(values: Floats, scale: float) -> list[int]:
 
 def grey(levels: Floats, low: float, high: float) -> dict[str, Any]:
     """Return levels as a small picture: `rows`, `columns`, and `data`, values 0 to 255 row by row in Base64."""
-    scaled = (levels - low) * (255.0 / max(high - low, TINY))
-    data = np.clip(scaled, 0, 255).astype(np.uint8).tobytes()
+    data = np.clip((levels - low) * (255.0 / max(high - low, TINY)), 0, 255).astype(np.uint8).tobytes()
     return {"rows": levels.shape[0], "columns": levels.shape[1], "data": b64encode(data).decode("ascii")}
