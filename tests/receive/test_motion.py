@@ -23,12 +23,7 @@ def passing(receiver: str, distance_m: float, speed_m_s: float, yaw_deg: float) 
 
 @pytest.mark.parametrize(
     ("receiver", "distance_m", "speed_m_s", "yaw_deg"),
-    [
-        ("soft", 30.0, 16.0, 22.0),
-        ("soft", 18.0, 12.0, -20.0),
-        ("soft", 38.0, 8.0, 5.0),
-        ("plain", 18.0, 12.0, -20.0),
-    ],
+    [("soft", 30.0, 16.0, 22.0), ("soft", 18.0, 12.0, -20.0), ("soft", 38.0, 8.0, 5.0), ("plain", 18.0, 12.0, -20.0)],
 )
 @pytest.mark.slow
 def test_passing_array_is_read(receiver: str, distance_m: float, speed_m_s: float, yaw_deg: float) -> None:

@@ -43,11 +43,7 @@ def pair(poses: tuple[Pose, Pose], x: Floats) -> tuple[CombinedFrame, CombinedFr
 
 @pytest.mark.parametrize(
     ("distance_m", "roll", "motion", "loading", "accuracy"),
-    [
-        (60.0, 0.0, (0.0, 0.0), 1e-10, 1e-4),
-        (60.0, 0.05, (0.0, 0.0), 1e-10, 1e-4),
-        (50.0, 0.0, (0.05, 0.3), 1e-8, 0.05),
-    ],
+    [(60.0, 0.0, (0.0, 0.0), 1e-10, 1e-4), (60.0, 0.05, (0.0, 0.0), 1e-10, 1e-4), (50.0, 0.0, (0.05, 0.3), 1e-8, 0.05)],
 )
 def test_inverse_restores_luminances_without_noise(
     distance_m: float,

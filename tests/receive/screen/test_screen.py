@@ -18,15 +18,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.film import write_film
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.receive.events import (
-    DecodeEvent,
-    DetectEvent,
-    Event,
-    ExtractEvent,
-    LostEvent,
-    TrackEvent,
-    UnseenEvent,
-)
+from heliograph.receive.events import DecodeEvent, DetectEvent, Event, ExtractEvent, LostEvent, TrackEvent, UnseenEvent
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import AnyFrame
 from heliograph.receive.screen.cells import SAMPLES_PER_S, SearchBudget
