@@ -67,14 +67,11 @@ def test_array_occluded_for_110_ms_is_lost_and_found_again() -> None:
 SIX_PAIRS = {PACKET * packet + k for packet in (0, 1) for k in (8, 15, 21, 30, 40, 41, 46, 47)}
 
 
-@pytest.mark.parametrize(
-    ("settings", "missing"),
-    [
-        *((PLAIN, missing) for missing in ({20}, {21}, {20, 21}, {50, 51}, {51}, {27, 34}, SIX_PAIRS)),
-        # a header that lacks a frame
-        *((SOFT, missing) for missing in (SIX_PAIRS, {2}, {3})),
-    ],
-)
+@pytest.mark.parametrize(("settings", "missing"), [
+    *((PLAIN, missing) for missing in ({20}, {21}, {20, 21}, {50, 51}, {51}, {27, 34}, SIX_PAIRS)),
+    # a header that lacks a frame
+    *((SOFT, missing) for missing in (SIX_PAIRS, {2}, {3})),
+])  # fmt: skip
 def test_missing_frames_cost_only_their_pairs(settings: LinkSettings, missing: set[int]) -> None:
     recorder = Recorder()
     packets = received(without(missing, 2 * PACKET + 4), settings, recorder)
@@ -185,13 +182,10 @@ LOST = {
 }
 
 
-@pytest.mark.parametrize(
-    ("settings", "lost"),
-    [
-        *(pytest.param(PLAIN, lost, id=f"plain, {name}") for name, lost in LOST.items()),
-        *(pytest.param(SOFT, lost, id=f"soft, {name}") for name, lost in list(LOST.items())[4:7:2]),
-    ],
-)
+@pytest.mark.parametrize(("settings", "lost"), [
+    *(pytest.param(PLAIN, lost, id=f"plain, {name}") for name, lost in LOST.items()),
+    *(pytest.param(SOFT, lost, id=f"soft, {name}") for name, lost in list(LOST.items())[4:7:2]),
+])  # fmt: skip
 def test_frames_lost_without_a_gap_in_time_cost_no_packet(settings: LinkSettings, lost: list[int]) -> None:
     packets = received(renumbered(without(lost, 3 * PACKET + 4)), settings)
     assert statuses(packets) == ["ok"] * 3

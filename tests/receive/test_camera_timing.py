@@ -56,18 +56,12 @@ def assert_read(packets: Sequence[Packet], start_s: float, count: int) -> None:
     assert [p.start_time_s for p in packets[:count]] == pytest.approx(starts, abs=1.5e-4)
 
 
-@pytest.mark.parametrize(
-    ("fps", "exposure_s", "start_s"),
-    [
-        (1000, 1e-3, 2.2e-3),
-        (1500, 1 / 1500, 2.2e-3),
-        (2700, 0.3e-3, 2.2e-3),
-        (4000, 0.25e-3, 2.7e-3),
-        # half a pattern late: only the first and last header frames show the header
-        (1000, 1e-3, 2.49e-3),
-        (1000, 1e-3, 2.51e-3),
-    ],
-)
+@pytest.mark.parametrize(("fps", "exposure_s", "start_s"), [
+    (1000, 1e-3, 2.2e-3), (1500, 1 / 1500, 2.2e-3), (2700, 0.3e-3, 2.2e-3), (4000, 0.25e-3, 2.7e-3),
+    # half a pattern late: only the first and last header frames show the header
+    (1000, 1e-3, 2.49e-3),
+    (1000, 1e-3, 2.51e-3),
+])  # fmt: skip
 @pytest.mark.slow
 def test_any_rate_and_phase_is_read(fps: float, exposure_s: float, start_s: float) -> None:
     assert_read(read(scene(start_s=start_s, fps=fps, exposure_s=exposure_s)), start_s, 2)

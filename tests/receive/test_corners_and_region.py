@@ -57,18 +57,14 @@ def blinking(frame: Frame) -> Frame:
     return Frame(frame.index, frame.time_s, pixels, frame.bits)
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ("corners=[1,2,3]", "receive.detect.corners"),
-        ("corners=[10,10,90,90,90,10,10,90]", "four corners one after the other around an area"),
-        ("corners=[10,10,10,10,10,10,10,10]", "four corners one after the other around an area"),
-        ("corners=[10,10,90,10,30,30,10,90]", "four corners one after the other around an area"),
-        ("region=[1,2,3]", "receive.detect.region"),
-        ("region=[1,2,3,4]", "receive.detect.region"),
-        ("region=[1.5,2,30,40]", "receive.detect.region"),
-    ],
-)
+@pytest.mark.parametrize(("change", "says"), [
+    ("corners=[1,2,3]", "receive.detect.corners"),
+    ("corners=[10,10,90,90,90,10,10,90]", "four corners one after the other around an area"),
+    ("corners=[10,10,10,10,10,10,10,10]", "four corners one after the other around an area"),
+    ("corners=[10,10,90,10,30,30,10,90]", "four corners one after the other around an area"),
+    ("region=[1,2,3]", "receive.detect.region"), ("region=[1,2,3,4]", "receive.detect.region"),
+    ("region=[1.5,2,30,40]", "receive.detect.region"),
+])  # fmt: skip
 def test_invalid_corners_or_region_are_refused_in_one_line(change: str, says: str) -> None:
     with pytest.raises(SettingsError) as caught:
         link(f"receive.detect.{change}")

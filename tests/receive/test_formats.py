@@ -86,16 +86,12 @@ def test_rates_of_167_kb_s_are_read_at_80_m() -> None:
     assert counts.layers["high"].raw_errors < 0.01 * counts.layers["high"].raw_bits
 
 
-@pytest.mark.parametrize(
-    "channel",
-    [
-        # 50 km/h on a rough road; the dimmed header leaves the gain unchanged
-        {"distance_m": 52.0, "speed_m_s": 14.0, "stop_m": 46.0, "shake": "road", "road_class": "C"},
-        {"arrays": [{"x_m": 0.0, "y_m": 0.0, "yaw_deg": 30.0}]},
-        {"arrays": [{"x_m": 0.0, "y_m": 0.0, "dead": 0.05}]},
-    ],
-    ids=["moving", "tilted", "dead LEDs"],
-)
+@pytest.mark.parametrize("channel", [
+    # 50 km/h on a rough road; the dimmed header leaves the gain unchanged
+    {"distance_m": 52.0, "speed_m_s": 14.0, "stop_m": 46.0, "shake": "road", "road_class": "C"},
+    {"arrays": [{"x_m": 0.0, "y_m": 0.0, "yaw_deg": 30.0}]},
+    {"arrays": [{"x_m": 0.0, "y_m": 0.0, "dead": 0.05}]},
+], ids=["moving", "tilted", "dead LEDs"])  # fmt: skip
 @pytest.mark.slow
 def test_impaired_array_is_read_without_inverses(channel: dict[str, Any]) -> None:
     assert codewords(soft(HALF, **channel), max_packets=2) == [(2, 0), (4, 0), (2, 0)]

@@ -72,17 +72,13 @@ def whole_packets(frames: Sequence[Frame], late: NDArray[np.float64], first_s: f
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("receiver", "gaps", "numbered"),
-    [
-        # eleven days, as after a clock change
-        ("plain", [(7, 1e6), (120, 0.0211)], True),
-        # a frame
-        ("plain", [(60, 0.0011), (131, 0.0211)], False),
-        ("soft", [(60, 0.0011), (140, 37.0)], True),
-        ("screen", [(40, 1e6), (150, 2.7)], False),
-    ],
-)
+@pytest.mark.parametrize(("receiver", "gaps", "numbered"), [
+    # eleven days, as after a clock change
+    ("plain", [(7, 1e6), (120, 0.0211)], True),
+    # a frame
+    ("plain", [(60, 0.0011), (131, 0.0211)], False),
+    ("soft", [(60, 0.0011), (140, 37.0)], True), ("screen", [(40, 1e6), (150, 2.7)], False),
+])  # fmt: skip
 def test_complete_packets_between_gaps_are_read(receiver: str, gaps: Sequence[Gap], numbered: bool) -> None:
     settings, frames = screens_film() if receiver == "screen" else arrays_film()
     packet_s = settings.signal.packet_s

@@ -104,15 +104,10 @@ def test_settled_hypothesis_reads_the_missed_frames() -> None:
     assert (len(a.frames), len(b.frames)) == (3, 5)
 
 
-@pytest.mark.parametrize(
-    ("orientation", "settled", "proven", "credible"),
-    [
-        (UPRIGHT, False, False, True),
-        (ORIENTATIONS[3], False, False, False),
-        (ORIENTATIONS[3], True, False, True),
-        (ORIENTATIONS[3], False, True, True),
-    ],
-)
+@pytest.mark.parametrize(("orientation", "settled", "proven", "credible"), [
+    (UPRIGHT, False, False, True), (ORIENTATIONS[3], False, False, False),
+    (ORIENTATIONS[3], True, False, True), (ORIENTATIONS[3], False, True, True),
+])  # fmt: skip
 def test_turned_arrays_are_credible_with_a_right_codeword(
     orientation: Orientation, settled: bool, proven: bool, credible: bool
 ) -> None:

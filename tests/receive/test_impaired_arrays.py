@@ -24,21 +24,14 @@ def lost(settings: LinkSettings) -> list[int]:
     return [errors for _, errors in codewords(settings)]
 
 
-@pytest.mark.parametrize(
-    ("distance_m", "place", "channel"),
-    [
-        (80.0, {"yaw_deg": 30.0}, {}),
-        (50.0, {"yaw_deg": 25.0, "pitch_deg": 15.0, "roll_deg": 5.0}, {}),
-        (80.0, {"hidden": (0.0, 0.0, 0.5, 0.5), "start_s": 0.00015}, {}),
-        (50.0, {"hidden": (0.0, 0.0, 0.25, 1.0), "hidden_level": 0.5}, {}),
-        (50.0, {"hidden": (0.375, 0.0, 0.625, 1.0)}, {}),
-        (80.0, {"dead": 0.025, "stuck": 0.025}, {}),
-        (50.0, {}, NIGHT),
-        (80.0, {}, SUN),
-        (50.0, {}, {"emitter": {"all_on": 2.0}}),
-        (20.0, {}, {}),
-    ],
-)
+@pytest.mark.parametrize(("distance_m", "place", "channel"), [
+    (80.0, {"yaw_deg": 30.0}, {}),
+    (50.0, {"yaw_deg": 25.0, "pitch_deg": 15.0, "roll_deg": 5.0}, {}),
+    (80.0, {"hidden": (0.0, 0.0, 0.5, 0.5), "start_s": 0.00015}, {}),
+    (50.0, {"hidden": (0.0, 0.0, 0.25, 1.0), "hidden_level": 0.5}, {}),
+    (50.0, {"hidden": (0.375, 0.0, 0.625, 1.0)}, {}), (80.0, {"dead": 0.025, "stuck": 0.025}, {}),
+    (50.0, {}, NIGHT), (80.0, {}, SUN), (50.0, {}, {"emitter": {"all_on": 2.0}}), (20.0, {}, {}),
+])  # fmt: skip
 @pytest.mark.slow
 def test_impaired_array_is_read_completely(distance_m: float, place: dict[str, Any], channel: dict[str, Any]) -> None:
     assert lost(soft(distance_m, place, **channel)) == [0, 0, 0]

@@ -54,21 +54,18 @@ def test_packet_with_a_header_measured_too_narrow_is_decoded_per_led() -> None:
     assert numbers_of(packets)[:3] == [0, 1, 3]
 
 
-@pytest.mark.parametrize(
-    ("number", "seed", "count"),
-    [
-        # regression: pose shifted by 1.4 px, 1.5 pitches
-        (0, 1, 2),
-        # regression: partly hidden LEDs next to the post were flagged late and gave overconfident wrong symbols
-        (7, 3, 3),
-        # the equaliser fails on the second packet; LED-by-LED decoding recovers this packet
-        (23, 11, 2),
-        # regression: pose shifted by 1.2 px before a post brighter than the array hid an LED, then by 20 px
-        (6, 23, 4),
-        # regression: the post is as bright as the array; LEDs learnt as dead shifted the pose by an LED
-        (96, 41, 4),
-    ],
-)
+@pytest.mark.parametrize(("number", "seed", "count"), [
+    # regression: pose shifted by 1.4 px, 1.5 pitches
+    (0, 1, 2),
+    # regression: partly hidden LEDs next to the post were flagged late and gave overconfident wrong symbols
+    (7, 3, 3),
+    # the equaliser fails on the second packet; LED-by-LED decoding recovers this packet
+    (23, 11, 2),
+    # regression: pose shifted by 1.2 px before a post brighter than the array hid an LED, then by 20 px
+    (6, 23, 4),
+    # regression: the post is as bright as the array; LEDs learnt as dead shifted the pose by an LED
+    (96, 41, 4),
+])  # fmt: skip
 @pytest.mark.slow
 def test_packets_beside_and_behind_a_post_are_read(number: int, seed: int, count: int) -> None:
     _, packets = read(number, 0.1 * count + 0.01, seed=seed)

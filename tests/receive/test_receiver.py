@@ -84,15 +84,12 @@ def test_observers_see_all_stages_and_change_nothing() -> None:
     assert comparable(event.packet for event in recorder.of(DecodeEvent)) == watched
 
 
-@pytest.mark.parametrize(
-    ("receiver", "index", "time_s"),
-    [
-        *((receiver, 4, 0.004) for receiver in ("plain", "soft", "screen")),
-        *((receiver, 6, 0.005) for receiver in ("plain", "soft", "screen")),
-        # the plain receiver relies on frame numbers
-        ("plain", 3, 0.007),
-    ],
-)
+@pytest.mark.parametrize(("receiver", "index", "time_s"), [
+    *((receiver, 4, 0.004) for receiver in ("plain", "soft", "screen")),
+    *((receiver, 6, 0.005) for receiver in ("plain", "soft", "screen")),
+    # the plain receiver relies on frame numbers
+    ("plain", 3, 0.007),
+])  # fmt: skip
 def test_frames_that_go_back_are_refused(receiver: str, index: int, time_s: float) -> None:
     stream, rng = make_receiver(SIGNAL, ReceiveSettings(receiver=receiver)), np.random.default_rng(0)
 

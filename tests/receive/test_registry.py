@@ -86,20 +86,17 @@ def mine() -> None:
     register_receiver("mine", lambda *_: pytest.fail("the settings make no receiver"), Every, ["calibration"])
 
 
-@pytest.mark.parametrize(
-    ("settings", "key"),
-    [
-        ({"soft": {"feedback": "none"}}, "receive.soft.feedback"),
-        ({"soft": {"combining": False}}, "receive.soft.combining"),
-        ({"calibration": {"exposure_s": 5e-4}}, "receive.calibration.exposure_s"),
-        ({"receiver": "soft", "plain": {"equaliser": "inverse"}}, "receive.plain.equaliser"),
-        ({"receiver": "soft", "custom": {"frames": 3}}, "receive.custom.frames"),
-        ({"receiver": "mine", "soft": {"combining": False}}, "receive.soft.combining"),
-        ({"receiver": "mine", "detect": {"score": 0.8}}, "receive.detect.score"),
-        ({"receiver": "mine", "track": {"coast_patterns": 9}}, "receive.track.coast_patterns"),
-        ({"receiver": "mine", "decode": {"algorithm": "log-map"}}, "receive.decode.algorithm"),
-    ],
-)
+@pytest.mark.parametrize(("settings", "key"), [
+    ({"soft": {"feedback": "none"}}, "receive.soft.feedback"),
+    ({"soft": {"combining": False}}, "receive.soft.combining"),
+    ({"calibration": {"exposure_s": 5e-4}}, "receive.calibration.exposure_s"),
+    ({"receiver": "soft", "plain": {"equaliser": "inverse"}}, "receive.plain.equaliser"),
+    ({"receiver": "soft", "custom": {"frames": 3}}, "receive.custom.frames"),
+    ({"receiver": "mine", "soft": {"combining": False}}, "receive.soft.combining"),
+    ({"receiver": "mine", "detect": {"score": 0.8}}, "receive.detect.score"),
+    ({"receiver": "mine", "track": {"coast_patterns": 9}}, "receive.track.coast_patterns"),
+    ({"receiver": "mine", "decode": {"algorithm": "log-map"}}, "receive.decode.algorithm"),
+])  # fmt: skip
 @pytest.mark.usefixtures("mine")
 def test_key_without_effect_is_refused(settings: dict[str, Any], key: str) -> None:
     with pytest.raises(SettingsError, match=f"{key} has no effect") as error:
@@ -107,33 +104,23 @@ def test_key_without_effect_is_refused(settings: dict[str, Any], key: str) -> No
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {},
-        {"plain": {"equaliser": "inverse"}},
-        {"receiver": "soft", "soft": {"feedback": "none", "combining": False}},
-        {"receiver": "soft", "calibration": {"exposure_s": 5e-4}},
-        {"receiver": "mine", "custom": {"frames": 3}, "calibration": {"exposure_s": 5e-4}},
-        # an explicit default value has no effect
-        {"receiver": "soft", "plain": {"equaliser": "none"}},
-    ],
-)
+@pytest.mark.parametrize("settings", [
+    {}, {"plain": {"equaliser": "inverse"}},
+    {"receiver": "soft", "soft": {"feedback": "none", "combining": False}},
+    {"receiver": "soft", "calibration": {"exposure_s": 5e-4}},
+    {"receiver": "mine", "custom": {"frames": 3}, "calibration": {"exposure_s": 5e-4}},
+    # an explicit default value has no effect
+    {"receiver": "soft", "plain": {"equaliser": "none"}},
+])  # fmt: skip
 @pytest.mark.usefixtures("mine")
 def test_keys_of_the_chosen_receiver_are_accepted(settings: dict[str, Any]) -> None:
     assert from_mapping(ReceiveSettings, settings).receiver == settings.get("receiver", "plain")
 
 
-@pytest.mark.parametrize(
-    ("settings", "side_px"),
-    [
-        ({}, 8),
-        ({"receiver": "soft"}, 4),
-        ({"receiver": "mine"}, 4),
-        ({"detect": {"min_side_px": 5}}, 5),
-        ({"receiver": "soft", "detect": {"min_side_px": 12}}, 12),
-    ],
-)
+@pytest.mark.parametrize(("settings", "side_px"), [
+    ({}, 8), ({"receiver": "soft"}, 4), ({"receiver": "mine"}, 4), ({"detect": {"min_side_px": 5}}, 5),
+    ({"receiver": "soft", "detect": {"min_side_px": 12}}, 12),
+])  # fmt: skip
 @pytest.mark.usefixtures("mine")
 def test_smallest_array_depends_on_the_receiver_unless_it_is_set(settings: dict[str, Any], side_px: float) -> None:
     assert from_mapping(ReceiveSettings, settings).smallest_side_px == side_px

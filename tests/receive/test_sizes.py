@@ -17,17 +17,10 @@ def sized(side: int, receiver: str, distance_m: float, *changes: str, **channel:
     return link(*changes, distance_m=distance_m, **{"camera": camera, **channel})
 
 
-@pytest.mark.parametrize(
-    ("side", "receiver", "distance_m"),
-    [
-        (4, "plain", 15.0),
-        (4, "soft", 20.0),
-        (8, "plain", 45.0),
-        (8, "soft", 85.0),
-        (32, "plain", 50.0),
-        (32, "soft", 95.0),
-    ],
-)
+@pytest.mark.parametrize(("side", "receiver", "distance_m"), [
+    (4, "plain", 15.0), (4, "soft", 20.0), (8, "plain", 45.0), (8, "soft", 85.0), (32, "plain", 50.0),
+    (32, "soft", 95.0),
+])  # fmt: skip
 @pytest.mark.slow
 def test_all_codewords_are_read(side: int, receiver: str, distance_m: float) -> None:
     packets = 2 if side < 32 else 1
@@ -40,16 +33,11 @@ def camera_at(fps: float, start_s: float) -> dict[str, Any]:
     return {"camera": camera, "arrays": [{"x_m": 0.0, "y_m": 0.0, "start_s": start_s}]}
 
 
-@pytest.mark.parametrize(
-    ("side", "distance_m", "changes", "channel"),
-    [
-        (8, 50.0, [], camera_at(1000.0, 4e-4)),
-        (32, 60.0, [], camera_at(1500.0, 2e-4)),
-        (32, 60.0, ["transmit.formats=[{mode='single'}]"], {}),
-        (8, 50.0, [], {"arrays": [{"x_m": 0.0, "y_m": 0.0, "hidden": (0.0, 0.0, 0.5, 0.5)}]}),
-    ],
-    ids=["half a pattern late", "1500 frames/s", "without inverses", "a quarter hidden"],
-)
+@pytest.mark.parametrize(("side", "distance_m", "changes", "channel"), [
+    (8, 50.0, [], camera_at(1000.0, 4e-4)), (32, 60.0, [], camera_at(1500.0, 2e-4)),
+    (32, 60.0, ["transmit.formats=[{mode='single'}]"], {}),
+    (8, 50.0, [], {"arrays": [{"x_m": 0.0, "y_m": 0.0, "hidden": (0.0, 0.0, 0.5, 0.5)}]}),
+], ids=["half a pattern late", "1500 frames/s", "without inverses", "a quarter hidden"])  # fmt: skip
 @pytest.mark.slow
 def test_impaired_array_is_read(side: int, distance_m: float, changes: list[str], channel: dict[str, Any]) -> None:
     settings = sized(side, "soft", distance_m, *changes, **channel)

@@ -56,18 +56,12 @@ def moved(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list[Cut
     return [cutout and cutout.moved(np.array([1.0, 0.0, 0.0, 0.0])) for cutout in cutouts], 1.0
 
 
-@pytest.mark.parametrize(
-    ("results", "open_", "best"),
-    [
-        (["xxx"], 0, 0),
-        (["xx-", "xxx"], 0, 1),
-        # no better individually, but the decoded codewords count
-        (["xx-", "--x"], 0, 0),
-        (["x--", "-x-", "--x"], 0, 0),
-        (["---", "x--", "xx-"], 1, 2),
-        (["---", "---", "---"], 3, 0),
-    ],
-)
+@pytest.mark.parametrize(("results", "open_", "best"), [
+    (["xxx"], 0, 0), (["xx-", "xxx"], 0, 1),
+    # no better individually, but the decoded codewords count
+    (["xx-", "--x"], 0, 0),
+    (["x--", "-x-", "--x"], 0, 0), (["---", "x--", "xx-"], 1, 2), (["---", "---", "---"], 3, 0),
+])  # fmt: skip
 def test_packet_is_read_until_all_codewords_are_decoded(
     results: list[str], open_: int, best: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

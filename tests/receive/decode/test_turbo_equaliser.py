@@ -68,16 +68,11 @@ def test_far_packet_fails_after_three_iterations() -> None:
     assert [(event.identity, event.iteration) for event in events] == [(IDENTITY, k) for k in range(3)]
 
 
-@pytest.mark.parametrize(
-    ("feedback", "distance_m", "expected"),
-    [
-        ("none", 100, [True, False, False, False]),
-        ("decoded", 100, [True, True, True, True]),
-        ("decoded", 140, [True, False, False, False]),
-        ("soft", 140, [True, True, True, False]),
-        ("propagation", 140, [True, True, True, False]),
-    ],
-)
+@pytest.mark.parametrize(("feedback", "distance_m", "expected"), [
+    ("none", 100, [True, False, False, False]), ("decoded", 100, [True, True, True, True]),
+    ("decoded", 140, [True, False, False, False]), ("soft", 140, [True, True, True, False]),
+    ("propagation", 140, [True, True, True, False]),
+])  # fmt: skip
 @pytest.mark.slow
 def test_more_feedback_decodes_farther_packets(feedback: Feedback, distance_m: float, expected: list[bool]) -> None:
     blocks, packet = random_blocks(0), KnownPoses(statistics_of(random_blocks(0), distance_m))

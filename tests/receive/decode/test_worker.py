@@ -173,18 +173,15 @@ def test_receiver_waits_for_the_decoder_at_the_end_of_a_film(decoded_lazily: lis
     assert decoded_lazily == []
 
 
-@pytest.mark.parametrize(
-    ("change", "orientation", "waits"),
-    [
-        ("transmit.identities=[7]", UPRIGHT, False),
-        # the rotated header has another identity: LED sampling, if enabled, resolves the ambiguity
-        ("transmit.identities=[3]", UPRIGHT, False),
-        ("transmit.identities=[3]; receive.soft.led_by_led=false", UPRIGHT, True),
-        ("transmit.identities=[7]; receive.soft.led_by_led=false", ORIENTATIONS[1], True),
-        # dark areas may be hidden LEDs or no LEDs
-        ("channel.arrays.0.hidden=[0,0,0.5,0.5]", UPRIGHT, True),
-    ],
-)
+@pytest.mark.parametrize(("change", "orientation", "waits"), [
+    ("transmit.identities=[7]", UPRIGHT, False),
+    # the rotated header has another identity: LED sampling, if enabled, resolves the ambiguity
+    ("transmit.identities=[3]", UPRIGHT, False),
+    ("transmit.identities=[3]; receive.soft.led_by_led=false", UPRIGHT, True),
+    ("transmit.identities=[7]; receive.soft.led_by_led=false", ORIENTATIONS[1], True),
+    # dark areas may be hidden LEDs or no LEDs
+    ("channel.arrays.0.hidden=[0,0,0.5,0.5]", UPRIGHT, True),
+])  # fmt: skip
 @pytest.mark.usefixtures("decoded_lazily")
 @pytest.mark.slow
 def test_tracking_waits_for_a_first_packet_with_an_ambiguous_header(

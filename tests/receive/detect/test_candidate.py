@@ -1,7 +1,5 @@
 """Coarse candidates: hidden cells, refined fits and motion."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -30,8 +28,7 @@ def test_weights_of_leds_are_those_of_their_cells() -> None:
 
 def test_dark_cells_are_hidden_and_dim_cells_are_not() -> None:
     cells = np.ones((4, 4))
-    cells[0, :2] = 0.0
-    cells[3, 1], cells[2, 3] = 0.6, 0.2
+    cells[0, :2], cells[3, 1], cells[2, 3] = 0.0, 0.6, 0.2
     found = find_lit_cells(alternating(cell_weights(cells.ravel(), SIDE)), CORNER, POSE, HEADER, 0.4)
     # a cell is hidden below 0.4 of the median
     assert np.array_equal(found, cells > 0.4)
@@ -76,11 +73,10 @@ def test_any_motion_of_a_header_is_found(distance_m: float, within: float, seed:
     # px per pattern, and the share of the next pattern in each frame
     drift, late = speed * np.array([np.cos(angle), np.sin(angle)]), rng.uniform(0, 0.3)
     rng, header, frames = np.random.default_rng(seed), header_levels(seed, SIDE) / 2.0 - 1.0, []
-    x, y = rng.uniform(58, 62, 2).tolist()
-    pose = Pose(x, y, pitch_at(distance_m), float(rng.normal(0, 0.02)), 0.51)
+    pose = Pose(*rng.uniform(58, 62, 2).tolist(), pitch_at(distance_m), float(rng.normal(0, 0.02)), 0.51)
     for k in range(4):
         light = 0.5 + 0.5 * (1 - 2 * late) * (-1) ** k * header
         image = draw(pose.moved(*((k - 0.5) * drift)), light, (0, 0), (120, 120))
-        frames.append(replace(frame_of(0.1 + 0.7 * image, k, rng), time_s=k * 1e-3))
+        frames.append(frame_of(0.1 + 0.7 * image, k, rng))
     found = np.array(estimate_drift(frames, pose, 0.5e-3, header, 1e-3)) * 1e-3
     assert found == pytest.approx(drift, abs=within)

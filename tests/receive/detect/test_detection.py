@@ -18,7 +18,10 @@ from heliograph.signal.header import header_cells, header_levels
 IDENTITIES = range(30)
 
 
-@pytest.mark.parametrize(("orientations", "other"), [((UPRIGHT,), ORIENTATIONS[1:]), (ORIENTATIONS[1:], ())])
+@pytest.mark.parametrize(
+    ("orientations", "other"),
+    [((UPRIGHT,), ORIENTATIONS[1:]), (ORIENTATIONS[1:], ()), *(((one,), ()) for one in ORIENTATIONS)],
+)
 def test_hypotheses_of_a_header_are_all_arrays_with_equal_cells(
     orientations: tuple[Orientation, ...], other: tuple[Orientation, ...]
 ) -> None:
@@ -30,7 +33,7 @@ def test_hypotheses_of_a_header_are_all_arrays_with_equal_cells(
         assert set(meant) == {every[k] for k in np.flatnonzero((looks == cells).all(1))}
     meant_by_all = [one for each in bank.hypotheses for one in each]
     assert len(meant_by_all) == len(set(meant_by_all))
-    assert UPRIGHT in orientations or len(meant_by_all) == 7 * 30
+    assert other or set(meant_by_all) == set(every)
 
 
 def test_upright_headers_come_first() -> None:
@@ -41,11 +44,6 @@ def test_upright_headers_come_first() -> None:
     assert others
     places = [[ORIENTATIONS.index(orientation) for _, orientation in meant] for meant in others]
     assert places == [sorted(place) for place in places]
-
-
-def test_a_known_orientation_leaves_each_header_one_meaning() -> None:
-    for orientation in ORIENTATIONS:
-        assert [*headers((orientation,)).hypotheses] == [((number, orientation),) for number in IDENTITIES]
 
 
 def test_turned_headers_have_a_smaller_minimum_distance() -> None:
@@ -71,11 +69,9 @@ def test_combined_frames_show_dimmed_cells_by_contrast_and_light() -> None:
     contrast, light = combination.dimmed
     assert contrast == pytest.approx(0.6)
     assert light > 0.1
-    weights = header_weights(7, FORM, SIDE, combination)
-    assert np.array_equal(weights[~DIMMED], SIGNS[~DIMMED])
     # light adds to lit cells and reduces dark cells
-    assert weights[DIMMED & (SIGNS > 0)] == pytest.approx(0.6 + light)
-    assert weights[DIMMED & (SIGNS < 0)] == pytest.approx(-0.6 + light)
+    weights = np.where(DIMMED, 0.6 * SIGNS + light, SIGNS)
+    assert header_weights(7, FORM, SIDE, combination) == pytest.approx(weights)
 
 
 @pytest.mark.parametrize("part", [1.0, 0.5, 0.0, -1.0])
