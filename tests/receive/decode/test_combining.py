@@ -2,13 +2,24 @@
 
 import numpy as np
 import pytest
-from known_packets import FORM, GAIN, IDENTITY, NOISE, KnownPoses, decoded, random_blocks, right, statistics_of
+from known_packets import (
+    FORM,
+    GAIN,
+    IDENTITY,
+    NOISE,
+    KnownPoses,
+    by_matrices,
+    decoded,
+    random_blocks,
+    right,
+    statistics_of,
+)
 from numpy.typing import NDArray
 
 from heliograph.base.threads import one_thread
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.combining import BufferedPacket, SoftBuffer, is_consistent
-from heliograph.receive.decode.turbo_equaliser import decode_iteratively
+from heliograph.receive.decode.turbo_equaliser import TurboEqualiser, decode_iteratively
 from heliograph.receive.equalise.lmmse import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import Words
@@ -17,55 +28,51 @@ from heliograph.signal.formats import AGREED, Format
 
 Floats = NDArray[np.float64]
 
+# distance in m with only the high layer decodable from one packet: single packets give the middle layer up to 148 m
+# and the high layer up to 200 m; two packets give the middle layer up to 158 m
 FAR = 154
-"""Distance in m with only the high layer decodable from one packet.
 
-Single packets give the middle layer up to 148 m and the high layer up to 200 m; two packets give the middle
-layer up to 158 m.
-"""
-
-CODEWORDS, PACKETS = 32, 4
-"""Buffer capacity: codewords per kind, and packets."""
-
-PAIRS = FORM.settings.data_pairs
+CODEWORDS, PACKETS = 32, 4  # buffer capacity: codewords per kind, and packets
+PAIRS, KIND, ZEROS = FORM.settings.data_pairs, ("high", FORM.layers["high"].code), np.zeros(400)
 
 
-def random_llrs(rng: np.random.Generator) -> Floats:
-    """Return unreliable codeword LLRs, distinguishable from chance."""
-    return np.asarray(rng.choice([-3.0, 3.0], 400))
+def random_llrs(rng: np.random.Generator, count: int = 1) -> Floats:
+    """Return unreliable LLRs of codewords (codewords, 400), distinguishable from chance."""
+    return np.asarray(rng.choice([-3.0, 3.0], (count, 400)))
 
 
 def statuses(words: Words) -> list[str]:
     return [word.status for by in words.values() for word in by]
 
 
+def decode_with(buffer: SoftBuffer, packet: KnownPoses, known: Words | None = None) -> TurboEqualiser:
+    with one_thread():
+        return decode_iteratively(packet, GAIN, IDENTITY, Decoding("log-map"), buffer, known=known)
+
+
 @pytest.mark.slow
 def test_repeated_packet_is_decoded_with_a_buffer() -> None:
     blocks, buffer = random_blocks(0), [SoftBuffer()]
     first, second, third = (statistics_of(blocks, FAR, seed) for seed in range(3))
-    assert right(decoded(second), blocks) == [True, False, False, False]
-    assert right(decoded(first, buffer=buffer), blocks) == [True, False, False, False]
-    assert right(decoded(second, buffer=buffer), blocks)[:3] == [True, True, True]
+    for alone in (decoded(second), decoded(first, buffer=buffer)):
+        assert right(alone, blocks) == [True, False, False, False]
     # later packets reuse the decoded layers
-    assert right(decoded(third, buffer=buffer), blocks)[:3] == [True, True, True]
+    for packet in (second, third):
+        assert right(decoded(packet, buffer=buffer), blocks)[:3] == [True, True, True]
 
 
 @pytest.mark.slow
 def test_rejected_codeword_is_not_used() -> None:
     """Only the earlier packet supports the low layer: rejected bits must not refine poses or LED brightness."""
-    blocks = random_blocks(0)
-    coded = {name: np.asarray(1.0 - 2.0 * layer.encode(blocks[name])) for name, layer in FORM.layers.items()}
-    signs = [layer.deinterleave(coded[name]) for name, layer in FORM.layers.items()]
+    blocks, low = random_blocks(0), FORM.layers["low"].symbols
+    signs = [layer.deinterleave(1.0 - 2.0 * layer.encode(blocks[name])) for name, layer in FORM.layers.items()]
     llrs = tuple(LARGEST_LLR * word for words in signs for word in words)
     before = BufferedPacket(FORM.format, llrs, tuple(statistics_of(blocks, 60, 1)), GAIN, NOISE)
     packet = KnownPoses(statistics_of(blocks, 200, 2))
-    with one_thread():
-        buffer = SoftBuffer().with_packet(before)
-        read = decode_iteratively(packet, GAIN, IDENTITY, Decoding("log-map"), buffer)
+    read = decode_with(SoftBuffer().with_packet(before), packet)
     assert statuses(read.words) == ["ok", "ok", "ok", "crc_fail"]
-    low = slice(-FORM.layers["low"].symbols, None)
-    assert (read.variance[:, low] > 0.9).all()
-    assert max(packet.known) == FORM.settings.side**2 - FORM.layers["low"].symbols
+    assert (read.variance[:, -low:] > 0.9).all()
+    assert max(packet.known) == FORM.settings.side**2 - low
 
 
 @pytest.mark.slow
@@ -76,8 +83,7 @@ def test_packet_with_known_codewords_is_combined() -> None:
         packet = [*statistics_of(blocks, 105, seed)[:14], *[None] * 10]
         alone = decoded(packet)
         assert right(alone, blocks) == [True, True, True, False]
-        with one_thread():
-            read = decode_iteratively(KnownPoses(packet), GAIN, IDENTITY, Decoding("log-map"), buffer, known=alone)
+        read = decode_with(buffer, KnownPoses(packet), alone)
         assert read.buffer is not None
         buffer = read.buffer
     assert all(right(read.words, blocks))
@@ -89,47 +95,42 @@ def test_repeated_packet_supplies_missing_pairs() -> None:
     blocks, buffer = random_blocks(0), [SoftBuffer()]
     first, second = (statistics_of(blocks, 105, seed) for seed in range(2))
     early, late = [*first[:14], *[None] * 10], [*[None] * 10, *second[10:]]
-    assert not all(right(decoded(early, buffer=buffer), blocks))
-    assert not all(right(decoded(late), blocks))
-    assert all(right(decoded(late, buffer=buffer), blocks))
+    reads = decoded(early, buffer=buffer), decoded(late), decoded(late, buffer=buffer)
+    assert [all(right(read, blocks)) for read in reads] == [False, False, True]
 
 
 @pytest.mark.slow
 def test_another_packet_is_not_combined() -> None:
-    buffer = [SoftBuffer()]
+    blocks, buffer = random_blocks(1), [SoftBuffer()]
     decoded(statistics_of(random_blocks(0), FAR, 1), buffer=buffer)
-    blocks = random_blocks(1)
     packet = statistics_of(blocks, 140)
-    alone = right(decoded(packet), blocks)
-    assert alone == [True, True, True, False]
-    assert right(decoded(packet, buffer=buffer), blocks) == alone
+    for read in (decoded(packet), decoded(packet, buffer=buffer)):
+        assert right(read, blocks) == [True, True, True, False]
 
 
 @pytest.mark.slow
 def test_repeated_codeword_in_another_packet_is_combined() -> None:
-    buffer, repeated, read = [SoftBuffer()], random_blocks(0)["middle"], list[list[bool]]()
+    buffer, repeated = [SoftBuffer()], random_blocks(0)["middle"]
     for seed in range(1, 4):
         sent = {**random_blocks(seed), "middle": repeated}
-        read.append(right(decoded(statistics_of(sent, FAR - 3, seed), buffer=buffer), sent)[1:3])
-    assert read[-1] == [True, True]
+        read = right(decoded(statistics_of(sent, FAR - 3, seed), buffer=buffer), sent)
+    assert read[1:3] == [True, True]
 
 
 def test_only_packets_of_one_format_are_combined() -> None:
-    llrs = [random_llrs(np.random.default_rng(0))]
+    llrs = list(random_llrs(np.random.default_rng(0)))
     packet = BufferedPacket(AGREED, tuple(llrs), (None,))
     buffer = SoftBuffer().with_packet(packet)
+    assert buffer.same_packet(AGREED, llrs) is packet
     assert buffer.same_packet(Format(high=0.5), llrs) is None
     assert buffer.same_packet(AGREED, [-llrs[0]]) is None
-    assert buffer.same_packet(AGREED, llrs) is packet
-    assert buffer.without(packet).same_packet(AGREED, llrs) is None
 
 
 def test_contradicting_codeword_makes_another_packet() -> None:
-    rng = np.random.default_rng(1)
-    high, low = random_llrs(rng), random_llrs(rng)
+    high, low = random_llrs(np.random.default_rng(1), 2)
     packet = BufferedPacket(AGREED, (high, low), (None,))
     assert packet.likeness([high, low]) > 20
-    assert packet.likeness([high, np.zeros(400)]) > 15
+    assert packet.likeness([high, ZEROS]) > 15
     assert packet.likeness([high, -low]) == 0
 
 
@@ -195,28 +196,20 @@ def test_dim_or_noisy_packets_are_weighted() -> None:
 
 def test_combined_packet_is_the_sum_in_units_of_the_later() -> None:
     """Noise and gain units follow the later packet; single pairs are rescaled."""
-    rng, pairs = np.random.default_rng(9), []
-    for _ in range(2):
-        b, d, o = rng.normal(size=(30, 8)), rng.normal(size=30), rng.normal(size=30)
-        gram = (b.T @ b).astype(np.float32)
-        pairs.append(PairStatistics(gram, b.T @ d, b.T @ o, float(d @ o), float(o @ o), float(d @ d), 30))
-    kept = BufferedPacket(AGREED, (), (pairs[0], pairs[0], None), gain=90.0, noise=2.0)
-    both, once, other = kept.joined([pairs[1], None, pairs[1]], 180.0, 6.0)
-    assert other is pairs[1]
+    rng = np.random.default_rng(9)
+    before, now = (by_matrices(rng.normal(size=(30, 8)), *rng.normal(size=(2, 30))) for _ in range(2))
+    kept = BufferedPacket(AGREED, (), (before, before, None), gain=90.0, noise=2.0)
+    both, once, other = kept.joined([now, None, now], 180.0, 6.0)
+    assert other is now
     assert once is not None
     assert both is not None
     # g^2 / s^2 B^T B, g / s^2 B^T d and d^T d / s^2 are invariant
-    for power, now, before in (
-        (2, once.gram, pairs[0].gram),
-        (1, once.matched, pairs[0].matched),
-        (2, once.offset, pairs[0].offset),
-        (1, once.cross, pairs[0].cross),
-        (2, once.offset_power, pairs[0].offset_power),
-        (0, once.power, pairs[0].power),
-    ):
-        assert 180.0**power / 6.0 * np.asarray(now) == pytest.approx(90.0**power / 2.0 * np.asarray(before), rel=1e-6)
-    assert both.matched == pytest.approx(once.matched + pairs[1].matched)
-    assert both.pixels == once.pixels + pairs[1].pixels == 60
+    powers = {"gram": 2, "matched": 1, "offset": 2, "cross": 1, "offset_power": 2, "power": 0}
+    for name, power in powers.items():
+        first, scaled = (np.asarray(getattr(one, name)) for one in (before, once))
+        assert 180.0**power / 6.0 * scaled == pytest.approx(90.0**power / 2.0 * first, rel=1e-6), name
+    assert both.matched == pytest.approx(once.matched + now.matched)
+    assert both.pixels == once.pixels + now.pixels == 60
 
 
 def test_decoded_and_empty_packets_leave_the_buffer_unchanged() -> None:
@@ -227,30 +220,23 @@ def test_decoded_and_empty_packets_leave_the_buffer_unchanged() -> None:
 
 
 def test_buffers_are_immutable() -> None:
-    rng = np.random.default_rng(3)
-    llr, kind = random_llrs(rng), ("high", FORM.layers["high"].code)
-    packet = BufferedPacket(AGREED, (random_llrs(rng),), (None,) * PAIRS)
-    buffer = SoftBuffer().with_codeword(kind, llr, np.zeros(400))
-    other = buffer.with_codeword(kind, -llr, np.zeros(400)).with_packet(packet)
-    assert not buffer.same_codeword(kind, -llr).any()
-    assert buffer.same_packet(AGREED, packet.llrs) is None
-    assert (buffer.same_codeword(kind, llr) == llr).all()
-    assert (other.same_codeword(kind, llr) == llr).all()
-    assert (other.same_codeword(kind, -llr) == -llr).all()
-    assert other.same_packet(AGREED, packet.llrs) is packet
-    assert other.without(packet).same_packet(AGREED, packet.llrs) is None
-    assert other.same_packet(AGREED, packet.llrs) is packet
+    llr, of_packet = random_llrs(np.random.default_rng(3), 2)
+    packet = BufferedPacket(AGREED, (of_packet,), (None,) * PAIRS)
+    buffer = SoftBuffer().with_codeword(KIND, llr, ZEROS)
+    other = buffer.with_codeword(KIND, -llr, ZEROS).with_packet(packet)
+    without = other.without(packet)
+    assert [one.same_packet(AGREED, packet.llrs) for one in (buffer, other, without)] == [None, packet, None]
+    kept = [one.same_codeword(KIND, sign * llr) for one in (buffer, other) for sign in (1, -1)]
+    assert np.array_equal(kept, [llr, ZEROS, llr, -llr])
 
 
 def test_sum_replaces_its_parts() -> None:
-    rng, buffer, kind = np.random.default_rng(8), SoftBuffer(), ("high", FORM.layers["high"].code)
-    llr = random_llrs(rng)
-    others = [random_llrs(rng) for _ in range(CODEWORDS - 1)]
-    for one in (*others, llr):
-        buffer = buffer.with_codeword(kind, one, np.zeros(400))
-    buffer = buffer.with_codeword(kind, llr, buffer.same_codeword(kind, llr))
-    assert (buffer.same_codeword(kind, llr) == 2 * llr).all()
-    assert all((buffer.same_codeword(kind, one) == one).all() for one in others)
+    buffer, llrs = SoftBuffer(), random_llrs(np.random.default_rng(8), CODEWORDS)
+    for one in llrs:
+        buffer = buffer.with_codeword(KIND, one, ZEROS)
+    buffer = buffer.with_codeword(KIND, llrs[-1], buffer.same_codeword(KIND, llrs[-1]))
+    kept = [buffer.same_codeword(KIND, one) for one in llrs]
+    assert np.array_equal(kept, [*llrs[:-1], 2 * llrs[-1]])
 
 
 def test_packet_must_support_codewords_of_earlier_packets() -> None:
@@ -267,12 +253,11 @@ def test_packet_must_support_codewords_of_earlier_packets() -> None:
 
 
 def test_numbers_of_codewords_and_packets_are_bounded() -> None:
-    rng, buffer, kind = np.random.default_rng(5), SoftBuffer(), ("high", FORM.layers["high"].code)
-    llrs = [random_llrs(rng) for _ in range(CODEWORDS + 3)]
+    buffer, llrs = SoftBuffer(), random_llrs(np.random.default_rng(5), CODEWORDS + 3)
     for llr in llrs:
-        buffer = buffer.with_codeword(kind, llr, np.zeros(400))
+        buffer = buffer.with_codeword(KIND, llr, ZEROS)
         buffer = buffer.with_packet(BufferedPacket(AGREED, (llr,), (None,) * PAIRS))
-    is_kept = [bool(buffer.same_codeword(kind, llr).any()) for llr in llrs]
+    is_kept = [bool(buffer.same_codeword(KIND, llr).any()) for llr in llrs]
     assert is_kept == [False] * 3 + [True] * CODEWORDS
     is_kept = [buffer.same_packet(AGREED, [llr]) is not None for llr in llrs]
     assert is_kept == [False] * (len(llrs) - PACKETS) + [True] * PACKETS

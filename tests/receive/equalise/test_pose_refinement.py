@@ -32,10 +32,9 @@ class Packet:
 
     def refine(self, known: int) -> bool:
         """Refine poses from the first `known` symbols in each pair; return True if a pose moved."""
-        variance = np.where(np.arange(self.symbols.shape[1]) < known, 0.0, 1.0)
-        mean = np.where(variance == 0, self.symbols, 0.0)
+        variance = np.broadcast_to(np.where(np.arange(256) < known, 0.0, 1.0), self.symbols.shape)
         with one_thread():
-            return self.observed.refine_poses(mean, np.broadcast_to(variance, mean.shape), GAIN, NOISE.lit)
+            return self.observed.refine_poses(self.symbols * (variance == 0), variance, GAIN, NOISE.lit)
 
     @property
     def errors(self) -> Floats:
@@ -87,14 +86,14 @@ def test_right_poses_and_poses_without_decoded_symbols_stay(off_px: float, known
     assert all(one is other for one, other in zip(packet.observed.statistics, before, strict=True))
 
 
-def test_a_movement_of_a_hundredth_of_a_pixel_is_significant() -> None:
-    assert is_significant(np.array([0.0, 0.02, 0.0, 0.0]))
-    assert is_significant(np.array([0.0, 0.0, 0.0, 0.01]))
-    assert is_significant(np.array([-0.011, 0.0, 0.0, 0.0]))
+@pytest.mark.parametrize(("movement", "expected"), [
+    ((0.0, 0.02, 0.0, 0.0), True), ((0.0, 0.0, 0.0, 0.01), True), ((-0.011, 0.0, 0.0, 0.0), True),
     # pitch and roll move the rim, 4 px from the centre
-    assert not is_significant(np.array([0.009, -0.009, 0.0, 0.0]))
-    assert not is_significant(np.array([0.0, 0.0, 0.002, 0.002]))
-    assert is_significant(np.array([0.0, 0.0, 0.003, 0.0]))
+    ((0.009, -0.009, 0.0, 0.0), False),
+    ((0.0, 0.0, 0.002, 0.002), False), ((0.0, 0.0, 0.003, 0.0), True),
+])  # fmt: skip
+def test_a_movement_of_a_hundredth_of_a_pixel_is_significant(movement: tuple[float, ...], expected: bool) -> None:
+    assert is_significant(np.array(movement)) == expected
 
 
 def test_missing_pairs_are_replaced_in_the_sample() -> None:
@@ -123,14 +122,13 @@ def test_sharp_evidence_is_not_smoothed_and_adds_to_earlier_corrections() -> Non
 
 def test_neighbours_share_errors_and_far_pairs_do_not() -> None:
     """Errors vary within 8 pairs or stay constant; the first ten pairs have no evidence."""
-    rng = np.random.default_rng(3)
-    quick = np.zeros((80, 4))
+    rng, quick = np.random.default_rng(3), np.zeros((80, 4))
     quick[40:44, 0] = 0.2
     evidence = {k: (1e4 * np.eye(4), 1e4 * (quick[k] + rng.normal(0, 0.01, 4))) for k in range(10, 80, 3)}
     found = smoothed_errors(evidence, np.zeros((80, 4)))
     assert found[41:43, 0] == pytest.approx([0.2, 0.2], abs=0.07)
     assert np.abs(found[:10, 0]).max() < 0.05
-    constant = {k: (1e4 * np.eye(4), 1e4 * np.array([0.2, 0, 0, 0])) for k in range(10, 80, 3)}
+    constant = {k: (1e4 * np.eye(4), 1e4 * np.array([0.2, 0, 0, 0])) for k in evidence}
     assert smoothed_errors(constant, np.zeros((80, 4)))[:, 0] == pytest.approx(0.2, abs=0.05)
 
 
@@ -176,8 +174,7 @@ def test_each_pair_follows_its_neighbours() -> None:
     moved, _ = align_by_power([even(FAR, taken) for taken in off], ALL_ON)
     found = errors(moved)[:, 0]
     # pairs with a constant error inside the window
-    assert found[:12] == pytest.approx(np.zeros(12), abs=0.08)
-    assert found[28:] == pytest.approx(np.zeros(12), abs=0.08)
+    assert found[[*range(12), *range(28, 40)]] == pytest.approx(np.zeros(24), abs=0.08)
     # symmetric transition around the change
     assert (np.abs(found[12:28] - found[[11]]) > 1e-3).all()
     assert found[12:20] == pytest.approx(-found[20:28][::-1])
@@ -188,10 +185,8 @@ def test_hidden_leds_have_no_power() -> None:
     pose, right = replace(FAR, pitch=pitch_at(50.0)), ALL_ON.copy()
     right[:, :8] = 0
     cutout = even(pose, pose, right)
-    burnt, _ = align_by_power([cutout], right)
-    assert errors(burnt, pose)[0] == pytest.approx((0, 0), abs=0.08)
-    hidden, _ = align_by_power([replace(cutout, in_sight=right)], ALL_ON)
-    assert errors(hidden, pose)[0] == pytest.approx((0, 0), abs=0.08)
+    for one, led_gains in ((cutout, right), (replace(cutout, in_sight=right), ALL_ON)):
+        assert errors(align_by_power([one], led_gains)[0], pose)[0] == pytest.approx((0, 0), abs=0.08)
 
 
 def test_missing_pairs_have_no_weight_and_corrections_are_limited() -> None:

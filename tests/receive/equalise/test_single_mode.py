@@ -22,8 +22,8 @@ from heliograph.signal.pwm import light_centroids
 
 MODEL = MotionModel(1e-3, 0.1)
 POSE = Pose(40.4, 40.3, pitch_at(80.0), 0.01, 0.53)
+# delay of mean light and data light after mid-exposure, in patterns
 LATE = light_centroids()[0] - 0.5, light_centroids()[1] - 0.5
-"""Delay of mean light and data light after mid-exposure, in patterns."""
 
 
 def test_noise_and_background_are_estimated_from_headers() -> None:
