@@ -15,8 +15,7 @@ from heliograph.receive.geometry.footprint import footprints, image_of, images_o
 from heliograph.receive.geometry.kernels import median, normal, smallest
 
 SHAPE = (40, 44)
-CUT = 5e-4
-"""Light fraction beyond 4 standard deviations in x and y."""
+CUT = 5e-4  # light fraction beyond 4 standard deviations in x and y
 
 
 def some_pose(rng: np.random.Generator) -> Pose:
@@ -102,9 +101,8 @@ POSES = [
     Pose(21.3, 19.6, pitch_at(100), 0.0, 0.51),
     Pose(20.8, 20.2, pitch_at(60), 0.03, 0.53),
     Pose(21.0, 18.9, 1.9, -0.4, 0.9),
-    Pose(3.0, 38.0, 1.1, 0.1, 0.6),
+    Pose(3.0, 38.0, 1.1, 0.1, 0.6),  # partly outside the window
 ]
-"""The last pose lies partly outside the window."""
 
 
 @pytest.mark.parametrize("motion", [(0.0, 0.0), (0.3, 0.0), (0.1, 0.6)])

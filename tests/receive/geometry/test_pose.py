@@ -19,12 +19,12 @@ from heliograph.receive.geometry.view import CAMERA, View
 @examples(100)
 @given(pose=poses())
 def test_a_vector_and_back(pose: Pose) -> None:
-    assert astuple(Pose.from_vector(pose.full_vector())) == pytest.approx(astuple(pose), rel=1e-12, abs=1e-12)
-    assert np.array_equal(pose.vector(), pose.full_vector()[:5])
-    flat = Pose.from_vector(pose.vector())
-    assert astuple(flat) == pytest.approx((*astuple(pose)[:5], 0.0, 0.0), rel=1e-12, abs=1e-12)
-    assert pose.full_vector()[[0, 1, 3, 5, 6]].tolist() == [pose.x, pose.y, pose.roll, pose.stretch, pose.shear]
-    assert pose.full_vector()[[2, 4]] == pytest.approx([np.log(pose.pitch), np.log(pose.blur)])
+    full, values = pose.full_vector(), np.array(astuple(pose))
+    assert astuple(Pose.from_vector(full)) == pytest.approx(values, rel=1e-12, abs=1e-12)
+    assert astuple(Pose.from_vector(pose.vector())) == pytest.approx([*values[:5], 0.0, 0.0], rel=1e-12, abs=1e-12)
+    assert np.array_equal(pose.vector(), full[:5])
+    values[[2, 4]] = np.log(values[[2, 4]])
+    assert full == pytest.approx(values)
 
 
 @examples(100)
@@ -88,10 +88,8 @@ def test_there_are_eight_orientations_with_names_and_upright_comes_first() -> No
 
 
 def test_turns_are_clockwise_and_come_after_the_mirror() -> None:
-    corner = np.array([[1, 2], [0, 0]])
-    assert Orientation(1).turned(corner).tolist() == [[0, 1], [0, 2]]
-    assert Orientation(0, True).turned(corner).tolist() == [[2, 1], [0, 0]]
-    assert Orientation(1, True).turned(corner).tolist() == [[0, 2], [0, 1]]
+    for way, expected in (((1,), [[0, 1], [0, 2]]), ((0, True), [[2, 1], [0, 0]]), ((1, True), [[0, 2], [0, 1]])):
+        assert Orientation(*way).turned(np.array([[1, 2], [0, 0]])).tolist() == expected
     # y points down: a clockwise rotation moves right to below
     assert (Orientation(1).matrix @ [1, 0]).tolist() == [0, 1]
 
@@ -139,14 +137,11 @@ def shot(pose: Pose, weights: np.ndarray) -> Frame:
 @pytest.mark.parametrize("orientation", ORIENTATIONS, ids=str)
 @pytest.mark.parametrize("level", [0, 1])
 def test_frames_of_a_view_show_the_array_at_its_pose(orientation: Orientation, level: int) -> None:
-    rng = np.random.default_rng(5)
-    upright = rng.integers(0, 2, (16, 16)).astype(float)
-    view = View(level, orientation)
+    upright, view = np.random.default_rng(5).integers(0, 2, (16, 16)).astype(float), View(level, orientation)
     frame, expected = view.frame(shot(POSE, orientation.turned(upright)), POSE, 16), view.pose_in(POSE)
     spread = np.diag(np.array([0.5, 0.5, 0.05, 0.02, 0.2, 0.01, 0.01]) ** 2)
     fit = fit_array(frame.pixels.astype(float), frame.origin, Fit(expected.full_vector(), spread), upright, 8)
     assert fit.score > 0.995
-    np.testing.assert_allclose(view.pose_out(expected).full_vector(), POSE.full_vector(), atol=1e-9)
     np.testing.assert_allclose(fit.vector[:4], expected.full_vector()[:4], atol=0.02)
     assert fit.pose.blur == pytest.approx(expected.blur, rel=0.05)
 

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_packets import FORM, random_blocks, symbols_of
-from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
+from scenes import ALL_ON, SIDE, Floats, draw, frame_of, pitch_at
 from scipy.special import erf
 from whole_pairs import moving, pair_of, random_levels
 
@@ -14,7 +13,6 @@ from heliograph.receive import Pose
 from heliograph.receive.geometry.window import window_around
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.sync.pairing import FramePair
-from heliograph.signal import haar
 
 
 def test_a_cutout_holds_sum_and_difference_about_the_array() -> None:
@@ -45,13 +43,13 @@ def test_pixels_beyond_a_frame_are_not_covered() -> None:
 def test_slopes_and_corrected_poses_follow_the_image() -> None:
     poses = moving(60, 0.02, (0.12, -0.2))
     cutout = take_cutout(pair_of(poses, random_levels()[1]), poses, SIDE)
-    levels = np.random.default_rng(1).uniform(-1, 1, (SIDE, SIDE))
-    vector = cutout.middle.vector()
+    levels, vector = np.random.default_rng(1).uniform(-1, 1, (SIDE, SIDE)), cutout.middle.vector()
+
+    def image(v: Floats) -> Floats:
+        return draw(Pose.from_vector(v), levels, cutout.corner, cutout.shape)
+
     for slope, step in zip(cutout.slopes(levels), 1e-4 * np.eye(5)[:4], strict=True):
-        plus, minus = (
-            draw(Pose.from_vector(vector + sign * step), levels, cutout.corner, cutout.shape) for sign in (1, -1)
-        )
-        want = (plus - minus) / 2e-4
+        want = (image(vector + step) - image(vector - step)) / 2e-4
         assert np.abs(slope - want).max() < 0.01 * np.abs(want).max()
     moved = cutout.moved(np.array([0.1, -0.2, 0.01, 0.02]))
     for before, after in zip(poses, moved.poses, strict=True):
@@ -61,20 +59,16 @@ def test_slopes_and_corrected_poses_follow_the_image() -> None:
 
 def test_background_motion_is_compensated() -> None:
     """A bright edge moves by a third of a pixel between frames; data are unchanged."""
-    symbols = symbols_of(random_blocks(1))[:1].astype(np.int8)
-    rng, x = np.random.default_rng(5), haar.encode(FORM.join(symbols))[0] / 4.0
-    pose, grid = Pose(30.3, 29.8, pitch_at(80), 0.0, 0.51), np.arange(60)
+    rng, (_, x), grid = np.random.default_rng(5), random_levels(), np.arange(60)
+    pose = Pose(30.3, 29.8, pitch_at(80), 0.0, 0.51)
     poses = pose, pose.moved(0.3, 0.1)
-    ideal, frames = [], []
-    for k, (p, y) in enumerate(zip(poses, (x, 1 - x), strict=True)):
-        lit = 0.6 * draw(p, y, (0, 0), (60, 60))
-        edge = 0.15 * (1 + erf((grid - p.x - 7) / 0.8))[None, :] * np.ones((60, 1))
-        ideal.append(255 * lit)
-        frames.append(frame_of(lit + edge, k, rng))
-    cutout = take_cutout(FramePair(frames[0], frames[1]), poses, SIDE)
+    lit = [0.6 * draw(p, y, (0, 0), (60, 60)) for p, y in zip(poses, (x, 1 - x), strict=True)]
+    edges = [0.15 * (1 + erf((grid - p.x - 7) / 0.8)) for p in poses]
+    up, down = (frame_of(light + edge, k, rng) for k, (light, edge) in enumerate(zip(lit, edges, strict=True)))
+    cutout = take_cutout(FramePair(up, down), poses, SIDE)
     compensated = cutout.motion_compensated(0.6 * 255, ALL_ON)
     rows, columns = (slice(c, c + n) for c, n in zip(reversed(cutout.corner), cutout.shape, strict=True))
-    sent = (ideal[0] - ideal[1])[rows, columns]
+    sent = 255 * (lit[0] - lit[1])[rows, columns]
     before, after = (np.sqrt(((part.difference - sent) ** 2).mean()) for part in (cutout, compensated))
     # sensor noise: 1.8 gray levels
     assert before > 3.5

@@ -57,9 +57,8 @@ def test_noise_of_combined_frames_refers_to_two_frames() -> None:
     rng, sigma, poses, combined = np.random.default_rng(9), 1.5, moving(80, 0.02, (0.0, 0.0)), combination()
     even, cutouts = take_cutout(pair_of(poses, np.full((SIDE, SIDE), 0.5)), poses, SIDE), []
     for _ in range(48):
-        total = even.total + sigma * rng.normal(0, (combined.total**2).sum() ** 0.5, even.shape)
-        difference = sigma * rng.normal(0, (combined.difference**2).sum() ** 0.5, even.shape)
-        cutouts.append(replace(even, total=total, difference=difference, combination=combined))
+        noises = [sigma * rng.normal(0, (w**2).sum() ** 0.5, even.shape) for w in (combined.total, combined.difference)]
+        cutouts.append(replace(even, total=even.total + noises[0], difference=noises[1], combination=combined))
     measured = measure_noise(cutouts, GAIN, SIDE)
     assert (measured.lit, measured.dark) == pytest.approx((2 * sigma**2, 2 * sigma**2), rel=0.12)
 
