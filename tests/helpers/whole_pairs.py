@@ -1,19 +1,17 @@
 """Sensor-free frame pairs and their full model matrices."""
 
 import numpy as np
-from numpy.typing import NDArray
 from observe_oracle import pair_model, transform, weights
 from render_oracle import blur_matrix
 from scenes import SIDE, draw, pitch_at
 
+from heliograph.base.arrays import Floats
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.observe.cutout import Noise, take_cutout
 from heliograph.receive.sync.combine import Combination, combine_pair
 from heliograph.receive.sync.pairing import FramePair
-
-Floats = NDArray[np.float64]
 
 SYMBOLS = SIDE * SIDE
 GAIN = 150.0

@@ -41,8 +41,8 @@ def array_of(*receivers: Scripted, settled: bool = False) -> HeaderHypotheses:
     return HeaderHypotheses([cast(ArrayReceiver, receiver) for receiver in receivers], settled)
 
 
-def pushed(array: HeaderHypotheses) -> list[Any]:
-    return list(array.push(FRAME))
+def pushed(array: HeaderHypotheses, count: int = 1) -> list[Any]:
+    return [packet for k in range(count) for packet in array.push(replace(FRAME, index=k))]
 
 
 CASES: dict[str, tuple[list[Scripted], int, list[str], list[int]]] = {
@@ -77,9 +77,7 @@ CASES: dict[str, tuple[list[Scripted], int, list[str], list[int]]] = {
 @pytest.mark.parametrize("case", CASES)
 def test_first_right_codeword_selects_a_hypothesis(case: str) -> None:
     receivers, count, expected, frames = CASES[case]
-    array = array_of(*receivers)
-    packets = [packet for k in range(count) for packet in array.push(replace(FRAME, index=k))]
-    assert cast(list[Any], packets) == expected
+    assert pushed(array_of(*receivers), count) == expected
     # each frame once and in order
     assert [[frame.index for frame in receiver.frames] for receiver in receivers] == [list(range(n)) for n in frames]
 
@@ -87,20 +85,16 @@ def test_first_right_codeword_selects_a_hypothesis(case: str) -> None:
 def test_others_read_the_missed_frames_at_the_end_of_the_film() -> None:
     a, b = Scripted("a", UPRIGHT, every=9), Scripted("b", ORIENTATIONS[2], every=9, proves_at=2)
     array = array_of(a, b)
-    for _ in range(2):
-        assert pushed(array) == []
-    assert [*cast(Any, array.flush())] == ["b at the end"]
+    assert [*pushed(array, 2), *cast(Any, array.flush())] == ["b at the end"]
     assert (len(a.frames), len(b.frames)) == (2, 2)
 
 
 def test_settled_hypothesis_reads_the_missed_frames() -> None:
     a, b = Scripted("a", UPRIGHT, every=9), Scripted("b", ORIENTATIONS[2], every=4)
     array = array_of(a, b)
-    for _ in range(3):
-        pushed(array)
+    pushed(array, 3)
     assert array.settle(ORIENTATIONS[2])
-    assert pushed(array) == ["b4"]
-    assert pushed(array) == []
+    assert pushed(array, 2) == ["b4"]
     assert (len(a.frames), len(b.frames)) == (3, 5)
 
 

@@ -5,28 +5,23 @@ import pytest
 from known_packets import (
     FORM,
     GAIN,
-    IDENTITY,
     NOISE,
     KnownPoses,
     by_matrices,
     decoded,
+    equalised,
     random_blocks,
     right,
     statistics_of,
 )
-from numpy.typing import NDArray
 
-from heliograph.base.threads import one_thread
-from heliograph.receive.decode.codeword import Decoding
+from heliograph.base.arrays import Floats
 from heliograph.receive.decode.combining import BufferedPacket, SoftBuffer, is_consistent
-from heliograph.receive.decode.turbo_equaliser import TurboEqualiser, decode_iteratively
 from heliograph.receive.equalise.lmmse import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import Words
 from heliograph.signal.block import Block
 from heliograph.signal.formats import AGREED, Format
-
-Floats = NDArray[np.float64]
 
 # distance in m with only the high layer decodable from one packet: single packets give the middle layer up to 148 m
 # and the high layer up to 200 m; two packets give the middle layer up to 158 m
@@ -43,11 +38,6 @@ def random_llrs(rng: np.random.Generator, count: int = 1) -> Floats:
 
 def statuses(words: Words) -> list[str]:
     return [word.status for by in words.values() for word in by]
-
-
-def decode_with(buffer: SoftBuffer, packet: KnownPoses, known: Words | None = None) -> TurboEqualiser:
-    with one_thread():
-        return decode_iteratively(packet, GAIN, IDENTITY, Decoding("log-map"), buffer, known=known)
 
 
 @pytest.mark.slow
@@ -69,7 +59,7 @@ def test_rejected_codeword_is_not_used() -> None:
     llrs = tuple(LARGEST_LLR * word for words in signs for word in words)
     before = BufferedPacket(FORM.format, llrs, tuple(statistics_of(blocks, 60, 1)), GAIN, NOISE)
     packet = KnownPoses(statistics_of(blocks, 200, 2))
-    read = decode_with(SoftBuffer().with_packet(before), packet)
+    read = equalised(packet, buffer=SoftBuffer().with_packet(before))
     assert statuses(read.words) == ["ok", "ok", "ok", "crc_fail"]
     assert (read.variance[:, -low:] > 0.9).all()
     assert max(packet.known) == FORM.settings.side**2 - low
@@ -83,7 +73,7 @@ def test_packet_with_known_codewords_is_combined() -> None:
         packet = [*statistics_of(blocks, 105, seed)[:14], *[None] * 10]
         alone = decoded(packet)
         assert right(alone, blocks) == [True, True, True, False]
-        read = decode_with(buffer, KnownPoses(packet), alone)
+        read = equalised(packet, buffer=buffer, known=alone)
         assert read.buffer is not None
         buffer = read.buffer
     assert all(right(read.words, blocks))

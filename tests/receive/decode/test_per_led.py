@@ -1,5 +1,6 @@
-"""Plain packets, samples at the LEDs, and the channel inverse against the explicit matrix."""
+"""Decoding of samples at LEDs and 2 x 2 squares, and the channel inverse against the explicit matrix."""
 
+import itertools
 from dataclasses import replace
 from itertools import islice
 from typing import get_args
@@ -7,17 +8,19 @@ from typing import get_args
 import numpy as np
 import per_led_oracle as reference
 import pytest
-from numpy.typing import NDArray
 from recorder import Recorder
 from render_oracle import blur_matrix
 from scenes import SIDE, draw, drawn_film, film, levels, link, pitch_at, received, statuses
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
+from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose, ReceiveSettings
 from heliograph.receive.decode import kernels, per_led
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.per_led import at_leds, decode_per_led, pair_luminances, unblurred
-from heliograph.receive.events import DecodeEvent, ExtractEvent
+from heliograph.receive.decode.per_quad import decode_per_quad
+from heliograph.receive.events import DecodeEvent, EqualiseEvent, ExtractEvent
 from heliograph.receive.geometry.window import CombinedFrame, window_around
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
@@ -25,7 +28,6 @@ from heliograph.receive.settings import Equaliser, PlainSettings
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
 
-Floats = NDArray[np.float64]
 Patch = pytest.MonkeyPatch
 
 GAIN, SIZE = 200.0, 44
@@ -116,25 +118,33 @@ def test_plain_receiver_samples_leds_at_the_pose_of_each_frame() -> None:
     assert np.array_equal(decode.luminances[8:], np.array([event.luminances for event in events]))
 
 
-def statuses_of(words: Words | None) -> set[str] | None:
-    return None if words is None else {word.status for by in words.values() for word in by}
+CUTOUT = Cutout(np.zeros((9, 9)), np.zeros((9, 9)), (0, 0), (Pose(4.0, 4.0, 1.0, 0.0, 0.5),))
+
+
+def statuses_of(words: Words | None) -> list[str]:
+    return [word.status for by in (words or {}).values() for word in by]
+
+
+def misplaced(event: DecodeEvent, by_px: float) -> list[Cutout | None]:
+    """Return the cut-outs of a packet at poses that are off along x."""
+    return [cutout and cutout.moved(np.array([by_px, 0.0, 0.0, 0.0])) for cutout in event.cutouts]
 
 
 def test_sampling_decodes_only_synchronous_pairs() -> None:
-    form, cutout = PacketFormat(link().signal), Cutout(np.zeros((9, 9)), np.zeros((9, 9)), (0, 0), (POSE,))
-    pairs, single = form.settings.data_pairs, PacketFormat(form.settings, Format(mode="single"))
-    for one, packet, status in ((None, form, None), (cutout, single, None), (cutout, form, {"crc_fail"})):
-        assert statuses_of(decode_per_led([one] * pairs, packet, 0, Decoding())) == status
+    form, pairs = PacketFormat(link().signal), link().signal.data_pairs
+    single = PacketFormat(form.settings, Format(mode="single"))
+    assert decode_per_led([None] * pairs, form, 0, Decoding()) is None
+    assert decode_per_led([CUTOUT] * pairs, single, 0, Decoding()) is None
+    assert statuses_of(decode_per_led([CUTOUT] * pairs, form, 0, Decoding())) == ["crc_fail"] * 4
 
 
 def test_sampling_decodes_only_at_the_right_pose() -> None:
     settings, recorder = link("signal.data_pairs=24", "receive.receiver=soft", distance_m=40.0), Recorder()
     received(film(settings, 53, roi_margin_px=20), settings, recorder)
     (event,) = recorder.of(DecodeEvent)
-    for misplaced_px, status in ((0.0, "ok"), (3.0, "crc_fail")):
-        cutouts = [cutout and cutout.moved(np.array([misplaced_px, 0.0, 0.0, 0.0])) for cutout in event.cutouts or ()]
-        words = decode_per_led(cutouts, PacketFormat(settings.signal), event.identity, Decoding())
-        assert statuses_of(words) == {status}
+    for off_px, status in ((0.0, "ok"), (3.0, "crc_fail")):
+        words = decode_per_led(misplaced(event, off_px), PacketFormat(settings.signal), event.identity, Decoding())
+        assert set(statuses_of(words)) == {status}
 
 
 def cubic(image: Floats, points: Floats) -> Floats:
@@ -161,3 +171,59 @@ def test_cubic_samples_at_leds() -> None:
     image, pose = np.random.default_rng(0).normal(size=(19, 22)), Pose(9.3, 10.8, 1.3, 0.05, 0.5, 0.02, -0.03)
     kernels.cubic_at_leds(image, pose.x, pose.y, pose.axes, got := np.empty((16, 16)))
     assert got.ravel() == pytest.approx(reference.sample_cubic(image, pose.leds(16).reshape(-1, 2)), abs=1e-12)
+
+
+PACKET = 53  # frames per packet, with one for the phase
+
+
+def unsynchronised(distance_m: float, phase: float) -> LinkSettings:
+    """Return settings for an array at rest, `phase` T_b out of step."""
+    start_s = f"channel.arrays.0.start_s={phase * 1e-3}"
+    return link("signal.data_pairs=24", "receive.receiver=soft", start_s, distance_m=distance_m)
+
+
+@pytest.mark.parametrize(("phase", "distance_m"), [(0.07, 30.0), (0.5, 45.0), (0.9, 45.0), (0.2, 65.0)])
+@pytest.mark.slow
+def test_unsynchronised_packets_are_decoded_without_the_equaliser(phase: float, distance_m: float) -> None:
+    settings, recorder = unsynchronised(distance_m, phase), Recorder()
+    packets = received(film(settings, 2 * PACKET + 3, roi_margin_px=20), settings, recorder)
+    assert statuses(packets) == ["ok"] * 2
+    assert recorder.of(EqualiseEvent) == []
+
+
+@pytest.mark.slow
+def test_decoding_depends_on_the_pose_and_hardly_on_the_gain() -> None:
+    settings, recorder = unsynchronised(40.0, 0.4), Recorder()
+    received(film(settings, PACKET + 5, roi_margin_px=20), settings, recorder)
+    (event,) = recorder.of(DecodeEvent)
+    assert any(cutout is not None and cutout.combination is not None for cutout in event.cutouts)
+    place = PacketFormat(settings.signal), event.identity, Decoding()
+    for off_px, gain in itertools.product((0.0, 3.0), (140.0, 280.0)):
+        words = decode_per_quad(misplaced(event, off_px), gain, *place)
+        assert set(statuses_of(words)) == {"crc_fail" if off_px else "ok"}
+
+
+def test_far_layers_are_decoded_once_the_light_of_the_others_is_known() -> None:
+    settings, recorder = link("signal.data_pairs=48", "receive.receiver=soft", distance_m=85.0), Recorder()
+    received(film(settings, 105, roi_margin_px=20), settings, recorder)
+    (event,) = recorder.of(DecodeEvent)
+    place = PacketFormat(settings.signal), event.identity, Decoding(algorithm="max-log")
+    alone = decode_per_led(event.cutouts, *place)
+    assert statuses_of(alone)[:3] == ["ok", "crc_fail", "crc_fail"]
+    words = decode_per_quad(event.cutouts, 190.0, *place, alone)
+    assert words is not None
+    assert statuses_of(words)[:3] == ["ok"] * 3
+    assert [w.block for w in words["middle"]] == [w.block for w in event.packet.layers["middle"]]
+
+
+def test_missing_pairs_are_erased() -> None:
+    form = PacketFormat(link("signal.data_pairs=24").signal)
+    words = decode_per_quad([CUTOUT, *[None] * 23], 100.0, form, 0, Decoding())
+    assert set(statuses_of(words)) == {"crc_fail"}
+
+
+@pytest.mark.parametrize(
+    "form", [PacketFormat(link().signal, Format(mode="single")), PacketFormat(link("signal.modulation=ook").signal)]
+)
+def test_only_the_hierarchical_code_with_inverses_is_decoded(form: PacketFormat) -> None:
+    assert decode_per_quad([CUTOUT] * form.settings.data_pairs, 100.0, form, 0, Decoding()) is None

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from known_packets import FORM
-from numpy.typing import NDArray
 from recorder import Recorder
 from scenes import SIDE, drawn_film, film, link, received, statuses, words_of
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive import Codeword, Packet, Pose
 from heliograph.receive.decode import soft_packet
@@ -26,8 +26,6 @@ from heliograph.receive.observe.cutout import Cutout, Noise
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import Words
 from heliograph.signal.settings import SignalSettings
-
-Floats = NDArray[np.float64]
 
 SETTINGS = link("receive.receiver=soft", "signal.data_pairs=24")
 PACKET = 52  # frames per packet: two header pairs and 24 data pairs

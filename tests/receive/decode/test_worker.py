@@ -21,18 +21,10 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, array, build, make_receiver
+from heliograph.receive.decode import worker
 from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.soft_packet import SoftPacket
-from heliograph.receive.decode.worker import (
-    MAX_ARRAYS,
-    MAX_BUFFERS,
-    ArrayKey,
-    Decoded,
-    PacketDecoder,
-    PendingPacket,
-    call_in_process,
-    call_inline,
-)
+from heliograph.receive.decode.worker import MAX_ARRAYS, MAX_BUFFERS, ArrayKey, Decoded, PacketDecoder, PendingPacket
 from heliograph.receive.equalise.led_gains import LedGains, update_brightness
 from heliograph.receive.events import ignore
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
@@ -86,7 +78,7 @@ def test_decoder_receives_pixels_and_little_else(monkeypatch: pytest.MonkeyPatch
         if call.__name__ == "decode":
             submitted.append((args[0], len(pickled)))
         call, args = pickle.loads(pickled)
-        return call_inline(call, *args)
+        return worker.call_inline(call, *args)
 
     monkeypatch.setattr(build, "decode_executor", lambda _: submit)
     packets = received(film_of_two()[: 2 * PACKET + 4], two_arrays("soft", True))
@@ -308,7 +300,7 @@ def test_led_brightness_of_a_packet_reaches_the_tracker(monkeypatch: pytest.Monk
 def test_worker_process_that_died_is_reported_and_restarted() -> None:
     settings, frames = soft("receive.decode.in_background=true"), film_of_one()[: PACKET + 10]
     (packet,) = received(frames, settings)
-    dying: Any = call_in_process(partial(os._exit, 1))
+    dying: Any = worker.call_in_process(partial(os._exit, 1))
     lost = PendingPacket(packet, cast(Any, None), dying, dying, ignore, None)
     with pytest.raises(HeliographError, match=r"^the process that decodes packets has ended.*in_background = false"):
         lost.packet()

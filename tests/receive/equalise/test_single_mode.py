@@ -4,21 +4,63 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scenes import ALL_ON, Floats, frame_of, pitch_at
-from single_frames import GAIN, PANEL, framed, headers, patterns
+from scenes import ALL_ON, Floats, draw, frame_of, pitch_at
+from scipy.special import erf
 
+from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.equalise.single_mode import (
-    DecisionDirectedTracker,
-    background_images,
-    fit_background,
-    surroundings,
-)
+from heliograph.receive.equalise import single_mode
+from heliograph.receive.equalise.single_mode import DecisionDirectedTracker, HeaderPair, fit_background
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.track import Track
 from heliograph.receive.track.tracker import Tracker
-from heliograph.signal.pwm import light_centroids
+from heliograph.signal import haar
+from heliograph.signal.header import header_levels
+from heliograph.signal.polarity import balance
+from heliograph.signal.pwm import light_centroids, lit_slots
+
+GAIN = 0.8 * 255
+PANEL = 9.0
+"""Half side of the panel in pitches; the blur of the outer LEDs reaches the rim."""
+
+
+def framed(
+    pose: Pose, levels: Floats, index: int, rng: np.random.Generator, motion: tuple[float, float] = (0.0, 0.0)
+) -> Frame:
+    """Render a frame with LED levels 0 to 4, centred at a pose; `motion` is px during the pattern exposure."""
+    light = np.zeros((80, 80))
+    # each slot covers a quarter of the motion
+    slots = lit_slots(levels.astype(np.uint8)) if any(motion) else levels[None] / 4.0
+    for k, lit in enumerate(slots):
+        part = (k + 0.5) / len(slots) - 0.5
+        at = pose.moved(part * motion[0], part * motion[1])
+        edge, grid = PANEL * at.pitch, np.arange(80)
+        across, down = (0.5 * (erf((edge - abs(grid - c)) / 0.75) + 1) for c in (at.x, at.y))
+        shown = 0.45 - 0.43 * down[:, None] * across
+        # slots have equal length, hence equal weights
+        light += (shown + 0.8 * draw(at, lit.astype(float), (0, 0), light.shape)) / len(slots)
+    return frame_of(light, index, rng)
+
+
+def headers() -> list[HeaderPair]:
+    """Return the two header pairs for identity 7 at 80 m."""
+    rng, levels = np.random.default_rng(0), header_levels(7).astype(float)
+    pose = Pose(40.2, 39.7, pitch_at(80.0), 0.01, 0.53)
+    found = []
+    for k in (0, 2):
+        up, down = framed(pose, levels, k, rng), framed(pose, 4 - levels, k + 1, rng)
+        found.append((FramePair(up, down), (pose, pose)))
+    return found
+
+
+def patterns(count: int, seed: int) -> list[Floats]:
+    """Draw levels for random data in single mode."""
+    rng = np.random.default_rng(seed)
+    d = rng.choice(np.array([-1, 1], np.int8), (count, 16, 16))
+    d[:, :8, :8] = balance(d[:, :8, 1:8])
+    return [one.astype(float) for one in haar.encode(d)]
+
 
 MODEL = MotionModel(1e-3, 0.1)
 POSE = Pose(40.4, 40.3, pitch_at(80.0), 0.01, 0.53)
@@ -37,9 +79,9 @@ def test_noise_and_background_are_estimated_from_headers() -> None:
     assert half == pytest.approx(PANEL, abs=0.15)
     # half the noise variance of a sum is 1.6 outside the array
     assert variance < 6
-    corner, image = surroundings(framed(POSE, np.zeros((16, 16)), 50, np.random.default_rng(5)), POSE, 16)
+    corner, image = single_mode.surroundings(framed(POSE, np.zeros((16, 16)), 50, np.random.default_rng(5)), POSE, 16)
     rows, cols = image.shape
-    left = image - np.tensordot(coefficients, background_images(POSE, corner, (rows, cols), half)[:, 0], 1)
+    left = image - np.tensordot(coefficients, single_mode.background_images(POSE, corner, (rows, cols), half)[:, 0], 1)
     # of a dark array: background 114 gray levels, panel 5
     assert np.abs(left).mean() < 4
     assert np.abs(image).mean() > 40

@@ -11,16 +11,9 @@ from whole_pairs import CUT, GAIN, MOTIONS, ROLLS, SYMBOLS, T, WholePair, combin
 
 from heliograph.receive import Pose
 from heliograph.receive.geometry.footprint import footprints, image_of, sum_of_leds
+from heliograph.receive.observe import statistics
 from heliograph.receive.observe.cutout import Noise
-from heliograph.receive.observe.statistics import (
-    PairStatistics,
-    WhitenedCutout,
-    gram_of,
-    leds_of,
-    light_of_symbols,
-    transform_quarters,
-    whiten,
-)
+from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, gram_of, leds_of, whiten
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -38,7 +31,7 @@ def test_the_transform_is_that_of_the_signal() -> None:
     leds = leds_of(symbols[0].astype(float))
     squares = (T @ symbols[0]).reshape(SIDE // 2, 2, SIDE // 2, 2).transpose(1, 3, 0, 2)
     assert leds == pytest.approx(squares.ravel())
-    assert transform_quarters(leds) == pytest.approx(symbols[0])
+    assert statistics.transform_quarters(leds) == pytest.approx(symbols[0])
 
 
 # the second array is partly outside the window
@@ -47,7 +40,7 @@ def test_images_of_symbols_and_their_products_equal_the_matrix(pose: Pose) -> No
     b, light = blur_matrix(pose, SIDE, (0, 0), (40, 44)) @ T, footprints(pose, (0, 0), (40, 44), SIDE)
     symbols = np.random.default_rng(2).normal(size=SYMBOLS)
     assert sum_of_leds(leds_of(symbols), light).ravel() == pytest.approx(b @ symbols, abs=CUT * np.abs(symbols).max())
-    assert np.abs(light_of_symbols(light).T - b).max() < CUT
+    assert np.abs(statistics.light_of_symbols(light).T - b).max() < CUT
     gram, want = gram_of(light), b.T @ b
     assert np.abs(gram - want).max() < 4 * CUT * want.max()
     assert np.abs(gram - gram.T).max() < 1e-6 * want.max()

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from recorder import Recorder
 from scenes import received, statuses, words_of
 from screen_films import Grabs, Phone, phone_frames
 from screen_light import shown
@@ -24,6 +25,7 @@ from heliograph.receive.geometry.window import AnyFrame
 from heliograph.receive.screen.cells import SAMPLES_PER_S, SearchBudget
 from heliograph.signal.block import Block
 from heliograph.signal.fountain.files import FileGatherer, SentFile, WholeFile
+from heliograph.signal.settings import LAYERS
 from heliograph.web.sending import sending_of
 
 
@@ -64,13 +66,11 @@ def test_phones_of_any_rate_read_a_screen(preset: str) -> None:
 
 @pytest.mark.slow
 def test_file_is_received_from_8_by_8_cells_at_an_unknown_rate_and_packet_length() -> None:
-    file = SentFile("a.txt", bytes(range(50)))
-    form = "transmit.formats.0.high=3/4", "transmit.formats.0.middle=3/4", "transmit.formats.0.low=3/4"
+    file, files, whole = SentFile("a.txt", bytes(range(50))), FileGatherer(), list[WholeFile]()
+    form = [f"transmit.formats.0.{layer}=3/4" for layer in LAYERS]
     settings = link("phone-60", 3.3, "signal.side=8", "channel.emitter.pitch_m=0.04", *form, rows=90)
-    content = {layer: [file] for layer in ("high", "middle", "low")}
-    film = [frame for frame, _ in simulate(settings, [content], 3)]
+    film = [frame for frame, _ in simulate(settings, [{layer: [file] for layer in LAYERS}], 3)]
     other = replace(settings, signal=replace(settings.signal, pattern_period_s=0.1, data_pairs=48))
-    files, whole = FileGatherer(), list[WholeFile]()
     for packet in received(film, other):
         for word in words_of(packet):
             if word.block is not None and not isinstance(word.block, Block):
@@ -81,29 +81,24 @@ def test_file_is_received_from_8_by_8_cells_at_an_unknown_rate_and_packet_length
 
 @pytest.mark.slow
 def test_compressed_phone_film_is_read(tmp_path: Path) -> None:
-    path, events = tmp_path / "phone.mp4", list[object]()
+    path, recorder = tmp_path / "phone.mp4", Recorder()
     settings = link("phone-60", 1.2, "channel.emitter.backlight_hz=240", "channel.emitter.backlight_duty=0.6")
     write_film(path, settings, default_messages(settings), 3, mbit_s=4)
     with heliograph.open_film(path) as film:
-        packets = received(film, link("phone-60", 1.2), events.append)
+        packets = received(film, link("phone-60", 1.2), recorder)
     assert statuses(packets) == ["ok"]
-    assert [type(event) for event in events if not isinstance(event, TrackEvent | ExtractEvent)] == [
-        DetectEvent,
-        DecodeEvent,
-        LostEvent,
-    ]
-    boxes = [event for event in events if isinstance(event, TrackEvent)]
-    assert len(boxes) > 30
-    assert all(box.tracked.state.pose.pitch == pytest.approx(82.4 / 16, rel=0.1) for box in boxes)
-    cuts = [event for event in events if isinstance(event, ExtractEvent)]
+    others = [type(event) for event in recorder.events if not isinstance(event, TrackEvent | ExtractEvent)]
+    assert others == [DetectEvent, DecodeEvent, LostEvent]
+    pitches = [tracked.state.pose.pitch for tracked in recorder.tracked]
+    assert len(pitches) > 30
+    assert pitches == pytest.approx([82.4 / 16] * len(pitches), rel=0.1)
+    cuts, (decoded,) = recorder.of(ExtractEvent), recorder.of(DecodeEvent)
     # the first pairs may end before the header is decoded
     assert [cut.number for cut in cuts][-9:] == list(range(4, 13))
-    decoded = next(event for event in events if isinstance(event, DecodeEvent))
     assert decoded.luminances is not None
     for cut in cuts[1:]:
-        shown = [_cells(frame, pose) for frame, pose in zip(cut.frames, cut.poses, strict=True)]
-        like = np.corrcoef((shown[0] - shown[1]).ravel(), decoded.luminances[cut.number].ravel())[0, 1]
-        assert like > 0.7
+        first, second = (_cells(frame, pose) for frame, pose in zip(cut.frames, cut.poses, strict=True))
+        assert np.corrcoef((first - second).ravel(), decoded.luminances[cut.number].ravel())[0, 1] > 0.7
 
 
 def _cells(frame: AnyFrame, pose: Pose) -> Floats:

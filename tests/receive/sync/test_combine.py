@@ -10,22 +10,18 @@ from numpy.typing import NDArray
 from properties import examples
 from slot_light import COVARIANCE, MEAN_LIT, SLOPES, VALUES, light_about_mean, observed, symbols_of, values_of
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.sync import combine
 from heliograph.receive.sync.combine import (
     Combination,
     UnsynchronisedPacket,
-    combine_header,
     combine_pair,
-    dimmed_light,
     moments,
-    posterior_moments,
     response,
-    slot_light,
     symbol_llrs,
 )
 from heliograph.signal import haar, pwm
 
-Floats = NDArray[np.float64]
 SIDE, PAIRS, ORDER = 8, 5, (0, 1, 2, 3)
 ORDERS = pytest.mark.parametrize("order", [ORDER, (2, 0, 3, 1)])
 FINE = 400  # simulation steps per T_b
@@ -89,7 +85,7 @@ def test_combination_is_close_to_the_optimum(rate: float, part: float, phase: fl
     slots = np.arange(-8, 16) / 4
     ends = np.minimum(starts[:, None] + exposure, slots + 0.25)
     overlap = np.maximum(ends - np.maximum(starts[:, None], slots), 0) / exposure
-    shown = np.einsum("fj,jqr->fqr", overlap, slot_light(ORDER)[0])
+    shown = np.einsum("fj,jqr->fqr", overlap, combine.slot_light(ORDER)[0])
     slope = shown[:, 1] @ SLOPES
     # noise variance 0.05 per frame, plus random data in each slot
     spread = 0.05 * np.eye(len(starts)) - np.outer(slope, slope)
@@ -168,7 +164,7 @@ def test_pair_without_frames_gives_no_combination(starts: list[float], exposure:
 def test_sum_of_a_header_cancels_its_cells() -> None:
     shown = np.array([0.4, -0.4, 0.7, 0.1])
     half = 0.5 * shown, np.array([0.5, 0.5, 0.6, 0.5])
-    combination = combine_header(np.arange(4.0), 1.0, shown, half)
+    combination = combine.combine_header(np.arange(4.0), 1.0, shown, half)
     assert combination is not None
     # half-contrast cells; frame weights determine the visible uneven light
     assert combination.dimmed == pytest.approx((0.5, 0.1 * combination.difference[2]))
@@ -176,17 +172,17 @@ def test_sum_of_a_header_cancels_its_cells() -> None:
     assert (combination.difference @ shown, combination.difference.sum()) == pytest.approx((2, 0))
     # header light is uniform: mean of exposure centres
     assert combination.sum_time == pytest.approx(combination.total @ (np.arange(4.0) + 0.5) / 2)
-    assert combine_header(np.arange(4.0), 1.0, np.array([0.0, 0.01, 0.0, 0.0]), half) is None
-    assert combine_header(np.zeros(0), 1.0, np.zeros(0), (np.zeros(0), np.zeros(0))) is None
+    assert combine.combine_header(np.arange(4.0), 1.0, np.array([0.0, 0.01, 0.0, 0.0]), half) is None
+    assert combine.combine_header(np.zeros(0), 1.0, np.zeros(0), (np.zeros(0), np.zeros(0))) is None
 
 
 @ORDERS
 @pytest.mark.slow
 def test_slot_light_is_the_mean_of_lit_slots(order: tuple[int, ...]) -> None:
-    _, mean = slot_light(order)
+    _, mean = combine.slot_light(order)
     # dimmed cells use levels 3 and 1
     high, low = (pwm.lit_slots(np.full((1, 1), level), order)[:, 0, 0].astype(float) for level in (3, 1))
-    assert np.array_equal(dimmed_light(order), [high - low, (high + low) / 2])
+    assert np.array_equal(combine.dimmed_light(order), [high - low, (high + low) / 2])
     drawn = light_of(random_data(1, 400), order).reshape(400, 2 * FINE, -1).mean((0, 2))
     assert mean[:8] == pytest.approx(drawn[FINE // 8 :: FINE // 4], abs=0.02)
     assert mean.tolist() == np.tile(mean[:8], 3).tolist()
@@ -249,7 +245,7 @@ def test_synchronous_shortcut_equals_enumeration() -> None:
     assert pairs.llrs(found, variance, leak, mean) == pytest.approx(llrs, abs=1e-6)
     chosen = np.array([1, 3])
     short = pairs.posterior_moments(chosen, found[chosen], variance, mean[chosen])
-    table = posterior_moments(pairs.response[chosen], found[chosen], variance, mean[chosen])
+    table = combine.posterior_moments(pairs.response[chosen], found[chosen], variance, mean[chosen])
     assert np.stack(short) == pytest.approx(np.stack(table), abs=1e-9)
 
 
@@ -294,7 +290,7 @@ def test_moments_equal_enumeration() -> None:
     assert np.stack(moments(TABLE, mean)) == pytest.approx(np.stack([first, chance @ TABLE**2 - first**2]))
     chance = chance * np.exp(-((TABLE - observed) ** 2 / variance / 2).sum(1))
     expected = np.stack([chance @ TABLE, chance @ TABLE**2]) / chance.sum()
-    assert np.stack(posterior_moments(TABLE, observed, variance, mean)) == pytest.approx(expected)
+    assert np.stack(combine.posterior_moments(TABLE, observed, variance, mean)) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("known", [0.0, 0.6, 1.0])
@@ -322,7 +318,7 @@ def test_known_symbols_of_a_square_add_information_to_an_llr_without_the_prior(k
 def test_outliers_leave_moments_and_llrs_finite(far: float) -> None:
     mean = np.array([1.0, -1.0, 1.0, 1.0])
     observed, variance = far * np.array([-1.0, 1.0, 1.0, -1.0]), np.full(4, 1e-4)
-    first, second = posterior_moments(TABLE, observed, variance, mean)
+    first, second = combine.posterior_moments(TABLE, observed, variance, mean)
     assert (np.abs(first) <= np.abs(TABLE).max()).all()
     assert (second <= (TABLE**2).max()).all()
     assert np.isfinite(symbol_llrs(TABLE, observed, variance, mean)).all()

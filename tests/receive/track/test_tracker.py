@@ -31,21 +31,19 @@ def shaking(t: Floats) -> Floats:
     return np.stack([47.3 + reach * np.sin(2 * np.pi * 40 * t), 48.8 + 0.5 * reach * np.cos(2 * np.pi * 40 * t)], -1)
 
 
-@pytest.mark.parametrize(
-    ("path", "distance_m", "error_px"),
-    [(shaking, 25.0, 0.1), (shaking, 80.0, 0.1), (at_rest, 40.0, 0.02), (at_rest, 80.0, 0.02)],
-)
+@pytest.mark.parametrize(("path", "distance_m", "error_px"), [
+    (shaking, 25.0, 0.1), (shaking, 80.0, 0.1), (at_rest, 40.0, 0.02), (at_rest, 80.0, 0.02),
+])  # fmt: skip
 @pytest.mark.slow
 def test_an_array_is_followed_at_rest_and_in_strong_shake(
     path: Callable[[Floats], Floats], distance_m: float, error_px: float
 ) -> None:
     settings, recorder = link("signal.data_pairs=16"), Recorder()
-    frames = drawn_film(settings, 72, path, distance_m=distance_m)
-    packets = received(frames, settings, recorder)
+    packets = received(drawn_film(settings, 72, path, distance_m=distance_m), settings, recorder)
     assert [all(word.status == "ok" for word in p.layers["high"]) for p in packets] == [True, True]
     assert recorder.lost_s == []
-    states = [pair.state for pair in recorder.tracked if pair.seen]
-    assert len(states) == len(recorder.tracked)
+    assert all(pair.seen for pair in recorder.tracked)
+    states = [pair.state for pair in recorder.tracked]
     # timestamps mark the start of a 1 ms exposure
     places = path(np.array([state.time_s for state in states]) + 0.5e-3)
     errors = np.array([(state.pose.x, state.pose.y) for state in states]) - places
@@ -83,8 +81,7 @@ def pair_of(lights: tuple[Floats, Floats], rng: np.random.Generator, first: int 
     return FramePair(up, down)
 
 
-SKY = Pose(30.2, 29.7, 0.61, 0.0, 0.5)
-"""Pose of a far array in front of a bright sky; a dark panel hides the sky around the LEDs."""
+SKY = Pose(30.2, 29.7, 0.61, 0.0, 0.5)  # far, in front of a bright sky; a dark panel hides the sky around the LEDs
 
 
 def track_in_the_sky(time_s: float, drift: float = 0.0) -> Track:
@@ -136,16 +133,13 @@ def test_sums_correct_the_gain_by_a_tenth_and_a_header_gives_the_gain_of_the_dat
     tracker, track, pair = new_array(180.0)
     assert (track.gain, track.data_gain, track.last_seen_s) == (160.0, 160.0, 1.5e-3)
     tracked = tracker.follow(track, pair)
-    assert tracked.seen
     assert tracked.before is track
     assert tracked.fit.gain == pytest.approx(180, rel=0.03)
     assert tracked.track.gain - 160 == pytest.approx(0.1 * (tracked.fit.gain - 160))
     # header pairs have a separate gain
-    assert tracked.track.data_gain == 160
-    assert tracked.track.last_seen_s == pair.time_s
+    assert (tracked.seen, tracked.track.data_gain, tracked.track.last_seen_s) == (True, 160, pair.time_s)
     refined = tracker.refine(track, pair, 2 * HEADER - 1)
-    assert refined.data_gain == pytest.approx(180, rel=0.02)
-    assert refined.gain == 160
+    assert (refined.gain, refined.data_gain) == (160, pytest.approx(180, rel=0.02))
     # a header from another array has no effect
     assert tracker.refine(track, pair, header_levels(20) / 2.0 - 1.0) is track
 
@@ -153,9 +147,8 @@ def test_sums_correct_the_gain_by_a_tenth_and_a_header_gives_the_gain_of_the_dat
 def test_a_hidden_array_keeps_the_gain() -> None:
     tracker, track, pair = new_array(0.0)
     tracked = tracker.follow(track, pair)
-    assert not tracked.seen
-    assert (tracked.track.gain, tracked.track.last_seen_s) == (160, 1.5e-3)
-    assert tracked.track.state.time_s == pair.time_s
+    after = tracked.track
+    assert (tracked.seen, after.gain, after.last_seen_s, after.state.time_s) == (False, 160, 1.5e-3, pair.time_s)
 
 
 DEAD = (np.random.default_rng(5).random((SIDE, SIDE)) > 0.15).astype(np.float64)
