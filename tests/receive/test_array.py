@@ -27,7 +27,6 @@ PACKET = 52  # frames per packet: two header pairs and 24 data pairs
 
 @cache
 def still_film(distance_m: float = 35.0) -> list[Frame]:
-    """Film four packets of an array at rest in small windows."""
     return film(link("signal.data_pairs=24", distance_m=distance_m), 4 * PACKET + 4, 3, 12)
 
 
@@ -55,7 +54,8 @@ def test_array_occluded_for_110_ms_is_lost_and_found_again() -> None:
     assert recorder.lost_s == [pytest.approx(0.09, abs=0.01)]
     assert recorder.found_s == pytest.approx([0.0, 0.156])
     assert starts_ms(packets) == [0, 156]
-    assert (packets[0].pairs_seen, packets[1].status) == (pytest.approx(18 / 24), "ok")
+    assert packets[0].pairs_seen == pytest.approx(18 / 24)
+    assert packets[1].status == "ok"
 
 
 SIX_PAIRS = {PACKET * packet + k for packet in (0, 1) for k in (8, 15, 21, 30, 40, 41, 46, 47)}

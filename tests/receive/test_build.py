@@ -136,7 +136,6 @@ def two_threads() -> Iterator[None]:
 
 @pytest.mark.usefixtures("two_threads")
 def test_overlapping_limits_end_in_any_order() -> None:
-    """Blocks in different threads may end in any order."""
     first, second = one_thread(), one_thread()
     with first:
         second.__enter__()
@@ -156,7 +155,6 @@ def test_limit_ends_after_an_error() -> None:
 @pytest.mark.usefixtures("two_threads")
 @pytest.mark.slow
 def test_receivers_in_four_threads_read_the_same_as_in_sequence() -> None:
-    """Two plain and two soft receivers with separate films."""
     settings = [link(f"receive.receiver={name}", "signal.data_pairs=16") for name in ("plain", "soft") * 2]
     films = [film(one, 40, seed, roi_margin_px=20) for seed, one in enumerate(settings)]
 

@@ -97,7 +97,6 @@ def test_gap_while_tracking_a_screen_loses_one_packet() -> None:
 
 @pytest.mark.slow
 def test_repeated_frames_are_a_gap() -> None:
-    """Repeat one frame for ten seconds of timestamps."""
     settings, frames = screens_film()
     copies = [replace(frames[99], index=99 + k, time_s=frames[99].time_s + k / 30) for k in range(1, 300)]
     after = [replace(frame, index=frame.index + 300, time_s=frame.time_s + 10.0) for frame in frames[100:]]

@@ -45,7 +45,6 @@ def test_impaired_array_is_read(distance_m: float, place: dict[str, Any], channe
 
 
 def starts_ms(packets: list[Packet], identity: int = 0) -> list[int]:
-    """Return start times of decoded packets from an array."""
     return [round(1e3 * p.start_time_s) for p in packets if p.identity == identity and p.status == "ok"]
 
 

@@ -133,7 +133,6 @@ def test_windows_give_the_codewords_of_whole_frames(margin: int, drive: dict[str
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_film() -> None:
-    """Six packets, 216 frames with 19,200 bytes each."""
     # repeat two packets with new numbers, so that the film needs no further memory
     frames, receiver = film(link("signal.data_pairs=16"), 72), make_receiver(SignalSettings(data_pairs=16))
 

@@ -154,8 +154,6 @@ LINK = load_settings(
 
 
 class Sampled(LuminanceReceiver):
-    """Samples both frames at the LEDs."""
-
     def luminances(self, pattern: Any, inverse: Any, leds: Any) -> Any:
         first, second = (
             map_coordinates(image, (at[..., 1], at[..., 0]), order=3)

@@ -35,7 +35,6 @@ POSE = Pose(21.2, 20.7, pitch_at(50), 0.0, 0.52)
 
 
 def shown(pose: Pose, x: Floats, index: int = 0) -> CombinedFrame:
-    """Render a noiseless frame without quantisation."""
     light = 30.0 + GAIN * draw(pose, x, (0, 0), (SIZE, SIZE))
     return CombinedFrame(index, index * 1e-3, light.astype(np.float32), (0, 0), 255)
 
@@ -85,7 +84,6 @@ def test_leds_are_sampled_at_their_positions_by_default() -> None:
 
 @pytest.mark.slow
 def test_inverse_has_fewer_led_errors_than_sampling() -> None:
-    """Full link: estimated pose and blur, sensor noise."""
     settings, wrong = link("signal.modulation=ook", distance_m=57.0), dict[str, float]()
     sent = [pattern > 2 for pattern in islice(levels(settings), 60)]
     frames = film(settings, len(sent), roi_margin_px=20)
@@ -100,8 +98,6 @@ def test_inverse_has_fewer_led_errors_than_sampling() -> None:
 
 
 def test_plain_receiver_samples_leds_at_the_pose_of_each_frame() -> None:
-    """Pattern and inverse have poses one pattern apart in motion."""
-
     def even(t: Floats) -> Floats:
         return np.stack([40.3 + 300 * t, 48.8 - 200 * t], -1)
 
@@ -126,7 +122,6 @@ def statuses_of(words: Words | None) -> list[str]:
 
 
 def misplaced(event: DecodeEvent, by_px: float) -> list[Cutout | None]:
-    """Return the cut-outs of a packet at poses that are off along x."""
     return [cutout and cutout.moved(np.array([by_px, 0.0, 0.0, 0.0])) for cutout in event.cutouts]
 
 
@@ -177,7 +172,6 @@ PACKET = 53  # frames per packet, with one for the phase
 
 
 def unsynchronised(distance_m: float, phase: float) -> LinkSettings:
-    """Return settings for an array at rest, `phase` T_b out of step."""
     start_s = f"channel.arrays.0.start_s={phase * 1e-3}"
     return link("signal.data_pairs=24", "receive.receiver=soft", start_s, distance_m=distance_m)
 

@@ -199,7 +199,6 @@ def film_at_rest(distance_m: float) -> list[Frame]:
 
 
 def read_at_rest(distance_m: float, **soft: Any) -> tuple[list[Packet], Recorder]:
-    """Return three packets of an array at rest, with the events."""
     recorder, settings = Recorder(), replace(SETTINGS.receive, soft=replace(SETTINGS.receive.soft, **soft))
     return received(film_at_rest(distance_m), replace(SETTINGS, receive=settings), recorder), recorder
 

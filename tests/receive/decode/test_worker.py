@@ -104,7 +104,6 @@ def decode_in_a_thread(monkeypatch: pytest.MonkeyPatch, before: Callable[[int], 
 def receive_in_parts(
     frames: Sequence[Frame], settings: LinkSettings, first: int, between: Callable[[], object] = lambda: None
 ) -> tuple[list[Packet], list[Packet]]:
-    """Return the packets received from the first frames, and from the rest."""
     receiver = make_receiver(settings.signal, settings.receive)
     early = [packet for frame in frames[:first] for packet in receiver.push(frame)]
     between()
@@ -190,7 +189,6 @@ def test_tracking_half_a_pattern_late_waits_only_for_the_first_packet() -> None:
 
 @pytest.mark.usefixtures("decoded_lazily")
 def test_decoder_uses_learnt_led_gains_for_the_next_packet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The next packet uses the learnt LED gains even before tracking receives them."""
     decode, packets = SoftPacket.decode, list[int]()
 
     def noted(self: SoftPacket, led_gains: LedGains | None, *arguments: Any) -> Any:
@@ -221,7 +219,6 @@ class Scripted:
 
 
 def decode(decoder: PacketDecoder, key: ArrayKey = KEY, **decoded: Any) -> tuple[LedGains | None, SoftBuffer]:
-    """Return LED gains and buffer used for a packet."""
     packet = Scripted(Decoded({}, **decoded))
     decoder.decode(cast(Any, packet), key)
     assert packet.state is not None
@@ -280,7 +277,6 @@ def test_exception_in_the_decoder_ends_reception(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_led_brightness_of_a_packet_reaches_the_tracker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tracking receives LED gains learnt in the background."""
     updates = list[tuple[LedGains, LedGains]]()
 
     def noted(led_gains: LedGains | None, learnt: LedGains | None) -> LedGains | None:

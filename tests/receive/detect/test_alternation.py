@@ -125,7 +125,6 @@ def noisy_headers(pixels: int) -> NDArray[np.float32]:
 def searched(
     image: NDArray[np.float32], busy: NDArray[np.bool_], grid: reference.Grid, corner: tuple[float, float] = (0.0, 0.0)
 ) -> NDArray[np.float64]:
-    """Return the candidate table of a search with no limit of work."""
     best, sums, limits = np.zeros((grid.count, 5)), alternation.integral_images(image), (grid.contrast, grid.threshold)
     places = grid.ring, grid.step, np.array(corner)
     args = CELLS, grid.sides, (*limits, 2.0, grid.apart), *places, 0, 1 << 60, best
@@ -162,7 +161,6 @@ def test_only_busy_blocks_with_contrast_are_searched(busy: bool, contrast: float
 
 @pytest.mark.parametrize(("left", "top"), [(0, 0), (3, 2), (5, 7)])
 def test_the_search_grid_is_fixed_to_the_sensor(left: int, top: int) -> None:
-    """Search positions stay fixed on the sensor when a window moves."""
     image, side = noisy_headers(4)[top:, left:].copy(), 15.8
     ((_, x, y, *_),) = searched(image, np.ones((6, 7), bool), reference.Grid(np.array([side]), 1), (left, top))
     # the ring corner lies on the sensor grid

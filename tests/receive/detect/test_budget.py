@@ -211,7 +211,6 @@ def test_only_novelty_of_searched_blocks_counts() -> None:
 
 @pytest.mark.parametrize("cpu_share", [0.01, 0.3, 1000.0])
 def test_a_live_camera_starts_with_nine_tenths_of_the_budget(cpu_share: float) -> None:
-    """With more than a live camera's share, the budget starts full."""
     budget = TokenBucket(cpu_share, 1e-3)
     assert budget.is_high == (cpu_share > 1)
     budget.charge(0.39 * budget.capacity)
@@ -298,7 +297,6 @@ def novelty_of(baseline: NoveltyFilter, change: Change, is_scarce: bool = True, 
 
 
 def warmed_up(parameters: tuple[float, float] = HAAR, searches: int = 8) -> NoveltyFilter:
-    """Return a filter after searches of even alternation."""
     baseline = NoveltyFilter(*parameters)
     for k in range(searches):
         assert bool(novelty_of(baseline, SQUARE)) == (k < WARMUP_SEARCHES)

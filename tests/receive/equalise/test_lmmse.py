@@ -57,7 +57,6 @@ def test_products_exclude_the_light_of_unknown_symbols(motion: tuple[float, floa
 
 
 def priors(kind: str) -> tuple[Floats, Floats]:
-    """Return prior mean and variance per symbol."""
     symbols = np.arange(SYMBOLS)
     mean = {
         "none": np.zeros(SYMBOLS),
@@ -120,7 +119,6 @@ def test_llr_is_gaussian_near_a_symbol_and_small_far_from_both() -> None:
 
 
 def estimated(b: Floats, d: Floats, mean: Floats, variance: Floats) -> Estimate:
-    """Estimate the symbols of d = B c + n with unit gain and noise."""
     return equalise(by_matrices(b, d, np.zeros(len(d))), 1.0, 1.0, mean, variance)
 
 

@@ -44,7 +44,6 @@ def framed(
 
 
 def headers() -> list[HeaderPair]:
-    """Return the two header pairs for identity 7 at 80 m."""
     rng, levels = np.random.default_rng(0), header_levels(7).astype(float)
     pose = Pose(40.2, 39.7, pitch_at(80.0), 0.01, 0.53)
     found = []
@@ -55,7 +54,6 @@ def headers() -> list[HeaderPair]:
 
 
 def patterns(count: int, seed: int) -> list[Floats]:
-    """Draw levels for random data in single mode."""
     rng = np.random.default_rng(seed)
     d = rng.choice(np.array([-1, 1], np.int8), (count, 16, 16))
     d[:, :8, :8] = balance(d[:, :8, 1:8])
@@ -88,7 +86,6 @@ def test_noise_and_background_are_estimated_from_headers() -> None:
 
 
 def tracker_of(late_s: tuple[float, float] = (0.0, 0.0)) -> DecisionDirectedTracker:
-    """Create a tracker at 80 m after a header."""
     return DecisionDirectedTracker(Tracker(16, MODEL), late_s, headers(), GAIN, ALL_ON)
 
 

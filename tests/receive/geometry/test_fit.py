@@ -25,7 +25,6 @@ Window = tuple[tuple[int, int], tuple[int, int]]  # corner and shape
 
 
 def window(pose: Pose) -> Window:
-    """Return the tracker's fit window."""
     x, y, cols, rows = window_around(pose, SIDE, 1.5 * pose.pitch + 1.5)
     return (x, y), (rows, cols)
 

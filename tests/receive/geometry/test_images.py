@@ -108,7 +108,6 @@ POSES = [
 @pytest.mark.parametrize("motion", [(0.0, 0.0), (0.3, 0.0), (0.1, 0.6)])
 @pytest.mark.parametrize("pose", POSES)
 def test_footprints_equal_the_blur_matrix(pose: Pose, motion: tuple[float, float]) -> None:
-    """Motion along x and y widens the blur."""
     across, down = light = footprints(pose, (3, 2), SHAPE, SIDE, motion)
     got = np.einsum("ki,kj->kij", down, across).reshape(SIDE * SIDE, -1)
     want = reference.blur_matrix(pose, SIDE, (3, 2), SHAPE, motion)

@@ -23,7 +23,6 @@ def levels(seed: int) -> Floats:
 
 
 def drawn(cells: Floats, corners: Floats = CORNERS, blur: float = 1.0) -> Pixels:
-    """Draw an array on a dark background."""
     fine, n = np.kron(cells, np.ones((16, 16))).astype(np.float32) / 4, 16 * SIDE
     square = np.array([[0, 0], [n, 0], [n, n], [0, n]], np.float32) - 0.5
     four = cv2.getPerspectiveTransform(square.astype(np.float32), (4 * corners + 1.5).astype(np.float32))
@@ -35,7 +34,6 @@ def drawn(cells: Floats, corners: Floats = CORNERS, blur: float = 1.0) -> Pixels
 
 
 def fitted(pixels: Pixels, corners: Floats, steps: int) -> Sample:
-    """Fit the cells from given corners on."""
     place = Place.of(corners, SIDE)
     return CellTracker(SIDE, 1.0, LINEAR, SearchBudget(), place).fit(Frame(0, 0.0, pixels), place, steps)
 

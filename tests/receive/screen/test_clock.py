@@ -16,7 +16,6 @@ TRUE = Clock(start_s=0.037, period_s=0.1, row_s=2.5e-5, exposure_s=0.02, respons
 
 
 def change(seed: int, pairs: int) -> Floats:
-    """Return random differences between pattern and inverse."""
     return np.random.default_rng(seed).integers(-2, 3, (pairs, SIDE, SIDE)).astype(float)
 
 

@@ -102,7 +102,6 @@ def test_compressed_phone_film_is_read(tmp_path: Path) -> None:
 
 
 def _cells(frame: AnyFrame, pose: Pose) -> Floats:
-    """Return gray levels at cell centres."""
     places = np.rint(pose.leds(16) - frame.origin).astype(int)
     return np.asarray(frame.pixels[places[..., 1], places[..., 0]], float)
 

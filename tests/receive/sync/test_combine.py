@@ -12,14 +12,7 @@ from slot_light import COVARIANCE, MEAN_LIT, SLOPES, VALUES, light_about_mean, o
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.sync import combine
-from heliograph.receive.sync.combine import (
-    Combination,
-    UnsynchronisedPacket,
-    combine_pair,
-    moments,
-    response,
-    symbol_llrs,
-)
+from heliograph.receive.sync.combine import Combination, UnsynchronisedPacket, combine_pair, moments, response
 from heliograph.signal import haar, pwm
 
 SIDE, PAIRS, ORDER = 8, 5, (0, 1, 2, 3)
@@ -241,7 +234,7 @@ def test_synchronous_shortcut_equals_enumeration() -> None:
     own, leak = pairs.expected(mean)
     assert np.stack(own) == pytest.approx(np.stack(moments(pairs.response, mean)), abs=1e-12)
     assert not np.any(leak)
-    llrs = symbol_llrs(pairs.response, found, variance, mean)
+    llrs = combine.symbol_llrs(pairs.response, found, variance, mean)
     assert pairs.llrs(found, variance, leak, mean) == pytest.approx(llrs, abs=1e-6)
     chosen = np.array([1, 3])
     short = pairs.posterior_moments(chosen, found[chosen], variance, mean[chosen])
@@ -310,7 +303,7 @@ def test_known_symbols_of_a_square_add_information_to_an_llr_without_the_prior(k
         own, joint = (np.log(part[up].sum() / part[~up].sum()) for part in likelihoods)
         for prior in (0.0, -0.3, 0.8):
             mean[i] = prior
-            llr = symbol_llrs(TABLE, observed, variance, mean)[i]
+            llr = combine.symbol_llrs(TABLE, observed, variance, mean)[i]
             assert llr == pytest.approx(own + trust * (joint - own), abs=1e-6)
 
 
@@ -321,4 +314,4 @@ def test_outliers_leave_moments_and_llrs_finite(far: float) -> None:
     first, second = combine.posterior_moments(TABLE, observed, variance, mean)
     assert (np.abs(first) <= np.abs(TABLE).max()).all()
     assert (second <= (TABLE**2).max()).all()
-    assert np.isfinite(symbol_llrs(TABLE, observed, variance, mean)).all()
+    assert np.isfinite(combine.symbol_llrs(TABLE, observed, variance, mean)).all()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from properties import examples
 
 from heliograph.base.arrays import Floats
@@ -18,7 +19,7 @@ from heliograph.receive.sync.frame_clock import CameraClock, FrameClock, Synchro
 FIRST = 16  # frames buffered until the camera rate is known
 
 
-def stamped(times_s: Sequence[float] | Floats, indices: Sequence[int] | None = None) -> list[Frame]:
+def stamped(times_s: Sequence[float] | NDArray[Any], indices: Sequence[int] | None = None) -> list[Frame]:
     """Return noise frames with timestamps."""
     pixels = np.random.default_rng(1).integers(0, 255, (len(times_s), 8, 8), np.uint8)
     return [Frame(k, float(t), p) for k, t, p in zip(indices or range(len(times_s)), times_s, pixels, strict=True)]

@@ -26,7 +26,8 @@ def header_view(start: float, exposure: float, period: float, seed: int = 0, for
 
     The second pair signals a format: dimmed cells have levels 3 and 1.
     """
-    times, steps = np.arange(-2, 6 + 1e-9, period, np.float64), np.arange(-6 * FINE, 10 * FINE) / FINE
+    times: Floats = np.arange(-2, 6 + 1e-9, period)
+    steps = np.arange(-6 * FINE, 10 * FINE) / FINE
     pattern, slot = np.floor(steps), np.floor(4 * (steps % 1)).astype(int)
     cells, dimmed = header_cells(IDENTITY).ravel().astype(float), words()[form] > 0
     wave = np.random.default_rng(seed).normal(0, 0.03, 16)[(pattern + 6).astype(int)]
@@ -43,7 +44,6 @@ def header_view(start: float, exposure: float, period: float, seed: int = 0, for
 
 
 def measured(view: HeaderAmplitudes, period: float = 1.0, exposure_s: float | None = None) -> LightClock:
-    """Return the clock after the first header."""
     clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, exposure_s)
     assert clock.measure(view, 0)
     return clock
@@ -138,7 +138,6 @@ def normed_error(start: float, period: float, seed: int, part: float | None, tru
 )
 @pytest.mark.slow
 def test_start_errors_match_the_stated_deviation(period: float, trust: float, again: bool) -> None:
-    """Also after repeated measurement."""
     errors = [normed_error(0.3, period, seed, None, trust, again) for seed in range(40)]
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
 
@@ -161,7 +160,7 @@ def test_unseen_header_leaves_the_clock_unchanged() -> None:
     clock = measured(header_view(0.2, 1.0, 1.0))
     before = clock.time_s(50), clock.gain, clock.exposure
     noise = np.random.default_rng(0).normal(0, 3, (2, 9))
-    assert not clock.measure(HeaderAmplitudes((50.0 + np.arange(-2, 7)) * 1e-3, *noise), 50)
+    assert not clock.measure(HeaderAmplitudes(1e-3 * (50 + np.arange(-2.0, 7.0)), *noise), 50)
     assert (clock.time_s(50), clock.gain, clock.exposure) == pytest.approx(before)
 
 
