@@ -41,8 +41,7 @@ GAIN, NOISE = 180.0, 4.5
 FORM = PacketFormat(SignalSettings(data_pairs=24))
 IDENTITY = 5
 T = transform(SIDE)
-SPARSE = csr_array(T)
-"""T has four non-zero elements per row."""
+SPARSE = csr_array(T)  # four non-zero elements per row
 SHAPE = (26, 26)
 
 
@@ -114,23 +113,9 @@ def combined_statistics_of(blocks: Blocks, distance_m: float, combination: Combi
 
 
 class KnownPoses(ObservedPacket):
-    """Pairs with correct poses, so that a refinement has no effect.
+    """Pairs with correct poses, so that a refinement has no effect, except that the first `moves` report a change.
 
-    Parameters
-    ----------
-    statistics
-        Per pair; None if the array is hidden.
-    moves
-        Number of initial refinements that report a change anyway.
-    noise
-        Variance of a difference pixel.
-
-    Attributes
-    ----------
-    known
-        Known symbols per pair at each refinement.
-    channels
-        Gain and noise at each refinement.
+    The attributes hold the known symbols per pair, and the gain and noise, at each refinement.
     """
 
     def __init__(self, statistics: Sequence[PairStatistics | None], moves: int = 0, noise: float = NOISE):
@@ -175,13 +160,10 @@ def equalised(
 
 
 def decoded(
-    packet: Sequence[PairStatistics | None] | KnownPoses,
-    *options: Any,
-    buffer: list[SoftBuffer] | None = None,
-    **more: Any,
+    packet: Packet, feedback: Feedback = "propagation", buffer: list[SoftBuffer] | None = None, **more: Any
 ) -> Words:
     """Decode a packet with the soft receiver, combining the last buffer; append the new buffer."""
-    read = equalised(packet, *options, buffer=buffer[-1] if buffer else None, **more)
+    read = equalised(packet, feedback, buffer=buffer[-1] if buffer else None, **more)
     if buffer is not None and read.buffer is not None:
         buffer.append(read.buffer)
     return read.words

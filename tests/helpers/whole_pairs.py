@@ -55,28 +55,7 @@ def combination() -> Combination:
 
 
 class WholePair:
-    """Cut-out with full model matrices.
-
-    Parameters
-    ----------
-    poses
-        Pose in each frame.
-    pair
-        Frame pair.
-    noise
-        Noise model for the pixel weights.
-
-    Attributes
-    ----------
-    cutout
-        Cut-out.
-    b, o
-        (pixels, symbols) and (pixels,): d = g (b c + o) + n.
-    w
-        (pixels,) weights.
-    d
-        (pixels,) difference.
-    """
+    """Cut-out with full model matrices: difference d (pixels,) = g (b c + o) + n with weights w (pixels,)."""
 
     def __init__(self, poses: tuple[Pose, Pose], pair: FramePair, noise: Noise):
         self.cutout = take_cutout(pair, poses, SIDE)
