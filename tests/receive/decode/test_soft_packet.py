@@ -129,7 +129,7 @@ def test_poses_of_a_combined_pair_are_at_the_centroid_of_the_data_light() -> Non
     assert [cutout.combination and len(cutout.combination.frames) for cutout in cutouts] == [4] * 24
     places = np.array([(pose.x, pose.y) for cutout in cutouts for pose in cutout.poses])
     # the packet starts at 0 with two header pairs
-    off = places - diagonal(1e-3 * (4 + np.arange(48) + 0.5))
+    off = places - diagonal(1e-3 * (np.arange(4.0, 52.0) + 0.5))
     # skip the velocity transient; 0.025 px is the motion during an eighth of a pattern
     assert np.abs(off[16:].reshape(-1, 2, 2).mean(0)).max() < 0.0125
 

@@ -251,7 +251,9 @@ def test_repeated_packet_is_decoded_with_a_buffer() -> None:
 def test_rejected_codeword_is_not_used() -> None:
     """Only the earlier packet supports the low layer: rejected bits must not refine poses or LED brightness."""
     blocks, low = random_blocks(0), FORM.layers["low"].symbols
-    signs = [layer.deinterleave(1.0 - 2.0 * layer.encode(blocks[name])) for name, layer in FORM.layers.items()]
+    signs = [
+        layer.deinterleave(np.asarray(1.0 - 2.0 * layer.encode(blocks[name]))) for name, layer in FORM.layers.items()
+    ]
     llrs = tuple(LARGEST_LLR * word for words in signs for word in words)
     before = BufferedPacket(FORM.format, llrs, tuple(statistics_of(blocks, 60, 1)), GAIN, known_packets.NOISE)
     packet = KnownPoses(statistics_of(blocks, 200, 2))

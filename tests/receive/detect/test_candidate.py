@@ -78,7 +78,8 @@ def test_any_motion_of_a_header_is_found(distance_m: float, within: float, seed:
     # px per pattern, and the share of the next pattern in each frame
     drift, late = speed * np.array([np.cos(angle), np.sin(angle)]), rng.uniform(0, 0.3)
     rng, header, frames = np.random.default_rng(seed), header_levels(seed, SIDE) / 2.0 - 1.0, []
-    pose = Pose(*rng.uniform(58, 62, 2).tolist(), pitch_at(distance_m), float(rng.normal(0, 0.02)), 0.51)
+    x, y = rng.uniform(58, 62, 2).tolist()
+    pose = Pose(x, y, pitch_at(distance_m), float(rng.normal(0, 0.02)), 0.51)
     for k in range(4):
         light = 0.5 + 0.5 * (1 - 2 * late) * (-1) ** k * header
         image = draw(pose.moved(*((k - 0.5) * drift)), light, (0, 0), (120, 120))
