@@ -122,9 +122,8 @@ def test_settling_drops_other_orientations() -> None:
 
 def test_settling_on_another_orientation_changes_nothing() -> None:
     array = array_of(Scripted("a", ORIENTATIONS[1]), Scripted("b", ORIENTATIONS[2]))
-    assert not array.settle(ORIENTATIONS[5])
-    assert not array.is_credible
-    assert array.leading.orientation == ORIENTATIONS[1]
+    settled = array.settle(ORIENTATIONS[5])
+    assert (settled, array.is_credible, array.leading.orientation) == (False, False, ORIENTATIONS[1])
 
 
 def test_end_of_the_first_ends_all() -> None:

@@ -1,6 +1,7 @@
 """An array among many flickering lamps: detection, false candidates and search budget."""
 
 from dataclasses import replace
+from itertools import product
 
 import cv2
 import numpy as np
@@ -53,11 +54,10 @@ def test_search_is_reproducible() -> None:
 
 def test_lamps_below_half_an_array_are_not_correlated() -> None:
     change = np.zeros((96, 128), np.float32)
-    for y in (20, 48, 76):
-        for x in (24, 64, 104):
-            change[y : y + 4, x : x + 4] = 120.0
-    busy, frame = np.ones((12, 16), bool), Frame(0, 0.0, np.zeros((96, 128), np.uint8))
-    region, sought = SearchRegion(change, busy, frame), headers((UPRIGHT,)).cells
+    for y, x in product((20, 48, 76), (24, 64, 104)):
+        change[y : y + 4, x : x + 4] = 120.0
+    frame, sought = Frame(0, 0.0, np.zeros((96, 128), np.uint8)), headers((UPRIGHT,)).cells
+    region = SearchRegion(change, np.ones((12, 16), bool), frame)
     assert coarse_search(region, PARAMETERS, sought, np.array([12.0, 16.0, 24.0]))[3] == 0
     # one real header among the lamps
     change[32:64, 40:72] = 60 * np.kron(all_header_cells()[4], np.ones((8, 8)))

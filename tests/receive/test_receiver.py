@@ -85,8 +85,7 @@ def test_observers_see_all_stages_and_change_nothing() -> None:
 
 
 @pytest.mark.parametrize(("receiver", "index", "time_s"), [
-    *((receiver, 4, 0.004) for receiver in ("plain", "soft", "screen")),
-    *((receiver, 6, 0.005) for receiver in ("plain", "soft", "screen")),
+    *((receiver, *back) for receiver in ("plain", "soft", "screen") for back in ((4, 0.004), (6, 0.005))),
     # the plain receiver relies on frame numbers
     ("plain", 3, 0.007),
 ])  # fmt: skip
@@ -170,13 +169,10 @@ def pair_limit(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_times_may_jump_by_any_length(receiver: str) -> None:
     """A clock jump ends the packet and the track; the next header gives a new detection."""
-    settings = link(f"receive.receiver={receiver}", "signal.data_pairs=8", distance_m=40.0)
-    jump = 10**12
+    settings, jump = link(f"receive.receiver={receiver}", "signal.data_pairs=8", distance_m=40.0), 10**12
+    frames = film(settings, 65, roi_margin_px=20)
     # the jump occurs after three quarters of the second packet
-    frames = [
-        replace(f, index=f.index + jump * (k >= 35), time_s=f.time_s + 1e-3 * jump * (k >= 35))
-        for k, f in enumerate(film(settings, 65, roi_margin_px=20))
-    ]
+    frames[35:] = [replace(f, index=f.index + jump, time_s=f.time_s + 1e-3 * jump) for f in frames[35:]]
     packets = received(frames, settings)
     assert [p.identity for p in packets] == [0, 0, 0]
     assert (packets[0].status, packets[2].status) == ("ok", "ok")
