@@ -25,9 +25,9 @@ from heliograph.signal.settings import SignalSettings
 
 @pytest.mark.slow
 def test_soft_receiver_reads_all_layers_at_100_m_and_the_plain_only_the_high() -> None:
-    changes = "channel.distance_m=100", "receive.detect.min_side_px=4"
+    far = ["channel.distance_m=100", "receive.detect.min_side_px=4"]
     soft, plain = (
-        codewords(load_settings("static", None, [f"receive.receiver={name}", *changes])) for name in ("soft", "plain")
+        codewords(load_settings("static", None, [f"receive.receiver={one}", *far])) for one in ("soft", "plain")
     )
     assert soft == [(1, 0), (2, 0), (1, 0)]
     assert plain[1:] == [(2, 2), (1, 1)]

@@ -46,9 +46,7 @@ def test_formats_are_read_from_unsynchronised_headers(fps: float, start_s: float
     ("soft", 3, "its mode, 3, is not known to this version"),
 ])  # fmt: skip
 @pytest.mark.slow
-def test_packet_of_an_unreadable_mode_is_ignored(
-    receiver: str, mode: int, reason: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unreadable_mode_is_ignored(receiver: str, mode: int, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Data of an unknown mode must be ignored even if they resemble data pairs."""
     settings = soft("[{}, {high='1/2'}]", f"receive.receiver={receiver}", distance_m=35.0)
     with monkeypatch.context() as sent:

@@ -6,8 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scenes import film, link
+from scenes import Floats, film, link
 from screen_films import Phone, phone_frames
 from screen_light import shown
 
@@ -39,9 +38,7 @@ def received(settings: LinkSettings, receiver: str, frames: Sequence[Frame]) -> 
     return [packet for frame in frames for packet in live.push(frame)] + list(live.finish())
 
 
-def gapped(
-    frames: Sequence[Frame], gaps: Sequence[Gap], packet_s: float, numbered: bool
-) -> tuple[list[Frame], NDArray[np.float64]]:
+def gapped(frames: Sequence[Frame], gaps: Sequence[Gap], packet_s: float, numbered: bool) -> tuple[list[Frame], Floats]:
     """Return the remaining frames and the delay in s of each original frame (NaN if removed).
 
     A gap delays later frames by complete packets and removes frames for the remainder, so the transmission continues.
@@ -58,7 +55,7 @@ def gapped(
     return [replace(frame, index=k, time_s=frame.time_s + shift) for k, (frame, shift) in moved], late
 
 
-def whole_packets(frames: Sequence[Frame], late: NDArray[np.float64], first_s: float, packet_s: float) -> list[float]:
+def whole_packets(frames: Sequence[Frame], late: Floats, first_s: float, packet_s: float) -> list[float]:
     """Return start times of packets with all frames present and no gap inside."""
     times, starts = np.array([frame.time_s for frame in frames]), list[float]()
     for start in np.arange(first_s, times[-1] + 1e-9 - 0.95 * packet_s, packet_s):

@@ -102,9 +102,7 @@ def test_settled_hypothesis_reads_the_missed_frames() -> None:
     (UPRIGHT, False, False, True), (ORIENTATIONS[3], False, False, False),
     (ORIENTATIONS[3], True, False, True), (ORIENTATIONS[3], False, True, True),
 ])  # fmt: skip
-def test_turned_arrays_are_credible_with_a_right_codeword(
-    orientation: Orientation, settled: bool, proven: bool, credible: bool
-) -> None:
+def test_turned_arrays_need_a_codeword(orientation: Orientation, settled: bool, proven: bool, credible: bool) -> None:
     array = array_of(Scripted("a", orientation, has_codeword=proven), settled=settled)
     assert array.is_credible == credible
     # implausible packets are dropped silently

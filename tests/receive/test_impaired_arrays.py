@@ -53,9 +53,7 @@ def starts_ms(packets: list[Packet], identity: int = 0) -> list[int]:
     ("distance_m", "off_s", "expected"), [(50.0, (0.07, 0.25), [0, 260]), (80.0, (0.055, 0.18), [0, 208])]
 )
 @pytest.mark.slow
-def test_array_is_lost_while_off_and_found_by_the_next_header(
-    distance_m: float, off_s: tuple[float, float], expected: list[int]
-) -> None:
+def test_array_is_found_again_after_a_pause(distance_m: float, off_s: tuple[float, float], expected: list[int]) -> None:
     settings = soft(distance_m, {"off_s": [off_s]})
     packets = received(film(settings, expected[-1] + 56, roi_margin_px=30), settings)
     assert starts_ms(packets) == expected

@@ -42,9 +42,7 @@ def torn(film: Sequence[Frame]) -> list[Frame]:
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
 @pytest.mark.parametrize(("start_s", "begun", "header_s"), [(-0.0201, list, 0.0319), (0.0, torn, 0.052)])
 @pytest.mark.slow
-def test_packet_before_the_first_header_is_reported_once(
-    start_s: float, begun: Any, header_s: float, receiver: str
-) -> None:
+def test_packet_before_a_header_is_reported_once(start_s: float, begun: Any, header_s: float, receiver: str) -> None:
     rows, reception = received(begun(frames(start_s)), receiver)
     report = {"id": 0, "time_s": pytest.approx(header_s, abs=0.001)}
     missed = [row for row in rows if row["event"] == "missed_start"]

@@ -29,18 +29,12 @@ OPTIONS, ALL = Decoding(), np.ones(48, dtype=bool)
 def sent() -> tuple[PacketFormat, list[AnyBlock], Floats]:
     """Return packet format, blocks of all layers and luminances x' = level - 2 for identity 0."""
     settings = link()
-    patterns = np.stack(list(islice(levels(settings), 100)))[4::2]
     blocks = transmitters(settings, default_messages(settings))[0].blocks(0)
-    return (
-        PacketFormat(settings.signal),
-        [block for name in LAYERS for block in blocks[name]],
-        patterns.astype(float) - 2,
-    )
+    x = np.stack(list(islice(levels(settings), 100)))[4::2].astype(float) - 2
+    return PacketFormat(settings.signal), [block for name in LAYERS for block in blocks[name]], x
 
 
-def words_of(
-    x: Floats, seen: NDArray[np.bool_] = ALL, identity: int = 0, options: Decoding = OPTIONS
-) -> list[Codeword]:
+def decode(x: Floats, seen: NDArray[np.bool_] = ALL, identity: int = 0, options: Decoding = OPTIONS) -> list[Codeword]:
     layers = decode_packet(x, seen, sent()[0], identity, options)
     return [word for name in LAYERS for word in layers[name]]
 
@@ -48,7 +42,7 @@ def words_of(
 @pytest.mark.parametrize("amplitude", [1.0, 0.02, 300.0])
 def test_clean_packet_is_decoded(amplitude: float) -> None:
     _, blocks, x = sent()
-    words = words_of(amplitude * x)
+    words = decode(amplitude * x)
     assert [(w.block, w.status, w.iterations) for w in words] == [(block, "ok", 1) for block in blocks]
     assert not any((w.raw == ERASED).any() for w in words)
 
@@ -81,7 +75,7 @@ def test_unseen_pairs_are_erased(count: int) -> None:
     rng, (_, blocks, x) = np.random.default_rng(0), sent()
     seen = rng.permutation(48) >= count
     # erased values must not matter
-    words = words_of(np.where(seen[:, None, None], x, rng.normal(0, 100, x.shape)), seen)
+    words = decode(np.where(seen[:, None, None], x, rng.normal(0, 100, x.shape)), seen)
     status = [("ok", block) if count < 48 else ("crc_fail", None) for block in blocks]
     assert [(w.status, w.block) for w in words] == status
     assert np.concatenate([w.raw == ERASED for w in words]).mean() == pytest.approx(count / 48)
@@ -92,11 +86,11 @@ def test_unseen_pairs_are_erased(count: int) -> None:
 def test_noise_is_corrected(algorithm: Algorithm) -> None:
     _, blocks, x = sent()
     noisy = x + np.random.default_rng(1).normal(0, 1.0, x.shape)
-    assert [w.block for w in words_of(noisy, options=Decoding(algorithm))] == blocks
+    assert [w.block for w in decode(noisy, options=Decoding(algorithm))] == blocks
 
 
 def test_block_of_another_array_is_a_mismatch() -> None:
-    assert {(w.status, w.block) for w in words_of(sent()[2], identity=7)} == {("mismatch", None)}
+    assert {(w.status, w.block) for w in decode(sent()[2], identity=7)} == {("mismatch", None)}
 
 
 def test_block_of_another_layer_is_rejected() -> None:
@@ -104,7 +98,7 @@ def test_block_of_another_layer_is_rejected() -> None:
     d = form.soft_data(x)
     swapped = d.copy()
     swapped[:, :8, :8], swapped[:, 8:, 8:] = d[:, 8:, 8:], d[:, :8, :8]
-    assert [w.status == "ok" for w in words_of(inverse_transform(swapped))] == [False, True, True, False]
+    assert [w.status == "ok" for w in decode(inverse_transform(swapped))] == [False, True, True, False]
 
 
 @pytest.mark.parametrize("kind", ["noise", "strong", "constant sign"])

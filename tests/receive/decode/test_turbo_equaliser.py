@@ -251,10 +251,8 @@ def test_repeated_packet_is_decoded_with_a_buffer() -> None:
 def test_rejected_codeword_is_not_used() -> None:
     """Only the earlier packet supports the low layer: rejected bits must not refine poses or LED brightness."""
     blocks, low = random_blocks(0), FORM.layers["low"].symbols
-    signs = [
-        layer.deinterleave(np.asarray(1.0 - 2.0 * layer.encode(blocks[name]))) for name, layer in FORM.layers.items()
-    ]
-    llrs = tuple(LARGEST_LLR * word for words in signs for word in words)
+    signs = {name: np.asarray(1.0 - 2.0 * layer.encode(blocks[name])) for name, layer in FORM.layers.items()}
+    llrs = tuple(LARGEST_LLR * word for name in signs for word in FORM.layers[name].deinterleave(signs[name]))
     before = BufferedPacket(FORM.format, llrs, tuple(statistics_of(blocks, 60, 1)), GAIN, known_packets.NOISE)
     packet = KnownPoses(statistics_of(blocks, 200, 2))
     read = equalised(packet, buffer=SoftBuffer().with_packet(before))
@@ -360,11 +358,8 @@ def test_similar_blocks_are_kept_apart() -> None:
     assert together == alone == 2 * 3 + 1
 
 
-def of_gain(statistics: list[PairStatistics | None], gain: float) -> list[PairStatistics | None]:
-    return [
-        PairStatistics(one.gram, gain * one.matched, one.offset, gain * one.cross, one.offset_power) if one else None
-        for one in statistics
-    ]
+def of_gain(packet: list[PairStatistics | None], gain: float) -> list[PairStatistics | None]:
+    return [one and replace(one, matched=gain * one.matched, cross=gain * one.cross) for one in packet]
 
 
 @pytest.mark.slow

@@ -167,9 +167,7 @@ def test_receiver_waits_for_the_decoder_at_the_end_of_a_film(decoded_lazily: lis
 ])  # fmt: skip
 @pytest.mark.usefixtures("decoded_lazily")
 @pytest.mark.slow
-def test_tracking_waits_for_a_first_packet_with_an_ambiguous_header(
-    change: str, orientation: Orientation, waits: bool
-) -> None:
+def test_tracking_waits_if_the_first_header_is_ambiguous(change: str, orientation: Orientation, waits: bool) -> None:
     settings = soft(*change.split("; "), camera={"width": 80, "height": 80})
     frames = [replace(frame, pixels=orientation.turned(frame.pixels)) for frame in film(settings, 2 * PACKET + 2)]
     early, late = receive_in_parts(frames, settings, PACKET + 40)

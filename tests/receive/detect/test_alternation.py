@@ -136,9 +136,7 @@ def searched(
 # half the side is no multiple of the step; otherwise rounding decides overlaps
 @pytest.mark.parametrize(("pixels", "sides", "count"), [(2, (8.3, 9.1), 5), (4, (11.3, 15.8), 1)])
 @pytest.mark.parametrize("turned", [False, True])
-def test_search_finds_the_candidates_of_the_reference(
-    pixels: int, sides: tuple[float, ...], count: int, turned: bool
-) -> None:
+def test_search_equals_the_reference(pixels: int, sides: tuple[float, ...], count: int, turned: bool) -> None:
     image, busy = noisy_headers(pixels), np.ones((6, 7), bool)
     busy[(slice(2, 4), slice(3, None)) if turned else (slice(None), 4) if count == 1 else 0] = False
     apart = DETECT.min_distance_turned if turned else DETECT.min_distance

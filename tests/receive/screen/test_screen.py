@@ -19,7 +19,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.film import write_film
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.receive.events import DecodeEvent, DetectEvent, Event, ExtractEvent, LostEvent, TrackEvent, UnseenEvent
+from heliograph.receive.events import DecodeEvent, DetectEvent, ExtractEvent, LostEvent, TrackEvent, UnseenEvent
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import AnyFrame
 from heliograph.receive.screen.cells import SAMPLES_PER_S, SearchBudget
@@ -159,7 +159,6 @@ def test_folder_of_pictures_of_a_turned_phone_is_read(tmp_path: Path) -> None:
 
 
 def flickering(seconds: float) -> list[Frame]:
-    """Return a hand-held film with uniformly blinking squares in noise."""
     rng, out = np.random.default_rng(1), list[Frame]()
     squares = [(rng.integers(5, 180), rng.integers(5, 60), rng.integers(40, 90), rng.uniform(1, 6)) for _ in range(3)]
     for k in range(int(seconds * 30)):
@@ -174,15 +173,14 @@ def flickering(seconds: float) -> list[Frame]:
 
 @pytest.mark.slow
 def test_film_without_a_screen_costs_a_fraction_of_its_length(monkeypatch: pytest.MonkeyPatch) -> None:
-    spent_s, events, seconds, limits = [0.0], list[Event](), 5.4, SearchBudget()
-    spend = SearchBudget.spend
+    """A hand-held film with uniformly blinking squares in noise."""
+    spent, recorder, seconds, limits, spend = list[float](), Recorder(), 5.4, SearchBudget(), SearchBudget.spend
 
     def counted(budget: SearchBudget, samples: float) -> None:
-        spent_s[0] += samples / SAMPLES_PER_S
+        spent.append(samples / SAMPLES_PER_S)
         spend(budget, samples)
 
     monkeypatch.setattr(SearchBudget, "spend", counted)
-    settings = load_settings("phone")
-    assert received(flickering(seconds), settings, events.append) == []
-    assert limits.first_s < spent_s[0] < limits.first_s + limits.share * seconds + 2 * limits.debt_s
-    assert [event.searched_s for event in events if isinstance(event, UnseenEvent)] == pytest.approx([5.0], abs=0.1)
+    assert received(flickering(seconds), load_settings("phone"), recorder) == []
+    assert limits.first_s < sum(spent) < limits.first_s + limits.share * seconds + 2 * limits.debt_s
+    assert [event.searched_s for event in recorder.of(UnseenEvent)] == pytest.approx([5.0], abs=0.1)

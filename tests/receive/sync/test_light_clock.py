@@ -150,9 +150,7 @@ def test_start_errors_match_the_stated_deviation(period: float, trust: float, ag
     seed=st.integers(0, 99),
 )
 @pytest.mark.slow
-def test_start_at_any_phase_is_within_five_deviations(
-    start: float, period: float, part: float | None, seed: int
-) -> None:
+def test_any_start_is_within_five_deviations(start: float, period: float, part: float | None, seed: int) -> None:
     assert abs(normed_error(start, period, seed, part, 1.0, False)) < 5
 
 

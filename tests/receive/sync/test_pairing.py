@@ -157,9 +157,7 @@ def test_complete_header_gives_the_gain_and_a_uniform_sum() -> None:
 
 
 @pytest.mark.parametrize(("rate", "numbers"), [(RATES[0], []), (RATES[2], [2, 16])])
-def test_synchronous_header_or_header_without_frames_is_not_measured(
-    rate: tuple[float, float], numbers: list[int]
-) -> None:
+def test_synchronous_or_unseen_header_is_not_measured(rate: tuple[float, float], numbers: list[int]) -> None:
     # the second header lasts from 14 to 18 ms
     frames = [frame for frame in filmed(*rate) if not 13e-3 < frame.time_s - rate[1] < 19e-3]
     due = list(due_pairs(pairing_of(rate[1]), frames))
@@ -182,9 +180,7 @@ def dark(number: int, start_s: float = 0.0) -> Frame:
     jitter=st.floats(0, 0.4),
 )
 @pytest.mark.slow
-def test_synchronous_pairs_come_once_in_order_with_their_frames(
-    dropped: set[int], before: int, start_s: float, jitter: float
-) -> None:
+def test_synchronous_pairs_come_once_in_order(dropped: set[int], before: int, start_s: float, jitter: float) -> None:
     numbers = [k for k in range(-before, 60) if k not in dropped]
     frames = [replace(dark(k + before), time_s=start_s + 1e-3 * (k + jitter * np.sin(k))) for k in numbers]
     got = paired(SynchronousPairing(start_s, start_s + 1.5e-3, 0, SHORT), frames)

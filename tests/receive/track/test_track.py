@@ -247,9 +247,7 @@ def shaking(t: Floats) -> Floats:
     (shaking, 25.0, 0.1), (shaking, 80.0, 0.1), (at_rest, 40.0, 0.02), (at_rest, 80.0, 0.02),
 ])  # fmt: skip
 @pytest.mark.slow
-def test_an_array_is_followed_at_rest_and_in_strong_shake(
-    path: Callable[[Floats], Floats], distance_m: float, error_px: float
-) -> None:
+def test_an_array_is_followed_in_shake(path: Callable[[Floats], Floats], distance_m: float, error_px: float) -> None:
     settings, recorder = link("signal.data_pairs=16"), Recorder()
     packets = received(drawn_film(settings, 72, path, distance_m=distance_m), settings, recorder)
     assert [all(word.status == "ok" for word in p.layers["high"]) for p in packets] == [True, True]
