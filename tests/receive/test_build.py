@@ -25,10 +25,8 @@ from heliograph.signal.settings import SignalSettings
 
 @pytest.mark.slow
 def test_soft_receiver_reads_all_layers_at_100_m_and_the_plain_only_the_high() -> None:
-    far = ["channel.distance_m=100", "receive.detect.min_side_px=4"]
-    soft, plain = (
-        codewords(load_settings("static", None, [f"receive.receiver={one}", *far])) for one in ("soft", "plain")
-    )
+    far, names = ["channel.distance_m=100", "receive.detect.min_side_px=4"], ("soft", "plain")
+    soft, plain = (codewords(load_settings("static", None, [f"receive.receiver={one}", *far])) for one in names)
     assert soft == [(1, 0), (2, 0), (1, 0)]
     assert plain[1:] == [(2, 2), (1, 1)]
 

@@ -359,7 +359,8 @@ def test_similar_blocks_are_kept_apart() -> None:
 
 
 def of_gain(packet: list[PairStatistics | None], gain: float) -> list[PairStatistics | None]:
-    return [one and replace(one, matched=gain * one.matched, cross=gain * one.cross) for one in packet]
+    scale = {"matched": gain, "cross": gain, "power": gain**2}
+    return [one and replace(one, **{k: s * getattr(one, k) for k, s in scale.items()}) for one in packet]
 
 
 @pytest.mark.slow

@@ -159,8 +159,8 @@ def test_only_busy_blocks_with_contrast_are_searched(busy: bool, contrast: float
 
 @pytest.mark.parametrize(("left", "top"), [(0, 0), (3, 2), (5, 7)])
 def test_the_search_grid_is_fixed_to_the_sensor(left: int, top: int) -> None:
-    image, side = noisy_headers(4)[top:, left:].copy(), 15.8
-    ((_, x, y, *_),) = searched(image, np.ones((6, 7), bool), reference.Grid(np.array([side]), 1), (left, top))
+    image, grid = noisy_headers(4)[top:, left:].copy(), reference.Grid(np.array([15.8]), 1)
+    ((_, x, y, side, _),) = searched(image, np.ones((6, 7), bool), grid, (left, top))
     # the ring corner lies on the sensor grid
     corner = (np.array([x + left, y + top]) - side / 2 - DETECT.ring * side) / (0.1 * side)
     assert corner == pytest.approx(np.round(corner), abs=1e-6)

@@ -246,8 +246,7 @@ def test_cached_images_serve_nearby_poses() -> None:
 def test_images_of_other_leds_or_positions_are_rendered_again() -> None:
     drawn, pose, dim = RenderCache(), Pose(30.2, 28.7, 1.6, 0.015, 0.55), ALL_ON.copy()
     dim[:, :3] = 0.0
-    (x, y), shape = window(pose)
-    prior = Fit(pose.vector(), 1e-4 * np.eye(5), GAIN)
+    ((x, y), shape), prior = window(pose), Fit(pose.vector(), 1e-4 * np.eye(5), GAIN)
     for weights, corner in ((ALL_ON, (x, y)), (dim, (x, y)), (dim, (x + 3, y)), (ALL_ON, (x, y))):
         light = GAIN * draw(pose, weights, corner, shape) + LEVEL
         got, exact = (fit_array(light, corner, prior, weights, 2, drawn=one) for one in (drawn, None))
@@ -264,9 +263,6 @@ def test_robust_deviation_is_that_of_the_median_and_keeps_the_values(shape: tupl
 
 
 def test_correlation_ignores_gain_and_offset() -> None:
-    rng = np.random.default_rng(1)
-    a, b = rng.normal(size=(2, 9, 7))
-    assert correlation(a, b) == pytest.approx(np.corrcoef(a.ravel(), b.ravel())[0, 1])
-    assert correlation(a, 3 * a + 5) == pytest.approx(1)
-    assert correlation(a, -a) == pytest.approx(-1)
-    assert correlation(a, np.full((9, 7), 4.0)) == 0
+    a, b = np.random.default_rng(1).normal(size=(2, 9, 7))
+    found = [correlation(a, one) for one in (b, 3 * a + 5, -a, np.full((9, 7), 4.0))]
+    assert found == pytest.approx([np.corrcoef(a.ravel(), b.ravel())[0, 1], 1, -1, 0])

@@ -64,16 +64,15 @@ def test_the_frontal_pitch_is_the_longest_step_less_its_bias(pose: Pose) -> None
 @examples(100)
 @given(a=poses(), b=poses(), dx=st.floats(-9, 9), dy=st.floats(-9, 9))
 def test_moved_and_midway(a: Pose, b: Pose, dx: float, dy: float) -> None:
-    assert a.moved(dx, dy).leds(4) == pytest.approx(a.leds(4) + np.array([dx, dy]), abs=1e-9)
-    assert a.moved(dx, dy).pitch == a.pitch
-    assert rim_distance(a, a.moved(dx, dy), 4) == pytest.approx(np.hypot(dx, dy), abs=1e-9)
-    middle = Pose.midway(a, b)
-    assert astuple(middle) == pytest.approx(astuple(Pose.midway(b, a)), rel=1e-12, abs=1e-12)
+    moved, middle = a.moved(dx, dy), Pose.midway(a, b)
+    assert moved.leds(4) == pytest.approx(a.leds(4) + np.array([dx, dy]), abs=1e-9)
+    assert moved.pitch == a.pitch
+    assert rim_distance(a, moved, 4) == pytest.approx(np.hypot(dx, dy), abs=1e-9)
     assert (middle.x, middle.y) == pytest.approx(((a.x + b.x) / 2, (a.y + b.y) / 2), abs=1e-9)
     # geometric means
-    assert middle.pitch**2 == pytest.approx(a.pitch * b.pitch)
-    assert middle.blur**2 == pytest.approx(a.blur * b.blur)
-    assert astuple(Pose.midway(a, a)) == pytest.approx(astuple(a), rel=1e-12, abs=1e-12)
+    assert (middle.pitch**2, middle.blur**2) == pytest.approx((a.pitch * b.pitch, a.blur * b.blur))
+    for one, same in ((middle, Pose.midway(b, a)), (Pose.midway(a, a), a)):
+        assert astuple(one) == pytest.approx(astuple(same), rel=1e-12, abs=1e-12)
 
 
 ANY = st.sampled_from(ORIENTATIONS)
@@ -149,11 +148,8 @@ def test_frames_of_a_view_show_the_array_at_its_pose(orientation: Orientation, l
 
 @pytest.mark.parametrize("pitch", [3.5, 7.0, 9.0])
 def test_the_view_chosen_suits(pitch: float) -> None:
-    pose = Pose(0, 0, pitch)
-    view = View.of(pose)
-    assert view.suits(view.pose_in(pose))
-    assert not view.suits(view.pose_in(Pose(0, 0, 2.5 * pitch)))
-    assert not view.suits(view.pose_in(Pose(0, 0, pitch / 2.5)))
+    view = View.of(Pose(0, 0, pitch))
+    assert [view.suits(view.pose_in(Pose(0, 0, r * pitch))) for r in (1, 2.5, 1 / 2.5)] == [True, False, False]
 
 
 def test_far_arrays_are_not_reduced_and_the_nearest_not_further() -> None:
@@ -161,8 +157,7 @@ def test_far_arrays_are_not_reduced_and_the_nearest_not_further() -> None:
     assert View.of(Pose(0, 0, 2.9)) == CAMERA
     assert CAMERA.frame(frame, POSE, 16) is frame
     assert nearest.pose_in(Pose(0, 0, 31.0)).pitch == pytest.approx(31.0 / 8)
-    assert nearest.suits(nearest.pose_in(Pose(0, 0, 40.0)))
-    assert not nearest.suits(nearest.pose_in(Pose(0, 0, 10.0)))
+    assert [nearest.suits(nearest.pose_in(Pose(0, 0, pitch))) for pitch in (40.0, 10.0)] == [True, False]
     # the reference blur is the same on all levels
     assert [View(k).pose_in(Pose(0, 0, 20, 0, 0.5)).blur for k in range(4)] == pytest.approx([0.5] * 4)
 

@@ -115,7 +115,7 @@ def test_short_film_is_checked_at_its_end() -> None:
 
 
 def late(by_s: float, count: int) -> NDArray[np.float64]:
-    return 1e-3 * np.arange(40) + np.repeat([0, by_s, 0], [20, count, 20 - count])
+    return np.asarray(1e-3 * np.arange(40) + np.repeat([0, by_s, 0], [20, count, 20 - count]))
 
 
 @pytest.mark.parametrize(("times_s", "numbers"), [
