@@ -6,20 +6,21 @@ Decoders read a packet through `KnownPoses`, which records each pose refinement.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from observe_oracle import pair_model, transform
 from render_oracle import blur_matrix
 from scenes import SIDE, pitch_at
 from scipy.sparse import csr_array
 from slot_light import light_about_mean, observed
 
+from heliograph.base.arrays import Floats
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.combining import SoftBuffer
-from heliograph.receive.decode.turbo_equaliser import decode_iteratively
+from heliograph.receive.decode.turbo_equaliser import TurboEqualiser, decode_iteratively
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.events import EqualiseEvent, ignore
@@ -33,7 +34,6 @@ from heliograph.signal.block import Block
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
-Floats = NDArray[np.float64]
 Blocks = dict[str, list[Block]]
 Statistics = list[PairStatistics | None]
 
@@ -41,8 +41,7 @@ GAIN, NOISE = 180.0, 4.5
 FORM = PacketFormat(SignalSettings(data_pairs=24))
 IDENTITY = 5
 T = transform(SIDE)
-SPARSE = csr_array(T)
-"""T has four non-zero elements per row."""
+SPARSE = csr_array(T)  # four non-zero elements per row
 SHAPE = (26, 26)
 
 
@@ -114,23 +113,9 @@ def combined_statistics_of(blocks: Blocks, distance_m: float, combination: Combi
 
 
 class KnownPoses(ObservedPacket):
-    """Pairs with correct poses, so that a refinement has no effect.
+    """Pairs with correct poses, so that a refinement has no effect, except that the first `moves` report a change.
 
-    Parameters
-    ----------
-    statistics
-        Per pair; None if the array is hidden.
-    moves
-        Number of initial refinements that report a change anyway.
-    noise
-        Variance of a difference pixel.
-
-    Attributes
-    ----------
-    known
-        Known symbols per pair at each refinement.
-    channels
-        Gain and noise at each refinement.
+    The attributes hold the known symbols per pair, and the gain and noise, at each refinement.
     """
 
     def __init__(self, statistics: Sequence[PairStatistics | None], moves: int = 0, noise: float = NOISE):
@@ -155,19 +140,30 @@ class KnownPoses(ObservedPacket):
         return False
 
 
-def decoded(
-    packet: Sequence[PairStatistics | None] | KnownPoses,
+Packet = Sequence[PairStatistics | None] | KnownPoses
+
+
+def equalised(
+    packet: Packet,
     feedback: Feedback = "propagation",
     channel: tuple[float, float] = (GAIN, NOISE),
-    buffer: list[SoftBuffer] | None = None,
+    buffer: SoftBuffer | None = None,
     identity: int = IDENTITY,
     observe: Callable[[EqualiseEvent], None] = ignore,
+    known: Words | None = None,
+) -> TurboEqualiser:
+    """Equalise and decode a packet with the soft receiver."""
+    observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet, noise=channel[1])
+    with one_thread():  # as in the receiver
+        options = Decoding("log-map", feedback=feedback)
+        return decode_iteratively(observed, channel[0], identity, options, buffer, observe, known)
+
+
+def decoded(
+    packet: Packet, feedback: Feedback = "propagation", buffer: list[SoftBuffer] | None = None, **more: Any
 ) -> Words:
     """Decode a packet with the soft receiver, combining the last buffer; append the new buffer."""
-    observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet, noise=channel[1])
-    options, earlier = Decoding("log-map", feedback=feedback), buffer[-1] if buffer else None
-    with one_thread():  # as in the receiver
-        read = decode_iteratively(observed, channel[0], identity, options, earlier, observe)
+    read = equalised(packet, feedback, buffer=buffer[-1] if buffer else None, **more)
     if buffer is not None and read.buffer is not None:
         buffer.append(read.buffer)
     return read.words

@@ -9,13 +9,7 @@ T = TypeVar("T")
 
 
 class Recorder:
-    """Record all receiver events in order.
-
-    Attributes
-    ----------
-    events
-        Recorded events.
-    """
+    """Record all receiver events in order."""
 
     def __init__(self) -> None:
         self.events: list[Any] = []

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.signal import haar, pwm
-
-Floats = NDArray[np.float64]
 
 VALUES = np.array([value[::-1] for value in product((1.0, -1.0), repeat=4)])
 """(16, 4) all values of the four symbols D11, D12, D21 and D22 in a 2 x 2 square; D11 alternates."""

@@ -1,19 +1,17 @@
 """Sensor-free frame pairs and their full model matrices."""
 
 import numpy as np
-from numpy.typing import NDArray
 from observe_oracle import pair_model, transform, weights
 from render_oracle import blur_matrix
 from scenes import SIDE, draw, pitch_at
 
+from heliograph.base.arrays import Floats
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.observe.cutout import Noise, take_cutout
 from heliograph.receive.sync.combine import Combination, combine_pair
 from heliograph.receive.sync.pairing import FramePair
-
-Floats = NDArray[np.float64]
 
 SYMBOLS = SIDE * SIDE
 GAIN = 150.0
@@ -57,28 +55,7 @@ def combination() -> Combination:
 
 
 class WholePair:
-    """Cut-out with full model matrices.
-
-    Parameters
-    ----------
-    poses
-        Pose in each frame.
-    pair
-        Frame pair.
-    noise
-        Noise model for the pixel weights.
-
-    Attributes
-    ----------
-    cutout
-        Cut-out.
-    b, o
-        (pixels, symbols) and (pixels,): d = g (b c + o) + n.
-    w
-        (pixels,) weights.
-    d
-        (pixels,) difference.
-    """
+    """Cut-out with full model matrices: difference d (pixels,) = g (b c + o) + n with weights w (pixels,)."""
 
     def __init__(self, poses: tuple[Pose, Pose], pair: FramePair, noise: Noise):
         self.cutout = take_cutout(pair, poses, SIDE)

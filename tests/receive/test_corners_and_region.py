@@ -1,5 +1,6 @@
 """Arrays located by given corners or region, end to end."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -44,31 +45,25 @@ def test_faint_array_is_read_in_its_region(receiver: str) -> None:
 
 def test_array_outshone_by_half_of_the_frame_is_read_in_its_region() -> None:
     """Flicker over half the frame hides the array from the alternation threshold."""
-    frames = [blinking(frame) for frame in film(brightness=0.2)]
+    frames = list[Frame]()
+    for frame in film(brightness=0.2):
+        pixels = frame.pixels.copy()
+        # blinking stripes at the left and right border
+        light = np.random.default_rng(frame.index).integers(0, 2, (120, 16)).repeat(3, axis=1) * 200
+        pixels[:, :48], pixels[:, -48:] = light, light
+        frames.append(replace(frame, pixels=pixels))
     assert read(frames) == []
     assert read(frames, "receive.detect.region=[62,42,36,36]") == ["ok"]
 
 
-def blinking(frame: Frame) -> Frame:
-    """Add blinking stripes at the left and right border."""
-    pixels = frame.pixels.copy()
-    light = np.random.default_rng(frame.index).integers(0, 2, (120, 16)).repeat(3, axis=1) * 200
-    pixels[:, :48], pixels[:, -48:] = light, light
-    return Frame(frame.index, frame.time_s, pixels, frame.bits)
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ("corners=[1,2,3]", "receive.detect.corners"),
-        ("corners=[10,10,90,90,90,10,10,90]", "four corners one after the other around an area"),
-        ("corners=[10,10,10,10,10,10,10,10]", "four corners one after the other around an area"),
-        ("corners=[10,10,90,10,30,30,10,90]", "four corners one after the other around an area"),
-        ("region=[1,2,3]", "receive.detect.region"),
-        ("region=[1,2,3,4]", "receive.detect.region"),
-        ("region=[1.5,2,30,40]", "receive.detect.region"),
-    ],
-)
+@pytest.mark.parametrize(("change", "says"), [
+    ("corners=[1,2,3]", "receive.detect.corners"),
+    ("corners=[10,10,90,90,90,10,10,90]", "four corners one after the other around an area"),
+    ("corners=[10,10,10,10,10,10,10,10]", "four corners one after the other around an area"),
+    ("corners=[10,10,90,10,30,30,10,90]", "four corners one after the other around an area"),
+    ("region=[1,2,3]", "receive.detect.region"), ("region=[1,2,3,4]", "receive.detect.region"),
+    ("region=[1.5,2,30,40]", "receive.detect.region"),
+])  # fmt: skip
 def test_invalid_corners_or_region_are_refused_in_one_line(change: str, says: str) -> None:
     with pytest.raises(SettingsError) as caught:
         link(f"receive.detect.{change}")

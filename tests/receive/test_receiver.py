@@ -1,7 +1,8 @@
-"""Receiver API: equivalent entry points, pixel buffers, threads, and times."""
+"""Receiver API: equivalent entry points, pixel buffers, times, and diagnosis."""
 
 import gc
 import itertools
+import math
 import operator
 import tracemalloc
 from collections.abc import Iterator
@@ -27,8 +28,7 @@ from heliograph.signal.settings import SignalSettings
 ReadPair = FramePair | MeasuredHeader | None
 
 SIGNAL = SignalSettings(data_pairs=24)
-PACKET = 52
-"""Frames per packet: two header pairs and 24 data pairs."""
+PACKET = 52  # frames per packet: two header pairs and 24 data pairs
 
 
 def small(*changes: str, **channel: Any) -> LinkSettings:
@@ -84,15 +84,11 @@ def test_observers_see_all_stages_and_change_nothing() -> None:
     assert comparable(event.packet for event in recorder.of(DecodeEvent)) == watched
 
 
-@pytest.mark.parametrize(
-    ("receiver", "index", "time_s"),
-    [
-        *((receiver, 4, 0.004) for receiver in ("plain", "soft", "screen")),
-        *((receiver, 6, 0.005) for receiver in ("plain", "soft", "screen")),
-        # the plain receiver relies on frame numbers
-        ("plain", 3, 0.007),
-    ],
-)
+@pytest.mark.parametrize(("receiver", "index", "time_s"), [
+    *((receiver, *back) for receiver in ("plain", "soft", "screen") for back in ((4, 0.004), (6, 0.005))),
+    # the plain receiver relies on frame numbers
+    ("plain", 3, 0.007),
+])  # fmt: skip
 def test_frames_that_go_back_are_refused(receiver: str, index: int, time_s: float) -> None:
     stream, rng = make_receiver(SIGNAL, ReceiveSettings(receiver=receiver)), np.random.default_rng(0)
 
@@ -116,38 +112,32 @@ def test_16_bit_pixels_are_read(bits: int) -> None:
     assert packets[0].distance_m == pytest.approx(35.0, rel=0.005)
 
 
-@pytest.mark.parametrize(("margin", "shake"), [(30, "none"), (12, "road")])
+@pytest.mark.parametrize(("margin", "drive"), [
+    (30, {}), (12, {"shake": "road", "speed_m_s": 20.0, "road_class": "C", "stop_m": 1.0}),
+])  # fmt: skip
 @pytest.mark.slow
-def test_windows_give_the_codewords_of_whole_frames(margin: int, shake: str) -> None:
-    drive = {"shake": "road", "speed_m_s": 20.0, "road_class": "C", "stop_m": 1.0} if shake == "road" else {}
+def test_windows_give_the_codewords_of_whole_frames(margin: int, drive: dict[str, Any]) -> None:
     # an off-axis array drifts through the image while approaching
     settings = small(distance_m=45.0, arrays=[{"x_m": 0.6, "y_m": -0.4}], **drive)
-    whole = film(settings, 2 * PACKET + 4, seed=2)
-    parts = film(settings, 2 * PACKET + 4, seed=2, roi_margin_px=margin)
-    assert len({f.origin for f in parts}) > (1 if shake == "road" else 0)
+    parts, whole = (film(settings, 2 * PACKET + 4, seed=2, roi_margin_px=one) for one in (margin, None))
+    assert len({f.origin for f in parts}) > bool(drive)
     assert max(f.pixels.size for f in parts) < whole[0].pixels.size
-    packets = [list(receive_frames(frames, SIGNAL)) for frames in (parts, whole)]
-    read = [
-        [(p.identity, p.status, p.first_frame, p.last_frame, [w.block for w in words_of(p)]) for p in by]
-        for by in packets
-    ]
-    assert read[0] == read[1]
-    assert statuses(packets[0]) == ["ok", "ok"]
+    read, expected = (
+        [(p.identity, p.status, p.first_frame, p.last_frame, [w.block for w in words_of(p)]) for p in packets]
+        for packets in (receive_frames(parts, SIGNAL), receive_frames(whole, SIGNAL))
+    )
+    assert read == expected
+    assert [status for _, status, *_ in read] == ["ok", "ok"]
 
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_film() -> None:
-    """Six packets, 216 frames with 19,200 bytes each."""
     # repeat two packets with new numbers, so that the film needs no further memory
-    frames, signal = film(link("signal.data_pairs=16"), 72), SignalSettings(data_pairs=16)
-    receiver = make_receiver(signal)
+    frames, receiver = film(link("signal.data_pairs=16"), 72), make_receiver(SignalSettings(data_pairs=16))
 
     def run(first: int, last: int) -> int:
-        count = 0
-        for k in range(first, last):
-            frame = replace(frames[k % 72], index=k, time_s=k * 1e-3)
-            count += sum(1 for _ in receiver.push(frame))
-        return count
+        shown = (replace(frames[k % 72], index=k, time_s=k * 1e-3) for k in range(first, last))
+        return sum(1 for frame in shown for _ in receiver.push(frame))
 
     assert run(0, 72 * 2) == 4
     tracemalloc.start()
@@ -179,13 +169,10 @@ def pair_limit(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_times_may_jump_by_any_length(receiver: str) -> None:
     """A clock jump ends the packet and the track; the next header gives a new detection."""
-    settings = link(f"receive.receiver={receiver}", "signal.data_pairs=8", distance_m=40.0)
-    jump = 10**12
+    settings, jump = link(f"receive.receiver={receiver}", "signal.data_pairs=8", distance_m=40.0), 10**12
+    frames = film(settings, 65, roi_margin_px=20)
     # the jump occurs after three quarters of the second packet
-    frames = [
-        replace(f, index=f.index + jump * (k >= 35), time_s=f.time_s + 1e-3 * jump * (k >= 35))
-        for k, f in enumerate(film(settings, 65, roi_margin_px=20))
-    ]
+    frames[35:] = [replace(f, index=f.index + jump, time_s=f.time_s + 1e-3 * jump) for f in frames[35:]]
     packets = received(frames, settings)
     assert [p.identity for p in packets] == [0, 0, 0]
     assert (packets[0].status, packets[2].status) == ("ok", "ok")
@@ -215,11 +202,9 @@ def test_search_for_uniform_squares_reports_no_foreign_data() -> None:
     frames = film(link("transmit.identities=[9]", distance_m=45.0), 120)
     packets = list(receive_frames(frames, SignalSettings(header="all_on")))
     # tracking succeeds with the wrong identity, and packets hold one high, two middle and one low codeword
-    assert packets
     assert {p.identity for p in packets} == {0}
     assert set(statuses(packets)) <= {"no_header", "no_array"}
-    for packet in packets:
-        assert [w.status for w in words_of(packet)] == ["crc_fail"] * 4
+    assert [[w.status for w in words_of(packet)] for packet in packets] == [["crc_fail"] * 4] * len(packets)
 
 
 @pytest.mark.parametrize(("receiver", "preset"), [("plain", "static"), ("soft", "static"), ("screen", "phone")])
@@ -248,3 +233,22 @@ def _arrays(root: object) -> list[np.ndarray]:
             arrays.append(value)
         stack += gc.get_referents(value)
     return arrays
+
+
+@pytest.mark.parametrize(("distance_m", "lacks"), [(40.0, []), (95.0, ["middle", "low"])])
+def test_packet_explains_which_codewords_lack_information(distance_m: float, lacks: list[str]) -> None:
+    settings = link("receive.receiver=plain", distance_m=distance_m)
+    (packet,) = received(film(settings, 101, roi_margin_px=30), settings)
+    assert all(0 <= word.information <= 1 for word in words_of(packet))
+    failed = [name for name, by in packet.layers.items() if any(word.status != "ok" for word in by)]
+    assert failed == lacks
+    first, *lines = packet.explain().splitlines()
+    assert first.startswith(f"array {packet.identity}, {packet.distance_m:.1f} m")
+    assert f"header score {packet.header_score:.2f}" in first
+    assert 0 < packet.pose_std_px < 0.5
+    assert f"position error {packet.pose_std_px:.2f} px" in first
+    assert [line.split()[0] for line in lines] == ["high", "middle", "low"]
+    for name, line in zip(packet.layers, lines, strict=True):
+        assert ("the code needs about 0.43" in line) == (name in lacks)
+        best = max((word.information for word in packet.layers[name] if word.status != "ok"), default=math.nan)
+        assert (f"at most {best:.2f} bit per coded bit" in line) == (name in lacks)

@@ -21,26 +21,17 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, array, build, make_receiver
+from heliograph.receive.decode import worker
 from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.soft_packet import SoftPacket
-from heliograph.receive.decode.worker import (
-    MAX_ARRAYS,
-    MAX_BUFFERS,
-    ArrayKey,
-    Decoded,
-    PacketDecoder,
-    PendingPacket,
-    call_in_process,
-    call_inline,
-)
+from heliograph.receive.decode.worker import MAX_ARRAYS, MAX_BUFFERS, ArrayKey, Decoded, PacketDecoder, PendingPacket
 from heliograph.receive.equalise.led_gains import LedGains, update_brightness
 from heliograph.receive.events import ignore
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
-PACKET = 52
-"""Frames per packet: two header pairs and 24 data pairs."""
+PACKET = 52  # frames per packet: two header pairs and 24 data pairs
 
 
 def soft(*changes: str, **channel: Any) -> LinkSettings:
@@ -48,12 +39,9 @@ def soft(*changes: str, **channel: Any) -> LinkSettings:
 
 
 def two_arrays(receiver: str, in_background: bool) -> LinkSettings:
-    arrays: list[dict[str, Any]] = [{"x_m": -0.45, "y_m": 0.0}, {"x_m": 0.45, "y_m": 0.0}]
-    changes = (
-        f"receive.receiver={receiver}",
-        f"receive.decode.in_background={str(in_background).lower()}",
-        "transmit.identities=[3, 7]",
-    )
+    arrays = [{"x_m": x_m, "y_m": 0.0} for x_m in (-0.45, 0.45)]
+    background = f"receive.decode.in_background={str(in_background).lower()}"
+    changes = f"receive.receiver={receiver}", background, "transmit.identities=[3, 7]"
     return soft(*changes, arrays=arrays, distance_m=60.0)
 
 
@@ -72,13 +60,12 @@ def film_of_one() -> list[Frame]:
 def test_decoding_in_the_background_gives_the_same_packets_and_events(receiver: str) -> None:
     read, events = [], []
     for in_background in (False, True):
-        settings, recorder = two_arrays(receiver, in_background), Recorder()
-        read.append(received(film_of_two(), settings, recorder))
+        recorder = Recorder()
+        read.append(comparable(received(film_of_two(), two_arrays(receiver, in_background), recorder)))
         events.append(Counter(type(event).__name__ for event in recorder.events))
-    assert comparable(read[0]) == comparable(read[1])
+    assert (read[0], events[0]) == (read[1], events[1])
     identities = [packet.identity for packet in read[0]]
     assert identities.count(3) == identities.count(7) == 3
-    assert events[0] == events[1]
 
 
 @pytest.mark.slow
@@ -91,7 +78,7 @@ def test_decoder_receives_pixels_and_little_else(monkeypatch: pytest.MonkeyPatch
         if call.__name__ == "decode":
             submitted.append((args[0], len(pickled)))
         call, args = pickle.loads(pickled)
-        return call_inline(call, *args)
+        return worker.call_inline(call, *args)
 
     monkeypatch.setattr(build, "decode_executor", lambda _: submit)
     packets = received(film_of_two()[: 2 * PACKET + 4], two_arrays("soft", True))
@@ -114,10 +101,12 @@ def decode_in_a_thread(monkeypatch: pytest.MonkeyPatch, before: Callable[[int], 
     monkeypatch.setattr(build, "decode_executor", lambda _: ThreadPoolExecutor(1).submit)
 
 
-def receive_in_parts(frames: Sequence[Frame], settings: LinkSettings, first: int) -> tuple[list[Packet], list[Packet]]:
-    """Return the packets received from the first frames, and from the rest."""
+def receive_in_parts(
+    frames: Sequence[Frame], settings: LinkSettings, first: int, between: Callable[[], object] = lambda: None
+) -> tuple[list[Packet], list[Packet]]:
     receiver = make_receiver(settings.signal, settings.receive)
     early = [packet for frame in frames[:first] for packet in receiver.push(frame)]
+    between()
     late = [packet for frame in frames[first:] for packet in receiver.push(frame)]
     return early, [*late, *receiver.finish()]
 
@@ -126,18 +115,12 @@ def test_receiver_takes_frames_while_a_packet_is_decoded(monkeypatch: pytest.Mon
     free = threading.Event()
 
     def hold(number: int) -> None:
-        if number == 1:
-            assert free.wait(HANG_S)
+        assert number > 1 or free.wait(HANG_S)
 
     decode_in_a_thread(monkeypatch, hold)
-    settings, frames = soft(), film_of_one()
-    receiver = make_receiver(settings.signal, settings.receive)
-    packets = [packet for frame in frames[: PACKET + 40] for packet in receiver.push(frame)]
-    assert not packets, "the first packet is still being decoded, and the receiver took the next packet's frames"
-    free.set()
-    packets += [packet for frame in frames[PACKET + 40 :] for packet in receiver.push(frame)]
-    packets += receiver.finish()
-    assert [packet.first_frame for packet in packets] == [0, PACKET, 2 * PACKET]
+    early, late = receive_in_parts(film_of_one(), soft(), PACKET + 40, free.set)
+    assert not early, "the first packet is still being decoded, and the receiver took the next packet's frames"
+    assert [packet.first_frame for packet in late] == [0, PACKET, 2 * PACKET]
 
 
 class LazyFuture(Future[Any]):
@@ -173,23 +156,18 @@ def test_receiver_waits_for_the_decoder_at_the_end_of_a_film(decoded_lazily: lis
     assert decoded_lazily == []
 
 
-@pytest.mark.parametrize(
-    ("change", "orientation", "waits"),
-    [
-        ("transmit.identities=[7]", UPRIGHT, False),
-        # the rotated header has another identity: LED sampling, if enabled, resolves the ambiguity
-        ("transmit.identities=[3]", UPRIGHT, False),
-        ("transmit.identities=[3]; receive.soft.led_by_led=false", UPRIGHT, True),
-        ("transmit.identities=[7]; receive.soft.led_by_led=false", ORIENTATIONS[1], True),
-        # dark areas may be hidden LEDs or no LEDs
-        ("channel.arrays.0.hidden=[0,0,0.5,0.5]", UPRIGHT, True),
-    ],
-)
+@pytest.mark.parametrize(("change", "orientation", "waits"), [
+    ("transmit.identities=[7]", UPRIGHT, False),
+    # the rotated header has another identity: LED sampling, if enabled, resolves the ambiguity
+    ("transmit.identities=[3]", UPRIGHT, False),
+    ("transmit.identities=[3]; receive.soft.led_by_led=false", UPRIGHT, True),
+    ("transmit.identities=[7]; receive.soft.led_by_led=false", ORIENTATIONS[1], True),
+    # dark areas may be hidden LEDs or no LEDs
+    ("channel.arrays.0.hidden=[0,0,0.5,0.5]", UPRIGHT, True),
+])  # fmt: skip
 @pytest.mark.usefixtures("decoded_lazily")
 @pytest.mark.slow
-def test_tracking_waits_for_a_first_packet_with_an_ambiguous_header(
-    change: str, orientation: Orientation, waits: bool
-) -> None:
+def test_tracking_waits_if_the_first_header_is_ambiguous(change: str, orientation: Orientation, waits: bool) -> None:
     settings = soft(*change.split("; "), camera={"width": 80, "height": 80})
     frames = [replace(frame, pixels=orientation.turned(frame.pixels)) for frame in film(settings, 2 * PACKET + 2)]
     early, late = receive_in_parts(frames, settings, PACKET + 40)
@@ -209,7 +187,6 @@ def test_tracking_half_a_pattern_late_waits_only_for_the_first_packet() -> None:
 
 @pytest.mark.usefixtures("decoded_lazily")
 def test_decoder_uses_learnt_led_gains_for_the_next_packet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The next packet uses the learnt LED gains even before tracking receives them."""
     decode, packets = SoftPacket.decode, list[int]()
 
     def noted(self: SoftPacket, led_gains: LedGains | None, *arguments: Any) -> Any:
@@ -226,24 +203,24 @@ KEY: ArrayKey = (3, UPRIGHT, 0)
 
 @dataclass
 class Scripted:
-    """Observations with a scripted decoding result; they record decoder states."""
+    """Observations with a scripted decoding result; they record the decoder's state."""
 
     decoded: Decoded
     form: PacketFormat = field(default_factory=lambda: PacketFormat(SignalSettings()))
     mode: int = 0
-    states: list[tuple[LedGains | None, SoftBuffer]] = field(default_factory=list)
+    state: tuple[LedGains | None, SoftBuffer] | None = None
 
     def decode(self, led_gains: LedGains | None, buffer: SoftBuffer | None, _observe: Any, /) -> Decoded:
         assert buffer is not None
-        self.states.append((led_gains, buffer))
+        self.state = led_gains, buffer
         return self.decoded
 
 
-def decode(decoder: PacketDecoder, decoded: Decoded, key: ArrayKey = KEY) -> tuple[LedGains | None, SoftBuffer]:
-    """Return LED gains and buffer used for a packet."""
-    packet = Scripted(decoded)
+def decode(decoder: PacketDecoder, key: ArrayKey = KEY, **decoded: Any) -> tuple[LedGains | None, SoftBuffer]:
+    packet = Scripted(Decoded({}, **decoded))
     decoder.decode(cast(Any, packet), key)
-    return packet.states[0]
+    assert packet.state is not None
+    return packet.state
 
 
 def test_learning_without_a_solution_keeps_the_state() -> None:
@@ -251,61 +228,53 @@ def test_learning_without_a_solution_keeps_the_state() -> None:
         raise np.linalg.LinAlgError
 
     decoder, after = PacketDecoder(), LedGains.sound(SIDE)
-    decode(decoder, Decoded({}, learn=lambda: after))
+    decode(decoder, learn=lambda: after)
     learnt = decoder.learn(KEY)
     assert learnt is not None
     assert np.array_equal(learnt.values, after.values)
     assert decoder.learn(KEY) is None
-    assert decode(decoder, Decoded({}, learn=fails))[0] is after
+    assert decode(decoder, learn=fails)[0] is after
     assert decoder.learn(KEY) is None
-    assert decode(decoder, Decoded({}))[0] is after
+    assert decode(decoder)[0] is after
 
 
 def test_pickled_decoder_keeps_a_separate_state() -> None:
     here, led_gains, buffer = PacketDecoder(), LedGains.sound(SIDE), SoftBuffer()
     there = pickle.loads(pickle.dumps(here))
-    decode(there, Decoded({}, buffer=buffer, learn=lambda: led_gains))
+    decode(there, buffer=buffer, learn=lambda: led_gains)
     there.learn(KEY)
     assert pickle.loads(pickle.dumps(here)) is there
-    gains_there, buffer_there = decode(there, Decoded({}))
-    assert gains_there is led_gains
-    assert buffer_there is buffer
-    gains_here, buffer_here = decode(here, Decoded({}))
-    assert gains_here is None
-    assert buffer_here is not buffer
+    for decoder, gains, is_shared in ((there, led_gains, True), (here, None, False)):
+        used = decode(decoder)
+        assert used[0] is gains
+        assert (used[1] is buffer) == is_shared
 
 
 def test_decoder_keeps_the_states_of_the_latest_arrays_and_identities() -> None:
     decoder, led_gains = PacketDecoder(), LedGains.sound(SIDE)
-    for number in range(MAX_ARRAYS + 2):
-        key = number % 30, ORIENTATIONS[number // 30], number
-        buffer = SoftBuffer((), {("high", cast(Any, number)): ()})
-        decode(decoder, Decoded({}, buffer=buffer, learn=lambda: led_gains), key)
-        decoder.learn(key)
     keys = [(k % 30, ORIENTATIONS[k // 30], k) for k in range(MAX_ARRAYS + 2)]
-    states = [decode(decoder, Decoded({}), key) for key in keys]
+    for number, key in enumerate(keys):
+        decode(decoder, key, buffer=SoftBuffer((), {("high", cast(Any, number)): ()}), learn=lambda: led_gains)
+        decoder.learn(key)
+    states = [decode(decoder, key) for key in keys]
     assert [gains is not None for gains, _ in states] == [False] * 2 + [True] * MAX_ARRAYS
     kept = [bool(buffer.codewords) for _, buffer in states]
     assert kept == [False] * (MAX_ARRAYS + 2 - MAX_BUFFERS) + [True] * MAX_BUFFERS
     # a redetected array keeps its buffer and starts with a new state
-    gains, buffer = decode(decoder, Decoded({}), (*keys[-1][:2], -1))
+    gains, buffer = decode(decoder, (*keys[-1][:2], -1))
     assert buffer is states[-1][1]
     assert gains is None
 
 
 def test_exception_in_the_decoder_ends_reception(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(number: int) -> None:
-        if number == 2:
-            raise ZeroDivisionError("a bug")
-
-    decode_in_a_thread(monkeypatch, fail)
-    with pytest.raises(ZeroDivisionError, match="a bug"):
+    # the second packet fails
+    decode_in_a_thread(monkeypatch, lambda number: cast(None, 1 // (number - 2)))
+    with pytest.raises(ZeroDivisionError):
         received(film_of_one()[: 2 * PACKET + 10], soft())
 
 
 @pytest.mark.slow
 def test_led_brightness_of_a_packet_reaches_the_tracker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tracking receives LED gains learnt in the background."""
     updates = list[tuple[LedGains, LedGains]]()
 
     def noted(led_gains: LedGains | None, learnt: LedGains | None) -> LedGains | None:
@@ -325,7 +294,7 @@ def test_led_brightness_of_a_packet_reaches_the_tracker(monkeypatch: pytest.Monk
 def test_worker_process_that_died_is_reported_and_restarted() -> None:
     settings, frames = soft("receive.decode.in_background=true"), film_of_one()[: PACKET + 10]
     (packet,) = received(frames, settings)
-    dying: Any = call_in_process(partial(os._exit, 1))
+    dying: Any = worker.call_in_process(partial(os._exit, 1))
     lost = PendingPacket(packet, cast(Any, None), dying, dying, ignore, None)
     with pytest.raises(HeliographError, match=r"^the process that decodes packets has ended.*in_background = false"):
         lost.packet()

@@ -17,15 +17,14 @@ from heliograph.signal.header import header_levels
 GAIN, LEVEL = 200.0, 20.0
 HEADER = header_levels(11, SIDE) / 2.0 - 1.0
 PATTERNS = {"header": HEADER, "all on": ALL_ON}
+POSE = Pose(40.37, 31.81, pitch_at(60), 0.0, 0.55)
 BROAD = np.diag([1.0, 1.0, 0.1, 0.1, 0.3]) ** 2
 
 
-Window = tuple[tuple[int, int], tuple[int, int]]
-"""Corner and shape of a window."""
+Window = tuple[tuple[int, int], tuple[int, int]]  # corner and shape
 
 
 def window(pose: Pose) -> Window:
-    """Return the tracker's fit window."""
     x, y, cols, rows = window_around(pose, SIDE, 1.5 * pose.pitch + 1.5)
     return (x, y), (rows, cols)
 
@@ -68,7 +67,7 @@ def bound(pose: Pose, weights: Floats, sigma: float, prior: Floats = BROAD, view
 @pytest.mark.parametrize("kind", PATTERNS)
 @pytest.mark.parametrize("distance_m", [25, 50, 80, 110, 150])
 def test_a_clean_image_gives_the_pose(distance_m: float, kind: str) -> None:
-    rng, pose = np.random.default_rng(3), Pose(40.37, 31.81, pitch_at(distance_m), 0.015, 0.55)
+    rng, pose = np.random.default_rng(3), replace(POSE, pitch=pitch_at(distance_m), roll=0.015)
     found = fit(pixels(pose, PATTERNS[kind]), pose, PATTERNS[kind], start(pose, rng))
     # residual bias: light beyond 4 standard deviations, and the prior
     assert np.abs(error(found, pose))[:2].max() < 1e-3
@@ -87,18 +86,16 @@ def test_a_rolled_array_is_found(roll: float) -> None:
 @pytest.mark.parametrize("kind", PATTERNS)
 @pytest.mark.parametrize("distance_m", [25, 50, 80, 150])
 def test_errors_are_near_the_bound_and_match_the_covariance(distance_m: float, kind: str) -> None:
-    weights, sigma, rng = PATTERNS[kind], 2.5, np.random.default_rng(int(distance_m))
+    weights, sigma, rng, pitch = PATTERNS[kind], 2.5, np.random.default_rng(int(distance_m)), pitch_at(distance_m)
     errors, normed = [], []
     for _ in range(50):
-        pose = Pose(40 + rng.random(), 31 + rng.random(), pitch_at(distance_m), 0.0, 0.55)
+        pose = Pose(40 + rng.random(), 31 + rng.random(), pitch, 0.0, 0.55)
         clean = pixels(pose, weights)
         found = fit(clean + rng.normal(0, sigma, clean.shape), pose, weights, start(pose, rng))
-        e = error(found, pose)
-        errors.append(e)
+        errors.append(e := error(found, pose))
         normed.append(e[:2] @ np.linalg.solve(found.covariance[:2, :2], e[:2]))
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
-    least = bound(Pose(40.5, 31.5, pitch_at(distance_m), 0.0, 0.55), weights, sigma)
-    assert (rms[:3] < 2 * least[:3]).all()
+    assert (rms[:3] < 2 * bound(Pose(40.5, 31.5, pitch, 0.0, 0.55), weights, sigma)[:3]).all()
     # chi-square with two degrees of freedom
     assert 1.0 < np.mean(normed) < 4.0
 
@@ -106,15 +103,14 @@ def test_errors_are_near_the_bound_and_match_the_covariance(distance_m: float, k
 @pytest.mark.parametrize("distance_m", [25, 40, 60, 80])
 @pytest.mark.parametrize("scene", ["wall", "lamp"])
 def test_bright_clutter_around_the_panel_does_not_pull(distance_m: float, scene: str) -> None:
-    rng, pose = np.random.default_rng(5), Pose(40.37, 31.81, pitch_at(distance_m), 0.0, 0.55)
+    rng, pose = np.random.default_rng(5), replace(POSE, pitch=pitch_at(distance_m))
     (x0, y0), shape = window(pose)
     y, x = np.mgrid[: shape[0], : shape[1]] + np.array([[[y0 - pose.y]], [[x0 - pose.x]]])
     visible = np.ones(shape) if scene == "wall" else np.hypot(x - 10.5 * pose.pitch, y) < 3 * pose.pitch
     # the dark panel, one pitch beyond the outer LEDs, hides the clutter
     panel = np.prod([ndtr((9 * pose.pitch - np.abs(t)) / 0.6) for t in (x, y)], axis=0)
     light = GAIN * draw(pose, ALL_ON, (x0, y0), shape) + 5 + 2 * GAIN * visible * (1 - panel)
-    off = np.array([0.2, -0.15, 0.01, 0.0, 0.05])
-    prior = Fit(pose.vector() + off, np.diag([0.5, 0.5, 0.05, 0.02, 0.5]) ** 2, GAIN)
+    prior = Fit(np.add(pose.vector(), [0.2, -0.15, 0.01, 0.0, 0.05]), np.diag([0.5, 0.5, 0.05, 0.02, 0.5]) ** 2, GAIN)
     found = fit_array(light + rng.normal(0, 2.5, shape), (x0, y0), prior, ALL_ON, 5, panel=True)
     assert np.abs(error(found, pose))[:2].max() < 0.1
 
@@ -134,7 +130,7 @@ def test_a_header_shows_the_tilt() -> None:
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0, 4.0])
 @pytest.mark.parametrize("distance_m", [30, 80])
 def test_an_unexpected_gain_does_not_end_the_fit_early(distance_m: float, factor: float) -> None:
-    rng, pose, errors = np.random.default_rng(7), Pose(40.37, 31.81, pitch_at(distance_m), 0.0, 0.55), []
+    rng, pose, errors = np.random.default_rng(7), replace(POSE, pitch=pitch_at(distance_m)), []
     spread = np.array([0.1, 0.1, 2e-3, 2e-3, 0.05])
     for _ in range(20):
         prior = Fit(pose.vector() + rng.normal(0, 0.5 * spread), np.diag(spread**2), factor * GAIN)
@@ -146,12 +142,10 @@ def test_an_unexpected_gain_does_not_end_the_fit_early(distance_m: float, factor
 @pytest.mark.parametrize("panel", [False, True])
 def test_the_first_step_with_a_known_gain_is_accurate(panel: bool) -> None:
     """For a slightly wrong pose, image brightness follows only from the expected gain."""
-    pose = Pose(40.37, 31.81, pitch_at(60), 0.0, 0.55)
-    off = np.array([0.2, -0.15, 0.005, 0.0, 0.02])
-    prior = Fit(pose.vector() + off, np.diag([0.5, 0.5, 0.02, 0.02, 0.1]) ** 2, GAIN)
-    found = fit_array(pixels(pose, ALL_ON), window(pose)[0], prior, ALL_ON, 1, panel=panel)
+    prior = Fit(np.add(POSE.vector(), [0.2, -0.15, 0.005, 0.0, 0.02]), np.diag([0.5, 0.5, 0.02, 0.02, 0.1]) ** 2, GAIN)
+    found = fit_array(pixels(POSE, ALL_ON), window(POSE)[0], prior, ALL_ON, 1, panel=panel)
     # remaining error is second-order in the step
-    assert np.abs(error(found, pose))[:2].max() < 0.1 * 0.2
+    assert np.abs(error(found, POSE))[:2].max() < 0.1 * 0.2
     assert found.gain == pytest.approx(GAIN, rel=0.02)
 
 
@@ -189,11 +183,10 @@ def test_all_but_one_percent_of_near_arrays_are_found_within_the_covariance() ->
 
 def test_the_covariance_is_correct_with_few_and_many_pixels() -> None:
     """Nine parameters from 49 pixels leave 40 degrees of freedom."""
-    rng, pose, sigma = np.random.default_rng(9), Pose(40.1, 30.9, pitch_at(150), 0.0, 0.55), 2.5
-    ratios = []
+    rng, pose, sigma, ratios = np.random.default_rng(9), Pose(40.1, 30.9, pitch_at(150), 0.0, 0.55), 2.5, []
+    prior = Fit(pose.vector(), np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]) ** 2)
     for corner, shape in (((37, 28), (7, 7)), ((25, 16), (30, 31))):
         clean = GAIN * draw(pose, HEADER, corner, shape) + LEVEL
-        prior = Fit(pose.vector(), np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]) ** 2)
         found = [fit_array(clean + rng.normal(0, sigma, shape), corner, prior, HEADER, 2) for _ in range(200)]
         stated = np.mean([1 / one.covariance[0, 0] for one in found])
         ratios.append(stated * bound(pose, HEADER, sigma, prior.covariance, (corner, shape))[0] ** 2)
@@ -253,8 +246,7 @@ def test_cached_images_serve_nearby_poses() -> None:
 def test_images_of_other_leds_or_positions_are_rendered_again() -> None:
     drawn, pose, dim = RenderCache(), Pose(30.2, 28.7, 1.6, 0.015, 0.55), ALL_ON.copy()
     dim[:, :3] = 0.0
-    (x, y), shape = window(pose)
-    prior = Fit(pose.vector(), 1e-4 * np.eye(5), GAIN)
+    ((x, y), shape), prior = window(pose), Fit(pose.vector(), 1e-4 * np.eye(5), GAIN)
     for weights, corner in ((ALL_ON, (x, y)), (dim, (x, y)), (dim, (x + 3, y)), (ALL_ON, (x, y))):
         light = GAIN * draw(pose, weights, corner, shape) + LEVEL
         got, exact = (fit_array(light, corner, prior, weights, 2, drawn=one) for one in (drawn, None))
@@ -271,9 +263,6 @@ def test_robust_deviation_is_that_of_the_median_and_keeps_the_values(shape: tupl
 
 
 def test_correlation_ignores_gain_and_offset() -> None:
-    rng = np.random.default_rng(1)
-    a, b = rng.normal(size=(2, 9, 7))
-    assert correlation(a, b) == pytest.approx(np.corrcoef(a.ravel(), b.ravel())[0, 1])
-    assert correlation(a, 3 * a + 5) == pytest.approx(1)
-    assert correlation(a, -a) == pytest.approx(-1)
-    assert correlation(a, np.full((9, 7), 4.0)) == 0
+    a, b = np.random.default_rng(1).normal(size=(2, 9, 7))
+    found = [correlation(a, one) for one in (b, 3 * a + 5, -a, np.full((9, 7), 4.0))]
+    assert found == pytest.approx([np.corrcoef(a.ravel(), b.ravel())[0, 1], 1, -1, 0])

@@ -23,12 +23,10 @@ def levels(seed: int) -> Floats:
 
 
 def drawn(cells: Floats, corners: Floats = CORNERS, blur: float = 1.0) -> Pixels:
-    """Draw an array on a dark background."""
-    fine = np.kron(cells, np.ones((16, 16))) / 4
-    n = 16 * SIDE
+    fine, n = np.kron(cells, np.ones((16, 16))).astype(np.float32) / 4, 16 * SIDE
     square = np.array([[0, 0], [n, 0], [n, n], [0, n]], np.float32) - 0.5
     four = cv2.getPerspectiveTransform(square.astype(np.float32), (4 * corners + 1.5).astype(np.float32))
-    large = cv2.warpPerspective(fine.astype(np.float32), four, (1280, 1040), flags=cv2.INTER_LINEAR, borderValue=0.02)
+    large = cv2.warpPerspective(fine, four, (1280, 1040), flags=cv2.INTER_LINEAR, borderValue=0.02)
     light = cv2.GaussianBlur(cv2.resize(large, (320, 260), interpolation=cv2.INTER_AREA), (0, 0), blur)
     noise = np.random.default_rng(5).normal(0, 0.01, light.shape)
     out: Pixels = np.clip(255 * (0.05 + 0.8 * light + noise), 0, 255).astype(np.uint8)
@@ -36,7 +34,6 @@ def drawn(cells: Floats, corners: Floats = CORNERS, blur: float = 1.0) -> Pixels
 
 
 def fitted(pixels: Pixels, corners: Floats, steps: int) -> Sample:
-    """Fit the cells from given corners on."""
     place = Place.of(corners, SIDE)
     return CellTracker(SIDE, 1.0, LINEAR, SearchBudget(), place).fit(Frame(0, 0.0, pixels), place, steps)
 
@@ -87,8 +84,7 @@ def test_places_are_moved() -> None:
 def test_budget_grows_with_film_time_up_to_the_initial_budget() -> None:
     budget = SearchBudget(share=0.5, first_s=1.0, debt_s=0.5)
     budget.spend(1.2 * SAMPLES_PER_S)
-    assert not budget.is_left
-    assert not budget.is_overdrawn
+    assert (budget.is_left, budget.is_overdrawn) == (False, False)
     budget.earn(1.0)
     assert budget.is_left
     budget.earn(1000.0)

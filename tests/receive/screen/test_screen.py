@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from recorder import Recorder
 from scenes import received, statuses, words_of
 from screen_films import Grabs, Phone, phone_frames
 from screen_light import shown
@@ -18,20 +19,13 @@ from heliograph.base.frames import Frame
 from heliograph.link.film import write_film
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.receive.events import (
-    DecodeEvent,
-    DetectEvent,
-    Event,
-    ExtractEvent,
-    LostEvent,
-    TrackEvent,
-    UnseenEvent,
-)
+from heliograph.receive.events import DecodeEvent, DetectEvent, ExtractEvent, LostEvent, TrackEvent, UnseenEvent
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import AnyFrame
 from heliograph.receive.screen.cells import SAMPLES_PER_S, SearchBudget
 from heliograph.signal.block import Block
 from heliograph.signal.fountain.files import FileGatherer, SentFile, WholeFile
+from heliograph.signal.settings import LAYERS
 from heliograph.web.sending import sending_of
 
 
@@ -72,13 +66,11 @@ def test_phones_of_any_rate_read_a_screen(preset: str) -> None:
 
 @pytest.mark.slow
 def test_file_is_received_from_8_by_8_cells_at_an_unknown_rate_and_packet_length() -> None:
-    file = SentFile("a.txt", bytes(range(50)))
-    form = "transmit.formats.0.high=3/4", "transmit.formats.0.middle=3/4", "transmit.formats.0.low=3/4"
+    file, files, whole = SentFile("a.txt", bytes(range(50))), FileGatherer(), list[WholeFile]()
+    form = [f"transmit.formats.0.{layer}=3/4" for layer in LAYERS]
     settings = link("phone-60", 3.3, "signal.side=8", "channel.emitter.pitch_m=0.04", *form, rows=90)
-    content = {layer: [file] for layer in ("high", "middle", "low")}
-    film = [frame for frame, _ in simulate(settings, [content], 3)]
+    film = [frame for frame, _ in simulate(settings, [{layer: [file] for layer in LAYERS}], 3)]
     other = replace(settings, signal=replace(settings.signal, pattern_period_s=0.1, data_pairs=48))
-    files, whole = FileGatherer(), list[WholeFile]()
     for packet in received(film, other):
         for word in words_of(packet):
             if word.block is not None and not isinstance(word.block, Block):
@@ -89,33 +81,27 @@ def test_file_is_received_from_8_by_8_cells_at_an_unknown_rate_and_packet_length
 
 @pytest.mark.slow
 def test_compressed_phone_film_is_read(tmp_path: Path) -> None:
-    path, events = tmp_path / "phone.mp4", list[object]()
+    path, recorder = tmp_path / "phone.mp4", Recorder()
     settings = link("phone-60", 1.2, "channel.emitter.backlight_hz=240", "channel.emitter.backlight_duty=0.6")
     write_film(path, settings, default_messages(settings), 3, mbit_s=4)
     with heliograph.open_film(path) as film:
-        packets = received(film, link("phone-60", 1.2), events.append)
+        packets = received(film, link("phone-60", 1.2), recorder)
     assert statuses(packets) == ["ok"]
-    assert [type(event) for event in events if not isinstance(event, TrackEvent | ExtractEvent)] == [
-        DetectEvent,
-        DecodeEvent,
-        LostEvent,
-    ]
-    boxes = [event for event in events if isinstance(event, TrackEvent)]
-    assert len(boxes) > 30
-    assert all(box.tracked.state.pose.pitch == pytest.approx(82.4 / 16, rel=0.1) for box in boxes)
-    cuts = [event for event in events if isinstance(event, ExtractEvent)]
+    others = [type(event) for event in recorder.events if not isinstance(event, TrackEvent | ExtractEvent)]
+    assert others == [DetectEvent, DecodeEvent, LostEvent]
+    pitches = [tracked.state.pose.pitch for tracked in recorder.tracked]
+    assert len(pitches) > 30
+    assert pitches == pytest.approx([82.4 / 16] * len(pitches), rel=0.1)
+    cuts, (decoded,) = recorder.of(ExtractEvent), recorder.of(DecodeEvent)
     # the first pairs may end before the header is decoded
     assert [cut.number for cut in cuts][-9:] == list(range(4, 13))
-    decoded = next(event for event in events if isinstance(event, DecodeEvent))
     assert decoded.luminances is not None
     for cut in cuts[1:]:
-        shown = [_cells(frame, pose) for frame, pose in zip(cut.frames, cut.poses, strict=True)]
-        like = np.corrcoef((shown[0] - shown[1]).ravel(), decoded.luminances[cut.number].ravel())[0, 1]
-        assert like > 0.7
+        first, second = (_cells(frame, pose) for frame, pose in zip(cut.frames, cut.poses, strict=True))
+        assert np.corrcoef((first - second).ravel(), decoded.luminances[cut.number].ravel())[0, 1] > 0.7
 
 
 def _cells(frame: AnyFrame, pose: Pose) -> Floats:
-    """Return gray levels at cell centres."""
     places = np.rint(pose.leds(16) - frame.origin).astype(int)
     return np.asarray(frame.pixels[places[..., 1], places[..., 0]], float)
 
@@ -173,7 +159,6 @@ def test_folder_of_pictures_of_a_turned_phone_is_read(tmp_path: Path) -> None:
 
 
 def flickering(seconds: float) -> list[Frame]:
-    """Return a hand-held film with uniformly blinking squares in noise."""
     rng, out = np.random.default_rng(1), list[Frame]()
     squares = [(rng.integers(5, 180), rng.integers(5, 60), rng.integers(40, 90), rng.uniform(1, 6)) for _ in range(3)]
     for k in range(int(seconds * 30)):
@@ -188,15 +173,14 @@ def flickering(seconds: float) -> list[Frame]:
 
 @pytest.mark.slow
 def test_film_without_a_screen_costs_a_fraction_of_its_length(monkeypatch: pytest.MonkeyPatch) -> None:
-    spent_s, events, seconds, limits = [0.0], list[Event](), 5.4, SearchBudget()
-    spend = SearchBudget.spend
+    """A hand-held film with uniformly blinking squares in noise."""
+    spent, recorder, seconds, limits, spend = list[float](), Recorder(), 5.4, SearchBudget(), SearchBudget.spend
 
     def counted(budget: SearchBudget, samples: float) -> None:
-        spent_s[0] += samples / SAMPLES_PER_S
+        spent.append(samples / SAMPLES_PER_S)
         spend(budget, samples)
 
     monkeypatch.setattr(SearchBudget, "spend", counted)
-    settings = load_settings("phone")
-    assert received(flickering(seconds), settings, events.append) == []
-    assert limits.first_s < spent_s[0] < limits.first_s + limits.share * seconds + 2 * limits.debt_s
-    assert [event.searched_s for event in events if isinstance(event, UnseenEvent)] == pytest.approx([5.0], abs=0.1)
+    assert received(flickering(seconds), load_settings("phone"), recorder) == []
+    assert limits.first_s < sum(spent) < limits.first_s + limits.share * seconds + 2 * limits.debt_s
+    assert [event.searched_s for event in recorder.of(UnseenEvent)] == pytest.approx([5.0], abs=0.1)

@@ -8,14 +8,8 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.track.kalman import (
-    HEADER_OBSERVATION,
-    POSE,
-    MotionModel,
-    Observation,
-    PoseState,
-    sum_observation,
-)
+from heliograph.receive.track import kalman
+from heliograph.receive.track.kalman import POSE, MotionModel, Observation, PoseState, sum_observation
 
 PERIOD_S, ACCELERATION_PX = 1e-3, 0.1
 MODEL = MotionModel(PERIOD_S, ACCELERATION_PX)
@@ -51,7 +45,7 @@ def updated(state: PoseState, z: Floats, noise: Floats, observation: Observation
 
 
 @pytest.mark.parametrize("period_s", [1e-5, PERIOD_S, 0.1])
-@pytest.mark.parametrize("observation", [POSE, sum_observation(-2e-4), HEADER_OBSERVATION])
+@pytest.mark.parametrize("observation", [POSE, sum_observation(-2e-4), kalman.HEADER_OBSERVATION])
 def test_filter_equals_filterpy_at_any_rate_of_the_light(observation: Observation, period_s: float) -> None:
     rng, model = np.random.default_rng(1), MotionModel(period_s, ACCELERATION_PX)
     state = PoseState.start(0.0, rng.normal(size=5), random_covariance(rng), model)
@@ -83,25 +77,21 @@ def test_covariance_stays_symmetric_and_positive() -> None:
 
 
 def test_a_sum_shows_the_pose_late_and_with_a_bias() -> None:
-    start = np.array([50.0, 40.0, 0.1, 0.02, -0.6])
-    mean = np.append(start, [300.0, -150.0, 0.4, 0.03, 0.2])
-    moving = PoseState(0.0, mean, PoseState.start(0.0, start, 1e-4 * np.eye(5), MODEL).covariance)
+    mean = np.array([50.0, 40.0, 0.1, 0.02, -0.6, 300.0, -150.0, 0.4, 0.03, 0.2])
+    moving = PoseState(0.0, mean, PoseState.start(0.0, mean[:5], 1e-4 * np.eye(5), MODEL).covariance)
     shown, _ = moving.expected(sum_observation(2e-4))
     assert shown == pytest.approx([50.06, 39.97, 0.1 + 8e-5 + 0.03, 0.02, -0.6 + 0.2])
     # headers have no bias
-    assert moving.expected(HEADER_OBSERVATION)[0] == pytest.approx(mean[:5])
-    later = moving.pose_at(1e-3)
-    assert later.vector() == pytest.approx([50.3, 39.85, 0.1004, 0.02, -0.6])
+    assert moving.expected(kalman.HEADER_OBSERVATION)[0] == pytest.approx(mean[:5])
+    assert moving.pose_at(1e-3).vector() == pytest.approx([50.3, 39.85, 0.1004, 0.02, -0.6])
 
 
 def test_the_tilt_is_separate_and_grows_uncertain() -> None:
     covariance = np.diag([1e-4] * 5 + [1e-5, 2e-5])
     vector = np.array([50.0, 40.0, 0.1, 0.02, -0.6, -0.1, 0.05])
-    state = PoseState.start(0.0, vector, covariance, MODEL)
-    later = state.predict(0.5, MODEL)
-    assert later.tilt.tolist() == [-0.1, 0.05]
+    later = PoseState.start(0.0, vector, covariance, MODEL).predict(0.5, MODEL)
+    assert later.tilt.tolist() == [later.pose.stretch, later.pose.shear] == [-0.1, 0.05]
     assert later.tilt_covariance == pytest.approx(np.diag([1e-5, 2e-5]) + 0.5 * TILT_WALK**2 * np.eye(2))
-    assert (later.pose.stretch, later.pose.shear) == (-0.1, 0.05)
     # a passing array rotates; 100 patterns T_b at 0.3 / f times its speed
     passing = PoseState.start(0.0, vector, covariance, MODEL, (300.0, -400.0))
     turned = passing.predict(0.5, replace(MODEL, focal_px=3000.0)).tilt_covariance - later.tilt_covariance
