@@ -46,10 +46,6 @@ def in_space(pose: CameraPose, placement: Placement, distance_m: float, points: 
     return centre + turn.apply(np.column_stack([points, np.zeros(len(points))])) - eye, turn
 
 
-def camera_turn(pose: CameraPose) -> Rotation:
-    return turned(pose.pitch_rad[0], pose.yaw_rad[0], pose.roll_rad[0])
-
-
 @examples(30)
 @given(angles=ANGLES)
 def test_a_rotation_is_yaw_after_pitch_after_roll(angles: tuple[float, float, float]) -> None:
@@ -65,7 +61,8 @@ def test_projection_is_a_pinholes(pose: CameraPose, placement: Placement, distan
     maps, eye = homography(pose, TIME, placement, distance_m, CAMERA)
     image, depth = project(maps, points)
     world, tilt = in_space(pose, placement, distance_m, points)
-    for k, (right, down, forward) in enumerate(camera_turn(pose).inv().apply(world)):
+    camera = turned(pose.pitch_rad[0], pose.yaw_rad[0], pose.roll_rad[0])
+    for k, (right, down, forward) in enumerate(camera.inv().apply(world)):
         x = CAMERA.focal_px * right / forward + (CAMERA.width - 1) / 2
         y = CAMERA.focal_px * down / forward + (CAMERA.height - 1) / 2
         assert (image[0, k], depth[0, k]) == (pytest.approx([x, y], abs=1e-6), pytest.approx(forward))

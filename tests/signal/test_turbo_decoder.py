@@ -31,10 +31,6 @@ def noisy(code: TurboCode, blocks: int, ebn0_db: float, seed: int) -> tuple[NDAr
     return bits, 2 * samples / variance
 
 
-def all_words(k: int) -> NDArray[np.uint8]:
-    return (np.arange(2**k)[:, None] >> np.arange(k) & 1).astype(np.uint8)
-
-
 def by_enumeration(words: NDArray[np.uint8], llr: Floats, algorithm: Algorithm) -> Floats:
     """Compute a-posteriori bit LLRs by enumerating all codewords."""
     log_p = llr @ (1.0 - words.T)
@@ -47,7 +43,7 @@ def by_enumeration(words: NDArray[np.uint8], llr: Floats, algorithm: Algorithm) 
 @pytest.mark.parametrize("spread", [0.5, 3.0, 30.0])
 def test_one_siso_is_the_exact_posterior(algorithm: Algorithm, spread: float) -> None:
     """All bits, tail included, against enumeration of 256 words from the terminated constituent code."""
-    info_words = all_words(8)
+    info_words = (np.arange(256)[:, None] >> np.arange(8) & 1).astype(np.uint8)
     words = np.concatenate([info_words, *encode_constituent(info_words)], axis=1)
     llr = np.random.default_rng(3).normal(scale=spread, size=(20, 22))
     posterior = reference.siso(llr[:, :8], llr[:, 8:16], llr[:, 16:], algorithm)

@@ -23,12 +23,6 @@ RATES = [float(Fraction(r)) for r in re.findall(r"\d+/\d+", re.findall(r"(?m)^  
 COLUMNS = [int(c) for c in re.findall(r"T = ([\d ]+)", DOCUMENT)[0].split()]
 
 
-def cells_of_the_document() -> list[str]:
-    # three groups with four lines, each with ten cells
-    lines = [line.split() for line in re.findall(r"(?m)^(?: +[#.]{4}){10}$", DOCUMENT)]
-    return ["/".join(lines[first + r][i] for r in range(4)) for first in (0, 4, 8) for i in range(10)]
-
-
 def header(identity: int) -> Matrix:
     """Section 4: cells, 1 lit."""
     q, s = divmod(identity, 15)
@@ -155,10 +149,6 @@ def small_file_block(sent: bytes, number: int, size: int, k: int, notice: bool) 
     if notice:
         return sealed(bytes([16 + 12 + 2, 7]) + len(sent).to_bytes(3, "big") + check, k)
     return sealed(bytes([16 + 8 + 2, 7, check[0]]) + number.to_bytes(2, "big") + symbol(sent, size, number), k)
-
-
-def bits_of(data: bytes) -> list[int]:
-    return [byte >> 7 - i & 1 for byte in data for i in range(8)]
 
 
 def carousel(layer: str, identity: int, messages: list[bytes], k: int) -> list[bytes]:
@@ -315,7 +305,7 @@ def packet(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -
     for layer, sent in enumerate(blocks_of(case, forms, number)):
         _, _, e = sizes_of(case, form, layer)
         for i, one in enumerate(sent):
-            coded = rate_match(mother(bits_of(one)), e)
+            coded = rate_match(mother([byte >> 7 - i & 1 for byte in one for i in range(8)]), e)
             for j, (bit, chip) in enumerate(zip(coded, whitening(e, layer, i), strict=True)):
                 pair, cell = place(i * e + j, pairs, (h * (h - single), 2 * h * h, h * h)[layer])
                 row, column = (cell // (h - 1), 1 + cell % (h - 1)) if single and not layer else cell_of(layer, cell, h)
@@ -364,7 +354,9 @@ def test_files_are_what_the_code_gives() -> None:
 def test_tables_of_the_document() -> None:
     assert (tuple(QPP), sorted(COLUMNS)) == (QPP_SIZES, list(range(32)))
     drawn = ["/".join("".join(".#"[chip] for chip in row) for row in header(i)) for i in range(30)]
-    assert cells_of_the_document() == drawn
+    # three groups with four lines, each with ten cells
+    lines = [line.split() for line in re.findall(r"(?m)^(?: +[#.]{4}){10}$", DOCUMENT)]
+    assert ["/".join(lines[first + r][i] for r in range(4)) for first in (0, 4, 8) for i in range(10)] == drawn
 
 
 def haar_fields(case: dict[str, Any]) -> dict[str, Any]:
